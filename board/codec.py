@@ -1,0 +1,232 @@
+"""Frames from the host to the controller board: motion here, all others from peripherals, under one name.
+
+The board answers no motor frame and its motor handler checks nothing: ids out of range write out of bounds, the count
+is not held against the length, NaN is a speed (firmware source). So every value is checked here: an encoder either
+returns a frame the board handles as meant, or raises FrameError.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+
+from failstop.board.framing import (
+    AUX_FUNCS,
+    BUS_SERVO,
+    BUZZER,
+    CRC_TABLE,
+    GAMEPAD,
+    HEAD,
+    IMU,
+    KEY,
+    LED,
+    MAX_DATA,
+    MOTOR,
+    OLED,
+    PWM_SERVO,
+    RGB,
+    SBUS,
+    SYS,
+    WHEELS,
+    FrameError,
+    counted,
+    crc8,
+    distinct,
+    frame,
+    group,
+    integer,
+    number,
+    seal,
+)
+from failstop.board.peripherals import (
+    battery_alarm,
+    bus_servo_move,
+    bus_servo_read_id,
+    bus_servo_read_load,
+    bus_servo_read_position,
+    bus_servo_read_temperature,
+    bus_servo_read_vin,
+    bus_servo_stop,
+    bus_servo_torque,
+    buzzer,
+    check_aux,
+    led,
+    oled,
+    pwm_servo_deviation,
+    pwm_servo_move,
+    pwm_servo_move_one,
+    pwm_servo_read,
+    pwm_servo_read_deviation,
+    rgb,
+)
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = [
+    "AUX_FUNCS",
+    "BUS_SERVO",
+    "BUZZER",
+    "GAMEPAD",
+    "HEAD",
+    "IMU",
+    "KEY",
+    "LED",
+    "MAX_DATA",
+    "MOTOR",
+    "OLED",
+    "PING",
+    "PWM_SERVO",
+    "RGB",
+    "RPS_CEILING",
+    "SBUS",
+    "STOP",
+    "SYS",
+    "WHEELS",
+    "FrameError",
+    "battery_alarm",
+    "bus_servo_move",
+    "bus_servo_read_id",
+    "bus_servo_read_load",
+    "bus_servo_read_position",
+    "bus_servo_read_temperature",
+    "bus_servo_read_vin",
+    "bus_servo_stop",
+    "bus_servo_torque",
+    "buzzer",
+    "check_aux",
+    "check_motion",
+    "crc8",
+    "frame",
+    "led",
+    "motor_one",
+    "motor_some",
+    "motor_speeds",
+    "motor_stop_mask",
+    "motor_stop_one",
+    "motor_type",
+    "oled",
+    "pwm_servo_deviation",
+    "pwm_servo_move",
+    "pwm_servo_move_one",
+    "pwm_servo_read",
+    "pwm_servo_read_deviation",
+    "rgb",
+]
+
+# Above any wheel there is: a limit beyond this is a mistake in the limit, and would switch the check off.
+RPS_CEILING = 1000.0
+
+# A speed equal to the limit may round up by half a unit in the last place when it becomes a float32.
+_ROUNDING = 1.0 + 2.0**-23
+_SMALLEST_F32 = 2.0**-149
+
+# Head, func and len as one word, sub-command and count as another: fewer objects to make and compare per frame.
+_WHEELS4 = Struct("<IHBfBfBfBfB")
+_WHEELS4_SIZE = _WHEELS4.size
+_WHEELS4_WORD = 0x160355AA
+_WHEELS4_COUNT = 0x0401
+
+_ID_SPEED = Struct("<Bf")
+
+# The register that is zero again after the head: with it the CRC runs over a whole frame and needs no slice.
+_BEFORE_HEAD = next(register for register in range(256) if crc8(HEAD, register) == 0)
+
+
+def _limit(max_rps: float) -> float:
+    return number("max_rps", max_rps, 0.0, RPS_CEILING, "rps")
+
+
+def _wheel(wheel: int) -> int:
+    return integer("wheel id", wheel, 0, WHEELS - 1)
+
+
+def _speed(wheel: int, rps: float, limit: float) -> float:
+    return number(f"speed of wheel {wheel}", rps, -limit, limit, "rps")
+
+
+def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
+    """The 27-byte frame that sets all four wheels: speeds in rps for wire ids 0 to 3 (motors 1 to 4), each within
+    plus or minus max_rps. Minus zero is sent as zero, so that four zeros are always exactly STOP."""
+    try:
+        a, b, c, d = rps
+    except (TypeError, ValueError):
+        raise FrameError(f"rps is {rps!r}, must be {WHEELS} speeds") from None
+    if not (
+        type(a) is type(b) is type(c) is type(d) is type(max_rps) is float
+        and max_rps <= RPS_CEILING
+        and -max_rps <= a <= max_rps
+        and -max_rps <= b <= max_rps
+        and -max_rps <= c <= max_rps
+        and -max_rps <= d <= max_rps
+    ):
+        limit = _limit(max_rps)
+        a, b, c, d = (_speed(wheel, value, limit) for wheel, value in enumerate((a, b, c, d)))
+    packed = _WHEELS4.pack(_WHEELS4_WORD, _WHEELS4_COUNT, 0, a + 0.0, 1, b + 0.0, 2, c + 0.0, 3, d + 0.0, 0)
+    return packed[:-1] + bytes((crc8(packed[2:-1]),))
+
+
+def motor_some(pairs: Sequence[tuple[int, float]], max_rps: float) -> bytes:
+    """The "many" motor frame for one to four distinct wheels: (wire id, speed in rps) each."""
+    limit = _limit(max_rps)
+    data = bytes((0x01, counted("pairs", pairs, 1, WHEELS)))
+    for pair in pairs:
+        group("pair", pair, 2)
+        data += _ID_SPEED.pack(_wheel(pair[0]), _speed(pair[0], pair[1], limit))
+    distinct("wheel id", [pair[0] for pair in pairs])
+    return seal(MOTOR, data)
+
+
+def motor_one(wheel: int, rps: float, max_rps: float) -> bytes:
+    """Set the speed of one wheel (wire id 0 to 3) in rps."""
+    limit = _limit(max_rps)
+    return seal(MOTOR, b"\x00" + _ID_SPEED.pack(_wheel(wheel), _speed(wheel, rps, limit)))
+
+
+def motor_stop_one(wheel: int) -> bytes:
+    """Stop one wheel (wire id 0 to 3)."""
+    return seal(MOTOR, bytes((0x02, _wheel(wheel))))
+
+
+def motor_stop_mask(mask: int) -> bytes:
+    """Stop the wheels whose bits are set: bit 0 is wire id 0, 1 to 15."""
+    return seal(MOTOR, bytes((0x03, integer("mask", mask, 1, (1 << WHEELS) - 1))))
+
+
+def motor_type(kind: int) -> bytes:
+    """Select the motor type: 0 JGB520, 1 JGB37, 2 JGA27, 3 JGB528 (newer firmware only)."""
+    return seal(MOTOR, bytes((0x05, integer("motor type", kind, 0, 3))))
+
+
+def check_motion(frame: bytes, max_rps: float) -> str:
+    """Why these bytes must not be written as a motion frame, in a few words; "" when they may.
+
+    Accepted is the 27-byte frame for all four wheels, ids 0 to 3 in order, right CRC, every speed finite and within
+    plus or minus max_rps (rps, 0 to RPS_CEILING; rounding to float32 is allowed for). Never raises on bytes.
+    """
+    if len(frame) != _WHEELS4_SIZE:
+        return "not a motor frame"
+    word, count, id_0, a, id_1, b, id_2, c, id_3, d, _ = _WHEELS4.unpack(frame)
+    if word != _WHEELS4_WORD or count != _WHEELS4_COUNT:
+        return "not a motor frame"
+    register = _BEFORE_HEAD
+    table = CRC_TABLE
+    for byte in frame:
+        register = table[register ^ byte]
+    # There is no final xor, so taking in its own CRC leaves zero.
+    if register:
+        return "bad crc"
+    if id_0 != 0 or id_1 != 1 or id_2 != 2 or id_3 != 3:
+        return f"wheel ids {id_0} {id_1} {id_2} {id_3}, must be 0 1 2 3"
+    if not 0.0 <= max_rps <= RPS_CEILING:
+        return f"limit {max_rps} rps, must be 0 to {RPS_CEILING:g}"
+    limit = max_rps * _ROUNDING + _SMALLEST_F32
+    # Chained comparisons are false for NaN.
+    if -limit <= a <= limit and -limit <= b <= limit and -limit <= c <= limit and -limit <= d <= limit:
+        return ""
+    wheel, rps = next((wheel, rps) for wheel, rps in enumerate((a, b, c, d)) if not -limit <= rps <= limit)
+    return f"wheel {wheel} at {rps:.2f} rps, limit {max_rps:.2f}"
+
+
+STOP = motor_speeds((0.0, 0.0, 0.0, 0.0), 0.0)
+PING = pwm_servo_read(1)

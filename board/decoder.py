@@ -1,0 +1,179 @@
+"""Frames from the controller board: the incremental decoder and a parser for each kind (vendor protocol description).
+
+The parsers take the data of one frame and return None for data of the wrong length or content: telemetry goes on, and
+what makes no sense is not passed on.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+
+from failstop.board.framing import BUS_SERVO, HEAD, PWM_SERVO, RGB, crc8
+
+KEY_EVENTS = {
+    0x01: "pressed",
+    0x02: "long",
+    0x04: "long-repeat",
+    0x08: "release after long",
+    0x10: "release after short",
+    0x20: "click",
+    0x40: "double",
+    0x80: "triple",
+}
+
+BUTTONS = {
+    "L2": 0x0001,
+    "R2": 0x0002,
+    "SELECT": 0x0004,
+    "START": 0x0008,
+    "L3": 0x0020,
+    "R3": 0x0040,
+    "X": 0x0100,
+    "O": 0x0200,
+    "SQUARE": 0x0800,
+    "TRIANGLE": 0x1000,
+    "L1": 0x4000,
+    "R1": 0x8000,
+}
+
+# The longest data the board is known to send is 36 bytes (SBUS). A length beyond this is noise: to wait for 255 bytes
+# would hold back telemetry for 80 ms.
+LONGEST = 64
+
+_LARGEST_F32 = 3.4028234663852886e38
+
+_BATTERY = Struct("<BH")
+_IMU = Struct("<6f")
+_GAMEPAD = Struct("<HB4b")
+_SBUS = Struct("<16h4B")
+_U16 = Struct("<H")
+_I16 = Struct("<h")
+_U8 = Struct("<B")
+_I8 = Struct("<b")
+
+# What a reply's value looks like, by sub-command.
+_PWM_VALUES = {0x05: _U16, 0x09: _I8}
+_BUS_VALUES = {0x05: _I16, 0x07: _U16, 0x09: _U8, 0x0D: _U8, 0x12: _U8}
+
+
+class Decoder:
+    """Takes bytes in pieces of any size, gives frames; holds at most one frame's worth between calls.
+
+    After a wrong CRC or an impossible head it looks for the next head from inside the rejected bytes, so that garbage
+    costs no whole frame behind it (the board's own receiver does not do that). `frames` counts good frames,
+    `crc_errors` frames that failed their CRC, `skipped_bytes` bytes that were part of no good frame.
+    """
+
+    __slots__ = ("_pending", "crc_errors", "frames", "skipped_bytes")
+
+    def __init__(self) -> None:
+        self._pending = b""
+        self.frames = 0
+        self.crc_errors = 0
+        self.skipped_bytes = 0
+
+    def reset(self) -> None:
+        """Forget a partial frame, as after the port was reopened; the counters stay."""
+        self.skipped_bytes += len(self._pending)
+        self._pending = b""
+
+    def feed(self, chunk: bytes) -> list[tuple[int, bytes]]:
+        """Take in bytes; return (func, data) of each frame completed, in order."""
+        stream = self._pending + chunk
+        end = len(stream)
+        found: list[tuple[int, bytes]] = []
+        at = 0
+        while True:
+            head = stream.find(HEAD, at)
+            if head < 0:
+                # The last byte may be the first half of a head.
+                head = end - 1 if end > at and stream[-1] == HEAD[0] else end
+            self.skipped_bytes += head - at
+            at = head
+            if end - at < 4:
+                break
+            func, length = stream[at + 2], stream[at + 3]
+            if func > RGB or length > LONGEST:
+                at = self._reject(at)
+                continue
+            after = at + 5 + length
+            if after > end:
+                break
+            # With its CRC taken in, a good frame leaves zero.
+            if crc8(stream[at + 2 : after]):
+                self.crc_errors += 1
+                at = self._reject(at)
+                continue
+            found.append((func, stream[at + 4 : after - 1]))
+            self.frames += 1
+            at = after
+        self._pending = stream[at:]
+        return found
+
+    def _reject(self, at: int) -> int:
+        self.skipped_bytes += len(HEAD)
+        return at + len(HEAD)
+
+
+def battery_mv(data: bytes) -> int | None:
+    """SYS: the battery voltage in mV."""
+    if len(data) != _BATTERY.size or data[0] != 0x04:
+        return None
+    millivolts: int = _BATTERY.unpack(data)[1]
+    return millivolts
+
+
+def key(data: bytes) -> tuple[int, int] | None:
+    """KEY: (key id, event), the event one of KEY_EVENTS."""
+    if len(data) != 2 or data[1] not in KEY_EVENTS:
+        return None
+    return data[0], data[1]
+
+
+def imu(data: bytes) -> tuple[float, float, float, float, float, float] | None:
+    """IMU: acceleration x y z in g, then gyro x y z in deg/s; None unless all are finite."""
+    if len(data) != _IMU.size:
+        return None
+    ax, ay, az, gx, gy, gz = _IMU.unpack(data)
+    for value in (ax, ay, az, gx, gy, gz):
+        if not -_LARGEST_F32 <= value <= _LARGEST_F32:
+            return None
+    return ax, ay, az, gx, gy, gz
+
+
+def gamepad(data: bytes) -> tuple[int, int, int, int, int, int] | None:
+    """GAMEPAD: (buttons as in BUTTONS, hat, lx, ly, rx, ry), the axes -128 to 127."""
+    if len(data) != _GAMEPAD.size:
+        return None
+    buttons, hat, lx, ly, rx, ry = _GAMEPAD.unpack(data)
+    return buttons, hat, lx, ly, rx, ry
+
+
+def sbus(data: bytes) -> tuple[tuple[int, ...], bool, bool, bool, bool] | None:
+    """SBUS: (16 channels, channel 17, channel 18, signal lost, fail-safe)."""
+    if len(data) != _SBUS.size:
+        return None
+    *channels, ch17, ch18, lost, failsafe = _SBUS.unpack(data)
+    return tuple(channels), bool(ch17), bool(ch18), bool(lost), bool(failsafe)
+
+
+def servo_reply(func: int, data: bytes) -> tuple[int, int, int | None] | None:
+    """PWM SERVO and BUS SERVO: (servo id, sub-command, value), the value None when a bus servo did not answer.
+
+    The sub-command is that of the request. PWM: 05 pulse in us, 09 deviation in us. Bus: 05 position, 07 supply in mV,
+    09 degrees Celsius, 0D torque on, 12 id.
+    """
+    if len(data) < 3:
+        return None
+    if func == PWM_SERVO:
+        form, at = _PWM_VALUES.get(data[1]), 2
+    elif func == BUS_SERVO:
+        form, at = _BUS_VALUES.get(data[1]), 3
+    else:
+        return None
+    if form is None or len(data) != at + form.size:
+        return None
+    if func == BUS_SERVO and data[2] != 0:
+        return data[0], data[1], None
+    value: int = form.unpack_from(data, at)[0]
+    return data[0], data[1], value

@@ -1,0 +1,249 @@
+"""Frames to the board that move no wheel: servos, buzzer, LEDs, display and the battery alarm, and their check.
+
+The ranges are those of the firmware's handlers, which rarely check them (firmware source): a PWM servo id of 0 or a
+count beyond the data reaches outside a table, a long OLED text overruns its line.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+
+from failstop.board.framing import (
+    AUX_FUNCS,
+    BUS_SERVO,
+    BUZZER,
+    HEAD,
+    LED,
+    MAX_DATA,
+    MOTOR,
+    MOTOR_HEAD,
+    OLED,
+    PWM_SERVO,
+    RGB,
+    SYS,
+    FrameError,
+    counted,
+    crc8,
+    distinct,
+    frame,
+    group,
+    integer,
+)
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+PWM_SERVOS = 4
+LEDS = 2
+PIXELS = 2
+# The firmware copies a text and a closing zero into 24 bytes, whatever its length.
+OLED_TEXT = 23
+
+_U16 = Struct("<H")
+_U16X4 = Struct("<4H")
+_ID_U16 = Struct("<BH")
+_LED = Struct("<B3H")
+
+# Handlers that go through a list: where the count stands in the data, and the size of an item.
+_LISTS = {
+    (PWM_SERVO, 0x01): (3, 3),
+    (BUS_SERVO, 0x01): (3, 3),
+    (BUS_SERVO, 0x03): (1, 1),
+    (OLED, 0x01): (1, 1),
+    (OLED, 0x02): (1, 1),
+    (RGB, 0x01): (1, 4),
+}
+# PWM servo sub-commands for one servo: where its id stands.
+_PWM_ID_AT = {0x03: 3, 0x05: 1, 0x07: 1, 0x09: 1}
+
+
+def _milliseconds(field: str, value: int) -> int:
+    return integer(field, value, 0, 65_535)
+
+
+def _moves(
+    moves: Sequence[tuple[int, int]], duration_ms: int, most: int, ids: int, target: tuple[str, int, int]
+) -> bytes:
+    data = b"\x01" + _U16.pack(integer("duration_ms", duration_ms, 0, 30_000))
+    data += bytes((counted("moves", moves, 1, most),))
+    for move in moves:
+        group("move", move, 2)
+        field, low, high = target
+        data += _ID_U16.pack(integer("servo id", move[0], 1, ids), integer(field, move[1], low, high))
+    distinct("servo id", [move[0] for move in moves])
+    return data
+
+
+def _pwm_id(servo: int) -> int:
+    return integer("servo id", servo, 1, PWM_SERVOS)
+
+
+def pwm_servo_move(pulses: Sequence[tuple[int, int]], duration_ms: int) -> bytes:
+    """Move PWM servos: (id 1 to 4, pulse 500 to 2500 us) each, within duration_ms (0 to 30000)."""
+    return frame(PWM_SERVO, _moves(pulses, duration_ms, PWM_SERVOS, PWM_SERVOS, ("pulse_us", 500, 2500)))
+
+
+def pwm_servo_move_one(servo: int, pulse_us: int, duration_ms: int) -> bytes:
+    """Move one PWM servo (id 1 to 4) to pulse_us (500 to 2500) within duration_ms (0 to 30000)."""
+    data = b"\x03" + _U16.pack(integer("duration_ms", duration_ms, 0, 30_000))
+    return frame(PWM_SERVO, data + _ID_U16.pack(_pwm_id(servo), integer("pulse_us", pulse_us, 500, 2500)))
+
+
+def pwm_servo_read(servo: int) -> bytes:
+    """Ask for a PWM servo's pulse; the board answers from its memory, with no servo connected."""
+    return frame(PWM_SERVO, bytes((0x05, _pwm_id(servo))))
+
+
+def pwm_servo_deviation(servo: int, deviation_us: int) -> bytes:
+    """Set a PWM servo's deviation, -100 to 100 us."""
+    return frame(PWM_SERVO, bytes((0x07, _pwm_id(servo), integer("deviation_us", deviation_us, -100, 100) & 0xFF)))
+
+
+def pwm_servo_read_deviation(servo: int) -> bytes:
+    """Ask for a PWM servo's deviation."""
+    return frame(PWM_SERVO, bytes((0x09, _pwm_id(servo))))
+
+
+def _bus(command: int, servo: int, highest: int = 253) -> bytes:
+    return frame(BUS_SERVO, bytes((command, integer("servo id", servo, 1, highest))))
+
+
+def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int) -> bytes:
+    """Move up to 83 bus servos: (id 1 to 253, position 0 to 1000) each, within duration_ms (0 to 30000)."""
+    most = (MAX_DATA - 4) // _ID_U16.size
+    return frame(BUS_SERVO, _moves(positions, duration_ms, most, 253, ("position", 0, 1000)))
+
+
+def bus_servo_stop(servos: Sequence[int]) -> bytes:
+    """Stop bus servos (ids 1 to 253) where they are."""
+    count = counted("servos", servos, 1, MAX_DATA - 2)
+    ids = bytes([integer("servo id", servo, 1, 253) for servo in servos])
+    distinct("servo id", ids)
+    return frame(BUS_SERVO, bytes((0x03, count)) + ids)
+
+
+def bus_servo_read_position(servo: int) -> bytes:
+    """Ask for a bus servo's position, 0 to 1000 when in range."""
+    return _bus(0x05, servo)
+
+
+def bus_servo_read_vin(servo: int) -> bytes:
+    """Ask for a bus servo's supply voltage, mV."""
+    return _bus(0x07, servo)
+
+
+def bus_servo_read_temperature(servo: int) -> bytes:
+    """Ask for a bus servo's temperature, degrees Celsius."""
+    return _bus(0x09, servo)
+
+
+def bus_servo_read_load(servo: int) -> bytes:
+    """Ask whether a bus servo's torque is on: 1 or 0."""
+    return _bus(0x0D, servo)
+
+
+def bus_servo_read_id(servo: int = 254) -> bytes:
+    """Ask for a bus servo's id; 254 asks whichever single servo is connected."""
+    return _bus(0x12, servo, 254)
+
+
+def bus_servo_torque(servo: int, on: bool) -> bytes:
+    """Switch a bus servo's torque: 0C is on and 0B is off (the vendor's SDK has the two the wrong way round)."""
+    if not isinstance(on, bool):
+        raise FrameError(f"on is {on!r}, must be True or False")
+    return _bus(0x0C if on else 0x0B, servo)
+
+
+def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
+    """Sound the buzzer `repeat` times. off_ms of 0 is refused: it left a buzzer sounding for ever."""
+    integer("freq_hz", freq_hz, 20, 20_000)
+    integer("on_ms", on_ms, 1, 65_535)
+    integer("off_ms", off_ms, 1, 65_535)
+    integer("repeat", repeat, 1, 65_535)
+    return frame(BUZZER, _U16X4.pack(freq_hz, on_ms, off_ms, repeat))
+
+
+def led(led_id: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
+    """Blink LED 1 or 2: on and off times 0 to 65535 ms, repeat 0 to 65535."""
+    integer("led id", led_id, 1, LEDS)
+    times = _milliseconds("on_ms", on_ms), _milliseconds("off_ms", off_ms)
+    return frame(LED, _LED.pack(led_id, *times, integer("repeat", repeat, 0, 65_535)))
+
+
+def oled(line: int, text: str) -> bytes:
+    """Show text on line 1 or 2 of the display: up to 23 printable ASCII characters."""
+    integer("line", line, 1, 2)
+    if not isinstance(text, str) or not text.isascii() or not text.isprintable():
+        raise FrameError(f"text is {text!r}, must be printable ASCII")
+    return frame(OLED, bytes((line, counted("text", text, 0, OLED_TEXT))) + text.encode("ascii"))
+
+
+def rgb(pixels: Sequence[tuple[int, int, int, int]]) -> bytes:
+    """Set the RGB pixels: (index 0 or 1; red, green, blue 0 to 255) each."""
+    data = bytes((0x01, counted("pixels", pixels, 1, PIXELS)))
+    for pixel in pixels:
+        group("pixel", pixel, 4)
+        integer("pixel index", pixel[0], 0, PIXELS - 1)
+        for colour, value in zip(("red", "green", "blue"), pixel[1:], strict=True):
+            integer(colour, value, 0, 255)
+        data += bytes(pixel)
+    distinct("pixel index", [pixel[0] for pixel in pixels])
+    return frame(RGB, data)
+
+
+def battery_alarm(millivolts: int) -> bytes:
+    """Set the board's low-battery alarm, 1000 to 30000 mV."""
+    return frame(SYS, b"\x01" + _U16.pack(integer("millivolts", millivolts, 1000, 30_000)))
+
+
+def check_aux(frame: bytes) -> str:
+    """Why these bytes must not be written as a frame that is not motion, in a few words; "" when they may.
+
+    Accepted is exactly one frame of a function in AUX_FUNCS, of the right length and CRC, without the start of a
+    motor frame anywhere in it, and with nothing in it that makes the firmware's handler reach outside its tables
+    (which could change a wheel's set point as well as anything). Never raises on bytes.
+    """
+    size = len(frame)
+    if size < 5 or frame[:2] != HEAD:
+        return "not a frame"
+    func = frame[2]
+    if func == MOTOR:
+        return "a motor frame"
+    if func not in AUX_FUNCS:
+        return f"func {func} does not go to the board"
+    if size != frame[3] + 5:
+        return f"{size} bytes, its length byte says {frame[3] + 5}"
+    if crc8(frame[2:]):
+        return "bad crc"
+    if MOTOR_HEAD in frame:
+        return "the start of a motor frame inside"
+    return _reaches_outside(func, frame[4:-1])
+
+
+def _reaches_outside(func: int, data: bytes) -> str:
+    if func in (SYS, LED, BUZZER):
+        return ""
+    # Without data the handlers take the CRC for their sub-command.
+    if not data:
+        return "no sub-command"
+    command = data[0]
+    if func == RGB and command != 0x01:
+        # The handler goes through the list whatever the sub-command is.
+        return f"rgb sub-command {command}, must be 1"
+    if func == PWM_SERVO and command in _PWM_ID_AT:
+        at = _PWM_ID_AT[command]
+        return "" if len(data) > at and data[at] else "pwm servo id 0"
+    if (func, command) not in _LISTS:
+        return ""
+    at, item = _LISTS[func, command]
+    if len(data) <= at or len(data) < at + 1 + data[at] * item:
+        return "a count beyond its data"
+    ids = data[at + 1 : at + 1 + data[at] * item : item]
+    if func == PWM_SERVO and 0 in ids:
+        return "pwm servo id 0"
+    if func == OLED and data[at] > OLED_TEXT:
+        return f"oled text of {data[at]}, limit {OLED_TEXT}"
+    if func == RGB and any(index >= PIXELS for index in ids):
+        return f"rgb index beyond {PIXELS - 1}"
+    return ""

@@ -1,0 +1,61 @@
+"""Frames as the controller board sends them: encoders for the simulated board and for tests."""
+
+from __future__ import annotations
+
+from struct import Struct
+
+from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU, KEY, PWM_SERVO, SBUS, SYS, seal
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_BATTERY = Struct("<BH")
+_IMU = Struct("<6f")
+_GAMEPAD = Struct("<HB4b")
+_SBUS = Struct("<16h4B")
+_PULSE = Struct("<BBH")
+_DEVIATION = Struct("<BBb")
+_POSITION = Struct("<BBbh")
+
+
+def battery(millivolts: int) -> bytes:
+    """SYS: the battery voltage in mV."""
+    return seal(SYS, _BATTERY.pack(0x04, millivolts))
+
+
+def key(key_id: int, event: int) -> bytes:
+    """KEY: a key's id and one of decoder.KEY_EVENTS."""
+    return seal(KEY, bytes((key_id, event)))
+
+
+def imu(ax: float, ay: float, az: float, gx: float, gy: float, gz: float) -> bytes:
+    """IMU: acceleration in g, gyro in deg/s. Anything a float32 holds goes, NaN too."""
+    return seal(IMU, _IMU.pack(ax, ay, az, gx, gy, gz))
+
+
+def gamepad(buttons: int, hat: int = 0, lx: int = 0, ly: int = 0, rx: int = 0, ry: int = 0) -> bytes:
+    """GAMEPAD: buttons as in decoder.BUTTONS, hat, axes -128 to 127."""
+    return seal(GAMEPAD, _GAMEPAD.pack(buttons, hat, lx, ly, rx, ry))
+
+
+def sbus(
+    channels: Sequence[int], ch17: bool = False, ch18: bool = False, lost: bool = False, safe: bool = False
+) -> bytes:
+    """SBUS: 16 channels, two switches, signal lost, fail-safe."""
+    return seal(SBUS, _SBUS.pack(*channels, ch17, ch18, lost, safe))
+
+
+def pwm_servo_position(servo: int, pulse_us: int) -> bytes:
+    """PWM SERVO: the answer to a position read, which is the answer to the ping."""
+    return seal(PWM_SERVO, _PULSE.pack(servo, 0x05, pulse_us))
+
+
+def pwm_servo_deviation(servo: int, deviation_us: int) -> bytes:
+    """PWM SERVO: the answer to a deviation read."""
+    return seal(PWM_SERVO, _DEVIATION.pack(servo, 0x09, deviation_us))
+
+
+def bus_servo_position(servo: int, position: int | None) -> bytes:
+    """BUS SERVO: the answer to a position read; None for a servo that does not answer."""
+    return seal(BUS_SERVO, _POSITION.pack(servo, 0x05, 0 if position is not None else -1, position or 0))

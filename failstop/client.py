@@ -1,0 +1,130 @@
+"""A local client's side of shared memory: its slot, its requests, its commands, and the stop pipe."""
+
+from __future__ import annotations
+
+import os
+import time
+
+from failstop.errors import FailstopError, NoAnswer, NoService
+from failstop.shm import bell, claim, instance, layout, records, segment
+
+ANSWER_S = 1.0
+"""How long a request may take; the gate answers within a tick."""
+
+
+def runtime_dir(name: str) -> str:
+    """Directory of the running service. Raises NoService, FailstopError."""
+    try:
+        return instance.find(name)
+    except instance.NoService as error:
+        raise NoService(str(error)) from None
+    except instance.InstanceError as error:
+        raise FailstopError(str(error)) from None
+
+
+def attach(name: str, which: str) -> segment.Segment:
+    """A service segment, for reading. Raises NoService, FailstopError."""
+    try:
+        return segment.attach(name, which)
+    except segment.AttachError as error:
+        kind = NoService if error.kind == "absent" else FailstopError
+        raise kind(str(error)) from None
+
+
+def send_stop(name: str, reason: str) -> None:
+    """Ask for a latched stop: every local user may. Raises NoService, FailstopError."""
+    path = instance.stop_path(runtime_dir(name))
+    try:
+        fd = bell.open_pipe_to_write(path)
+    except OSError as error:
+        raise NoService(f"the stop pipe {path} can't be opened ({error.strerror}): use `failstop stop`") from None
+    try:
+        bell.send(fd, reason.encode("utf-8", "replace")[:400] + b"\n")
+    except OSError as error:
+        raise NoService(f"the stop pipe {path} can't be written ({error.strerror}): use `failstop stop`") from None
+    finally:
+        os.close(fd)
+
+
+class Client:
+    """A claimed client slot. The claim ends with close(), or with the process."""
+
+    def __init__(self, name: str, who: str) -> None:
+        """Raises NoService, FailstopError (no permission, another version, all slots taken)."""
+        self.name = name
+        directory = runtime_dir(name)
+        self._session = int.from_bytes(os.urandom(8), "little") | 1
+        self._number = 0
+        self._gate = attach(name, layout.GATE)
+        self._claims = -1
+        self._bell = -1
+        try:
+            self._claims = claim.open_claims(instance.claims_path(directory))
+            self._bell = bell.open_pipe_to_write(instance.bell_path(directory))
+            self.slot = self._claim_slot()
+            self._segment = segment.attach_client_slot(name, self.slot, self._gate.incarnation)
+        except PermissionError:
+            self.close()
+            raise FailstopError(
+                f"this user may stop {name!r} but not drive it: join the group `failstop`, or run as the service's user"
+            ) from None
+        except segment.AttachError as error:
+            self.close()
+            raise FailstopError(str(error)) from None
+        except OSError as error:
+            self.close()
+            raise NoService(f"the service {name!r} is going away ({error.strerror}): try again") from None
+        except FailstopError:
+            self.close()
+            raise
+        self._commands = self._segment.latest_writer("command")
+        self._requests = self._segment.latest_writer("request")
+        self._reply = self._gate.latest_reader(f"reply.{self.slot}")
+        self._hint = bytes([self.slot])
+        self._segment.latest_writer("hello").write(records.pack_hello(self._session, os.getpid(), who))
+        self._ring()
+
+    def _claim_slot(self) -> int:
+        for index in range(layout.CLIENT_SLOTS):
+            if claim.take(self._claims, index):
+                return index
+        raise FailstopError(
+            f"all {layout.CLIENT_SLOTS} client slots of {self.name!r} are taken: "
+            "close a client; `failstop status` lists them"
+        )
+
+    def _ring(self) -> None:
+        try:
+            bell.send(self._bell, self._hint)
+        except BrokenPipeError:
+            raise NoService(f"the service {self.name!r} has gone: start it with `failstop run`") from None
+
+    def command(self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool) -> None:
+        """Hand a velocity command to the gate; returns at once. Raises NoService."""
+        self._commands.write(records.pack_command(self._session, vx_mps, vy_mps, wz_radps, manual))
+        self._ring()
+
+    def request(self, verb: int) -> tuple[bool, str]:
+        """Ask and wait for the answer: (done, text). Raises NoAnswer, NoService."""
+        self._number += 1
+        self._requests.write(records.pack_request(self._session, self._number, verb))
+        self._ring()
+        until_s = time.monotonic() + ANSWER_S
+        while time.monotonic() < until_s:
+            if (entry := self._reply.read()) is not None:
+                session, number, done, text = records.unpack_reply(entry[2])
+                if (session, number) == (self._session, self._number):
+                    return done, text
+            time.sleep(0.0003)
+        if not instance.locked(runtime_dir(self.name)):
+            raise NoService(f"the service {self.name!r} has gone: start it with `failstop run`")
+        raise NoAnswer(f"the gate of {self.name!r} did not answer within {ANSWER_S:g} s: see `failstop status`")
+
+    def close(self) -> None:
+        """Give the slot back; a command of this client stops counting at once."""
+        for fd in (self._claims, self._bell):
+            if fd >= 0:
+                os.close(fd)
+        self._claims = self._bell = -1
+        if hasattr(self, "_segment"):
+            self._segment.close()

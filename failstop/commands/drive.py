@@ -1,0 +1,46 @@
+"""`failstop drive`: a velocity for a while, then zero."""
+
+from __future__ import annotations
+
+import time
+from argparse import ArgumentParser, Namespace
+
+from failstop.commands import add_name
+from failstop.errors import Refused
+from failstop.robot import Robot
+
+REPEAT_S = 0.05
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop drive`."""
+    parser.add_argument("vx", type=float, help="m/s forward")
+    parser.add_argument("vy", type=float, help="m/s left")
+    parser.add_argument("wz", type=float, help="rad/s counter-clockwise")
+    parser.add_argument("--for", dest="seconds", type=float, default=1.0, metavar="S", help="how long (default: 1)")
+    add_name(parser)
+
+
+def main(arguments: Namespace) -> int:
+    """Drive; raises Refused as soon as something blocks the wheels."""
+    with Robot(arguments.name, client="failstop drive") as robot:
+        until_s = time.monotonic() + arguments.seconds
+        if reason := _blocked(robot):
+            raise Refused(reason)
+        while time.monotonic() < until_s:
+            robot.drive(arguments.vx, arguments.vy, arguments.wz)
+            time.sleep(min(REPEAT_S, max(0.0, until_s - time.monotonic())))
+            if reason := _blocked(robot):
+                raise Refused(reason)
+    print(f"drove for {arguments.seconds:g} s; the wheels are told to stand")
+    return 0
+
+
+def _blocked(robot: Robot) -> str:
+    """Why driving is pointless, with the command that helps."""
+    state = robot.state
+    if state.estop:
+        return f"e-stop latched ({state.estop}); next: `failstop reset`, then `failstop enable`"
+    if not state.enabled:
+        return "motion is disabled; next: `failstop enable`"
+    return ""

@@ -1,0 +1,31 @@
+"""`failstop estop`: a latched stop. Every local user may."""
+
+from __future__ import annotations
+
+import time
+from argparse import ArgumentParser, Namespace
+
+from failstop.commands import add_name
+from failstop.errors import NoAnswer
+from failstop.robot import Robot
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop estop`."""
+    parser.add_argument("reason", nargs="*", help="why; shown by `failstop status` and in the journal")
+    add_name(parser)
+
+
+def main(arguments: Namespace) -> int:
+    """Write to the stop pipe, then see that the service says so."""
+    with Robot(arguments.name, client="failstop estop") as robot:
+        epoch = robot.state.epoch
+        robot.estop(" ".join(arguments.reason))
+        until_s = time.monotonic() + 1.0
+        while time.monotonic() < until_s:
+            state = robot.state
+            if state.epoch > epoch and state.estop:
+                print(f"e-stop latched ({state.estop}); next: `failstop reset`, then `failstop enable`")
+                return 0
+            time.sleep(0.002)
+    raise NoAnswer("the stop request is written, but nobody latched it within 1 s: use `failstop stop`, POWER SWITCH")

@@ -1,0 +1,21 @@
+"""`failstop enable`, `disable` and `reset`: one request, its answer."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+
+from failstop.commands import add_name
+from failstop.robot import Robot
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of the three."""
+    add_name(parser)
+
+
+def main(arguments: Namespace) -> int:
+    """Ask; a refusal is raised as Refused."""
+    with Robot(arguments.name, client="failstop " + arguments.command) as robot:
+        verbs = {"enable": robot.enable, "disable": robot.disable, "reset": robot.reset}
+        print(verbs[arguments.command]())
+    return 0

@@ -1,0 +1,41 @@
+"""`failstop run`: the service in the foreground."""
+
+from __future__ import annotations
+
+import os
+
+from failstop.commands import add_name
+from failstop.shm import instance
+from failstop.supervisor import config
+from failstop.supervisor.port import OwnPort
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop run`."""
+    parser.add_argument("--config", metavar="FILE", help="TOML file with settings; `failstop config` lists them")
+    parser.add_argument("--device", metavar="PATH", help="the board's port (default: the setting device.path)")
+    add_name(parser)
+
+
+def main(arguments: Namespace) -> int:
+    """Stop first, then start everything. Raises what cli.py turns into one line."""
+    settings = config.load(arguments.config, {"device.path": arguments.device} if arguments.device else None)
+    runtime_dir = instance.make_runtime_dir(arguments.name)
+    lock = instance.lock(runtime_dir)
+    try:
+        port = OwnPort.open_and_stop(settings.text("device.path"))
+        # Imported only now: the stop is on the wire, the rest may take its time.
+        from failstop.supervisor import main as supervisor
+        from failstop.supervisor.resources import Resources
+
+        resources = Resources(arguments.name, runtime_dir)
+        try:
+            return supervisor.run(resources, port, settings)
+        finally:
+            resources.remove()
+    finally:
+        os.close(lock)

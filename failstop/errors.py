@@ -1,0 +1,25 @@
+"""What can go wrong for a user of failstop, each with the exit code that the commands give it."""
+
+from __future__ import annotations
+
+
+class FailstopError(Exception):
+    """Base of all; the message is one line that names the thing and the remedy."""
+
+    exit_code = 1
+
+
+class Refused(FailstopError):
+    """The service answered, and said no; the message is its reason."""
+
+    exit_code = 2
+
+
+class NoService(FailstopError):
+    """No service of that name runs, or it went away."""
+
+    exit_code = 3
+
+
+class NoAnswer(FailstopError):
+    """The service runs but did not answer in time."""

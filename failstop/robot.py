@@ -1,0 +1,87 @@
+"""Robot: drive and stop a robot from Python."""
+
+from __future__ import annotations
+
+import os
+import sys
+from math import isfinite
+from types import TracebackType
+
+from failstop.client import Client, send_stop
+from failstop.errors import FailstopError, Refused
+from failstop.shm import records
+from failstop.shm.instance import DEFAULT_NAME
+from failstop.state import State, StateReader
+
+
+class Robot:
+    """A connection to the running service of that name; a context manager.
+
+    Reading the state and estop() need no permission. The other calls take one of the service's client slots, at their
+    first use, which needs the group `failstop` (or the service's user). Not thread-safe: one Robot a thread.
+    """
+
+    def __init__(self, name: str = DEFAULT_NAME, *, client: str | None = None) -> None:
+        """`client` is what others see of this program; by default its file name. Raises NoService, FailstopError."""
+        self.name = name
+        self.client_name = client or os.path.basename(sys.argv[0]) or "python"
+        self._reader = StateReader(name)
+        self._connected: Client | None = None
+
+    def __enter__(self) -> Robot:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the client slot back. If this program was driving, the wheels stop at once."""
+        if self._connected:
+            self._connected.close()
+            self._connected = None
+
+    def _client(self) -> Client:
+        if self._connected is None:
+            self._connected = Client(self.name, self.client_name)
+        return self._connected
+
+    def _ask(self, verb: int) -> str:
+        done, text = self._client().request(verb)
+        if not done:
+            raise Refused(text)
+        return text
+
+    def enable(self) -> str:
+        """Enable motion. Raises Refused with the reason: latched, or not ready."""
+        return self._ask(records.ENABLE)
+
+    def disable(self) -> str:
+        """Disable motion: the wheels stop at once."""
+        return self._ask(records.DISABLE)
+
+    def reset(self) -> str:
+        """Clear the latched stop; motion stays disabled until enable(). Raises Refused."""
+        return self._ask(records.RESET)
+
+    def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False) -> None:
+        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for the command timeout (0.3 s),
+        so repeat it. Values past the limits are clamped; whether anything moves, and why not, is in `state.blocked`.
+
+        Raises ValueError for a value that is not finite, NoService when the service has gone.
+        """
+        if not (isfinite(vx) and isfinite(vy) and isfinite(wz)):
+            raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
+        self._client().command(vx, vy, wz, manual=manual)
+
+    def estop(self, reason: str = "") -> None:
+        """Latched protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
+        Motion stays off until reset() and enable(). Anyone may; raises NoService when nothing is there to stop."""
+        send_stop(self.name, f"{reason or 'stop request'} ({self.client_name}, pid {os.getpid()})")
+
+    @property
+    def state(self) -> State:
+        """One snapshot of the service. Raises FailstopError."""
+        return self._reader.read()
+
+
+__all__ = ["FailstopError", "Refused", "Robot", "State"]

@@ -1,0 +1,165 @@
+"""The service's state as one snapshot, for programs and for `failstop status`."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from typing import Any
+
+import msgpack
+
+from failstop.client import attach, runtime_dir
+from failstop.errors import FailstopError
+from failstop.shm import heartbeat, layout, records
+
+
+@dataclasses.dataclass(frozen=True)
+class Stop:
+    """The last stop. Times are None where that level is not known: written (bytes handed to the kernel), acknowledged
+    (the board's parser was in sync after it), observed (the IMU says that the wheels are still)."""
+
+    reason: str
+    t: float
+    """Unix time."""
+    noticed_by: str
+    written_by: str
+    written_us: float | None
+    """From noticing the cause to the burst handed to the kernel."""
+    acknowledged_us: float | None
+    observed_ms: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Process:
+    """One process of the service."""
+
+    pid: int
+    state: str
+    """starting, running, hanging, waiting (to be restarted), down, or stopping."""
+    age_ms: float
+    """Since its last heartbeat."""
+    restarts: int
+    worst_ms: float
+    """The longest turn of its loop since its start."""
+    realtime: bool
+    memory_locked: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class State:
+    """One consistent snapshot: what the gate decided is one record, read whole."""
+
+    name: str
+    enabled: bool
+    estop: str | None
+    """The latch's first reason."""
+    blocked: str | None
+    """Why the wheels may not turn; None when they may."""
+    body_vel: tuple[float, float, float]
+    """m/s forward, m/s left, rad/s counter-clockwise: what the gate commands now."""
+    wheels_rps: tuple[float, float, float, float]
+    epoch: int
+    waiting_for: str | None
+    """What is not up yet; motion can't be enabled until it is."""
+    device: dict[str, Any]
+    processes: dict[str, Process]
+    clients: list[dict[str, Any]]
+    last_stop: Stop | None
+    imu: dict[str, list[float]] | None
+    battery_mv: int | None
+    age_ms: float
+    """Of the gate's record."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, as in `failstop status --json`."""
+        return dataclasses.asdict(self)
+
+
+HANGING_MS = 500.0
+
+
+class StateReader:
+    """Reads snapshots of one run of a service; reads only, and needs no client slot."""
+
+    def __init__(self, name: str) -> None:
+        """Raises NoService, FailstopError."""
+        runtime_dir(name)
+        self.name = name
+        views = {which: attach(name, which) for which in layout.PROCESSES}
+        self.incarnation = views[layout.SUPERVISOR].incarnation
+        self._beats = {which: heartbeat.HeartbeatReader(view) for which, view in views.items()}
+        self._epoch = views[layout.SUPERVISOR].word("epoch")
+        self._table = views[layout.SUPERVISOR].latest_reader("processes")
+        self._stop = views[layout.SUPERVISOR].latest_reader("stop")
+        self._gate = views[layout.GATE].latest_reader("state")
+        self._port = views[layout.PORT_OWNER].latest_reader("port")
+        self._imu = views[layout.TELEMETRY].latest_reader("imu")
+        self._battery = views[layout.TELEMETRY].latest_reader("battery")
+
+    def read(self) -> State:
+        """A snapshot now. Raises FailstopError while the service has not published one yet."""
+        gate, table = self._gate.read(), self._table.read()
+        if gate is None or table is None:
+            raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
+        now_ns = time.monotonic_ns()
+        decided: dict[str, Any] = msgpack.unpackb(gate[2])
+        known: dict[str, Any] = msgpack.unpackb(table[2])
+        return State(
+            name=self.name,
+            enabled=decided["enabled"],
+            estop=decided["estop"],
+            blocked=decided["blocked"],
+            body_vel=tuple(decided["body_vel"]),
+            wheels_rps=tuple(decided["wheels_rps"]),
+            epoch=self._epoch.get(),
+            waiting_for=known["waiting_for"],
+            device=self._device(),
+            processes=self._processes(known["processes"], now_ns),
+            clients=decided["clients"],
+            last_stop=self._last_stop(),
+            imu=self._sample(),
+            battery_mv=records.unpack_battery(found[2]) if (found := self._battery.read()) else None,
+            age_ms=max(0, now_ns - gate[1]) / 1e6,
+        )
+
+    def _device(self) -> dict[str, Any]:
+        entry = self._port.read()
+        if entry is None:
+            return {"path": None, "state": "closed", "link": "unproven"}
+        _, _, state, path = records.unpack_port(entry[2])
+        return {"path": path, "state": records.PORT_STATES[state], "link": "unproven"}
+
+    def _processes(self, table: dict[str, Any], now_ns: int) -> dict[str, Process]:
+        rows = {layout.SUPERVISOR: {"pid": self._beats[layout.SUPERVISOR].pid.get(), "restarts": 0}, **table}
+        return {name: self._process(name, row, now_ns) for name, row in rows.items()}
+
+    def _process(self, name: str, row: dict[str, Any], now_ns: int) -> Process:
+        beat = self._beats[name]
+        age_ms = beat.age_ns(now_ns) / 1e6
+        state = row.get("state") or heartbeat.STATES[beat.state.get()]
+        if state == "running" and age_ms > HANGING_MS:
+            state = "hanging"
+        granted = beat.rights.get()
+        return Process(
+            pid=row["pid"],
+            state=state,
+            age_ms=round(age_ms, 1),
+            restarts=row["restarts"],
+            worst_ms=round(beat.worst_ns.get() / 1e6, 1),
+            realtime=bool(granted & heartbeat.REALTIME),
+            memory_locked=bool(granted & heartbeat.MEMORY_LOCKED),
+        )
+
+    def _last_stop(self) -> Stop | None:
+        entry = self._stop.read()
+        if entry is None:
+            return None
+        found: dict[str, Any] = msgpack.unpackb(entry[2])
+        return Stop(**{field.name: found[field.name] for field in dataclasses.fields(Stop)})
+
+    def _sample(self) -> dict[str, list[float]] | None:
+        entry = self._imu.read()
+        if entry is None:
+            return None
+        values = records.unpack_imu(entry[2])
+        return {"acceleration_mps2": list(values[:3]), "rate_radps": list(values[3:])}

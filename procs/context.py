@@ -1,0 +1,63 @@
+"""Context: what the supervisor hands a process at its start, and what every process does with it first.
+
+It travels in the command line, where `ps` shows it, and for the settings in one environment variable:
+
+    child.py gate name=failstop run=8f3a... dir=/run/failstop/failstop parent=812 bell=5 port_bell=6 ...
+"""
+
+from __future__ import annotations
+
+import os
+from time import monotonic_ns
+
+from failstop.procs import rights
+from failstop.shm import layout, segment
+from failstop.shm.bell import EventBell
+from failstop.shm.heartbeat import Heartbeat
+from failstop.supervisor.settings import Settings
+
+SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.shm.segment import Segment
+
+
+class Context:
+    """A started process's own segment, heartbeat, settings, and the descriptors it inherited."""
+
+    __slots__ = ("_fds", "heartbeat", "incarnation", "instance", "own", "parent", "process", "runtime_dir", "settings")
+
+    def __init__(self, process: str, words: dict[str, str], priority: int, *, outlives_parent: bool) -> None:
+        self.process = process
+        self.instance = words.pop("name")
+        self.incarnation = int(words.pop("run"), 16)
+        self.runtime_dir = words.pop("dir")
+        self.parent = int(words.pop("parent"))
+        self._fds = {key: int(value) for key, value in words.items()}
+        for fd in self._fds.values():
+            if fd >= 0:
+                os.set_inheritable(fd, False)
+        rights.name_process(f"failstop:{process}")
+        if not outlives_parent:
+            rights.die_with_parent(self.parent)
+        granted = rights.take_rights(priority)
+        self.settings = Settings.from_lines(os.environ.get(SETTINGS_VARIABLE, ""))
+        self.own = segment.attach(self.instance, process, self.incarnation, write=True)
+        self.heartbeat = Heartbeat(self.own, os.getpid(), granted, monotonic_ns())
+
+    def fd(self, key: str) -> int:
+        """An inherited descriptor; -1 when there is none, as with a port that is not open."""
+        return self._fds[key]
+
+    def bell(self, key: str) -> EventBell:
+        """An inherited bell."""
+        return EventBell(self._fds[key])
+
+    def segment(self, name: str) -> Segment:
+        """Another process's segment, read-only."""
+        return segment.attach(self.instance, name, self.incarnation)
+
+    def client_slots(self) -> list[Segment]:
+        """Every client's segment, as the service reads it."""
+        return [segment.read_client_slot(self.instance, i, self.incarnation) for i in range(layout.CLIENT_SLOTS)]

@@ -1,0 +1,178 @@
+"""Clients as the gate sees them: whose slot is claimed, what is new in it, who has gone.
+
+Everything is read with pread and believed only when its CRC, its claim and its session agree. A client's name and pid
+are what it says of itself, for people to read; nothing depends on their truth.
+"""
+
+from __future__ import annotations
+
+from failstop.procs.gate.core import Command
+from failstop.procs.loop import READ
+from failstop.shm import claim, layout, records
+from failstop.shm.lifeline import Lifeline
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Protocol
+
+    from failstop.procs.loop import Loop
+    from failstop.shm.latest import LatestReader
+    from failstop.shm.segment import Segment
+
+    class Listener(Protocol):
+        """Who acts on what clients do."""
+
+        def client_command(self, command: Command, now_ns: int) -> None: ...
+
+        def client_request(self, slot: Slot, number: int, verb: int, now_ns: int) -> None: ...
+
+        def client_gone(self, slot: Slot, now_ns: int) -> None: ...
+
+
+def _seen(reader: LatestReader) -> int:
+    """What a restarted gate finds already there is not new: its predecessor may have acted on it."""
+    entry = reader.read()
+    return entry[0] if entry else 0
+
+
+class Slot:
+    """One client slot and the session that holds it; session 0: nobody."""
+
+    __slots__ = (
+        "_command",
+        "_command_seq",
+        "_hello",
+        "_request",
+        "_request_seq",
+        "index",
+        "life",
+        "name",
+        "pid",
+        "session",
+    )
+
+    def __init__(self, index: int, segment: Segment) -> None:
+        self.index = index
+        self._hello = segment.latest_reader("hello")
+        self._command = segment.latest_reader("command")
+        self._request = segment.latest_reader("request")
+        self._command_seq = _seen(self._command)
+        self._request_seq = _seen(self._request)
+        self.life: Lifeline | None = None
+        self.session = 0
+        self.pid = 0
+        self.name = ""
+
+    def who(self) -> str:
+        """The client as people see it."""
+        return f"{self.name} (pid {self.pid})"
+
+    def greet(self) -> int:
+        """The session that says hello now; 0 when none does."""
+        entry = self._hello.read()
+        if entry is None:
+            return 0
+        try:
+            session, self.pid, name = records.unpack_hello(entry[2])
+        except ValueError:
+            return 0
+        self.name = "".join(c if c.isprintable() else "?" for c in name)
+        return session
+
+    def new_command(self) -> Command | None:
+        """The command, when it is new, whole and of this session."""
+        entry = self._command.read()
+        if entry is None or entry[0] == self._command_seq:
+            return None
+        self._command_seq, t_ns, payload = entry
+        try:
+            session, vx, vy, wz, manual = records.unpack_command(payload)
+        except ValueError:
+            return None
+        return Command(session, self.who(), t_ns, (vx, vy, wz), manual=manual) if session == self.session else None
+
+    def new_request(self) -> tuple[int, int] | None:
+        """The request (number, verb), when it is new, whole and of this session."""
+        entry = self._request.read()
+        if entry is None or entry[0] == self._request_seq:
+            return None
+        self._request_seq = entry[0]
+        try:
+            session, number, verb = records.unpack_request(entry[2])
+        except ValueError:
+            return None
+        return (number, verb) if session == self.session else None
+
+
+class ClientTable:
+    """All slots. `active` is the ones that a session holds."""
+
+    def __init__(self, segments: list[Segment], claims_fd: int, loop: Loop, listener: Listener) -> None:
+        self._claims_fd = claims_fd
+        self._loop = loop
+        self._listener = listener
+        self.slots = [Slot(index, segment) for index, segment in enumerate(segments)]
+        self.active: list[Slot] = []
+
+    def rung(self, hints: bytes, now_ns: int) -> None:
+        """The client bell rang: each byte hints at a slot; anything else hints at all of them."""
+        if set(hints) <= set(range(layout.CLIENT_SLOTS)):
+            for index in set(hints):
+                self._look(self.slots[index], now_ns)
+        else:
+            self.look_at_all(now_ns)
+
+    def look_at_active(self, now_ns: int) -> None:
+        """Once a tick: news whose ring was lost, and claims that have ended."""
+        for slot in tuple(self.active):
+            self._look(slot, now_ns)
+
+    def look_at_all(self, now_ns: int) -> None:
+        """Now and then: new clients whose ring was lost."""
+        for slot in self.slots:
+            self._look(slot, now_ns)
+
+    def life_ended(self, fd: int, now_ns: int) -> None:
+        """A descriptor was ready: when it is a client's lifeline, its claim is looked at before the next tick."""
+        for slot in self.active:
+            if slot.life and slot.life.fd == fd:
+                self._stop_watching(slot)
+                self._look(slot, now_ns)
+                return
+
+    def _watch(self, slot: Slot) -> None:
+        try:
+            slot.life = Lifeline(slot.pid)
+        except (OSError, OverflowError):
+            return  # a pid of another namespace, or a lie: the claim alone decides, once a tick
+        self._loop.watch(slot.life.fd, READ)
+
+    def _stop_watching(self, slot: Slot) -> None:
+        if slot.life:
+            self._loop.forget(slot.life.fd)
+            slot.life.close()
+            slot.life = None
+
+    def _look(self, slot: Slot, now_ns: int) -> None:
+        if not claim.held(self._claims_fd, slot.index):
+            self._leave(slot, now_ns)
+            return
+        session = slot.greet()
+        if session != slot.session:
+            self._leave(slot, now_ns)
+            if not session:
+                return
+            slot.session = session
+            self.active.append(slot)
+            self._watch(slot)
+        if request := slot.new_request():
+            self._listener.client_request(slot, *request, now_ns)
+        if command := slot.new_command():
+            self._listener.client_command(command, now_ns)
+
+    def _leave(self, slot: Slot, now_ns: int) -> None:
+        if slot.session:
+            self.active.remove(slot)
+            self._stop_watching(slot)
+            self._listener.client_gone(slot, now_ns)
+            slot.session = 0

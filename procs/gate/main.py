@@ -1,0 +1,197 @@
+"""The gate's loop: news from clients and the supervisor, a tick every period, frames into the ring."""
+
+from __future__ import annotations
+
+import os
+from time import monotonic_ns
+
+import msgpack
+
+from failstop.board import codec
+from failstop.procs import rights
+from failstop.procs.gate.clients import ClientTable
+from failstop.procs.gate.core import GateCore
+from failstop.procs.gate.kinematics import Mecanum
+from failstop.procs.loop import READ, Loop
+from failstop.shm import bell, heartbeat, instance, layout, records
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.procs.context import Context
+    from failstop.procs.gate.clients import Slot
+    from failstop.procs.gate.core import Command
+
+PUBLISH_NS = 100_000_000
+"""State goes out when it changes, and at least this often."""
+LOOK_AT_ALL_EVERY = 10
+"""Ticks between two looks at slots that nobody is known to hold."""
+
+
+class Gate:
+    """The process's state; one turn() a wake-up."""
+
+    def __init__(self, context: Context) -> None:
+        settings = context.settings
+        own = context.own
+        supervisor = context.segment("supervisor")
+        self.heartbeat = context.heartbeat
+        self.loop = Loop()
+        self._period_ns = settings.ns("gate.period_s")
+        self._max_rps = settings.max_wheel_rps() * 1.0005
+        now_ns = monotonic_ns()
+        kinematics = Mecanum(settings["wheels.diameter_m"], settings["wheels.wheelbase_m"], settings["wheels.track_m"])
+        self.core = GateCore(settings, kinematics, now_ns)
+
+        self._epoch_word = supervisor.word("epoch")
+        self._ready_word = supervisor.word("ready")
+        self._cause = supervisor.latest_reader("cause")
+        self._reset_word = own.word("reset_epoch")
+        self._frames = own.ring_writer("frames")
+        self._trips = own.ring_writer("trips")
+        self._state = own.latest_writer("state")
+        self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
+        self._port_owner_bell = context.bell("port_owner_bell")
+        self.supervisor_bell = context.bell("supervisor_bell")
+        self._bell = context.bell("bell")
+        self._client_bell = context.fd("client_bell")
+        claims_fd = os.open(instance.claims_path(context.runtime_dir), os.O_RDONLY | os.O_CLOEXEC)
+        self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, self)
+        self.epoch = self._epoch_word.get()
+        self._inherit_latch()
+        for fd in (self._bell.fd, self._client_bell):
+            self.loop.watch(fd, READ)
+        self._tick_ns = now_ns
+        self._ticks = 0
+        self._published_ns = 0
+        self._published = b""
+
+    def _inherit_latch(self) -> None:
+        """A successor starts latched with whatever stopped the service since the last reset."""
+        if self.epoch > 1 and self.epoch > self._reset_word.get():
+            self.core.trip(self._why(), self.epoch - 1)
+
+    def _why(self) -> str:
+        """What the supervisor raised the epoch for."""
+        entry = self._cause.read()
+        try:
+            return records.unpack_stop(entry[2])[4] if entry else "stopped by the supervisor"
+        except ValueError:
+            return "stopped by the supervisor (its reason is damaged)"
+
+    def turn(self, ready: dict[int, int]) -> None:
+        """Handle one wake-up."""
+        now_ns = monotonic_ns()
+        if self._bell.fd in ready:
+            self._bell.clear()
+        self._follow_epoch()
+        for fd in ready:
+            if fd == self._client_bell:
+                self.clients.rung(bell.take(self._client_bell), now_ns)
+            elif fd != self._bell.fd:
+                self.clients.life_ended(fd, now_ns)
+        if now_ns >= self._tick_ns:
+            self._tick(now_ns)
+        self._publish(now_ns)
+        self.heartbeat.beat(now_ns, self.epoch)
+
+    def _tick(self, now_ns: int) -> None:
+        """The periodic part; a tick that was missed is left out, not made up for."""
+        self._tick_ns = max(self._tick_ns + self._period_ns, now_ns + self._period_ns // 2)
+        self._ticks += 1
+        if self._ticks % LOOK_AT_ALL_EVERY:
+            self.clients.look_at_active(now_ns)
+        else:
+            self.clients.look_at_all(now_ns)
+        self._step(now_ns)
+
+    def _step(self, now_ns: int) -> None:
+        if speeds := self.core.step(now_ns):
+            frame = codec.motor_speeds(speeds, self._max_rps)
+            self._frames.put(records.pack_frame(self.core.epoch, records.MOTION, frame), now_ns)
+            self._port_owner_bell.ring()
+
+    def _follow_epoch(self) -> None:
+        """Somebody stopped: latch."""
+        epoch = self._epoch_word.get()
+        if epoch != self.epoch:
+            self.epoch = epoch
+            self.core.trip(self._why(), epoch - 1)
+
+    def _write_stop(self, reason: str) -> None:
+        self._frames.put(records.pack_frame(self.epoch, records.STOP, reason.encode()[:200]))
+        self._port_owner_bell.ring()
+
+    def trip(self, reason: str, now_ns: int) -> None:
+        """Latch a stop: burst at once, then the news to the supervisor, which raises the epoch."""
+        if self.core.trip(reason, self.epoch):
+            self._write_stop(reason)
+            self._trips.put(records.pack_stop(self.epoch, now_ns, 0, True, reason))
+            self.supervisor_bell.ring()
+
+    def client_command(self, command: Command, now_ns: int) -> None:
+        """A new command moves the wheels at once, not at the next tick."""
+        if fault := self.core.take(command, now_ns):
+            self.trip(fault, now_ns)
+        else:
+            self._step(now_ns)
+
+    def client_request(self, slot: Slot, number: int, verb: int, now_ns: int) -> None:
+        """Decide, act, answer."""
+        if verb == records.ENABLE:
+            missing = "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
+            done, text = self.core.enable(self.epoch, missing)
+        elif verb == records.DISABLE:
+            done, text = self.core.disable()
+            self._write_stop("disabled")
+        elif verb == records.RESET:
+            done, text = self.core.reset(self.epoch)
+            if done:
+                self._reset_word.set(self.epoch)
+        else:
+            done, text = False, f"unknown request {verb}"
+        self._publish(now_ns)
+        self._replies[slot.index].write(records.pack_reply(slot.session, number, done, text))
+
+    def client_gone(self, slot: Slot, now_ns: int) -> None:
+        """Its claim is gone: if it was the one that drives, the wheels stand at once."""
+        if self.core.driver_gone(slot.session):
+            self._step(now_ns)
+
+    def _publish(self, now_ns: int) -> None:
+        """Publish the state when it has changed, and at least every PUBLISH_NS."""
+        core = self.core
+        driver = core.command.session if core.command else 0
+        state = msgpack.packb(
+            {
+                "enabled": core.enabled,
+                "estop": core.latch,
+                "blocked": core.blocked(now_ns) or None,
+                "body_vel": core.velocity,
+                "wheels_rps": core.speeds,
+                "epoch": self.epoch,
+                "clients": [
+                    {"slot": slot.index, "name": slot.name, "pid": slot.pid, "driving": slot.session == driver}
+                    for slot in self.clients.active
+                ],
+            }
+        )
+        if state != self._published or now_ns - self._published_ns >= PUBLISH_NS:
+            self._published = state
+            self._published_ns = now_ns
+            self._state.write(state, now_ns)
+
+    def next_ns(self) -> int:
+        """When to turn without any news."""
+        return self._tick_ns
+
+
+def run(context: Context) -> int:
+    """Run for ever: the gate dies with the supervisor."""
+    gate = Gate(context)
+    rights.settle()
+    context.heartbeat.state(heartbeat.RUNNING)
+    gate.supervisor_bell.ring()
+    ready: dict[int, int] = {}
+    while True:
+        gate.turn(ready)
+        ready = gate.loop.wait(gate.next_ns())

@@ -1,0 +1,275 @@
+"""The port owner's loop: stop causes first, then motion, then what the board sent.
+
+Nothing between noticing a cause and the burst can block, log or build bytes: BURST is a constant and the port is open.
+"""
+
+from __future__ import annotations
+
+from time import monotonic_ns
+
+from failstop.board.codec import STOP as ZERO_FRAME
+from failstop.board.codec import check_aux
+from failstop.procs import rights
+from failstop.procs.handover import Control
+from failstop.procs.loop import GONE, READ, WRITE, Loop
+from failstop.procs.port_owner import repeats
+from failstop.procs.port_owner.admission import Admission
+from failstop.procs.port_owner.reopen import Reopener
+from failstop.procs.port_owner.wire import Wire
+from failstop.shm import bell, heartbeat, records
+from failstop.shm.lifeline import Lifeline
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.procs.context import Context
+
+TICK_NS = 20_000_000
+RECEIVED_CHUNK = 512
+OTHER_BACKLOG = 128
+"""Unsent bytes behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
+LEAVE_AFTER_NS = 150_000_000
+"""How long it outlives the supervisor: the burst and its two repeats."""
+
+
+class PortOwner:
+    """The process's state; one turn() a wake-up."""
+
+    def __init__(self, context: Context) -> None:
+        settings = context.settings
+        own = context.own
+        supervisor = context.segment("supervisor")
+        gate = context.segment("gate")
+        self.heartbeat = context.heartbeat
+        self.loop = Loop()
+        self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
+        self.repeats = repeats.Repeats(monotonic_ns())
+
+        self._epoch_word = supervisor.word("epoch")
+        self._gate_pid_word = supervisor.word("gate_pid")
+        self._supervisor_beat = supervisor.word("beat_ns")
+        self._gate_beat = gate.word("beat_ns")
+        self._frames = gate.ring_reader("frames")
+        self._stopped_word = own.word("stopped_epoch")
+        self._written_word = own.word("written_ns")
+        self._port_record = own.latest_writer("port")
+        self._stops = own.ring_writer("stops")
+        self._received = own.ring_writer("received")
+
+        self._bell = context.bell("bell")
+        self._supervisor_bell = context.bell("supervisor_bell")
+        self._telemetry_bell = context.bell("telemetry_bell")
+        self._stop_pipe = context.fd("stop")
+        self._supervisor_life = Lifeline(context.parent)
+        self._gate_life: Lifeline | None = None
+        self._gate_pid = 0
+        self._leave_ns = 0
+        self.epoch = self._epoch_word.get()
+
+        self.wire = Wire(context.fd("port"))
+        self.reopener = Reopener(settings.text("device.path"))
+        self._control = Control(context.fd("control"))
+        self.wire.burst()
+        self._stopped(monotonic_ns())
+        self._stopped_word.set(self.epoch)
+        self._publish_port(monotonic_ns())
+
+        for fd in (self._bell.fd, self._stop_pipe, self._supervisor_life.fd):
+            self.loop.watch(fd, READ)
+        if not self.wire.lost:
+            self.loop.watch(self.wire.fd, READ)
+
+    def turn(self, ready: dict[int, int]) -> bool:
+        """Handle one wake-up; False when it is time to exit."""
+        now_ns = monotonic_ns()
+        if self._stop_pipe in ready:
+            self._stop_request(now_ns)
+        if self._gate_life and self._gate_life.fd in ready:
+            self._gate_died(now_ns)
+        if self._supervisor_life.fd in ready and not self._leave_ns:
+            self._leave_ns = now_ns + LEAVE_AFTER_NS
+            self.loop.forget(self._supervisor_life.fd)
+            self.stop(now_ns, "supervisor died")
+        if self._bell.fd in ready:
+            self._bell.clear()
+        self._follow_epoch(now_ns)
+        self._check_leases(now_ns)
+        self._forward_frames(now_ns)
+        self._serve_port(ready.get(self.wire.fd, 0), now_ns)
+        self._repeat(now_ns)
+        self.heartbeat.beat(now_ns, self.epoch)
+        return not self._leave_ns or now_ns < self._leave_ns
+
+    def stop(self, cause_ns: int, reason: str) -> None:
+        """Stop on its own: burst, refuse motion until a newer epoch, publish the cause."""
+        self.wire.burst()
+        self._own_stop(cause_ns, monotonic_ns(), reason)
+
+    def _own_stop(self, cause_ns: int, written_ns: int, reason: str) -> None:
+        """What follows a burst for a cause of its own."""
+        self.admission.stopped(self.epoch, own=True)
+        self._stopped(written_ns)
+        self._stops.put(records.pack_stop(self.epoch, cause_ns, 0 if self.wire.lost else written_ns, True, reason))
+        self._supervisor_bell.ring()
+
+    def _stopped(self, written_ns: int) -> None:
+        self.admission.moving = False
+        self.repeats.restart(written_ns)
+        if not self.wire.lost:
+            self._written_word.set(written_ns)
+            if self.wire.unsent:
+                self.loop.watch(self.wire.fd, READ | WRITE)
+
+    def _stop_request(self, now_ns: int) -> None:
+        """Any bytes are a stop; the text, where there is one, only says why."""
+        self.wire.burst()
+        written_ns = monotonic_ns()
+        text = bell.take(self._stop_pipe).split(b"\n", 1)[0].decode("utf-8", "replace")
+        printable = "".join(c if c.isprintable() else "?" for c in text)
+        self._own_stop(now_ns, written_ns, printable or "stop request")
+
+    def _follow_gate(self, now_ns: int) -> None:
+        """Watch the gate that the supervisor names."""
+        pid = self._gate_pid_word.get()
+        if pid == self._gate_pid:
+            return
+        if self._gate_life and self._gate_life.dead():
+            self._gate_died(now_ns)
+        self._drop_gate()
+        self._gate_pid = pid
+        if pid:
+            try:
+                self._gate_life = Lifeline(pid)
+            except ProcessLookupError:
+                return
+            self.loop.watch(self._gate_life.fd, READ)
+
+    def _drop_gate(self) -> None:
+        if self._gate_life:
+            self.loop.forget(self._gate_life.fd)
+            self._gate_life.close()
+            self._gate_life = None
+
+    def _gate_died(self, now_ns: int) -> None:
+        self.stop(now_ns, "gate died")
+        self._drop_gate()
+
+    def _follow_epoch(self, now_ns: int) -> None:
+        """A raised epoch is a stop that somebody else noticed. The answer is always a burst, but for a stop of its own
+        that this same cause has just made."""
+        epoch = self._epoch_word.get()
+        if epoch != self.epoch:
+            just_stopped = self.admission.stopped_in == self.epoch and not self.admission.moving
+            self.epoch = epoch
+            if not just_stopped:
+                self.wire.burst()
+                self.admission.stopped(epoch, own=False)
+                self._stopped(monotonic_ns())
+            self._stopped_word.set(epoch)
+            self._supervisor_bell.ring()
+        self._follow_gate(now_ns)
+
+    def _lapsed(self, now_ns: int) -> str:
+        """Whose lease has run out, as a reason; empty when both are fresh."""
+        for beat, name in ((self._gate_beat, "gate"), (self._supervisor_beat, "supervisor")):
+            beat_ns = beat.get()
+            if self.admission.lapsed(beat_ns, now_ns):
+                return f"{name} hangs: silent for {(now_ns - beat_ns) / 1e6:.0f} ms"
+        return ""
+
+    def _check_leases(self, now_ns: int) -> None:
+        """Without motion there is nothing to stop."""
+        if self.admission.moving and (lapse := self._lapsed(now_ns)):
+            self.stop(now_ns, lapse)
+
+    def _forward_frames(self, now_ns: int) -> None:
+        """Drain the gate's ring: of motion the newest counts, a stop ends all motion queued before it."""
+        motion = b""
+        motion_ns = 0
+        motion_epoch = 0
+        while entry := self._frames.next():
+            _, frame_ns, payload = entry
+            epoch, kind, body = records.unpack_frame(payload)
+            if kind == records.MOTION:
+                motion, motion_ns, motion_epoch = body, frame_ns, epoch
+            elif kind == records.STOP:
+                motion = b""
+                self.wire.burst()
+                self._stopped(monotonic_ns())
+            elif not check_aux(body):
+                self.wire.frame(body, backlog=OTHER_BACKLOG)
+        if motion:
+            self._forward_motion(motion, motion_epoch, motion_ns, now_ns)
+
+    def _forward_motion(self, frame: bytes, frame_epoch: int, frame_ns: int, now_ns: int) -> None:
+        """The table of admission.py, row by row; the epoch is looked at again just before the write."""
+        if not self._gate_life or not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
+            return
+        if fault := self._lapsed(now_ns) or self.admission.frame_fault(frame):
+            self.stop(now_ns, fault)
+        elif self._epoch_word.get() != frame_epoch:
+            self._follow_epoch(now_ns)
+        elif self.wire.frame(frame):
+            self.admission.moving = True
+            self.repeats.motion()
+
+    def _serve_port(self, events: int, now_ns: int) -> None:
+        """Pass on what the board sent, finish what the kernel did not take, notice a port that is gone or stuck."""
+        wire = self.wire
+        if wire.fd >= 0:
+            if events & WRITE:
+                wire.flush()
+                if not wire.unsent:
+                    self.loop.watch(wire.fd, READ)
+            if events & READ and (data := wire.read()):
+                for at in range(0, len(data), RECEIVED_CHUNK):
+                    self._received.put(data[at : at + RECEIVED_CHUNK])
+                self._telemetry_bell.ring()
+            if events & GONE:
+                wire.lost = True
+            if wire.lost:
+                self._port_lost(now_ns)
+            elif wire.stuck(now_ns) and self.admission.moving:
+                self.stop(now_ns, "port does not drain: use the POWER SWITCH")
+        elif (fd := self.reopener.try_open(now_ns)) >= 0:
+            wire.adopt(fd)
+            self._control.send(fd)
+            self._stopped(monotonic_ns())
+            self.loop.watch(fd, READ)
+            self._publish_port(now_ns)
+
+    def _port_lost(self, now_ns: int) -> None:
+        self.loop.forget(self.wire.fd)
+        self.wire.close()
+        self.stop(now_ns, "device lost")
+        self._publish_port(now_ns)
+
+    def _publish_port(self, now_ns: int) -> None:
+        state = records.PORT_LOST if self.wire.lost else records.PORT_OPEN
+        self._port_record.write(records.pack_port(self.reopener.opened, now_ns, state, self.reopener.path))
+        self._supervisor_bell.ring()
+
+    def _repeat(self, now_ns: int) -> None:
+        due = self.repeats.due(now_ns, moving=self.admission.moving)
+        if due == repeats.BURST:
+            self.wire.burst()
+        elif due == repeats.ZERO:
+            self.wire.frame(ZERO_FRAME)
+
+    def next_ns(self, now_ns: int) -> int:
+        """When to turn without any news."""
+        tick_ns = now_ns + (TICK_NS if not self.wire.lost else self.reopener.EVERY_NS)
+        return min(tick_ns, max(self.repeats.next_ns(), now_ns))
+
+
+def run(context: Context) -> int:
+    """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
+    owner = PortOwner(context)
+    rights.settle()
+    context.heartbeat.state(heartbeat.RUNNING)
+    owner._supervisor_bell.ring()
+    ready: dict[int, int] = {}
+    while owner.turn(ready):
+        ready = owner.loop.wait(owner.next_ns(monotonic_ns()))
+    context.heartbeat.state(heartbeat.STOPPING)
+    owner.wire.close()
+    return 0

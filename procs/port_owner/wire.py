@@ -1,0 +1,91 @@
+"""Wire: writing to the port without ever blocking and without ever building up a backlog."""
+
+from __future__ import annotations
+
+import os
+
+from failstop.board import port
+from failstop.board.burst import BURST
+
+DRAIN_NS = 100_000_000
+"""A port that holds bytes back for this long does not drain: a stop cause."""
+
+
+class Wire:
+    """The open port. `lost` turns true when the device has gone; nothing is written from then on."""
+
+    __slots__ = ("_held_since_ns", "fd", "lost", "unsent")
+
+    def __init__(self, fd: int) -> None:
+        self.fd = fd
+        self.lost = fd < 0
+        self.unsent = b""
+        """What the kernel did not take yet; only ever the rest of a burst or of one frame."""
+        self._held_since_ns = 0
+
+    def _write(self, data: bytes) -> int:
+        try:
+            return os.write(self.fd, data)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            self.lost = True
+            return len(data)
+
+    def burst(self) -> None:
+        """Write the stop burst, now. The rest of a cut frame is dropped for it, since the burst heals any cut; the rest
+        of an earlier burst goes first."""
+        if self.lost:
+            return
+        begun = self.unsent if BURST.endswith(self.unsent) else b""
+        data = begun + BURST
+        self.unsent = data[self._write(data) :]
+
+    def frame(self, data: bytes, backlog: int = 0) -> bool:
+        """Write one frame; while the kernel holds more than `backlog` unsent bytes it is not added, and False."""
+        if self.lost or self.unsent or port.unsent_bytes(self.fd) > backlog:
+            return False
+        self.unsent = data[self._write(data) :]
+        return True
+
+    def flush(self) -> None:
+        """Go on with what the kernel did not take."""
+        if self.unsent and not self.lost:
+            self.unsent = self.unsent[self._write(self.unsent) :]
+
+    def stuck(self, now_ns: int) -> bool:
+        """True when bytes have been held back for DRAIN_NS; asked once a tick."""
+        if self.lost or not (self.unsent or port.unsent_bytes(self.fd)):
+            self._held_since_ns = 0
+            return False
+        if not self._held_since_ns:
+            self._held_since_ns = now_ns
+        return now_ns - self._held_since_ns >= DRAIN_NS
+
+    def read(self) -> bytes:
+        """What the board sent; empty when nothing waits."""
+        try:
+            data = os.read(self.fd, 4096)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self.lost = True
+        return data
+
+    def adopt(self, fd: int) -> None:
+        """Go on with a newly opened port; the first bytes are a burst."""
+        self.fd = fd
+        self.lost = False
+        self.unsent = b""
+        self._held_since_ns = 0
+        self.burst()
+
+    def close(self) -> None:
+        """Let the port go at once: a descriptor kept open over a USB drop renumbers the device."""
+        if self.fd >= 0:
+            os.close(self.fd)
+            self.fd = -1
+        self.lost = True
+        self.unsent = b""

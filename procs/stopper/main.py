@@ -1,0 +1,167 @@
+"""The stopper's loop: it waits for the port owner's or the supervisor's death, and writes the burst on its own
+descriptor of the port.
+
+While the port owner lives it is the one that orders stops against motion, so at the supervisor's death the stopper
+lets it go first: a burst written beside a working port owner could be followed by a motion frame that was already on
+its way. It waits for the port owner's answer, but not long.
+"""
+
+from __future__ import annotations
+
+import os
+from time import monotonic_ns
+
+from failstop.board.burst import BURST
+from failstop.procs import rights
+from failstop.procs.handover import Control
+from failstop.procs.loop import GONE, HANGUP, READ, Loop
+from failstop.shm import heartbeat
+from failstop.shm.lifeline import Lifeline
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.procs.context import Context
+
+TICK_NS = 50_000_000
+FIRST_GO_NS = 3_000_000
+"""How long the port owner may take to answer the supervisor's death before the stopper writes all the same."""
+LOOK_AGAIN_NS = 200_000
+LEAVE_AFTER_NS = 150_000_000
+AGAIN_AFTER_NS = (20_000_000, 100_000_000)
+
+
+class Stopper:
+    """The process's state; one turn() a wake-up."""
+
+    def __init__(self, context: Context) -> None:
+        supervisor = context.segment("supervisor")
+        port_owner = context.segment("port_owner")
+        self.heartbeat = context.heartbeat
+        self.loop = Loop()
+        self._epoch_word = supervisor.word("epoch")
+        self._port_owner_pid_word = supervisor.word("port_owner_pid")
+        self._port_owner_written = port_owner.word("written_ns")
+        self._written_word = context.own.word("written_ns")
+        self._bell = context.bell("bell")
+        self.supervisor_bell = context.bell("supervisor_bell")
+        self._control = Control(context.fd("control"))
+        self._port = context.fd("port")
+        self._supervisor_life = Lifeline(context.parent)
+        self._port_owner_life: Lifeline | None = None
+        self._port_owner_pid = 0
+        self._orphaned_ns = 0
+        self._first_go_until_ns = 0
+        self._due: tuple[int, ...] = ()
+        for fd in (self._bell.fd, self._control.fd, self._supervisor_life.fd):
+            self.loop.watch(fd, READ)
+        if self._port >= 0:
+            self.loop.watch(self._port, HANGUP)
+
+    def turn(self, ready: dict[int, int]) -> bool:
+        """Handle one wake-up; False when it is time to exit."""
+        now_ns = monotonic_ns()
+        if self._port_owner_life and self._port_owner_life.fd in ready:
+            self._burst(now_ns)
+            self._drop_port_owner()
+        if self._supervisor_life.fd in ready and not self._orphaned_ns:
+            self._orphaned_ns = now_ns
+            self.loop.forget(self._supervisor_life.fd)
+            self._first_go_until_ns = now_ns + FIRST_GO_NS if self._port_owner_life else now_ns
+        self._write_due(now_ns)
+        if self._bell.fd in ready:
+            self._bell.clear()
+        if self._control.fd in ready:
+            self._adopt_port()
+        if ready.get(self._port, 0) & GONE:
+            self._close_port()
+        if not self._orphaned_ns:
+            self._follow_port_owner(now_ns)
+        self.heartbeat.beat(now_ns, self._epoch_word.get())
+        return not self._orphaned_ns or now_ns < self._orphaned_ns + LEAVE_AFTER_NS
+
+    def _burst(self, now_ns: int) -> None:
+        """Write the burst and plan its repeats."""
+        self._write()
+        self._due = tuple(now_ns + after for after in AGAIN_AFTER_NS)
+
+    def _write(self) -> None:
+        """A short write needs no care: the kernel then holds bytes enough to say that the board takes none."""
+        if self._port < 0:
+            return
+        try:
+            os.write(self._port, BURST)
+            self._written_word.set(monotonic_ns())
+        except BlockingIOError:
+            return
+        except OSError:
+            self._close_port()
+
+    def _write_due(self, now_ns: int) -> None:
+        """The burst after the port owner's first go, and the repeats of an earlier burst."""
+        if self._first_go_until_ns:
+            if self._port_owner_written.get() >= self._orphaned_ns or now_ns >= self._first_go_until_ns:
+                self._first_go_until_ns = 0
+                self._burst(now_ns)
+        elif self._due and now_ns >= self._due[0]:
+            self._due = self._due[1:]
+            self._write()
+
+    def _follow_port_owner(self, now_ns: int) -> None:
+        """Watch the port owner that the supervisor names."""
+        pid = self._port_owner_pid_word.get()
+        if pid == self._port_owner_pid:
+            return
+        if self._port_owner_life and self._port_owner_life.dead():
+            self._burst(now_ns)
+        self._drop_port_owner()
+        self._port_owner_pid = pid
+        if pid:
+            try:
+                self._port_owner_life = Lifeline(pid)
+            except ProcessLookupError:
+                return
+            self.loop.watch(self._port_owner_life.fd, READ)
+            self._due = ()
+
+    def _drop_port_owner(self) -> None:
+        if self._port_owner_life:
+            self.loop.forget(self._port_owner_life.fd)
+            self._port_owner_life.close()
+            self._port_owner_life = None
+
+    def _adopt_port(self) -> None:
+        fd = self._control.receive()
+        if fd < 0:
+            if self._orphaned_ns:
+                self.loop.forget(self._control.fd)
+            return
+        self._close_port()
+        self._port = fd
+        self.loop.watch(fd, HANGUP)
+
+    def _close_port(self) -> None:
+        """At a hang-up everyone closes at once: a descriptor kept open over a USB drop renumbers the device."""
+        if self._port >= 0:
+            self.loop.forget(self._port)
+            os.close(self._port)
+            self._port = -1
+
+    def next_ns(self, now_ns: int) -> int:
+        """When to turn without any news."""
+        if self._first_go_until_ns:
+            return now_ns + LOOK_AGAIN_NS
+        tick_ns = now_ns + TICK_NS
+        return min(tick_ns, self._due[0]) if self._due else tick_ns
+
+
+def run(context: Context) -> int:
+    """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
+    stopper = Stopper(context)
+    rights.settle()
+    context.heartbeat.state(heartbeat.RUNNING)
+    stopper.supervisor_bell.ring()
+    ready: dict[int, int] = {}
+    while stopper.turn(ready):
+        ready = stopper.loop.wait(stopper.next_ns(monotonic_ns()))
+    context.heartbeat.state(heartbeat.STOPPING)
+    return 0

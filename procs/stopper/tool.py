@@ -1,0 +1,56 @@
+"""The stop tool: opens the port and writes the stop burst. Needs nothing running; what systemd's ExecStopPost runs."""
+
+from __future__ import annotations
+
+import os
+import time
+
+from failstop.board.burst import BURST
+from failstop.board.port import PortError, open_port
+
+RETRY_S = 0.02
+WARN_S = 1.0
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def stop(path: str, wait_s: float, say: Callable[[str], None]) -> float:
+    """Write the burst, trying for `wait_s` seconds; returns after how many. Raises PortError, the last one met."""
+    start_s = time.monotonic()
+    warned = False
+    while True:
+        waited_s = time.monotonic() - start_s
+        try:
+            _write(path)
+        except PortError as error:
+            if waited_s >= wait_s:
+                raise
+            if waited_s >= WARN_S and not warned:
+                warned = True
+                say(f"{error}; trying for {wait_s:g} s")
+            time.sleep(RETRY_S)
+        else:
+            return waited_s
+
+
+def _write(path: str) -> None:
+    """Open without taking the port from anyone, write the whole burst, close."""
+    fd = open_port(path, exclusive=False)
+    try:
+        left = BURST
+        until_s = time.monotonic() + 0.1
+        while left:
+            try:
+                left = left[os.write(fd, left) :]
+            except BlockingIOError:
+                if time.monotonic() > until_s:
+                    raise PortError(
+                        "io", f"{path} takes no bytes: use the POWER SWITCH"
+                    ) from None
+                time.sleep(0.001)
+            except OSError as error:
+                raise PortError("io", f"{path} went away while writing ({error.strerror})", error.errno or 0) from None
+    finally:
+        os.close(fd)

@@ -1,0 +1,28 @@
+"""Which of the board's buttons and keys are stop requests. Pure."""
+
+from __future__ import annotations
+
+PRESSES = frozenset((0x01, 0x02, 0x04, 0x20, 0x40, 0x80))
+"""Key events that mean that a finger is or was on the key; releases (0x08, 0x10) are not."""
+
+
+class Trips:
+    """Remembers the pad's last buttons, so that a held one is one request. A button trips on its first frame: real
+    taps last one frame only, so nothing may wait for a second."""
+
+    __slots__ = ("_held", "_mode", "_stop_key")
+
+    def __init__(self, mode_button: int, stop_key: int) -> None:
+        self._mode = mode_button
+        self._stop_key = stop_key
+        self._held = 0
+
+    def pad(self, buttons: int) -> str:
+        """The reason to stop for this pad frame, or an empty text."""
+        pressed = buttons & ~self._held & ~self._mode
+        self._held = buttons
+        return f"gamepad button 0x{pressed:04X}" if pressed else ""
+
+    def key(self, key: int, event: int) -> str:
+        """The reason to stop for this key event, or an empty text."""
+        return f"key{key}" if key == self._stop_key and event in PRESSES else ""

@@ -1,0 +1,1 @@
+"""Shared memory between the processes: the layout, segments and their records, bells, claims, lifelines."""

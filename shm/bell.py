@@ -1,0 +1,78 @@
+"""Bells: wake-ups that fit one epoll set. A bell says "look", never what; one that is lost costs a tick, no data.
+
+EventBell (an eventfd) rings between the service's own processes, which inherit it. PipeBell (a FIFO in the runtime
+directory) is for clients: its bytes are hints which slots to look at, and any bytes at all are a ring.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+
+_ONE = (1).to_bytes(8, "little")
+
+
+class EventBell:
+    """An eventfd: any number of rings are one wake-up."""
+
+    __slots__ = ("fd",)
+
+    def __init__(self, fd: int) -> None:
+        self.fd = fd
+
+    @classmethod
+    def create(cls) -> EventBell:
+        """A new bell, closed on exec unless passed on."""
+        return cls(os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC))
+
+    def ring(self) -> None:
+        """Wake whoever waits. A counter that is full (nobody has looked for ages) rings already."""
+        with contextlib.suppress(BlockingIOError):
+            os.write(self.fd, _ONE)
+
+    def clear(self) -> None:
+        """Take the rings so far; call before looking, so that a later ring is not lost."""
+        with contextlib.suppress(BlockingIOError):
+            os.read(self.fd, 8)
+
+
+def make_pipe(path: str, mode: int, gid: int = -1) -> None:
+    """Make a FIFO with exactly this mode, in place of whatever a dead run left there."""
+    with contextlib.suppress(FileNotFoundError):
+        os.unlink(path)
+    os.mkfifo(path, 0o600)
+    if gid >= 0:
+        os.chown(path, -1, gid)
+    os.chmod(path, mode)
+
+
+def open_pipe(path: str) -> int:
+    """The service's end, opened for both so that it never sees an end of file when the last client leaves."""
+    return os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+
+
+def open_pipe_to_write(path: str) -> int:
+    """A client's end. Raises FileNotFoundError or OSError(ENXIO) when no service has it open, PermissionError."""
+    return os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+
+
+def send(fd: int, message: bytes) -> bool:
+    """Write a message of at most PIPE_BUF bytes whole; False when the pipe is full, which rings just as well."""
+    try:
+        os.write(fd, message)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno in (errno.EPIPE, errno.ENXIO):
+            raise BrokenPipeError(error.errno, "the service has gone") from None
+        raise
+    return True
+
+
+def take(fd: int, limit: int = 65536) -> bytes:
+    """Everything that waits in a pipe, up to `limit` bytes; empty when nothing does."""
+    try:
+        return os.read(fd, limit)
+    except BlockingIOError:
+        return b""

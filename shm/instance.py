@@ -1,0 +1,117 @@
+"""Instances: the names, the runtime directory and the service lock that keep several robots on one machine apart."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+
+from failstop.shm import claim
+
+DEFAULT_NAME = "failstop"
+_ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
+
+
+class InstanceError(Exception):
+    """The name or runtime directory can't be used; the message says why and what to do."""
+
+
+class NoService(Exception):
+    """No service of this name runs."""
+
+
+def check_name(name: str) -> str:
+    """Return the name, or raise InstanceError: 1 to 32 of a-z, 0-9, _ and -."""
+    if not 0 < len(name) <= 32 or not _ALLOWED.issuperset(name):
+        raise InstanceError(f"name {name!r}: use 1 to 32 of a-z, 0-9, _ and -")
+    return name
+
+
+def _candidates() -> list[str]:
+    places = ["/run/failstop"]
+    if session := os.environ.get("XDG_RUNTIME_DIR"):
+        places.append(os.path.join(session, "failstop"))
+    places.append(f"/tmp/failstop-{os.getuid()}")
+    return places
+
+
+def make_runtime_dir(name: str) -> str:
+    """Make, or take over, the runtime directory of an instance and return its path. Raises InstanceError."""
+    check_name(name)
+    for base in _candidates():
+        private = base.startswith("/tmp/")
+        path = os.path.join(base, name)
+        try:
+            for part in (base, path):
+                _make_dir(part, 0o700 if private else 0o755)
+        except OSError:
+            continue
+        if os.access(path, os.W_OK | os.X_OK):
+            return path
+    raise InstanceError(f"no runtime directory for {name!r}: none of {', '.join(_candidates())} can be written")
+
+
+def _make_dir(path: str, mode: int) -> None:
+    """Make one directory with this mode, or accept one that is there and is no trap of another user."""
+    try:
+        os.mkdir(path, mode)
+        os.chmod(path, mode)
+    except FileExistsError:
+        found = os.lstat(path)
+        if not stat.S_ISDIR(found.st_mode) or (path.startswith("/tmp/") and found.st_uid != os.getuid()):
+            raise NotADirectoryError(errno.ENOTDIR, "not a directory of this user", path) from None
+
+
+def lock_path(runtime_dir: str) -> str:
+    """The file whose first byte the running service holds."""
+    return os.path.join(runtime_dir, "lock")
+
+
+def claims_path(runtime_dir: str) -> str:
+    """The file on whose bytes clients hold their slots."""
+    return os.path.join(runtime_dir, "claims")
+
+
+def stop_path(runtime_dir: str) -> str:
+    """The FIFO that every local user may write: any bytes are a stop."""
+    return os.path.join(runtime_dir, "stop")
+
+
+def bell_path(runtime_dir: str) -> str:
+    """The FIFO by which clients wake the gate."""
+    return os.path.join(runtime_dir, "bell")
+
+
+def lock(runtime_dir: str) -> int:
+    """Become the service of this directory; returns the descriptor to keep open. Raises InstanceError when one runs."""
+    fd = claim.open_claims(lock_path(runtime_dir), create=True, mode=0o644)
+    if claim.take(fd, 0):
+        os.ftruncate(fd, 0)
+        os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
+        return fd
+    pid = os.pread(fd, 32, 0).decode("ascii", "replace").strip() or "unknown"
+    os.close(fd)
+    name = os.path.basename(runtime_dir)
+    raise InstanceError(f"{name!r} is already running (pid {pid}): stop it first, or choose another --name")
+
+
+def locked(runtime_dir: str) -> bool:
+    """True while a service holds this directory."""
+    try:
+        fd = os.open(lock_path(runtime_dir), os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        return claim.held(fd, 0)
+    finally:
+        os.close(fd)
+
+
+def find(name: str) -> str:
+    """Return the runtime directory of the running service of this name. Raises NoService, InstanceError."""
+    check_name(name)
+    for base in _candidates():
+        path = os.path.join(base, name)
+        if locked(path):
+            return path
+    raise NoService(f"no service named {name!r} is running: start it with `failstop run --name {name}`")

@@ -1,0 +1,71 @@
+"""Latest: one value, the newest whole one wins.
+
+Two slots, written in turn. A writer that dies in mid-write leaves the value before it readable in the other slot.
+"""
+
+from __future__ import annotations
+
+from time import monotonic_ns
+
+from failstop.shm import slot
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.shm.slot import Entry
+    from failstop.shm.views import View
+
+
+class LatestReader:
+    """Reads the newest whole value of a record."""
+
+    __slots__ = ("_at", "_seed", "_slot_bytes", "_view")
+
+    def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
+        self._view = view
+        self._at = offset
+        self._slot_bytes = slot_bytes(capacity)
+        self._seed = crc_seed
+
+    def read(self) -> Entry | None:
+        """Return (seq, t_mono_ns, payload) of the newest whole value, or None when there is none."""
+        return self._copy() or self._copy()  # twice: two writes may have overtaken the first copy in its middle
+
+    def _copy(self) -> Entry | None:
+        size = self._slot_bytes
+        raw = self._view[self._at : self._at + 2 * size]
+        first = size if slot.sequence(raw, size) > slot.sequence(raw, 0) else 0
+        return slot.check(raw, self._seed, first, size) or slot.check(raw, self._seed, size - first, size)
+
+
+class LatestWriter:
+    """The record's one writer; continues the sequence that a writer before it left."""
+
+    __slots__ = ("_at", "_capacity", "_seed", "_seq", "_slot_bytes", "_view")
+
+    def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
+        self._view = view
+        self._at = offset
+        self._capacity = capacity
+        self._slot_bytes = slot_bytes(capacity)
+        self._seed = crc_seed
+        found = LatestReader(view, offset, capacity, crc_seed).read()
+        self._seq = found[0] if found else 0
+
+    def write(self, payload: bytes, t_ns: int | None = None) -> int:
+        """Publish a value; returns its sequence number. Raises PayloadTooLarge, and then nothing is changed."""
+        seq = self._seq + 1
+        data = slot.build(seq, monotonic_ns() if t_ns is None else t_ns, payload, self._seed, self._capacity)
+        at = self._at + (seq & 1) * self._slot_bytes
+        self._view[at : at + len(data)] = data
+        self._seq = seq
+        return seq
+
+
+def slot_bytes(capacity: int) -> int:
+    """Bytes one slot of this capacity takes: whole 64-byte lines, so that no two slots share one."""
+    return (slot.HEADER_BYTES + capacity + 63) // 64 * 64
+
+
+def record_bytes(capacity: int) -> int:
+    """Bytes a Latest record takes."""
+    return 2 * slot_bytes(capacity)

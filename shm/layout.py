@@ -1,0 +1,183 @@
+"""The layout: every record of shared memory, declared once, with its writer, its size and who reads it.
+
+One segment per writer, so that "one writer per record" is what the mapping permits and not a promise: a process maps
+its own segment for writing and every other one for reading only. Client segments are written by clients and never
+mapped by the service (see views.py).
+"""
+
+from __future__ import annotations
+
+from zlib import crc32
+
+from failstop.shm.latest import record_bytes, slot_bytes
+from failstop.shm.words import LINE_BYTES
+
+LAYOUT_VERSION = 1
+CLIENT_SLOTS = 8
+PUBLIC = 0o644
+CLIENTS = 0o660
+
+SUPERVISOR = "supervisor"
+PORT_OWNER = "port_owner"
+GATE = "gate"
+TELEMETRY = "telemetry"
+STOPPER = "stopper"
+PROCESSES = (SUPERVISOR, PORT_OWNER, GATE, TELEMETRY, STOPPER)
+
+
+class Record:
+    """One record: its kind (word, latest, ring), payload capacity in bytes, slots (rings only) and its readers."""
+
+    __slots__ = ("capacity", "kind", "name", "readers", "slots")
+
+    def __init__(self, kind: str, name: str, readers: str, capacity: int = 8, slots: int = 1) -> None:
+        self.kind = kind
+        self.name = name
+        self.readers = readers
+        self.capacity = capacity
+        self.slots = slots
+
+    def size(self) -> int:
+        """Bytes the record takes in its segment."""
+        if self.kind == "word":
+            return LINE_BYTES
+        if self.kind == "latest":
+            return record_bytes(self.capacity)
+        return slot_bytes(self.capacity) * self.slots
+
+
+class SegmentSpec:
+    """One segment: its name, its one writer, the mode of its file, and where each record lies in it."""
+
+    __slots__ = ("mode", "name", "offsets", "records", "size", "writer")
+
+    def __init__(self, name: str, writer: str, mode: int, records: tuple[Record, ...]) -> None:
+        self.name = name
+        self.writer = writer
+        self.mode = mode
+        self.records = {record.name: record for record in records}
+        self.offsets: dict[str, int] = {}
+        at = HEADER_BYTES
+        for record in records:
+            self.offsets[record.name] = at
+            at += record.size()
+        self.size = (at + 4095) // 4096 * 4096
+
+
+HEADER_BYTES = 128
+"""Every segment starts with a header slot (segment.py), frozen for all versions so that they can tell each other."""
+
+
+def _word(name: str, readers: str) -> Record:
+    return Record("word", name, readers)
+
+
+def _latest(name: str, capacity: int, readers: str) -> Record:
+    return Record("latest", name, readers, capacity)
+
+
+def _ring(name: str, capacity: int, slots: int, readers: str) -> Record:
+    return Record("ring", name, readers, capacity, slots)
+
+
+def _beat() -> tuple[Record, ...]:
+    """The heartbeat of a process (heartbeat.py)."""
+    return (
+        _word("beat_ns", "everyone"),  # CLOCK_MONOTONIC of the last turn of its loop
+        _word("beat_loops", "everyone"),  # turns since its start
+        _word("beat_worst_ns", "everyone"),  # longest time between two turns
+        _word("beat_pid", "everyone"),
+        _word("beat_epoch", "everyone"),  # the epoch it saw last
+        _word("beat_state", "everyone"),  # heartbeat.STARTING, RUNNING, STOPPING
+        _word("beat_rights", "everyone"),  # heartbeat.REALTIME | MEMORY_LOCKED
+    )
+
+
+def _client(index: int) -> SegmentSpec:
+    return SegmentSpec(
+        f"client.{index}",
+        "the client that holds the slot's claim",
+        CLIENTS,
+        (
+            _latest("hello", 128, "gate"),
+            _latest("command", 64, "gate"),
+            _latest("request", 320, "gate"),
+        ),
+    )
+
+
+SEGMENTS = (
+    SegmentSpec(
+        SUPERVISOR,
+        SUPERVISOR,
+        PUBLIC,
+        (
+            *_beat(),
+            _word("epoch", "port_owner, gate, stopper, clients"),
+            _word("ready", "gate, clients"),  # 1 while every process beats and the port is open and stopped
+            _word("gate_pid", "port_owner"),  # the gate whose frames count: the newest that was started
+            _word("port_owner_pid", "stopper"),  # the port owner to watch: the newest that was started
+            _word("written_ns", "everyone"),  # when it last wrote a burst itself
+            _latest("cause", 320, "gate"),  # what the epoch was raised for: the first cause since a reset (records)
+            _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
+            _latest("processes", 2048, "clients"),  # the process table (msgpack)
+        ),
+    ),
+    SegmentSpec(
+        PORT_OWNER,
+        PORT_OWNER,
+        PUBLIC,
+        (
+            *_beat(),
+            _word("stopped_epoch", "supervisor, stopper"),  # the newest epoch that it has answered with a stop
+            _word("written_ns", "everyone"),  # when it last wrote a burst
+            _latest("port", 320, "supervisor, clients"),  # its state and path (records)
+            _ring("stops", 320, 32, "supervisor"),  # every stop cause that it noticed, in order (records)
+            _ring("received", 512, 256, "telemetry"),  # bytes from the board, in order
+        ),
+    ),
+    SegmentSpec(
+        GATE,
+        GATE,
+        PUBLIC,
+        (
+            *_beat(),
+            _word("reset_epoch", "supervisor, its successor"),  # the epoch in which a reset last cleared the latch
+            _ring("frames", 304, 64, "port_owner"),  # motion, stops, other frames for the wire (records)
+            _ring("trips", 320, 32, "supervisor"),  # every latch that it made itself, in order (records)
+            _latest("state", 2048, "clients"),  # msgpack
+            *(_latest(f"reply.{i}", 320, "the client of that slot") for i in range(CLIENT_SLOTS)),
+        ),
+    ),
+    SegmentSpec(
+        TELEMETRY,
+        TELEMETRY,
+        PUBLIC,
+        (
+            *_beat(),
+            _latest("imu", 64, "clients"),  # records
+            _latest("battery", 32, "clients"),  # records
+            _latest("pad", 32, "gate, clients"),  # records
+            _ring("events", 128, 64, "gate, clients"),  # keys and pad buttons, in order (msgpack)
+        ),
+    ),
+    SegmentSpec(STOPPER, STOPPER, PUBLIC, (*_beat(), _word("written_ns", "everyone"))),
+    *(_client(i) for i in range(CLIENT_SLOTS)),
+)
+
+BY_NAME = {spec.name: spec for spec in SEGMENTS}
+
+
+def _fingerprint() -> int:
+    text = f"layout {LAYOUT_VERSION}\n" + "\n".join(
+        f"{spec.name} {spec.writer} {spec.mode:o} {r.kind} {r.name} {r.capacity} {r.slots} {spec.offsets[r.name]}"
+        for spec in SEGMENTS
+        for r in spec.records.values()
+    )
+    data = text.encode()
+    return crc32(data) << 32 | crc32(data, 0x5AFE)
+
+
+LAYOUT_HASH = _fingerprint()
+"""Of all declarations above: processes of different layouts refuse each other. Raise LAYOUT_VERSION when a payload
+format in records.py changes without any size changing."""

@@ -1,0 +1,159 @@
+"""Records: the payloads of fixed shape, packed and unpacked in one place.
+
+Every unpack function raises ValueError on a payload of the wrong shape, so that a reader treats it as damage.
+Payloads of variable shape (state, process table, the stop that people read) are msgpack maps made by their writers.
+"""
+
+from __future__ import annotations
+
+import struct
+
+MOTION = 1
+"""Frame kind: a motor frame; the newest wins and it dies with its epoch and the lease."""
+STOP = 2
+"""Frame kind: write the stop burst now (latched or not); the text is the reason."""
+OTHER = 3
+"""Frame kind: a frame that is not motion (buzzer, servos, LEDs), in order."""
+
+_FRAME = struct.Struct("<QB")
+_STOP = struct.Struct("<QQQB")
+_PORT = struct.Struct("<QQB")
+_COMMAND = struct.Struct("<QdddB")
+_HELLO = struct.Struct("<QI")
+_REQUEST = struct.Struct("<QQB")
+_IMU = struct.Struct("<6d")
+_PAD = struct.Struct("<HB4b")
+_BATTERY = struct.Struct("<I")
+
+PORT_CLOSED = 0
+PORT_OPEN = 1
+PORT_LOST = 2
+PORT_STATES = ("closed", "open", "lost")
+
+ENABLE = 1
+DISABLE = 2
+RESET = 3
+
+
+def _cut(text: str, room: int) -> bytes:
+    """UTF-8 of at most `room` bytes, cut between characters."""
+    return text.encode("utf-8", "replace")[:room].decode("utf-8", "ignore").encode()
+
+
+def _head(form: struct.Struct, payload: bytes) -> tuple[tuple[int, ...], bytes]:
+    if len(payload) < form.size:
+        raise ValueError(f"payload of {len(payload)} bytes, at least {form.size} expected")
+    return form.unpack_from(payload), payload[form.size :]
+
+
+def _exact(form: struct.Struct, payload: bytes) -> tuple[float, ...]:
+    if len(payload) != form.size:
+        raise ValueError(f"payload of {len(payload)} bytes, {form.size} expected")
+    return form.unpack(payload)
+
+
+def pack_frame(epoch: int, kind: int, body: bytes) -> bytes:
+    """An entry of the gate's ring: MOTION and OTHER carry a wire frame, STOP its reason as UTF-8."""
+    return _FRAME.pack(epoch, kind) + body
+
+
+def unpack_frame(payload: bytes) -> tuple[int, int, bytes]:
+    """Return (epoch, kind, body)."""
+    (epoch, kind), body = _head(_FRAME, payload)
+    return epoch, kind, body
+
+
+def pack_stop(epoch: int, cause_ns: int, written_ns: int, latches: bool, reason: str) -> bytes:
+    """A stop: the epoch it stopped, when it was noticed, when its burst was handed to the kernel (0: it was not)."""
+    return _STOP.pack(epoch, cause_ns, written_ns, latches) + _cut(reason, 280)
+
+
+def unpack_stop(payload: bytes) -> tuple[int, int, int, bool, str]:
+    """Return (epoch, cause_ns, written_ns, latches, reason)."""
+    (epoch, cause_ns, written_ns, latches), text = _head(_STOP, payload)
+    return epoch, cause_ns, written_ns, bool(latches), text.decode("utf-8", "replace")
+
+
+def pack_port(generation: int, since_ns: int, state: int, path: str) -> bytes:
+    """The port: how often it was opened, since when it is in this state, PORT_OPEN or another, its path."""
+    return _PORT.pack(generation, since_ns, state) + _cut(path, 300)
+
+
+def unpack_port(payload: bytes) -> tuple[int, int, int, str]:
+    """Return (generation, since_ns, state, path)."""
+    (generation, since_ns, state), path = _head(_PORT, payload)
+    return generation, since_ns, state, path.decode("utf-8", "replace")
+
+
+def pack_command(session: int, vx_mps: float, vy_mps: float, wz_radps: float, manual: bool) -> bytes:
+    """A velocity command of the client session that wrote it: x forward, y left, wz counter-clockwise."""
+    return _COMMAND.pack(session, vx_mps, vy_mps, wz_radps, manual)
+
+
+def unpack_command(payload: bytes) -> tuple[int, float, float, float, bool]:
+    """Return (session, vx_mps, vy_mps, wz_radps, manual); the speeds may be anything, NaN too."""
+    session, vx, vy, wz, manual = _exact(_COMMAND, payload)
+    return int(session), vx, vy, wz, bool(manual)
+
+
+def pack_hello(session: int, pid: int, name: str) -> bytes:
+    """Who holds a client slot: a random session number, the pid it says it has, its name."""
+    return _HELLO.pack(session, pid) + _cut(name, 64)
+
+
+def unpack_hello(payload: bytes) -> tuple[int, int, str]:
+    """Return (session, pid, name)."""
+    (session, pid), name = _head(_HELLO, payload)
+    return session, pid, name.decode("utf-8", "replace")
+
+
+def pack_request(session: int, number: int, verb: int) -> bytes:
+    """A request: ENABLE, DISABLE or RESET; `number` comes back in the reply."""
+    return _REQUEST.pack(session, number, verb)
+
+
+def unpack_request(payload: bytes) -> tuple[int, int, int]:
+    """Return (session, number, verb)."""
+    (session, number, verb), _ = _head(_REQUEST, payload)
+    return session, number, verb
+
+
+def pack_reply(session: int, number: int, done: bool, text: str) -> bytes:
+    """The answer to a request: done, or refused with the reason."""
+    return _REQUEST.pack(session, number, done) + _cut(text, 290)
+
+
+def unpack_reply(payload: bytes) -> tuple[int, int, bool, str]:
+    """Return (session, number, done, text)."""
+    (session, number, done), text = _head(_REQUEST, payload)
+    return session, number, bool(done), text.decode("utf-8", "replace")
+
+
+def pack_imu(acceleration_mps2: tuple[float, float, float], rate_radps: tuple[float, float, float]) -> bytes:
+    """One IMU sample, x forward, y left, z up."""
+    return _IMU.pack(*acceleration_mps2, *rate_radps)
+
+
+def unpack_imu(payload: bytes) -> tuple[float, ...]:
+    """Return (ax, ay, az) in m/s2 and (gx, gy, gz) in rad/s, six floats."""
+    return _exact(_IMU, payload)
+
+
+def pack_battery(millivolts: int) -> bytes:
+    """Battery voltage."""
+    return _BATTERY.pack(millivolts)
+
+
+def unpack_battery(payload: bytes) -> int:
+    """Return millivolts."""
+    return int(_exact(_BATTERY, payload)[0])
+
+
+def pack_pad(buttons: int, hat: int, lx: int, ly: int, rx: int, ry: int) -> bytes:
+    """The gamepad's last frame: a bit a button, the hat, raw axes -128..127."""
+    return _PAD.pack(buttons, hat, lx, ly, rx, ry)
+
+
+def unpack_pad(payload: bytes) -> tuple[int, ...]:
+    """Return (buttons, hat, lx, ly, rx, ry)."""
+    return tuple(int(v) for v in _exact(_PAD, payload))

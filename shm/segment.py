@@ -1,0 +1,204 @@
+"""Segments: POSIX shared memory objects, created by the supervisor and attached by everyone else.
+
+Attaching checks size, magic, layout and the run's incarnation, and refuses with a message that says what to do. A
+restart of the service makes new segments; nothing is ever repaired.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+
+import posix_ipc
+
+from failstop.shm import slot
+from failstop.shm.latest import LatestReader, LatestWriter
+from failstop.shm.layout import BY_NAME, HEADER_BYTES, LAYOUT_HASH, SEGMENTS
+from failstop.shm.ring import RingReader, RingWriter
+from failstop.shm.views import FileView
+from failstop.shm.words import Word
+from failstop.version import VERSION
+
+MAGIC = b"failstop"
+_HEADER = struct.Struct("<8sQQQ24s24s")
+_HEADER_SEED = slot.seed("header", 0)
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.shm.layout import Record, SegmentSpec
+    from failstop.shm.views import View
+
+
+class AttachError(Exception):
+    """A segment was refused; the message says why and what to do. `kind`: absent, permission, damaged or version."""
+
+    def __init__(self, kind: str, message: str) -> None:
+        super().__init__(message)
+        self.kind = kind
+
+
+def shm_name(instance: str, segment: str) -> str:
+    """Name of a segment's POSIX shared memory object."""
+    return f"/failstop.{instance}.{segment}"
+
+
+class Segment:
+    """One segment as this process sees it: mapped (its own, or read-only), or through pread for client segments."""
+
+    __slots__ = ("_fd", "incarnation", "mapped", "spec", "view")
+
+    def __init__(self, spec: SegmentSpec, incarnation: int, view: View, mapped: mmap.mmap | None, fd: int) -> None:
+        self.spec = spec
+        self.incarnation = incarnation
+        self.view = view
+        self.mapped = mapped
+        self._fd = fd
+
+    def _place(self, name: str, kind: str) -> tuple[Record, int, int]:
+        record = self.spec.records[name]
+        if record.kind != kind:
+            raise TypeError(f"{self.spec.name}.{name} is a {record.kind}, not a {kind}")
+        return record, self.spec.offsets[name], slot.seed(f"{self.spec.name}.{name}", self.incarnation)
+
+    def word(self, name: str) -> Word:
+        """A lone u64; only in mapped segments."""
+        _, offset, _ = self._place(name, "word")
+        if self.mapped is None:
+            raise TypeError(f"{self.spec.name}.{name}: words are only read through a mapping")
+        return Word(self.mapped, offset)
+
+    def latest_reader(self, name: str) -> LatestReader:
+        """Reader of a Latest record."""
+        record, offset, seed = self._place(name, "latest")
+        return LatestReader(self.view, offset, record.capacity, seed)
+
+    def latest_writer(self, name: str) -> LatestWriter:
+        """The writer of a Latest record; only for the segment's declared writer."""
+        record, offset, seed = self._place(name, "latest")
+        return LatestWriter(self.view, offset, record.capacity, seed)
+
+    def ring_reader(self, name: str, *, from_oldest: bool = False) -> RingReader:
+        """Reader of a Ring record, from the oldest entry still there or from the next one to come."""
+        record, offset, seed = self._place(name, "ring")
+        return RingReader(self.view, offset, record.capacity, record.slots, seed, from_oldest=from_oldest)
+
+    def ring_writer(self, name: str) -> RingWriter:
+        """The writer of a Ring record; only for the segment's declared writer."""
+        record, offset, seed = self._place(name, "ring")
+        return RingWriter(self.view, offset, record.capacity, record.slots, seed)
+
+    def close(self) -> None:
+        """Give the descriptor of an unmapped segment back; a mapping ends when its last word or reader is gone."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+
+def create(instance: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
+    """Create a segment of this run; one that a dead run left is unlinked first. The supervisor only.
+
+    Raises AttachError (permission) when another user's segment of that name is in the way.
+    """
+    spec = BY_NAME[name]
+    unlink(instance, name)
+    memory = posix_ipc.SharedMemory(shm_name(instance, name), posix_ipc.O_CREX, mode=0o600, size=spec.size)
+    fd: int = memory.fd
+    header = _HEADER.pack(MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), VERSION.encode())
+    os.pwrite(fd, slot.build(1, 0, header, _HEADER_SEED, HEADER_BYTES - slot.HEADER_BYTES), 0)
+    if spec.mode & 0o060 and client_gid >= 0:
+        os.fchown(fd, -1, client_gid)
+    os.fchmod(fd, spec.mode)
+    return Segment(spec, incarnation, FileView(fd), None, fd)
+
+
+def unlink(instance: str, name: str) -> None:
+    """Remove a segment's name; one that is not there is fine."""
+    try:
+        posix_ipc.unlink_shared_memory(shm_name(instance, name))
+    except posix_ipc.ExistentialError:
+        pass
+    except posix_ipc.PermissionsError:
+        raise AttachError(
+            "permission",
+            f"shared memory {shm_name(instance, name)} belongs to another user: stop that service, or use --name",
+        ) from None
+
+
+def unlink_all(instance: str) -> None:
+    """Remove every segment of an instance."""
+    for spec in SEGMENTS:
+        unlink(instance, spec.name)
+
+
+def attach(instance: str, name: str, incarnation: int | None = None, *, write: bool = False) -> Segment:
+    """Map a service segment: read-only, or for writing when this process is its declared writer.
+
+    `incarnation` is the run that is expected; None takes the run that is there (clients). Raises AttachError.
+    """
+    fd = _open(instance, name, write)
+    try:
+        spec = BY_NAME[name]
+        found = _check_header(fd, instance, spec, incarnation)
+        prot = mmap.PROT_READ | (mmap.PROT_WRITE if write else 0)
+        mapped = mmap.mmap(fd, spec.size, flags=mmap.MAP_SHARED, prot=prot)
+    finally:
+        os.close(fd)
+    return Segment(spec, found, mapped, mapped, -1)
+
+
+def attach_client_slot(instance: str, index: int, incarnation: int) -> Segment:
+    """A client's own segment, through pread and pwrite: another client that truncates it costs no SIGBUS here."""
+    name = f"client.{index}"
+    fd = _open(instance, name, True)
+    try:
+        _check_header(fd, instance, BY_NAME[name], incarnation)
+    except BaseException:
+        os.close(fd)
+        raise
+    return Segment(BY_NAME[name], incarnation, FileView(fd), None, fd)
+
+
+def read_client_slot(instance: str, index: int, incarnation: int) -> Segment:
+    """A client's segment as the service reads it. Its header is not looked at: clients may have scribbled over it,
+    and each record carries the incarnation in its CRC."""
+    name = f"client.{index}"
+    return Segment(BY_NAME[name], incarnation, FileView(fd := _open(instance, name, False)), None, fd)
+
+
+def _open(instance: str, name: str, write: bool) -> int:
+    try:
+        memory = posix_ipc.SharedMemory(shm_name(instance, name), read_only=not write)
+    except posix_ipc.ExistentialError:
+        raise AttachError(
+            "absent", f"no service named {instance!r} has shared memory {name}: start it with `failstop run`"
+        ) from None
+    except posix_ipc.PermissionsError:
+        raise AttachError(
+            "permission",
+            f"no permission on shared memory {name} of {instance!r}: join the group `failstop`, or run as its user",
+        ) from None
+    fd: int = memory.fd
+    return fd
+
+
+def _check_header(fd: int, instance: str, spec: SegmentSpec, incarnation: int | None) -> int:
+    """Return the segment's incarnation, or raise AttachError."""
+    entry = slot.check(os.pread(fd, HEADER_BYTES, 0), _HEADER_SEED)
+    where = f"shared memory {spec.name} of {instance!r}"
+    if entry is None or len(entry[2]) != _HEADER.size or not entry[2].startswith(MAGIC):
+        raise AttachError("damaged", f"{where} has no whole header: restart the service")
+    _, layout, size, found, name, version = _HEADER.unpack(entry[2])
+    if layout != LAYOUT_HASH:
+        theirs = version.rstrip(b"\0").decode("ascii", "replace")
+        raise AttachError(
+            "version",
+            f"{where} is of failstop {theirs}, this program is {VERSION} with another layout: "
+            "use the service's own version, or restart the service after the upgrade",
+        )
+    if name.rstrip(b"\0") != spec.name.encode() or size != spec.size or os.fstat(fd).st_size < spec.size:
+        raise AttachError("damaged", f"{where} has the wrong size or name: restart the service")
+    if incarnation is not None and found != incarnation:
+        raise AttachError("damaged", f"{where} is of another run: restart the service")
+    incarnation_found: int = found
+    return incarnation_found

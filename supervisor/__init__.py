@@ -1,0 +1,1 @@
+"""The parent: settings, process table, watch, stop authority, restarts."""

@@ -1,0 +1,40 @@
+"""Configuration: one TOML file, read and checked once, by the supervisor."""
+
+from __future__ import annotations
+
+from failstop.supervisor.settings import SettingError, Settings
+
+
+def load(path: str | None, changed: dict[str, object] | None = None) -> Settings:
+    """Return the settings of a file (none: the defaults) with `changed` over them. Raises SettingError."""
+    values = dict(_flat("", _read(path))) if path else {}
+    return Settings({**values, **(changed or {})})
+
+
+def _read(path: str) -> dict[str, object]:
+    # Only a run with a file pays for the parser.
+    import sys
+
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
+
+    try:
+        with open(path, "rb") as file:
+            table: dict[str, object] = tomllib.load(file)
+    except OSError as error:
+        raise SettingError(f"configuration {path}: {error.strerror}: check the path") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SettingError(f"configuration {path} is not TOML: {error}") from None
+    return table
+
+
+def _flat(prefix: str, table: dict[str, object]) -> list[tuple[str, object]]:
+    found: list[tuple[str, object]] = []
+    for key, value in table.items():
+        if isinstance(value, dict):
+            found += _flat(f"{prefix}{key}.", value)
+        else:
+            found.append((prefix + key, value))
+    return found

@@ -1,0 +1,327 @@
+"""The supervisor's loop: deaths first, then causes that others noticed, then starting and watching.
+
+It alone raises the epoch. On a wake-up the order is: (1) the burst, when the port owner has died; (2) the epoch and the
+bells, so that whoever can write stops; (3) everything that people want to know of it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from time import monotonic_ns
+
+import msgpack
+
+from failstop.procs import rights
+from failstop.procs.handover import Control
+from failstop.procs.loop import GONE, HANGUP, READ, Loop
+from failstop.shm import heartbeat, layout, records, segment
+from failstop.shm.heartbeat import Heartbeat, HeartbeatReader
+from failstop.supervisor.causes import Cause, Causes
+from failstop.supervisor.children import Child, Starter
+from failstop.supervisor.events import say
+from failstop.supervisor.restarts import Restarts
+from failstop.supervisor.table import PROCESSES, SUPERVISOR_PRIORITY
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.shm.ring import RingReader
+    from failstop.supervisor.port import OwnPort
+    from failstop.supervisor.resources import Resources
+    from failstop.supervisor.settings import Settings
+
+TICK_NS = 20_000_000
+ANSWER_NS = 5_000_000
+"""How long the port owner may take to answer a raised epoch before the supervisor writes the burst itself."""
+HURRY_NS = 1_000_000
+
+
+class Supervisor:
+    """The parent's state; one turn() a wake-up."""
+
+    def __init__(self, resources: Resources, port: OwnPort, settings: Settings) -> None:
+        self._resources = resources
+        self._port = port
+        self.loop = Loop()
+        name, run = resources.name, resources.incarnation
+        own = segment.attach(name, layout.SUPERVISOR, run, write=True)
+        views = {process: segment.attach(name, process, run) for process in layout.PROCESSES}
+        granted = rights.take_rights(SUPERVISOR_PRIORITY)
+        self.heartbeat = Heartbeat(own, os.getpid(), granted, monotonic_ns())
+        self._epoch_word = own.word("epoch")
+        self._ready_word = own.word("ready")
+        self._pid_words = {process: own.word(f"{process}_pid") for process in (layout.GATE, layout.PORT_OWNER)}
+        self._written_word = own.word("written_ns")
+        self._cause_record = own.latest_writer("cause")
+        self._stop_record = own.latest_writer("stop")
+        self._table_record = own.latest_writer("processes")
+        self._stopped_word = views[layout.PORT_OWNER].word("stopped_epoch")
+        self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
+        self._port_state = views[layout.PORT_OWNER].latest_reader("port")
+        self._news: tuple[tuple[str, RingReader], ...] = (
+            (layout.PORT_OWNER, views[layout.PORT_OWNER].ring_reader("stops")),
+            (layout.GATE, views[layout.GATE].ring_reader("trips")),
+        )
+        self._reset_word = views[layout.GATE].word("reset_epoch")
+        self._bells = resources.bells
+        self._controls = {process: Control(fds[0]) for process, fds in resources.controls.items()}
+        self._starter = Starter(name, run, resources.runtime_dir, settings.lines())
+        self.children = [
+            Child(
+                row,
+                HeartbeatReader(views[row.name]),
+                Restarts(
+                    int(settings["restart.deaths"]), settings.ns("restart.window_s"), settings.ns("restart.backoff_s")
+                ),
+            )
+            for row in PROCESSES
+        ]
+        self._causes = Causes()
+        self.epoch = 1
+        self._epoch_word.set(1)
+        self._unanswered: Cause | None = None
+        self._answer_by_ns = 0
+        self._table = b""
+        self._was_ready = False
+        self.ending = False
+
+        bell = self._bells[layout.SUPERVISOR]
+        self.loop.watch(bell.fd, READ)
+        for control in self._controls.values():
+            self.loop.watch(control.fd, READ)
+        self.loop.watch(port.fd, HANGUP)
+
+    def end(self, _number: int, _frame: object) -> None:
+        """Signal handler of SIGTERM and SIGINT: end at the next turn, which comes at once."""
+        self.ending = True
+        self._bells[layout.SUPERVISOR].ring()
+
+    def turn(self, ready: dict[int, int]) -> None:
+        """Handle one wake-up."""
+        now_ns = monotonic_ns()
+        dead = [child for child in self.children if child.life and child.life.fd in ready]
+        written_ns = self._burst() if any(child.row.name == layout.PORT_OWNER for child in dead) else 0
+        if causes := self._collect(dead, now_ns, written_ns):
+            self._raise_epoch(causes)
+        for child in dead:
+            self._bury(child, now_ns)
+        self._bells[layout.SUPERVISOR].clear()
+        self._serve_descriptors(ready)
+        self._follow_answer(now_ns)
+        self._fence_hangs(now_ns)
+        self._restart_due(now_ns)
+        self._publish()
+        self.heartbeat.beat(now_ns, self.epoch)
+
+    def _burst(self) -> int:
+        """The burst on its own descriptor; returns when it was written, 0 when it was not."""
+        if not self._port.burst():
+            return 0
+        written_ns = monotonic_ns()
+        self._written_word.set(written_ns)
+        return written_ns
+
+    def _collect(self, dead: list[Child], now_ns: int, burst_ns: int) -> list[Cause]:
+        """Every cause that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
+        death was answered. A death that the port owner noticed too is told once, by how the process died."""
+        causes = []
+        dying = {f"{child.row.name} died" for child in dead}
+        for process, ring in self._news:
+            while entry := ring.next():
+                _, cause_ns, written_ns, _, reason = records.unpack_stop(entry[2])
+                if reason not in dying:
+                    causes.append(Cause(cause_ns, process, reason, written_ns))
+        deaths = [f"{child.row.name} {child.buried()}" for child in dead]
+        return causes + [Cause(now_ns, layout.SUPERVISOR, death, burst_ns) for death in deaths]
+
+    def _raise_epoch(self, causes: list[Cause]) -> None:
+        """A stop: the cause first, then the epoch that refers to it, then the bells."""
+        self.epoch += 1
+        standing = self._causes.add(causes, self.epoch, self._reset_word.get())
+        stop = records.pack_stop(self.epoch, standing.t_ns, standing.written_ns, True, standing.reason)
+        self._cause_record.write(stop)
+        self._epoch_word.set(self.epoch)
+        self._ready_word.set(0)
+        self._bells[layout.PORT_OWNER].ring()
+        self._bells[layout.GATE].ring()
+        self._unanswered = min(causes, key=lambda cause: cause.t_ns)
+        self._answer_by_ns = monotonic_ns() + ANSWER_NS
+        for cause in causes:
+            if cause is not self._unanswered:
+                say(f"also: {cause.reason}")
+
+    def _follow_answer(self, now_ns: int) -> None:
+        """The port owner answers a raised epoch with a stop. If it does not, the supervisor writes the burst itself."""
+        cause = self._unanswered
+        if cause is None:
+            return
+        by = "port owner"
+        written_ns = cause.written_ns
+        if self._stopped_word.get() < self.epoch:
+            if self._child(layout.PORT_OWNER).pid and now_ns < self._answer_by_ns:
+                return
+            by = "supervisor"
+            written_ns = written_ns or self._burst()
+        elif not written_ns:
+            written_ns = self._port_owner_written.get()
+        self._unanswered = None
+        self._tell_stop(cause, written_ns, by)
+
+    def _tell_stop(self, cause: Cause, written_ns: int, by: str) -> None:
+        """Publish the stop for people, and log it."""
+        written_us = max(0, written_ns - cause.t_ns) / 1000 if written_ns else None
+        standing = self._causes.standing
+        self._stop_record.write(
+            msgpack.packb(
+                {
+                    "reason": cause.reason,
+                    "latched": standing.reason if standing else cause.reason,
+                    "noticed_by": cause.noticed_by,
+                    "written_by": by,
+                    "t": time.time(),
+                    "epoch": self.epoch,
+                    "written_us": written_us,
+                    "acknowledged_us": None,
+                    "observed_ms": None,
+                }
+            )
+        )
+        wrote = f"stop frame written by the {by} after {written_us:.0f} us" if written_ns else "stop frame NOT written"
+        if self.ending:
+            say(f"{cause.reason}; {wrote}")
+        else:
+            say(f"E-STOP latched: {cause.reason}; {wrote}; next: `failstop reset`, then `failstop enable`")
+
+    def _child(self, name: str) -> Child:
+        return next(child for child in self.children if child.row.name == name)
+
+    def _bury(self, child: Child, now_ns: int) -> None:
+        """Plan the restart of a process that has died."""
+        wait_ns = child.restarts.died(now_ns)
+        if self.ending:
+            return
+        if wait_ns is None:
+            say(f"{child.row.name} died too often: it stays down, and the wheels stopped; next: restart the service")
+        else:
+            child.restart_ns = now_ns + wait_ns
+
+    def _serve_descriptors(self, ready: dict[int, int]) -> None:
+        """A port that has gone is let go at once; one that the port owner has opened anew is kept and passed on."""
+        if ready.get(self._port.fd, 0) & GONE:
+            self.loop.forget(self._port.fd)
+            self._port.replace(-1)
+        if self._controls[layout.PORT_OWNER].fd in ready:
+            fd = self._controls[layout.PORT_OWNER].receive()
+            if fd >= 0:
+                if self._port.fd >= 0:
+                    self.loop.forget(self._port.fd)
+                self._port.replace(fd)
+                self.loop.watch(fd, HANGUP)
+                self._controls[layout.STOPPER].send(fd)
+
+    def _fence_hangs(self, now_ns: int) -> None:
+        """A process that has not beaten within its deadline is stopped for and killed; its death does the rest."""
+        for child in self.children:
+            if child.hangs(now_ns):
+                age_ms = child.beat.age_ns(now_ns) / 1e6
+                if child.row.name == layout.PORT_OWNER:
+                    self._burst()
+                self._raise_epoch([Cause(now_ns, layout.SUPERVISOR, f"{child.row.name} hangs: {age_ms:.0f} ms silent")])
+                os.kill(child.pid, signal.SIGKILL)
+                child.fenced = True
+
+    def _restart_due(self, now_ns: int) -> None:
+        for child in self.children:
+            if child.restart_ns is not None and now_ns >= child.restart_ns:
+                child.times_restarted += 1
+                self.start(child)
+
+    def start(self, child: Child) -> None:
+        """Start a process and name it to those who watch it."""
+        name = child.row.name
+        descriptors = self._resources.descriptors(name, self._port.fd)
+        try:
+            pid = self._starter.start(child.row, descriptors)
+        except OSError as error:
+            say(f"cannot start {name}: {error}; trying again")
+            child.restart_ns = monotonic_ns() + 500_000_000
+            return
+        child.started(pid, monotonic_ns())
+        if child.life:
+            self.loop.watch(child.life.fd, READ)
+        if word := self._pid_words.get(name):
+            word.set(pid)
+            self._bells[layout.PORT_OWNER].ring()
+            self._bells[layout.STOPPER].ring()
+
+    def _missing(self) -> str:
+        """What motion is still waiting for; empty when nothing."""
+        absent = [child.row.name for child in self.children if not child.running()]
+        entry = self._port_state.read()
+        if not absent and (entry is None or records.unpack_port(entry[2])[2] != records.PORT_OPEN):
+            return "the port"
+        return ", ".join(absent) or ("a stop being carried out" if self._unanswered else "")
+
+    def _publish(self) -> None:
+        """The process table and the ready word, when they change."""
+        missing = self._missing()
+        table = msgpack.packb(
+            {
+                "waiting_for": missing or None,
+                "processes": {
+                    child.row.name: {
+                        "pid": child.pid,
+                        "state": child.state(),
+                        "restarts": child.times_restarted,
+                        "last_exit": child.last_exit or None,
+                    }
+                    for child in self.children
+                },
+            }
+        )
+        self._ready_word.set(not missing)
+        if table != self._table:
+            self._table = table
+            self._table_record.write(table)
+        if not missing and not self._was_ready:
+            self._was_ready = True
+            self.heartbeat.state(heartbeat.RUNNING)
+            say(f"{self._resources.name!r} is ready: wheels stopped, motion disabled; next: `failstop enable`")
+
+    def next_ns(self, now_ns: int) -> int:
+        """When to turn without any news."""
+        if self._unanswered:
+            return min(self._answer_by_ns, now_ns + HURRY_NS)
+        waits = [child.restart_ns for child in self.children if child.restart_ns is not None]
+        return min([now_ns + TICK_NS, *waits])
+
+    def finish(self) -> None:
+        """End in order: stop through the port owner, end every process, stop again on the own descriptor."""
+        self._raise_epoch([Cause(monotonic_ns(), layout.SUPERVISOR, "service is stopping")])
+        while self._unanswered:
+            self.loop.wait(monotonic_ns() + HURRY_NS)
+            self._follow_answer(monotonic_ns())
+        self.heartbeat.state(heartbeat.STOPPING)
+        for child in reversed(self.children):
+            if child.pid:
+                os.kill(child.pid, signal.SIGKILL)
+                child.buried()
+        written = self._burst()
+        say("stopped; the stop was written twice" if written else "stopped; the second stop could NOT be written")
+
+
+def run(resources: Resources, port: OwnPort, settings: Settings) -> int:
+    """Run the service until SIGTERM or SIGINT; returns the exit code."""
+    supervisor = Supervisor(resources, port, settings)
+    signal.signal(signal.SIGTERM, supervisor.end)
+    signal.signal(signal.SIGINT, supervisor.end)
+    for child in supervisor.children:
+        supervisor.start(child)
+    rights.settle()
+    ready: dict[int, int] = {}
+    while not supervisor.ending:
+        supervisor.turn(ready)
+        ready = supervisor.loop.wait(supervisor.next_ns(monotonic_ns()))
+    supervisor.finish()
+    return 0

@@ -1,0 +1,53 @@
+"""The supervisor's own descriptor of the port: the first stop of a run, and the stop when the port owner can't."""
+
+from __future__ import annotations
+
+import os
+import time
+
+from failstop.board import port
+from failstop.board.burst import BURST
+
+BUSY_S = 1.0
+"""How long a port that a dead run's processes are just letting go of is waited for."""
+
+
+class OwnPort:
+    """A duplicate of the port's descriptor; -1 while the port is gone."""
+
+    __slots__ = ("fd",)
+
+    def __init__(self, fd: int) -> None:
+        self.fd = fd
+
+    @classmethod
+    def open_and_stop(cls, path: str) -> OwnPort:
+        """Open the port and write the burst: the first bytes of a run. Raises port.PortError."""
+        until_s = time.monotonic() + BUSY_S
+        while True:
+            try:
+                own = cls(port.open_port(path, exclusive=True))
+            except port.PortError as error:
+                if error.kind != "busy" or time.monotonic() > until_s:
+                    raise
+                time.sleep(0.005)
+            else:
+                own.burst()
+                return own
+
+    def burst(self) -> bool:
+        """Write the burst. False when the kernel did not take all of it, or the port is gone."""
+        if self.fd < 0:
+            return False
+        try:
+            return os.write(self.fd, BURST) == len(BURST)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return False
+
+    def replace(self, fd: int) -> None:
+        """Let the old descriptor go and keep another; -1 for none."""
+        if self.fd >= 0:
+            os.close(self.fd)
+        self.fd = fd

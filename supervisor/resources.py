@@ -1,0 +1,60 @@
+"""Resources: what a run of the service makes before its first process starts, and takes away at its end."""
+
+from __future__ import annotations
+
+import contextlib
+import grp
+import os
+
+from failstop.procs import handover
+from failstop.shm import bell, claim, instance, layout, segment
+from failstop.shm.bell import EventBell
+
+GROUP = "failstop"
+"""Whoever is in this group may drive; everyone may stop."""
+
+
+def client_gid() -> int:
+    """The group whose members may drive; -1 (the service's own) where it does not exist."""
+    try:
+        return grp.getgrnam(GROUP).gr_gid
+    except KeyError:
+        return -1
+
+
+class Resources:
+    """Shared memory, pipes, claims, bells and control sockets of one run."""
+
+    def __init__(self, name: str, runtime_dir: str) -> None:
+        """The caller holds the instance's lock: whatever is found there is a dead run's. Raises segment.AttachError."""
+        self.name = name
+        self.runtime_dir = runtime_dir
+        self.incarnation = int.from_bytes(os.urandom(8), "little")
+        gid = client_gid()
+        may_change_group = gid >= 0 and (os.geteuid() == 0 or gid in os.getgroups())
+        gid = gid if may_change_group else -1
+        for spec in layout.SEGMENTS:
+            segment.create(name, spec.name, self.incarnation, gid).close()
+        bell.make_pipe(instance.stop_path(runtime_dir), 0o666)
+        bell.make_pipe(instance.bell_path(runtime_dir), 0o660, gid)
+        os.close(claim.open_claims(instance.claims_path(runtime_dir), create=True, mode=0o660, gid=gid))
+        self.stop_pipe = bell.open_pipe(instance.stop_path(runtime_dir))
+        self.client_bell = bell.open_pipe(instance.bell_path(runtime_dir))
+        self.bells = {process: EventBell.create() for process in layout.PROCESSES}
+        self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER)}
+
+    def descriptors(self, process: str, port_fd: int) -> dict[str, int]:
+        """Every descriptor that a process of the table may be given, by the name it has there."""
+        found = {f"{other}_bell": found.fd for other, found in self.bells.items()}
+        found |= {"bell": self.bells[process].fd, "port": port_fd}
+        found |= {"stop": self.stop_pipe, "client_bell": self.client_bell}
+        if process in self.controls:
+            found["control"] = self.controls[process][1]
+        return found
+
+    def remove(self) -> None:
+        """Take away every name; descriptors and mappings end with their processes."""
+        segment.unlink_all(self.name)
+        for path in (instance.stop_path, instance.bell_path, instance.claims_path):
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(path(self.runtime_dir))

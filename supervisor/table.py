@@ -1,0 +1,68 @@
+"""The process table: every process of the service below the supervisor, in the order of their start."""
+
+from __future__ import annotations
+
+SUPERVISOR_PRIORITY = 30
+"""SCHED_FIFO priorities: the higher runs first. The port owner is above all, since every stop goes through it."""
+
+
+class Process:
+    """One row: what it is, how it is started and watched, and what its loss means."""
+
+    __slots__ = ("deadline_s", "descriptors", "module", "name", "outlives_supervisor", "priority", "role")
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        role: str,
+        priority: int,
+        deadline_s: float,
+        outlives_supervisor: bool,
+        descriptors: tuple[str, ...],
+    ) -> None:
+        self.name = name
+        self.module = f"failstop.procs.{name}.main"
+        self.role = role
+        self.priority = priority
+        self.deadline_s = deadline_s
+        self.outlives_supervisor = outlives_supervisor
+        self.descriptors = descriptors
+
+
+PROCESSES = (
+    Process(
+        "port_owner",
+        role="keeps the port, the only writer of motion frames",
+        priority=33,
+        deadline_s=0.25,
+        outlives_supervisor=True,
+        descriptors=("port", "control", "stop", "bell", "supervisor_bell", "telemetry_bell"),
+    ),
+    Process(
+        "stopper",
+        role="the second stop channel, on its own descriptor of the port",
+        priority=32,
+        deadline_s=0.25,
+        outlives_supervisor=True,
+        descriptors=("port", "control", "bell", "supervisor_bell"),
+    ),
+    Process(
+        "gate",
+        role="decides every motion frame",
+        priority=31,
+        deadline_s=0.25,
+        outlives_supervisor=False,
+        descriptors=("client_bell", "bell", "port_owner_bell", "supervisor_bell"),
+    ),
+    Process(
+        "telemetry",
+        role="decodes what the board sends",
+        priority=20,
+        deadline_s=0.5,
+        outlives_supervisor=False,
+        descriptors=("stop", "bell", "supervisor_bell"),
+    ),
+)
+
+BY_NAME = {row.name: row for row in PROCESSES}

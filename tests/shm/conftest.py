@@ -1,0 +1,30 @@
+"""Fixtures of the shared memory tests: names that no other run on this machine uses, and their removal."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from failstop.shm import segment
+
+_numbers = itertools.count()
+
+
+@pytest.fixture
+def name() -> Iterator[str]:
+    """An instance name of this test alone; its segments are gone afterwards."""
+    unique = f"t{os.getpid()}x{next(_numbers)}"
+    yield unique
+    segment.unlink_all(unique)
+
+
+@pytest.fixture
+def fds() -> Iterator[list[int]]:
+    """Descriptors put here are closed after the test."""
+    opened: list[int] = []
+    yield opened
+    for fd in opened:
+        os.close(fd)

@@ -1,0 +1,266 @@
+"""Proof of the stop burst: from every state of the board's receiver it is parsed and leaves the wheels at zero."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import pytest
+
+from failstop.board import codec
+from failstop.board.burst import BURST, FIRST_STOP_END
+from failstop.board.codec import MOTOR, STOP
+from failstop.board.motors import Motors
+from failstop.board.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
+
+VERSIONS = (10, 11, 12)
+STOP_DATA = STOP[4:-1]
+LAST_STOPS = (343, 370, 397)
+SPINNING = (0.5, -0.25, 0.75, -1.0)
+MAX_RPS = 2.0
+
+# Every downward frame there is an encoder for, with speeds that are not zero and each longest where lengths differ.
+OWN_FRAMES = {
+    "speeds forward": codec.motor_speeds((0.8, 0.8, -0.8, -0.8), MAX_RPS),
+    "speeds turning": codec.motor_speeds((-0.694, -0.694, -0.694, -0.694), MAX_RPS),
+    "speeds odd": codec.motor_speeds((1.0, -2.0, 0.1, 1e-3), MAX_RPS),
+    "some": codec.motor_some([(1, -1.0), (2, 2.0)], MAX_RPS),
+    "some, four": codec.motor_some([(3, 1.5), (2, -1.5), (1, 0.3), (0, -0.3)], MAX_RPS),
+    "one": codec.motor_one(3, 1.25, MAX_RPS),
+    "stop one": codec.motor_stop_one(2),
+    "stop mask": codec.motor_stop_mask(0x0F),
+    "type": codec.motor_type(3),
+    "stop": STOP,
+    "pwm move": codec.pwm_servo_move([(1, 500), (2, 1500), (3, 2500), (4, 1000)], 1000),
+    "pwm move one": codec.pwm_servo_move_one(1, 1000, 1000),
+    "pwm read": codec.PING,
+    "pwm deviation": codec.pwm_servo_deviation(4, -100),
+    "pwm read deviation": codec.pwm_servo_read_deviation(1),
+    "bus move": codec.bus_servo_move([(servo, 500 + servo) for servo in range(1, 84)], 1000),
+    "bus stop": codec.bus_servo_stop(range(1, 254)),
+    "bus position": codec.bus_servo_read_position(1),
+    "bus vin": codec.bus_servo_read_vin(1),
+    "bus temperature": codec.bus_servo_read_temperature(1),
+    "bus load": codec.bus_servo_read_load(1),
+    "bus id": codec.bus_servo_read_id(),
+    "bus torque": codec.bus_servo_torque(1, on=True),
+    "buzzer": codec.buzzer(1400, 100, 100, 5),
+    "led": codec.led(1, 500, 300, 10),
+    "oled": codec.oled(1, "x" * 23),
+    "rgb": codec.rgb([(0, 255, 1, 2), (1, 3, 4, 5)]),
+    "alarm": codec.battery_alarm(6800),
+}
+
+
+def make(state: int, func: int = 0, length: int = 0, data: bytes = b"", version: int = 12) -> Receiver:
+    receiver = Receiver(version)
+    receiver.state, receiver.func, receiver.length, receiver.data = state, func, length, bytearray(data)
+    return receiver
+
+
+def execute(receiver: Receiver, motors: Motors, stream: bytes) -> list[tuple[int, bytes, tuple[float, ...]]]:
+    """Feed a stream; return (bytes in, data, speeds after) of each motor command the board carries out."""
+    return [(offset + 1, data, motors.execute(data)) for offset, func, data in receiver.feed(stream) if func == MOTOR]
+
+
+def stop_ends(commands: list[tuple[int, bytes, tuple[float, ...]]]) -> list[int]:
+    return [end for end, data, _ in commands if data == STOP_DATA]
+
+
+def states_without_data(version: int) -> Iterator[Receiver]:
+    yield make(START1, version=version)
+    yield make(START2, version=version)
+    yield make(FUNC, version=version)
+    for func in range(version):
+        yield make(LEN, func, version=version)
+        yield make(CRC, func, version=version)
+
+
+def assert_stopped(receiver: Receiver, first_end: int | None) -> None:
+    motors = Motors(SPINNING)
+    commands = execute(receiver, motors, BURST)
+    ends = stop_ends(commands)
+    assert motors.stopped
+    assert commands[-1][1] == STOP_DATA
+    assert tuple(ends[-3:]) == LAST_STOPS
+    assert (ends[0] == FIRST_STOP_END) if first_end is None else (ends[0] == first_end)
+    assert receiver.state == START1
+
+
+def test_the_bytes_are_those_documented() -> None:
+    assert bytes(32) + STOP + bytes(257) + STOP * 3 == BURST
+    assert len(BURST) == 397
+    assert FIRST_STOP_END == 59
+    assert BURST[FIRST_STOP_END - len(STOP) : FIRST_STOP_END] == STOP
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_stops_at_byte_59_outside_data(version: int) -> None:
+    for receiver in states_without_data(version):
+        assert_stopped(receiver, None)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_stops_with_every_remainder_of_every_function(version: int) -> None:
+    for func in range(version):
+        for remaining in range(1, 256):
+            receiver = make(DATA, func, remaining, version=version)
+            assert receiver.remaining == remaining
+            assert_stopped(receiver, None if remaining <= 31 else LAST_STOPS[0])
+
+
+def test_stops_with_every_remainder_and_every_crc_so_far_of_a_motor_frame() -> None:
+    # What a receiver in DATA does next depends on what is left and on the CRC of what it has; one byte that takes all
+    # its values gives the CRC all of its own.
+    for remaining in range(255):
+        for byte in range(256):
+            state = DATA if remaining else CRC
+            receiver = make(state, MOTOR, remaining + 1, bytes((byte,)))
+            assert_stopped(receiver, None if remaining <= 31 else LAST_STOPS[0])
+
+
+def test_a_stray_frame_that_sets_speeds_comes_before_the_last_stops() -> None:
+    # Two entries: wheel 0 at about 1 rps, and a wheel that is none with whatever the burst has next.
+    prefix = bytearray.fromhex("0102000000803f09")
+    for remaining in range(256 - len(prefix)):
+        length = len(prefix) + remaining
+        filler = BURST[: remaining + 1]
+        # The lowest byte of the speed makes the CRC come out right.
+        for byte in range(256):
+            prefix[3] = byte
+            if codec.crc8(bytes((MOTOR, length)) + prefix + filler) == 0:
+                break
+        motors = Motors()
+        commands = execute(make(DATA if remaining else CRC, MOTOR, length, bytes(prefix)), motors, BURST)
+        end, _, speeds = commands[0]
+        assert end == remaining + 1
+        assert speeds[0] == pytest.approx(1.0, abs=1e-3)
+        assert motors.wild[0][0] == 9
+        assert tuple(stop_ends(commands)[-3:]) == LAST_STOPS
+        assert motors.stopped
+
+
+def cuts(frame: bytes) -> Iterator[bytes]:
+    return (frame[:cut] for cut in range(len(frame)))
+
+
+@pytest.mark.parametrize("name", OWN_FRAMES)
+def test_after_any_cut_of_an_own_frame_nothing_but_stops_is_executed(name: str) -> None:
+    for part in cuts(OWN_FRAMES[name]):
+        receiver, motors = Receiver(), Motors(SPINNING)
+        receiver.feed(part)
+        remaining = receiver.remaining if receiver.state == DATA else 0
+        commands = execute(receiver, motors, BURST)
+        # A cut stop that happens to be completed is a stop; everything else has to be STOP itself.
+        assert all(speeds == (0.0, 0.0, 0.0, 0.0) for _, _, speeds in commands), part.hex()
+        assert not motors.wild
+        assert motors.kind == 0
+        assert motors.stopped
+        assert stop_ends(commands)[0] == (FIRST_STOP_END if remaining <= 31 else LAST_STOPS[0])
+
+
+def test_the_burst_can_complete_a_cut_frame_of_the_robots_own_forward_speed() -> None:
+    part = codec.motor_speeds((0.796, 0.796, -0.796, -0.796), MAX_RPS)[:24]
+    receiver, motors = Receiver(), Motors()
+    receiver.feed(part)
+    commands = execute(receiver, motors, BURST)
+    assert [end for end, _, _ in commands] == [3, FIRST_STOP_END, *LAST_STOPS]
+    assert commands[0][2] == pytest.approx((0.796, 0.796, -0.796, 0.0))
+    assert motors.stopped
+
+
+def test_a_cut_motor_frame_completed_by_chance_sets_only_what_it_was_sent_with() -> None:
+    # Once in 256 the CRC of what was sent is zero and the zeros of the burst complete the frame. Then wheels can get a
+    # speed they were just sent, or one cut short to next to nothing, until the stop at byte 59.
+    completed = 0
+    for hundredth in range(1, 141):
+        rps = hundredth / 100
+        for sent in ((rps, rps, -rps, -rps), (-rps, rps, -rps, rps), (rps, -rps / 2, rps / 3, 0.0)):
+            frame = codec.motor_speeds(sent, MAX_RPS)
+            whole = Motors().execute(frame[4:-1])
+            for part in cuts(frame):
+                receiver, motors = Receiver(), Motors()
+                receiver.feed(part)
+                commands = execute(receiver, motors, BURST)
+                for _, data, speeds in commands:
+                    completed += data != STOP_DATA
+                    assert all(got == was or abs(got) < 1e-37 for got, was in zip(speeds, whole, strict=True))
+                assert not motors.wild
+                assert motors.stopped
+                assert stop_ends(commands)[0] == FIRST_STOP_END
+    assert completed > 10
+
+
+def test_after_any_cut_of_the_burst_itself() -> None:
+    for part in cuts(BURST):
+        receiver, motors = Receiver(), Motors(SPINNING)
+        receiver.feed(part)
+        commands = execute(receiver, motors, BURST)
+        assert stop_ends(commands)[0] == FIRST_STOP_END
+        assert motors.stopped
+        assert not motors.wild
+
+
+def test_one_byte_of_the_burst_garbled_or_lost_still_stops() -> None:
+    for at in range(len(BURST)):
+        damaged = [BURST[:at] + BURST[at + 1 :]]
+        damaged += [
+            BURST[:at] + bytes((BURST[at] ^ flip,)) + BURST[at + 1 :] for flip in (*(1 << n for n in range(8)), 255)
+        ]
+        damaged += [BURST[:at] + bytes((value,)) + BURST[at + 1 :] for value in (0xAA, 0x55, 0xFF)]
+        for stream in damaged:
+            receiver, motors = Receiver(), Motors(SPINNING)
+            assert stop_ends(execute(receiver, motors, stream))
+            assert motors.stopped
+            assert not motors.wild
+
+
+def unstopped(stream: bytes) -> list[Receiver]:
+    states = [*states_without_data(12), *(make(DATA, MOTOR, remaining) for remaining in range(1, 256))]
+    return [state for state in states if not stop_ends(execute(state.copy(), Motors(SPINNING), stream))]
+
+
+def test_control_two_bare_stops_leave_states_unstopped() -> None:
+    left = unstopped(STOP + STOP)
+    assert {state.state for state in left} == {LEN, DATA}
+    assert not unstopped(BURST)
+
+
+def test_control_without_its_long_filler_the_burst_leaves_states_unstopped() -> None:
+    assert unstopped(bytes(32) + STOP * 4)
+
+
+def test_control_stop_frames_as_filler_can_write_to_a_wheel_that_is_none() -> None:
+    wild: list[tuple[bytes, int]] = []
+    for hundredth in range(1, 141):
+        frame = codec.motor_speeds((hundredth / 100,) * 4, MAX_RPS)
+        for part in cuts(frame):
+            receiver, motors = Receiver(), Motors()
+            receiver.feed(part)
+            execute(receiver, motors, STOP * 11)
+            wild += [(part, wheel) for wheel, _ in motors.wild]
+    assert wild
+    for part, wheel in wild:
+        assert wheel >= codec.WHEELS
+        receiver, motors = Receiver(), Motors()
+        receiver.feed(part)
+        execute(receiver, motors, BURST)
+        assert not motors.wild
+
+
+def stops_needed(receiver: Receiver) -> int:
+    """How many stop frames in a row it takes until one is parsed."""
+    end = stop_ends(execute(receiver, Motors(SPINNING), STOP * 12))[0]
+    assert end % len(STOP) == 0
+    return end // len(STOP)
+
+
+def test_stop_frames_needed_until_one_is_parsed() -> None:
+    assert stops_needed(make(START1)) == 1
+    assert {stops_needed(make(state)) for state in (START2, FUNC, CRC)} == {2}
+    assert {stops_needed(make(DATA, MOTOR, left)) for left in range(1, 23)} == {2}
+    assert stops_needed(make(LEN, MOTOR)) == 8
+    by_remainder = [stops_needed(make(DATA, MOTOR, left)) for left in range(1, 256)]
+    assert by_remainder[-1] == 11
+    assert max(by_remainder) == 11
+    assert all(fewer <= more for fewer, more in pairwise(by_remainder))

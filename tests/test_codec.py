@@ -1,0 +1,275 @@
+"""Frames to the board: every encoder against the published bytes, and what must never be made or written."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from struct import pack, unpack
+from typing import Any
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from failstop.board import codec
+from failstop.board.codec import MOTOR, PING, STOP, FrameError, check_aux, check_motion
+from failstop.board.motors import Motors
+from failstop.board.receiver import Receiver
+
+VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text())
+DOWN = {name: bytes.fromhex(text) for name, text in VECTORS["down"].items()}
+ROOT = Path(__file__).parent.parent
+
+ENCODED: dict[str, Callable[[], bytes]] = {
+    "stop": lambda: codec.motor_speeds((0.0, 0.0, 0.0, 0.0), 1.0),
+    "motor wire id 1 at -1.0 rps": lambda: codec.motor_one(1, -1.0, 1.0),
+    "motor stop wire id 1": lambda: codec.motor_stop_one(1),
+    "motors id 1 at -1.0 rps and id 2 at +2.0 rps": lambda: codec.motor_some([(1, -1.0), (2, 2.0)], 2.0),
+    "motor stop mask 0x05": lambda: codec.motor_stop_mask(0x05),
+    "motors 0..3 at 0.5, -0.25, 0, 1.5 rps": lambda: codec.motor_speeds((0.5, -0.25, 0.0, 1.5), 1.5),
+    "buzzer 1400 Hz, on 100 ms, off 100 ms, 5 times": lambda: codec.buzzer(1400, 100, 100, 5),
+    "buzzer 1000 Hz, on 500 ms, off 300 ms, 10 times": lambda: codec.buzzer(1000, 500, 300, 10),
+    "led 1 on 500 ms, off 300 ms, 10 times": lambda: codec.led(1, 500, 300, 10),
+    "pwm servo 1 to 1000 us in 1000 ms": lambda: codec.pwm_servo_move_one(1, 1000, 1000),
+    "pwm servo 1 read position (the ping)": lambda: codec.pwm_servo_read(1),
+    "bus servos 1 to 833 and 2 to 1000 in 1000 ms": lambda: codec.bus_servo_move([(1, 833), (2, 1000)], 1000),
+    "bus servo 1 torque off": lambda: codec.bus_servo_torque(1, on=False),
+    "bus servo 1 torque on": lambda: codec.bus_servo_torque(1, on=True),
+    "bus servo 1 read position": lambda: codec.bus_servo_read_position(1),
+}
+
+# Encoders without a published example, against bytes written out from the protocol description.
+DESCRIBED: list[tuple[bytes, int, str]] = [
+    (codec.motor_type(3), codec.MOTOR, "05 03"),
+    (codec.pwm_servo_move([(1, 500), (4, 2500)], 30_000), codec.PWM_SERVO, "01 3075 02 01 F401 04 C409"),
+    (codec.pwm_servo_deviation(2, -1), codec.PWM_SERVO, "07 02 FF"),
+    (codec.pwm_servo_deviation(2, 100), codec.PWM_SERVO, "07 02 64"),
+    (codec.pwm_servo_read_deviation(4), codec.PWM_SERVO, "09 04"),
+    (codec.bus_servo_stop([3, 253]), codec.BUS_SERVO, "03 02 03 FD"),
+    (codec.bus_servo_read_vin(2), codec.BUS_SERVO, "07 02"),
+    (codec.bus_servo_read_temperature(2), codec.BUS_SERVO, "09 02"),
+    (codec.bus_servo_read_load(2), codec.BUS_SERVO, "0D 02"),
+    (codec.bus_servo_read_id(), codec.BUS_SERVO, "12 FE"),
+    (codec.bus_servo_read_id(7), codec.BUS_SERVO, "12 07"),
+    (codec.oled(2, "10.0.0.7"), codec.OLED, "02 08 31302E302E302E37"),
+    (codec.oled(1, ""), codec.OLED, "01 00"),
+    (codec.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]), codec.RGB, "01 02 01FF8000 00010203"),
+    (codec.battery_alarm(6800), codec.SYS, "01 901A"),
+]
+
+NAN, INF = math.nan, math.inf
+BIG = 10**9
+
+# (the call, the field the message has to name); arguments as a user would pass them by mistake.
+BAD: list[tuple[Callable[..., bytes], tuple[Any, ...], str]] = [
+    *[(codec.motor_speeds, ((0.0, 0.0, bad, 0.0), 1.0), "speed of wheel 2") for bad in (NAN, INF, -INF, 1.01, -1.01)],
+    *[(codec.motor_speeds, ((True, 0.0, 0.0, 0.0), 1.0), "speed of wheel 0") for _ in (0,)],
+    *[(codec.motor_speeds, (bad, 1.0), "rps") for bad in ((), (0.0,) * 3, (0.0,) * 5, None, 1.0)],
+    *[(codec.motor_speeds, (("0", 0.0, 0.0, 0.0), 1.0), "speed of wheel 0") for _ in (0,)],
+    *[(codec.motor_speeds, ((0.0,) * 4, bad), "max_rps") for bad in (NAN, INF, -1.0, 1000.5, True, None, "1")],
+    *[(codec.motor_one, (bad, 0.1, 1.0), "wheel id") for bad in (-1, 4, 208, True, 1.0, None, "1")],
+    *[(codec.motor_one, (1, bad, 1.0), "speed of wheel 1") for bad in (NAN, INF, -INF, 1.5, -1.5, BIG, False, None)],
+    *[(codec.motor_one, (1, 0.1, bad), "max_rps") for bad in (NAN, INF, -0.5, BIG, False)],
+    *[(codec.motor_some, (bad, 1.0), "pairs") for bad in ([], [(0, 0.1)] * 5, None)],
+    *[(codec.motor_some, ([bad], 1.0), "pair") for bad in ((0,), (0, 0.1, 0.2), 0, "01")],
+    *[(codec.motor_some, ([(0, 0.1), (bad, 0.1)], 1.0), "wheel id") for bad in (0, -1, 4, 7, True)],
+    *[(codec.motor_some, ([(0, 0.1), (3, bad)], 1.0), "speed of wheel 3") for bad in (NAN, INF, -1.5, True)],
+    *[(codec.motor_some, ([(0, 0.1)], bad), "max_rps") for bad in (NAN, INF, -1.0)],
+    *[(codec.motor_stop_one, (bad,), "wheel id") for bad in (-1, 4, True, 1.0)],
+    *[(codec.motor_stop_mask, (bad,), "mask") for bad in (0, 16, -1, True, 5.0)],
+    *[(codec.motor_type, (bad,), "motor type") for bad in (-1, 4, True, None)],
+    *[(codec.pwm_servo_move, (bad, 1000), "moves") for bad in ([], [(1, 1500)] * 5, None)],
+    *[(codec.pwm_servo_move, ([(bad, 1500)], 1000), "servo id") for bad in (0, 5, -1, True, 1.0)],
+    *[(codec.pwm_servo_move, ([(1, bad)], 1000), "pulse_us") for bad in (0, 499, 2501, 65_536, True, NAN, INF)],
+    *[(codec.pwm_servo_move, ([(1, 1500)], bad), "duration_ms") for bad in (-1, 30_001, 1.0, True, NAN, INF)],
+    (codec.pwm_servo_move, ([(1, 1500), (1, 1600)], 1000), "servo id 1"),
+    (codec.pwm_servo_move, ([(1, 1500, 2)], 1000), "move"),
+    *[(codec.pwm_servo_move_one, (bad, 1500, 1000), "servo id") for bad in (0, 5, True)],
+    *[(codec.pwm_servo_move_one, (1, bad, 1000), "pulse_us") for bad in (499, 2501, NAN, True)],
+    *[(codec.pwm_servo_move_one, (1, 1500, bad), "duration_ms") for bad in (-1, 30_001, NAN, True)],
+    *[(codec.pwm_servo_read, (bad,), "servo id") for bad in (0, 5, True)],
+    *[(codec.pwm_servo_deviation, (bad, 0), "servo id") for bad in (0, 5, True)],
+    *[(codec.pwm_servo_deviation, (1, bad), "deviation_us") for bad in (-101, 101, NAN, True)],
+    *[(codec.pwm_servo_read_deviation, (bad,), "servo id") for bad in (0, 5, True)],
+    *[(codec.bus_servo_move, (bad, 1000), "moves") for bad in ([], [(1, 500)] * 84, None)],
+    *[(codec.bus_servo_move, ([(bad, 500)], 1000), "servo id") for bad in (0, 254, 255, -1, True, NAN)],
+    *[(codec.bus_servo_move, ([(1, bad)], 1000), "position") for bad in (-1, 1001, True, NAN, INF)],
+    *[(codec.bus_servo_move, ([(1, 500)], bad), "duration_ms") for bad in (-1, 30_001, True)],
+    (codec.bus_servo_move, ([(9, 500), (8, 500), (9, 500)], 1000), "servo id 9"),
+    *[(codec.bus_servo_stop, (bad,), "servos") for bad in ([], [1] * 254, 1)],
+    *[(codec.bus_servo_stop, ([1, bad],), "servo id") for bad in (0, 254, True, 1)],
+    *[
+        (read, (bad,), "servo id")
+        for read in (
+            codec.bus_servo_read_position,
+            codec.bus_servo_read_vin,
+            codec.bus_servo_read_temperature,
+            codec.bus_servo_read_load,
+        )
+        for bad in (0, 254, True, None)
+    ],
+    *[(codec.bus_servo_read_id, (bad,), "servo id") for bad in (0, 255, True)],
+    *[(codec.bus_servo_torque, (bad, True), "servo id") for bad in (0, 254, True)],
+    *[(codec.bus_servo_torque, (1, bad), "on") for bad in (1, 0, None, "off")],
+    *[(codec.buzzer, (bad, 100, 100, 1), "freq_hz") for bad in (0, 19, 20_001, -1, NAN, True)],
+    *[(codec.buzzer, (1000, bad, 100, 1), "on_ms") for bad in (0, 65_536, NAN, True)],
+    *[(codec.buzzer, (1000, 100, bad, 1), "off_ms") for bad in (0, 65_536, NAN, True)],
+    *[(codec.buzzer, (1000, 100, 100, bad), "repeat") for bad in (0, 65_536, INF, True)],
+    *[(codec.led, (bad, 100, 100, 1), "led id") for bad in (0, 3, True)],
+    *[(codec.led, (1, bad, 100, 1), "on_ms") for bad in (-1, 65_536, NAN, True)],
+    *[(codec.led, (1, 100, bad, 1), "off_ms") for bad in (-1, 65_536, NAN, True)],
+    *[(codec.led, (1, 100, 100, bad), "repeat") for bad in (-1, 65_536, NAN, True)],
+    *[(codec.oled, (bad, "text"), "line") for bad in (0, 3, True)],
+    *[(codec.oled, (1, bad), "text") for bad in ("x" * 24, "\n", "caf\xe9", b"text", None)],
+    *[(codec.rgb, (bad,), "pixels") for bad in ([], [(0, 1, 1, 1)] * 3, None)],
+    *[(codec.rgb, ([bad],), "pixel") for bad in ((0, 1, 2), (0, 1, 2, 3, 4), None)],
+    *[(codec.rgb, ([(bad, 1, 1, 1)],), "pixel index") for bad in (-1, 2, True)],
+    *[(codec.rgb, ([(0, bad, 1, 1)],), "red") for bad in (-1, 256, True, NAN)],
+    *[(codec.rgb, ([(0, 1, bad, 1)],), "green") for bad in (-1, 256, True)],
+    *[(codec.rgb, ([(0, 1, 1, bad)],), "blue") for bad in (-1, 256, True)],
+    (codec.rgb, ([(0, 1, 1, 1), (0, 2, 2, 2)],), "pixel index 0"),
+    *[(codec.battery_alarm, (bad,), "millivolts") for bad in (0, 999, 30_001, True, NAN)],
+    *[(codec.frame, (bad, b""), "func") for bad in (MOTOR, -1, 12, True, 3.0)],
+    *[(codec.frame, (codec.LED, bad), "data") for bad in (bytes(256), "text", [1, 2], 5)],
+    # A colour and a tone that spell the start of a motor frame.
+    (codec.rgb, ([(0, 0xAA, 0x55, 0x03)],), "data"),
+    (codec.frame, (codec.OLED, b"\x01\x1b" + STOP), "data"),
+]
+
+
+def receive(frame: bytes) -> tuple[int, bytes]:
+    ((end, func, data),) = Receiver().feed(frame)
+    assert end == len(frame) - 1
+    return func, data
+
+
+def test_every_published_frame_has_its_encoder_call() -> None:
+    assert set(ENCODED) == set(DOWN)
+
+
+@pytest.mark.parametrize("name", DOWN)
+def test_published_frames(name: str) -> None:
+    assert ENCODED[name]().hex().upper() == DOWN[name].hex().upper()
+
+
+@pytest.mark.parametrize(("frame", "func", "data"), DESCRIBED, ids=[text for _, _, text in DESCRIBED])
+def test_described_frames(frame: bytes, func: int, data: str) -> None:
+    assert receive(frame) == (func, bytes.fromhex(data))
+
+
+def test_stop_and_ping_are_the_published_ones() -> None:
+    assert DOWN["stop"] == STOP
+    assert DOWN["pwm servo 1 read position (the ping)"] == PING
+    assert len(STOP) == 27
+
+
+def test_crc_check_value_and_continuation() -> None:
+    assert codec.crc8(b"123456789") == 0xA1
+    assert codec.crc8(b"") == 0
+    assert codec.crc8(memoryview(b"6789"), codec.crc8(bytearray(b"12345"))) == 0xA1
+
+
+@pytest.mark.parametrize(("encoder", "arguments", "field"), BAD)
+def test_bad_input_is_refused_by_name(encoder: Callable[..., bytes], arguments: tuple[Any, ...], field: str) -> None:
+    with pytest.raises(FrameError) as refused:
+        encoder(*arguments)
+    message = str(refused.value)
+    assert message.startswith(field)
+    assert "must" in message
+
+
+def test_messages_give_value_and_range() -> None:
+    with pytest.raises(FrameError, match=r"^speed of wheel 1 is 9\.9, must be a finite number from -1\.4 to 1\.4 rps$"):
+        codec.motor_speeds((0.0, 9.9, 0.0, 0.0), 1.4)
+    with pytest.raises(FrameError, match=r"^servo id is 0, must be an integer from 1 to 4$"):
+        codec.pwm_servo_read(0)
+
+
+def test_every_encoder_is_in_the_tables() -> None:
+    encoders = {name for name in codec.__all__ if name.islower() and not name.startswith(("check_", "crc8"))}
+    refused = {encoder.__name__ for encoder, _, _ in BAD}
+    assert encoders == refused
+
+
+# Motion.
+
+limits = st.floats(0.0, codec.RPS_CEILING)
+
+
+@st.composite
+def speeds_within(draw: st.DrawFn) -> tuple[list[float], float]:
+    limit = draw(limits)
+    speed = st.one_of(st.floats(-limit, limit), st.sampled_from([limit, -limit, 0.0, -0.0]))
+    return draw(st.lists(speed, min_size=4, max_size=4)), limit
+
+
+@given(speeds_within())
+@example(([0.7, -0.7, 0.7, -0.7], 0.7))
+@example(([1e-46] * 4, 1e-46))
+@example(([8e-46] * 4, 8e-46))
+@example(([1000.0] * 4, 1000.0))
+def test_what_is_encoded_passes_the_check_and_reaches_the_wheels(case: tuple[list[float], float]) -> None:
+    rps, limit = case
+    frame = codec.motor_speeds(rps, limit)
+    assert check_motion(frame, limit) == ""
+    assert check_aux(frame) == "a motor frame"
+    func, data = receive(frame)
+    assert func == MOTOR
+    assert list(Motors().execute(data)) == [unpack("<f", pack("<f", value))[0] for value in rps]
+
+
+def test_integers_tuples_and_minus_zero_are_taken() -> None:
+    assert codec.motor_speeds((0, 0, 0, 0), 1) == STOP
+    assert codec.motor_speeds([-0.0] * 4, 1.0) == STOP
+    assert codec.motor_speeds((1, -1, 0, -0.0), 1) == codec.motor_speeds([1.0, -1.0, 0.0, 0.0], 1.0)
+    assert codec.motor_speeds(iter([0.5, 0, 0, 0]), 1) == codec.motor_speeds((0.5, 0.0, 0.0, 0.0), 1.0)  # type: ignore[arg-type]
+
+
+def test_a_limit_of_zero_lets_only_stops_pass() -> None:
+    assert codec.motor_speeds((0.0,) * 4, 0.0) == STOP
+    assert check_motion(STOP, 0.0) == ""
+    with pytest.raises(FrameError):
+        codec.motor_speeds((0.0, 0.0, 0.0, 1e-9), 0.0)
+
+
+@pytest.mark.parametrize("func", [codec.SYS, codec.LED, codec.KEY, codec.IMU, codec.RGB])
+def test_raw_frames_of_other_functions(func: int) -> None:
+    assert codec.frame(func, bytearray(b"\x01\x00")) == codec.frame(func, memoryview(b"\x01\x00"))
+    data = bytes(range(255))
+    frame = codec.frame(func, data)
+    assert len(frame) == 260
+    assert receive(frame) == (func, data)
+
+
+HEAVY = (
+    "dataclasses",
+    "typing",
+    "enum",
+    "re",
+    "inspect",
+    "pathlib",
+    "logging",
+    "argparse",
+    "json",
+    "subprocess",
+    "collections",
+    "collections.abc",
+    "functools",
+    "contextlib",
+    "ctypes",
+    "numpy",
+)
+
+
+@pytest.mark.parametrize("module", ["codec", "burst", "decoder", "receiver", "motors"])
+def test_imports_nothing_heavy(module: str) -> None:
+    # Without site, so that what the environment brings along is not counted.
+    program = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import failstop.board.{module}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-S", "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    loaded = set(done.stdout.split())
+    assert f"failstop.board.{module}" in loaded
+    assert not loaded.intersection(HEAVY)

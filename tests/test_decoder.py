@@ -1,0 +1,220 @@
+"""Frames from the board: decoding in any pieces, recovery after garbage, and the parsers."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.board import decoder, upward
+from failstop.board.codec import BUS_SERVO, GAMEPAD, IMU, KEY, PWM_SERVO, SBUS, SYS, crc8
+from failstop.board.decoder import Decoder
+from failstop.board.framing import seal
+
+UP = {
+    name: bytes.fromhex(text)
+    for name, text in json.loads(Path(__file__).with_name("vectors.json").read_text())["up"].items()
+}
+
+ENCODED: dict[str, Callable[[], bytes]] = {
+    "battery 7400 mV": lambda: upward.battery(7400),
+    "key 1 pressed": lambda: upward.key(1, 0x01),
+    "gamepad X": lambda: upward.gamepad(decoder.BUTTONS["X"]),
+    "pwm servo 1 at 1500 us (the ping's answer)": lambda: upward.pwm_servo_position(1, 1500),
+}
+DECODED = {
+    "battery 7400 mV": (SYS, decoder.battery_mv, 7400),
+    "key 1 pressed": (KEY, decoder.key, (1, 0x01)),
+    "gamepad X": (GAMEPAD, decoder.gamepad, (0x0100, 0, 0, 0, 0, 0)),
+    "pwm servo 1 at 1500 us (the ping's answer)": (
+        PWM_SERVO,
+        lambda data: decoder.servo_reply(PWM_SERVO, data),
+        (1, 0x05, 1500),
+    ),
+}
+
+frames = st.builds(seal, st.integers(0, 11), st.binary(max_size=decoder.LONGEST))
+
+
+def test_every_published_frame_is_covered() -> None:
+    assert set(UP) == set(ENCODED) == set(DECODED)
+
+
+@pytest.mark.parametrize("name", UP)
+def test_published_frames(name: str) -> None:
+    func, parse, value = DECODED[name]
+    ((got_func, data),) = Decoder().feed(UP[name])
+    assert got_func == func
+    assert parse(data) == value
+    assert ENCODED[name]() == UP[name]
+
+
+def test_counts_of_a_clean_stream() -> None:
+    stream = b"".join(UP.values()) * 3
+    machine = Decoder()
+    assert len(machine.feed(stream)) == 3 * len(UP)
+    assert (machine.frames, machine.crc_errors, machine.skipped_bytes) == (3 * len(UP), 0, 0)
+
+
+@given(sent=st.lists(frames, max_size=8), sizes=st.lists(st.integers(1, 40), min_size=1, max_size=20))
+def test_any_frames_in_any_pieces(sent: list[bytes], sizes: list[int]) -> None:
+    stream = b"".join(sent)
+    machine = Decoder()
+    got = []
+    turn = 0
+    while stream:
+        size = sizes[turn % len(sizes)]
+        got += machine.feed(stream[:size])
+        stream = stream[size:]
+        turn += 1
+    assert got == [(frame[2], frame[4:-1]) for frame in sent]
+    assert (machine.crc_errors, machine.skipped_bytes) == (0, 0)
+
+
+@given(
+    garbage=st.one_of(
+        st.binary(max_size=300), st.lists(st.sampled_from([0xAA, 0x55, 0, 7, 24]), max_size=60).map(bytes)
+    )
+)
+def test_frames_behind_garbage_are_found_and_every_byte_is_accounted_for(garbage: bytes) -> None:
+    machine = Decoder()
+    got = machine.feed(garbage)
+    # Enough frames that whatever the garbage announced is over.
+    tail = upward.battery(7400) * 12
+    got += machine.feed(tail)
+    assert got[-1] == (SYS, upward.battery(7400)[4:-1])
+    in_frames = sum(5 + len(data) for _, data in got)
+    assert in_frames + machine.skipped_bytes + len(machine._pending) == len(garbage) + len(tail)
+    assert machine.frames == len(got)
+
+
+@given(chunks=st.lists(st.binary(max_size=500), max_size=10))
+def test_holds_no_more_than_one_frame(chunks: list[bytes]) -> None:
+    machine = Decoder()
+    for chunk in chunks:
+        machine.feed(chunk)
+        assert len(machine._pending) < decoder.LONGEST + 5
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        b"\xaa",
+        b"\xaa\x55",
+        b"\xaa\x55\x07",
+        b"\xaa\x55\x07\x18",
+        upward.imu(0, 0, 1, 0, 0, 0)[:20],
+        b"\xaa\x55\x00\x05\xaa\x55",
+        b"\xaa\x55\x0c\x00",
+        b"\xaa\x55\x07\xff",
+    ],
+    ids=bytes.hex,
+)
+def test_no_frame_behind_a_cut_one_is_lost(garbage: bytes) -> None:
+    # The board's own receiver loses the frames it takes for the rest of the cut one.
+    wanted = [upward.key(1, 1), upward.battery(7400), upward.imu(1, 2, 3, 4, 5, 6), upward.battery(7300)]
+    machine = Decoder()
+    got = machine.feed(garbage + b"".join(wanted))
+    assert got == [(frame[2], frame[4:-1]) for frame in wanted]
+    assert machine.skipped_bytes == len(garbage)
+
+
+def test_a_flipped_bit_costs_one_frame() -> None:
+    frame = upward.imu(0.1, 0.2, 1.0, 3.0, 4.0, 5.0)
+    for bit in range(8 * len(frame)):
+        damaged = bytearray(frame)
+        damaged[bit // 8] ^= 1 << bit % 8
+        machine = Decoder()
+        got = machine.feed(bytes(damaged) + frame * 3)
+        assert got == [(IMU, frame[4:-1])] * 3, bit
+        assert machine.skipped_bytes == len(frame)
+
+
+def test_reset_forgets_a_partial_frame() -> None:
+    machine = Decoder()
+    machine.feed(upward.battery(7400)[:5])
+    machine.reset()
+    assert machine.feed(upward.battery(7400)[5:] + upward.key(2, 0x20)) == [(KEY, b"\x02\x20")]
+    assert machine.skipped_bytes == len(upward.battery(7400))
+
+
+def data_of(frame: bytes) -> bytes:
+    assert crc8(frame[2:]) == 0
+    assert frame[3] == len(frame) - 5
+    return frame[4:-1]
+
+
+def test_imu() -> None:
+    values = (0.5, -0.25, 1.0, 12.5, -3.0, 0.0)
+    assert decoder.imu(data_of(upward.imu(*values))) == values
+
+
+@pytest.mark.parametrize("place", range(6))
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_imu_that_is_not_finite_is_nothing(place: int, bad: float) -> None:
+    values = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    values[place] = bad
+    assert decoder.imu(data_of(upward.imu(*values))) is None
+
+
+def test_gamepad() -> None:
+    data = data_of(upward.gamepad(0xC00F, 3, -128, 127, -1, 1))
+    assert decoder.gamepad(data) == (0xC00F, 3, -128, 127, -1, 1)
+
+
+def test_buttons_are_single_distinct_bits() -> None:
+    bits = list(decoder.BUTTONS.values())
+    assert len(set(bits)) == len(bits) == 12
+    assert all(bit.bit_count() == 1 and bit <= 0x8000 for bit in bits)
+
+
+@pytest.mark.parametrize("event", decoder.KEY_EVENTS)
+def test_every_key_event(event: int) -> None:
+    assert decoder.key(data_of(upward.key(2, event))) == (2, event)
+
+
+def test_sbus() -> None:
+    channels = tuple(range(-8, 8))
+    data = data_of(upward.sbus(channels, ch18=True, safe=True))
+    assert len(data) == 36
+    assert decoder.sbus(data) == (channels, False, True, False, True)
+
+
+def test_servo_replies() -> None:
+    assert decoder.servo_reply(PWM_SERVO, data_of(upward.pwm_servo_deviation(3, -20))) == (3, 0x09, -20)
+    assert decoder.servo_reply(BUS_SERVO, data_of(upward.bus_servo_position(7, -12))) == (7, 0x05, -12)
+    assert decoder.servo_reply(BUS_SERVO, data_of(upward.bus_servo_position(7, None))) == (7, 0x05, None)
+    assert decoder.servo_reply(BUS_SERVO, bytes((7, 0x07, 0, 0x10, 0x27))) == (7, 0x07, 10_000)
+    assert decoder.servo_reply(BUS_SERVO, bytes((254, 0x12, 0, 9))) == (254, 0x12, 9)
+
+
+@pytest.mark.parametrize(
+    "parsed",
+    [
+        decoder.battery_mv(b""),
+        decoder.battery_mv(b"\x04\xe8"),
+        decoder.battery_mv(b"\x05\xe8\x1c"),
+        decoder.key(b"\x01"),
+        decoder.key(b"\x01\x03"),
+        decoder.key(b"\x01\x00"),
+        decoder.key(b"\x01\x01\x01"),
+        decoder.imu(bytes(23)),
+        decoder.imu(bytes(25)),
+        decoder.gamepad(bytes(6)),
+        decoder.gamepad(bytes(8)),
+        decoder.sbus(bytes(35)),
+        decoder.servo_reply(PWM_SERVO, b"\x01\x05"),
+        decoder.servo_reply(PWM_SERVO, b"\x01\x05\xdc"),
+        decoder.servo_reply(PWM_SERVO, b"\x01\x06\xdc\x05"),
+        decoder.servo_reply(BUS_SERVO, b"\x01\x05\x00\x00"),
+        decoder.servo_reply(BUS_SERVO, b"\x01\x33\x00\x00\x00"),
+        decoder.servo_reply(SBUS, b"\x01\x05\xdc\x05"),
+    ],
+)
+def test_data_that_makes_no_sense_is_nothing(parsed: object) -> None:
+    assert parsed is None

@@ -1,0 +1,177 @@
+"""The two checks before the wire: what they let pass the board handles as meant, and why they refuse the rest."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from struct import pack, unpack
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.board import codec
+from failstop.board.burst import BURST
+from failstop.board.codec import MOTOR, PING, STOP, FrameError, check_aux, check_motion
+from failstop.board.framing import seal
+from failstop.board.motors import Motors
+from failstop.board.receiver import Receiver
+
+VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text())
+REFUSE = {name: bytes.fromhex(text) for name, text in VECTORS["refuse"].items()}
+
+NAN, INF = math.nan, math.inf
+
+
+def wheels(*entries: tuple[int, float]) -> bytes:
+    return seal(MOTOR, bytes((1, len(entries))) + b"".join(pack("<Bf", *entry) for entry in entries))
+
+
+MOTION_REASONS = [
+    (b"", "not a motor frame"),
+    (bytes(27), "not a motor frame"),
+    (STOP[:-1], "not a motor frame"),
+    (STOP + b"\x00", "not a motor frame"),
+    (BURST, "not a motor frame"),
+    (STOP + STOP, "not a motor frame"),
+    (codec.motor_one(0, 0.5, 1.0), "not a motor frame"),
+    (codec.motor_stop_one(0), "not a motor frame"),
+    (codec.motor_stop_mask(15), "not a motor frame"),
+    (wheels((0, 0.0), (1, 0.0), (2, 0.0)), "not a motor frame"),
+    (seal(MOTOR, STOP[4:5] + b"\x05" + STOP[6:-1]), "not a motor frame"),
+    (seal(MOTOR, b"\x00" + STOP[5:-1]), "not a motor frame"),
+    (seal(codec.BUS_SERVO, STOP[4:-1]), "not a motor frame"),
+    (STOP[:-1] + b"\x08", "bad crc"),
+    (wheels((0, 0.0), (1, 0.0), (2, 0.0), (4, 0.0)), "wheel ids 0 1 2 4, must be 0 1 2 3"),
+    (wheels((1, 0.0), (0, 0.0), (2, 0.0), (3, 0.0)), "wheel ids 1 0 2 3, must be 0 1 2 3"),
+    (wheels((0, 0.0), (1, 0.0), (1, 0.0), (3, 0.0)), "wheel ids 0 1 1 3, must be 0 1 2 3"),
+    (codec.motor_speeds((0.0, 0.0, 9.9, 0.0), 10.0), "wheel 2 at 9.90 rps, limit 1.40"),
+    (codec.motor_speeds((-1.41, 0.0, 0.0, 0.0), 10.0), "wheel 0 at -1.41 rps, limit 1.40"),
+    (wheels((0, 0.0), (1, NAN), (2, 0.0), (3, 0.0)), "wheel 1 at nan rps, limit 1.40"),
+    (wheels((0, 0.0), (1, 0.0), (2, 0.0), (3, INF)), "wheel 3 at inf rps, limit 1.40"),
+    (wheels((0, -INF), (1, 0.0), (2, 0.0), (3, 0.0)), "wheel 0 at -inf rps, limit 1.40"),
+]
+
+
+@pytest.mark.parametrize(("frame", "reason"), MOTION_REASONS, ids=[reason for _, reason in MOTION_REASONS])
+def test_motion_is_refused_with_its_reason(frame: bytes, reason: str) -> None:
+    assert check_motion(frame, 1.4) == reason
+
+
+@pytest.mark.parametrize("limit", [NAN, INF, -1.0, 1000.5])
+def test_motion_is_refused_under_an_impossible_limit(limit: float) -> None:
+    assert check_motion(STOP, limit).startswith("limit ")
+
+
+def test_a_speed_over_the_limit_by_more_than_rounding_is_refused() -> None:
+    just_over = unpack("<f", pack("<I", unpack("<I", pack("<f", 1.4))[0] + 2))[0]
+    for wheel in range(4):
+        rps = [0.0] * 4
+        rps[wheel] = just_over
+        assert check_motion(codec.motor_speeds(rps, 2.0), 1.4) == f"wheel {wheel} at 1.40 rps, limit 1.40"
+
+
+def test_any_damage_of_up_to_one_byte_is_refused() -> None:
+    frame = codec.motor_speeds((0.796, 0.796, -0.796, -0.796), 1.4)
+    for at in range(len(frame)):
+        for value in range(256):
+            damaged = frame[:at] + bytes((value,)) + frame[at + 1 :]
+            assert (check_motion(damaged, 1000.0) == "") is (damaged == frame)
+
+
+@given(st.one_of(st.binary(max_size=60), st.binary(min_size=20, max_size=20).map(lambda tail: STOP[:7] + tail)))
+def test_checks_never_raise_and_never_both_accept(data: bytes) -> None:
+    assert check_motion(data, 1.4) or check_aux(data)
+
+
+@given(st.lists(st.tuples(st.integers(0, 255), st.binary(min_size=4, max_size=4)), min_size=4, max_size=4))
+def test_motion_that_passes_makes_no_wild_write_and_no_speed_beyond_the_limit(entries: list[tuple[int, bytes]]) -> None:
+    for ids in ([wheel for wheel, _ in entries], range(4)):
+        data = b"\x01\x04" + b"".join(bytes((wheel,)) + raw for wheel, (_, raw) in zip(ids, entries, strict=True))
+        motors = Motors()
+        motors.execute(data)
+        harmless = list(ids) == [0, 1, 2, 3] and all(abs(rps) <= 1.4000001 for rps in motors.speeds_rps)
+        assert (check_motion(seal(MOTOR, data), 1.4) == "") is harmless
+
+
+# Everything else.
+
+AUX_FRAMES = {
+    **{name: bytes.fromhex(text) for name, text in VECTORS["down"].items() if not name.startswith(("motor", "stop"))},
+    "pwm servos": codec.pwm_servo_move([(1, 500), (4, 2500)], 30_000),
+    "pwm deviation": codec.pwm_servo_deviation(2, -1),
+    "bus stop": codec.bus_servo_stop([3, 253]),
+    "bus id": codec.bus_servo_read_id(),
+    "oled": codec.oled(2, "x" * 23),
+    "oled, empty": codec.oled(1, ""),
+    "rgb": codec.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]),
+    "alarm": codec.battery_alarm(6800),
+}
+
+
+@pytest.mark.parametrize("name", AUX_FRAMES)
+def test_own_frames_pass_as_aux_and_damaged_or_cut_they_do_not(name: str) -> None:
+    frame = AUX_FRAMES[name]
+    assert check_aux(frame) == ""
+    assert check_motion(frame, 1000.0) == "not a motor frame"
+    for at in range(len(frame)):
+        assert check_aux(frame[:at])
+        assert check_aux(frame[:at] + bytes((frame[at] ^ 0x10,)) + frame[at + 1 :])
+    assert check_aux(frame + frame)
+    assert check_aux(frame + STOP)
+    assert check_aux(b"\x00" + frame)
+
+
+AUX_REASONS = [
+    (b"", "not a frame"),
+    (b"\xaa\x55\x01\x00", "not a frame"),
+    (STOP, "a motor frame"),
+    (seal(MOTOR, b""), "a motor frame"),
+    (seal(codec.KEY, b"\x01\x01"), "func 6 does not go to the board"),
+    (seal(codec.IMU, bytes(24)), "func 7 does not go to the board"),
+    (seal(12, b"\x01"), "func 12 does not go to the board"),
+    (PING + b"\x00", "8 bytes, its length byte says 7"),
+    (PING[:-1] + b"\xe1", "bad crc"),
+    (seal(codec.OLED, b"\x01\x10" + STOP[:16]), "the start of a motor frame inside"),
+    (seal(codec.PWM_SERVO, b""), "no sub-command"),
+    (seal(codec.PWM_SERVO, b"\x05\x00"), "pwm servo id 0"),
+    (seal(codec.PWM_SERVO, b"\x05"), "pwm servo id 0"),
+    (seal(codec.PWM_SERVO, b"\x07\x00\x10"), "pwm servo id 0"),
+    (seal(codec.PWM_SERVO, b"\x09\x00"), "pwm servo id 0"),
+    (seal(codec.PWM_SERVO, b"\x03\xe8\x03\x00\xe8\x03"), "pwm servo id 0"),
+    (seal(codec.PWM_SERVO, b"\x01\xe8\x03\x02\x01\xe8\x03\x00\xe8\x03"), "pwm servo id 0"),
+    (seal(codec.PWM_SERVO, b"\x01\xe8\x03\x03\x01\xe8\x03\x02\xe8\x03"), "a count beyond its data"),
+    (seal(codec.PWM_SERVO, b"\x01\xe8\x03"), "a count beyond its data"),
+    (seal(codec.BUS_SERVO, b"\x01\xe8\x03\xff"), "a count beyond its data"),
+    (seal(codec.BUS_SERVO, b"\x03\x02\x01"), "a count beyond its data"),
+    (seal(codec.OLED, b"\x01\x18" + b"x" * 24), "oled text of 24, limit 23"),
+    (seal(codec.OLED, b"\x02\x05abcd"), "a count beyond its data"),
+    (seal(codec.RGB, b"\x01\x01\x02\xff\xff\xff"), "rgb index beyond 1"),
+    (seal(codec.RGB, b"\x01\x02\x00\xff\xff\xff"), "a count beyond its data"),
+    (seal(codec.RGB, b"\x02\xff"), "rgb sub-command 2, must be 1"),
+]
+
+
+@pytest.mark.parametrize(("frame", "reason"), AUX_REASONS)
+def test_aux_is_refused_with_its_reason(frame: bytes, reason: str) -> None:
+    assert check_aux(frame) == reason
+
+
+@pytest.mark.parametrize("name", REFUSE)
+def test_published_frames_that_must_not_be_written(name: str) -> None:
+    frame = REFUSE[name]
+    assert check_motion(frame, 1000.0)
+    assert check_aux(frame)
+
+
+@given(
+    func=st.sampled_from(codec.AUX_FUNCS), data=st.one_of(st.binary(max_size=255), st.just(STOP), st.just(BURST[:255]))
+)
+def test_no_aux_frame_that_passes_holds_a_motor_frame_for_a_receiver_out_of_step(func: int, data: bytes) -> None:
+    frame = seal(func, data)
+    motor_inside = any(found == MOTOR for start in range(len(frame)) for _, found, _ in Receiver().feed(frame[start:]))
+    if motor_inside:
+        assert check_aux(frame)
+        with pytest.raises(FrameError):
+            codec.frame(func, data)
