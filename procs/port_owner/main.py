@@ -105,10 +105,12 @@ class PortOwner:
         self._own_stop(cause_ns, monotonic_ns(), reason)
 
     def _own_stop(self, cause_ns: int, written_ns: int, reason: str) -> None:
-        """What follows a burst for a cause of its own."""
-        self.admission.stopped(self.epoch, own=True)
+        """What follows a burst for a cause of its own. The epoch is the one in force now, seen or not: the supervisor
+        answers the published cause with a newer one."""
+        epoch = self._epoch_word.get()
+        self.admission.stopped(epoch, own=True)
         self._stopped(written_ns)
-        self._stops.put(records.pack_stop(self.epoch, cause_ns, 0 if self.wire.lost else written_ns, True, reason))
+        self._stops.put(records.pack_stop(epoch, cause_ns, 0 if self.wire.lost else written_ns, True, reason))
         self._supervisor_bell.ring()
 
     def _stopped(self, written_ns: int) -> None:
@@ -158,7 +160,7 @@ class PortOwner:
         that this same cause has just made."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
-            just_stopped = self.admission.stopped_in == self.epoch and not self.admission.moving
+            just_stopped = self.admission.stopped_in >= self.epoch and not self.admission.moving
             self.epoch = epoch
             if not just_stopped:
                 self.wire.burst()

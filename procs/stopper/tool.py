@@ -46,9 +46,7 @@ def _write(path: str) -> None:
                 left = left[os.write(fd, left) :]
             except BlockingIOError:
                 if time.monotonic() > until_s:
-                    raise PortError(
-                        "io", f"{path} takes no bytes: use the POWER SWITCH"
-                    ) from None
+                    raise PortError("io", f"{path} takes no bytes: use the POWER SWITCH") from None
                 time.sleep(0.001)
             except OSError as error:
                 raise PortError("io", f"{path} went away while writing ({error.strerror})", error.errno or 0) from None

@@ -57,7 +57,7 @@ class Child:
         os.close(out_w)
         os.close(in_r)
         self._in = in_w
-        self._out = open(out_r, "rb", buffering=0)
+        self._out = out_r
         self.status: int | None = None
 
     @staticmethod
@@ -86,7 +86,7 @@ class Child:
         while len(data) < count:
             if not select.select([self._out], [], [], DEADLINE_S)[0]:
                 pytest.fail(f"child {self.pid} said nothing within {DEADLINE_S} s")
-            part = self._out.read(count - len(data))
+            part = os.read(self._out, count - len(data))
             if not part:
                 pytest.fail(f"child {self.pid} ended early: status {self.wait()}")
             data += part
@@ -127,7 +127,7 @@ class Child:
         """Kill what still runs and give the pipes back."""
         self.kill()
         os.close(self._in)
-        self._out.close()
+        os.close(self._out)
 
     def __enter__(self) -> Child:
         return self

@@ -1,0 +1,224 @@
+"""Trials: a simulated board, a service of its own and a client that drives it, for the demo, the bench and the tests.
+
+The board is the judge: every time is taken on its side of the wire, and whether the wheels stopped is its word.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from types import TracebackType
+
+from failstop.board.sim.client import Event, SimBoard
+from failstop.errors import FailstopError
+from failstop.robot import Robot
+from failstop.shm import layout
+
+READY_S = 10.0
+COMMAND_EVERY_S = 0.02
+AFTERMATH_S = 0.25
+"""How long the client goes on commanding after a fault, while nothing may move."""
+
+
+class TrialError(Exception):
+    """The trial could not be carried out; says what was waited for and what was seen."""
+
+
+def wait_for(what: str, check: Callable[[], bool], timeout_s: float = READY_S) -> None:
+    """Poll until `check` is true. Raises TrialError after `timeout_s`."""
+    until_s = time.monotonic() + timeout_s
+    while not check():
+        if time.monotonic() > until_s:
+            raise TrialError(f"waited {timeout_s:g} s for {what}")
+        time.sleep(0.002)
+
+
+class Service:
+    """A `failstop run` of its own; stderr is kept in a file."""
+
+    def __init__(self, name: str, device: str, options: tuple[str, ...] = ()) -> None:
+        self.name = name
+        self._log = tempfile.NamedTemporaryFile("w+", prefix=f"{name}-", suffix=".log")  # noqa: SIM115
+        self._command = [sys.executable, "-m", "failstop", "run", "--name", name, "--device", device, *options]
+        self.started_ns = 0
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Exec the service and wait until motion could be enabled. Raises TrialError with what it said."""
+        self.exec()
+        wait_for(f"service {self.name} to be ready", self.ready)
+
+    def exec(self) -> None:
+        """Exec the service; `started_ns` is just before."""
+        self.started_ns = time.monotonic_ns()
+        self.process = subprocess.Popen(self._command, stdin=subprocess.DEVNULL, stderr=self._log)
+
+    def ready(self) -> bool:
+        """True when every process beats and the port is open. Raises TrialError when the service has ended."""
+        if self.process is None or self.process.poll() is not None:
+            raise TrialError(f"the service ended: {self.said()}")
+        try:
+            with Robot(self.name) as robot:
+                state = robot.state
+                return state.waiting_for is None and state.processes[layout.SUPERVISOR].pid == self.process.pid
+        except FailstopError:
+            return False
+
+    def said(self) -> str:
+        """Everything it wrote to stderr so far."""
+        with open(self._log.name, encoding="utf-8", errors="replace") as file:
+            return file.read()
+
+    def pids(self) -> dict[str, int]:
+        """The pid of each process now."""
+        with Robot(self.name) as robot:
+            return {name: process.pid for name, process in robot.state.processes.items()}
+
+    def kill(self) -> None:
+        """SIGKILL the supervisor and collect it; the rest ends by itself."""
+        if self.process:
+            self.process.kill()
+            self.process.wait()
+
+    def end(self) -> int:
+        """SIGTERM; returns the exit code."""
+        if self.process is None:
+            return 0
+        with contextlib.suppress(ProcessLookupError):
+            self.process.send_signal(signal.SIGTERM)
+        try:
+            return self.process.wait(5)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            raise TrialError(f"the service did not end within 5 s: {self.said()}") from None
+
+    def close(self) -> None:
+        """End it, whatever state it is in."""
+        if self.process and self.process.poll() is None:
+            self.end()
+        self._log.close()
+
+
+@dataclasses.dataclass(frozen=True)
+class Stopped:
+    """What the board saw after a fault. Times in ns from the fault; None: it never came."""
+
+    fault_ns: int
+    stop_ns: int | None
+    """To the arrival of the last byte of the first stop frame that the board executed."""
+    executed_ns: int | None
+    """To its execution: the arrival and the wire's time."""
+    still_ns: int | None
+    """To the last wheel at zero."""
+    motion_after: int
+    """Motor frames executed after that stop that moved a wheel."""
+    was_moving: bool
+
+
+def judge(events: list[Event], fault_ns: int, was_moving: bool) -> Stopped:
+    """What the board's events say of a fault at `fault_ns`."""
+    after = [event for event in events if event.is_motor and event.arrival_ns >= fault_ns]
+    stop = next((event for event in after if event.is_stop), None)
+    if stop is None:
+        return Stopped(fault_ns, None, None, None, sum(event.is_motion for event in after), was_moving)
+    still = next(event for event in after if not any(event.speeds))
+    return Stopped(
+        fault_ns,
+        stop.arrival_ns - fault_ns,
+        stop.executed_ns - fault_ns,
+        still.executed_ns - fault_ns,
+        sum(event.is_motion for event in after if event.index > stop.index),
+        was_moving,
+    )
+
+
+class Trial:
+    """A context manager: board, service and driving client under a name of their own."""
+
+    def __init__(self, name: str | None = None, options: tuple[str, ...] = (), imu_hz: float = 110.0) -> None:
+        self.name = name or f"trial-{os.getpid()}"
+        self._directory = tempfile.TemporaryDirectory(prefix="failstop-")
+        self.link = os.path.join(self._directory.name, "board")
+        self.board = SimBoard(self.link, imu_hz=imu_hz)
+        self.service = Service(self.name, self.link, options)
+        self._robot: Robot | None = None
+
+    def __enter__(self) -> Trial:
+        try:
+            self.board.__enter__()
+            self.service.start()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End everything that was started."""
+        self.leave()
+        self.service.close()
+        self.board.close()
+        self._directory.cleanup()
+
+    @property
+    def robot(self) -> Robot:
+        """The driving client, connected to the run that is there now."""
+        if self._robot is None:
+            self._robot = Robot(self.name, client="trial")
+        return self._robot
+
+    def leave(self) -> None:
+        """Disconnect the driving client."""
+        if self._robot:
+            self._robot.close()
+            self._robot = None
+
+    def enable(self) -> None:
+        """Reset what is latched and enable motion."""
+        if self.robot.state.estop:
+            self.robot.reset()
+        self.robot.enable()
+
+    def drive(self, seconds: float, velocity: tuple[float, float, float] = (0.2, 0.0, 0.0)) -> None:
+        """Command a velocity every 20 ms; a service that is gone is commanded in vain."""
+        until_s = time.monotonic() + seconds
+        while (left_s := until_s - time.monotonic()) > 0:
+            with contextlib.suppress(FailstopError):
+                self.robot.drive(*velocity)
+            time.sleep(min(COMMAND_EVERY_S, left_s))
+
+    def moving(self) -> bool:
+        """The board's word on whether a wheel turns."""
+        return any(self.board.wheels())
+
+    def kill(self, process: str, drive_s: float = 0.15) -> Stopped:
+        """SIGKILL one process while driving; the client goes on commanding for AFTERMATH_S."""
+        pid = self.service.pids()[process]
+        self.board.events()
+        self.drive(drive_s)
+        was_moving = self.moving()
+        fault_ns = time.monotonic_ns()
+        os.kill(pid, signal.SIGKILL)
+        self.drive(AFTERMATH_S)
+        return judge(self.board.events(), fault_ns, was_moving)
+
+    def recover(self, process: str, pid: int) -> float:
+        """Wait until the service is whole again after the death of `process`, whose pid was `pid`; returns the time
+        that took, in seconds. A dead supervisor is started anew, as systemd would."""
+        start_s = time.monotonic()
+        if process == layout.SUPERVISOR:
+            self.leave()
+            self.service.kill()
+            self.service.start()
+        else:
+            wait_for(f"{process} to be restarted", lambda: self.service.ready() and self.service.pids()[process] != pid)
+        return time.monotonic() - start_s

@@ -1,0 +1,234 @@
+"""Latest: the newest whole value, with a writer that runs, dies in mid-write, and has a successor."""
+
+from __future__ import annotations
+
+import mmap
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.shm import slot
+from failstop.shm.latest import LatestReader, LatestWriter, record_bytes, slot_bytes
+from failstop.shm.views import View
+from tests.shm.children import Child
+from tests.shm.memory import Cut, Death, Memory, exit_after, genuine, payload_of, time_of
+
+SEED = slot.seed("test.latest", 1)
+AT = 128
+
+
+def pair(view: View, capacity: int) -> tuple[LatestWriter, LatestReader]:
+    return LatestWriter(view, AT, capacity, SEED), LatestReader(view, AT, capacity, SEED)
+
+
+def write(writer: LatestWriter, seq: int, size: int) -> None:
+    assert writer.write(payload_of(seq, size), time_of(seq)) == seq
+
+
+def test_never_written_is_none() -> None:
+    _, reader = pair(Memory(AT + record_bytes(40)), 40)
+    assert reader.read() is None
+
+
+def test_the_newest_value_is_read_and_stays() -> None:
+    writer, reader = pair(Memory(AT + record_bytes(40)), 40)
+    for seq in range(1, 20):
+        write(writer, seq, seq % 41)
+        for _ in range(2):
+            assert reader.read() == (seq, time_of(seq), payload_of(seq, seq % 41))
+
+
+def test_time_is_taken_from_the_monotonic_clock_when_none_is_given() -> None:
+    writer, reader = pair(Memory(AT + record_bytes(8)), 8)
+    before = time.monotonic_ns()
+    writer.write(b"x")
+    entry = reader.read()
+    assert entry is not None
+    assert before <= entry[1] <= time.monotonic_ns()
+
+
+def test_one_store_and_one_copy() -> None:
+    """The rule everything rests on: a write is one slice assignment, a read of whole memory one slice copy."""
+    memory = Memory(AT + record_bytes(40))
+    writer, reader = pair(memory, 40)
+    memory.copies.clear()
+    write(writer, 1, 40)
+    write(writer, 2, 13)
+    assert [(at, len(data)) for at, data in memory.stores] == [(AT + slot_bytes(40), 64), (AT, 37)]
+    assert memory.copies == []
+    reader.read()
+    assert memory.copies == [slice(AT, AT + record_bytes(40))]
+
+
+def test_nothing_outside_the_record_is_touched() -> None:
+    memory = Memory(AT + record_bytes(40) + 64)
+    memory.data[:AT] = b"\xa5" * AT
+    memory.data[-64:] = b"\xa5" * 64
+    writer, _ = pair(memory, 40)
+    for seq in range(1, 6):
+        write(writer, seq, 40)
+    assert memory.data[:AT] == b"\xa5" * AT
+    assert memory.data[-64:] == b"\xa5" * 64
+
+
+def test_too_large_a_payload_changes_nothing() -> None:
+    memory = Memory(AT + record_bytes(40))
+    writer, reader = pair(memory, 40)
+    write(writer, 1, 40)
+    held = bytes(memory.data)
+    with pytest.raises(slot.PayloadTooLarge):
+        writer.write(bytes(41))
+    assert bytes(memory.data) == held
+    write(writer, 2, 40)
+    assert reader.read() == (2, time_of(2), payload_of(2, 40))
+
+
+@pytest.mark.parametrize("damage", ["first byte", "last byte", "zeroed", "filled", "other record", "other run"])
+def test_a_damaged_newest_falls_back_to_the_one_before(damage: str) -> None:
+    memory = Memory(AT + record_bytes(40))
+    writer, reader = pair(memory, 40)
+    for seq in range(1, 8):
+        write(writer, seq, 40)
+        at = AT + (seq & 1) * slot_bytes(40)
+        whole = bytes(memory.data[at : at + 64])
+        foreign = slot.seed("test.other" if damage == "other record" else "test.latest", 2)
+        memory.data[at : at + 64] = {
+            "first byte": bytes([whole[0] ^ 1]) + whole[1:],
+            "last byte": whole[:-1] + bytes([whole[-1] ^ 0x80]),
+            "zeroed": bytes(64),
+            "filled": b"\xff" * 64,
+            "other record": slot.build(seq, time_of(seq), payload_of(seq, 40), foreign, 40),
+            "other run": slot.build(seq, time_of(seq), payload_of(seq, 40), foreign, 40),
+        }[damage]
+        assert reader.read() == ((seq - 1, time_of(seq - 1), payload_of(seq - 1, 40)) if seq > 1 else None)
+        memory.data[at : at + 64] = whole
+        assert reader.read() == (seq, time_of(seq), payload_of(seq, 40))
+
+
+def test_both_damaged_is_none() -> None:
+    memory = Memory(AT + record_bytes(40))
+    writer, reader = pair(memory, 40)
+    write(writer, 1, 40)
+    write(writer, 2, 40)
+    memory.data[AT] ^= 1
+    memory.data[AT + slot_bytes(40)] ^= 1
+    assert reader.read() is None
+
+
+def test_a_death_at_every_byte_of_a_write_leaves_the_value_before_and_a_successor_goes_on() -> None:
+    capacity = 40
+    size = slot.HEADER_BYTES + capacity
+    for cut in range(size + 1):
+        memory = Cut(AT + record_bytes(capacity))
+        writer, reader = pair(memory, capacity)
+        last = 0
+        for generation in range(4):
+            for _ in range(1 + (generation + cut) % 3):
+                last += 1
+                write(writer, last, capacity)
+            memory.left = cut
+            with pytest.raises(Death):
+                writer.write(payload_of(last + 1, capacity), time_of(last + 1))
+            last += cut == size
+            assert reader.read() == (last, time_of(last), payload_of(last, capacity))
+            writer = LatestWriter(memory, AT, capacity, SEED)
+
+
+def test_deaths_one_after_the_other_in_the_same_slot() -> None:
+    """Each successor dies in mid-write too: the last whole value outlives them all."""
+    memory = Cut(AT + record_bytes(40))
+    writer, reader = pair(memory, 40)
+    write(writer, 1, 40)
+    for cut in range(64):
+        writer = LatestWriter(memory, AT, 40, SEED)
+        memory.left = cut
+        with pytest.raises(Death):
+            writer.write(payload_of(2, 40), time_of(2))
+        assert reader.read() == (1, time_of(1), payload_of(1, 40))
+
+
+def test_two_writes_that_overtake_one_copy_are_not_no_value() -> None:
+    """A reader that sleeps in the middle of its copy finds both slots torn, though there always was a whole value."""
+    memory = Memory(AT + record_bytes(40))
+    writer, reader = pair(memory, 40)
+    write(writer, 1, 40)
+    write(writer, 2, 40)
+    size = slot_bytes(40)
+
+    class Overtaken(Memory):
+        sleeps = 1
+
+        def __getitem__(self, where: slice) -> bytes:
+            if not self.sleeps:
+                return memory[where]
+            self.sleeps -= 1
+            early = memory[where]
+            write(writer, 3, 40)
+            write(writer, 4, 40)
+            late = memory[where]
+            half = size // 2
+            return early[:half] + late[half:size] + early[size : size + half] + late[size + half :]
+
+    overtaken = LatestReader(Overtaken(0), AT, 40, SEED)
+    assert overtaken.read() == (4, time_of(4), payload_of(4, 40))
+    assert reader.read() == (4, time_of(4), payload_of(4, 40))
+
+
+@given(cuts=st.lists(st.tuples(st.integers(0, 70), st.integers(0, 46), st.booleans()), max_size=40))
+def test_model(cuts: list[tuple[int, int, bool]]) -> None:
+    """Any series of writes, deaths and successors against the obvious model: the last value that was wholly stored."""
+    memory = Cut(AT + record_bytes(40))
+    writer, reader = pair(memory, 40)
+    seq, value = 0, None
+    for cut, size, dies in cuts:
+        payload = payload_of(seq + 1, size)
+        if size > 40:
+            with pytest.raises(slot.PayloadTooLarge):
+                writer.write(payload, 5)
+        elif not dies:
+            seq, value = seq + 1, payload
+            assert writer.write(payload, 5) == seq
+        else:
+            memory.left = cut
+            with pytest.raises(Death):
+                writer.write(payload, 5)
+            found = reader.read()
+            # The model is told what the death left; a cut behind the last byte that differs is a whole write.
+            if found is not None and found[0] == seq + 1:
+                assert found[2] == payload
+                seq, value = found[0], payload
+            writer = LatestWriter(memory, AT, 40, SEED)
+        assert reader.read() == (None if value is None else (seq, 5, value))
+
+
+@pytest.mark.parametrize("capacity", [8, 320, 2048, 65536])
+def test_a_writer_at_full_speed(capacity: int) -> None:
+    """Read all the while: every value is whole, none is older than the one before it, and there always is one."""
+    memory = mmap.mmap(-1, AT + record_bytes(capacity))
+    writer, reader = pair(memory, capacity)
+    write(writer, 1, capacity)
+
+    def work(send: object, wait: object) -> None:
+        check = exit_after(30)
+        seq = 1
+        while True:
+            seq += 1
+            writer.write(payload_of(seq, capacity), time_of(seq))
+            if seq % 1024 == 0:
+                check()
+
+    with Child(work):
+        last = reads = 0
+        end = time.monotonic() + 0.4
+        limit = time.monotonic() + 20
+        while time.monotonic() < limit and (time.monotonic() < end or last < 200):
+            entry = reader.read()
+            assert entry is not None
+            assert genuine(entry, capacity)
+            assert entry[0] >= last
+            last = entry[0]
+            reads += 1
+    assert last >= 200
+    assert reads > 200

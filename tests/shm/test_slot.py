@@ -1,0 +1,241 @@
+"""The slot: what one slice copy accepts, over every mix of old and new bytes that a write can leave."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.shm import slot
+from failstop.shm.layout import SEGMENTS
+
+SEED = slot.seed("gate.state", 0x0123456789ABCDEF)
+
+
+def image(seq: int, t_ns: int, payload: bytes, seed: int = SEED) -> bytes:
+    return slot.build(seq, t_ns, payload, seed, len(payload))
+
+
+def mixes(old: bytes, new: bytes, word: int) -> list[bytes]:
+    """All 2**n mixes of the n words of two images of one size, each once, in Gray order."""
+    assert len(old) == len(new)
+    assert len(old) % word == 0
+    count = len(old) // word
+    now = bytearray(old)
+    taken = [False] * count
+    found = [bytes(now)]
+    for step in range(1, 1 << count):
+        i = (step & -step).bit_length() - 1
+        taken[i] = not taken[i]
+        now[i * word : (i + 1) * word] = (new if taken[i] else old)[i * word : (i + 1) * word]
+        found.append(bytes(now))
+    assert bytes(now) == old[: (count - 1) * word] + new[(count - 1) * word :]
+    return found
+
+
+def padded(data: bytes, size: int, rest: bytes = b"") -> bytes:
+    """The slot's bytes in memory: the image, then whatever an older and longer one left behind it."""
+    left = (rest or bytes(size))[len(data) : size]
+    return data + left + bytes(size - len(data) - len(left))
+
+
+def only_pure(old: bytes, new: bytes, word: int) -> tuple[int, int]:
+    """Check every mix; returns how many were checked and how many were accepted."""
+    allowed = {slot.check(old, SEED), slot.check(new, SEED)}
+    assert None not in allowed
+    checked = accepted = 0
+    for mix in mixes(old, new, word):
+        checked += 1
+        entry = slot.check(mix, SEED)
+        if entry is None:
+            continue
+        accepted += 1
+        assert entry in allowed
+        # Accepted only when all that the CRC covers is of one image; behind it anything may lie.
+        stop = slot.HEADER_BYTES + len(entry[2])
+        assert mix[:stop] in (old[:stop], new[:stop])
+    return checked, accepted
+
+
+def counter(value: int, size: int) -> bytes:
+    return (value.to_bytes(8, "little") * (size // 8 + 1))[:size]
+
+
+PAIRS_OF_PAYLOADS: dict[str, tuple[Callable[[int], bytes], Callable[[int], bytes]]] = {
+    "counter + 1": (lambda n: counter(41, n), lambda n: counter(42, n)),
+    "counter wraps a byte": (lambda n: counter(255, n), lambda n: counter(256, n)),
+    "zeros to zeros": (bytes, bytes),
+    "zeros to ones": (bytes, lambda n: b"\1" * n),
+    "zeros to 0xff": (bytes, lambda n: b"\xff" * n),
+    "complement": (lambda n: b"\x55" * n, lambda n: b"\xaa" * n),
+    "same text": (lambda n: (b"front_left " * 20)[:n], lambda n: (b"front_left " * 20)[:n]),
+    "one bit": (lambda n: b"\x10" * n, lambda n: b"\x10" * (n - 1) + b"\x11"),
+    "first bit": (lambda n: b"\x10" * n, lambda n: b"\x11" + b"\x10" * (n - 1)),
+    "floats": (
+        lambda n: struct.pack(f"<{n // 8}d", *range(n // 8)),
+        lambda n: struct.pack(f"<{n // 8}d", *[0.2] * (n // 8)),
+    ),
+}
+STEPS = {
+    "next seq, next ms": (7, 10**15, 8, 10**15 + 10**6),
+    "next seq, same time": (7, 9, 8, 9),
+    "carry": (255, 5, 256, 6),
+}
+
+
+@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("pair", PAIRS_OF_PAYLOADS)
+@pytest.mark.parametrize("size", [64, 72, 80, 96])
+def test_every_mix_of_8_byte_words(size: int, pair: str, step: str) -> None:
+    before, after = PAIRS_OF_PAYLOADS[pair]
+    seq, t_ns, seq_after, t_after_ns = STEPS[step]
+    room = size - slot.HEADER_BYTES
+    old, new = image(seq, t_ns, before(room)), image(seq_after, t_after_ns, after(room))
+    checked, accepted = only_pure(old, new, 8)
+    assert checked == 2 ** (size // 8)
+    # Words that are the same in both images make several mixes one image.
+    same = sum(old[i : i + 8] == new[i : i + 8] for i in range(0, size, 8))
+    assert accepted == 2 * 2**same
+
+
+@pytest.mark.parametrize("pair", PAIRS_OF_PAYLOADS)
+def test_every_mix_of_4_byte_words(pair: str) -> None:
+    before, after = PAIRS_OF_PAYLOADS[pair]
+    old, new = image(1000, 5_000, before(40)), image(1002, 7_000, after(40))
+    checked, accepted = only_pure(old, new, 4)
+    assert checked == 2**16
+    same = sum(old[i : i + 4] == new[i : i + 4] for i in range(0, 64, 4))
+    assert accepted == 2 * 2**same
+
+
+@pytest.mark.parametrize(("shorter", "longer"), [(0, 40), (8, 40), (16, 24), (33, 40), (39, 40), (1, 2), (40, 40)])
+@pytest.mark.parametrize("grows", [True, False])
+def test_every_mix_of_payloads_of_different_length(shorter: int, longer: int, grows: bool) -> None:
+    """A shorter image leaves the tail of the one before it, and of those before that, in the slot."""
+    oldest = image(3, 1, b"\xee" * 40)
+    a, b = counter(7, shorter), counter(8, longer)
+    if not grows:
+        a, b = b, a
+    old = padded(image(5, 2, a), 64, oldest)
+    new = padded(image(7, 3, b), 64, old)
+    for word in (8, 4):
+        only_pure(old, new, word)
+
+
+@pytest.mark.parametrize("pair", PAIRS_OF_PAYLOADS)
+def test_every_window_of_new_bytes_and_of_old_ones(pair: str) -> None:
+    """A store that goes up, down, or outwards from any byte to any other, and one that left a hole."""
+    before, after = PAIRS_OF_PAYLOADS[pair]
+    old, new = image(1, 5, before(72)), image(3, 6, after(72))
+    allowed = {slot.check(old, SEED): old, slot.check(new, SEED): new}
+    for first, second in ((old, new), (new, old)):
+        for start, stop in itertools.combinations(range(len(old) + 1), 2):
+            mix = first[:start] + second[start:stop] + first[stop:]
+            entry = slot.check(mix, SEED)
+            assert entry is None or allowed[entry] == mix
+
+
+def test_every_mix_of_three_generations() -> None:
+    """A death in mid-write, then a death in the mid-write of the successor: words of three images."""
+    images = [image(5 + 2 * i, 100 + i, counter(5 + 2 * i, 40)) for i in range(3)]
+    allowed = {slot.check(whole, SEED): whole for whole in images}
+    accepted = 0
+    for choice in itertools.product(range(3), repeat=8):
+        mix = b"".join(images[c][i * 8 : i * 8 + 8] for i, c in enumerate(choice))
+        entry = slot.check(mix, SEED)
+        if entry is not None:
+            accepted += 1
+            assert allowed[entry] == mix
+    assert accepted == 3
+
+
+def test_every_single_bit_error_is_refused() -> None:
+    whole = image(77, 88, counter(12345, 40))
+    for bit in range(len(whole) * 8):
+        flipped = bytearray(whole)
+        flipped[bit // 8] ^= 1 << bit % 8
+        assert slot.check(bytes(flipped), SEED) is None
+
+
+def test_all_pairs_of_bit_errors_are_refused() -> None:
+    whole = image(77, 88, b"stop")
+    for one, two in itertools.combinations(range(len(whole) * 8), 2):
+        flipped = bytearray(whole)
+        flipped[one // 8] ^= 1 << one % 8
+        flipped[two // 8] ^= 1 << two % 8
+        assert slot.check(bytes(flipped), SEED) is None
+
+
+@given(
+    seq=st.integers(1, 2**64 - 1),
+    t_ns=st.integers(0, 2**64 - 1),
+    payload=st.binary(max_size=300),
+    tail=st.binary(max_size=40),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_round_trip_with_anything_behind_it(seq: int, t_ns: int, payload: bytes, tail: bytes, seed: int) -> None:
+    raw = slot.build(seq, t_ns, payload, seed, 300) + tail
+    assert slot.check(raw, seed) == (seq, t_ns, payload)
+    assert slot.sequence(raw) == seq
+
+
+@given(payload=st.binary(max_size=60), at=st.integers(0, 64), cut=st.integers(0, 84))
+def test_a_cut_copy_is_not_whole(payload: bytes, at: int, cut: int) -> None:
+    raw = bytes(at) + image(9, 9, payload)
+    cut = min(cut, slot.HEADER_BYTES + len(payload))
+    assert slot.check(raw[: at + cut], SEED, at) == ((9, 9, payload) if len(raw) == at + cut else None)
+    assert slot.check(raw, SEED, at, cut) == ((9, 9, payload) if len(raw) == at + cut else None)
+
+
+@given(raw=st.binary(max_size=200), at=st.integers(0, 220), size=st.none() | st.integers(0, 220))
+def test_any_bytes_are_no_crash(raw: bytes, at: int, size: int | None) -> None:
+    assert slot.check(raw, SEED, at, size) is None
+    assert slot.sequence(raw, at) >= 0
+
+
+@pytest.mark.parametrize("filler", [b"\0", b"\xff", b"\xaa", b"\x55", b"\x01"])
+def test_filled_memory_is_not_a_record(filler: bytes) -> None:
+    for size in (24, 64, 328, 2112):
+        for seed in (0, SEED, 0xFFFFFFFF):
+            assert slot.check(filler * size, seed) is None
+
+
+def test_sequence_0_is_never_a_record() -> None:
+    assert slot.check(image(0, 1, b"payload"), SEED) is None
+
+
+def test_a_length_beyond_the_slot_is_refused_even_with_a_right_crc() -> None:
+    """The length leads into the next slot: its bytes must not be taken for this one's."""
+    raw = image(1, 1, b"x" * 100)
+    assert slot.check(raw, SEED) is not None
+    assert slot.check(raw, SEED, 0, 64) is None
+
+
+def test_a_payload_over_the_capacity_is_refused_by_name() -> None:
+    slot.build(1, 1, b"12345678", SEED, 8)
+    with pytest.raises(slot.PayloadTooLarge, match="payload of 9 bytes, the record holds 8"):
+        slot.build(1, 1, b"123456789", SEED, 8)
+
+
+def test_every_record_of_the_layout_has_its_own_seed() -> None:
+    """A slot copied to the place of another record, or left from another run, never passes there."""
+    names = ["header"] + [f"{spec.name}.{record}" for spec in SEGMENTS for record in spec.records]
+    for incarnation in (0, 1, 2, 0x0123456789ABCDEF, 2**64 - 1):
+        seeds = {slot.seed(name, incarnation) for name in names}
+        assert len(seeds) == len(names)
+
+
+@given(payload=st.binary(max_size=100), one=st.integers(0, 2**32 - 1), two=st.integers(0, 2**32 - 1))
+def test_a_slot_passes_with_no_other_seed(payload: bytes, one: int, two: int) -> None:
+    raw = slot.build(1, 1, payload, one, 100)
+    assert (slot.check(raw, two) is not None) == (one == two)
+
+
+@given(one=st.integers(0, 2**64 - 1), two=st.integers(0, 2**64 - 1))
+def test_runs_have_different_seeds(one: int, two: int) -> None:
+    """Unequal as long as the CRC of the incarnation itself differs, which it does but for 1 pair in 2**32."""
+    assert (slot.seed("gate.state", one) == slot.seed("gate.state", two)) == (one == two)
