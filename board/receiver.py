@@ -70,7 +70,7 @@ class Receiver:
                 part = chunk[at : at + self.remaining]
                 self.data += part
                 at += len(part)
-                if self.remaining == 0:
+                if self.remaining <= 0:
                     self.state = CRC
             else:
                 if self._byte(chunk[at]):

@@ -18,17 +18,23 @@ if TYPE_CHECKING:
 class LatestReader:
     """Reads the newest whole value of a record."""
 
-    __slots__ = ("_at", "_seed", "_slot_bytes", "_view")
+    __slots__ = ("_at", "_seed", "_seen", "_slot_bytes", "_view")
 
     def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
         self._view = view
         self._at = offset
         self._slot_bytes = slot_bytes(capacity)
         self._seed = crc_seed
+        self._seen = 0
 
     def read(self) -> Entry | None:
         """Return (seq, t_mono_ns, payload) of the newest whole value, or None when there is none."""
-        return self._copy() or self._copy()  # twice: two writes may have overtaken the first copy in its middle
+        for _ in range(3):  # two writes that overtake a copy leave it without a value, or with one older than seen
+            entry = self._copy()
+            if entry and entry[0] >= self._seen:
+                break
+        self._seen = entry[0] if entry else self._seen
+        return entry
 
     def _copy(self) -> Entry | None:
         size = self._slot_bytes

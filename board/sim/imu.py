@@ -7,6 +7,7 @@ still, 0.005 to 0.006 at 0.2 m/s, 0.006 to 0.010 at 0.35 m/s, and down to 0.004 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from math import degrees, exp, hypot, isfinite, pi
 from random import Random
 
@@ -32,9 +33,8 @@ WILD_MPS = 2.0
 def rim_speeds_mps(speeds_rps: Sequence[float]) -> list[float]:
     """Wheel speeds at the rim in m/s; what is not finite or beyond the motor counts as its top speed."""
     top = WILD_MPS
-    return [
-        max(-top, min(top, rps * pi * WHEEL_DIAMETER_M)) if isfinite(rps) else top for rps in speeds_rps
-    ]  # fmt: skip
+    around_m = pi * WHEEL_DIAMETER_M
+    return [max(-top, min(top, rps * around_m)) if isfinite(rps) else top for rps in speeds_rps]
 
 
 def turn_rate_rad_s(speeds_rps: Sequence[float]) -> float:
@@ -52,28 +52,25 @@ def shaking_mps(speeds_rps: Sequence[float]) -> float:
 
 def gyro_noise_rad_s(speed_mps: float) -> float:
     """Standard deviation of gyro x and y at a steady speed of straight driving."""
-    for (low, low_std), (high, high_std) in zip(GYRO_NOISE, GYRO_NOISE[1:], strict=False):
+    for (low, low_std), (high, high_std) in pairwise(GYRO_NOISE):
         if speed_mps <= high:
             return low_std + (high_std - low_std) * (speed_mps - low) / (high - low)
     return GYRO_NOISE[-1][1]
 
 
 class Imu:
-    """The IMU's state. `bias_rad_s` (x, y, z) may be set at any time."""
+    """The IMU of a robot that stands still at start_ns. `bias_rad_s` (x, y, z) may be set at any time."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, start_ns: int, seed: int) -> None:
         self.bias_rad_s = (0.0, 0.0, 0.0)
         self._gauss = Random(seed).gauss
         self._shaking_mps = 0.0
         self._turning_rad_s = 0.0
-        self._last_ns: int | None = None
+        self._last_ns = start_ns
 
     def sample(self, speeds_rps: Sequence[float], t_ns: int) -> tuple[float, float, float, float, float, float]:
         """One sample as on the wire: acceleration x y z in g, gyro x y z in deg/s. Times must not go back."""
-        if self._last_ns is None:
-            follow = 1.0
-        else:
-            follow = 1.0 - exp((self._last_ns - t_ns) / (SETTLING_S * 1e9))
+        follow = 1.0 - exp((self._last_ns - t_ns) / (SETTLING_S * 1e9))
         self._last_ns = t_ns
         self._shaking_mps += follow * (shaking_mps(speeds_rps) - self._shaking_mps)
         self._turning_rad_s += follow * (turn_rate_rad_s(speeds_rps) - self._turning_rad_s)

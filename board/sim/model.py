@@ -14,8 +14,8 @@ wheels from a gamepad by itself.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 from random import Random
-from typing import NamedTuple
 
 from failstop.board import upward
 from failstop.board.codec import MOTOR, PWM_SERVO
@@ -28,8 +28,9 @@ Speeds = tuple[float, float, float, float]
 BYTE_NS = 10_000
 BATTERY_PERIOD_NS = 1_050_000_000
 PAD_PERIOD_NS = 50_000_000
-# An event is some 400 bytes, so this is 40 MB: half an hour of driving at 50 frames a second.
-EVENTS_KEPT = 100_000
+# At least this many executed frames are kept, and at most twice as many: half an hour of driving at 50 frames a second
+# in 20 MB.
+FRAMES_KEPT = 100_000
 # A board that was not run for longer than this has lost its telemetry instead of sending it in one heap.
 CATCH_UP_NS = 100_000_000
 # The firmware averages the battery voltage: a step takes three readings to show.
@@ -38,7 +39,8 @@ PWM_SERVOS = 4
 NEVER = 1 << 63
 
 
-class Frame(NamedTuple):
+@dataclass(slots=True)
+class Frame:
     """A frame the board has executed. `speeds` are the wheels' after it, in rps; `wild` are writes that went outside
     the motor table, (id, rps) each; `arrival_ns` is when its last byte was read, `executed_ns` when it took effect."""
 
@@ -62,17 +64,17 @@ def commands_stop(func: int, data: bytes) -> bool:
 class BoardModel:
     """The board. Feed it with receive(), let time pass with advance(); `next_ns` says when the latter is due.
 
-    `executed` holds the last EVENTS_KEPT frames and `executed_total` how many there were. The faults below may be set
-    at any time and hold for what comes after.
+    `imu_hz` is the IMU's rate, 0 for a board without one; `first_invalid` as in Receiver. `executed_total` is how many
+    frames have been executed, `wheels` what the wheels do now (rps). The faults below may be set at any time and hold
+    for what comes after.
     """
 
     def __init__(
         self, start_ns: int, *, imu_hz: float = 110.0, battery_mv: int = 12_000, seed: int = 0, first_invalid: int = 12
     ) -> None:
-        self.executed: deque[Frame] = deque(maxlen=EVENTS_KEPT)
         self.executed_total = 0
         self.wheels: Speeds = (0.0, 0.0, 0.0, 0.0)
-        self.imu = Imu(seed)
+        self.imu = Imu(start_ns, seed)
         self.battery_mv = battery_mv
 
         # Faults.
@@ -83,6 +85,7 @@ class BoardModel:
         self.garble_up = 0.0
         self.cut_bytes = 0
 
+        self._executed: list[Frame] = []
         self._receiver = Receiver(first_invalid)
         self._motors = Motors()
         self._faults = Random(seed + 1)
@@ -90,7 +93,7 @@ class BoardModel:
         self._outbox: deque[tuple[int, bytes]] = deque()
         self._down_free_ns = start_ns
         self._up_free_ns = start_ns
-        self._imu_period_ns = round(1e9 / imu_hz)
+        self._imu_period_ns = round(1e9 / imu_hz) if imu_hz else NEVER
         self._imu_ns = start_ns + self._imu_period_ns
         self._battery_shown_mv = battery_mv
         self._battery_ns = start_ns + BATTERY_PERIOD_NS
@@ -127,8 +130,25 @@ class BoardModel:
                 self._motors.wild.clear()
         elif func == PWM_SERVO:
             self._pwm_servo(data, executed_ns)
-        self.executed.append(Frame(self.executed_total, arrival_ns, executed_ns, func, data, self.wheels, wild))
+        self._executed.append(Frame(self.executed_total, arrival_ns, executed_ns, func, data, self.wheels, wild))
         self.executed_total += 1
+        if len(self._executed) >= 2 * FRAMES_KEPT:
+            del self._executed[:FRAMES_KEPT]
+
+    @property
+    def first_kept(self) -> int:
+        """The index of the oldest frame that executed() still has."""
+        return self.executed_total - len(self._executed)
+
+    @property
+    def settled_ns(self) -> int | None:
+        """When the last frame that has arrived will have been executed; None when there is none on the wire."""
+        return self._pending[-1][0] if self._pending else None
+
+    def executed(self, since: int, limit: int | None = None) -> list[Frame]:
+        """The frames executed from index `since` on, the oldest first, up to `limit` of them."""
+        begin = max(0, since - self.first_kept)
+        return self._executed[begin : None if limit is None else begin + limit]
 
     def _set_wheels(self, wanted: Speeds) -> None:
         if self.refuse_stop:
@@ -181,9 +201,7 @@ class BoardModel:
 
     def _garbled(self, data: bytes, probability: float) -> bytes:
         faults = self._faults
-        return bytes(
-            byte ^ 1 << faults.randrange(8) if faults.random() < probability else byte for byte in data
-        )  # fmt: skip
+        return bytes(byte ^ 1 << faults.randrange(8) if faults.random() < probability else byte for byte in data)
 
     def _report_imu(self, now_ns: int) -> None:
         t_ns = self._imu_ns
@@ -223,7 +241,7 @@ class BoardModel:
         return due_ns
 
     def advance(self, now_ns: int) -> list[bytes]:
-        """Let everything happen that is due by now_ns, in the order of its times; return the upward frames, in order."""
+        """Let everything happen that is due by now_ns, in the order of its times; return the frames sent up."""
         ready: list[bytes] = []
         while True:
             due_ns = self.next_ns

@@ -260,7 +260,8 @@ class PortOwner:
     def next_ns(self, now_ns: int) -> int:
         """When to turn without any news."""
         tick_ns = now_ns + (TICK_NS if not self.wire.lost else self.reopener.EVERY_NS)
-        return min(tick_ns, max(self.repeats.next_ns(), now_ns))
+        repeat_ns = self.repeats.next_ns(moving=self.admission.moving)
+        return tick_ns if repeat_ns is None else min(tick_ns, repeat_ns)
 
 
 def run(context: Context) -> int:

@@ -40,6 +40,8 @@ class Repeats:
             return ZERO
         return 0
 
-    def next_ns(self) -> int:
-        """When to ask again."""
-        return min(self._bursts[0], self._zero_ns) if self._bursts else self._zero_ns
+    def next_ns(self, *, moving: bool) -> int | None:
+        """When to ask again; None: not before the next stop."""
+        if self._bursts:
+            return self._bursts[0] if moving else min(self._bursts[0], self._zero_ns)
+        return None if moving else self._zero_ns

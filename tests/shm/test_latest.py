@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mmap
 import time
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
@@ -11,9 +12,12 @@ from hypothesis import strategies as st
 
 from failstop.shm import slot
 from failstop.shm.latest import LatestReader, LatestWriter, record_bytes, slot_bytes
-from failstop.shm.views import View
-from tests.shm.children import Child
-from tests.shm.memory import Cut, Death, Memory, exit_after, genuine, payload_of, time_of
+
+from .children import Child
+from .memory import Cut, Death, Memory, exit_after, genuine, payload_of, time_of
+
+if TYPE_CHECKING:
+    from failstop.shm.views import View
 
 SEED = slot.seed("test.latest", 1)
 AT = 128

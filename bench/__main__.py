@@ -1,0 +1,80 @@
+"""`python -m bench`: measure everything in one run, print the table, write it as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import platform
+import sys
+import time
+
+from bench import cost, kills, latency
+from bench.stats import Row
+from failstop.trial import Trial
+from failstop.version import VERSION
+
+OPTIONS_TOML = "[restart]\ndeaths = 100000\nbackoff_s = 0.001\n"
+"""So many kills are no crash loop here."""
+
+
+def main() -> int:
+    """Measure; exit code 1 when a bar is missed."""
+    parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
+    parser.add_argument("--kills", type=int, default=200, help="of each process (default: 200)")
+    parser.add_argument("--samples", type=int, default=200, help="of each latency (default: 200)")
+    parser.add_argument("--seconds", type=float, default=20, help="of driving for processor and memory (default: 20)")
+    parser.add_argument("--seed", type=int, default=1, help="of the random moments")
+    parser.add_argument("--out", default="bench/out/bench.json", help="where the JSON goes")
+    arguments = parser.parse_args()
+    os.makedirs(os.path.dirname(arguments.out) or ".", exist_ok=True)
+    config = arguments.out + ".toml"
+    with open(config, "w", encoding="utf-8") as file:
+        file.write(OPTIONS_TOML)
+    rows: list[Row] = []
+    start_s = time.monotonic()
+    with Trial(options=("--config", config)) as trial:
+        realtime = all(process.realtime for process in trial.robot.state.processes.values())
+        rows += cost.measure(trial, arguments.seconds, _progress)
+        rows.append(latency.stop_requests(trial, arguments.samples, arguments.seed, _progress))
+        rows.append(latency.first_commands(trial, arguments.samples, arguments.seed, _progress))
+        rows.append(latency.direction_changes(trial, arguments.samples, arguments.seed, _progress))
+        rows += kills.measure(trial, arguments.kills, arguments.seed, _progress)
+        rows.append(latency.starts(trial, max(3, arguments.samples // 10), _progress))
+    _progress("")
+    machine = {
+        "version": VERSION,
+        "date": time.strftime("%Y-%m-%d"),
+        "python": platform.python_version(),
+        "kernel": platform.release(),
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+        "realtime": realtime,
+        "took_s": round(time.monotonic() - start_s),
+    }
+    _print(rows, machine)
+    with open(arguments.out, "w", encoding="utf-8") as file:
+        json.dump({"machine": machine, "rows": [dataclasses.asdict(row) for row in rows]}, file, indent=2)
+    return 1 if any(row.met is False for row in rows) else 0
+
+
+def _progress(text: str) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r\x1b[K{text}")
+        sys.stderr.flush()
+
+
+def _print(rows: list[Row], machine: dict[str, object]) -> None:
+    print(", ".join(f"{key} {value}" for key, value in machine.items()), "\n")
+    for row in rows:
+        verdict = {True: "met", False: "MISSED", None: ""}[row.met]
+        print(
+            f"{row.measure}\n    {row.result}\n    bar: {row.bar}  {verdict}"
+            if row.bar != "-"
+            else f"{row.measure}\n    {row.result}"
+        )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,120 @@
+"""Latencies of the living service: stop request, command, start."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import time
+from collections.abc import Callable, Iterator
+
+from bench import stats
+from failstop.client import send_stop
+from failstop.trial import Trial
+
+NOBODY = 65534
+
+
+@contextlib.contextmanager
+def unprivileged(action: Callable[[], None]) -> Iterator[Callable[[], int]]:
+    """A process of user nobody that runs `action` on call and says just before when (CLOCK_MONOTONIC, ns)."""
+    asked, ask = os.pipe()
+    told, tell = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        try:
+            os.close(ask)
+            if os.getuid() == 0:
+                os.setgroups([])
+                os.setresgid(NOBODY, NOBODY, NOBODY)
+                os.setresuid(NOBODY, NOBODY, NOBODY)
+            while os.read(asked, 1):
+                now = time.monotonic_ns()
+                action()
+                os.write(tell, now.to_bytes(8, "little"))
+        finally:
+            os._exit(0)
+    os.close(asked)
+    os.close(tell)
+
+    def call() -> int:
+        os.write(ask, b"x")
+        return int.from_bytes(os.read(told, 8), "little")
+
+    try:
+        yield call
+    finally:
+        os.close(ask)
+        os.close(told)
+        os.waitpid(pid, 0)
+
+
+def stop_requests(trial: Trial, count: int, seed: int, progress: Callable[[str], None]) -> stats.Row:
+    """A stop request by an unprivileged client, from the call to the board."""
+    chance = random.Random(seed)
+    samples = []
+    with unprivileged(lambda: send_stop(trial.name, "bench")) as request:
+        for turn in range(count):
+            progress(f"stop requests, {turn + 1} of {count}")
+            trial.enable()
+            trial.drive(chance.uniform(0.06, 0.12))
+            trial.board.events()
+            asked_ns = request()
+            event = trial.board.wait_for(lambda e, since=asked_ns: e.is_stop and e.arrival_ns >= since, 5.0)
+            samples.append(event.arrival_ns - asked_ns)
+            time.sleep(0.15)
+    return stats.timing("stop request by an unprivileged client -> stop frame", samples, p50_ms=0.5, p99_ms=2.0)
+
+
+def first_commands(trial: Trial, count: int, seed: int, progress: Callable[[str], None]) -> stats.Row:
+    """drive() after a pause to the first motor frame that moves a wheel."""
+    chance = random.Random(seed)
+    samples = []
+    trial.enable()
+    for turn in range(count):
+        progress(f"first commands, {turn + 1} of {count}")
+        time.sleep(chance.uniform(0.36, 0.40))
+        trial.board.events()
+        commanded_ns = time.monotonic_ns()
+        trial.robot.drive(0.1, 0.0, 0.0)
+        event = trial.board.wait_for(lambda e, since=commanded_ns: e.is_motion and e.arrival_ns >= since, 5.0)
+        samples.append(event.arrival_ns - commanded_ns)
+    return stats.timing("drive() -> motor frame, first command", samples, p50_ms=0.5, p99_ms=2.0)
+
+
+def direction_changes(trial: Trial, count: int, seed: int, progress: Callable[[str], None]) -> stats.Row:
+    """drive() the other way to the first motor frame that is slower."""
+    chance = random.Random(seed)
+    samples = []
+    trial.enable()
+    for turn in range(count):
+        progress(f"changes of direction, {turn + 1} of {count}")
+        trial.drive(chance.uniform(0.18, 0.22), (0.05, 0.0, 0.0))
+        before = trial.board.wheels()[0]
+        trial.board.events()
+        commanded_ns = time.monotonic_ns()
+        trial.robot.drive(-0.05, 0.0, 0.0)
+        event = trial.board.wait_for(
+            lambda e, since=commanded_ns, was=before: e.is_motor and e.arrival_ns >= since and e.speeds[0] < was, 5.0
+        )
+        samples.append(event.arrival_ns - commanded_ns)
+        trial.drive(0.1, (0.0, 0.0, 0.0))
+    trial.robot.disable()
+    return stats.timing("drive() -> motor frame, change of direction", samples, p50_ms=0.5, p99_ms=2.0)
+
+
+def starts(trial: Trial, count: int, progress: Callable[[str], None]) -> stats.Row:
+    """exec of `failstop run` to the first stop frame on the wire."""
+    samples = []
+    for turn in range(count):
+        progress(f"starts, {turn + 1} of {count}")
+        trial.leave()
+        trial.service.end()
+        trial.board.events()
+        trial.service.start()
+        since = trial.service.started_ns
+        event = next(e for e in trial.board.events() if e.is_stop and e.arrival_ns >= since)
+        samples.append(event.arrival_ns - since)
+    row = stats.timing("exec of `failstop run` -> first stop frame", samples, p50_ms=None, p99_ms=None)
+    row.bar, row.met = "max < 150 ms", row.numbers["max_ms"] < 150
+    return row

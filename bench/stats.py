@@ -1,0 +1,60 @@
+"""Rows of the table: a measure, its samples, its bar."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+
+@dataclasses.dataclass
+class Row:
+    """One line of the table. `met` is None where a row is there to compare with and has no bar."""
+
+    measure: str
+    result: str
+    bar: str
+    met: bool | None
+    numbers: dict[str, Any]
+
+
+def percentiles(samples_ns: list[int]) -> tuple[float, float, float]:
+    """(p50, p99, max) in milliseconds."""
+    if not samples_ns:
+        return float("nan"), float("nan"), float("nan")
+    p50, p99 = np.percentile(np.array(samples_ns) / 1e6, (50, 99))
+    return float(p50), float(p99), max(samples_ns) / 1e6
+
+
+def timing(
+    measure: str, samples_ns: list[int], *, p50_ms: float | None, p99_ms: float | None, floor_ms: float | None = None
+) -> Row:
+    """A row of percentiles with bars in milliseconds; with a floor, the p50 bar is given as a multiple of it."""
+    p50, p99, most = percentiles(samples_ns)
+    result = f"p50 {p50:.2f}  p99 {p99:.2f}  max {most:.2f} ms"
+    bars, met = [], True
+    if floor_ms is not None and p50_ms is not None:
+        ratio = p50 / floor_ms
+        result += f"  ({ratio:.2f} x floor)"
+        bars.append(f"p50 <= {p50_ms:g} x floor")
+        met &= ratio <= p50_ms
+    elif p50_ms is not None:
+        bars.append(f"p50 < {p50_ms:g} ms")
+        met &= p50 < p50_ms
+    if p99_ms is not None:
+        bars.append(f"p99 < {p99_ms:g} ms")
+        met &= p99 < p99_ms
+    numbers = {"p50_ms": p50, "p99_ms": p99, "max_ms": most, "samples": len(samples_ns), "floor_ms": floor_ms}
+    return Row(measure, result, ", ".join(bars) or "-", met if bars else None, numbers)
+
+
+def count(measure: str, found: int, of: int) -> Row:
+    """A row whose bar is zero."""
+    return Row(measure, f"{found} of {of}", "0", found == 0 and of > 0, {"found": found, "of": of})
+
+
+def limit(measure: str, value: float, bar: float, unit: str, detail: str = "") -> Row:
+    """A row with an upper limit."""
+    result = f"{value:.1f} {unit}" + (f"  ({detail})" if detail else "")
+    return Row(measure, result, f"< {bar:g} {unit}", value < bar, {"value": value, "unit": unit, "detail": detail})

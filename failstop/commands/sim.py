@@ -1,0 +1,15 @@
+"""`failstop sim`: a simulated controller board, to try everything without a robot."""
+
+from __future__ import annotations
+
+import argparse
+
+from failstop.board.sim.options import add_arguments, from_arguments
+from failstop.board.sim.serve import serve
+
+__all__ = ["add_arguments", "main"]
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the board until SIGTERM or SIGINT; 0 after that, 1 with a message when it cannot be set up."""
+    return serve(from_arguments(args))

@@ -1,0 +1,51 @@
+"""The running service on a simulated board: what every end-to-end test starts from."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.trial import Trial
+
+_numbers = itertools.count()
+
+MANY_DEATHS = "[restart]\ndeaths = 100000\nbackoff_s = 0.001\n"
+
+
+@pytest.fixture
+def name() -> str:
+    """An instance name that no other test uses."""
+    return f"e2e-{os.getpid()}-{next(_numbers)}"
+
+
+@pytest.fixture
+def trial(name: str) -> Iterator[Trial]:
+    """Board, service and client with the default settings; the service must end well."""
+    with Trial(name) as running:
+        yield running
+
+
+@pytest.fixture
+def hardy_trial(name: str, tmp_path: Path) -> Iterator[Trial]:
+    """The same, but so many deaths are no crash loop."""
+    config = tmp_path / "many-deaths.toml"
+    config.write_text(MANY_DEATHS)
+    with Trial(name, ("--config", str(config))) as running:
+        yield running
+
+
+@pytest.fixture
+def failstop() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run the command line as a user does."""
+
+    def run(*words: str, timeout: float = 20.0) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "failstop", *words]
+        return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
+
+    return run

@@ -1,0 +1,194 @@
+"""Bad input: a clear message that names the thing and the remedy, the right exit code, and nothing moved by it."""
+
+from __future__ import annotations
+
+import os
+import pty
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import posix_ipc
+import pytest
+
+from failstop import FailstopError, NoService, Robot
+from failstop.client import Client
+from failstop.shm import instance, layout, segment, slot
+from failstop.trial import Trial
+
+Cli = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+def _one_line(result: subprocess.CompletedProcess[str]) -> str:
+    """The error, which must be one line."""
+    assert result.stderr.count("\n") == 1, result.stderr
+    return result.stderr.strip()
+
+
+def test_no_device(failstop: Cli, name: str) -> None:
+    result = failstop("run", "--name", name, "--device", "/dev/ttyNONE")
+    assert result.returncode == 1
+    assert _one_line(result).startswith("failstop: no device /dev/ttyNONE: plug the board in")
+    assert failstop("status", "--name", name).returncode == 3
+
+
+def test_not_a_tty(failstop: Cli, name: str, tmp_path: Path) -> None:
+    plain = tmp_path / "plain"
+    plain.write_bytes(b"untouched")
+    result = failstop("run", "--name", name, "--device", str(plain))
+    assert result.returncode == 1
+    assert "is a regular file, not a serial port" in _one_line(result)
+    assert plain.read_bytes() == b"untouched"
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root to become another user")
+def test_no_permission(name: str) -> None:
+    master, slave = pty.openpty()
+    device = os.ttyname(slave)
+    os.chmod(device, 0o600)
+    pid = os.fork()
+    if pid == 0:
+        code = 99
+        try:
+            os.dup2(os.open(f"/tmp/{name}.err", os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666), 2)
+            os.setgroups([])
+            os.setresgid(65534, 65534, 65534)
+            os.setresuid(65534, 65534, 65534)
+            os.environ.pop("XDG_RUNTIME_DIR", None)
+            from failstop.cli import main
+
+            code = main(["run", "--name", name, "--device", device])
+        finally:
+            os._exit(code)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 1
+    said = Path(f"/tmp/{name}.err").read_text()
+    os.unlink(f"/tmp/{name}.err")
+    shutil.rmtree("/tmp/failstop-65534", ignore_errors=True)
+    os.close(master)
+    os.close(slave)
+    assert "permission" in said
+    assert device in said
+
+
+def test_name_already_running(trial: Trial, failstop: Cli) -> None:
+    trial.enable()
+    trial.drive(0.1)
+    result = failstop("run", "--name", trial.name, "--device", trial.link)
+    assert result.returncode == 1
+    pid = trial.service.pids()["supervisor"]
+    assert _one_line(result) == (
+        f"failstop: '{trial.name}' is already running (pid {pid}): stop it first, or choose another --name"
+    )
+    trial.drive(0.1)
+    assert trial.moving(), "a refused second run must not stop the first"
+
+
+def test_stale_shared_memory_of_a_dead_run(name: str, failstop: Cli) -> None:
+    incarnation = 4711
+    for spec in layout.SEGMENTS:
+        segment.create(name, spec.name, incarnation).close()
+    with Trial(name) as trial:
+        assert trial.robot.state.enabled is False
+        assert trial.robot._reader.incarnation != incarnation
+        trial.enable()
+        trial.drive(0.1)
+        assert trial.moving()
+
+
+def test_nothing_is_left_behind(name: str) -> None:
+    with Trial(name) as trial:
+        runtime = Path(instance.find(name))
+        assert trial.service.end() == 0
+    assert not [found for found in os.listdir("/dev/shm") if name in found]
+    assert {found.name for found in runtime.iterdir()} <= {"lock"}
+
+
+def test_client_of_another_version(trial: Trial, failstop: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(segment, "LAYOUT_HASH", 12345)
+    with pytest.raises(FailstopError, match=r"is of failstop .*, this program is .* with another layout: use the serv"):
+        Robot(trial.name)
+
+
+def test_header_of_another_version_and_exit_code(name: str, failstop: Cli) -> None:
+    with Trial(name) as trial:
+        memory = posix_ipc.SharedMemory(segment.shm_name(name, layout.SUPERVISOR))
+        raw = os.pread(memory.fd, layout.HEADER_BYTES, 0)
+        entry = slot.check(raw, slot.seed("header", 0))
+        assert entry is not None
+        other = bytearray(entry[2])
+        other[8] ^= 0xFF
+        os.pwrite(memory.fd, slot.build(1, 0, bytes(other), slot.seed("header", 0), 200), 0)
+        try:
+            result = failstop("status", "--name", name)
+        finally:
+            os.pwrite(memory.fd, raw, 0)
+            memory.close_fd()
+        assert result.returncode == 1
+        assert "another layout" in _one_line(result)
+        trial.enable()
+
+
+def test_full_client_table(trial: Trial, failstop: Cli) -> None:
+    trial.leave()
+    clients = [Client(trial.name, f"filler {i}") for i in range(layout.CLIENT_SLOTS)]
+    result = failstop("enable", "--name", trial.name)
+    assert result.returncode == 1
+    assert "client slots" in _one_line(result)
+    assert "close a client" in result.stderr
+    stop = failstop("estop", "even", "so", "--name", trial.name)
+    assert stop.returncode == 0, stop.stderr
+    for client in clients:
+        client.close()
+    assert failstop("reset", "--name", trial.name).returncode == 0
+
+
+def test_no_service(failstop: Cli, name: str) -> None:
+    for words in (["status"], ["enable"], ["disable"], ["reset"], ["estop"], ["drive", "0", "0", "0"]):
+        result = failstop(*words, "--name", name)
+        assert result.returncode == 3
+        assert "start it with `failstop run" in _one_line(result)
+    with pytest.raises(NoService):
+        Robot(name)
+
+
+def test_bad_names_settings_and_files(failstop: Cli, name: str, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.toml"
+    cases = (
+        (["run", "--name", "no/slash"], "use 1 to 32 of a-z"),
+        (["run", "--name", name, "--config", str(tmp_path / "missing")], "check the path"),
+        (["run", "--name", name, "--config", str(bad)], "gate.lease_s = 9.0: allowed is 0.02 to 1 s"),
+        (["nonsense"], "no command 'nonsense'"),
+    )
+    bad.write_text("[gate]\nlease_s = 9.0\n")
+    for words, message in cases:
+        result = failstop(*words)
+        assert result.returncode == 1
+        assert message in _one_line(result)
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root to become another user")
+def test_user_outside_the_group_may_stop_but_not_drive(trial: Trial) -> None:
+    code = """
+import os, sys
+from failstop import FailstopError, Robot
+os.setgroups([]); os.setresgid(65534, 65534, 65534); os.setresuid(65534, 65534, 65534)
+robot = Robot(sys.argv[1])
+assert robot.state.blocked == "disabled"
+try:
+    robot.enable()
+except FailstopError as error:
+    print(error)
+robot.estop("by nobody")
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", code, trial.name], capture_output=True, text=True, timeout=20, check=True
+    )
+    assert "may stop" in result.stdout
+    assert "join the group `failstop`" in result.stdout
+    until = time.monotonic() + 2
+    while not trial.robot.state.estop and time.monotonic() < until:
+        time.sleep(0.005)
+    assert "by nobody" in (trial.robot.state.estop or "")

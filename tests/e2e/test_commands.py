@@ -1,0 +1,118 @@
+"""The commands as a user types them."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import tty
+from collections.abc import Callable
+from pathlib import Path
+
+from failstop.board.burst import BURST
+from failstop.cli import COMMANDS
+from failstop.trial import Trial
+
+Cli = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+def test_a_session(trial: Trial, failstop: Cli) -> None:
+    at = ("--name", trial.name)
+    assert "blocked: disabled" in failstop("status", *at).stdout
+    refused = failstop("drive", "0.1", "0", "0", *at)
+    assert refused.returncode == 2
+    assert "motion is disabled; next: `failstop enable`" in refused.stderr
+    assert failstop("enable", *at).stdout == "motion enabled\n"
+    trial.board.events()
+    assert failstop("drive", "0.1", "0", "0", "--for", "0.3", *at).returncode == 0
+    assert any(event.is_motion for event in trial.board.events())
+    latched = failstop("estop", "hand", "near", "wheel", *at)
+    assert latched.returncode == 0
+    assert "hand near wheel" in latched.stdout
+    refused = failstop("enable", *at)
+    assert refused.returncode == 2
+    assert "e-stop latched (hand near wheel" in refused.stderr
+    assert failstop("drive", "0.1", "0", "0", *at).returncode == 2
+    screen = failstop("status", *at).stdout
+    assert "blocked: estop: hand near wheel" in screen
+    assert "`failstop reset`" in screen
+    assert "motion still disabled" in failstop("reset", *at).stdout
+    assert failstop("disable", *at).stdout == "motion disabled\n"
+
+
+def test_status_json_has_what_is_promised(trial: Trial, failstop: Cli) -> None:
+    trial.enable()
+    trial.drive(0.1)
+    trial.robot.estop("for the record")
+    trial.board.wait_for(lambda event: event.is_stop, 2.0)
+    state = json.loads(failstop("status", "--json", "--name", trial.name).stdout)
+    promised = {
+        "name",
+        "enabled",
+        "estop",
+        "blocked",
+        "body_vel",
+        "epoch",
+        "device",
+        "processes",
+        "clients",
+        "last_stop",
+    }
+    assert promised <= state.keys()
+    assert {"path", "state", "link"} <= state["device"].keys()
+    assert set(state["processes"]) == {"supervisor", "port_owner", "gate", "telemetry", "stopper"}
+    for process in state["processes"].values():
+        assert {"pid", "state", "age_ms", "restarts"} <= process.keys()
+        assert process["state"] == "running"
+    assert {"reason", "t", "written_us", "acknowledged_us", "observed_ms"} <= state["last_stop"].keys()
+    assert state["clients"][0]["name"] == "trial"
+
+
+def test_status_is_quick(trial: Trial, failstop: Cli) -> None:
+    import time
+
+    times = []
+    for _ in range(5):
+        start = time.monotonic()
+        assert failstop("status", "--name", trial.name).returncode == 0
+        times.append(time.monotonic() - start)
+    assert min(times) < 0.5
+
+
+def test_help_names_every_command(failstop: Cli) -> None:
+    text = failstop("--help").stdout
+    for command in COMMANDS:
+        assert f"  {command} " in text
+        shown = failstop(command, "--help")
+        assert shown.returncode == 0
+        assert f"failstop {command}" in shown.stdout
+
+
+def test_stop_tool(failstop: Cli, tmp_path: Path) -> None:
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    device = tmp_path / "board"
+    os.symlink(os.ttyname(slave), device)
+    result = failstop("stop", "--device", str(device))
+    assert result.stdout == "stop frame sent (after 0.0 s)\n"
+    assert os.read(master, 4096) == BURST
+    os.close(master)
+    os.close(slave)
+    gone = failstop("stop", "--device", str(tmp_path / "none"), "--wait", "0.1")
+    assert gone.returncode == 1
+    assert "no device" in gone.stderr
+
+
+def test_stop_tool_beside_a_running_service(trial: Trial, failstop: Cli) -> None:
+    trial.board.events()
+    assert failstop("stop", "--device", trial.link).returncode == 0
+    assert sum(event.is_stop for event in trial.board.events()) >= 4
+
+
+def test_config_lists_every_setting(failstop: Cli) -> None:
+    from failstop.supervisor.settings import DECLARED
+
+    text = failstop("config").stdout
+    for setting in DECLARED:
+        assert setting.key in text

@@ -1,0 +1,58 @@
+"""What is built installs and works outside the checkout: the sdist, and the wheel made from it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the sdist and the wheel that was built from it."""
+    out = tmp_path_factory.mktemp("dist")
+    subprocess.run(
+        [sys.executable, "-m", "build", "--outdir", str(out), str(ROOT)], check=True, capture_output=True, timeout=280
+    )
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_wheel_and_sdist_hold_one_package(built: Path) -> None:
+    wheel = zipfile.ZipFile(next(built.glob("*.whl")))
+    tops = {name.split("/")[0] for name in wheel.namelist()}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"failstop"}
+    for room in ("board", "shm", "supervisor", "procs/gate", "procs/port_owner", "procs/stopper", "procs/telemetry"):
+        assert f"failstop/{room}/__init__.py" in wheel.namelist()
+    assert "failstop/py.typed" in wheel.namelist()
+    with tarfile.open(next(built.glob("*.tar.gz"))) as sdist:
+        assert not [member.name for member in sdist if member.issym()]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("kind", ["*.whl", "*.tar.gz"])
+def test_installed_command_works_outside_the_checkout(built: Path, tmp_path: Path, kind: str) -> None:
+    environment = tmp_path / "venv"
+    subprocess.run([sys.executable, "-m", "venv", str(environment)], check=True, timeout=120)
+    pip = [str(environment / "bin" / "pip"), "install", "--quiet", "--disable-pip-version-check"]
+    subprocess.run([*pip, str(next(built.glob(kind)))], check=True, timeout=280)
+    clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    result = subprocess.run(
+        [str(environment / "bin" / "failstop"), "demo"],
+        cwd=tmp_path,
+        env=clean,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr

@@ -1,0 +1,114 @@
+"""The service as a whole: start, end, a lost port, what outlives what."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import psutil
+import pytest
+
+from failstop.board.burst import BURST
+from failstop.shm import layout
+from failstop.trial import Trial, judge, wait_for
+
+
+def test_first_bytes_are_the_burst_and_early(trial: Trial) -> None:
+    motor = [event for event in trial.board.events() if event.is_motor]
+    assert motor[0].is_stop
+    assert motor[0].arrival_ns - trial.service.started_ns < 1e9
+    assert BURST.count(bytes.fromhex("AA550316")) == 4
+    assert not any(event.is_motion for event in motor)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_ends_with_the_stop_written_twice(trial: Trial, number: signal.Signals) -> None:
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.moving()
+    pids = list(trial.service.pids().values())
+    trial.board.events()
+    ended_ns = time.monotonic_ns()
+    assert trial.service.process is not None
+    trial.service.process.send_signal(number)
+    assert trial.service.process.wait(5) == 0
+    events = trial.board.events()
+    stopped = judge(events, ended_ns, True)
+    assert stopped.stop_ns is not None
+    assert stopped.stop_ns < 200e6
+    assert stopped.motion_after == 0
+    assert sum(event.is_stop for event in events) >= 8
+    assert "the stop was written twice" in trial.service.said()
+    wait_for("every process to be gone", lambda: not any(psutil.pid_exists(pid) for pid in pids))
+
+
+def test_no_process_outlives_a_killed_supervisor_for_long(trial: Trial) -> None:
+    pids = trial.service.pids()
+    trial.service.kill()
+    wait_for("every process to be gone", lambda: not any(psutil.pid_exists(pid) for pid in pids.values()), 2.0)
+
+
+def test_processes_have_names_and_one_thread(trial: Trial) -> None:
+    for name, pid in trial.service.pids().items():
+        process = psutil.Process(pid)
+        assert process.num_threads() == 1
+        if name != layout.SUPERVISOR:
+            assert process.name() == f"failstop:{name}"[:15]
+            assert name in process.cmdline()
+
+
+def test_processes_hold_no_descriptors_they_do_not_need(trial: Trial) -> None:
+    ports = {
+        name: sum(os.readlink(f"/proc/{pid}/fd/{fd}").startswith("/dev/pts/") for fd in os.listdir(f"/proc/{pid}/fd"))
+        for name, pid in trial.service.pids().items()
+    }
+    assert ports == {"supervisor": 1, "port_owner": 1, "stopper": 1, "gate": 0, "telemetry": 0}
+
+
+def test_lost_and_returned_port(trial: Trial) -> None:
+    trial.enable()
+    trial.drive(0.2)
+    trial.board.unplug()
+    wait_for("the loss to be seen", lambda: trial.robot.state.device["state"] == "lost")
+    wait_for("the latch", lambda: trial.robot.state.estop == "device lost")
+    wait_for("everyone to let the port go", lambda: not _holders(trial))
+    trial.board.events()
+    back_ns = time.monotonic_ns()
+    trial.board.replug()
+    event = trial.board.wait_for(lambda e: e.is_motor and e.arrival_ns > back_ns, 3.0)
+    assert event.is_stop
+    wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
+    trial.drive(0.1)
+    assert not trial.moving()
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.moving()
+    # The duplicates of the new port are good for a stop too.
+    trial.board.events()
+    pid = trial.service.pids()["port_owner"]
+    stopped = trial.kill("port_owner", 0.1)
+    assert stopped.stop_ns is not None
+    assert stopped.motion_after == 0
+    trial.recover("port_owner", pid)
+
+
+def _holders(trial: Trial) -> list[str]:
+    """Processes of the service that hold a terminal's descriptor."""
+    return [
+        name
+        for name, pid in trial.service.pids().items()
+        for fd in os.listdir(f"/proc/{pid}/fd")
+        if os.readlink(f"/proc/{pid}/fd/{fd}").startswith("/dev/pts/")
+    ]
+
+
+def test_two_instances_side_by_side(trial: Trial, name: str) -> None:
+    with Trial(name + "b") as other:
+        trial.enable()
+        other.enable()
+        trial.robot.estop("only this one")
+        wait_for("the latch", lambda: trial.robot.state.estop is not None)
+        other.drive(0.1)
+        assert other.moving()
+        assert other.robot.state.estop is None

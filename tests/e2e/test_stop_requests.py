@@ -1,0 +1,137 @@
+"""Anyone may stop: whatever arrives in the stop pipe, from whomever."""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+
+import pytest
+
+from failstop.client import send_stop
+from failstop.shm import instance
+from failstop.trial import Trial, judge, wait_for
+
+NOBODY = 65534
+
+
+def _as_nobody(action: object) -> int:
+    """Run `action()` in a child of user nobody; returns its exit code."""
+    pid = os.fork()
+    if pid == 0:
+        code = 1
+        try:
+            if os.getuid() == 0:
+                os.setgroups([])
+                os.setresgid(NOBODY, NOBODY, NOBODY)
+                os.setresuid(NOBODY, NOBODY, NOBODY)
+            action()  # type: ignore[operator]
+            code = 0
+        finally:
+            os._exit(code)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+
+def _stop_pipe(trial: Trial) -> str:
+    return instance.stop_path(instance.find(trial.name))
+
+
+def test_by_an_unprivileged_user(trial: Trial) -> None:
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.moving()
+    trial.board.events()
+    asked_ns = time.monotonic_ns()
+    assert _as_nobody(lambda: send_stop(trial.name, "nobody says so")) == 0
+    trial.drive(0.2)
+    stopped = judge(trial.board.events(), asked_ns, True)
+    assert stopped.stop_ns is not None
+    assert stopped.motion_after == 0
+    assert trial.robot.state.estop == "nobody says so"
+
+
+@pytest.mark.parametrize("message", [b"\0", b"\xff\xfe\n\n", b"x" * 4000, b"\n", b"a\x1b[2Jb\n"])
+def test_any_bytes_are_a_stop(trial: Trial, message: bytes) -> None:
+    trial.enable()
+    trial.drive(0.1)
+    fd = os.open(_stop_pipe(trial), os.O_WRONLY | os.O_NONBLOCK)
+    os.write(fd, message)
+    os.close(fd)
+    wait_for("the latch", lambda: trial.robot.state.estop is not None)
+    trial.drive(0.1)
+    assert not trial.moving()
+    assert (trial.robot.state.estop or "").isprintable()
+
+
+def test_a_full_pipe_is_a_stop_and_the_service_works_on(trial: Trial) -> None:
+    trial.enable()
+    trial.drive(0.1)
+    fd = os.open(_stop_pipe(trial), os.O_WRONLY | os.O_NONBLOCK)
+    with pytest.raises(BlockingIOError) as full:  # noqa: PT012 - fills it faster than it is read, or gives up
+        for _ in range(10_000):
+            os.write(fd, b"flood " * 600)
+        raise BlockingIOError(errno.EAGAIN, "was read as fast as it was filled")
+    os.close(fd)
+    assert full.value.errno == errno.EAGAIN
+    wait_for("the latch", lambda: trial.robot.state.estop is not None)
+    assert not trial.moving()
+    wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
+    wait_for("an end of the flood", lambda: _can_reset(trial))
+    trial.robot.enable()
+    trial.drive(0.1)
+    assert trial.moving()
+
+
+def _can_reset(trial: Trial) -> bool:
+    try:
+        trial.robot.reset()
+    except Exception:
+        return False
+    time.sleep(0.05)
+    return trial.robot.state.estop is None
+
+
+def test_while_disabled_it_latches_too(trial: Trial) -> None:
+    trial.robot.estop("early")
+    wait_for("the latch", lambda: (trial.robot.state.estop or "").startswith("early"))
+
+
+def test_the_first_reason_is_kept(trial: Trial) -> None:
+    trial.robot.estop("one")
+    wait_for("the latch", lambda: trial.robot.state.estop is not None)
+    epoch = trial.robot.state.epoch
+    trial.robot.estop("two")
+    wait_for("the second stop", lambda: trial.robot.state.epoch > epoch)
+    assert (trial.robot.state.estop or "").startswith("one")
+    last = trial.robot.state.last_stop
+    assert last is not None
+
+
+def test_pad_button_and_key_stop(trial: Trial) -> None:
+    for press, reason in (
+        (lambda: trial.board.pad(0x0100), "gamepad button 0x0100"),
+        (lambda: trial.board.key(1, 0x01), "key1"),
+    ):
+        trial.enable()
+        trial.drive(0.15)
+        assert trial.moving()
+        trial.board.events()
+        pressed_ns = time.monotonic_ns()
+        press()
+        trial.drive(0.2)
+        stopped = judge(trial.board.events(), pressed_ns, True)
+        assert stopped.stop_ns is not None
+        assert stopped.stop_ns < 100e6
+        assert stopped.motion_after == 0
+        assert trial.robot.state.estop == reason
+        trial.board.pad(0)
+
+
+def test_mode_button_and_other_keys_do_not_stop(trial: Trial) -> None:
+    trial.enable()
+    trial.board.pad(0x2000)
+    trial.board.key(2, 0x01)
+    trial.board.key(1, 0x08)
+    trial.drive(0.3)
+    assert trial.moving()
+    assert trial.robot.state.estop is None

@@ -1,0 +1,497 @@
+"""Ring: order, what was lost counted exactly, deaths and damage passed, against a plain list."""
+
+from __future__ import annotations
+
+import mmap
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import Bundle, RuleBasedStateMachine, initialize, rule
+
+from failstop.shm import slot
+from failstop.shm.latest import slot_bytes
+from failstop.shm.ring import RingReader, RingWriter, newest
+
+from .children import Child
+from .memory import Cut, Death, Memory, exit_after, genuine, payload_of, time_of
+
+if TYPE_CHECKING:
+    from failstop.shm.slot import Entry
+    from failstop.shm.views import View
+
+SEED = slot.seed("test.ring", 1)
+AT = 128
+CAPACITY = 40
+SLOTS = 8
+SIZE = slot_bytes(CAPACITY)
+
+
+def ring_memory(slots: int = SLOTS, capacity: int = CAPACITY) -> Cut:
+    return Cut(AT + slots * slot_bytes(capacity))
+
+
+def writer_of(view: View, slots: int = SLOTS, capacity: int = CAPACITY) -> RingWriter:
+    return RingWriter(view, AT, capacity, slots, SEED)
+
+
+def reader_of(view: View, slots: int = SLOTS, capacity: int = CAPACITY, *, from_oldest: bool = False) -> RingReader:
+    return RingReader(view, AT, capacity, slots, SEED, from_oldest=from_oldest)
+
+
+def put(writer: RingWriter, count: int = 1, size: int = CAPACITY) -> None:
+    for _ in range(count):
+        seq = writer.seq + 1
+        assert writer.put(payload_of(seq, size), time_of(seq)) == seq
+
+
+def drain(reader: RingReader) -> list[int]:
+    """The numbers of all entries that wait; each must be genuine."""
+    found = []
+    while entry := reader.next():
+        assert genuine(entry)
+        found.append(entry[0])
+    return found
+
+
+def place(seq: int) -> int:
+    return AT + seq % SLOTS * SIZE
+
+
+def damage(memory: Memory, seq: int, *, zero: bool = False) -> None:
+    """Spoil the slot of this entry."""
+    at = place(seq)
+    if zero:
+        memory.data[at : at + SIZE] = bytes(SIZE)
+    else:
+        memory.data[at + 30] ^= 0x40
+
+
+def die_writing(memory: Cut, writer: RingWriter, cut: int = 30) -> RingWriter:
+    """The writer dies after `cut` bytes of its next entry; returns its successor."""
+    memory.left = cut
+    with pytest.raises(Death):
+        put(writer)
+    return writer_of(memory)
+
+
+def test_empty() -> None:
+    memory = ring_memory()
+    assert newest(memory, AT, CAPACITY, SLOTS, SEED) == 0
+    for oldest in (True, False):
+        reader = reader_of(memory, from_oldest=oldest)
+        assert reader.next() is None
+        assert reader.lost == 0
+
+
+def test_order_over_many_laps() -> None:
+    memory = ring_memory()
+    writer, reader = writer_of(memory), reader_of(memory)
+    for _ in range(5 * SLOTS):
+        put(writer, 3)
+        assert drain(reader) == [writer.seq - 2, writer.seq - 1, writer.seq]
+        assert reader.next() is None
+    assert reader.lost == 0
+
+
+def test_one_store_a_put_and_one_copy_a_look() -> None:
+    memory = ring_memory()
+    writer, reader = writer_of(memory), reader_of(memory)
+    memory.copies.clear()
+    put(writer, 2)
+    put(writer, 1, size=5)
+    assert [(at, len(data)) for at, data in memory.stores] == [(place(1), 64), (place(2), 64), (place(3), 29)]
+    assert memory.copies == []
+    assert drain(reader) == [1, 2, 3]
+    assert memory.copies == [slice(place(seq), place(seq) + SIZE) for seq in (1, 2, 3, 4)]
+
+
+def test_an_idle_ring_costs_one_copy_a_look() -> None:
+    """Looking through the whole ring is for damage only, not for a ring in which nothing is new."""
+    memory = ring_memory()
+    writer, reader = writer_of(memory), reader_of(memory)
+    for _ in range(3 * SLOTS):
+        memory.copies.clear()
+        assert reader.next() is None
+        assert len(memory.copies) == 1
+        put(writer)
+        assert drain(reader) == [writer.seq]
+
+
+def test_too_large_a_payload_changes_nothing() -> None:
+    memory = ring_memory()
+    writer, reader = writer_of(memory), reader_of(memory)
+    put(writer, 3)
+    held = bytes(memory.data)
+    with pytest.raises(slot.PayloadTooLarge):
+        writer.put(bytes(CAPACITY + 1))
+    assert bytes(memory.data) == held
+    put(writer)
+    assert drain(reader) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("read", range(SLOTS + 2))
+@pytest.mark.parametrize("ahead", [*range(1, 3 * SLOTS + 2), 10 * SLOTS])
+def test_lapping_counts_exactly_what_was_lost(read: int, ahead: int) -> None:
+    memory = ring_memory()
+    writer, reader = writer_of(memory), reader_of(memory)
+    put(writer, read)
+    drained = drain(reader)
+    reader_at, lost_before = (drained[-1] if drained else 0), reader.lost
+    put(writer, ahead)
+    found = drain(reader)
+    assert found == list(range(max(reader_at, writer.seq - SLOTS) + 1, writer.seq + 1))
+    assert reader.lost - lost_before == found[0] - reader_at - 1 == max(0, ahead - SLOTS)
+
+
+@pytest.mark.parametrize("written", [0, 1, SLOTS - 1, SLOTS, SLOTS + 1, 3 * SLOTS + 5])
+def test_where_readers_start(written: int) -> None:
+    memory = ring_memory()
+    writer = writer_of(memory)
+    put(writer, written)
+    latest, oldest = reader_of(memory), reader_of(memory, from_oldest=True)
+    assert latest.next() is None
+    assert drain(oldest) == list(range(max(1, written - SLOTS + 1), written + 1))
+    put(writer, 2)
+    assert drain(latest) == drain(oldest) == [written + 1, written + 2]
+    assert latest.lost == oldest.lost == 0
+
+
+def test_many_readers_do_not_know_of_each_other() -> None:
+    memory = ring_memory()
+    writer = writer_of(memory)
+    readers = [reader_of(memory) for _ in range(20)]
+    seen: list[list[int]] = [[] for _ in readers]
+    for turn in range(200):
+        put(writer, 1 + turn % 3)
+        for i, reader in enumerate(readers):
+            if turn % (i + 1) == 0:
+                seen[i] += drain(reader)
+    for i, reader in enumerate(readers):
+        seen[i] += drain(reader)
+        assert seen[i] == sorted(set(seen[i]))
+        assert seen[i][-1] == writer.seq
+        assert len(seen[i]) + reader.lost == writer.seq
+    assert readers[0].lost == 0
+    assert readers[-1].lost > 0
+
+
+def test_a_lone_slot_is_a_ring_too() -> None:
+    memory = ring_memory(1)
+    writer, reader = writer_of(memory, 1), reader_of(memory, 1)
+    put(writer)
+    assert drain(reader) == [1]
+    put(writer, 5)
+    assert drain(reader) == [6]
+    assert reader.lost == 4
+
+
+@pytest.mark.parametrize("written", [0, 1, SLOTS - 1, SLOTS, SLOTS + 3])
+def test_a_death_at_every_byte_and_a_successor_goes_on(written: int) -> None:
+    for cut in range(SIZE + 1):
+        memory = ring_memory()
+        writer = writer_of(memory)
+        reader = reader_of(memory)
+        put(writer, written)
+        drain(reader)
+        lost = reader.lost
+        successor = die_writing(memory, writer, cut)
+        whole = written + (cut == SIZE)
+        assert successor.seq == whole
+        assert drain(reader) == [written + 1] * (whole - written)
+        put(successor, 3)
+        assert drain(reader) == [whole + 1, whole + 2, whole + 3]
+        assert reader.lost == lost
+
+
+def test_a_chain_of_deaths_in_one_slot() -> None:
+    memory = ring_memory()
+    writer, reader = writer_of(memory), reader_of(memory)
+    put(writer, SLOTS + 2)
+    drain(reader)
+    for cut in range(SIZE):
+        writer = die_writing(memory, writer, cut)
+        assert writer.seq == SLOTS + 2
+        assert reader.next() is None
+    put(writer)
+    assert drain(reader) == [SLOTS + 3]
+
+
+def test_from_the_oldest_after_a_death_in_mid_write() -> None:
+    """The death tore the very slot in which the oldest entry was: all the others must be read before a successor
+    has written anything."""
+    memory = ring_memory()
+    writer = writer_of(memory)
+    put(writer, 2 * SLOTS)
+    die_writing(memory, writer)
+    reader = reader_of(memory, from_oldest=True)
+    assert drain(reader) == list(range(SLOTS + 2, 2 * SLOTS + 1))
+
+
+def test_a_slow_reader_after_a_death_in_mid_write() -> None:
+    """The same, for a reader that was a whole lap behind."""
+    memory = ring_memory()
+    writer, reader = writer_of(memory), reader_of(memory)
+    put(writer, SLOTS)
+    die_writing(memory, writer)
+    assert drain(reader) == list(range(2, SLOTS + 1))
+    assert reader.lost == 1
+
+
+@pytest.mark.parametrize(("zero", "first"), [(False, 0), (False, 2 * SLOTS + 3), (True, 2 * SLOTS + 3)])
+@pytest.mark.parametrize("spoiled", [(2,), (1,), (2, 3), (1, 2, 3), (2, 4), (1, 2, 3, 4, 5)])
+def test_damage_loses_only_what_was_damaged(spoiled: tuple[int, ...], first: int, zero: bool) -> None:
+    """A damaged entry must not hold up the stops behind it for a lap of the ring."""
+    memory = ring_memory()
+    writer = writer_of(memory)
+    put(writer, first)
+    reader = reader_of(memory)
+    put(writer, 6)
+    for seq in spoiled:
+        damage(memory, first + seq, zero=zero)
+    assert drain(reader) == [first + seq for seq in range(1, 7) if seq not in spoiled]
+    assert reader.lost == len(spoiled)
+    put(writer, SLOTS)
+    assert drain(reader) == list(range(first + 7, first + 7 + SLOTS))
+    assert reader.lost == len(spoiled)
+
+
+def test_a_zeroed_slot_of_the_first_lap_holds_up_no_longer_than_that_lap() -> None:
+    """The one damage that looks like a slot never used; the next lap ends it, and it is counted."""
+    memory = ring_memory()
+    writer, reader = writer_of(memory), reader_of(memory)
+    put(writer, 4)
+    damage(memory, 2, zero=True)
+    assert drain(reader) == [1]
+    put(writer, SLOTS)
+    assert drain(reader) == list(range(5, 5 + SLOTS))
+    assert reader.lost == 3
+
+
+def test_damage_to_the_newest_waits_for_what_comes() -> None:
+    memory = ring_memory()
+    writer, reader = writer_of(memory), reader_of(memory)
+    put(writer, SLOTS + 3)
+    drain(reader)
+    lost = reader.lost
+    put(writer, 1)
+    damage(memory, writer.seq)
+    assert reader.next() is None
+    assert reader.lost == lost
+    put(writer, 1)
+    assert drain(reader) == [writer.seq]
+    assert reader.lost == lost + 1
+
+
+def test_a_slot_copied_over_another_is_damage() -> None:
+    """Whole, with a right CRC, and in the wrong place."""
+    for source in range(1, 7):
+        for target in range(2, 6):
+            if source == target:
+                continue
+            memory = ring_memory()
+            writer, reader = writer_of(memory), reader_of(memory)
+            put(writer, 6)
+            memory.data[place(target) : place(target) + SIZE] = memory.data[place(source) : place(source) + SIZE]
+            assert drain(reader) == [seq for seq in range(1, 7) if seq != target]
+            assert reader.lost == 1
+            assert newest(memory, AT, CAPACITY, SLOTS, SEED) == 6
+
+
+def test_published_while_the_ring_is_looked_through_is_not_lost() -> None:
+    """The reader meets a slot in mid-write, and the writer goes on while it looks for damage."""
+    for at_copy in range(2, 2 * SLOTS + 3):
+        memory = ring_memory()
+        writer = writer_of(memory)
+        put(writer, SLOTS + 3)
+        reader = reader_of(memory)
+        torn = Memory(0)
+        torn.data = memory.data
+        damage(memory, SLOTS + 4)  # as it is while the writer stores it
+        copies = 0
+
+        def later(at_copy: int = at_copy, writer: RingWriter = writer) -> None:
+            nonlocal copies
+            copies += 1
+            if copies == at_copy:
+                put(writer, 3)
+
+        memory.before_copy = later
+        found = drain(reader)
+        memory.before_copy = lambda: None
+        found += drain(reader)
+        if copies < at_copy:
+            continue
+        assert found == [SLOTS + 4, SLOTS + 5, SLOTS + 6]
+        assert reader.lost == 0
+
+
+@pytest.mark.parametrize("puts", [1, 2, 3, 7])
+@pytest.mark.parametrize("slots", [1, 2, 3, 8, 64])
+def test_a_writer_as_fast_as_the_reader_cannot_hold_it_in_a_chase(slots: int, puts: int) -> None:
+    """While the reader copies one slot the writer overwrites the oldest ones: one call must still come to an end."""
+    memory = ring_memory(slots)
+    writer, reader = writer_of(memory, slots), reader_of(memory, slots)
+    put(writer, 5 * slots)
+    memory.before_copy = lambda: put(writer, puts)
+    last = 0
+    for _ in range(20):
+        memory.copies.clear()
+        lost = reader.lost
+        entry = reader.next()
+        # A writer that laps a small ring between two copies leaves nothing to read, but must not keep the caller.
+        assert len(memory.copies) <= 2 * slots + 10
+        if entry is None:
+            continue
+        assert genuine(entry)
+        assert entry[0] - last - 1 == reader.lost - lost
+        last = entry[0]
+    assert last > 0 or puts >= slots
+
+
+class RingModel(RuleBasedStateMachine):
+    """Writers that put, die and are followed, readers that come and read: against a list of what was wholly put."""
+
+    readers: Bundle[tuple[RingReader, list[int]]] = Bundle("readers")
+
+    @initialize(slots=st.sampled_from([1, 2, 3, 8]))
+    def start(self, slots: int) -> None:
+        self.slots = slots
+        self.memory = ring_memory(slots)
+        self.writer = writer_of(self.memory, slots)
+        self.put: list[bytes] = []
+        self.torn = False  # the slot of the next entry, which was that of the oldest, is torn
+
+    @rule(payloads=st.lists(st.binary(max_size=CAPACITY), min_size=1, max_size=12))
+    def append(self, payloads: list[bytes]) -> None:
+        for payload in payloads:
+            self.put.append(payload)
+            assert self.writer.put(payload, len(payload)) == len(self.put)
+        self.torn = False
+
+    @rule(payload=st.binary(max_size=CAPACITY), share=st.floats(0, 1))
+    def die(self, payload: bytes, share: float) -> None:
+        seq = len(self.put) + 1
+        data = slot.build(seq, 77, payload, SEED, CAPACITY)
+        at = AT + seq % self.slots * SIZE
+        before = bytes(self.memory.data[at : at + SIZE])
+        self.memory.left = int(len(data) * share)
+        with pytest.raises(Death):
+            self.writer.put(payload, 77)
+        after = bytes(self.memory.data[at : at + SIZE])
+        if after[: len(data)] == data:
+            self.put.append(payload)
+            self.torn = False
+        elif after != before:
+            self.torn = True
+        self.writer = writer_of(self.memory, self.slots)
+        # With a lone slot a torn one leaves nothing to tell a successor how far its predecessor was.
+        if self.slots == 1 and self.torn:
+            self.put_lone_again(before)
+        assert self.writer.seq == len(self.put)
+
+    def put_lone_again(self, before: bytes) -> None:
+        self.memory.data[AT : AT + SIZE] = before
+        self.writer = writer_of(self.memory, 1)
+        self.torn = False
+
+    @rule()
+    def successor(self) -> None:
+        self.writer = writer_of(self.memory, self.slots)
+        assert self.writer.seq == len(self.put)
+
+    @rule(target=readers, from_oldest=st.booleans())
+    def reader(self, from_oldest: bool) -> tuple[RingReader, list[int]]:
+        reader = reader_of(self.memory, self.slots, from_oldest=from_oldest)
+        last = len(self.put)
+        return reader, [max(1, last - self.slots + 1) if from_oldest else last + 1]
+
+    @rule(which=readers, count=st.integers(1, 12))
+    def read(self, which: tuple[RingReader, list[int]], count: int) -> None:
+        reader, model = which
+        for _ in range(count):
+            lost = reader.lost
+            entry: Entry | None = reader.next()
+            last, at = len(self.put), model[0]
+            oldest = max(1, last - self.slots + 1)
+            if self.torn and last >= self.slots:
+                oldest += 1
+            expected = max(at, oldest)
+            if expected > last:
+                assert entry is None
+                return
+            assert entry is not None
+            assert entry[0] == expected
+            assert entry[2] == self.put[expected - 1]
+            assert reader.lost - lost == expected - at
+            model[0] = expected + 1
+
+
+TestRingModel = RingModel.TestCase
+TestRingModel.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
+
+
+def flat_out(writer: RingWriter, size: int) -> Callable[[object, object], None]:
+    def work(send: object, wait: object) -> None:
+        check = exit_after(30)
+        while True:
+            seq = writer.seq + 1
+            writer.put(payload_of(seq, size), time_of(seq))
+            if seq % 1024 == 0:
+                check()
+
+    return work
+
+
+def read_all_the_while(reader: RingReader, size: int, enough: int, pause: int) -> tuple[int, int]:
+    """Read until enough entries were seen; returns how many, and how many were lost."""
+    seen = last = 0
+    limit = time.monotonic() + 20
+    first_lost = reader.lost
+    while seen < enough:
+        assert time.monotonic() < limit
+        lost = reader.lost
+        entry = reader.next()
+        if entry is None:
+            continue
+        assert genuine(entry, size)
+        assert entry[0] > last
+        if last:
+            assert entry[0] - last - 1 == reader.lost - lost
+        last = entry[0]
+        seen += 1
+        if pause and seen % pause == 0:
+            for _ in range(20_000):
+                pass
+    return seen, reader.lost - first_lost
+
+
+@pytest.mark.parametrize(("capacity", "slots", "pause"), [(40, 8, 0), (40, 8, 16), (320, 64, 100), (16384, 4, 3)])
+def test_a_writer_at_full_speed(capacity: int, slots: int, pause: int) -> None:
+    memory = mmap.mmap(-1, AT + slots * slot_bytes(capacity))
+    with Child(flat_out(writer_of(memory, slots, capacity), capacity)):
+        reader = reader_of(memory, slots, capacity)
+        seen, lost = read_all_the_while(reader, capacity, 2_000, pause)
+        if pause:
+            assert lost > 0, "the reader was to be lapped"
+        late = reader_of(memory, slots, capacity, from_oldest=True)
+        read_all_the_while(late, capacity, 50, 0)
+    assert seen == 2_000
+
+
+def test_readers_in_several_processes() -> None:
+    memory = mmap.mmap(-1, AT + 64 * slot_bytes(320))
+    with Child(flat_out(writer_of(memory, 64, 320), 320)):
+
+        def read(send: object, wait: object) -> tuple[int, int]:
+            return read_all_the_while(reader_of(memory, 64, 320), 320, 1_000, 50)
+
+        readers = [Child(read) for _ in range(3)]
+        try:
+            assert [reader.result()[0] for reader in readers] == [1_000] * 3
+        finally:
+            for reader in readers:
+                reader.close()
