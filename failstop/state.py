@@ -39,6 +39,8 @@ class Process:
     age_ms: float
     """Since its last heartbeat."""
     restarts: int
+    last_exit: str | None
+    """How its predecessor died."""
     worst_ms: float
     """The longest turn of its loop since its start."""
     realtime: bool
@@ -145,6 +147,7 @@ class StateReader:
             state=state,
             age_ms=round(age_ms, 1),
             restarts=row["restarts"],
+            last_exit=row.get("last_exit"),
             worst_ms=round(beat.worst_ns.get() / 1e6, 1),
             realtime=bool(granted & heartbeat.REALTIME),
             memory_locked=bool(granted & heartbeat.MEMORY_LOCKED),

@@ -1,7 +1,7 @@
-"""Where each process of the service starts: `python -I -S child.py PROCESS key=value ...`, run by the supervisor.
+"""Where each process of the service starts: `python -I -S child.py PROCESS key=value ...`.
 
-Started without the site module, which costs more than all of a small process's own imports; the supervisor hands its
-own search path over instead.
+Run by the supervisor, and by `failstop run` for the supervisor itself. Without the site module, which costs more than
+all of a small process's own imports; whoever starts it hands its own search path over instead.
 """
 
 from __future__ import annotations
@@ -10,16 +10,21 @@ import os
 import sys
 
 PATH_VARIABLE = "FAILSTOP_PATH"
+SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 
 
 def main(argv: list[str]) -> int:
     """Run one process until it ends; returns its exit code."""
     sys.path[:] = os.environ[PATH_VARIABLE].split(os.pathsep)
+    words = dict(word.split("=", 1) for word in argv[2:])
+    if argv[1] == "supervisor":
+        from failstop.supervisor import entry
+
+        return entry.start(words)
     from failstop.procs.context import Context
     from failstop.supervisor.table import BY_NAME
 
     row = BY_NAME[argv[1]]
-    words = dict(word.split("=", 1) for word in argv[2:])
     context = Context(row.name, words, row.priority, outlives_parent=row.outlives_supervisor)
     module = __import__(row.module, fromlist=["run"])
     code: int = module.run(context)

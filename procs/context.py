@@ -2,7 +2,7 @@
 
 It travels in the command line, where `ps` shows it, and for the settings in one environment variable:
 
-    child.py gate name=failstop run=8f3a... dir=/run/failstop/failstop parent=812 bell=5 port_bell=6 ...
+    child.py gate name=failstop run=8f3a... dir=/run/failstop/failstop parent=812 block=3 bell=5 port_bell=6 ...
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import os
 from time import monotonic_ns
 
 from failstop.procs import rights
+from failstop.procs.child import SETTINGS_VARIABLE
 from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
+from failstop.shm.lifeline import EarlyNews
 from failstop.supervisor.settings import Settings
-
-SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -26,7 +26,18 @@ if TYPE_CHECKING:
 class Context:
     """A started process's own segment, heartbeat, settings, and the descriptors it inherited."""
 
-    __slots__ = ("_fds", "heartbeat", "incarnation", "instance", "own", "parent", "process", "runtime_dir", "settings")
+    __slots__ = (
+        "_fds",
+        "early",
+        "heartbeat",
+        "incarnation",
+        "instance",
+        "own",
+        "parent",
+        "process",
+        "runtime_dir",
+        "settings",
+    )
 
     def __init__(self, process: str, words: dict[str, str], priority: int, *, outlives_parent: bool) -> None:
         self.process = process
@@ -34,6 +45,7 @@ class Context:
         self.incarnation = int(words.pop("run"), 16)
         self.runtime_dir = words.pop("dir")
         self.parent = int(words.pop("parent"))
+        block = int(words.pop("block"))
         self._fds = {key: int(value) for key, value in words.items()}
         for fd in self._fds.values():
             if fd >= 0:
@@ -44,6 +56,9 @@ class Context:
         granted = rights.take_rights(priority)
         self.settings = Settings.from_lines(os.environ.get(SETTINGS_VARIABLE, ""))
         self.own = segment.attach(self.instance, process, self.incarnation, write=True)
+        mutexes = segment.attach(self.instance, "lifelines", self.incarnation, write=True).mutexes("mutexes")
+        mutexes.hold(block)
+        self.early = EarlyNews(mutexes)
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, monotonic_ns())
 
     def fd(self, key: str) -> int:

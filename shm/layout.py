@@ -10,12 +10,16 @@ from __future__ import annotations
 from zlib import crc32
 
 from failstop.shm.latest import record_bytes, slot_bytes
+from failstop.shm.mutex import BLOCKS, MUTEX_BYTES, PER_BLOCK
 from failstop.shm.words import LINE_BYTES
 
 LAYOUT_VERSION = 1
+SUPERVISOR_BLOCK = 0
+"""The block of mutexes (mutex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
 PUBLIC = 0o644
 CLIENTS = 0o660
+PRIVATE = 0o600
 
 SUPERVISOR = "supervisor"
 PORT_OWNER = "port_owner"
@@ -26,7 +30,7 @@ PROCESSES = (SUPERVISOR, PORT_OWNER, GATE, TELEMETRY, STOPPER)
 
 
 class Record:
-    """One record: its kind (word, latest, ring), payload capacity in bytes, slots (rings only) and its readers."""
+    """One record: its kind (word, latest, ring, mutexes), payload capacity in bytes, slots (rings), readers."""
 
     __slots__ = ("capacity", "kind", "name", "readers", "slots")
 
@@ -43,6 +47,8 @@ class Record:
             return LINE_BYTES
         if self.kind == "latest":
             return record_bytes(self.capacity)
+        if self.kind == "mutexes":
+            return self.capacity
         return slot_bytes(self.capacity) * self.slots
 
 
@@ -115,8 +121,8 @@ SEGMENTS = (
             *_beat(),
             _word("epoch", "port_owner, gate, stopper, clients"),
             _word("ready", "gate, clients"),  # 1 while every process beats and the port is open and stopped
-            _word("gate_pid", "port_owner"),  # the gate whose frames count: the newest that was started
-            _word("port_owner_pid", "stopper"),  # the port owner to watch: the newest that was started
+            _word("gate_life", "port_owner"),  # whom to watch (records.life): the newest gate that was started
+            _word("port_owner_life", "stopper"),  # whom to watch: the newest port owner that was started
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
             _latest("cause", 320, "gate"),  # what the epoch was raised for: the first cause since a reset (records)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
@@ -162,6 +168,12 @@ SEGMENTS = (
         ),
     ),
     SegmentSpec(STOPPER, STOPPER, PUBLIC, (*_beat(), _word("written_ns", "everyone"))),
+    SegmentSpec(
+        "lifelines",
+        "every process of the service, each its own block",
+        PRIVATE,
+        (Record("mutexes", "mutexes", "every process of the service", BLOCKS * PER_BLOCK * MUTEX_BYTES),),
+    ),
     *(_client(i) for i in range(CLIENT_SLOTS)),
 )
 

@@ -1,33 +1,95 @@
-"""Lifelines: the news of a process's death as a descriptor that becomes readable, for the same poll as everything else.
+"""Lifelines: the news of a process's death, in the same poll as everything else.
 
-A pidfd, which nothing in the watched process can hold back and which no reused pid can confuse. The kernel makes it
-readable once the process's memory is torn down, so a watched process is kept small.
+Early, from a robust mutex that the process holds (mutex.py): a thread blocks on it, marks the lifeline as fallen and
+rings a bell. Late, from a pidfd, which nothing in the watched process can hold back and no reused pid can confuse.
+Either is enough. Heartbeats are for what neither sees: hangs.
 """
 
 from __future__ import annotations
 
+import _thread
 import os
 import select
+
+from failstop.shm.bell import EventBell
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.shm.mutex import Mutexes
+
+_ORDINARY = os.sched_param(0)
+_STACK_BYTES = 128 * 1024
 
 
 class Lifeline:
     """Watches one process. `fd` becomes readable when the process has died; it then stays readable."""
 
-    __slots__ = ("fd", "pid")
+    __slots__ = ("armed", "fallen", "fd", "pid")
 
     def __init__(self, pid: int) -> None:
         """Raises ProcessLookupError when there is no such process."""
         self.pid = pid
         self.fd = os.pidfd_open(pid)
+        self.armed = False
+        """A thread waits for the early news."""
+        self.fallen = False
+        """The early news has come."""
+
+    def down(self, ready: dict[int, int]) -> bool:
+        """True when this wake-up, or the early news before it, says that the process has died."""
+        return self.fallen or self.fd in ready
 
     def dead(self) -> bool:
         """True once the process has died. One system call; never blocks."""
         poll = select.poll()
         poll.register(self.fd, select.POLLIN)
-        return bool(poll.poll(0))
+        return self.fallen or bool(poll.poll(0))
+
+    def demote(self) -> None:
+        """Take real-time rights from every thread of the dying process; call when the stop is out.
+
+        Its memory takes the kernel half a millisecond and more to tear down, and at real-time priority that keeps a
+        core from the kernel's own workers, one of which may be carrying the stop. Measured on two cores through a pty,
+        kill to board, p50: gate 1.1 ms without and 0.4 ms with, supervisor 1.2 and 0.4 ms.
+        """
+        try:
+            threads = os.listdir(f"/proc/{self.pid}/task")
+        except OSError:
+            return
+        for thread in threads:
+            try:
+                os.sched_setscheduler(int(thread), os.SCHED_OTHER, _ORDINARY)
+            except OSError:
+                continue
 
     def close(self) -> None:
         """Stop watching."""
         if self.fd >= 0:
             os.close(self.fd)
             self.fd = -1
+
+
+class EarlyNews:
+    """One process's waiting threads; `bell` rings after a lifeline has fallen."""
+
+    __slots__ = ("_mutexes", "_policy", "bell")
+
+    def __init__(self, mutexes: Mutexes) -> None:
+        """Threads take the scheduling that this process has now."""
+        self._mutexes = mutexes
+        self._policy = (os.sched_getscheduler(0), os.sched_getparam(0))
+        self.bell = EventBell.create()
+        _thread.stack_size(_STACK_BYTES)
+
+    def arm(self, life: Lifeline, block: int, index: int) -> None:
+        """Wait for the death of the process that holds this mutex already, in a thread of its own. Once a lifeline."""
+        if not life.armed:
+            life.armed = True
+            _thread.start_new_thread(self._wait, (life, block, index))
+
+    def _wait(self, life: Lifeline, block: int, index: int) -> None:
+        # A thread does not inherit what SCHED_RESET_ON_FORK takes away.
+        os.sched_setscheduler(0, *self._policy)
+        if self._mutexes.wait_for_death(block, index):
+            life.fallen = True
+            self.bell.ring()

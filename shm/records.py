@@ -35,6 +35,16 @@ DISABLE = 2
 RESET = 3
 
 
+def life(pid: int, block: int) -> int:
+    """A word that says whom to watch: the pid, and the block of mutexes that it holds."""
+    return block << 32 | pid
+
+
+def unpack_life(word: int) -> tuple[int, int]:
+    """Return (pid, block)."""
+    return word & 0xFFFFFFFF, word >> 32
+
+
 def _cut(text: str, room: int) -> bytes:
     """UTF-8 of at most `room` bytes, cut between characters."""
     return text.encode("utf-8", "replace")[:room].decode("utf-8", "ignore").encode()

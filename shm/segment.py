@@ -15,6 +15,7 @@ import posix_ipc
 from failstop.shm import slot
 from failstop.shm.latest import LatestReader, LatestWriter
 from failstop.shm.layout import BY_NAME, HEADER_BYTES, LAYOUT_HASH, SEGMENTS
+from failstop.shm.mutex import Mutexes
 from failstop.shm.ring import RingReader, RingWriter
 from failstop.shm.views import FileView
 from failstop.shm.words import Word
@@ -88,6 +89,13 @@ class Segment:
         record, offset, seed = self._place(name, "ring")
         return RingWriter(self.view, offset, record.capacity, record.slots, seed)
 
+    def mutexes(self, name: str) -> Mutexes:
+        """The mutexes that lifelines hang on; only in a segment that is mapped for writing."""
+        _, offset, _ = self._place(name, "mutexes")
+        if self.mapped is None:
+            raise TypeError(f"{self.spec.name}.{name}: mutexes need a mapping")
+        return Mutexes(self.mapped, offset)
+
     def close(self) -> None:
         """Give the descriptor of an unmapped segment back; a mapping ends when its last word or reader is gone."""
         if self._fd >= 0:
@@ -106,7 +114,7 @@ def create(instance: str, name: str, incarnation: int, client_gid: int = -1) -> 
     fd: int = memory.fd
     header = _HEADER.pack(MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), VERSION.encode())
     os.pwrite(fd, slot.build(1, 0, header, _HEADER_SEED, HEADER_BYTES - slot.HEADER_BYTES), 0)
-    if spec.mode & 0o060 and client_gid >= 0:
+    if spec.mode & 0o020 and client_gid >= 0:
         os.fchown(fd, -1, client_gid)
     os.fchmod(fd, spec.mode)
     return Segment(spec, incarnation, FileView(fd), None, fd)

@@ -1,13 +1,10 @@
-"""Children: starting a process of the table, and what the supervisor knows of it."""
+"""Children: what the supervisor knows of each process of the table."""
 
 from __future__ import annotations
 
 import os
 import signal
-import sys
 
-from failstop.procs.child import PATH_VARIABLE
-from failstop.procs.context import SETTINGS_VARIABLE
 from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
@@ -21,42 +18,13 @@ STARTING_NS = 5_000_000_000
 """A process that does not say that it runs within this time is killed."""
 
 
-class Starter:
-    """What every start has in common."""
-
-    __slots__ = ("_common", "_environment", "_script")
-
-    def __init__(self, name: str, incarnation: int, runtime_dir: str, settings_lines: str) -> None:
-        package = os.path.dirname(os.path.dirname(os.path.abspath(sys.modules["failstop.procs.child"].__file__ or "")))
-        path = [entry for entry in sys.path if entry and os.path.isabs(entry)]
-        self._script = os.path.join(package, "procs", "child.py")
-        self._common = [f"name={name}", f"run={incarnation:x}", f"dir={runtime_dir}", f"parent={os.getpid()}"]
-        self._environment = {
-            PATH_VARIABLE: os.pathsep.join([os.path.dirname(package), *path]),
-            SETTINGS_VARIABLE: settings_lines,
-            "LANG": "C.UTF-8",
-        }
-
-    def start(self, row: Process, descriptors: dict[str, int]) -> int:
-        """Start a process with these descriptors (-1: none) and return its pid. Raises OSError."""
-        words = [f"{key}={descriptors[key]}" for key in row.descriptors]
-        passed = [descriptors[key] for key in row.descriptors if descriptors[key] >= 0]
-        arguments = [sys.executable, "-I", "-S", self._script, row.name, *self._common, *words]
-        for fd in passed:
-            os.set_inheritable(fd, True)
-        try:
-            # A terminal's Ctrl-C goes to the whole group; stopping in order is the supervisor's business.
-            return os.posix_spawn(sys.executable, arguments, self._environment, setsigmask=[signal.SIGINT])
-        finally:
-            for fd in passed:
-                os.set_inheritable(fd, False)
-
-
 class Child:
     """One row of the process table as it is now."""
 
     __slots__ = (
         "beat",
+        "block",
+        "fallen",
         "fenced",
         "last_exit",
         "life",
@@ -73,6 +41,10 @@ class Child:
         self.beat = beat
         self.restarts = restarts
         self.pid = 0
+        self.block = 0
+        """The block of mutexes that it holds."""
+        self.fallen = False
+        """Its death is known, and answered; it is still to be buried."""
         self.life: Lifeline | None = None
         self.started_ns = 0
         self.restart_ns: int | None = None
@@ -82,9 +54,11 @@ class Child:
         self.times_restarted = 0
         self.last_exit = ""
 
-    def started(self, pid: int, now_ns: int) -> None:
+    def started(self, pid: int, block: int, now_ns: int) -> None:
         """It was just started."""
         self.pid = pid
+        self.block = block
+        self.fallen = False
         self.fenced = False
         self.life = Lifeline(pid)
         self.started_ns = now_ns
@@ -92,18 +66,18 @@ class Child:
 
     def running(self) -> bool:
         """True when it has said that it runs."""
-        return self.pid != 0 and self.beat.running(self.pid)
+        return self.pid != 0 and not self.fallen and self.beat.running(self.pid)
 
     def hangs(self, now_ns: int) -> bool:
         """True when its heartbeat, or its first one, is overdue."""
-        if not self.pid or self.fenced:
+        if not self.pid or self.fenced or self.fallen:
             return False
         if self.running():
             return self.beat.age_ns(now_ns) > self.row.deadline_s * 1e9
         return now_ns - self.started_ns > STARTING_NS
 
     def buried(self) -> str:
-        """Collect the dead process and return how it died, in words."""
+        """Collect the dead process, whose pidfd has said so, and return how it died, in words."""
         _, status = os.waitpid(self.pid, 0)
         if os.WIFSIGNALED(status):
             number = os.WTERMSIG(status)

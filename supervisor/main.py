@@ -18,10 +18,13 @@ from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
 from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import Heartbeat, HeartbeatReader
+from failstop.shm.lifeline import EarlyNews
+from failstop.shm.mutex import BLOCKS
 from failstop.supervisor.causes import Cause, Causes
-from failstop.supervisor.children import Child, Starter
+from failstop.supervisor.children import Child
 from failstop.supervisor.events import say
 from failstop.supervisor.restarts import Restarts
+from failstop.supervisor.starter import Starter
 from failstop.supervisor.table import PROCESSES, SUPERVISOR_PRIORITY
 
 TYPE_CHECKING = False
@@ -51,7 +54,12 @@ class Supervisor:
         self.heartbeat = Heartbeat(own, os.getpid(), granted, monotonic_ns())
         self._epoch_word = own.word("epoch")
         self._ready_word = own.word("ready")
-        self._pid_words = {process: own.word(f"{process}_pid") for process in (layout.GATE, layout.PORT_OWNER)}
+        self._life_words = {process: own.word(f"{process}_life") for process in (layout.GATE, layout.PORT_OWNER)}
+        self._mutexes = segment.attach(name, "lifelines", run, write=True).mutexes("mutexes")
+        self._mutexes.prepare(layout.SUPERVISOR_BLOCK)
+        self._mutexes.hold(layout.SUPERVISOR_BLOCK)
+        self._early = EarlyNews(self._mutexes)
+        self._starts = 0
         self._written_word = own.word("written_ns")
         self._cause_record = own.latest_writer("cause")
         self._stop_record = own.latest_writer("stop")
@@ -66,7 +74,7 @@ class Supervisor:
         self._reset_word = views[layout.GATE].word("reset_epoch")
         self._bells = resources.bells
         self._controls = {process: Control(fds[0]) for process, fds in resources.controls.items()}
-        self._starter = Starter(name, run, resources.runtime_dir, settings.lines())
+        self._starter = Starter(name, run, resources.runtime_dir, settings)
         self.children = [
             Child(
                 row,
@@ -86,8 +94,9 @@ class Supervisor:
         self._was_ready = False
         self.ending = False
 
-        bell = self._bells[layout.SUPERVISOR]
-        self.loop.watch(bell.fd, READ)
+        self._bell = self._bells[layout.SUPERVISOR]
+        for fd in (self._bell.fd, self._early.bell.fd):
+            self.loop.watch(fd, READ)
         for control in self._controls.values():
             self.loop.watch(control.fd, READ)
         self.loop.watch(port.fd, HANGUP)
@@ -95,22 +104,29 @@ class Supervisor:
     def end(self, _number: int, _frame: object) -> None:
         """Signal handler of SIGTERM and SIGINT: end at the next turn, which comes at once."""
         self.ending = True
-        self._bells[layout.SUPERVISOR].ring()
+        self._bell.ring()
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
-        dead = [child for child in self.children if child.life and child.life.fd in ready]
-        written_ns = self._burst() if any(child.row.name == layout.PORT_OWNER for child in dead) else 0
-        if causes := self._collect(dead, now_ns, written_ns):
+        fallen = [child for child in self.children if child.life and not child.fallen and child.life.down(ready)]
+        written_ns = self._burst() if any(child.row.name == layout.PORT_OWNER for child in fallen) else 0
+        if causes := self._collect(fallen, now_ns, written_ns):
             self._raise_epoch(causes)
-        for child in dead:
-            self._bury(child, now_ns)
-        self._bells[layout.SUPERVISOR].clear()
+        for child in fallen:
+            if child.life:
+                child.life.demote()
+        for child in self.children:
+            if child.life and child.life.fd in ready:
+                self._bury(child, now_ns)
+        for rung in (self._bell, self._early.bell):
+            if rung.fd in ready:
+                rung.clear()
         self._serve_descriptors(ready)
         self._follow_answer(now_ns)
         self._fence_hangs(now_ns)
         self._restart_due(now_ns)
+        self._arm()
         self._publish()
         self.heartbeat.beat(now_ns, self.epoch)
 
@@ -122,18 +138,20 @@ class Supervisor:
         self._written_word.set(written_ns)
         return written_ns
 
-    def _collect(self, dead: list[Child], now_ns: int, burst_ns: int) -> list[Cause]:
+    def _collect(self, fallen: list[Child], now_ns: int, burst_ns: int) -> list[Cause]:
         """Every cause that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
-        death was answered. A death that the port owner noticed too is told once, by how the process died."""
+        death was answered."""
         causes = []
-        dying = {f"{child.row.name} died" for child in dead}
         for process, ring in self._news:
             while entry := ring.next():
                 _, cause_ns, written_ns, _, reason = records.unpack_stop(entry[2])
-                if reason not in dying:
-                    causes.append(Cause(cause_ns, process, reason, written_ns))
-        deaths = [f"{child.row.name} {child.buried()}" for child in dead]
-        return causes + [Cause(now_ns, layout.SUPERVISOR, death, burst_ns) for death in deaths]
+                causes.append(Cause(cause_ns, process, reason, written_ns))
+        for child in fallen:
+            child.fallen = True
+            death = f"{child.row.name} died"
+            if death not in (cause.reason for cause in causes):
+                causes.append(Cause(now_ns, layout.SUPERVISOR, death, burst_ns))
+        return causes
 
     def _raise_epoch(self, causes: list[Cause]) -> None:
         """A stop: the cause first, then the epoch that refers to it, then the bells."""
@@ -141,8 +159,8 @@ class Supervisor:
         standing = self._causes.add(causes, self.epoch, self._reset_word.get())
         stop = records.pack_stop(self.epoch, standing.t_ns, standing.written_ns, True, standing.reason)
         self._cause_record.write(stop)
-        self._epoch_word.set(self.epoch)
         self._ready_word.set(0)
+        self._epoch_word.set(self.epoch)
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.GATE].ring()
         self._unanswered = min(causes, key=lambda cause: cause.t_ns)
@@ -152,7 +170,8 @@ class Supervisor:
                 say(f"also: {cause.reason}")
 
     def _follow_answer(self, now_ns: int) -> None:
-        """The port owner answers a raised epoch with a stop. If it does not, the supervisor writes the burst itself."""
+        """The port owner answers a raised epoch with a stop. If it does not, or could not write it, the supervisor
+        writes the burst itself."""
         cause = self._unanswered
         if cause is None:
             return
@@ -164,7 +183,10 @@ class Supervisor:
             by = "supervisor"
             written_ns = written_ns or self._burst()
         elif not written_ns:
-            written_ns = self._port_owner_written.get()
+            written_ns = 0 if cause.noticed_by == layout.PORT_OWNER else self._port_owner_written.get()
+            # It may have noticed the cause a little sooner; a burst from long before is none for this cause.
+            if written_ns < cause.t_ns - TICK_NS:
+                by, written_ns = "supervisor", self._burst()
         self._unanswered = None
         self._tell_stop(cause, written_ns, by)
 
@@ -197,14 +219,15 @@ class Supervisor:
         return next(child for child in self.children if child.row.name == name)
 
     def _bury(self, child: Child, now_ns: int) -> None:
-        """Plan the restart of a process that has died."""
+        """Collect a process that has died, and plan its restart."""
+        self.loop.forget(child.life.fd) if child.life else None
+        name, death = child.row.name, child.buried()
         wait_ns = child.restarts.died(now_ns)
-        if self.ending:
-            return
         if wait_ns is None:
-            say(f"{child.row.name} died too often: it stays down, and the wheels stopped; next: restart the service")
+            say(f"{name} was {death}; it died too often and stays down, the wheels stopped; next: restart the service")
         else:
             child.restart_ns = now_ns + wait_ns
+            say(f"{name} was {death}; restarting it {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}")
 
     def _serve_descriptors(self, ready: dict[int, int]) -> None:
         """A port that has gone is let go at once; one that the port owner has opened anew is kept and passed on."""
@@ -231,6 +254,12 @@ class Supervisor:
                 os.kill(child.pid, signal.SIGKILL)
                 child.fenced = True
 
+    def _arm(self) -> None:
+        """A process that runs holds its mutexes: wait for the early news of its death."""
+        for child in self.children:
+            if child.life and not child.life.armed and child.running():
+                self._early.arm(child.life, child.block, 0)
+
     def _restart_due(self, now_ns: int) -> None:
         for child in self.children:
             if child.restart_ns is not None and now_ns >= child.restart_ns:
@@ -241,17 +270,20 @@ class Supervisor:
         """Start a process and name it to those who watch it."""
         name = child.row.name
         descriptors = self._resources.descriptors(name, self._port.fd)
+        self._starts += 1
+        block = layout.SUPERVISOR_BLOCK + 1 + self._starts % (BLOCKS - 1)
+        self._mutexes.prepare(block)
         try:
-            pid = self._starter.start(child.row, descriptors)
+            pid = self._starter.start(child.row, block, descriptors)
         except OSError as error:
             say(f"cannot start {name}: {error}; trying again")
             child.restart_ns = monotonic_ns() + 500_000_000
             return
-        child.started(pid, monotonic_ns())
+        child.started(pid, block, monotonic_ns())
         if child.life:
             self.loop.watch(child.life.fd, READ)
-        if word := self._pid_words.get(name):
-            word.set(pid)
+        if word := self._life_words.get(name):
+            word.set(records.life(pid, block))
             self._bells[layout.PORT_OWNER].ring()
             self._bells[layout.STOPPER].ring()
 

@@ -35,8 +35,9 @@ class Resources:
         gid = gid if may_change_group else -1
         for spec in layout.SEGMENTS:
             segment.create(name, spec.name, self.incarnation, gid).close()
-        bell.make_pipe(instance.stop_path(runtime_dir), 0o666)
-        bell.make_pipe(instance.bell_path(runtime_dir), 0o660, gid)
+        # For writing alone: whoever could read them could take away the requests of others.
+        bell.make_pipe(instance.stop_path(runtime_dir), 0o622)
+        bell.make_pipe(instance.bell_path(runtime_dir), 0o620, gid)
         os.close(claim.open_claims(instance.claims_path(runtime_dir), create=True, mode=0o660, gid=gid))
         self.stop_pipe = bell.open_pipe(instance.stop_path(runtime_dir))
         self.client_bell = bell.open_pipe(instance.bell_path(runtime_dir))

@@ -30,15 +30,15 @@ class Setting:
     def check(self, value: object) -> float | str:
         """Return the value in its declared type, or raise SettingError."""
         if isinstance(self.default, str):
-            if isinstance(value, str) and value:
+            if isinstance(value, str) and value and value.isprintable():
                 return value
             raise SettingError(f"{self.key} = {value!r}: a text is expected")
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise SettingError(f"{self.key} = {value!r}: a number is expected, {self.range()}")
-        if isinstance(self.default, int) and value != int(value):
-            raise SettingError(f"{self.key} = {value!r}: a whole number is expected, {self.range()}")
         if self.low is not None and self.high is not None and not self.low <= value <= self.high:
             raise SettingError(f"{self.key} = {value!r}: allowed is {self.range()}")
+        if isinstance(self.default, int) and value != int(value):
+            raise SettingError(f"{self.key} = {value!r}: a whole number is expected, {self.range()}")
         return type(self.default)(value)
 
     def range(self) -> str:
@@ -57,7 +57,7 @@ DECLARED = (
     Setting("limits.wz_radps", 1.0, "rad/s", 0.01, 10.0, "fastest turn"),
     Setting("limits.acceleration_mps2", 0.5, "m/s2", 0.01, 20.0, "ramp of vx and vy"),
     Setting("limits.acceleration_radps2", 2.0, "rad/s2", 0.01, 100.0, "ramp of wz"),
-    Setting("wheels.diameter_m", 0.08, "m", 0.01, 1.0, "wheel diameter"),
+    Setting("wheels.diameter_m", 0.08, "m", 0.02, 1.0, "wheel diameter"),
     Setting("wheels.wheelbase_m", 0.17706, "m", 0.01, 3.0, "distance of front and rear axle"),
     Setting("wheels.track_m", 0.17165, "m", 0.01, 3.0, "distance of left and right wheels"),
     Setting("pad.mode_button", 0x2000, "", 0, 0xFFFF, "the gamepad's MODE button, the only one that is no stop; a bit"),

@@ -167,10 +167,27 @@ def test_gamepad() -> None:
     assert decoder.gamepad(data) == (0xC00F, 3, -128, 127, -1, 1)
 
 
-def test_buttons_are_single_distinct_bits() -> None:
-    bits = list(decoder.BUTTONS.values())
-    assert len(set(bits)) == len(bits) == 12
-    assert all(bit.bit_count() == 1 and bit <= 0x8000 for bit in bits)
+def test_buttons_are_those_described() -> None:
+    described = (
+        "L2 0001, R2 0002, SELECT 0004, START 0008, L3 0020, R3 0040, X 0100, O 0200, SQUARE 0800, TRIANGLE 1000, "
+        "L1 4000, R1 8000"
+    )
+    assert {name: f"{bit:04X}" for name, bit in decoder.BUTTONS.items()} == dict(
+        pair.split(" ") for pair in described.split(", ")
+    )
+
+
+def test_key_events_are_those_described() -> None:
+    assert [(f"{event:02X}", name) for event, name in decoder.KEY_EVENTS.items()] == [
+        ("01", "pressed"),
+        ("02", "long"),
+        ("04", "long-repeat"),
+        ("08", "release after long"),
+        ("10", "release after short"),
+        ("20", "click"),
+        ("40", "double"),
+        ("80", "triple"),
+    ]
 
 
 @pytest.mark.parametrize("event", decoder.KEY_EVENTS)

@@ -90,6 +90,11 @@ class ControlServer:
         """When the first waiting request is to be answered at the latest."""
         return min((wait.deadline_ns for wait in self._waits.values()), default=None)
 
+    @property
+    def waiting(self) -> int:
+        """How many requests are waiting."""
+        return len(self._waits)
+
     def ready(self, descriptor: int) -> bool:
         """Serve a descriptor that epoll reported; false when it is none of this server's."""
         if descriptor == self._listener.fileno():

@@ -33,8 +33,8 @@ PAD_PERIOD_NS = 50_000_000
 FRAMES_KEPT = 100_000
 # A board that was not run for longer than this has lost its telemetry instead of sending it in one heap.
 CATCH_UP_NS = 100_000_000
-# The firmware averages the battery voltage: a step takes three readings to show.
-BATTERY_SHARE = 0.65
+# The firmware averages the battery voltage: a step takes about 3 s to show fully.
+BATTERY_READINGS = 3
 PWM_SERVOS = 4
 NEVER = 1 << 63
 
@@ -95,7 +95,7 @@ class BoardModel:
         self._up_free_ns = start_ns
         self._imu_period_ns = round(1e9 / imu_hz) if imu_hz else NEVER
         self._imu_ns = start_ns + self._imu_period_ns
-        self._battery_shown_mv = battery_mv
+        self._battery_readings = deque([battery_mv] * BATTERY_READINGS, maxlen=BATTERY_READINGS)
         self._battery_ns = start_ns + BATTERY_PERIOD_NS
         self._pad_frame = b""
         self._pad_ns = NEVER
@@ -214,9 +214,8 @@ class BoardModel:
     def _report_battery(self, now_ns: int) -> None:
         t_ns = self._battery_ns
         self._battery_ns = self._next(t_ns, BATTERY_PERIOD_NS, now_ns)
-        step_mv = self.battery_mv - self._battery_shown_mv
-        self._battery_shown_mv += step_mv if abs(step_mv) < 10 else round(BATTERY_SHARE * step_mv)
-        self._send(upward.battery(self._battery_shown_mv), t_ns)
+        self._battery_readings.append(self.battery_mv)
+        self._send(upward.battery(round(sum(self._battery_readings) / BATTERY_READINGS)), t_ns)
 
     def _report_pad(self, now_ns: int) -> None:
         t_ns = self._pad_ns

@@ -91,8 +91,7 @@ class Simulator:
             while not self._ending:
                 self._sleep()
                 self._serve_descriptors()
-                self._pass_time()
-                self._tell()
+                self._tell(self._pass_time())
 
     # The loop.
 
@@ -129,12 +128,14 @@ class Simulator:
             if self._recorder is not None:
                 self._recorder.chunk(t_ns, chunk)
 
-    def _pass_time(self) -> None:
-        for frame in self._model.advance(time.monotonic_ns()):
-            self._port.send(frame)
-
-    def _tell(self) -> None:
+    def _pass_time(self) -> int:
+        """Returns the time up to which everything has happened."""
         now_ns = time.monotonic_ns()
+        for frame in self._model.advance(now_ns):
+            self._port.send(frame)
+        return now_ns
+
+    def _tell(self, now_ns: int) -> None:
         total = self._model.executed_total
         if total > self._told and (self._recorder is not None or self._on_frame is not None):
             for frame in self._model.executed(self._told):
@@ -175,7 +176,9 @@ class Simulator:
 
     def _handle(self, request: Answer) -> Answer | Wait:
         operation = str(request.get("op"))
-        # So that the answer is about now.
+        # So that the answer is about now, and a change holds for what is sent after it. Trying to read makes the
+        # kernel pass on what was written before, which the control socket overtakes otherwise.
+        self._receive()
         self._pass_time()
         if operation in self._requests:
             return self._requests[operation](request)
@@ -194,6 +197,7 @@ class Simulator:
             "node": port.node if port.plugged else None,
             "opened": port.opened,
             "draining": port.draining,
+            "waiting": self._control.waiting,
             "executed": self._model.executed_total,
             "lost_up_bytes": port.lost_up_bytes,
         }

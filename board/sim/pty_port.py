@@ -137,8 +137,7 @@ class PtyPort:
             if error.errno != errno.EBUSY:
                 raise
             # Only root can open a pty that is still claimed. A fresh one under the same name looks the same to clients.
-            self._close()
-            self._open()
+            self._renew()
             return
         fcntl.ioctl(slave, termios.TIOCNXCL)
         termios.tcflush(slave, termios.TCIFLUSH)
@@ -172,11 +171,21 @@ class PtyPort:
         self.more = True
         self._place_link()
 
+    def _renew(self) -> None:
+        former = self.master
+        self._forget(former)
+        self._open()
+        # Not before: the link always leads somewhere.
+        os.close(former)
+
     def _close(self) -> None:
-        self._epoll.unregister(self.master)
-        self._poll.unregister(self.master)
+        self._forget(self.master)
         os.close(self.master)
         self.master = -1
+
+    def _forget(self, master: int) -> None:
+        self._epoll.unregister(master)
+        self._poll.unregister(master)
 
     def _place_link(self) -> None:
         beside = f"{self.link}.{os.getpid()}.new"

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
-
 from failstop.commands import add_name
 from failstop.shm import instance
-from failstop.supervisor import config
+from failstop.supervisor import config, starter
 from failstop.supervisor.port import OwnPort
 
 TYPE_CHECKING = False
@@ -22,20 +20,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Stop first, then start everything. Raises what cli.py turns into one line."""
+    """Stop first, then become the supervisor. Raises what cli.py turns into one line."""
     settings = config.load(arguments.config, {"device.path": arguments.device} if arguments.device else None)
     runtime_dir = instance.make_runtime_dir(arguments.name)
     lock = instance.lock(runtime_dir)
-    try:
-        port = OwnPort.open_and_stop(settings.text("device.path"))
-        # Imported only now: the stop is on the wire, the rest may take its time.
-        from failstop.supervisor import main as supervisor
-        from failstop.supervisor.resources import Resources
-
-        resources = Resources(arguments.name, runtime_dir)
-        try:
-            return supervisor.run(resources, port, settings)
-        finally:
-            resources.remove()
-    finally:
-        os.close(lock)
+    port = OwnPort.open_and_stop(settings.text("device.path"))
+    starter.become_supervisor(arguments.name, runtime_dir, settings, lock, port.fd)
+    raise AssertionError("exec returned")

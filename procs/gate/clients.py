@@ -29,6 +29,9 @@ if TYPE_CHECKING:
         def client_gone(self, slot: Slot, now_ns: int) -> None: ...
 
 
+NAME_BYTES = 64
+
+
 def _seen(reader: LatestReader) -> int:
     """What a restarted gate finds already there is not new: its predecessor may have acted on it."""
     entry = reader.read()
@@ -76,7 +79,9 @@ class Slot:
             session, self.pid, name = records.unpack_hello(entry[2])
         except ValueError:
             return 0
-        self.name = "".join(c if c.isprintable() else "?" for c in name)
+        # Bounded here: the state with all names in it must fit its record, whatever clients call themselves.
+        printable = "".join(c if c.isprintable() else "?" for c in name)
+        self.name = printable.encode()[:NAME_BYTES].decode("utf-8", "ignore")
         return session
 
     def new_command(self) -> Command | None:

@@ -16,7 +16,8 @@ from failstop.procs.port_owner import repeats
 from failstop.procs.port_owner.admission import Admission
 from failstop.procs.port_owner.reopen import Reopener
 from failstop.procs.port_owner.wire import Wire
-from failstop.shm import bell, heartbeat, records
+from failstop.shm import bell, heartbeat, layout, records
+from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
@@ -45,9 +46,10 @@ class PortOwner:
         self.repeats = repeats.Repeats(monotonic_ns())
 
         self._epoch_word = supervisor.word("epoch")
-        self._gate_pid_word = supervisor.word("gate_pid")
+        self._gate_life_word = supervisor.word("gate_life")
         self._supervisor_beat = supervisor.word("beat_ns")
         self._gate_beat = gate.word("beat_ns")
+        self._gate_heart = HeartbeatReader(gate)
         self._frames = gate.ring_reader("frames")
         self._stopped_word = own.word("stopped_epoch")
         self._written_word = own.word("written_ns")
@@ -59,10 +61,14 @@ class PortOwner:
         self._supervisor_bell = context.bell("supervisor_bell")
         self._telemetry_bell = context.bell("telemetry_bell")
         self._stop_pipe = context.fd("stop")
+        self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
+        self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 0)
         self._gate_life: Lifeline | None = None
-        self._gate_pid = 0
+        self._gate_named = 0
         self._leave_ns = 0
+        self._stuck = False
+        self._watched = (-1, 0)
         self.epoch = self._epoch_word.get()
 
         self.wire = Wire(context.fd("port"))
@@ -73,29 +79,34 @@ class PortOwner:
         self._stopped_word.set(self.epoch)
         self._publish_port(monotonic_ns())
 
-        for fd in (self._bell.fd, self._stop_pipe, self._supervisor_life.fd):
+        for fd in (self._bell.fd, self._early.bell.fd, self._stop_pipe, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
-        if not self.wire.lost:
-            self.loop.watch(self.wire.fd, READ)
 
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
         now_ns = monotonic_ns()
         if self._stop_pipe in ready:
             self._stop_request(now_ns)
-        if self._gate_life and self._gate_life.fd in ready:
+        if self._gate_life and self._gate_life.down(ready):
             self._gate_died(now_ns)
-        if self._supervisor_life.fd in ready and not self._leave_ns:
+        if not self._leave_ns and self._supervisor_life.down(ready):
             self._leave_ns = now_ns + LEAVE_AFTER_NS
+            self.wire.burst()
+            self._supervisor_life.demote()
+            if self._gate_life:
+                self._gate_life.demote()  # it dies with its parent
+            self._own_stop(now_ns, monotonic_ns(), "supervisor died")
             self.loop.forget(self._supervisor_life.fd)
-            self.stop(now_ns, "supervisor died")
-        if self._bell.fd in ready:
-            self._bell.clear()
+        for rung in (self._bell, self._early.bell):
+            if rung.fd in ready:
+                rung.clear()
         self._follow_epoch(now_ns)
         self._check_leases(now_ns)
-        self._forward_frames(now_ns)
+        self._check_drain(now_ns)
+        self._forward_frames()
         self._serve_port(ready.get(self.wire.fd, 0), now_ns)
         self._repeat(now_ns)
+        self._watch_port()
         self.heartbeat.beat(now_ns, self.epoch)
         return not self._leave_ns or now_ns < self._leave_ns
 
@@ -109,17 +120,18 @@ class PortOwner:
         answers the published cause with a newer one."""
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch, own=True)
-        self._stopped(written_ns)
-        self._stops.put(records.pack_stop(epoch, cause_ns, 0 if self.wire.lost else written_ns, True, reason))
+        written_ns = self._stopped(written_ns)
+        self._stops.put(records.pack_stop(epoch, cause_ns, written_ns, True, reason))
         self._supervisor_bell.ring()
 
-    def _stopped(self, written_ns: int) -> None:
+    def _stopped(self, written_ns: int) -> int:
+        """What follows every burst. Returns when it was written: 0 when the kernel did not take all of it."""
         self.admission.moving = False
         self.repeats.restart(written_ns)
-        if not self.wire.lost:
-            self._written_word.set(written_ns)
-            if self.wire.unsent:
-                self.loop.watch(self.wire.fd, READ | WRITE)
+        if self.wire.lost or self.wire.unsent:
+            return 0
+        self._written_word.set(written_ns)
+        return written_ns
 
     def _stop_request(self, now_ns: int) -> None:
         """Any bytes are a stop; the text, where there is one, only says why."""
@@ -130,20 +142,21 @@ class PortOwner:
         self._own_stop(now_ns, written_ns, printable or "stop request")
 
     def _follow_gate(self, now_ns: int) -> None:
-        """Watch the gate that the supervisor names."""
-        pid = self._gate_pid_word.get()
-        if pid == self._gate_pid:
-            return
-        if self._gate_life and self._gate_life.dead():
-            self._gate_died(now_ns)
-        self._drop_gate()
-        self._gate_pid = pid
-        if pid:
+        """Watch the gate that the supervisor names: by its pid at once, by its mutex once it runs and so holds it."""
+        named = self._gate_life_word.get()
+        pid, block = records.unpack_life(named)
+        if named != self._gate_named:
+            if self._gate_life and self._gate_life.dead():
+                self._gate_died(now_ns)
+            self._drop_gate()
+            self._gate_named = named
             try:
                 self._gate_life = Lifeline(pid)
             except ProcessLookupError:
                 return
             self.loop.watch(self._gate_life.fd, READ)
+        if self._gate_life and not self._gate_life.armed and self._gate_heart.running(pid):
+            self._early.arm(self._gate_life, block, 1)
 
     def _drop_gate(self) -> None:
         if self._gate_life:
@@ -152,7 +165,10 @@ class PortOwner:
             self._gate_life = None
 
     def _gate_died(self, now_ns: int) -> None:
-        self.stop(now_ns, "gate died")
+        self.wire.burst()
+        if self._gate_life:
+            self._gate_life.demote()
+        self._own_stop(now_ns, monotonic_ns(), "gate died")
         self._drop_gate()
 
     def _follow_epoch(self, now_ns: int) -> None:
@@ -183,7 +199,15 @@ class PortOwner:
         if self.admission.moving and (lapse := self._lapsed(now_ns)):
             self.stop(now_ns, lapse)
 
-    def _forward_frames(self, now_ns: int) -> None:
+    def _check_drain(self, now_ns: int) -> None:
+        """A port that does not drain is a stop cause, once. Looked at before anything new is written: what was just
+        added has had no time to drain."""
+        stuck = self.wire.stuck(now_ns)
+        if stuck and not self._stuck:
+            self.stop(now_ns, "port does not drain: use the POWER SWITCH")
+        self._stuck = stuck
+
+    def _forward_frames(self) -> None:
         """Drain the gate's ring: of motion the newest counts, a stop ends all motion queued before it."""
         motion = b""
         motion_ns = 0
@@ -200,10 +224,12 @@ class PortOwner:
             elif not check_aux(body):
                 self.wire.frame(body, backlog=OTHER_BACKLOG)
         if motion:
-            self._forward_motion(motion, motion_epoch, motion_ns, now_ns)
+            self._forward_motion(motion, motion_epoch, motion_ns)
 
-    def _forward_motion(self, frame: bytes, frame_epoch: int, frame_ns: int, now_ns: int) -> None:
-        """The table of admission.py, row by row; the epoch is looked at again just before the write."""
+    def _forward_motion(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
+        """The table of admission.py, row by row; the epoch is looked at again just before the write. The time is that
+        of the write: a process that was held up since it woke must not pass what was young then."""
+        now_ns = monotonic_ns()
         if not self._gate_life or not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
             return
         if fault := self._lapsed(now_ns) or self.admission.frame_fault(frame):
@@ -213,15 +239,16 @@ class PortOwner:
         elif self.wire.frame(frame):
             self.admission.moving = True
             self.repeats.motion()
+        elif frame == ZERO_FRAME:
+            # Standing still does not wait for the next refresh, and a burst may be added to whatever is held.
+            self.wire.burst()
 
     def _serve_port(self, events: int, now_ns: int) -> None:
-        """Pass on what the board sent, finish what the kernel did not take, notice a port that is gone or stuck."""
+        """Pass on what the board sent, finish what the kernel did not take, notice a port that is gone."""
         wire = self.wire
         if wire.fd >= 0:
             if events & WRITE:
                 wire.flush()
-                if not wire.unsent:
-                    self.loop.watch(wire.fd, READ)
             if events & READ and (data := wire.read()):
                 for at in range(0, len(data), RECEIVED_CHUNK):
                     self._received.put(data[at : at + RECEIVED_CHUNK])
@@ -230,17 +257,23 @@ class PortOwner:
                 wire.lost = True
             if wire.lost:
                 self._port_lost(now_ns)
-            elif wire.stuck(now_ns) and self.admission.moving:
-                self.stop(now_ns, "port does not drain: use the POWER SWITCH")
         elif (fd := self.reopener.try_open(now_ns)) >= 0:
             wire.adopt(fd)
             self._control.send(fd)
             self._stopped(monotonic_ns())
-            self.loop.watch(fd, READ)
             self._publish_port(now_ns)
 
+    def _watch_port(self) -> None:
+        """Watch the open port for what the board sends, and for room while the kernel has not taken everything."""
+        fd = self.wire.fd
+        wanted = (fd, READ | WRITE if self.wire.unsent else READ)
+        if fd >= 0 and wanted != self._watched:
+            self.loop.watch(*wanted)
+        self._watched = wanted
+
     def _port_lost(self, now_ns: int) -> None:
-        self.loop.forget(self.wire.fd)
+        if self._watched[0] == self.wire.fd:
+            self.loop.forget(self.wire.fd)
         self.wire.close()
         self.stop(now_ns, "device lost")
         self._publish_port(now_ns)

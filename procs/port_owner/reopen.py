@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 from failstop.board import port
 
 
@@ -22,6 +24,10 @@ class Reopener:
         if now_ns < self._next_ns:
             return -1
         self._next_ns = now_ns + self.EVERY_NS
+        # A device is there before udev has given it to its group. Explaining a refused open looks users up, which may
+        # take long; here nobody reads the explanation.
+        if not os.access(self.path, os.R_OK | os.W_OK):
+            return -1
         try:
             fd = port.open_port(self.path, exclusive=True)
         except port.PortError:

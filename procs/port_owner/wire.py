@@ -32,6 +32,14 @@ class Wire:
             self.lost = True
             return len(data)
 
+    def _held(self) -> int:
+        """Bytes that the kernel holds; a port that can't say has gone."""
+        try:
+            return port.unsent_bytes(self.fd)
+        except OSError:
+            self.lost = True
+            return 0
+
     def burst(self) -> None:
         """Write the stop burst, now. The rest of a cut frame is dropped for it, since the burst heals any cut; the rest
         of an earlier burst goes first."""
@@ -42,10 +50,14 @@ class Wire:
         self.unsent = data[self._write(data) :]
 
     def frame(self, data: bytes, backlog: int = 0) -> bool:
-        """Write one frame; while the kernel holds more than `backlog` unsent bytes it is not added, and False."""
-        if self.lost or self.unsent or port.unsent_bytes(self.fd) > backlog:
+        """Write one frame. False, with nothing of it written or kept, when the kernel holds more than `backlog` unsent
+        bytes or takes none: what is kept for later would be late."""
+        if self.lost or self.unsent or self._held() > backlog:
             return False
-        self.unsent = data[self._write(data) :]
+        taken = self._write(data)
+        if self.lost or not taken:
+            return False
+        self.unsent = data[taken:]
         return True
 
     def flush(self) -> None:
@@ -55,7 +67,7 @@ class Wire:
 
     def stuck(self, now_ns: int) -> bool:
         """True when bytes have been held back for DRAIN_NS; asked once a tick."""
-        if self.lost or not (self.unsent or port.unsent_bytes(self.fd)):
+        if self.lost or not (self.unsent or self._held()):
             self._held_since_ns = 0
             return False
         if not self._held_since_ns:

@@ -1,5 +1,5 @@
-"""The stopper's loop: it waits for the port owner's or the supervisor's death, and writes the burst on its own
-descriptor of the port.
+"""The stopper's loop: it waits for the port owner's or the supervisor's death, or the port owner's silence, and writes
+the burst on its own descriptor of the port.
 
 While the port owner lives it is the one that orders stops against motion, so at the supervisor's death the stopper
 lets it go first: a burst written beside a working port owner could be followed by a motion frame that was already on
@@ -15,7 +15,8 @@ from failstop.board.burst import BURST
 from failstop.procs import rights
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
-from failstop.shm import heartbeat
+from failstop.shm import heartbeat, layout, records
+from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
@@ -26,6 +27,8 @@ TICK_NS = 50_000_000
 FIRST_GO_NS = 3_000_000
 """How long the port owner may take to answer the supervisor's death before the stopper writes all the same."""
 LOOK_AGAIN_NS = 200_000
+HANG_NS = 300_000_000
+"""A port owner silent for this long hangs. The supervisor fences it sooner; this is for when it does not."""
 LEAVE_AFTER_NS = 150_000_000
 AGAIN_AFTER_NS = (20_000_000, 100_000_000)
 
@@ -39,20 +42,25 @@ class Stopper:
         self.heartbeat = context.heartbeat
         self.loop = Loop()
         self._epoch_word = supervisor.word("epoch")
-        self._port_owner_pid_word = supervisor.word("port_owner_pid")
+        self._port_owner_life_word = supervisor.word("port_owner_life")
+        self._port_owner_heart = HeartbeatReader(port_owner)
         self._port_owner_written = port_owner.word("written_ns")
         self._written_word = context.own.word("written_ns")
         self._bell = context.bell("bell")
         self.supervisor_bell = context.bell("supervisor_bell")
         self._control = Control(context.fd("control"))
         self._port = context.fd("port")
+        self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
+        self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 1)
         self._port_owner_life: Lifeline | None = None
-        self._port_owner_pid = 0
+        self._port_owner_named = 0
+        self._port_owner_hangs = False
         self._orphaned_ns = 0
         self._first_go_until_ns = 0
         self._due: tuple[int, ...] = ()
-        for fd in (self._bell.fd, self._control.fd, self._supervisor_life.fd):
+        self._burst_ns = 0
+        for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
         if self._port >= 0:
             self.loop.watch(self._port, HANGUP)
@@ -60,28 +68,31 @@ class Stopper:
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
         now_ns = monotonic_ns()
-        if self._port_owner_life and self._port_owner_life.fd in ready:
+        if self._port_owner_life and self._port_owner_life.down(ready):
             self._burst(now_ns)
             self._drop_port_owner()
-        if self._supervisor_life.fd in ready and not self._orphaned_ns:
+        if not self._orphaned_ns and self._supervisor_life.down(ready):
             self._orphaned_ns = now_ns
             self.loop.forget(self._supervisor_life.fd)
             self._first_go_until_ns = now_ns + FIRST_GO_NS if self._port_owner_life else now_ns
         self._write_due(now_ns)
-        if self._bell.fd in ready:
-            self._bell.clear()
-        if self._control.fd in ready:
-            self._adopt_port()
+        for rung in (self._bell, self._early.bell):
+            if rung.fd in ready:
+                rung.clear()
         if ready.get(self._port, 0) & GONE:
             self._close_port()
+        if self._control.fd in ready:
+            self._adopt_port()
         if not self._orphaned_ns:
             self._follow_port_owner(now_ns)
+            self._answer_hang(now_ns)
         self.heartbeat.beat(now_ns, self._epoch_word.get())
         return not self._orphaned_ns or now_ns < self._orphaned_ns + LEAVE_AFTER_NS
 
     def _burst(self, now_ns: int) -> None:
         """Write the burst and plan its repeats."""
         self._write()
+        self._burst_ns = now_ns
         self._due = tuple(now_ns + after for after in AGAIN_AFTER_NS)
 
     def _write(self) -> None:
@@ -104,24 +115,37 @@ class Stopper:
                 self._burst(now_ns)
         elif self._due and now_ns >= self._due[0]:
             self._due = self._due[1:]
-            self._write()
+            if self._orphaned_ns or self._port_owner_written.get() < self._burst_ns:
+                self._write()
+            else:
+                self._due = ()  # a new port owner has stopped, and repeats that itself
 
     def _follow_port_owner(self, now_ns: int) -> None:
-        """Watch the port owner that the supervisor names."""
-        pid = self._port_owner_pid_word.get()
-        if pid == self._port_owner_pid:
-            return
-        if self._port_owner_life and self._port_owner_life.dead():
-            self._burst(now_ns)
-        self._drop_port_owner()
-        self._port_owner_pid = pid
-        if pid:
+        """Watch the port owner that the supervisor names: by its pid at once, by its mutex once it runs."""
+        named = self._port_owner_life_word.get()
+        pid, block = records.unpack_life(named)
+        if named != self._port_owner_named:
+            if self._port_owner_life and self._port_owner_life.dead():
+                self._burst(now_ns)
+            self._drop_port_owner()
+            self._port_owner_named = named
             try:
                 self._port_owner_life = Lifeline(pid)
             except ProcessLookupError:
                 return
             self.loop.watch(self._port_owner_life.fd, READ)
             self._due = ()
+        if self._port_owner_life and not self._port_owner_life.armed and self._port_owner_heart.running(pid):
+            self._early.arm(self._port_owner_life, block, 1)
+
+    def _answer_hang(self, now_ns: int) -> None:
+        """A port owner that has fallen silent gets one burst, and another when it falls silent again."""
+        heart = self._port_owner_heart
+        alive = self._port_owner_life is not None and heart.running(self._port_owner_life.pid)
+        hangs = alive and heart.age_ns(now_ns) > HANG_NS
+        if hangs and not self._port_owner_hangs:
+            self._burst(now_ns)
+        self._port_owner_hangs = hangs
 
     def _drop_port_owner(self) -> None:
         if self._port_owner_life:

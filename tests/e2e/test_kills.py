@@ -34,19 +34,20 @@ def test_kill_while_driving(hardy_trial: Trial, process: str) -> None:
 
 
 @pytest.mark.parametrize("process", [p for p in layout.PROCESSES if p != layout.SUPERVISOR])
-def test_latched_with_how_it_died(trial: Trial, process: str) -> None:
+def test_latched_with_who_died(trial: Trial, process: str) -> None:
     trial.enable()
     pid = trial.service.pids()[process]
     trial.kill(process)
     trial.recover(process, pid)
     state = trial.robot.state
-    assert state.estop == f"{process} killed by SIGKILL"
+    assert state.estop == f"{process} died"
+    assert state.processes[process].last_exit == "killed by SIGKILL"
     assert state.blocked == f"estop: {state.estop}"
     assert not state.enabled
     assert state.last_stop is not None
     assert state.last_stop.reason == state.estop
     assert state.last_stop.written_us is not None
-    with pytest.raises(Refused, match=r"e-stop latched \(.* killed by SIGKILL\)"):
+    with pytest.raises(Refused, match=r"e-stop latched \(.* died\)"):
         trial.robot.enable()
     trial.robot.reset()
     assert trial.robot.state.blocked == "disabled"

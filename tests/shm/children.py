@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import os
 import pickle
+import resource
 import select
 import signal
 import time
@@ -47,6 +49,8 @@ class Child:
         if self.pid == 0:
             code = 99
             try:
+                faulthandler.disable()
+                resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
                 os.close(out_r)
                 os.close(in_w)
                 if uid >= 0:

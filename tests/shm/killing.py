@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from failstop.shm.views import View
 
 DELAY_NS = 300_000
-CPUS = sorted(os.sched_getaffinity(0))
 
 
 def check_without_crc(raw: bytes, crc_seed: int, at: int = 0, size: int | None = None) -> Entry | None:
@@ -128,7 +127,6 @@ class Case:
 
 def write_flat_out(case: Case, first: Word, ready: Word) -> None:
     """The child: take over as a successor and write until killed."""
-    os.sched_setaffinity(0, {CPUS[-1]})
     check = exit_after(20)
     writer = case.writer()
     put = writer.write if isinstance(writer, LatestWriter) else writer.put
@@ -250,7 +248,6 @@ def run(kind: str, where: str, size: int, kills: int, random_seed: int, control:
     try:
         words_memory = mmap.mmap(-1, 4096)
         words = Word(words_memory, 0), Word(words_memory, 64)
-        os.sched_setaffinity(0, {CPUS[0]})
         watch = Watch(case)
         dice = random.Random(random_seed)
         newest = left_torn = during = 0

@@ -1,0 +1,72 @@
+"""Starting processes, the supervisor itself among them: which interpreter, with what on its command line.
+
+`-I -S` and the search path handed over: the site module, and a virtual environment's hooks with it, cost a small
+process more than all of its own imports.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from failstop.procs.child import PATH_VARIABLE, SETTINGS_VARIABLE
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.supervisor.settings import Settings
+    from failstop.supervisor.table import Process
+
+
+def command(process: str, words: dict[str, str]) -> list[str]:
+    """The command line of a process."""
+    package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    script = os.path.join(package, "procs", "child.py")
+    return [sys.executable, "-I", "-S", script, process, *(f"{key}={value}" for key, value in words.items())]
+
+
+def environment(settings: Settings) -> dict[str, str]:
+    """All that a process gets of the environment."""
+    path = [entry for entry in sys.path if os.path.isabs(entry)]
+    found = {PATH_VARIABLE: os.pathsep.join(path), SETTINGS_VARIABLE: settings.lines(), "LANG": "C.UTF-8"}
+    if "XDG_RUNTIME_DIR" in os.environ:
+        found["XDG_RUNTIME_DIR"] = os.environ["XDG_RUNTIME_DIR"]
+    return found
+
+
+def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int, port: int) -> None:
+    """Replace this process by the supervisor, under the same pid; it inherits the lock and the open port. The command
+    line's own imports would double its size. Raises OSError."""
+    for fd in (lock, port):
+        os.set_inheritable(fd, True)
+    words = {"name": name, "dir": runtime_dir, "lock": str(lock), "port": str(port)}
+    path = [os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))), *sys.path]
+    sys.path[:] = list(dict.fromkeys(path))
+    arguments = command("supervisor", words)
+    os.execve(arguments[0], arguments, environment(settings))
+
+
+class Starter:
+    """Starts children; knows what every start has in common."""
+
+    __slots__ = ("_common", "_environment")
+
+    def __init__(self, name: str, incarnation: int, runtime_dir: str, settings: Settings) -> None:
+        self._common = {"name": name, "run": f"{incarnation:x}", "dir": runtime_dir, "parent": str(os.getpid())}
+        self._environment = environment(settings)
+
+    def start(self, row: Process, block: int, descriptors: dict[str, int]) -> int:
+        """Start a process with its block of mutexes and descriptors (-1: none); returns its pid. Raises OSError."""
+        given = {key: descriptors[key] for key in row.descriptors}
+        passed = [fd for fd in given.values() if fd >= 0]
+        arguments = command(
+            row.name, {**self._common, "block": str(block), **{key: str(fd) for key, fd in given.items()}}
+        )
+        for fd in passed:
+            os.set_inheritable(fd, True)
+        try:
+            # A terminal's signals (Ctrl-C, Ctrl-Z, quit, its hang-up) go to a whole process group: were the children
+            # in it, they would all die or freeze at once, with nobody left to stop the wheels.
+            return os.posix_spawn(arguments[0], arguments, self._environment, setsid=True)
+        finally:
+            for fd in passed:
+                os.set_inheritable(fd, False)

@@ -1,0 +1,104 @@
+"""What several tests of the processes need: waiting for a condition, raw ptys, and the board at their other end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import select
+import time
+import tty
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from failstop.board.codec import MOTOR
+from failstop.board.motors import Motors
+from failstop.board.receiver import Receiver
+
+DEADLINE_S = 20.0
+
+
+def until(condition: Callable[[], object], what: str) -> None:
+    """Wait for a condition; fails after the deadline."""
+    end_s = time.monotonic() + DEADLINE_S
+    while not condition():
+        if time.monotonic() > end_s:
+            pytest.fail(f"not within {DEADLINE_S} s: {what}")
+        select.select([], [], [], 0.0005)
+
+
+def open_fds() -> int:
+    """How many descriptors this process has open."""
+    return len(os.listdir("/proc/self/fd"))
+
+
+class Pty:
+    """A raw, non-blocking pty: `slave` is the port, `master` the board's side; `link` is the port's path."""
+
+    def __init__(self) -> None:
+        self.master, self.slave = pty.openpty()
+        tty.setraw(self.slave)
+        os.set_blocking(self.slave, False)
+        os.set_blocking(self.master, False)
+        self.link = os.ttyname(self.slave)
+
+    def read(self) -> bytes:
+        """Everything that has reached the board's side."""
+        data = b""
+        with contextlib.suppress(BlockingIOError):
+            while part := os.read(self.master, 65536):
+                data += part
+        return data
+
+    def fill(self) -> int:
+        """Write zeros, which the board ignores, until the kernel takes no more; returns how many it took. It goes on
+        moving bytes towards the other side for a while, which makes room again: so until that is over too."""
+        taken = 0
+        refused = 0
+        while refused < 20:
+            try:
+                taken += os.write(self.slave, bytes(1000 if refused == 0 else 1))
+                refused = 0
+            except BlockingIOError:
+                refused += 1
+                select.select([], [], [], 0.0005)
+        return taken
+
+    def unplug(self) -> None:
+        """The board's side goes away: the port is hung up."""
+        if self.master >= 0:
+            os.close(self.master)
+            self.master = -1
+
+    def close(self) -> None:
+        """Give both sides back; a side that the test has closed must be set to -1."""
+        self.unplug()
+        if self.slave >= 0:
+            os.close(self.slave)
+            self.slave = -1
+
+
+@contextlib.contextmanager
+def new_pty() -> Iterator[Pty]:
+    """A Pty for the length of a block."""
+    made = Pty()
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+class Board:
+    """The board's receiver and motors: `executed` holds the four speeds after each motor frame, with its data."""
+
+    def __init__(self, speeds: tuple[float, float, float, float] = (0.5, -0.25, 0.75, -1.0)) -> None:
+        self.receiver = Receiver()
+        self.motors = Motors(speeds)
+        self.executed: list[tuple[bytes, tuple[float, ...]]] = []
+
+    def feed(self, data: bytes) -> None:
+        """Take in bytes."""
+        for _, func, body in self.receiver.feed(data):
+            if func == MOTOR:
+                self.executed.append((body, self.motors.execute(body)))

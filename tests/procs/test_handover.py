@@ -1,0 +1,108 @@
+"""Handover of descriptors between processes: duplicates arrive, and nothing ever blocks or raises."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from failstop.procs import handover
+from failstop.procs.handover import Control
+
+from .parts import open_fds
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[Control, Control]]:
+    mine, theirs = handover.pair()
+    pair = Control(mine), Control(theirs)
+    yield pair
+    for end in pair:
+        end.close()
+
+
+@pytest.fixture
+def pipe() -> Iterator[tuple[int, int]]:
+    both = os.pipe()
+    yield both
+    for fd in both:
+        with contextlib.suppress(OSError):
+            os.close(fd)
+
+
+def test_a_duplicate_arrives_and_works(ends: tuple[Control, Control], pipe: tuple[int, int]) -> None:
+    ends[0].send(pipe[1])
+    received = ends[1].receive()
+    assert received not in (-1, *pipe)
+    os.close(pipe[1])
+    os.write(received, b"stop")
+    assert os.read(pipe[0], 10) == b"stop"
+    assert not os.get_inheritable(received), "closed on exec unless it is passed on"
+    os.close(received)
+
+
+def test_both_ways(ends: tuple[Control, Control], pipe: tuple[int, int]) -> None:
+    ends[1].send(pipe[1])
+    received = ends[0].receive()
+    assert received >= 0
+    os.close(received)
+
+
+def test_nothing_waiting_is_minus_one(ends: tuple[Control, Control]) -> None:
+    assert ends[1].receive() == -1
+
+
+def test_in_order_one_at_a_time(ends: tuple[Control, Control]) -> None:
+    pipes = [os.pipe() for _ in range(3)]
+    for _, into in pipes:
+        ends[0].send(into)
+    for out, into in pipes:
+        received = ends[1].receive()
+        os.close(into)
+        os.write(received, b"!")
+        os.close(received)
+        assert os.read(out, 2) == b"!"
+        os.close(out)
+    assert ends[1].receive() == -1
+
+
+def test_a_peer_that_is_gone_is_no_error(pipe: tuple[int, int]) -> None:
+    mine, theirs = handover.pair()
+    os.close(theirs)
+    end = Control(mine)
+    end.send(pipe[1])
+    assert end.receive() == -1
+    end.close()
+
+
+def test_what_was_sent_before_the_peer_died_still_arrives(pipe: tuple[int, int]) -> None:
+    mine, theirs = handover.pair()
+    sender, receiver = Control(mine), Control(theirs)
+    sender.send(pipe[1])
+    sender.close()
+    received = receiver.receive()
+    assert received >= 0
+    os.close(received)
+    assert receiver.receive() == -1
+    receiver.close()
+
+
+def test_a_peer_that_takes_nothing_does_not_block(ends: tuple[Control, Control], pipe: tuple[int, int]) -> None:
+    before = open_fds()
+    for _ in range(2000):
+        ends[0].send(pipe[1])
+    assert open_fds() == before, "the sender's own descriptors are not used up"
+
+
+def test_a_message_without_a_descriptor_is_minus_one(ends: tuple[Control, Control]) -> None:
+    os.write(ends[0].fd, b"port")
+    assert ends[1].receive() == -1
+
+
+def test_the_pair_is_closed_on_exec() -> None:
+    both = handover.pair()
+    assert not any(os.get_inheritable(fd) for fd in both)
+    for fd in both:
+        os.close(fd)

@@ -1,0 +1,183 @@
+"""The stop tool on real ptys with a fake clock: what it waits for, what it says, and what reaches the board."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.board import codec
+from failstop.board.burst import BURST
+from failstop.board.port import PortError
+from failstop.procs.stopper import tool
+
+from .parts import Board, Pty, new_pty, open_fds
+
+MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
+
+
+class Clock:
+    """Stands for the time module: sleeping is what makes time pass, and what is planned happens then."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+        self.slept: list[float] = []
+        self._planned: list[tuple[float, Callable[[], object]]] = []
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        self.now_s += seconds
+        for plan in [plan for plan in self._planned if plan[0] <= self.now_s]:
+            self._planned.remove(plan)
+            plan[1]()
+
+    def after(self, seconds: float, action: Callable[[], object]) -> None:
+        self._planned.append((self.now_s + seconds, action))
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(tool, "time", made)
+    return made
+
+
+@pytest.fixture
+def pty() -> Iterator[Pty]:
+    with new_pty() as made:
+        yield made
+
+
+@pytest.fixture(autouse=True)
+def no_descriptor_is_left(pty: Pty) -> Iterator[None]:
+    before = open_fds()
+    yield
+    assert open_fds() == before - (pty.master < 0)
+
+
+@pytest.fixture
+def said() -> list[str]:
+    return []
+
+
+def test_writes_the_burst_and_says_how_long_it_took(pty: Pty, clock: Clock, said: list[str]) -> None:
+    assert tool.stop(pty.link, 30.0, said.append) == 0.0
+    assert pty.read() == BURST
+    assert (said, clock.slept) == ([], [])
+
+
+def test_the_burst_stops_a_board_in_the_middle_of_a_frame(pty: Pty, clock: Clock, said: list[str]) -> None:
+    os.write(pty.slave, MOTION + MOTION[:15])
+    tool.stop(pty.link, 0.0, said.append)
+    board = Board()
+    board.feed(pty.read())
+    assert board.motors.stopped
+
+
+def test_an_absent_device_is_not_waited_for_without_a_wait(tmp_path: Path, clock: Clock, said: list[str]) -> None:
+    path = str(tmp_path / "board")
+    with pytest.raises(PortError, match=f"no device {path}") as raised:
+        tool.stop(path, 0.0, said.append)
+    assert raised.value.kind == "absent"
+    assert clock.slept == []
+
+
+def test_a_device_that_comes_back_is_stopped_soon(tmp_path: Path, pty: Pty, clock: Clock, said: list[str]) -> None:
+    path = tmp_path / "board"
+    clock.after(0.3, lambda: path.symlink_to(pty.link))
+    assert tool.stop(str(path), 30.0, said.append) == pytest.approx(0.3, abs=tool.RETRY_S + 1e-6)
+    assert pty.read() == BURST
+    assert said == []
+
+
+def test_looks_often_enough() -> None:
+    assert tool.RETRY_S <= 0.2
+
+
+def test_gives_up_after_the_wait_with_the_last_reason(tmp_path: Path, clock: Clock, said: list[str]) -> None:
+    path = str(tmp_path / "board")
+    with pytest.raises(PortError, match="no device"):
+        tool.stop(path, 5.0, said.append)
+    assert 5.0 <= sum(clock.slept) <= 5.0 + tool.RETRY_S + 1e-6
+
+
+def test_warns_once_after_a_second(tmp_path: Path, pty: Pty, clock: Clock, said: list[str]) -> None:
+    path = tmp_path / "board"
+    clock.after(0.99, lambda: said.append("- 0.99 s -"))
+    clock.after(1.05, lambda: said.append("- 1.05 s -"))
+    clock.after(6.0, lambda: path.symlink_to(pty.link))
+    assert tool.stop(str(path), 30.0, said.append) == pytest.approx(6.0, abs=tool.RETRY_S + 1e-6)
+    expected = f"no device {path}: plug the board in, or name another with --device; trying for 30 s"
+    assert said == ["- 0.99 s -", expected, "- 1.05 s -"]
+
+
+@pytest.mark.parametrize("kind", ["busy", "permission", "io"])
+def test_any_other_obstacle_is_waited_for_too(
+    pty: Pty, clock: Clock, said: list[str], monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    real = tool.open_port
+    free = [False]
+
+    def refuses(path: str, *, exclusive: bool) -> int:
+        assert not exclusive, "it takes the port from nobody"
+        if free[0]:
+            return real(path, exclusive=exclusive)
+        raise PortError(kind, f"{path} is held")  # type: ignore[arg-type]
+
+    monkeypatch.setattr(tool, "open_port", refuses)
+    clock.after(2.0, lambda: free.__setitem__(0, True))
+    assert tool.stop(pty.link, 30.0, said.append) == pytest.approx(2.0, abs=tool.RETRY_S + 1e-6)
+    assert pty.read() == BURST
+    free[0] = False
+    with pytest.raises(PortError, match="is held") as raised:
+        tool.stop(pty.link, 0.0, said.append)
+    assert raised.value.kind == kind
+
+
+def test_a_port_that_takes_no_bytes_says_power_switch(pty: Pty, clock: Clock, said: list[str]) -> None:
+    pty.fill()
+    with pytest.raises(PortError, match="takes no bytes: use the POWER SWITCH") as raised:
+        tool.stop(pty.link, 0.0, said.append)
+    assert raised.value.kind == "io"
+    assert sum(clock.slept) == pytest.approx(0.1, abs=0.01)
+
+
+def test_a_full_port_that_drains_in_time_gets_the_whole_burst(pty: Pty, clock: Clock, said: list[str]) -> None:
+    taken = pty.fill()
+    found = []
+    clock.after(0.05, lambda: found.append(pty.read()))
+    tool.stop(pty.link, 0.0, said.append)
+    assert b"".join([*found, pty.read()]) == bytes(taken) + BURST
+
+
+def test_a_full_port_is_tried_again_for_as_long_as_it_may_wait(pty: Pty, clock: Clock, said: list[str]) -> None:
+    pty.fill()
+    found = []
+    clock.after(3.0, lambda: found.append(pty.read()))
+    assert tool.stop(pty.link, 30.0, said.append) == pytest.approx(3.0, abs=0.1 + tool.RETRY_S + 0.01)
+    stream = b"".join([*found, pty.read()])
+    assert stream.endswith(BURST)
+    assert len(said) == 1
+    assert "POWER SWITCH" in said[0]
+
+
+def test_a_device_that_goes_away_while_writing(pty: Pty, clock: Clock, said: list[str]) -> None:
+    pty.fill()
+    clock.after(0.02, pty.unplug)
+    with pytest.raises(PortError, match="went away while writing") as raised:
+        tool.stop(pty.link, 0.0, said.append)
+    assert raised.value.kind == "io"
+
+
+def test_something_that_is_no_port_is_refused(tmp_path: Path, clock: Clock, said: list[str]) -> None:
+    path = tmp_path / "file"
+    path.touch()
+    with pytest.raises(PortError) as raised:
+        tool.stop(str(path), 0.0, said.append)
+    assert raised.value.kind == "not-a-tty"
+    assert path.read_bytes() == b""

@@ -1,0 +1,288 @@
+"""Claims: one holder at a time, and none that outlives its holder."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from failstop.shm import claim
+
+from .children import NOBODY, Child, call, needs_root, umask, until
+
+Send = Callable[[object], None]
+Wait = Callable[[], None]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> str:
+    where = str(tmp_path / "claims")
+    os.close(claim.open_claims(where, create=True))
+    return where
+
+
+def holder(path: str, *indexes: int) -> Child:
+    """A process that holds these bytes until it is told to go, or killed."""
+
+    def work(send: Send, wait: Wait) -> None:
+        fd = claim.open_claims(path)
+        send([claim.take(fd, index) for index in indexes])
+        wait()
+
+    child = Child(work)
+    assert child.receive() == [True] * len(indexes)
+    return child
+
+
+def test_open_of_what_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        claim.open_claims(str(tmp_path / "absent"))
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
+@pytest.mark.parametrize("mode", [0o660, 0o644, 0o600])
+def test_the_file_s_mode_is_exact(tmp_path: Path, mask: int, mode: int, fds: list[int]) -> None:
+    with umask(mask):
+        fds.append(claim.open_claims(str(tmp_path / "new"), create=True, mode=mode))
+    assert stat.S_IMODE(os.stat(tmp_path / "new").st_mode) == mode
+
+
+@needs_root
+def test_the_file_s_group(tmp_path: Path, fds: list[int]) -> None:
+    fds.append(claim.open_claims(str(tmp_path / "new"), create=True, gid=NOBODY))
+    found = os.stat(tmp_path / "new")
+    assert (found.st_uid, found.st_gid) == (0, NOBODY)
+
+
+def test_held_and_dropped_between_processes(path: str, fds: list[int]) -> None:
+    fds.append(fd := claim.open_claims(path))
+    assert not claim.held(fd, 3)
+    with holder(path, 3, 5) as child:
+        assert [index for index in range(8) if claim.held(fd, index)] == [3, 5]
+        assert not claim.take(fd, 3)
+        assert claim.take(fd, 4)
+        child.go()
+        assert child.wait() == 0
+        assert [index for index in range(8) if claim.held(fd, index)] == []
+        assert claim.take(fd, 3)
+
+
+def test_a_holder_does_not_see_its_own_claim_as_somebody_else_s(path: str, fds: list[int]) -> None:
+    fds += [one := claim.open_claims(path), other := claim.open_claims(path)]
+    assert claim.take(one, 0)
+    assert claim.take(one, 0)
+    assert not claim.held(one, 0)
+    assert claim.held(other, 0)
+    assert not claim.take(other, 0), "two descriptors of one process are two holders"
+
+
+def test_drop(path: str, fds: list[int]) -> None:
+    fds += [one := claim.open_claims(path), other := claim.open_claims(path)]
+    assert claim.take(one, 1)
+    assert claim.take(one, 2)
+    claim.drop(one, 1)
+    assert claim.take(other, 1)
+    assert not claim.take(other, 2)
+    claim.drop(one, 1)  # not its own any more: nothing happens
+    assert claim.held(one, 1)
+
+
+def test_a_closed_descriptor_holds_nothing(path: str, fds: list[int]) -> None:
+    fds.append(watcher := claim.open_claims(path))
+    fd = claim.open_claims(path)
+    assert claim.take(fd, 0)
+    os.close(fd)
+    assert not claim.held(watcher, 0)
+
+
+def test_sigkill_of_the_holder_drops_its_claims(path: str, fds: list[int]) -> None:
+    fds.append(fd := claim.open_claims(path))
+    for _ in range(30):
+        with holder(path, 0, 7) as child:
+            assert claim.held(fd, 0)
+            assert claim.held(fd, 7)
+            child.kill()
+        assert not claim.held(fd, 0)
+        assert not claim.held(fd, 7)
+
+
+def test_the_claim_is_gone_at_the_latest_when_the_death_is_reported(path: str, fds: list[int]) -> None:
+    """The gate looks at the claim when the holder's pidfd becomes readable: it must not find it held then."""
+    fds.append(fd := claim.open_claims(path))
+    for _ in range(50):
+        with holder(path, 2) as child:
+            pidfd = os.pidfd_open(child.pid)
+            try:
+                os.kill(child.pid, 9)
+                os.waitid(os.P_PIDFD, pidfd, os.WEXITED | os.WNOWAIT)
+                assert not claim.held(fd, 2)
+            finally:
+                os.close(pidfd)
+
+
+def test_other_descriptors_of_the_file_do_not_lose_the_claim(path: str, fds: list[int]) -> None:
+    """As they would with classic POSIX locks, where any close of the file drops them all."""
+
+    def work(send: Send, wait: Wait) -> None:
+        fd = claim.open_claims(path)
+        assert claim.take(fd, 1)
+        for _ in range(5):
+            with open(path, "rb"):
+                pass
+            os.close(claim.open_claims(path))
+            os.close(claim.open_claims(path, create=True))
+        again = os.dup(fd)
+        os.close(again)
+        send("still")
+        wait()
+
+    fds.append(fd := claim.open_claims(path))
+    with Child(work) as child:
+        assert child.receive() == "still"
+        assert claim.held(fd, 1)
+
+
+def test_a_read_only_descriptor_can_look_but_not_take(path: str, fds: list[int]) -> None:
+    fds.append(fd := os.open(path, os.O_RDONLY))
+    assert not claim.held(fd, 0)
+    with holder(path, 0):
+        assert claim.held(fd, 0)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        claim.take(fd, 0)
+
+
+def test_of_two_that_race_exactly_one_wins(path: str) -> None:
+    rounds = 300
+
+    def work(send: Send, wait: Wait) -> None:
+        for _ in range(rounds):
+            wait()
+            fd = claim.open_claims(path)
+            send(claim.take(fd, 6))
+            wait()
+            os.close(fd)
+            send("closed")
+
+    with Child(work) as one, Child(work) as two:
+        wins = [0, 0]
+        for number in range(rounds):
+            first, second = (one, two) if number % 2 else (two, one)
+            first.go()
+            second.go()
+            won = [one.receive(), two.receive()]
+            assert sorted(won) == [False, True]
+            wins = [total + new for total, new in zip(wins, won, strict=True)]
+            for racer in (one, two):
+                racer.go()
+                assert racer.receive() == "closed"
+        assert sum(wins) == rounds
+
+
+def test_many_that_race_get_one_slot_each(path: str) -> None:
+    """As clients do: take the first byte that is free."""
+
+    def work(send: Send, wait: Wait) -> None:
+        fd = claim.open_claims(path)
+        send("ready")
+        wait()
+        send(next((index for index in range(4) if claim.take(fd, index)), None))
+        wait()
+
+    children = [Child(work) for _ in range(6)]
+    try:
+        for child in children:
+            assert child.receive() == "ready"
+        for child in children:
+            child.go()
+        taken = [child.receive() for child in children]
+        assert sorted(index for index in taken if index is not None) == [0, 1, 2, 3]
+        assert taken.count(None) == 2
+    finally:
+        for child in children:
+            child.close()
+
+
+def exec_sleeper() -> tuple[int, int]:
+    """Fork a child that becomes `cat`, which waits until the returned descriptor closes; returns (pid, descriptor)."""
+    reading, writing = os.pipe()
+    started_r, started_w = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        try:
+            os.dup2(reading, 0)
+            os.execv("/bin/cat", ["cat"])
+        finally:
+            os._exit(1)
+    os.close(reading)
+    os.close(started_w)
+    os.read(started_r, 1)  # end of file: the exec has closed it
+    os.close(started_r)
+    return pid, writing
+
+
+def test_a_program_started_by_the_holder_does_not_keep_the_claim(path: str, fds: list[int]) -> None:
+    fds.append(watcher := claim.open_claims(path))
+    fd = claim.open_claims(path)
+    assert claim.take(fd, 0)
+    pid, leash = exec_sleeper()
+    try:
+        assert claim.held(watcher, 0)
+        os.close(fd)
+        assert os.waitpid(pid, os.WNOHANG) == (0, 0)
+        assert not claim.held(watcher, 0)
+    finally:
+        os.close(leash)
+        os.waitpid(pid, 0)
+
+
+def test_a_forked_child_that_execs_nothing_keeps_the_claim(path: str, fds: list[int]) -> None:
+    """The limit of claims, for whoever builds on them: a copy of the process holds what the process held."""
+
+    def work(send: Send, wait: Wait) -> None:
+        fd = claim.open_claims(path)
+        assert claim.take(fd, 0)
+        pid = os.fork()
+        if pid:
+            send(pid)
+        wait()
+        os._exit(0)
+
+    fds.append(watcher := claim.open_claims(path))
+    with Child(work) as child:
+        grandchild = child.receive()
+        child.kill()
+        assert claim.held(watcher, 0)
+        os.kill(grandchild, 9)
+        until(lambda: not claim.held(watcher, 0), "the last copy is gone")
+
+
+def test_claims_do_not_depend_on_the_file_s_content(path: str, fds: list[int]) -> None:
+    fds += [fd := claim.open_claims(path), other := claim.open_claims(path)]
+    assert claim.take(fd, 5)
+    os.pwrite(fd, b"anything at all", 0)
+    assert not claim.take(other, 5)
+    os.ftruncate(fd, 0)
+    assert not claim.take(other, 5)
+
+
+@needs_root
+def test_who_may_not_write_the_file_can_not_claim(path: str) -> None:
+    os.chmod(path, 0o660)
+    os.chmod(os.path.dirname(path), 0o755)
+
+    def attempt() -> str:
+        try:
+            claim.open_claims(path)
+        except PermissionError:
+            return "refused"
+        return "opened"
+
+    parent = os.path.dirname(path)
+    while parent != "/":
+        if not os.stat(parent).st_mode & 0o001:
+            os.chmod(parent, os.stat(parent).st_mode | 0o001)
+        parent = os.path.dirname(parent)
+    assert call(attempt, NOBODY) == "refused"

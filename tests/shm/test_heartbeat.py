@@ -1,0 +1,87 @@
+"""Heartbeats: what a process says of itself, and what its successor takes back."""
+
+from __future__ import annotations
+
+from failstop.shm import heartbeat, segment
+from failstop.shm.heartbeat import RUNNING, STARTING, STOPPING, Heartbeat, HeartbeatReader
+from failstop.shm.words import Word
+
+RUN = 3
+
+
+def both(name: str) -> tuple[segment.Segment, HeartbeatReader]:
+    segment.create(name, "gate", RUN).close()
+    return segment.attach(name, "gate", RUN, write=True), HeartbeatReader(segment.attach(name, "gate", RUN))
+
+
+def test_before_the_first_beat_nobody_runs(name: str) -> None:
+    _, seen = both(name)
+    assert heartbeat.STATES[seen.state.get()] == "absent"
+    assert not seen.running(0)
+    assert not seen.running(77)
+    assert seen.age_ns(5_000) == 5_000
+
+
+def test_beats(name: str) -> None:
+    own, seen = both(name)
+    beats = Heartbeat(own, 77, heartbeat.REALTIME | heartbeat.MEMORY_LOCKED, 1_000)
+    assert (seen.pid.get(), seen.rights.get(), seen.state.get(), seen.ns.get()) == (77, 3, STARTING, 1_000)
+    assert not seen.running(77)
+    beats.state(RUNNING)
+    assert seen.running(77)
+    assert not seen.running(78)
+    for i, (now_ns, worst_ns) in enumerate([(1_010, 10), (1_050, 40), (1_060, 40)], 1):
+        beats.beat(now_ns, epoch=i * 100)
+        assert (seen.ns.get(), seen.loops.get(), seen.epoch.get(), seen.worst_ns.get()) == (
+            now_ns,
+            i,
+            i * 100,
+            worst_ns,
+        )
+    assert seen.age_ns(1_100) == 40
+    assert seen.age_ns(1_000) == 0
+    beats.state(STOPPING)
+    assert not seen.running(77)
+
+
+def test_a_successor_starts_anew(name: str) -> None:
+    """What its dead predecessor had seen and done must not count as its own."""
+    own, seen = both(name)
+    beats = Heartbeat(own, 77, heartbeat.REALTIME, 1_000)
+    beats.state(RUNNING)
+    beats.beat(9_000, epoch=12)
+    Heartbeat(own, 78, 0, 20_000)
+    assert (seen.pid.get(), seen.state.get(), seen.rights.get(), seen.ns.get()) == (78, STARTING, 0, 20_000)
+    assert (seen.loops.get(), seen.epoch.get(), seen.worst_ns.get()) == (0, 0, 0)
+    assert not seen.running(77)
+    assert not seen.running(78)
+
+
+def test_a_new_pid_is_never_seen_beside_its_predecessor_s_state(name: str) -> None:
+    """The pid is published after everything that makes the old state untrue, the time last."""
+    own, seen = both(name)
+    beats = Heartbeat(own, 77, 0, 1_000)
+    beats.state(RUNNING)
+    beats.beat(9_000, epoch=12)
+    order: list[int] = []
+
+    class Recording(segment.Segment):
+        def word(self, of: str) -> Word:
+            word = super().word(of)
+            place = self.spec.offsets[of]
+
+            class Recorded(Word):
+                def set(self, value: int) -> None:
+                    super().set(value)
+                    order.append(place)
+                    assert not seen.running(78)
+
+            recorded = Recorded.__new__(Recorded)
+            recorded._cells, recorded._index = word._cells, word._index
+            return recorded
+
+    Heartbeat(Recording(own.spec, own.incarnation, own.view, own.mapped, -1), 78, 0, 20_000)
+    names = [name for place in order for name, at in own.spec.offsets.items() if at == place]
+    assert names.index("beat_pid") > names.index("beat_state")
+    assert names[-1] == "beat_ns"
+    assert set(names) == {record for record in own.spec.records if record.startswith("beat_")}

@@ -1,0 +1,295 @@
+"""Lifelines: a death is seen through the same poll as everything else, by its pidfd and by its mutex."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import time
+from collections.abc import Callable
+
+import pytest
+
+from failstop.shm import segment
+from failstop.shm.lifeline import EarlyNews, Lifeline
+from failstop.shm.mutex import BLOCKS, PER_BLOCK, Mutexes
+
+from .children import Child, until
+
+Send = Callable[[object], None]
+Wait = Callable[[], None]
+
+
+def waiting(send: Send, wait: Wait) -> None:
+    send("here")
+    wait()
+
+
+def test_sigkill_is_seen_through_epoll() -> None:
+    slowest_s = 0.0
+    for _ in range(20):
+        with Child(waiting) as child:
+            assert child.receive() == "here"
+            life = Lifeline(child.pid)
+            poll = select.epoll()
+            poll.register(life.fd, select.EPOLLIN)
+            assert poll.poll(0) == []
+            assert not life.dead()
+            before = time.monotonic()
+            os.kill(child.pid, signal.SIGKILL)
+            events = poll.poll(2)
+            slowest_s = max(slowest_s, time.monotonic() - before)
+            assert [fd for fd, _ in events] == [life.fd]
+            assert life.dead()
+            poll.close()
+            life.close()
+    assert slowest_s < 2
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV, 0])
+def test_every_kind_of_end_is_a_death(end: int) -> None:
+    with Child(waiting) as child:
+        assert child.receive() == "here"
+        life = Lifeline(child.pid)
+        assert not life.dead()
+        if end:
+            os.kill(child.pid, end)
+        else:
+            child.go()
+        until(life.dead, "seen dead")
+        child.wait()
+        assert life.dead(), "still dead once it was reaped"
+        life.close()
+
+
+def test_a_stopped_process_is_not_dead() -> None:
+    with Child(waiting) as child:
+        assert child.receive() == "here"
+        life = Lifeline(child.pid)
+        os.kill(child.pid, signal.SIGSTOP)
+        os.waitid(os.P_PID, child.pid, os.WSTOPPED)
+        assert not life.dead()
+        os.kill(child.pid, signal.SIGKILL)
+        until(life.dead, "seen dead")
+        life.close()
+
+
+def test_one_that_was_dead_before_and_not_reaped() -> None:
+    with Child(lambda send, wait: None) as child:
+        child.receive()
+        os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)
+        life = Lifeline(child.pid)
+        assert life.dead()
+        life.close()
+
+
+def test_no_such_process() -> None:
+    with Child(lambda send, wait: None) as child:
+        child.result()
+        with pytest.raises(ProcessLookupError):
+            Lifeline(child.pid)
+
+
+def test_it_watches_the_process_and_not_the_number() -> None:
+    """Reaped, so that its pid may be given to another: the lifeline stays that of the dead one."""
+    with Child(waiting) as child:
+        assert child.receive() == "here"
+        life = Lifeline(child.pid)
+        child.kill()
+        assert life.dead()
+        with pytest.raises(ProcessLookupError):
+            signal.pidfd_send_signal(life.fd, 0)
+        life.close()
+
+
+def test_a_process_that_is_no_child_of_the_watcher() -> None:
+    with Child(waiting) as watched:
+        assert watched.receive() == "here"
+
+        def work(send: Send, wait: Wait) -> bool:
+            life = Lifeline(watched.pid)
+            send(life.dead())
+            return bool(select.select([life.fd], [], [], 20)[0]) and life.dead()
+
+        with Child(work) as watcher:
+            assert watcher.receive() is False
+            watched.kill()
+            assert watcher.result() is True
+
+
+def test_a_forked_grandchild_does_not_hold_the_death_back() -> None:
+    """As an inherited pipe end would."""
+
+    def work(send: Send, wait: Wait) -> None:
+        pid = os.fork()
+        if pid:
+            send(pid)
+        wait()
+        os._exit(0)
+
+    with Child(work) as child:
+        grandchild = child.receive()
+        life = Lifeline(child.pid)
+        other = Lifeline(grandchild)
+        os.kill(child.pid, signal.SIGKILL)
+        until(life.dead, "seen dead")
+        assert not other.dead()
+        os.kill(grandchild, signal.SIGKILL)
+        until(other.dead, "grandchild gone")
+        life.close()
+        other.close()
+
+
+def test_the_descriptor_is_not_inherited_and_close_is_idempotent() -> None:
+    life = Lifeline(os.getpid())
+    assert not os.get_inheritable(life.fd)
+    assert not life.dead()
+    fd = life.fd
+    life.close()
+    life.close()
+    assert life.fd == -1
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(fd)
+
+
+RUN = 9
+
+
+def mutexes_of(instance: str) -> Mutexes:
+    return segment.attach(instance, "lifelines", RUN, write=True).mutexes("mutexes")
+
+
+def holding(instance: str, block: int) -> Child:
+    """A process that holds its block for life, as every process of the service does."""
+
+    def work(send: Send, wait: Wait) -> None:
+        mutexes_of(instance).hold(block)
+        send("held")
+        wait()
+
+    child = Child(work)
+    assert child.receive() == "held"
+    return child
+
+
+def watching(instance: str, pid: int, block: int, index: int) -> Child:
+    """A process that waits for a death by its mutex alone; sends "armed", then what it learnt."""
+
+    def work(send: Send, wait: Wait) -> tuple[bool, bool, bool]:
+        life = Lifeline(pid)
+        news = EarlyNews(mutexes_of(instance))
+        news.arm(life, block, index)
+        send("armed")
+        rung = bool(select.select([news.bell.fd], [], [], 10)[0])
+        return rung, life.fallen, life.down({})
+
+    child = Child(work)
+    assert child.receive() == "armed"
+    return child
+
+
+@pytest.fixture
+def mutexes(name: str) -> Mutexes:
+    segment.create(name, "lifelines", RUN).close()
+    return mutexes_of(name)
+
+
+@pytest.mark.parametrize("block", [0, 1, BLOCKS - 1])
+def test_every_watcher_gets_the_early_news(name: str, mutexes: Mutexes, block: int) -> None:
+    """Through the mutex and the bell: the pidfd is not even polled."""
+    for _ in range(5):
+        mutexes.prepare(block)
+        with holding(name, block) as held:
+            watchers = [watching(name, held.pid, block, index) for index in range(PER_BLOCK)]
+            try:
+                os.kill(held.pid, signal.SIGKILL)
+                assert [watcher.result() for watcher in watchers] == [(True, True, True)] * PER_BLOCK
+            finally:
+                for watcher in watchers:
+                    watcher.close()
+
+
+def test_no_news_while_the_holder_lives(name: str, mutexes: Mutexes) -> None:
+    mutexes.prepare(3)
+    with holding(name, 3) as held, watching(name, held.pid, 3, 0) as watcher:
+        other = Lifeline(watcher.pid)
+        os.kill(held.pid, signal.SIGSTOP)
+        os.waitid(os.P_PID, held.pid, os.WSTOPPED)
+        assert not select.select([other.fd], [], [], 0.1)[0], "a stopped holder is no dead one"
+        os.kill(held.pid, signal.SIGKILL)
+        assert watcher.result() == (True, True, True)
+        other.close()
+
+
+def test_a_mutex_that_nobody_holds_is_no_death(mutexes: Mutexes) -> None:
+    mutexes.prepare(4)
+    for index in range(PER_BLOCK):
+        assert mutexes.wait_for_death(4, index) is False
+        assert mutexes.wait_for_death(4, index) is False
+
+
+def test_a_block_is_used_again(name: str, mutexes: Mutexes) -> None:
+    for _ in range(3):
+        mutexes.prepare(5)
+        with holding(name, 5) as held:
+            held.kill()
+            assert mutexes.wait_for_death(5, 0) is True
+
+
+def test_the_death_of_a_watcher_costs_the_next_one_nothing(name: str, mutexes: Mutexes) -> None:
+    mutexes.prepare(6)
+    with holding(name, 6) as held:
+        for _ in range(3):
+            with watching(name, held.pid, 6, 0) as first:
+                first.kill()
+        with watching(name, held.pid, 6, 0) as last:
+            os.kill(held.pid, signal.SIGKILL)
+            assert last.result() == (True, True, True)
+
+
+def test_blocks_do_not_touch_each_other(name: str, mutexes: Mutexes) -> None:
+    for block in range(3):
+        mutexes.prepare(block)
+    with holding(name, 0), holding(name, 2), holding(name, 1) as held:
+        held.kill()
+        assert mutexes.wait_for_death(1, 0) is True
+        with watching(name, os.getpid(), 0, 0) as watcher:
+            other = Lifeline(watcher.pid)
+            assert not select.select([other.fd], [], [], 0.05)[0]
+            other.close()
+
+
+@pytest.mark.parametrize(("block", "index"), [(-1, 0), (BLOCKS, 0), (0, -1), (0, PER_BLOCK)])
+def test_there_is_no_mutex_beyond_the_record(mutexes: Mutexes, block: int, index: int) -> None:
+    with pytest.raises(IndexError, match="mutex"):
+        mutexes.wait_for_death(block, index)
+
+
+def test_the_pidfd_alone_is_enough(mutexes: Mutexes) -> None:
+    """The early news never comes where the mutex was not held: the late word is there all the same."""
+    mutexes.prepare(7)
+    news = EarlyNews(mutexes)
+    with Child(waiting) as child:
+        assert child.receive() == "here"
+        life = Lifeline(child.pid)
+        news.arm(life, 7, 0)
+        os.kill(child.pid, signal.SIGKILL)
+        ready = dict(select_poll(life.fd))
+        assert life.down(ready)
+        assert not life.fallen
+        assert life.dead()
+        life.close()
+    os.close(news.bell.fd)
+
+
+def select_poll(fd: int) -> list[tuple[int, int]]:
+    poll = select.poll()
+    poll.register(fd, select.POLLIN)
+    return poll.poll(2_000)
+
+
+def test_mutexes_need_a_mapping_for_writing(name: str, mutexes: Mutexes) -> None:
+    with pytest.raises(TypeError, match="not writable"):
+        segment.attach(name, "lifelines", RUN).mutexes("mutexes")
+    with pytest.raises(TypeError, match="need a mapping"):
+        segment.create(name, "lifelines", RUN).mutexes("mutexes")

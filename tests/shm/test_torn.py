@@ -1,0 +1,130 @@
+"""Writers killed in mid-write: no reader ever takes a torn record, and what would happen without the CRC."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from failstop.shm import slot
+from failstop.shm.latest import LatestReader, LatestWriter, record_bytes
+from failstop.shm.ring import RingReader, RingWriter
+
+from .killing import Separate, check_without_crc
+from .memory import Memory, genuine, payload_of, time_of
+
+KILLS = 1700
+CONTROL_KILLS = 150
+CASES = [
+    ("latest", "gate.reply.0", 64),
+    ("latest", "gate.state", 2048),
+    ("latest", "anonymous", 65536),
+    ("ring", "gate.frames", 64),
+    ("ring", "port_owner.received", 512),
+    ("ring", "anonymous", 65536),
+]
+
+
+def kill(kind: str, where: str, size: int, kills: int, mode: str) -> dict[str, Any]:
+    """Run the killing in a small process of its own; returns its account."""
+    package = __package__ or ""
+    root = os.path.abspath(__file__)
+    for _ in range(package.count(".") + 2):
+        root = os.path.dirname(root)
+    done = subprocess.run(
+        [sys.executable, "-m", f"{package}.killing", kind, where, str(size), str(kills), "20", mode],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        timeout=110,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    account: dict[str, Any] = json.loads(done.stdout)
+    assert account["kills"] == kills
+    print(f"{kind} {where} {size} {mode}: {account}")
+    return account
+
+
+def test_enough_kills() -> None:
+    assert KILLS * len(CASES) >= 10_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "where", "size"), CASES)
+def test_killed_writers_leave_no_torn_record(kind: str, where: str, size: int) -> None:
+    """Also: never older than seen before, gaps are what was counted as lost, and each successor goes on by one."""
+    account = kill(kind, where, size, KILLS, "real")
+    assert account["torn_accepted"] == 0
+    assert account["faults"] == []
+    assert account["reads_while_writing"] > KILLS
+    assert account["accepted"] >= KILLS
+    assert account["written"] >= KILLS
+    if size == 65536:
+        # The kills did land in the middle of stores, and what they left was met by the readers.
+        assert account["kills_that_left_a_torn_slot"] > 0
+
+
+@pytest.mark.parametrize(("kind", "where", "size"), CASES)
+def test_control_the_same_without_the_crc_reads_torn_records(kind: str, where: str, size: int) -> None:
+    """With header, payload and CRC as separate stores and no CRC compared, this harness must see torn records."""
+    account = kill(kind, where, size, CONTROL_KILLS, "control")
+    assert account["torn_accepted"] > 0
+
+
+class Stepwise:
+    """A view that stores a byte at a time and calls `each` after every one."""
+
+    def __init__(self, memory: Memory) -> None:
+        self.memory = memory
+        self.each: Callable[[], object] = lambda: None
+
+    def __getitem__(self, where: slice) -> bytes:
+        return self.memory[where]
+
+    def __setitem__(self, where: slice, data: bytes) -> None:
+        for i, byte in enumerate(data):
+            self.memory.data[where.start + i] = byte
+            self.each()
+
+
+SEED = slot.seed("test.torn", 1)
+
+
+@pytest.mark.parametrize("stores", ["one", "separate"])
+@pytest.mark.parametrize("kind", ["latest", "ring"])
+@pytest.mark.parametrize("crc", [True, False])
+def test_a_reader_after_every_byte_of_every_store(
+    kind: str, crc: bool, stores: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same with no luck in it: with the CRC nothing torn is read, without it much is."""
+    if not crc:
+        monkeypatch.setattr(slot, "check", check_without_crc)
+    view = Stepwise(Memory(max(record_bytes(40), 4 * 64)))
+    target = view if stores == "one" else Separate(view)
+    latest = kind == "latest"
+    writer = LatestWriter(target, 0, 40, SEED) if latest else RingWriter(target, 0, 40, 4, SEED)
+    reader = LatestReader(view, 0, 40, SEED) if latest else RingReader(view, 0, 40, 4, SEED)
+    torn = seen = 0
+
+    def look() -> None:
+        nonlocal torn, seen
+        entry = reader.read() if isinstance(reader, LatestReader) else reader.next()
+        if entry:
+            seen = entry[0]
+            torn += not genuine(entry)
+
+    view.each = look
+    for seq in range(1, 30):
+        put = writer.write if isinstance(writer, LatestWriter) else writer.put
+        assert put(payload_of(seq, 16 + seq % 25), time_of(seq)) == seq
+    if crc:
+        assert torn == 0
+        assert seen == 29
+    else:
+        assert torn > 0

@@ -1,0 +1,361 @@
+"""Opening the port: raw and transparent, the right refusals with their remedies, and nothing left behind."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import grp
+import os
+import pwd
+import re
+import select
+import socket
+import stat
+import struct
+import subprocess
+import sys
+import termios
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from serial.tools import list_ports
+
+from failstop.board import discovery, port
+from failstop.board.port import PortError, open_port
+
+NOBODY = 65534
+TIOCGEXCL = 0x80045440
+
+# Children without privileges may not be able to read the interpreter's files: what the message needs is loaded here.
+LOADED = (grp, pwd)
+
+
+@pytest.fixture
+def pty() -> Iterator[tuple[int, str]]:
+    """A pty as the kernel makes it, in the terminal mode of a real port: (master, path of the slave)."""
+    master, slave = os.openpty()
+    yield master, os.ttyname(slave)
+    os.close(slave)
+    os.close(master)
+
+
+def read_exactly(descriptor: int, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        assert select.select([descriptor], [], [], 10.0)[0], f"{len(data)} of {size} bytes within 10 s"
+        data += os.read(descriptor, size - len(data))
+    return data
+
+
+def unprivileged(work: Callable[[], str]) -> str:
+    """What `work` returns in a child process without privileges."""
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.close(reader)
+            if os.geteuid() == 0:
+                os.setgroups([])
+                os.setresgid(NOBODY, NOBODY, NOBODY)
+                os.setresuid(NOBODY, NOBODY, NOBODY)
+            os.write(writer, work().encode())
+        finally:
+            os._exit(0)
+    os.close(writer)
+    with os.fdopen(reader) as pipe:
+        said = pipe.read()
+    os.waitpid(child, 0)
+    return said
+
+
+def refusal(path: str) -> str:
+    """Kind and message of the error that opening gives."""
+    try:
+        os.close(open_port(path, exclusive=True))
+    except PortError as error:
+        return f"{error.kind}|{error.errno}|{error}"
+    return "opened"
+
+
+def test_every_byte_passes_unchanged_both_ways(pty: tuple[int, str]) -> None:
+    master, path = pty
+    descriptor = open_port(path, exclusive=False)
+    everything = bytes(range(256)) * 4
+    os.write(descriptor, everything)
+    assert read_exactly(master, len(everything)) == everything
+    os.write(master, everything)
+    assert read_exactly(descriptor, len(everything)) == everything
+    # And nothing was echoed.
+    assert select.select([master], [], [], 0.05)[0] == []
+    os.close(descriptor)
+
+
+def test_terminal_settings(pty: tuple[int, str]) -> None:
+    descriptor = open_port(pty[1], exclusive=False)
+    iflag, oflag, cflag, lflag, ispeed, ospeed, cc = termios.tcgetattr(descriptor)
+    os.close(descriptor)
+    assert (iflag, oflag, lflag) == (0, 0, 0)
+    assert (ispeed, ospeed) == (termios.B1000000, termios.B1000000)
+    assert cflag & (termios.CSIZE | termios.CSTOPB | termios.PARENB | termios.CRTSCTS) == termios.CS8
+    assert cflag & termios.CREAD
+    assert cflag & termios.CLOCAL
+    assert not cflag & termios.HUPCL
+    assert (cc[termios.VMIN], cc[termios.VTIME]) == (1, 0)
+
+
+def test_hupcl_is_cleared_when_it_was_set(pty: tuple[int, str]) -> None:
+    slave = os.open(pty[1], os.O_RDWR | os.O_NOCTTY)
+    settings = termios.tcgetattr(slave)
+    settings[2] |= termios.HUPCL | termios.CSTOPB | termios.PARENB
+    termios.tcsetattr(slave, termios.TCSANOW, settings)
+    assert termios.tcgetattr(slave)[2] & termios.HUPCL
+    os.close(open_port(pty[1], exclusive=False))
+    assert not termios.tcgetattr(slave)[2] & (termios.HUPCL | termios.CSTOPB | termios.PARENB)
+    os.close(slave)
+
+
+def test_descriptor_flags(pty: tuple[int, str]) -> None:
+    descriptor = open_port(pty[1], exclusive=False)
+    assert fcntl.fcntl(descriptor, fcntl.F_GETFD) & fcntl.FD_CLOEXEC
+    assert fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_NONBLOCK
+    with pytest.raises(BlockingIOError):
+        os.read(descriptor, 1)
+    os.close(descriptor)
+
+
+def test_it_does_not_become_the_controlling_terminal(pty: tuple[int, str]) -> None:
+    def work() -> str:
+        os.setsid()
+        os.close(open_port(pty[1], exclusive=False))
+        try:
+            os.close(os.open("/dev/tty", os.O_RDWR))
+        except OSError as error:
+            return str(error.errno)
+        return "has a controlling terminal"
+
+    os.chmod(pty[1], 0o666)
+    assert unprivileged(work) == str(errno.ENXIO)
+
+
+def test_modem_lines_dtr_first_and_only_rts_is_cleared(pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int]] = []
+    really = fcntl.ioctl
+
+    def ioctl(descriptor: int, request: int, argument: bytes = b"") -> object:
+        if request not in (termios.TIOCMBIS, termios.TIOCMBIC, termios.TIOCMSET):
+            return really(descriptor, request, argument)
+        asked.append((request, struct.unpack("i", argument)[0]))
+        return 0
+
+    monkeypatch.setattr(fcntl, "ioctl", ioctl)
+    os.close(open_port(pty[1], exclusive=True))
+    assert asked == [(termios.TIOCMBIS, termios.TIOCM_DTR), (termios.TIOCMBIC, termios.TIOCM_RTS)]
+
+
+def test_a_modem_line_that_fails_is_an_error_and_leaks_nothing(
+    pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    really = fcntl.ioctl
+
+    def ioctl(descriptor: int, request: int, argument: bytes = b"") -> object:
+        if request == termios.TIOCMBIC:
+            raise OSError(errno.EIO, "gone")
+        return really(descriptor, request, argument)
+
+    before = sorted(os.listdir("/proc/self/fd"))
+    monkeypatch.setattr(fcntl, "ioctl", ioctl)
+    with pytest.raises(PortError) as caught:
+        open_port(pty[1], exclusive=True)
+    assert (caught.value.kind, caught.value.errno) == ("io", errno.EIO)
+    assert "unplug the board and plug it in again" in str(caught.value)
+    assert sorted(os.listdir("/proc/self/fd")) == before
+
+
+def claimed(descriptor: int) -> bool:
+    return bool(struct.unpack("i", fcntl.ioctl(descriptor, TIOCGEXCL, struct.pack("i", 0)))[0])
+
+
+def test_exclusive_is_the_terminals_own_and_can_be_released(pty: tuple[int, str]) -> None:
+    shared = open_port(pty[1], exclusive=False)
+    assert not claimed(shared)
+    exclusive = open_port(pty[1], exclusive=True)
+    assert claimed(shared)
+    port.release_exclusive(exclusive)
+    assert not claimed(shared)
+    os.close(exclusive)
+    os.close(shared)
+
+
+def test_busy_names_the_claim(pty: tuple[int, str]) -> None:
+    os.chmod(pty[1], 0o666)
+    descriptor = open_port(pty[1], exclusive=True)
+    kind, number, message = unprivileged(lambda: refusal(pty[1])).split("|")
+    assert (kind, int(number)) == ("busy", errno.EBUSY)
+    assert message == f"{pty[1]} is held exclusively by another process (TIOCEXCL): stop it first"
+    port.release_exclusive(descriptor)
+    assert unprivileged(lambda: refusal(pty[1])) == "opened"
+    os.close(descriptor)
+
+
+def test_permission_names_owner_group_and_remedy(pty: tuple[int, str]) -> None:
+    os.chmod(pty[1], 0o000)
+    kind, number, message = unprivileged(lambda: refusal(pty[1])).split("|")
+    assert (kind, int(number)) == ("permission", errno.EACCES)
+    assert re.search(
+        rf"no permission to open {pty[1]}: .* belongs to \w+:\w+, mode 0000: run as the service's", message
+    )
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give the node to another group")
+def test_permission_says_which_group_to_join(pty: tuple[int, str]) -> None:
+    os.chown(pty[1], 0, 20)
+    os.chmod(pty[1], 0o660)
+    assert "mode 0660: usermod -aG dialout USER" in unprivileged(lambda: refusal(pty[1]))
+    # A group without a name is named by its number.
+    os.chown(pty[1], 54321, 54322)
+    said = unprivileged(lambda: refusal(pty[1]))
+    assert "belongs to 54321:54322" in said
+    assert "usermod -aG 54322 USER" in said
+
+
+def test_permission_of_a_directory_in_the_way(tmp_path: Path) -> None:
+    shut = tmp_path / "shut"
+    shut.mkdir(mode=0o000)
+    said = unprivileged(lambda: refusal(str(shut / "port")))
+    assert said.startswith("permission|")
+    assert "open its directory" in said
+
+
+@pytest.mark.parametrize("path", ["/dev/failstop-no-such-device", "/etc/passwd/port"])
+def test_absent(path: str) -> None:
+    with pytest.raises(PortError) as caught:
+        open_port(path, exclusive=True)
+    assert caught.value.kind == "absent"
+    assert str(caught.value) == f"no device {path}: plug the board in, or name another with --device"
+
+
+def test_absent_behind_a_link_that_leads_nowhere(tmp_path: Path) -> None:
+    (tmp_path / "board").symlink_to("/dev/pts/no-such")
+    assert refusal(str(tmp_path / "board")).startswith("absent|")
+
+
+def test_hung_up_port_is_an_io_error() -> None:
+    master, slave = os.openpty()
+    path = f"/proc/self/fd/{slave}"
+    os.close(master)
+    kind, _, message = refusal(path).split("|")
+    os.close(slave)
+    assert kind == "io"
+    assert path in message
+
+
+@pytest.mark.parametrize("what", ["a regular file", "a FIFO", "a directory", "a socket", "a character device"])
+def test_what_is_no_terminal_is_refused_untouched(what: str, tmp_path: Path) -> None:
+    path = tmp_path / "thing"
+    listener = socket.socket(socket.AF_UNIX)
+    reader = -1
+    if what == "a regular file":
+        path.write_bytes(b"precious")
+    elif what == "a FIFO":
+        os.mkfifo(path)
+        reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    elif what == "a directory":
+        path.mkdir()
+    elif what == "a socket":
+        listener.bind(str(path))
+    else:
+        path.symlink_to("/dev/null")
+    before = path.stat()
+    with pytest.raises(PortError) as caught:
+        open_port(str(path), exclusive=True)
+    assert caught.value.kind == "not-a-tty"
+    assert str(caught.value).startswith(str(path))
+    assert "--device" in str(caught.value)
+    assert what == "a character device" or what in str(caught.value)
+    after = path.stat()
+    assert (after.st_mtime_ns, after.st_size, after.st_mode) == (before.st_mtime_ns, before.st_size, before.st_mode)
+    if what == "a regular file":
+        assert path.read_bytes() == b"precious"
+    if reader >= 0:
+        # No writer has ever come: a FIFO would otherwise be at its end with a hang-up.
+        poll = select.poll()
+        poll.register(reader, select.POLLIN)
+        assert poll.poll(0) == []
+        os.close(reader)
+    listener.close()
+
+
+def test_fifo_without_a_reader_does_not_block(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    assert refusal(str(tmp_path / "pipe")).startswith("not-a-tty|")
+
+
+def test_no_descriptor_is_left_after_any_refusal(pty: tuple[int, str], tmp_path: Path) -> None:
+    before = sorted(os.listdir("/proc/self/fd"))
+    for path in ("/dev/null", str(tmp_path), "/dev/failstop-no-such-device"):
+        assert refusal(path) != "opened"
+    assert refusal(pty[1]) == "opened"
+    assert sorted(os.listdir("/proc/self/fd")) == before
+
+
+def test_unsent_bytes_asks_the_kernel(pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    descriptor = open_port(pty[1], exclusive=False)
+    assert port.unsent_bytes(descriptor) == 0
+    asked: list[int] = []
+
+    def ioctl(_descriptor: int, request: int, _argument: bytes) -> bytes:
+        asked.append(request)
+        return struct.pack("i", 397)
+
+    monkeypatch.setattr(fcntl, "ioctl", ioctl)
+    assert port.unsent_bytes(descriptor) == 397
+    assert asked == [termios.TIOCOUTQ]
+    os.close(descriptor)
+
+
+def test_import_is_light() -> None:
+    code = "import sys; import failstop.board.port; print(*sorted(sys.modules))"
+    command = [sys.executable, "-S", "-c", code]
+    environment = {"PYTHONPATH": str(Path(port.__file__).parents[2])}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30, env=environment)
+    loaded = set(done.stdout.split())
+    heavy = {
+        "serial",
+        "typing",
+        "dataclasses",
+        "enum",
+        "re",
+        "inspect",
+        "pathlib",
+        "logging",
+        "pwd",
+        "grp",
+        "subprocess",
+    }
+    assert "failstop.board.port" in loaded
+    assert not loaded & heavy
+
+
+def test_candidates_puts_the_board_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    ports = [
+        SimpleNamespace(device="/dev/ttyS0", description="n/a", vid=None, pid=None),
+        SimpleNamespace(device="/dev/ttyUSB0", description="USB Serial", vid=0x1A86, pid=0x7523),
+        SimpleNamespace(device="/dev/ttyACM1", description="Board B", vid=0x1A86, pid=0x55D4),
+        SimpleNamespace(device="/dev/ttyACM0", description="Board A", vid=0x1A86, pid=0x55D4),
+    ]
+    monkeypatch.setattr(list_ports, "comports", lambda: ports)
+    assert [path for path, _ in discovery.candidates()] == [
+        "/dev/ttyACM0",
+        "/dev/ttyACM1",
+        "/dev/ttyUSB0",
+        "/dev/ttyS0",
+    ]
+    assert dict(discovery.candidates())["/dev/ttyUSB0"] == "USB Serial, USB 1a86:7523"
+    assert "the board's" in dict(discovery.candidates())["/dev/ttyACM0"]
+
+
+def test_candidates_really_lists() -> None:
+    for path, description in discovery.candidates():
+        assert stat.S_ISCHR(os.stat(path).st_mode), description
