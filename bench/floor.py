@@ -15,9 +15,8 @@ import subprocess
 import sys
 import time
 
-from failstop.board.sim.client import SimBoard
-
 from failstop.board.burst import BURST, FIRST_STOP_END
+from failstop.board.sim.client import SimBoard
 
 PRIORITY = 30
 _REALTIME = f"""

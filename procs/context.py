@@ -50,7 +50,7 @@ class Context:
         for fd in self._fds.values():
             if fd >= 0:
                 os.set_inheritable(fd, False)
-        rights.name_process(f"failstop:{process}")
+        rights.name_process(f"fs:{process}")
         if not outlives_parent:
             rights.die_with_parent(self.parent)
         granted = rights.take_rights(priority)

@@ -37,6 +37,11 @@ class Loop:
         """Take a descriptor out; call before closing it, since a duplicate elsewhere would keep it in."""
         self._epoll.unregister(fd)
 
+    @staticmethod
+    def readable(fd: int) -> bool:
+        """True when a descriptor, in the set or not, can be read now."""
+        return bool(select.select((fd,), (), (), 0)[0])
+
     def wait(self, until_ns: int) -> dict[int, int]:
         """Block until a descriptor is ready or CLOCK_MONOTONIC reaches `until_ns`; return {fd: events}."""
         timeout_s = (until_ns - monotonic_ns()) * 1e-9

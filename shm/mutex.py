@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from mmap import mmap
 
 _libc = ctypes.CDLL(None)
+_held: list[object] = []  # at a death the kernel looks into these mutexes: their memory must still be mapped
 
 
 class Mutexes:
@@ -56,6 +57,7 @@ class Mutexes:
 
     def hold(self, block: int) -> None:
         """Lock a block for the life of this process. From its main thread, once, at its start."""
+        _held.append(self._pinned)
         for index in range(PER_BLOCK):
             _libc.pthread_mutex_trylock(self._at(block, index))
 

@@ -17,7 +17,7 @@ from failstop.supervisor.settings import Settings
 
 def start(words: dict[str, str]) -> int:
     """Run the service; returns the exit code."""
-    rights.name_process("failstop:supervisor")
+    rights.name_process("fs:supervisor")
     lock, port = int(words["lock"]), int(words["port"])
     for fd in (lock, port):
         os.set_inheritable(fd, False)

@@ -259,6 +259,12 @@ class Supervisor:
         for child in self.children:
             if child.life and not child.life.armed and child.running():
                 self._early.arm(child.life, child.block, 0)
+                self._tell_watchers()
+
+    def _tell_watchers(self) -> None:
+        """Those who watch others look up whom, and who runs."""
+        self._bells[layout.PORT_OWNER].ring()
+        self._bells[layout.STOPPER].ring()
 
     def _restart_due(self, now_ns: int) -> None:
         for child in self.children:
@@ -284,8 +290,7 @@ class Supervisor:
             self.loop.watch(child.life.fd, READ)
         if word := self._life_words.get(name):
             word.set(records.life(pid, block))
-            self._bells[layout.PORT_OWNER].ring()
-            self._bells[layout.STOPPER].ring()
+            self._tell_watchers()
 
     def _missing(self) -> str:
         """What motion is still waiting for; empty when nothing."""

@@ -28,6 +28,7 @@ TICK_NS = 20_000_000
 RECEIVED_CHUNK = 512
 OTHER_BACKLOG = 128
 """Unsent bytes behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
+PIPE_REST_NS = 20_000_000
 LEAVE_AFTER_NS = 150_000_000
 """How long it outlives the supervisor: the burst and its two repeats."""
 
@@ -66,6 +67,7 @@ class PortOwner:
         self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 0)
         self._gate_life: Lifeline | None = None
         self._gate_named = 0
+        self._pipe_rests_until_ns = 0
         self._leave_ns = 0
         self._stuck = False
         self._watched = (-1, 0)
@@ -87,6 +89,8 @@ class PortOwner:
         now_ns = monotonic_ns()
         if self._stop_pipe in ready:
             self._stop_request(now_ns)
+        elif now_ns >= self._pipe_rests_until_ns:
+            self._wake_pipe()
         if self._gate_life and self._gate_life.down(ready):
             self._gate_died(now_ns)
         if not self._leave_ns and self._supervisor_life.down(ready):
@@ -134,12 +138,24 @@ class PortOwner:
         return written_ns
 
     def _stop_request(self, now_ns: int) -> None:
-        """Any bytes are a stop; the text, where there is one, only says why."""
+        """Any bytes are a stop; the text, where there is one, only says why.
+
+        Then the pipe rests: a flood of requests must not become a flood of bursts and epochs. What arrives meanwhile
+        stays in the pipe, and no motion is admitted before it has been looked at.
+        """
         self.wire.burst()
         written_ns = monotonic_ns()
         text = bell.take(self._stop_pipe).split(b"\n", 1)[0].decode("utf-8", "replace")
         printable = "".join(c if c.isprintable() else "?" for c in text)
         self._own_stop(now_ns, written_ns, printable or "stop request")
+        if not self._pipe_rests_until_ns:
+            self.loop.forget(self._stop_pipe)
+        self._pipe_rests_until_ns = now_ns + PIPE_REST_NS
+
+    def _wake_pipe(self) -> None:
+        if self._pipe_rests_until_ns:
+            self._pipe_rests_until_ns = 0
+            self.loop.watch(self._stop_pipe, READ)
 
     def _follow_gate(self, now_ns: int) -> None:
         """Watch the gate that the supervisor names: by its pid at once, by its mutex once it runs and so holds it."""
@@ -232,7 +248,9 @@ class PortOwner:
         now_ns = monotonic_ns()
         if not self._gate_life or not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
             return
-        if fault := self._lapsed(now_ns) or self.admission.frame_fault(frame):
+        if self._pipe_rests_until_ns and self.loop.readable(self._stop_pipe):
+            self._stop_request(now_ns)
+        elif fault := self._lapsed(now_ns) or self.admission.frame_fault(frame):
             self.stop(now_ns, fault)
         elif self._epoch_word.get() != frame_epoch:
             self._follow_epoch(now_ns)
@@ -293,6 +311,8 @@ class PortOwner:
     def next_ns(self, now_ns: int) -> int:
         """When to turn without any news."""
         tick_ns = now_ns + (TICK_NS if not self.wire.lost else self.reopener.EVERY_NS)
+        if self._pipe_rests_until_ns:
+            tick_ns = min(tick_ns, self._pipe_rests_until_ns)
         repeat_ns = self.repeats.next_ns(moving=self.admission.moving)
         return tick_ns if repeat_ns is None else min(tick_ns, repeat_ns)
 

@@ -82,7 +82,7 @@ def test_not_finite_past_the_client_latches(trial: Trial) -> None:
     trial.drive(0.1)
     trial.robot._client().command(float("nan"), 0.0, 0.0, manual=False)
     wait_for("the latch", lambda: "not finite" in (trial.robot.state.estop or ""))
-    assert not trial.moving()
+    trial.board.wait_wheels(moving=False, timeout_s=2.0)
 
 
 def test_second_publisher_latches(trial: Trial) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import time
@@ -74,7 +75,7 @@ def test_a_full_pipe_is_a_stop_and_the_service_works_on(trial: Trial) -> None:
     os.close(fd)
     assert full.value.errno == errno.EAGAIN
     wait_for("the latch", lambda: trial.robot.state.estop is not None)
-    assert not trial.moving()
+    trial.board.wait_wheels(moving=False, timeout_s=2.0)
     wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
     wait_for("an end of the flood", lambda: _can_reset(trial))
     trial.robot.enable()
@@ -89,6 +90,19 @@ def _can_reset(trial: Trial) -> bool:
         return False
     time.sleep(0.05)
     return trial.robot.state.estop is None
+
+
+def test_a_flood_is_no_flood_of_bursts(trial: Trial) -> None:
+    trial.board.events()
+    fd = os.open(_stop_pipe(trial), os.O_WRONLY | os.O_NONBLOCK)
+    until_s = time.monotonic() + 0.5
+    while time.monotonic() < until_s:
+        with contextlib.suppress(BlockingIOError):
+            os.write(fd, b"again\n")
+    os.close(fd)
+    # A burst has four stop frames; one every 20 ms, its repeats after 20 and 100 ms, and the 5 Hz zeros.
+    assert sum(event.is_stop for event in trial.board.events()) < 4 * 3 * 0.5 / 0.02
+    wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
 
 
 def test_while_disabled_it_latches_too(trial: Trial) -> None:

@@ -1,0 +1,151 @@
+"""A stage for one process of the service, run turn by turn inside the test: real segments, bells, pipes, sockets and a
+pty, a clock that the test moves, and the test in the roles of all other processes."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+from pathlib import Path
+
+from failstop.procs import handover
+from failstop.procs.handover import Control
+from failstop.shm import bell, heartbeat, layout, records, segment
+from failstop.shm.bell import EventBell
+from failstop.shm.heartbeat import Heartbeat
+from failstop.shm.lifeline import Lifeline
+from failstop.supervisor.settings import Settings
+
+from .parts import Pty
+
+MS = 1_000_000
+INCARNATION = 0xFA11_5709
+_numbers = itertools.count()
+
+
+class Early:
+    """No early news of deaths: what a test kills is told by its pidfd."""
+
+    def __init__(self) -> None:
+        self.bell = EventBell.create()
+
+    def arm(self, life: Lifeline, block: int, index: int) -> None:
+        """Nothing to wait for."""
+        life.armed = True
+
+
+class Clock:
+    """CLOCK_MONOTONIC as the process sees it."""
+
+    def __init__(self) -> None:
+        self.now_ns = 50_000 * MS
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+
+class Dummy:
+    """A process that waits to be killed."""
+
+    def __init__(self) -> None:
+        # Not a fork: it would keep the pty's other side open, and with it put off a hang-up.
+        self.pid = os.posix_spawnp("sleep", ["sleep", "120"], os.environ)
+        self._alive = True
+
+    def kill(self) -> None:
+        """SIGKILL, and wait until it is gone; it stays a zombie, as an unburied child does."""
+        if self._alive:
+            self._alive = False
+            os.kill(self.pid, signal.SIGKILL)
+            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
+
+    def close(self) -> None:
+        """Kill and reap."""
+        self.kill()
+        os.waitpid(self.pid, 0)
+
+
+class Stage:
+    """Plays supervisor, gate and clients around one process. The context that the process is given is this object."""
+
+    def __init__(self, process: str, directory: Path, *, open_port: bool = True) -> None:
+        self.process = process
+        self.name = f"s{os.getpid()}x{next(_numbers)}"
+        for spec in layout.SEGMENTS:
+            segment.create(self.name, spec.name, INCARNATION).close()
+        self.clock = Clock()
+        self.pty = Pty()
+        self.path = directory / "board"
+        self.path.symlink_to(self.pty.link)
+        self.settings = Settings({"device.path": str(self.path)})
+        self.supervisor = Dummy()
+        self.parent = self.supervisor.pid
+        self.others: list[Dummy] = []
+        self.early = Early()
+        self.own = self.owned(process)
+        self.heartbeat = Heartbeat(self.own, os.getpid(), 0, self.clock())
+        bell.make_pipe(str(directory / "stop"), 0o600)
+        mine, theirs = handover.pair()
+        self.control = Control(mine)
+        self._port = os.dup(self.pty.slave) if open_port else -1
+        self._fds = {"stop": bell.open_pipe(str(directory / "stop")), "control": theirs, "port": self._port}
+        self._bells = {name: EventBell.create() for name in ("bell", "supervisor_bell", "telemetry_bell")}
+        self._views = {name: self.owned(name) for name in (layout.SUPERVISOR, layout.GATE, layout.PORT_OWNER)}
+        self.frames = self._views[layout.GATE].ring_writer("frames")
+        self.raise_epoch(1)
+        self.beat(layout.SUPERVISOR, layout.GATE)
+
+    # What Context offers.
+
+    def fd(self, key: str) -> int:
+        return self._fds[key]
+
+    def bell(self, key: str) -> EventBell:
+        return self._bells[key]
+
+    def segment(self, name: str) -> segment.Segment:
+        return segment.attach(self.name, name, INCARNATION)
+
+    # The rest of the service.
+
+    def owned(self, name: str) -> segment.Segment:
+        """A segment as its own process has it."""
+        return segment.attach(self.name, name, INCARNATION, write=True)
+
+    def raise_epoch(self, epoch: int) -> None:
+        self._views[layout.SUPERVISOR].word("epoch").set(epoch)
+
+    def beat(self, *processes: str, age_ns: int = 0) -> None:
+        for process in processes:
+            self._views[process].word("beat_ns").set(self.clock() - age_ns)
+
+    def start(self, process: str) -> Dummy:
+        """A new process, running, which the supervisor names."""
+        dummy = Dummy()
+        self.others.append(dummy)
+        self._views[process].word("beat_pid").set(dummy.pid)
+        self._views[process].word("beat_state").set(heartbeat.RUNNING)
+        self._views[layout.SUPERVISOR].word(f"{process}_life").set(records.life(dummy.pid, 3))
+        self.beat(process)
+        return dummy
+
+    def ask_to_stop(self, message: bytes) -> None:
+        os.write(self._fds["stop"], message)
+
+    def replug(self, directory: Path) -> Pty:
+        """The board comes back at the same path."""
+        self.pty.close()
+        self.pty = Pty()
+        self.path.unlink()
+        self.path.symlink_to(self.pty.link)
+        return self.pty
+
+    def close(self) -> None:
+        """Take everything away."""
+        for dummy in (self.supervisor, *self.others):
+            dummy.close()
+        self.control.close()
+        self.pty.close()
+        for fd in (self._fds["stop"], self.early.bell.fd, *(found.fd for found in self._bells.values())):
+            os.close(fd)
+        segment.unlink_all(self.name)
