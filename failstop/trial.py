@@ -149,6 +149,8 @@ class Trial:
         self.board = SimBoard(self.link, imu_hz=imu_hz)
         self.service = Service(self.name, self.link, options)
         self._robot: Robot | None = None
+        self.fault_s = 0.0
+        self._running_again_s: float | None = None
 
     def __enter__(self) -> Trial:
         try:
@@ -188,12 +190,18 @@ class Trial:
             self.robot.reset()
         self.robot.enable()
 
-    def drive(self, seconds: float, velocity: tuple[float, float, float] = (0.2, 0.0, 0.0)) -> None:
-        """Command a velocity every 20 ms; a service that is gone is commanded in vain."""
+    def drive(
+        self,
+        seconds: float,
+        velocity: tuple[float, float, float] = (0.2, 0.0, 0.0),
+        each: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Command a velocity every 20 ms, calling `each` every time; a service that is gone is commanded in vain."""
         until_s = time.monotonic() + seconds
         while (left_s := until_s - time.monotonic()) > 0:
             with contextlib.suppress(FailstopError):
                 self.robot.drive(*velocity)
+                each()
             time.sleep(min(COMMAND_EVERY_S, left_s))
 
     def moving(self) -> bool:
@@ -206,19 +214,26 @@ class Trial:
         self.board.events()
         self.drive(drive_s)
         was_moving = self.moving()
+        self.fault_s = time.monotonic()
+        self._running_again_s = None
         fault_ns = time.monotonic_ns()
         os.kill(pid, signal.SIGKILL)
-        self.drive(AFTERMATH_S)
+        self.drive(AFTERMATH_S, each=lambda: self._see_restart(process, pid))
         return judge(self.board.events(), fault_ns, was_moving)
 
+    def _see_restart(self, process: str, pid: int) -> None:
+        found = self.robot.state.processes[process]
+        if self._running_again_s is None and found.pid != pid and found.state == "running":
+            self._running_again_s = time.monotonic()
+
     def recover(self, process: str, pid: int) -> float:
-        """Wait until the service is whole again after the death of `process`, whose pid was `pid`; returns the time
-        that took, in seconds. A dead supervisor is started anew, as systemd would."""
-        start_s = time.monotonic()
+        """Wait until the service is whole again after kill(), `pid` being the killed process's; returns the seconds
+        from the kill until the process ran again. A dead supervisor is started anew here, as systemd would: then they
+        count from that start."""
         if process == layout.SUPERVISOR:
             self.leave()
             self.service.kill()
             self.service.start()
-        else:
-            wait_for(f"{process} to be restarted", lambda: self.service.ready() and self.service.pids()[process] != pid)
-        return time.monotonic() - start_s
+            return time.monotonic() - self.service.started_ns / 1e9
+        wait_for(f"{process} to be restarted", lambda: self.service.ready() and self.service.pids()[process] != pid)
+        return (self._running_again_s or time.monotonic()) - self.fault_s

@@ -124,8 +124,8 @@ def pack_request(session: int, number: int, verb: int) -> bytes:
 
 def unpack_request(payload: bytes) -> tuple[int, int, int]:
     """Return (session, number, verb)."""
-    (session, number, verb), _ = _head(_REQUEST, payload)
-    return session, number, verb
+    session, number, verb = _exact(_REQUEST, payload)
+    return int(session), int(number), int(verb)
 
 
 def pack_reply(session: int, number: int, done: bool, text: str) -> bytes:

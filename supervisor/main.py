@@ -111,6 +111,9 @@ class Supervisor:
         now_ns = monotonic_ns()
         fallen = [child for child in self.children if child.life and not child.fallen and child.life.down(ready)]
         written_ns = self._burst() if any(child.row.name == layout.PORT_OWNER for child in fallen) else 0
+        for rung in (self._bell, self._early.bell):
+            if rung.fd in ready:
+                rung.clear()
         if causes := self._collect(fallen, now_ns, written_ns):
             self._raise_epoch(causes)
         for child in fallen:
@@ -119,9 +122,6 @@ class Supervisor:
         for child in self.children:
             if child.life and child.life.fd in ready:
                 self._bury(child, now_ns)
-        for rung in (self._bell, self._early.bell):
-            if rung.fd in ready:
-                rung.clear()
         self._serve_descriptors(ready)
         self._follow_answer(now_ns)
         self._fence_hangs(now_ns)

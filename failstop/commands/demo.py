@@ -135,7 +135,7 @@ def _table(rows: list[Row], paint: Paint) -> None:
     print(
         "\nMilliseconds from the kill, on the board's side of the wire: arrival of the first stop frame that the board"
         "\nexecutes, and execution of the frame that stops the last wheel (the wire's own 0.6 ms included). The driver"
-        "\nthat failstop replaces took 130 ms."
+        "\nthat failstop replaces took 130 ms. A dead supervisor is started anew by the demo, as systemd would."
     )
 
 

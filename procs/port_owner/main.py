@@ -257,6 +257,7 @@ class PortOwner:
         elif self.wire.frame(frame):
             self.admission.moving = True
             self.repeats.motion()
+            self._wake_pipe()  # from here on the next request counts at once
         elif frame == ZERO_FRAME:
             # Standing still does not wait for the next refresh, and a burst may be added to whatever is held.
             self.wire.burst()

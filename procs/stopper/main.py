@@ -134,7 +134,6 @@ class Stopper:
             except ProcessLookupError:
                 return
             self.loop.watch(self._port_owner_life.fd, READ)
-            self._due = ()
         if self._port_owner_life and not self._port_owner_life.armed and self._port_owner_heart.running(pid):
             self._early.arm(self._port_owner_life, block, 1)
 

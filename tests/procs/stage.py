@@ -132,7 +132,7 @@ class Stage:
     def ask_to_stop(self, message: bytes) -> None:
         os.write(self._fds["stop"], message)
 
-    def replug(self, directory: Path) -> Pty:
+    def replug(self) -> Pty:
         """The board comes back at the same path."""
         self.pty.close()
         self.pty = Pty()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import select
 import signal
@@ -281,6 +282,7 @@ def test_the_pidfd_alone_is_enough(mutexes: Mutexes) -> None:
         news.arm(life, 7, 0)
         os.kill(child.pid, signal.SIGKILL)
         ready = dict(select_poll(life.fd))
+        until(lambda: _thread._count() == 0, "the waiting thread has given up")
         assert life.down(ready)
         assert not life.fallen
         assert life.dead()

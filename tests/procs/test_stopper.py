@@ -1,0 +1,235 @@
+"""The stopper, turn by turn: what makes it write, and when it leaves."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.board.burst import BURST
+from failstop.procs.stopper import main
+from failstop.procs.stopper.main import Stopper
+from failstop.shm import layout
+
+from .parts import Pty, new_pty, until
+from .stage import MS, Dummy, Stage
+
+
+class Scene(Stage):
+    """A stopper at work on its stage, beside a port owner that the test plays."""
+
+    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True) -> None:
+        super().__init__(layout.STOPPER, directory, open_port=open_port)
+        monkeypatch.setattr(main, "monotonic_ns", self.clock)
+        self.port_owner = self.start(layout.PORT_OWNER)
+        self.stays = True
+        self.stopper = Stopper(self)  # type: ignore[arg-type]
+        self.turn()
+
+    def turn(self, elapsed_ns: int = 0, *, alive: bool = True) -> bytes:
+        """Time passes, the port owner beats, the stopper wakes up; returns what it wrote."""
+        self.clock.now_ns += elapsed_ns
+        if alive:
+            self.beat(layout.PORT_OWNER)
+        self.stays = self.stopper.turn(self.stopper.loop.wait(0))
+        return self.pty.read() if self.pty.master >= 0 else b""
+
+    def written(self, until_ms: int, *, alive: bool = True) -> list[tuple[int, bytes]]:
+        """What it writes in the coming milliseconds, asked each millisecond."""
+        return [(ms, wrote) for ms in range(1, until_ms + 1) if (wrote := self.turn(MS, alive=alive))]
+
+    def die(self, dummy: Dummy) -> None:
+        dummy.kill()
+        until(lambda: self.stopper.loop.wait(0), "the news of the death")
+
+    def port_owner_writes(self) -> None:
+        self._views[layout.PORT_OWNER].word("written_ns").set(self.clock())
+
+    def close(self) -> None:
+        self.stopper._close_port()
+        self.stopper._control.close()
+        super().close()
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+    made = Scene(tmp_path, monkeypatch)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def other() -> Iterator[Pty]:
+    with new_pty() as made:
+        yield made
+
+
+def test_silent_while_all_is_well(scene: Scene) -> None:
+    assert scene.written(1_000) == []
+    scene.raise_epoch(2)
+    assert scene.turn() == b""
+    assert scene.stays
+
+
+def test_the_port_owner_s_death_is_answered_at_once_and_again(scene: Scene) -> None:
+    scene.die(scene.port_owner)
+    assert scene.turn() == BURST
+    assert scene.own.word("written_ns").get() == scene.clock()
+    assert scene.written(500) == [(20, BURST), (100, BURST)]
+    assert scene.stays
+
+
+def test_the_repeats_go_on_until_a_new_port_owner_has_stopped_itself(scene: Scene) -> None:
+    scene.die(scene.port_owner)
+    scene.turn()
+    scene.start(layout.PORT_OWNER)
+    assert scene.written(50) == [(20, BURST)], "it is named, and still starting"
+    scene.port_owner_writes()
+    assert scene.written(500) == []
+
+
+def test_a_port_owner_that_died_before_the_news_came_is_answered(scene: Scene) -> None:
+    """The supervisor has named the next before this process came to look."""
+    scene.port_owner.kill()
+    scene.start(layout.PORT_OWNER)
+    scene.stopper.turn({})
+    assert scene.pty.read() == BURST
+
+
+def test_the_next_port_owner_is_watched_too(scene: Scene) -> None:
+    scene.die(scene.port_owner)
+    scene.turn()
+    second = scene.start(layout.PORT_OWNER)
+    scene.port_owner_writes()
+    scene.written(200)
+    scene.die(second)
+    assert scene.turn() == BURST
+
+
+def test_the_supervisor_s_death_lets_the_port_owner_go_first(scene: Scene) -> None:
+    scene.die(scene.supervisor)
+    assert scene.turn() == b""
+    assert scene.stopper.next_ns(scene.clock()) - scene.clock() < MS, "it looks again soon"
+    scene.port_owner_writes()
+    assert scene.turn() == BURST
+
+
+def test_but_not_for_long(scene: Scene) -> None:
+    scene.die(scene.supervisor)
+    assert scene.turn() == b""
+    assert scene.written(150, alive=False) == [(3, BURST), (23, BURST), (103, BURST)]
+    assert not scene.stays
+
+
+def test_without_a_port_owner_it_does_not_wait(scene: Scene) -> None:
+    scene.die(scene.port_owner)
+    scene.turn()
+    scene.die(scene.supervisor)
+    assert scene.turn() == BURST
+
+
+def test_both_deaths_at_once(scene: Scene) -> None:
+    scene.port_owner.kill()
+    scene.supervisor.kill()
+    until(lambda: len(scene.stopper.loop.wait(0)) >= 2, "the news of both deaths")
+    assert scene.turn().startswith(BURST)
+
+
+def test_the_port_owner_s_death_while_it_is_given_its_first_go(scene: Scene) -> None:
+    scene.die(scene.supervisor)
+    assert scene.turn() == b""
+    scene.die(scene.port_owner)
+    assert scene.turn().startswith(BURST)
+
+
+def test_it_leaves_after_the_repeats(scene: Scene) -> None:
+    scene.die(scene.supervisor)
+    scene.turn()
+    scene.written(149)
+    assert scene.stays
+    scene.turn(MS)
+    assert not scene.stays
+
+
+def test_a_port_owner_that_hangs_is_answered_once(scene: Scene) -> None:
+    assert scene.written(300, alive=False) == []
+    assert scene.turn(1, alive=False) == BURST
+    assert scene.written(1_000, alive=False) == [(20, BURST), (100, BURST)]
+    scene.turn()
+    assert scene.written(400, alive=False)[0] == (301, BURST), "and again when it hangs again"
+
+
+def test_a_port_owner_that_is_only_starting_does_not_hang(scene: Scene) -> None:
+    scene._views[layout.PORT_OWNER].word("beat_state").set(1)
+    assert scene.written(1_000, alive=False) == []
+
+
+def test_no_port_no_harm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(tmp_path, monkeypatch, open_port=False)
+    scene.die(scene.port_owner)
+    assert scene.turn() == b""
+    assert scene.own.word("written_ns").get() == 0
+    scene.close()
+
+
+def test_a_port_that_has_gone_is_let_go_at_once(scene: Scene) -> None:
+    fd = scene.fd("port")
+    scene.pty.unplug()
+    until(lambda: scene.stopper.loop.wait(0), "the hang-up")
+    scene.turn()
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(fd)
+    scene.die(scene.port_owner)
+    scene.turn()
+
+
+def test_a_hang_up_met_by_a_write_lets_the_port_go(scene: Scene) -> None:
+    fd = scene.fd("port")
+    scene.die(scene.port_owner)
+    scene.pty.unplug()
+    scene.stopper.turn({scene.stopper._port_owner_life.fd: 1})  # type: ignore[union-attr]
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(fd)
+    assert scene.own.word("written_ns").get() == 0
+
+
+def test_a_port_that_was_opened_anew_is_adopted(scene: Scene, other: Pty) -> None:
+    old = scene.fd("port")
+    scene.control.send(other.slave)
+    scene.turn()
+    assert scene.stopper._port != old
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(old)
+    scene.die(scene.port_owner)
+    assert scene.turn() == b""
+    assert other.read() == BURST
+
+
+def test_a_hang_up_and_a_new_port_in_one_wake_up(scene: Scene, other: Pty) -> None:
+    """The old port's hang-up must not cost the new one."""
+    scene.pty.unplug()
+    scene.control.send(other.slave)
+    until(lambda: len(scene.stopper.loop.wait(0)) >= 2, "both")
+    scene.turn()
+    scene.die(scene.port_owner)
+    scene.turn()
+    assert other.read() == BURST
+
+
+def test_a_full_port_blocks_nothing(scene: Scene) -> None:
+    scene.pty.fill()
+    scene.die(scene.port_owner)
+    scene.stopper.turn(scene.stopper.loop.wait(0))
+    assert scene.own.word("written_ns").get() == 0
+    scene.pty.read()
+    assert BURST in b"".join(wrote for _, wrote in scene.written(100))
+
+
+def test_the_supervisor_s_closed_socket_does_not_keep_it_awake(scene: Scene) -> None:
+    scene.die(scene.supervisor)
+    scene.control.close()
+    scene.turn()
+    scene.turn()
+    assert scene.stopper._control.fd not in scene.stopper.loop.wait(0)

@@ -1,0 +1,335 @@
+"""Instances: names, runtime directories that are nobody else's, and one service of each name."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.shm import instance
+from failstop.shm.instance import InstanceError, NoService
+
+from .children import NOBODY, Child, call, needs_root, umask
+
+Send = Callable[[object], None]
+Wait = Callable[[], None]
+STRANGER = 61_234
+"""A user that no one is, so that its directories under /tmp are this test's alone."""
+
+
+@pytest.fixture
+def bases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Three candidate directories of this test, none of them made yet."""
+    places = [str(tmp_path / place) for place in ("run", "session", "private")]
+    monkeypatch.setattr(instance, "_candidates", lambda: list(places))
+    return places
+
+
+@pytest.fixture
+def private() -> Iterator[str]:
+    """The stranger's directory under /tmp; whatever a test puts there is removed."""
+    path = f"/tmp/failstop-{STRANGER}"
+    _remove(path)
+    yield path
+    _remove(path)
+
+
+def _remove(path: str) -> None:
+    if os.path.islink(path) or os.path.isfile(path):
+        os.unlink(path)
+        return
+    for base, directories, files in os.walk(path, topdown=False):
+        for entry in directories + files:
+            whole = os.path.join(base, entry)
+            os.unlink(whole) if os.path.islink(whole) or entry in files else os.rmdir(whole)
+    with contextlib.suppress(FileNotFoundError):
+        os.rmdir(path)
+
+
+@pytest.mark.parametrize("name", ["a", "failstop", "robot-2", "left_arm", "0", "a" * 32, "-", "_"])
+def test_good_names(name: str) -> None:
+    assert instance.check_name(name) == name
+
+
+@pytest.mark.parametrize(
+    "name", ["", "a" * 33, "A", "a b", "a/b", "..", ".", "a.b", "ä", "a\n", "a\0", "\u0661", "/", "a:b", "~", "$x"]
+)
+def test_bad_names(name: str) -> None:
+    for use in (instance.check_name, instance.find, instance.make_runtime_dir):
+        with pytest.raises(InstanceError) as refused:
+            use(name)
+        assert str(refused.value) == f"name {name!r}: use 1 to 32 of a-z, 0-9, _ and -"
+
+
+@given(st.text(max_size=40))
+def test_a_good_name_is_one_plain_path_component(name: str) -> None:
+    try:
+        instance.check_name(name)
+    except InstanceError:
+        return
+    assert name == os.path.basename(name)
+    assert name.isascii()
+    assert name.strip(".")
+
+
+def test_the_order_of_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
+    private = f"/tmp/failstop-{os.getuid()}"
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/77")
+    assert instance._candidates() == ["/run/failstop", "/run/user/77/failstop", private]
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "")
+    assert instance._candidates() == ["/run/failstop", private]
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    assert instance._candidates() == ["/run/failstop", private]
+
+
+def test_the_first_that_can_be_written_is_taken(bases: list[str]) -> None:
+    for base in bases:
+        path = instance.make_runtime_dir("robot")
+        assert path == os.path.join(base, "robot")
+        assert os.path.isdir(path)
+        os.rmdir(path)
+        os.rmdir(base)
+        Path(base).write_text("in the way")
+
+
+def test_when_none_can_be_written(bases: list[str]) -> None:
+    for base in bases:
+        Path(base).write_text("in the way")
+    with pytest.raises(InstanceError) as refused:
+        instance.make_runtime_dir("robot")
+    for part in ("'robot'", *bases):
+        assert part in str(refused.value)
+
+
+def test_a_runtime_dir_is_taken_over(bases: list[str]) -> None:
+    path = instance.make_runtime_dir("robot")
+    Path(path, "left").write_text("by a dead run")
+    assert instance.make_runtime_dir("robot") == path
+    assert Path(path, "left").exists()
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
+def test_directories_under_tmp_are_private_whatever_the_umask(bases: list[str], mask: int) -> None:
+    assert bases[0].startswith("/tmp/"), "pytest's own directory must lie under /tmp for this test"
+    with umask(mask):
+        path = instance.make_runtime_dir("robot")
+    assert stat.S_IMODE(os.stat(path).st_mode) == 0o700
+    assert stat.S_IMODE(os.stat(bases[0]).st_mode) == 0o700
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o077])
+def test_other_directories_let_everyone_in_to_read(monkeypatch: pytest.MonkeyPatch, mask: int) -> None:
+    """So that every local user can reach the stop pipe."""
+    base = f"/var/tmp/failstop-test-{os.getpid()}"
+    monkeypatch.setattr(instance, "_candidates", lambda: [base])
+    try:
+        with umask(mask):
+            path = instance.make_runtime_dir("robot")
+        assert stat.S_IMODE(os.stat(path).st_mode) == 0o755
+        assert stat.S_IMODE(os.stat(base).st_mode) == 0o755
+    finally:
+        _remove(base)
+
+
+def made_as_stranger(name: str = "robot") -> str:
+    """What a user without a session or rights gets: its directory, or the refusal."""
+
+    def attempt() -> str:
+        os.environ.pop("XDG_RUNTIME_DIR", None)
+        try:
+            return instance.make_runtime_dir(name)
+        except InstanceError as error:
+            return f"refused: {error}"
+
+    answer: str = call(attempt, STRANGER)
+    return answer
+
+
+@needs_root
+def test_a_user_s_own_directory_under_tmp(private: str) -> None:
+    assert made_as_stranger() == f"{private}/robot"
+    for path in (private, f"{private}/robot"):
+        found = os.lstat(path)
+        assert (found.st_uid, stat.S_IMODE(found.st_mode)) == (STRANGER, 0o700)
+    assert made_as_stranger() == f"{private}/robot"
+
+
+@needs_root
+@pytest.mark.parametrize("part", ["base", "instance"])
+@pytest.mark.parametrize("trap", ["other user's", "link to other user's", "link to own", "file", "dangling link"])
+def test_a_trap_under_tmp_is_refused(private: str, tmp_path: Path, part: str, trap: str) -> None:
+    """/tmp is everyone's: what is there already may have been put there to be trusted."""
+    target = tmp_path / "target"
+    target.mkdir()
+    for parent in (tmp_path, tmp_path.parent, tmp_path.parent.parent):
+        parent.chmod(0o755)
+    if trap == "link to own":
+        os.chown(target, STRANGER, STRANGER)
+    else:
+        os.chown(target, NOBODY, NOBODY)
+        target.chmod(0o777)
+    place = private
+    if part == "instance":
+        os.mkdir(private, 0o700)
+        os.chown(private, STRANGER, STRANGER)
+        place = f"{private}/robot"
+    if trap == "other user's":
+        os.mkdir(place)
+        os.chown(place, NOBODY, NOBODY)
+        os.chmod(place, 0o777)
+    elif trap == "file":
+        Path(place).write_text("")
+    else:
+        os.symlink(tmp_path / "nowhere" if trap == "dangling link" else target, place)
+    answer = made_as_stranger()
+    assert answer.startswith("refused: no runtime directory for 'robot'")
+    assert private in answer
+    assert list(target.iterdir()) == []
+
+
+def holder(path: str) -> Child:
+    """A process that is the service of this directory."""
+
+    def work(send: Send, wait: Wait) -> None:
+        instance.lock(path)
+        send(os.getpid())
+        wait()
+
+    child = Child(work)
+    assert child.receive() == child.pid
+    return child
+
+
+def test_a_second_service_is_refused_with_the_first_one_s_pid(bases: list[str]) -> None:
+    path = instance.make_runtime_dir("robot")
+    assert not instance.locked(path)
+    with holder(path) as first:
+        assert instance.locked(path)
+        for _ in range(3):
+            with pytest.raises(InstanceError) as refused:
+                instance.lock(path)
+            assert f"'robot' is already running (pid {first.pid})" in str(refused.value)
+            assert "--name" in str(refused.value)
+        assert instance.find("robot") == path
+        first.go()
+        first.wait()
+    assert not instance.locked(path)
+
+
+def test_a_refused_one_leaves_nothing_open_and_the_pid_alone(bases: list[str]) -> None:
+    path = instance.make_runtime_dir("robot")
+    with holder(path) as first:
+        before = len(os.listdir("/proc/self/fd"))
+        for _ in range(10):
+            with pytest.raises(InstanceError):
+                instance.lock(path)
+            instance.locked(path)
+        assert len(os.listdir("/proc/self/fd")) == before
+        assert Path(instance.lock_path(path)).read_text() == f"{first.pid}\n"
+
+
+def test_sigkill_of_the_holder_frees_the_name(bases: list[str], fds: list[int]) -> None:
+    path = instance.make_runtime_dir("robot")
+    for _ in range(10):
+        with holder(path) as first:
+            first.kill()
+        assert not instance.locked(path)
+        with pytest.raises(NoService):
+            instance.find("robot")
+    fds.append(instance.lock(path))
+    assert instance.locked(path)
+    assert Path(instance.lock_path(path)).read_text() == f"{os.getpid()}\n"
+
+
+def test_a_longer_pid_before_leaves_no_digits(bases: list[str], fds: list[int]) -> None:
+    path = instance.make_runtime_dir("robot")
+    Path(instance.lock_path(path)).write_text("99999999999\n")
+    fds.append(instance.lock(path))
+    assert Path(instance.lock_path(path)).read_text() == f"{os.getpid()}\n"
+
+
+@pytest.mark.parametrize("junk", [b"", b"\xff\xfe\0", b"x" * 5000])
+def test_junk_in_the_lock_file_is_no_crash(bases: list[str], junk: bytes) -> None:
+    path = instance.make_runtime_dir("robot")
+    with holder(path):
+        Path(instance.lock_path(path)).write_bytes(junk)
+        with pytest.raises(InstanceError, match="is already running"):
+            instance.lock(path)
+
+
+def test_of_two_that_start_at_once_one_runs(bases: list[str]) -> None:
+    path = instance.make_runtime_dir("robot")
+
+    def work(send: Send, wait: Wait) -> None:
+        for _ in range(100):
+            wait()
+            try:
+                fd = instance.lock(path)
+                send("runs")
+            except InstanceError:
+                fd = -1
+                send("refused")
+            wait()
+            if fd >= 0:
+                os.close(fd)
+            send("gone")
+
+    with Child(work) as one, Child(work) as two:
+        for _ in range(100):
+            one.go()
+            two.go()
+            assert sorted([one.receive(), two.receive()]) == ["refused", "runs"]
+            for racer in (one, two):
+                racer.go()
+                assert racer.receive() == "gone"
+
+
+def test_instances_do_not_lock_each_other(bases: list[str], fds: list[int]) -> None:
+    fds.append(instance.lock(instance.make_runtime_dir("one")))
+    fds.append(instance.lock(instance.make_runtime_dir("two")))
+    assert instance.find("one") != instance.find("two")
+
+
+def test_the_lock_does_not_cross_an_exec(bases: list[str], fds: list[int]) -> None:
+    fds.append(fd := instance.lock(instance.make_runtime_dir("robot")))
+    assert not os.get_inheritable(fd)
+
+
+def test_find_looks_everywhere_for_the_one_that_runs(bases: list[str]) -> None:
+    for base in bases:
+        os.makedirs(os.path.join(base, "robot"))
+        Path(base, "robot", "lock").write_text("123\n")
+    with pytest.raises(
+        NoService, match=r"no service named 'robot' is running: start it with `failstop run --name robot`"
+    ):
+        instance.find("robot")
+    for base in reversed(bases):
+        with holder(os.path.join(base, "robot")):
+            assert instance.find("robot") == os.path.join(base, "robot")
+
+
+@needs_root
+def test_everyone_can_find_a_service_that_everyone_may_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = f"/var/tmp/failstop-test-{os.getpid()}"
+    monkeypatch.setattr(instance, "_candidates", lambda: [base])
+    try:
+        with umask(0o077):
+            path = instance.make_runtime_dir("robot")
+            with holder(path):
+                assert call(lambda: instance.find("robot"), NOBODY) == path
+    finally:
+        _remove(base)
+
+
+def test_paths_lie_in_the_runtime_dir_and_differ() -> None:
+    paths = [
+        each("/run/x") for each in (instance.lock_path, instance.claims_path, instance.stop_path, instance.bell_path)
+    ]
+    assert len(set(paths)) == 4
+    assert all(os.path.dirname(path) == "/run/x" for path in paths)

@@ -1,0 +1,164 @@
+"""The layout: every record has a place, a writer and a reader of its own, and its hash knows all of it."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from itertools import pairwise
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from failstop.shm import layout, slot
+from failstop.shm.latest import record_bytes, slot_bytes
+from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, HEADER_BYTES, LAYOUT_HASH, PROCESSES, SEGMENTS
+from failstop.shm.words import LINE_BYTES
+
+SOURCE = Path(layout.__file__).read_text()
+
+
+def variant(pattern: str, replacement: str) -> ModuleType:
+    """The layout module with one declaration changed."""
+    text, count = re.subn(pattern, replacement, SOURCE, count=1)
+    assert count == 1, f"{pattern} is not in the layout any more"
+    assert text != SOURCE
+    spec = importlib.util.spec_from_loader("failstop.shm.layout_variant", loader=None)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    exec(compile(text, "layout_variant.py", "exec"), module.__dict__)
+    return module
+
+
+def places(spec: layout.SegmentSpec) -> list[tuple[int, int, str]]:
+    return [(spec.offsets[name], spec.offsets[name] + record.size(), name) for name, record in spec.records.items()]
+
+
+@pytest.mark.parametrize("spec", SEGMENTS, ids=lambda spec: spec.name)
+def test_no_two_records_overlap(spec: layout.SegmentSpec) -> None:
+    taken = sorted(places(spec))
+    assert taken[0][0] >= HEADER_BYTES
+    for (_, end, one), (start, _, other) in pairwise(taken):
+        assert end <= start, f"{one} overlaps {other}"
+    assert taken[-1][1] <= spec.size
+
+
+@pytest.mark.parametrize("spec", SEGMENTS, ids=lambda spec: spec.name)
+def test_every_record_starts_on_a_line_of_its_own(spec: layout.SegmentSpec) -> None:
+    for start, end, name in places(spec):
+        assert start % LINE_BYTES == 0, name
+        assert end % LINE_BYTES == 0, name
+
+
+@pytest.mark.parametrize("spec", SEGMENTS, ids=lambda spec: spec.name)
+def test_segments_are_whole_pages(spec: layout.SegmentSpec) -> None:
+    assert spec.size > 0
+    assert spec.size % 4096 == 0
+    assert spec.size < 4 * 1024 * 1024
+
+
+@pytest.mark.parametrize("spec", SEGMENTS, ids=lambda spec: spec.name)
+def test_every_segment_has_a_writer_and_every_record_a_reader(spec: layout.SegmentSpec) -> None:
+    assert spec.writer.strip()
+    assert spec.records
+    for record in spec.records.values():
+        assert record.readers.strip(), record.name
+        assert record.kind in ("word", "latest", "ring", "mutexes")
+        if record.kind != "mutexes":
+            known = {*PROCESSES, "clients", "everyone", "its successor", "the client of that slot"}
+            assert {reader.strip() for reader in record.readers.split(",")} <= known, record.name
+            assert spec.writer not in [reader.strip() for reader in record.readers.split(",")], record.name
+
+
+def test_no_record_is_declared_twice() -> None:
+    """A second one of the same name would silently replace the first and leave a hole."""
+    for spec in SEGMENTS:
+        assert (
+            sum(record.size() for record in spec.records.values())
+            == max(end for _, end, _ in places(spec)) - HEADER_BYTES
+        )
+    assert len(BY_NAME) == len(SEGMENTS)
+
+
+def test_one_segment_for_each_process_and_client_slot() -> None:
+    assert [spec.name for spec in SEGMENTS if spec.mode == layout.PUBLIC] == list(PROCESSES)
+    assert [spec.name for spec in SEGMENTS if spec.mode == layout.CLIENTS] == [
+        f"client.{i}" for i in range(CLIENT_SLOTS)
+    ]
+    for process in PROCESSES:
+        assert BY_NAME[process].writer == process
+
+
+def test_modes() -> None:
+    """Nobody but the service's own user writes what the service maps; only client segments are the group's to write."""
+    for spec in SEGMENTS:
+        assert spec.mode & 0o7113 == 0
+        assert bool(spec.mode & 0o020) == spec.name.startswith("client.")
+        if spec.name.startswith("client."):
+            assert not {record.kind for record in spec.records.values()} & {"word", "mutexes"}, "not without a mapping"
+
+
+def test_each_client_slot_has_its_reply() -> None:
+    replies = [name for name in BY_NAME["gate"].records if name.startswith("reply.")]
+    assert replies == [f"reply.{i}" for i in range(CLIENT_SLOTS)]
+
+
+def test_every_process_has_a_whole_heartbeat() -> None:
+    beats = {name for name in BY_NAME["supervisor"].records if name.startswith("beat_")}
+    assert len(beats) == 7
+    for process in PROCESSES:
+        assert beats <= set(BY_NAME[process].records)
+
+
+@pytest.mark.parametrize("capacity", [0, 1, 39, 40, 41, 104, 105, 2048])
+def test_a_slot_holds_its_capacity_and_shares_no_line(capacity: int) -> None:
+    assert slot_bytes(capacity) >= slot.HEADER_BYTES + capacity
+    assert slot_bytes(capacity) - slot.HEADER_BYTES - capacity < LINE_BYTES
+    assert slot_bytes(capacity) % LINE_BYTES == 0
+    assert record_bytes(capacity) == 2 * slot_bytes(capacity)
+
+
+def test_the_hash_is_reproducible() -> None:
+    module = variant(r'"""The layout', '"""the layout')
+    assert module.LAYOUT_HASH == LAYOUT_HASH
+    assert 0 < LAYOUT_HASH < 2**64
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement"),
+    [
+        (r"LAYOUT_VERSION = 1", "LAYOUT_VERSION = 2"),
+        (r"CLIENT_SLOTS = 8", "CLIENT_SLOTS = 7"),
+        (r"PUBLIC = 0o644", "PUBLIC = 0o640"),
+        (r"HEADER_BYTES = 128", "HEADER_BYTES = 192"),
+        (r'_word\("epoch"', '_word("epoch_"'),
+        (r'_word\("beat_loops"[^\n]*', ""),
+        (r'_latest\("hello", 128', '_latest("hello", 129'),
+        (r'_latest\("imu", 64', '_latest("imu", 72'),
+        (r'_ring\("frames", 304, 64', '_ring("frames", 304, 63'),
+        (r'_ring\("frames", 304', '_ring("frames", 303'),
+        (r'_ring\("trips", (\d+), (\d+)', r'_ring("trips", \2, \1'),
+        (r'_latest\("battery", 32', '_word("battery"'),
+        (r'(_latest\("imu"[^\n]*)\n\s*(_latest\("battery"[^\n]*)', r"\2\n            \1"),
+        (r'TELEMETRY = "telemetry"', 'TELEMETRY = "telemetri"'),
+    ],
+)
+def test_the_hash_changes_with_every_declaration(pattern: str, replacement: str) -> None:
+    if "_word(" in replacement and "battery" in replacement:
+        pattern += r", "
+        replacement += ", "
+    assert variant(pattern, replacement).LAYOUT_HASH != LAYOUT_HASH
+
+
+def test_all_variants_of_one_number_have_their_own_hash() -> None:
+    hashes = {variant(r'_latest\("hello", 128', f'_latest("hello", {size}').LAYOUT_HASH for size in range(129, 300)}
+    assert len(hashes) == 171
+    assert LAYOUT_HASH not in hashes
+
+
+def test_importing_the_layout_loads_nothing_heavy() -> None:
+    """Processes on the stop path import it first thing."""
+    assert "failstop.shm.layout" in sys.modules
+    heavy = "dataclasses|typing|enum|re|inspect|pathlib|logging|argparse|json|subprocess|collections.abc"
+    assert not re.search(rf"^(import|from) ({heavy})\b", SOURCE, re.MULTILINE)

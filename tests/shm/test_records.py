@@ -1,0 +1,218 @@
+"""Records: every payload comes back as it went in, fits its record, and is damage in any other size."""
+
+from __future__ import annotations
+
+import inspect
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.shm import records
+from failstop.shm.layout import BY_NAME, CLIENT_SLOTS
+from failstop.shm.slot import HEADER_BYTES, build
+
+U64 = st.integers(0, 2**64 - 1)
+U32 = st.integers(0, 2**32 - 1)
+U8 = st.integers(0, 255)
+I8 = st.integers(-128, 127)
+SPEED = st.floats(allow_nan=False)
+TOP = 2**64 - 1
+
+
+def capacity(place: str) -> int:
+    of, _, record = place.partition("/")
+    return BY_NAME[of].records[record].capacity
+
+
+def text_strategy(room: int) -> st.SearchStrategy[str]:
+    """Text of any length, surrogates from undecodable paths and all; the long ones most often."""
+    return st.one_of(
+        st.text(max_size=40),
+        st.text(st.characters(), min_size=room // 4, max_size=room + 20),
+        st.sampled_from(["é" * room, "x" + "é" * room, "🛑" * room, "x🛑" * room, "\0" * room, "\udcff" * room]),
+    )
+
+
+def is_cut(found: str, text: str, room: int) -> bool:
+    """True when `found` is the longest beginning of `text` that fits."""
+    text = text.encode("utf-8", "replace").decode()
+    if len(found.encode()) > room or not text.startswith(found):
+        return False
+    return found == text or len(text[: len(found) + 1].encode()) > room
+
+
+@given(epoch=U64, kind=U8, body=st.binary(max_size=295))
+def test_frame(epoch: int, kind: int, body: bytes) -> None:
+    assert records.unpack_frame(records.pack_frame(epoch, kind, body)) == (epoch, kind, body)
+
+
+@given(epoch=U64, cause_ns=U64, written_ns=U64, latches=st.booleans(), reason=text_strategy(280))
+def test_stop(epoch: int, cause_ns: int, written_ns: int, latches: bool, reason: str) -> None:
+    payload = records.pack_stop(epoch, cause_ns, written_ns, latches, reason)
+    *fixed, found = records.unpack_stop(payload)
+    assert fixed == [epoch, cause_ns, written_ns, latches]
+    assert is_cut(str(found), reason, 280)
+
+
+@given(generation=U64, since_ns=U64, state=st.sampled_from([0, 1, 2]), path=text_strategy(300))
+def test_port(generation: int, since_ns: int, state: int, path: str) -> None:
+    *fixed, found = records.unpack_port(records.pack_port(generation, since_ns, state, path))
+    assert fixed == [generation, since_ns, state]
+    assert is_cut(str(found), path, 300)
+
+
+@given(session=U64, speeds=st.tuples(SPEED, SPEED, SPEED), manual=st.booleans())
+def test_command(session: int, speeds: tuple[float, float, float], manual: bool) -> None:
+    assert records.unpack_command(records.pack_command(session, *speeds, manual)) == (session, *speeds, manual)
+
+
+def test_command_keeps_what_is_no_number() -> None:
+    """It is for the gate to refuse it, with a latched stop."""
+    _, vx, vy, wz, _ = records.unpack_command(records.pack_command(1, float("nan"), float("inf"), -0.0, True))
+    assert vx != vx
+    assert vy == float("inf")
+    assert str(wz) == "-0.0"
+
+
+@given(session=U64, pid=U32, name=text_strategy(64))
+def test_hello(session: int, pid: int, name: str) -> None:
+    found_session, found_pid, found = records.unpack_hello(records.pack_hello(session, pid, name))
+    assert (found_session, found_pid) == (session, pid)
+    assert is_cut(found, name, 64)
+
+
+@given(session=U64, number=U64, verb=U8)
+def test_request(session: int, number: int, verb: int) -> None:
+    assert records.unpack_request(records.pack_request(session, number, verb)) == (session, number, verb)
+
+
+@given(session=U64, number=U64, done=st.booleans(), text=text_strategy(290))
+def test_reply(session: int, number: int, done: bool, text: str) -> None:
+    *fixed, found = records.unpack_reply(records.pack_reply(session, number, done, text))
+    assert fixed == [session, number, done]
+    assert is_cut(str(found), text, 290)
+
+
+@given(samples=st.lists(st.floats(allow_nan=False), min_size=6, max_size=6))
+def test_imu(samples: list[float]) -> None:
+    ax, ay, az, gx, gy, gz = samples
+    assert records.unpack_imu(records.pack_imu((ax, ay, az), (gx, gy, gz))) == tuple(samples)
+
+
+@given(millivolts=U32)
+def test_battery(millivolts: int) -> None:
+    assert records.unpack_battery(records.pack_battery(millivolts)) == millivolts
+
+
+@given(buttons=st.integers(0, 65535), hat=U8, sticks=st.tuples(I8, I8, I8, I8))
+def test_pad(buttons: int, hat: int, sticks: tuple[int, int, int, int]) -> None:
+    assert records.unpack_pad(records.pack_pad(buttons, hat, *sticks)) == (buttons, hat, *sticks)
+
+
+@given(pid=st.integers(0, 2**32 - 1), block=st.integers(0, 2**32 - 1))
+def test_life(pid: int, block: int) -> None:
+    word = records.life(pid, block)
+    assert 0 <= word < 2**64
+    assert records.unpack_life(word) == (pid, block)
+
+
+LONG = ["x" * 5000, "é" * 5000, "x" + "é" * 5000, "€" * 5000, "🛑" * 5000, "\udcff" * 5000, "\0" * 5000]
+BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
+    "stop": (
+        lambda text: records.pack_stop(TOP, TOP, TOP, True, text),
+        ["port_owner/stops", "gate/trips", "supervisor/cause"],
+    ),
+    "port": (lambda text: records.pack_port(TOP, TOP, 2, text), ["port_owner/port"]),
+    "hello": (
+        lambda text: records.pack_hello(TOP, 2**32 - 1, text),
+        [f"client.{i}/hello" for i in range(CLIENT_SLOTS)],
+    ),
+    "reply": (lambda text: records.pack_reply(TOP, TOP, True, text), [f"gate/reply.{i}" for i in range(CLIENT_SLOTS)]),
+    "command": (
+        lambda text: records.pack_command(TOP, 1e308, 1e308, 1e308, True),
+        [f"client.{i}/command" for i in range(CLIENT_SLOTS)],
+    ),
+    "request": (lambda text: records.pack_request(TOP, TOP, 255), [f"client.{i}/request" for i in range(CLIENT_SLOTS)]),
+    "imu": (lambda text: records.pack_imu((1e308,) * 3, (1e308,) * 3), ["telemetry/imu"]),
+    "battery": (lambda text: records.pack_battery(2**32 - 1), ["telemetry/battery"]),
+    "pad": (lambda text: records.pack_pad(65535, 255, -128, -128, 127, 127), ["telemetry/pad"]),
+    # A wire frame has at most 260 bytes.
+    "frame": (lambda text: records.pack_frame(TOP, 255, b"\xff" * 260), ["gate/frames"]),
+}
+
+
+@pytest.mark.parametrize("kind", BIGGEST)
+def test_the_biggest_payload_fits_every_record_it_is_put_in(kind: str) -> None:
+    pack, where = BIGGEST[kind]
+    for place in where:
+        room = capacity(place)
+        for text in LONG:
+            assert len(build(1, 1, pack(text), 0, room)) <= HEADER_BYTES + room
+
+
+@pytest.mark.parametrize("text", LONG)
+def test_long_texts_are_cut_between_characters(text: str) -> None:
+    for found, room in (
+        (records.unpack_stop(records.pack_stop(1, 1, 1, True, text))[-1], 280),
+        (records.unpack_port(records.pack_port(1, 1, 1, text))[-1], 300),
+        (records.unpack_hello(records.pack_hello(1, 1, text))[-1], 64),
+        (records.unpack_reply(records.pack_reply(1, 1, True, text))[-1], 290),
+    ):
+        assert is_cut(str(found), text, room)
+        assert "\ufffd" not in str(found)
+        assert room - len(str(found).encode()) < 4
+
+
+def test_every_pair_is_under_test() -> None:
+    """A payload that is added to records.py must be added here."""
+    packs = {name[5:] for name, _ in inspect.getmembers(records, inspect.isfunction) if name.startswith("pack_")}
+    unpacks = {name[7:] for name, _ in inspect.getmembers(records, inspect.isfunction) if name.startswith("unpack_")}
+    assert packs == set(BIGGEST)
+    assert unpacks - {"life"} == packs
+
+
+SIZES: dict[str, tuple[Callable[[bytes], Any], int, bool]] = {
+    "frame": (records.unpack_frame, 9, False),
+    "stop": (records.unpack_stop, 25, False),
+    "port": (records.unpack_port, 17, False),
+    "hello": (records.unpack_hello, 12, False),
+    "reply": (records.unpack_reply, 17, False),
+    "request": (records.unpack_request, 17, True),
+    "command": (records.unpack_command, 33, True),
+    "imu": (records.unpack_imu, 48, True),
+    "battery": (records.unpack_battery, 4, True),
+    "pad": (records.unpack_pad, 7, True),
+}
+
+
+@pytest.mark.parametrize("kind", SIZES)
+def test_a_wrong_size_is_a_value_error(kind: str) -> None:
+    unpack, size, exact = SIZES[kind]
+    unpack(bytes(size))
+    for wrong in range(size):
+        with pytest.raises(ValueError, match=f"payload of {wrong} bytes"):
+            unpack(bytes(wrong))
+    if exact:
+        for wrong in (size + 1, size + 8, 320):
+            with pytest.raises(ValueError, match=f"payload of {wrong} bytes"):
+                unpack(bytes(wrong))
+
+
+@given(kind=st.sampled_from(sorted(SIZES)), payload=st.binary(max_size=340))
+def test_any_bytes_are_unpacked_or_a_value_error(kind: str, payload: bytes) -> None:
+    unpack, size, exact = SIZES[kind]
+    if len(payload) < size or (exact and len(payload) != size):
+        with pytest.raises(ValueError, match="payload"):
+            unpack(payload)
+    else:
+        unpack(payload)
+
+
+def test_payloads_are_little_endian_without_padding() -> None:
+    assert records.pack_frame(1, 2, b"x") == bytes([1, 0, 0, 0, 0, 0, 0, 0, 2]) + b"x"
+    assert records.pack_pad(0x0102, 3, -1, 4, 5, 6) == bytes([2, 1, 3, 255, 4, 5, 6])
+    assert records.pack_command(1, 0.2, 0.0, 0.0, True) == struct.pack("<QdddB", 1, 0.2, 0.0, 0.0, 1)
