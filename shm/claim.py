@@ -1,8 +1,8 @@
 """Claims: who holds what, as open-file-description record locks on single bytes of a file.
 
 The kernel drops such a lock when the last descriptor of its holder closes, so none is left held by a crash. A copy of
-the holder that was forked and has not exec'd holds it too, and outlives it. The file's content means nothing. Threads and libraries that open and close the same file do not
-lose the lock, as they would with classic POSIX locks.
+the holder that was forked and has not exec'd holds it too, and outlives it. The file's content means nothing. Threads
+and libraries that open and close the same file do not lose the lock, as they would with classic POSIX locks.
 """
 
 from __future__ import annotations

@@ -44,6 +44,7 @@ def test_a_session(trial: Trial, failstop: Cli) -> None:
 def test_status_json_has_what_is_promised(trial: Trial, failstop: Cli) -> None:
     trial.enable()
     trial.drive(0.1)
+    trial.board.events()
     trial.robot.estop("for the record")
     trial.board.wait_for(lambda event: event.is_stop, 2.0)
     state = json.loads(failstop("status", "--json", "--name", trial.name).stdout)

@@ -60,6 +60,7 @@ def test_latched_with_who_died(trial: Trial, process: str) -> None:
 
 def test_first_cause_is_kept_over_a_gate_restart(trial: Trial) -> None:
     trial.enable()
+    trial.board.events()
     trial.robot.estop("the first")
     trial.board.wait_for(lambda event: event.is_stop, 2.0)
     pid = trial.service.pids()["gate"]

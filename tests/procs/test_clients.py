@@ -28,7 +28,9 @@ _numbers = itertools.count()
 class Client:
     """A client of another process, as far as memory and claims go."""
 
-    def __init__(self, service: Service, index: int, session: int, *, name: str = "test", pid: int | None = None) -> None:
+    def __init__(
+        self, service: Service, index: int, session: int, *, name: str = "test", pid: int | None = None
+    ) -> None:
         self.index = index
         self.session = session
         self.number = 0

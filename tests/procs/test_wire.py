@@ -195,7 +195,9 @@ def test_nothing_is_added_to_a_cut_frame_and_the_rest_follows(pty: Pty, wire: Wi
 
 
 @pytest.mark.parametrize("cut", [0, 1, 31, 32, 33, 45, 58, 59, 60, 200, 315, 316, 330, 343, 396])
-@pytest.mark.parametrize("before", [b"", MOTION, MOTION[:20], MOTION[:3]], ids=["", "motion", "cut in data", "cut head"])
+@pytest.mark.parametrize(
+    "before", [b"", MOTION, MOTION[:20], MOTION[:3]], ids=["", "motion", "cut in data", "cut head"]
+)
 def test_a_cut_burst_is_finished(pty: Pty, wire: Wire, kernel: Kernel, before: bytes, cut: int) -> None:
     os.write(pty.slave, before)
     kernel.room = cut

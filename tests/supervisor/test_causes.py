@@ -1,0 +1,62 @@
+"""The first cause since the last reset is the one that people are told."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.supervisor.causes import Cause, Causes
+
+MS = 1_000_000
+
+
+def cause(reason: str, t_ns: int = 100) -> Cause:
+    return Cause(t_ns, "port_owner", reason)
+
+
+def test_the_first_stands() -> None:
+    causes = Causes()
+    assert causes.add([cause("key1")], 2, 0).reason == "key1"
+    assert causes.add([cause("gate died", 50)], 3, 0).reason == "key1", "even when a later one was noticed sooner"
+    assert causes.add([cause("device lost")], 4, 0).reason == "key1"
+
+
+def test_of_those_that_come_together_the_one_noticed_first() -> None:
+    news = [cause("supervisor's", 300), cause("port owner's", 100), cause("gate's", 200)]
+    assert Causes().add(news, 2, 0).reason == "port owner's"
+
+
+def test_after_a_reset_the_next_stands() -> None:
+    causes = Causes()
+    causes.add([cause("key1")], 2, 0)
+    assert causes.add([cause("gate died")], 3, 2).reason == "gate died"
+    assert causes.add([cause("device lost")], 4, 2).reason == "gate died", "that reset was before the one that stands"
+    assert causes.add([cause("key1")], 5, 4).reason == "key1"
+
+
+def test_a_reset_of_an_older_epoch_ends_nothing() -> None:
+    causes = Causes()
+    causes.add([cause("key1")], 5, 0)
+    assert causes.add([cause("gate died")], 6, 4).reason == "key1"
+
+
+def test_a_cause_s_own_data_are_kept() -> None:
+    first = Cause(7, "gate", "trip", 9)
+    standing = Causes().add([first], 2, 0)
+    assert (standing.t_ns, standing.noticed_by, standing.reason, standing.written_ns) == (7, "gate", "trip", 9)
+    assert Cause(7, "gate", "trip").written_ns == 0
+
+
+@given(st.lists(st.tuples(st.booleans(), st.lists(st.integers(0, 1000), min_size=1, max_size=4)), max_size=20))
+def test_any_history(history: list[tuple[bool, list[int]]]) -> None:
+    """Each step: was there a reset in the epoch before, and the times of the causes that come together."""
+    causes = Causes()
+    reset_epoch = 0
+    expected = ""
+    for epoch, (reset, times) in enumerate(history, start=2):
+        news = [Cause(t_ns, "gate", f"{epoch}:{t_ns}") for t_ns in times]
+        if reset and epoch > 2:
+            reset_epoch = epoch - 1
+            expected = ""
+        expected = expected or f"{epoch}:{min(times)}"
+        assert causes.add(news, epoch, reset_epoch).reason == expected

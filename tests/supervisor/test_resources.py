@@ -1,0 +1,157 @@
+"""What a run makes, with which rights, and that nothing of it is left."""
+
+from __future__ import annotations
+
+import grp
+import itertools
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.shm import bell, claim, instance, layout, segment
+from failstop.supervisor import resources as module
+from failstop.supervisor.resources import Resources, client_gid
+from failstop.supervisor.table import PROCESSES, Process
+
+_numbers = itertools.count()
+
+
+@pytest.fixture
+def name() -> str:
+    return f"r{os.getpid()}x{next(_numbers)}"
+
+
+def close(made: Resources) -> None:
+    made.remove()
+    for fd in (made.stop_pipe, made.client_bell, *(found.fd for found in made.bells.values())):
+        os.close(fd)
+    for pair in made.controls.values():
+        for fd in pair:
+            os.close(fd)
+
+
+@pytest.fixture
+def made(name: str, tmp_path: Path) -> Iterator[Resources]:
+    created = Resources(name, str(tmp_path))
+    yield created
+    close(created)
+
+
+def left(name: str) -> list[str]:
+    return [entry for entry in os.listdir("/dev/shm") if entry.startswith(f"failstop.{name}.")]
+
+
+def mode(path: str) -> int:
+    return stat.S_IMODE(os.stat(path).st_mode)
+
+
+def test_every_segment_is_there_and_of_this_run(made: Resources) -> None:
+    assert len(left(made.name)) == len(layout.SEGMENTS)
+    for process in layout.PROCESSES:
+        assert segment.attach(made.name, process).incarnation == made.incarnation
+
+
+def test_two_runs_differ(made: Resources, name: str, tmp_path: Path) -> None:
+    other = Resources(f"{name}b", str(tmp_path))
+    assert other.incarnation != made.incarnation
+    close(other)
+
+
+def test_everyone_may_ask_to_stop_and_nobody_else_may_take_a_request_away(made: Resources) -> None:
+    """A pipe that others can read is one from which they can take stop requests before the port owner sees them."""
+    path = instance.stop_path(made.runtime_dir)
+    assert stat.S_ISFIFO(os.stat(path).st_mode)
+    assert mode(path) == 0o622
+
+
+def test_the_group_may_ring_and_nobody_else_may_take_a_ring_away(made: Resources) -> None:
+    path = instance.bell_path(made.runtime_dir)
+    assert stat.S_ISFIFO(os.stat(path).st_mode)
+    assert mode(path) == 0o620
+
+
+def test_only_the_group_may_claim(made: Resources) -> None:
+    assert mode(instance.claims_path(made.runtime_dir)) == 0o660
+
+
+def test_a_request_waits_in_the_pipe_while_nobody_reads_it(made: Resources) -> None:
+    """As while the port owner is being restarted: the supervisor keeps the pipe open."""
+    fd = bell.open_pipe_to_write(instance.stop_path(made.runtime_dir))
+    assert bell.send(fd, b"stop\n")
+    os.close(fd)
+    assert bell.take(made.stop_pipe) == b"stop\n"
+    assert bell.take(made.stop_pipe) == b"", "and no end of file when the client has gone"
+
+
+def test_the_group_is_the_client_s_where_it_exists(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("needs root, to give files to any group")
+    monkeypatch.setattr(module, "client_gid", lambda: 4321)
+    made = Resources(name, str(tmp_path))
+    try:
+        for path in (instance.bell_path, instance.claims_path):
+            assert os.stat(path(str(tmp_path))).st_gid == 4321
+        assert os.stat(f"/dev/shm/failstop.{name}.client.0").st_gid == 4321
+        assert os.stat(f"/dev/shm/failstop.{name}.gate").st_gid == os.getegid(), "what clients only read stays"
+    finally:
+        close(made)
+
+
+def test_a_group_that_does_not_exist_is_the_service_s_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> grp.struct_group:
+        raise KeyError(name)
+
+    monkeypatch.setattr(grp, "getgrnam", missing)
+    assert client_gid() == -1
+
+
+def test_what_a_dead_run_left_is_replaced(made: Resources, tmp_path: Path) -> None:
+    fd = bell.open_pipe_to_write(instance.stop_path(made.runtime_dir))
+    bell.send(fd, b"old\n")
+    os.close(fd)
+    again = Resources(made.name, str(tmp_path))
+    assert segment.attach(made.name, layout.GATE).incarnation == again.incarnation
+    assert bell.take(again.stop_pipe) == b""
+    close(again)
+
+
+@pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+def test_every_descriptor_that_a_process_is_to_get_is_there(made: Resources, row: Process) -> None:
+    found = made.descriptors(row.name, 55)
+    assert set(row.descriptors) <= set(found)
+    assert found["port"] == 55
+    assert found["bell"] == made.bells[row.name].fd
+
+
+def test_no_descriptor_is_inherited_unless_it_is_passed_on(made: Resources) -> None:
+    for row in PROCESSES:
+        for key, fd in made.descriptors(row.name, -1).items():
+            assert fd < 0 or not os.get_inheritable(fd), key
+
+
+def test_both_ends_of_the_sockets_stay_with_the_supervisor(made: Resources) -> None:
+    """A successor inherits the same end, with what was sent to its predecessor."""
+    assert set(made.controls) == {layout.PORT_OWNER, layout.STOPPER}
+    for process, (_, theirs) in made.controls.items():
+        assert made.descriptors(process, -1)["control"] == theirs
+
+
+def test_nothing_is_left(name: str, tmp_path: Path) -> None:
+    made = Resources(name, str(tmp_path))
+    close(made)
+    assert left(name) == []
+    assert list(tmp_path.iterdir()) == []
+    made.remove()
+
+
+def test_claims_of_clients_work_on_the_file(made: Resources) -> None:
+    path = instance.claims_path(made.runtime_dir)
+    client, service = claim.open_claims(path), os.open(path, os.O_RDONLY)
+    assert claim.take(client, 3)
+    assert claim.held(service, 3)
+    os.close(client)
+    assert not claim.held(service, 3)
+    os.close(service)

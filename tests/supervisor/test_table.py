@@ -1,0 +1,60 @@
+"""The process table holds together with the processes, the layout and the descriptors there are."""
+
+from __future__ import annotations
+
+import importlib
+
+import pytest
+
+from failstop.shm import layout
+from failstop.supervisor.table import BY_NAME, PROCESSES, SUPERVISOR_PRIORITY, Process
+
+each = pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+STOPPING = {layout.PORT_OWNER, layout.STOPPER}
+
+
+def test_every_process_of_the_layout_but_the_supervisor_has_its_row() -> None:
+    assert sorted(BY_NAME) == sorted(set(layout.PROCESSES) - {layout.SUPERVISOR})
+    assert len(BY_NAME) == len(PROCESSES)
+
+
+@each
+def test_its_module_can_be_run(row: Process) -> None:
+    assert callable(importlib.import_module(row.module).run)
+
+
+@each
+def test_it_says_what_it_is(row: Process) -> None:
+    assert row.role
+
+
+@each
+def test_who_may_write_to_the_port_is_given_it_and_outlives_the_supervisor_to_stop(row: Process) -> None:
+    writes = row.name in STOPPING
+    assert ("port" in row.descriptors) is writes
+    assert ("control" in row.descriptors) is writes
+    assert row.outlives_supervisor is writes
+
+
+@each
+def test_it_can_be_woken_and_can_wake_the_supervisor(row: Process) -> None:
+    assert {"bell", "supervisor_bell"} <= set(row.descriptors)
+    assert len(set(row.descriptors)) == len(row.descriptors)
+
+
+@each
+def test_a_hang_is_noticed_well_within_a_second(row: Process) -> None:
+    assert 0.05 <= row.deadline_s <= 0.5
+
+
+def test_on_the_stop_path_comes_before_what_is_not() -> None:
+    ranks = {row.name: row.priority for row in PROCESSES} | {layout.SUPERVISOR: SUPERVISOR_PRIORITY}
+    assert min(ranks[name] for name in STOPPING) > max(rank for name, rank in ranks.items() if name not in STOPPING)
+    assert ranks[layout.PORT_OWNER] > ranks[layout.STOPPER], "the port owner orders stops against motion: it goes first"
+    assert ranks[layout.TELEMETRY] == min(ranks.values()), "no stop needs it"
+    assert all(1 <= rank <= 98 for rank in ranks.values()), "what SCHED_FIFO takes, below the kernel's own threads"
+
+
+def test_whoever_stops_is_started_before_whoever_moves() -> None:
+    order = [row.name for row in PROCESSES]
+    assert max(order.index(name) for name in STOPPING) < order.index(layout.GATE)
