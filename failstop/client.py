@@ -61,8 +61,7 @@ class Client:
         try:
             self._claims = claim.open_claims(instance.claims_path(directory))
             self._bell = bell.open_pipe_to_write(instance.bell_path(directory))
-            self.slot = self._claim_slot()
-            self._segment = segment.attach_client_slot(name, self.slot, self._gate.incarnation)
+            self.slot, self._segment = self._claim_slot()
         except PermissionError:
             self.close()
             raise FailstopError(
@@ -84,13 +83,24 @@ class Client:
         self._segment.latest_writer("hello").write(records.pack_hello(self._session, os.getpid(), who))
         self._ring()
 
-    def _claim_slot(self) -> int:
+    def _claim_slot(self) -> tuple[int, segment.Segment]:
+        damaged = 0
         for index in range(layout.CLIENT_SLOTS):
             if claim.take(self._claims, index):
-                return index
+                try:
+                    found = segment.attach_client_slot(self.name, index, self._gate.incarnation)
+                except segment.AttachError as error:
+                    if error.kind != "damaged":
+                        raise
+                    claim.drop(self._claims, index)
+                    damaged += 1
+                    continue
+                found.wipe()
+                return index, found
         raise FailstopError(
-            f"all {layout.CLIENT_SLOTS} client slots of {self.name!r} are taken: "
-            "close a client; `failstop status` lists them"
+            f"all {layout.CLIENT_SLOTS} client slots of {self.name!r} are taken"
+            + (f", {damaged} of them damaged by a client: restart the service" if damaged else "")
+            + "; close a client: `failstop status` lists them"
         )
 
     def _ring(self) -> None:
@@ -116,7 +126,7 @@ class Client:
                 if (session, number) == (self._session, self._number):
                     return done, text
             time.sleep(0.0003)
-        if not instance.locked(runtime_dir(self.name)):
+        if not instance.running(runtime_dir(self.name)):
             raise NoService(f"the service {self.name!r} has gone: start it with `failstop run`")
         raise NoAnswer(f"the gate of {self.name!r} did not answer within {ANSWER_S:g} s: see `failstop status`")
 

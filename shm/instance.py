@@ -84,27 +84,29 @@ def bell_path(runtime_dir: str) -> str:
 
 def lock(runtime_dir: str) -> int:
     """Become the service of this directory; returns the descriptor to keep open. Raises InstanceError when one runs."""
-    fd = claim.open_claims(lock_path(runtime_dir), create=True, mode=0o644)
+    # Private: a lock that others could open, they could hold.
+    fd = claim.open_claims(lock_path(runtime_dir), create=True, mode=0o600)
     if claim.take(fd, 0):
         os.ftruncate(fd, 0)
         os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
         return fd
     pid = os.pread(fd, 32, 0).decode("ascii", "replace").strip() or "unknown"
     os.close(fd)
-    name = os.path.basename(runtime_dir)
-    raise InstanceError(f"{name!r} is already running (pid {pid}): stop it first, or choose another --name")
+    raise already_running(os.path.basename(runtime_dir), pid)
 
 
-def locked(runtime_dir: str) -> bool:
-    """True while a service holds this directory."""
+def already_running(name: str, pid: int | str) -> InstanceError:
+    """The refusal of a second service of one name."""
+    return InstanceError(f"{name!r} is already running (pid {pid}): stop it first, or choose another --name")
+
+
+def running(runtime_dir: str) -> bool:
+    """True while a service of this directory listens for stop requests."""
     try:
-        fd = os.open(lock_path(runtime_dir), os.O_RDONLY | os.O_CLOEXEC)
+        os.close(os.open(stop_path(runtime_dir), os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC))
     except OSError:
         return False
-    try:
-        return claim.held(fd, 0)
-    finally:
-        os.close(fd)
+    return True
 
 
 def find(name: str) -> str:
@@ -112,6 +114,6 @@ def find(name: str) -> str:
     check_name(name)
     for base in _candidates():
         path = os.path.join(base, name)
-        if locked(path):
+        if running(path):
             return path
     raise NoService(f"no service named {name!r} is running: start it with `failstop run --name {name}`")

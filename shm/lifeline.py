@@ -8,6 +8,7 @@ Either is enough. Heartbeats are for what neither sees: hangs.
 from __future__ import annotations
 
 import _thread
+import contextlib
 import os
 import select
 
@@ -85,7 +86,9 @@ class EarlyNews:
         """Wait for the death of the process that holds this mutex already, in a thread of its own. Once a lifeline."""
         if not life.armed:
             life.armed = True
-            _thread.start_new_thread(self._wait, (life, block, index))
+            # A machine that is out of threads still has the late news.
+            with contextlib.suppress(RuntimeError):
+                _thread.start_new_thread(self._wait, (life, block, index))
 
     def _wait(self, life: Lifeline, block: int, index: int) -> None:
         # A thread does not inherit what SCHED_RESET_ON_FORK takes away.

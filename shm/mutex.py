@@ -4,8 +4,8 @@ A process that dies is marked in the robust mutexes it holds before its memory i
 SIGCHLD follow only after. Each watched process locks mutexes of its own once, at its start, and holds them for life,
 one for each watcher, since a death wakes only one waiter of each.
 
-This is memory that several processes of the service write, and the only such: it holds no record, and a mutex that was
-damaged costs the early word, not the late one (lifeline.py).
+This is memory that several processes of the service write, and the only such; it holds no record, and nobody but the
+service's user can open it. The late word (lifeline.py) does not depend on it.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ def unpack_life(word: int) -> tuple[int, int]:
     return word & 0xFFFFFFFF, word >> 32
 
 
-def _cut(text: str, room: int) -> bytes:
+def cut(text: str, room: int) -> bytes:
     """UTF-8 of at most `room` bytes, cut between characters."""
     return text.encode("utf-8", "replace")[:room].decode("utf-8", "ignore").encode()
 
@@ -75,7 +75,7 @@ def unpack_frame(payload: bytes) -> tuple[int, int, bytes]:
 
 def pack_stop(epoch: int, cause_ns: int, written_ns: int, latches: bool, reason: str) -> bytes:
     """A stop: the epoch it stopped, when it was noticed, when its burst was handed to the kernel (0: it was not)."""
-    return _STOP.pack(epoch, cause_ns, written_ns, latches) + _cut(reason, 280)
+    return _STOP.pack(epoch, cause_ns, written_ns, latches) + cut(reason, 280)
 
 
 def unpack_stop(payload: bytes) -> tuple[int, int, int, bool, str]:
@@ -86,7 +86,7 @@ def unpack_stop(payload: bytes) -> tuple[int, int, int, bool, str]:
 
 def pack_port(generation: int, since_ns: int, state: int, path: str) -> bytes:
     """The port: how often it was opened, since when it is in this state, PORT_OPEN or another, its path."""
-    return _PORT.pack(generation, since_ns, state) + _cut(path, 300)
+    return _PORT.pack(generation, since_ns, state) + cut(path, 300)
 
 
 def unpack_port(payload: bytes) -> tuple[int, int, int, str]:
@@ -108,7 +108,7 @@ def unpack_command(payload: bytes) -> tuple[int, float, float, float, bool]:
 
 def pack_hello(session: int, pid: int, name: str) -> bytes:
     """Who holds a client slot: a random session number, the pid it says it has, its name."""
-    return _HELLO.pack(session, pid) + _cut(name, 64)
+    return _HELLO.pack(session, pid) + cut(name, 64)
 
 
 def unpack_hello(payload: bytes) -> tuple[int, int, str]:
@@ -130,7 +130,7 @@ def unpack_request(payload: bytes) -> tuple[int, int, int]:
 
 def pack_reply(session: int, number: int, done: bool, text: str) -> bytes:
     """The answer to a request: done, or refused with the reason."""
-    return _REQUEST.pack(session, number, done) + _cut(text, 290)
+    return _REQUEST.pack(session, number, done) + cut(text, 290)
 
 
 def unpack_reply(payload: bytes) -> tuple[int, int, bool, str]:

@@ -14,7 +14,7 @@ import posix_ipc
 
 from failstop.shm import slot
 from failstop.shm.latest import LatestReader, LatestWriter
-from failstop.shm.layout import BY_NAME, HEADER_BYTES, LAYOUT_HASH, SEGMENTS
+from failstop.shm.layout import BY_NAME, CLIENTS, HEADER_BYTES, LAYOUT_HASH, SEGMENTS
 from failstop.shm.mutex import Mutexes
 from failstop.shm.ring import RingReader, RingWriter
 from failstop.shm.views import FileView
@@ -22,6 +22,8 @@ from failstop.shm.words import Word
 from failstop.version import VERSION
 
 MAGIC = b"failstop"
+SUPERVISOR_COMM = "fs:supervisor"
+"""What the kernel shows as the supervisor's name."""
 _HEADER = struct.Struct("<8sQQQ24s24s")
 _HEADER_SEED = slot.seed("header", 0)
 
@@ -96,6 +98,10 @@ class Segment:
             raise TypeError(f"{self.spec.name}.{name}: mutexes need a mapping")
         return Mutexes(self.mapped, offset)
 
+    def wipe(self) -> None:
+        """Empty every record of a client's own slot, whatever its holder before left there."""
+        self.view[HEADER_BYTES : self.spec.size] = bytes(self.spec.size - HEADER_BYTES)
+
     def close(self) -> None:
         """Give the descriptor of an unmapped segment back; a mapping ends when its last word or reader is gone."""
         if self._fd >= 0:
@@ -126,11 +132,22 @@ def unlink(instance: str, name: str) -> None:
         posix_ipc.unlink_shared_memory(shm_name(instance, name))
     except posix_ipc.ExistentialError:
         pass
-    except posix_ipc.PermissionsError:
+    except (posix_ipc.PermissionsError, OSError):
         raise AttachError(
             "permission",
             f"shared memory {shm_name(instance, name)} belongs to another user: stop that service, or use --name",
         ) from None
+
+
+def living_supervisor(instance: str) -> int:
+    """Pid of the supervisor that these segments say they are of, if it lives; else 0. It may serve another runtime
+    directory, under the same name."""
+    try:
+        pid = attach(instance, "supervisor").word("beat_pid").get()
+        with open(f"/proc/{pid}/comm", encoding="ascii", errors="replace") as file:
+            return pid if file.read() == f"{SUPERVISOR_COMM}\n" else 0
+    except (AttachError, OSError):
+        return 0
 
 
 def unlink_all(instance: str) -> None:
@@ -140,13 +157,16 @@ def unlink_all(instance: str) -> None:
 
 
 def attach(instance: str, name: str, incarnation: int | None = None, *, write: bool = False) -> Segment:
-    """Map a service segment: read-only, or for writing when this process is its declared writer.
+    """Map a service segment: read-only, or for writing when this process is its declared writer. Never a client's:
+    what clients may truncate is not mapped.
 
     `incarnation` is the run that is expected; None takes the run that is there (clients). Raises AttachError.
     """
+    spec = BY_NAME[name]
+    if spec.mode == CLIENTS:
+        raise TypeError(f"{name} is written by clients: use attach_client_slot or read_client_slot")
     fd = _open(instance, name, write)
     try:
-        spec = BY_NAME[name]
         found = _check_header(fd, instance, spec, incarnation)
         prot = mmap.PROT_READ | (mmap.PROT_WRITE if write else 0)
         mapped = mmap.mmap(fd, spec.size, flags=mmap.MAP_SHARED, prot=prot)

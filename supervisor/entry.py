@@ -7,7 +7,7 @@ import os
 
 from failstop.procs import rights
 from failstop.procs.child import SETTINGS_VARIABLE
-from failstop.shm.segment import AttachError
+from failstop.shm.segment import SUPERVISOR_COMM, AttachError
 from failstop.supervisor import main
 from failstop.supervisor.events import say
 from failstop.supervisor.port import OwnPort
@@ -17,7 +17,7 @@ from failstop.supervisor.settings import Settings
 
 def start(words: dict[str, str]) -> int:
     """Run the service; returns the exit code."""
-    rights.name_process("fs:supervisor")
+    rights.name_process(SUPERVISOR_COMM)
     lock, port = int(words["lock"]), int(words["port"])
     for fd in (lock, port):
         os.set_inheritable(fd, False)

@@ -59,7 +59,7 @@ class Supervisor:
         self._mutexes.prepare(layout.SUPERVISOR_BLOCK)
         self._mutexes.hold(layout.SUPERVISOR_BLOCK)
         self._early = EarlyNews(self._mutexes)
-        self._starts = 0
+        self._block = layout.SUPERVISOR_BLOCK
         self._written_word = own.word("written_ns")
         self._cause_record = own.latest_writer("cause")
         self._stop_record = own.latest_writer("stop")
@@ -163,6 +163,8 @@ class Supervisor:
         self._epoch_word.set(self.epoch)
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.GATE].ring()
+        if self._unanswered:
+            say(f"also: {self._unanswered.reason}")
         self._unanswered = min(causes, key=lambda cause: cause.t_ns)
         self._answer_by_ns = monotonic_ns() + ANSWER_NS
         for cause in causes:
@@ -178,7 +180,8 @@ class Supervisor:
         by = "port owner"
         written_ns = cause.written_ns
         if self._stopped_word.get() < self.epoch:
-            if self._child(layout.PORT_OWNER).pid and now_ns < self._answer_by_ns:
+            port_owner = self._child(layout.PORT_OWNER)
+            if port_owner.pid and not port_owner.fallen and now_ns < self._answer_by_ns:
                 return
             by = "supervisor"
             written_ns = written_ns or self._burst()
@@ -276,8 +279,7 @@ class Supervisor:
         """Start a process and name it to those who watch it."""
         name = child.row.name
         descriptors = self._resources.descriptors(name, self._port.fd)
-        self._starts += 1
-        block = layout.SUPERVISOR_BLOCK + 1 + self._starts % (BLOCKS - 1)
+        block = self._free_block()
         self._mutexes.prepare(block)
         try:
             pid = self._starter.start(child.row, block, descriptors)
@@ -291,6 +293,12 @@ class Supervisor:
         if word := self._life_words.get(name):
             word.set(records.life(pid, block))
             self._tell_watchers()
+
+    def _free_block(self) -> int:
+        """The next block of mutexes that no living process holds."""
+        held = {child.block for child in self.children if child.pid} | {layout.SUPERVISOR_BLOCK}
+        self._block = next(b for i in range(1, BLOCKS) if (b := (self._block + i) % BLOCKS) not in held)
+        return self._block
 
     def _missing(self) -> str:
         """What motion is still waiting for; empty when nothing."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop.commands import add_name
-from failstop.shm import instance
+from failstop.shm import instance, segment
 from failstop.supervisor import config, starter
 from failstop.supervisor.port import OwnPort
 
@@ -24,6 +24,8 @@ def main(arguments: Namespace) -> int:
     settings = config.load(arguments.config, {"device.path": arguments.device} if arguments.device else None)
     runtime_dir = instance.make_runtime_dir(arguments.name)
     lock = instance.lock(runtime_dir)
+    if pid := segment.living_supervisor(arguments.name):
+        raise instance.already_running(arguments.name, pid)
     port = OwnPort.open_and_stop(settings.text("device.path"))
     starter.become_supervisor(arguments.name, runtime_dir, settings, lock, port.fd)
     raise AssertionError("exec returned")

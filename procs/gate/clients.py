@@ -47,6 +47,8 @@ class Slot:
         "_hello",
         "_request",
         "_request_seq",
+        "_session_seen",
+        "ended",
         "index",
         "life",
         "name",
@@ -56,15 +58,18 @@ class Slot:
 
     def __init__(self, index: int, segment: Segment) -> None:
         self.index = index
+        self.pid = 0
+        self.name = ""
         self._hello = segment.latest_reader("hello")
         self._command = segment.latest_reader("command")
         self._request = segment.latest_reader("request")
         self._command_seq = _seen(self._command)
         self._request_seq = _seen(self._request)
+        self._session_seen = self.greet()
+        self.ended = 0
+        """The session that held the slot before: what it left there is over."""
         self.life: Lifeline | None = None
         self.session = 0
-        self.pid = 0
-        self.name = ""
 
     def who(self) -> str:
         """The client as people see it."""
@@ -83,6 +88,12 @@ class Slot:
         printable = "".join(c if c.isprintable() else "?" for c in name)
         self.name = printable.encode()[:NAME_BYTES].decode("utf-8", "ignore")
         return session
+
+    def join(self, session: int) -> None:
+        """A session holds the slot now; a new one counts its records anew."""
+        if session != self._session_seen:
+            self._command_seq = self._request_seq = 0
+        self.session = self._session_seen = session
 
     def new_command(self) -> Command | None:
         """The command, when it is new, whole and of this session."""
@@ -138,11 +149,11 @@ class ClientTable:
             self._look(slot, now_ns)
 
     def life_ended(self, fd: int, now_ns: int) -> None:
-        """A descriptor was ready: when it is a client's lifeline, its claim is looked at before the next tick."""
+        """A descriptor was ready: when it is a client's lifeline, the client has gone, even if a process that
+        it forked still holds the claim."""
         for slot in self.active:
             if slot.life and slot.life.fd == fd:
-                self._stop_watching(slot)
-                self._look(slot, now_ns)
+                self._leave(slot, now_ns)
                 return
 
     def _watch(self, slot: Slot) -> None:
@@ -165,9 +176,9 @@ class ClientTable:
         session = slot.greet()
         if session != slot.session:
             self._leave(slot, now_ns)
-            if not session:
+            if not session or session == slot.ended:
                 return
-            slot.session = session
+            slot.join(session)
             self.active.append(slot)
             self._watch(slot)
         if request := slot.new_request():
@@ -180,4 +191,4 @@ class ClientTable:
             self.active.remove(slot)
             self._stop_watching(slot)
             self._listener.client_gone(slot, now_ns)
-            slot.session = 0
+            slot.ended, slot.session = slot.session, 0

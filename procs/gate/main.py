@@ -118,7 +118,7 @@ class Gate:
             self.core.trip(self._why(), epoch - 1)
 
     def _write_stop(self, reason: str) -> None:
-        self._frames.put(records.pack_frame(self.epoch, records.STOP, reason.encode()[:200]))
+        self._frames.put(records.pack_frame(self.epoch, records.STOP, records.cut(reason, 200)))
         self._port_owner_bell.ring()
 
     def trip(self, reason: str, now_ns: int) -> None:

@@ -68,6 +68,8 @@ class PortOwner:
         self._gate_life: Lifeline | None = None
         self._gate_named = 0
         self._pipe_rests_until_ns = 0
+        self._moved_ns = 0
+        self._silence_ns = 2 * settings.ns("gate.refresh_s")
         self._leave_ns = 0
         self._stuck = False
         self._watched = (-1, 0)
@@ -212,8 +214,13 @@ class PortOwner:
 
     def _check_leases(self, now_ns: int) -> None:
         """Without motion there is nothing to stop."""
-        if self.admission.moving and (lapse := self._lapsed(now_ns)):
+        if not self.admission.moving:
+            return
+        if lapse := self._lapsed(now_ns):
             self.stop(now_ns, lapse)
+        elif now_ns - self._moved_ns > self._silence_ns:
+            # Its beat is fresh, its frames are not: the board would keep the last of them for ever.
+            self.stop(now_ns, f"gate beats but sends nothing: {(now_ns - self._moved_ns) / 1e6:.0f} ms")
 
     def _check_drain(self, now_ns: int) -> None:
         """A port that does not drain is a stop cause, once. Looked at before anything new is written: what was just
@@ -256,6 +263,7 @@ class PortOwner:
             self._follow_epoch(now_ns)
         elif self.wire.frame(frame):
             self.admission.moving = True
+            self._moved_ns = now_ns
             self.repeats.motion()
             self._wake_pipe()  # from here on the next request counts at once
         elif frame == ZERO_FRAME:

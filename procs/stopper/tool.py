@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 
+from failstop.board import port
 from failstop.board.burst import BURST
 from failstop.board.port import PortError, open_port
 
 RETRY_S = 0.02
 WARN_S = 1.0
+DRAIN_S = 0.1
+"""The burst takes 4 ms on the wire; a port that holds bytes for this long does not drain."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -36,19 +40,20 @@ def stop(path: str, wait_s: float, say: Callable[[str], None]) -> float:
 
 
 def _write(path: str) -> None:
-    """Open without taking the port from anyone, write the whole burst, close."""
+    """Open without taking the port from anyone, write the whole burst, see it drained, close."""
     fd = open_port(path, exclusive=False)
     try:
         left = BURST
-        until_s = time.monotonic() + 0.1
-        while left:
-            try:
-                left = left[os.write(fd, left) :]
-            except BlockingIOError:
-                if time.monotonic() > until_s:
-                    raise PortError("io", f"{path} takes no bytes: use the POWER SWITCH") from None
-                time.sleep(0.001)
-            except OSError as error:
-                raise PortError("io", f"{path} went away while writing ({error.strerror})", error.errno or 0) from None
+        until_s = time.monotonic() + DRAIN_S
+        while True:
+            with contextlib.suppress(BlockingIOError):
+                left = left[os.write(fd, left) :] if left else b""
+            if not left and not port.unsent_bytes(fd):
+                return
+            if time.monotonic() > until_s:
+                raise PortError("io", f"{path} takes no bytes: use the POWER SWITCH")
+            time.sleep(0.0005)
+    except OSError as error:
+        raise PortError("io", f"{path} went away while writing ({error.strerror})", error.errno or 0) from None
     finally:
         os.close(fd)

@@ -15,6 +15,7 @@ import posix_ipc
 import pytest
 
 from failstop import FailstopError, NoService, Robot
+from failstop.cli import main
 from failstop.client import Client
 from failstop.shm import instance, layout, segment, slot
 from failstop.trial import Trial
@@ -46,6 +47,9 @@ def test_not_a_tty(failstop: Cli, name: str, tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.getuid() != 0, reason="needs root to become another user")
 def test_no_permission(name: str, capfd: pytest.CaptureFixture[str]) -> None:
+    # Whatever a refused run imports late: the interpreter's library may be out of nobody's reach.
+    assert main(["run", "--name", name, "--device", "/dev/ttyNONE"]) == 1
+    capfd.readouterr()
     master, slave = pty.openpty()
     device = os.ttyname(slave)
     os.chmod(device, 0o600)
@@ -57,8 +61,6 @@ def test_no_permission(name: str, capfd: pytest.CaptureFixture[str]) -> None:
             os.setresgid(65534, 65534, 65534)
             os.setresuid(65534, 65534, 65534)
             os.environ.pop("XDG_RUNTIME_DIR", None)
-            from failstop.cli import main
-
             code = main(["run", "--name", name, "--device", device])
         finally:
             os._exit(code)
@@ -94,6 +96,28 @@ def test_stale_shared_memory_of_a_dead_run(name: str, failstop: Cli) -> None:
         trial.enable()
         trial.drive(0.1)
         assert trial.moving()
+
+
+def test_name_already_running_in_another_runtime_directory(
+    trial: Trial, failstop: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path(instance.lock_path(instance.find(trial.name))).unlink()
+    result = failstop("run", "--name", trial.name, "--device", trial.link)
+    assert result.returncode == 1
+    assert "is already running (pid" in _one_line(result)
+    trial.enable()
+    trial.drive(0.1)
+    assert trial.moving()
+
+
+def test_damaged_client_slot_is_passed_over(trial: Trial) -> None:
+    trial.leave()
+    slot_file = Path("/dev/shm" + segment.shm_name(trial.name, "client.0"))
+    os.truncate(slot_file, 10)
+    trial.enable()
+    trial.drive(0.1)
+    assert trial.moving()
+    assert trial.robot.state.clients[0]["slot"] == 1
 
 
 def test_nothing_is_left_behind(name: str) -> None:

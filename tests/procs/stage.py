@@ -14,6 +14,7 @@ from failstop.shm import bell, heartbeat, layout, records, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import Lifeline
+from failstop.shm.segment import Segment
 from failstop.supervisor.settings import Settings
 
 from .parts import Pty
@@ -103,12 +104,12 @@ class Stage:
     def bell(self, key: str) -> EventBell:
         return self._bells[key]
 
-    def segment(self, name: str) -> segment.Segment:
+    def segment(self, name: str) -> Segment:
         return segment.attach(self.name, name, INCARNATION)
 
     # The rest of the service.
 
-    def owned(self, name: str) -> segment.Segment:
+    def owned(self, name: str) -> Segment:
         """A segment as its own process has it."""
         return segment.attach(self.name, name, INCARNATION, write=True)
 

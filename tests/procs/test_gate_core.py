@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import inf, nan
 
 import pytest
@@ -207,7 +208,7 @@ def test_slowing_down_and_turning_round_ramp_too(driving: Gate) -> None:
     found = [v[0] for v in driving.drive((-0.2, 0.0, 0.0), 40)]
     assert found[0] == pytest.approx(0.16)
     assert found[-1] == -0.2
-    assert all(a - b == pytest.approx(0.01) for a, b in zip(found[:36], found[1:37], strict=True))
+    assert all(a - b == pytest.approx(0.01) for a, b in pairwise(found[:37]))
 
 
 def test_a_command_counts_at_once_for_the_time_that_has_passed(gate: Gate) -> None:
@@ -387,7 +388,7 @@ def test_a_frame_every_refresh_while_nothing_changes(driving: Gate) -> None:
         driving.take((0.2, 0.0, 0.0))
         if driving.step() is not None:
             sent.append(tick)
-    assert all(b - a == 10 for a, b in zip(sent, sent[1:], strict=False)), "200 ms are 10 ticks"
+    assert all(b - a == 10 for a, b in pairwise(sent)), "200 ms are 10 ticks"
     assert len(sent) == 4
 
 

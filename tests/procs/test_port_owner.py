@@ -1,4 +1,4 @@
-"""The port owner, turn by turn: what it writes for every cause, and what it refuses to write."""
+"""The port owner, turn by turn: what it writes, and what it refuses to write."""
 
 from __future__ import annotations
 
@@ -12,73 +12,12 @@ from failstop.board import codec, port
 from failstop.board.burst import BURST
 from failstop.procs.port_owner import admission, main
 from failstop.procs.port_owner import wire as wire_module
-from failstop.procs.port_owner.main import PortOwner
-from failstop.shm import layout, records
+from failstop.shm import records
 
-from .parts import until
-from .stage import MS, Dummy, Stage
+from .port_scene import MOTION, SLOWER, TICK, Scene
+from .stage import MS
 
-MAX_RPS = 2.0
-MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), MAX_RPS)
-SLOWER = codec.motor_speeds((0.4, 0.4, -0.4, -0.4), MAX_RPS)
 TOO_FAST = codec.motor_speeds((50.0, 0.0, 0.0, 0.0), 60.0)
-TICK = 20 * MS
-POWER_SWITCH = "port does not drain: use the POWER SWITCH"
-
-
-class Scene(Stage):
-    """A port owner at work on its stage."""
-
-    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True) -> None:
-        super().__init__(layout.PORT_OWNER, directory, open_port=open_port)
-        monkeypatch.setattr(main, "monotonic_ns", self.clock)
-        self.gate = self.start(layout.GATE)
-        self.news = self.segment(layout.PORT_OWNER).ring_reader("stops")
-        self.port_record = self.segment(layout.PORT_OWNER).latest_reader("port")
-        self.stays = True
-        self.owner = PortOwner(self)  # type: ignore[arg-type]
-
-    def turn(self, elapsed_ns: int = 0, *, alive: bool = True) -> bytes:
-        """Time passes, the others beat, the port owner wakes up; returns what it wrote."""
-        self.clock.now_ns += elapsed_ns
-        if alive:
-            self.beat(layout.SUPERVISOR, layout.GATE)
-        self.stays = self.owner.turn(self.owner.loop.wait(0))
-        return self.pty.read() if self.pty.master >= 0 else b""
-
-    def put(self, frame: bytes = MOTION, *, epoch: int = 1, age_ns: int = 0, kind: int = records.MOTION) -> None:
-        self.frames.put(records.pack_frame(epoch, kind, frame), self.clock() - age_ns)
-
-    def drive(self) -> None:
-        """Get it to where a motion frame has just been written."""
-        self.turn()
-        self.put()
-        assert self.turn() == MOTION
-        assert self.owner.admission.moving
-
-    def causes(self) -> list[tuple[int, int, str]]:
-        """Stops that it has published since the last call: (epoch, when written, reason)."""
-        found = []
-        while entry := self.news.next():
-            epoch, _, written_ns, _, reason = records.unpack_stop(entry[2])
-            found.append((epoch, written_ns, reason))
-        return found
-
-    def reasons(self) -> list[str]:
-        return [reason for _, _, reason in self.causes()]
-
-    def word(self, name: str) -> int:
-        return self.segment(layout.PORT_OWNER).word(name).get()
-
-    def port_state(self) -> int:
-        entry = self.port_record.read()
-        assert entry is not None
-        return records.unpack_port(entry[2])[2]
-
-    def close(self) -> None:
-        self.owner.wire.close()
-        self.owner._control.close()
-        super().close()
 
 
 @pytest.fixture
@@ -86,36 +25,6 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
     made = Scene(tmp_path, monkeypatch)
     yield made
     made.close()
-
-
-class Kernel:
-    """Takes at most `room` more bytes for the port, then EAGAIN; None takes everything."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.room: int | None = None
-        self.taken = [0]
-
-        class Os:
-            write = staticmethod(self.write)
-            read = staticmethod(os.read)
-            close = staticmethod(os.close)
-
-        monkeypatch.setattr(wire_module, "os", Os)
-
-    def write(self, fd: int, data: bytes) -> int:
-        if self.room is None:
-            self.taken[0] = os.write(fd, data)
-            return self.taken[0]
-        part = data[: self.room]
-        if not part:
-            raise BlockingIOError
-        self.room -= len(part)
-        return os.write(fd, part)
-
-
-@pytest.fixture
-def kernel(monkeypatch: pytest.MonkeyPatch) -> Kernel:
-    return Kernel(monkeypatch)
 
 
 # Start.
@@ -392,88 +301,6 @@ def test_a_request_soon_after_motion_began_anew_is_not_put_off(scene: Scene) -> 
     assert scene.reasons() == ["first", "second"]
 
 
-# Deaths and hangs.
-
-
-def ready_after(scene: Scene, dummy: Dummy) -> None:
-    dummy.kill()
-    until(lambda: scene.owner.loop.wait(0), "the news of the death")
-
-
-def test_the_gate_s_death_is_a_stop(scene: Scene) -> None:
-    scene.drive()
-    ready_after(scene, scene.gate)
-    scene.put()
-    assert scene.turn() == BURST
-    assert scene.reasons() == ["gate died"]
-    scene.raise_epoch(2)
-    scene.put(epoch=2)
-    scene.turn()
-    scene.put(epoch=2)
-    assert scene.turn() == b"", "no frame counts while no gate is watched"
-    scene.start(layout.GATE)
-    scene.turn()
-    scene.put(epoch=2)
-    assert scene.turn() == MOTION
-
-
-def test_a_gate_that_died_before_it_was_watched_is_a_stop(scene: Scene) -> None:
-    scene.drive()
-    scene.start(layout.GATE).kill()
-    scene.turn()
-    assert scene.turn() == BURST
-    assert scene.reasons() == ["gate died"]
-
-
-def test_the_supervisor_s_death_is_a_stop_and_then_the_end(scene: Scene) -> None:
-    scene.drive()
-    ready_after(scene, scene.supervisor)
-    scene.put()
-    assert scene.turn() == BURST
-    assert scene.reasons() == ["supervisor died"]
-    written = []
-    for _ in range(150):
-        assert scene.stays
-        scene.put()
-        if wrote := scene.turn(MS):
-            written.append(wrote)
-    assert not scene.stays
-    assert written == [BURST, BURST], "the two repeats, and no motion"
-
-
-@pytest.mark.parametrize(("gate_ms", "supervisor_ms"), [(60, 0), (0, 60), (60, 60), (10_000, 0)])
-def test_a_lease_that_runs_out_while_moving_is_a_stop(scene: Scene, gate_ms: int, supervisor_ms: int) -> None:
-    scene.drive()
-    scene.clock.now_ns += 10_000 * MS
-    scene.beat(layout.GATE, age_ns=gate_ms * MS)
-    scene.beat(layout.SUPERVISOR, age_ns=supervisor_ms * MS)
-    assert scene.turn(alive=False) == BURST
-    name, silent_ms = ("gate", gate_ms) if gate_ms else ("supervisor", supervisor_ms)
-    assert scene.reasons() == [f"{name} hangs: silent for {silent_ms} ms"]
-
-
-def test_a_lease_is_good_until_the_last_nanosecond(scene: Scene) -> None:
-    scene.drive()
-    assert scene.turn(60 * MS - 1, alive=False) == b""
-    assert scene.turn(1, alive=False) == BURST
-
-
-def test_motion_does_not_begin_on_a_lease_that_has_run_out(scene: Scene) -> None:
-    scene.turn()
-    scene.clock.now_ns += 1_000 * MS
-    scene.turn(alive=False)
-    scene.put()
-    assert MOTION not in scene.turn(alive=False)
-    assert scene.reasons() == ["gate hangs: silent for 1000 ms"]
-
-
-def test_silence_without_motion_is_nothing(scene: Scene) -> None:
-    scene.turn()
-    for _ in range(50):
-        scene.turn(TICK, alive=False)
-    assert scene.reasons() == []
-
-
 # While stopped.
 
 
@@ -488,160 +315,26 @@ def test_bursts_again_and_zero_frames_while_stopped(scene: Scene) -> None:
 
 def test_nothing_cuts_into_motion(scene: Scene) -> None:
     scene.drive()
-    assert [wrote for _ in range(500) if (wrote := scene.turn(MS))] == []
+    assert [wrote for _ in range(400) if (wrote := scene.turn(MS))] == []
+
+
+def test_a_gate_that_beats_but_sends_nothing_is_a_cause(scene: Scene) -> None:
+    """Two refresh periods: the board would keep the last frame for ever."""
+    scene.drive()
+    for _ in range(20):
+        scene.turn(20 * MS)
+    assert scene.reasons() == []
+    assert scene.turn(MS) == BURST
+    assert scene.reasons() == ["gate beats but sends nothing: 401 ms"]
+    assert scene.turn(MS) == b""
 
 
 def test_it_wakes_for_its_repeats_and_does_not_spin(scene: Scene) -> None:
     scene.drive()
-    scene.turn(1_000 * MS)
+    scene.turn(300 * MS)
     now_ns = scene.clock()
     assert scene.owner.next_ns(now_ns) == now_ns + TICK
     scene.ask_to_stop(b"x")
     scene.turn()
     scene.turn(15 * MS)
     assert scene.owner.next_ns(scene.clock()) == now_ns + 20 * MS
-
-
-# A port that does not drain.
-
-
-def test_a_port_that_does_not_drain_is_a_stop_once(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene.drive()
-    held = [100]
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: held[0])
-    for _ in range(30):
-        scene.turn(TICK)
-    assert scene.reasons() == [POWER_SWITCH]
-    held[0] = 0
-    scene.turn(TICK)
-    held[0] = 100
-    for _ in range(6):
-        scene.turn(TICK)
-    assert scene.reasons() == [POWER_SWITCH]
-
-
-def test_a_port_that_does_not_drain_while_nothing_moves_is_one_too(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scene.turn()
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: 100)
-    for _ in range(6):
-        scene.turn(TICK)
-    assert scene.reasons() == [POWER_SWITCH]
-
-
-def test_bytes_just_written_are_no_sign_of_a_port_that_does_not_drain(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch, kernel: Kernel
-) -> None:
-    """A frame at every turn, drained before the next: at each turn's end the kernel holds something."""
-    scene.drive()
-    held = [0]
-    kernel.taken = held
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: held[0])
-    for _ in range(30):
-        held[0] = 0
-        scene.put()
-        assert scene.turn(TICK) == MOTION
-        assert held[0] == len(MOTION)
-    assert scene.reasons() == []
-
-
-def test_a_stop_that_the_kernel_does_not_take_is_not_said_to_be_written(scene: Scene, kernel: Kernel) -> None:
-    scene.drive()
-    before_ns = scene.word("written_ns")
-    scene.turn(5 * MS)
-    kernel.room = 50
-    scene.ask_to_stop(b"x")
-    assert scene.turn() == BURST[:50]
-    assert scene.causes() == [(1, 0, "x")]
-    assert scene.word("written_ns") == before_ns
-    kernel.room = None
-    assert scene.turn() == BURST[50:], "the rest follows as soon as there is room"
-
-
-def test_what_is_left_of_a_frame_follows_as_soon_as_there_is_room(scene: Scene, kernel: Kernel) -> None:
-    scene.turn()
-    kernel.room = 10
-    scene.put()
-    assert scene.turn() == MOTION[:10]
-    kernel.room = None
-    assert scene.turn() == MOTION[10:]
-    assert scene.owner.wire.unsent == b""
-    assert scene.owner.loop.wait(0) == {}, "and it no longer waits for room"
-
-
-def test_what_is_left_of_the_first_burst_follows_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kernel = Kernel(monkeypatch)
-    kernel.room = 100
-    scene = Scene(tmp_path, monkeypatch)
-    assert scene.turn() == BURST[:100]
-    assert scene.word("written_ns") == 0
-    kernel.room = None
-    assert scene.turn() == BURST[100:]
-    assert scene.owner.wire.unsent == b""
-    scene.close()
-
-
-# A device that goes and comes back.
-
-
-def test_a_device_lost_is_told_and_a_burst_waits_for_its_return(scene: Scene) -> None:
-    scene.drive()
-    scene.causes()
-    scene.pty.unplug()
-    until(lambda: scene.owner.loop.wait(0), "the hang-up")
-    scene.turn()
-    assert scene.causes() == [(1, 0, "device lost")]
-    assert scene.port_state() == records.PORT_LOST
-    assert scene.owner.wire.fd == -1, "let go at once, or the device comes back under another name"
-    for _ in range(3):
-        scene.turn(5 * MS)
-    scene.replug()
-    assert scene.turn(5 * MS) == BURST
-    assert scene.port_state() == records.PORT_OPEN
-    passed_on = scene.control.receive()
-    assert os.ttyname(passed_on) == scene.pty.link
-    os.close(passed_on)
-    scene.put()
-    assert scene.turn() == b"", "its epoch is over"
-    scene.raise_epoch(2)
-    scene.put(epoch=2)
-    assert MOTION in scene.turn()
-
-
-def test_a_frame_for_a_device_that_has_just_gone_is_a_device_lost(scene: Scene) -> None:
-    """The frame is at hand when the hang-up is, and is written first."""
-    scene.drive()
-    scene.pty.unplug()
-    scene.put()
-    scene.stays = scene.owner.turn({})
-    assert scene.reasons() == ["device lost"]
-    assert not scene.owner.admission.moving
-
-
-def test_a_device_is_looked_for_often(scene: Scene) -> None:
-    scene.turn()
-    scene.pty.unplug()
-    until(lambda: scene.owner.loop.wait(0), "the hang-up")
-    scene.turn()
-    assert scene.owner.next_ns(scene.clock()) - scene.clock() <= 5 * MS
-
-
-def test_bytes_from_the_board_go_into_the_ring_in_order(scene: Scene) -> None:
-    scene.turn()
-    received = scene.segment(layout.PORT_OWNER).ring_reader("received", from_oldest=True)
-    sent = bytes(range(256)) * 5
-    os.write(scene.pty.master, sent)
-    until(lambda: scene.owner.loop.wait(0), "the bytes")
-    found = b""
-
-    def arrived() -> bool:
-        nonlocal found
-        scene.turn()
-        while entry := received.next():
-            assert len(entry[2]) <= main.RECEIVED_CHUNK
-            found += entry[2]
-        return len(found) >= len(sent)
-
-    until(arrived, "all of the bytes")
-    assert found == sent

@@ -10,11 +10,8 @@ T0 = 5_000 * MS
 
 def written(repeats: Repeats, start_ms: int, end_ms: int, *, moving: bool = False) -> list[tuple[int, int]]:
     """What comes due from start to end, asked every millisecond: (ms, what)."""
-    found = []
-    for ms in range(start_ms, end_ms):
-        if what := repeats.due(T0 + ms * MS, moving=moving):
-            found.append((ms, what))
-    return found
+    times = range(start_ms, end_ms)
+    return [(ms, what) for ms in times if (what := repeats.due(T0 + ms * MS, moving=moving))]
 
 
 def test_after_a_stop() -> None:
@@ -70,7 +67,8 @@ def test_overdue_bursts_are_each_written() -> None:
 def test_waking_at_what_next_says_is_enough() -> None:
     repeats = Repeats(T0)
     repeats.restart(T0)
-    found, now_ns = [], T0
+    found: list[tuple[int, int]] = []
+    now_ns = T0
     while len(found) < 5:
         next_ns = repeats.next_ns(moving=False)
         assert next_ns is not None

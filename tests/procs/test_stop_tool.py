@@ -10,7 +10,7 @@ import pytest
 
 from failstop.board import codec
 from failstop.board.burst import BURST
-from failstop.board.port import PortError
+from failstop.board.port import PortError, open_port
 from failstop.procs.stopper import tool
 
 from .parts import Board, Pty, new_pty, open_fds
@@ -120,7 +120,7 @@ def test_warns_once_after_a_second(tmp_path: Path, pty: Pty, clock: Clock, said:
 def test_any_other_obstacle_is_waited_for_too(
     pty: Pty, clock: Clock, said: list[str], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    real = tool.open_port
+    real = open_port
     free = [False]
 
     def refuses(path: str, *, exclusive: bool) -> int:

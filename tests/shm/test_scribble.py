@@ -3,6 +3,7 @@ or none, and never falls."""
 
 from __future__ import annotations
 
+import mmap
 import os
 import random
 import signal
@@ -17,6 +18,7 @@ from failstop.shm.latest import LatestReader
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, SEGMENTS, SegmentSpec
 from failstop.shm.ring import RingReader
 from failstop.shm.segment import AttachError, Segment
+from failstop.shm.views import FileView
 
 from .children import Child
 from .memory import genuine, payload_of, time_of
@@ -270,6 +272,18 @@ def test_truncated_to_every_kind_of_size(name: str, of: str) -> None:
         written.close()
 
 
+def test_a_copy_of_a_truncated_file_is_short() -> None:
+    fd = os.memfd_create("cut")
+    view = FileView(fd)
+    view[0:8] = b"12345678"
+    assert view[0:8] == b"12345678"
+    assert view[4:100] == b"5678"
+    os.ftruncate(fd, 3)
+    assert view[0:8] == b"123"
+    assert view[3:8] == b""
+    os.close(fd)
+
+
 def test_a_client_that_writes_to_its_truncated_segment_is_read_again(name: str) -> None:
     segment.create(name, "client.2", RUN).close()
     own = segment.attach_client_slot(name, 2, RUN)
@@ -353,7 +367,15 @@ def test_a_truncating_client_costs_the_reader_no_sigbus(name: str) -> None:
 def test_control_a_mapped_reader_dies_of_sigbus(name: str) -> None:
     """The harness can fail: the same through a mapping kills the reader."""
     segment.create(name, "client.0", RUN).close()
-    with reading_child(name, "client.0", lambda: segment.attach(name, "client.0", RUN)) as child:
+
+    def attach_mapped() -> Segment:
+        with open(path_of(name, "client.0"), "rb") as file:
+            mapped = mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ)
+        return Segment(BY_NAME["client.0"], RUN, mapped, mapped, -1)
+
+    with pytest.raises(TypeError, match="is written by clients"):
+        segment.attach(name, "client.0", RUN)
+    with reading_child(name, "client.0", attach_mapped) as child:
         assert child.receive() == "reading"
         truncate_all_the_while(name, "client.0", child)
         assert child.wait() == -signal.SIGBUS

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import mmap
 import os
 import stat
 from collections.abc import Callable
@@ -11,65 +10,22 @@ from collections.abc import Callable
 import posix_ipc
 import pytest
 
-from failstop.shm import segment, slot
-from failstop.shm.layout import BY_NAME, HEADER_BYTES, LAYOUT_HASH, PRIVATE, PUBLIC, SEGMENTS
-from failstop.shm.segment import AttachError, Segment
-from failstop.shm.words import Word
-from failstop.version import VERSION
+from failstop.shm import segment
+from failstop.shm.layout import BY_NAME
+from failstop.shm.segment import AttachError
 
 from .children import NOBODY, Child, call, needs_root, umask
-
-RUN = 0xABCDEF0123456789
-NAMES = [spec.name for spec in SEGMENTS]
-SERVICE = [spec.name for spec in SEGMENTS if spec.mode == PUBLIC]
-PRIVATE_NAMES = [spec.name for spec in SEGMENTS if spec.mode == PRIVATE]
-
-
-def path_of(instance: str, of: str) -> str:
-    return "/dev/shm" + segment.shm_name(instance, of)
-
-
-def content(path: str) -> bytes:
-    with open(path, "rb") as file:
-        return file.read()
-
-
-def create_all(instance: str, run: int = RUN) -> None:
-    for of in NAMES:
-        segment.create(instance, of, run).close()
-
-
-def refusal(attempt: Callable[[], object]) -> tuple[str, str]:
-    """The kind and message with which an attempt is refused."""
-    with pytest.raises(AttachError) as refused:
-        attempt()
-    assert "\n" not in str(refused.value)
-    return refused.value.kind, str(refused.value)
-
-
-def write_header(
-    instance: str,
-    of: str,
-    *,
-    magic: bytes = segment.MAGIC,
-    layout: int = LAYOUT_HASH,
-    size: int | None = None,
-    run: int = RUN,
-    name: str | None = None,
-    version: str = VERSION,
-) -> None:
-    """Put a header of another program, run or layout into a segment."""
-    header = segment._HEADER.pack(
-        magic, layout, BY_NAME[of].size if size is None else size, run, (name or of).encode(), version.encode()
-    )
-    with open(path_of(instance, of), "r+b") as file:
-        file.write(slot.build(1, 0, header, segment._HEADER_SEED, 104))
-
-
-def test_the_header_fits_its_place() -> None:
-    assert slot.HEADER_BYTES + segment._HEADER.size <= HEADER_BYTES
-    assert len(VERSION.encode()) <= 24
-    assert all(len(name) <= 24 for name in NAMES)
+from .segments import (
+    NAMES,
+    PRIVATE_NAMES,
+    RUN,
+    SERVICE,
+    content,
+    create_all,
+    path_of,
+    refusal,
+    write_header,
+)
 
 
 @pytest.mark.parametrize("of", SERVICE + PRIVATE_NAMES)
@@ -95,102 +51,6 @@ def test_a_new_segment_is_empty(name: str) -> None:
                 assert seen.latest_reader(record.name).read() is None
             else:
                 assert seen.ring_reader(record.name, from_oldest=True).next() is None
-
-
-def test_absent(name: str) -> None:
-    for attempt in (
-        lambda: segment.attach(name, "gate"),
-        lambda: segment.attach(name, "gate", RUN, write=True),
-        lambda: segment.attach_client_slot(name, 0, RUN),
-        lambda: segment.read_client_slot(name, 0, RUN),
-    ):
-        kind, message = refusal(attempt)
-        assert kind == "absent"
-        assert repr(name) in message
-        assert "failstop run" in message
-
-
-@pytest.mark.parametrize("of", ["gate", "client.0"])
-@pytest.mark.parametrize("damage", ["zeros", "noise", "one bit", "other magic", "short header", "empty", "cut"])
-def test_a_damaged_header(name: str, of: str, damage: str) -> None:
-    segment.create(name, of, RUN).close()
-    path = path_of(name, of)
-    with open(path, "r+b") as file:
-        if damage == "zeros":
-            file.write(bytes(128))
-        elif damage == "noise":
-            file.write(os.urandom(128))
-        elif damage == "one bit":
-            file.seek(90)
-            byte = file.read(1)[0]
-            file.seek(90)
-            file.write(bytes([byte ^ 1]))
-        elif damage == "short header":
-            file.write(slot.build(1, 0, segment.MAGIC, segment._HEADER_SEED, 104))
-        elif damage == "empty":
-            file.truncate(0)
-        elif damage == "cut":
-            file.truncate(100)
-    if damage == "other magic":
-        write_header(name, of, magic=b"failstom")
-    kind, message = refusal(lambda: attach_any(name, of))
-    assert kind == "damaged"
-    assert "no whole header" in message
-    assert of in message
-    assert "restart the service" in message
-
-
-def attach_any(name: str, of: str, run: int = RUN) -> Segment:
-    if of.startswith("client."):
-        return segment.attach_client_slot(name, int(of[-1]), run)
-    return segment.attach(name, of, run)
-
-
-@pytest.mark.parametrize("of", ["gate", "client.0"])
-def test_another_layout_is_another_version(name: str, of: str) -> None:
-    """Said before anything else in the header is judged, since nothing else need mean the same there."""
-    segment.create(name, of, RUN).close()
-    for other in ({}, {"size": 77}, {"run": 1}, {"name": "other"}):
-        write_header(name, of, layout=LAYOUT_HASH ^ 1, version="9.8.7", **other)
-        kind, message = refusal(lambda: attach_any(name, of))
-        assert kind == "version"
-        assert "failstop 9.8.7" in message
-        assert VERSION in message
-        assert "restart the service" in message
-
-
-@pytest.mark.parametrize("of", ["gate", "client.0"])
-def test_the_version_alone_is_no_reason(name: str, of: str) -> None:
-    segment.create(name, of, RUN).close()
-    write_header(name, of, version="9.8.7")
-    attach_any(name, of).close()
-
-
-@pytest.mark.parametrize("of", ["gate", "client.0"])
-def test_another_run(name: str, of: str) -> None:
-    segment.create(name, of, RUN).close()
-    kind, message = refusal(lambda: attach_any(name, of, RUN + 1))
-    assert kind == "damaged"
-    assert "another run" in message
-
-
-@pytest.mark.parametrize("wrong", [{"size": 4096 * 99}, {"name": "telemetry"}])
-def test_a_header_of_another_segment(name: str, wrong: dict[str, object]) -> None:
-    segment.create(name, "gate", RUN).close()
-    write_header(name, "gate", **wrong)  # type: ignore[arg-type]
-    kind, message = refusal(lambda: segment.attach(name, "gate", RUN))
-    assert kind == "damaged"
-    assert "wrong size or name" in message
-
-
-@pytest.mark.parametrize("of", ["gate", "client.0"])
-def test_a_file_that_is_too_small_is_not_mapped(name: str, of: str) -> None:
-    segment.create(name, of, RUN).close()
-    for size in (BY_NAME[of].size - 1, 4095, 128):
-        os.truncate(path_of(name, of), size)
-        kind, message = refusal(lambda: attach_any(name, of))
-        assert kind == "damaged"
-        assert "wrong size or name" in message
 
 
 @needs_root
@@ -339,31 +199,6 @@ def test_a_link_in_the_way_is_replaced_and_not_followed(name: str, tmp_path: obj
         assert file.read() == "precious"
 
 
-def test_slots_of_another_run_are_not_read(name: str) -> None:
-    """Even with every byte of the dead run's records in place."""
-    segment.create(name, "gate", 1).close()
-    own = segment.attach(name, "gate", 1, write=True)
-    own.latest_writer("state").write(b"old", 1)
-    own.ring_writer("frames").put(b"old", 1)
-    with open(path_of(name, "gate"), "rb") as file:
-        old = file.read()
-    segment.create(name, "gate", 2).close()
-    with open(path_of(name, "gate"), "r+b") as file:
-        file.seek(HEADER_BYTES)
-        file.write(old[HEADER_BYTES:])
-    seen = segment.attach(name, "gate", 2)
-    assert seen.latest_reader("state").read() is None
-    assert seen.ring_reader("frames", from_oldest=True).next() is None
-
-
-def test_client_records_of_another_run_are_not_read(name: str) -> None:
-    """The header of a client's segment is not looked at by the service: each record must say its run."""
-    segment.create(name, "client.0", 1).close()
-    segment.attach_client_slot(name, 0, 1).latest_writer("command").write(b"drive", 1)
-    assert segment.read_client_slot(name, 0, 1).latest_reader("command").read() == (1, 1, b"drive")
-    assert segment.read_client_slot(name, 0, 2).latest_reader("command").read() is None
-
-
 @needs_root
 def test_another_user_s_segment_is_in_the_way(name: str) -> None:
     segment.create(name, "gate", RUN).close()
@@ -474,59 +309,6 @@ def links() -> list[str]:
         except FileNotFoundError:  # the listing's own
             continue
     return found
-
-
-def test_words_are_shared_between_processes(name: str) -> None:
-    segment.create(name, "supervisor", RUN).close()
-    epoch = segment.attach(name, "supervisor", RUN).word("epoch")
-
-    def work(send: Callable[[object], None], wait: Callable[[], None]) -> None:
-        own = segment.attach(name, "supervisor", RUN, write=True).word("epoch")
-        for value in (1, 2**32, 2**63, 2**64 - 1):
-            own.set(value)
-            send(value)
-            wait()
-
-    with Child(work) as child:
-        for _ in range(4):
-            value = child.receive()
-            assert epoch.get() == value
-            child.go()
-        child.result()
-
-
-def test_words_refuse_what_does_not_fit_and_where_they_may_not_lie(name: str) -> None:
-    segment.create(name, "supervisor", RUN).close()
-    word = segment.attach(name, "supervisor", RUN, write=True).word("epoch")
-    word.set(5)
-    for wrong in (-1, 2**64):
-        with pytest.raises(ValueError, match="memoryview"):
-            word.set(wrong)
-    assert word.get() == 5
-    for offset in (8, 32, 63):
-        with pytest.raises(ValueError, match="64-byte line"):
-            Word(mmap.mmap(-1, 4096), offset)
-
-
-def test_a_word_is_never_seen_half_written(name: str) -> None:
-    """Two patterns that differ in every byte, set flat out by another process."""
-    segment.create(name, "supervisor", RUN).close()
-    patterns = (0x5555555555555555, 0xAAAAAAAAAAAAAAAA)
-    segment.attach(name, "supervisor", RUN, write=True).word("epoch").set(patterns[0])
-
-    def work(send: Callable[[object], None], wait: object) -> None:
-        word = segment.attach(name, "supervisor", RUN, write=True).word("epoch")
-        send("writing")
-        for _ in range(400_000):
-            word.set(patterns[0])
-            word.set(patterns[1])
-
-    word = segment.attach(name, "supervisor", RUN).word("epoch")
-    with Child(work) as child:
-        assert child.receive() == "writing"
-        seen = {word.get() for _ in range(400_000)}
-        child.result()
-    assert seen <= set(patterns)
 
 
 def test_readers_outlive_the_segment_object(name: str) -> None:

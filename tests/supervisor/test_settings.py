@@ -223,7 +223,7 @@ def test_the_fastest_wheel_is_that_of_the_worst_corner(vx: float, vy: float) -> 
 
 
 def test_no_allowed_values_make_a_wheel_that_no_frame_can_carry() -> None:
-    """The codec and the port owner refuse limits beyond the ceiling; a gate that met one would die at its first step."""
+    """The codec refuses limits beyond the ceiling; a gate that met one would die at its first step."""
     worst = {setting.key: setting.high for setting in NUMBERS if setting.key.startswith(("limits.", "wheels."))}
     worst["wheels.diameter_m"] = BY_KEY["wheels.diameter_m"].low
     assert Settings(dict(worst)).max_wheel_rps() * ROUNDING_OF_LIMITS < RPS_CEILING

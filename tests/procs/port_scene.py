@@ -1,0 +1,101 @@
+"""A port owner at work: the test plays everybody else, and a kernel that takes only some of its bytes."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from failstop.board import codec
+from failstop.procs.port_owner import main
+from failstop.procs.port_owner import wire as wire_module
+from failstop.procs.port_owner.main import PortOwner
+from failstop.shm import layout, records
+
+from .stage import MS, Stage
+
+MAX_RPS = 2.0
+MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), MAX_RPS)
+SLOWER = codec.motor_speeds((0.4, 0.4, -0.4, -0.4), MAX_RPS)
+TICK = 20 * MS
+
+
+class Scene(Stage):
+    """A port owner at work on its stage."""
+
+    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True) -> None:
+        super().__init__(layout.PORT_OWNER, directory, open_port=open_port)
+        monkeypatch.setattr(main, "monotonic_ns", self.clock)
+        self.gate = self.start(layout.GATE)
+        self.news = self.segment(layout.PORT_OWNER).ring_reader("stops")
+        self.port_record = self.segment(layout.PORT_OWNER).latest_reader("port")
+        self.stays = True
+        self.owner = PortOwner(self)  # type: ignore[arg-type]
+
+    def turn(self, elapsed_ns: int = 0, *, alive: bool = True) -> bytes:
+        """Time passes, the others beat, the port owner wakes up; returns what it wrote."""
+        self.clock.now_ns += elapsed_ns
+        if alive:
+            self.beat(layout.SUPERVISOR, layout.GATE)
+        self.stays = self.owner.turn(self.owner.loop.wait(0))
+        return self.pty.read() if self.pty.master >= 0 else b""
+
+    def put(self, frame: bytes = MOTION, *, epoch: int = 1, age_ns: int = 0, kind: int = records.MOTION) -> None:
+        self.frames.put(records.pack_frame(epoch, kind, frame), self.clock() - age_ns)
+
+    def drive(self) -> None:
+        """Get it to where a motion frame has just been written."""
+        self.turn()
+        self.put()
+        assert self.turn() == MOTION
+        assert self.owner.admission.moving
+
+    def causes(self) -> list[tuple[int, int, str]]:
+        """Stops that it has published since the last call: (epoch, when written, reason)."""
+        found = []
+        while entry := self.news.next():
+            epoch, _, written_ns, _, reason = records.unpack_stop(entry[2])
+            found.append((epoch, written_ns, reason))
+        return found
+
+    def reasons(self) -> list[str]:
+        return [reason for _, _, reason in self.causes()]
+
+    def word(self, name: str) -> int:
+        return self.segment(layout.PORT_OWNER).word(name).get()
+
+    def port_state(self) -> int:
+        entry = self.port_record.read()
+        assert entry is not None
+        return records.unpack_port(entry[2])[2]
+
+    def close(self) -> None:
+        self.owner.wire.close()
+        self.owner._control.close()
+        super().close()
+
+
+class Kernel:
+    """Takes at most `room` more bytes for the port, then EAGAIN; None takes everything."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.room: int | None = None
+        self.taken = [0]
+
+        class Os:
+            write = staticmethod(self.write)
+            read = staticmethod(os.read)
+            close = staticmethod(os.close)
+
+        monkeypatch.setattr(wire_module, "os", Os)
+
+    def write(self, fd: int, data: bytes) -> int:
+        if self.room is None:
+            self.taken[0] = os.write(fd, data)
+            return self.taken[0]
+        part = data[: self.room]
+        if not part:
+            raise BlockingIOError
+        self.room -= len(part)
+        return os.write(fd, part)

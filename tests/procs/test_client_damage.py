@@ -1,0 +1,161 @@
+"""What clients may do to their memory, and what a gate that starts again makes of what it finds there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgpack
+import pytest
+
+from failstop.shm import layout, records
+from failstop.shm.segment import Segment
+
+from .client_side import INCARNATION, Client, Service
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Iterator[Service]:
+    made = Service(tmp_path)
+    yield made
+    made.close()
+
+
+# Damage.
+
+
+def scribble(client: Client, record: str, change: Callable[[bytearray], None]) -> None:
+    spec = client.segment.spec
+    at, size = spec.offsets[record], spec.records[record].size()
+    view = client.segment.view
+    found = bytearray(view[at : at + size])
+    change(found)
+    view[at : at + size] = bytes(found)
+
+
+def flip_all(found: bytearray) -> None:
+    found[:] = bytes(byte ^ 0x55 for byte in found)
+
+
+def zero(found: bytearray) -> None:
+    found[:] = bytes(len(found))
+
+
+@pytest.mark.parametrize("change", [flip_all, zero])
+@pytest.mark.parametrize("record", ["command", "request"])
+def test_a_damaged_record_is_ignored_and_a_whole_one_counts_again(
+    service: Service, record: str, change: Callable[[bytearray], None]
+) -> None:
+    client = service.join()
+    service.look()
+    client.command()
+    client.request()
+    scribble(client, record, change)
+    assert [told[0] for told in service.look()] == [{"command": "request", "request": "command"}[record]]
+    service.look()
+    for _ in range(3):  # a writer that finds nothing whole begins at sequence 1 again
+        client.command()
+        client.request()
+    assert sorted(str(told[0]) for told in service.look()) == ["command", "request"]
+
+
+def test_a_damaged_hello_ends_the_session(service: Service) -> None:
+    client = service.join()
+    service.look()
+    scribble(client, "hello", flip_all)
+    client.command()
+    assert service.look() == [("gone", 11)]
+    assert service.sessions() == []
+    client.hello(11, "back", os.getpid())
+    assert service.look() == [], "a session that is over does not come back"
+    client.hello(12, "anew", os.getpid())
+    client.command(session=12)
+    assert service.look() == [("command", 12, 0.1)]
+
+
+@pytest.mark.parametrize("record", ["hello", "command", "request"])
+@pytest.mark.parametrize("payload", [b"", b"\0", bytes(7), b"\xff" * 60], ids=["empty", "1", "7", "60"])
+def test_whole_records_of_any_content_raise_nothing(service: Service, record: str, payload: bytes) -> None:
+    client = service.join()
+    service.look()
+    client.segment.latest_writer(record).write(payload)
+    service.look()
+    client.hello(12, "anew", os.getpid())
+    client.command(session=12)
+    assert ("command", 12, 0.1) in service.look()
+
+
+def test_records_of_another_run_are_ignored(service: Service) -> None:
+    client = service.join()
+    service.look()
+    old = Segment(client.segment.spec, INCARNATION + 1, client.segment.view, None, -1)
+    old.latest_writer("command").write(records.pack_command(11, 0.2, 0.0, 0.0, False))
+    assert service.look() == []
+
+
+@pytest.mark.parametrize("size", [0, 1, 128, 300])
+def test_a_truncated_segment_is_a_client_gone(service: Service, size: int) -> None:
+    client = service.join()
+    client.command()
+    service.look()
+    os.ftruncate(client.segment.view.fd, size)  # type: ignore[attr-defined]
+    assert service.look() == [("gone", 11)]
+    os.ftruncate(client.segment.view.fd, client.segment.spec.size)  # type: ignore[attr-defined]
+    assert service.look() == []
+
+
+def test_names_of_the_worst_kind_leave_the_state_room(service: Service) -> None:
+    """Invalid UTF-8 and wide characters grow when they are decoded; with eight of them the gate's state must still fit
+    its record, or a client could end the gate."""
+    hello = records.pack_hello(0, 0, "")
+    for index in range(layout.CLIENT_SLOTS):
+        client = service.join(index, 1 + index)
+        body = (1 + index).to_bytes(8, "little") + (2**32 - 1).to_bytes(4, "little")
+        room = client.segment.spec.records["hello"].capacity - len(hello)
+        client.segment.latest_writer("hello").write(body + b"\xff" * room)
+    service.look()
+    assert len(service.sessions()) == layout.CLIENT_SLOTS
+    who = service.table.active[0].who()
+    latch = f"multiple cmd_vel publishers: {who}, {who}"
+    state = msgpack.packb(
+        {
+            "enabled": False,
+            "estop": latch,
+            "blocked": f"estop: {latch}",
+            "body_vel": (0.1, 0.1, 0.1),
+            "wheels_rps": (0.1, 0.1, 0.1, 0.1),
+            "epoch": 2**64 - 1,
+            "clients": [
+                {"slot": slot.index, "name": slot.name, "pid": slot.pid, "driving": False}
+                for slot in service.table.active
+            ],
+        }
+    )
+    assert len(state) <= layout.BY_NAME["gate"].records["state"].capacity
+
+
+# A gate that starts again.
+
+
+def test_a_successor_does_not_replay_what_it_finds(service: Service) -> None:
+    client = service.join()
+    client.command()
+    client.request(records.ENABLE)
+    service.look()
+    service.start()
+    assert service.look() == []
+    assert service.sessions() == [11], "the client is still there"
+    client.command(0.2)
+    assert service.look() == [("command", 11, 0.2)]
+
+
+def test_a_successor_does_not_act_on_what_its_predecessor_never_saw(service: Service) -> None:
+    client = service.join()
+    service.look()
+    client.command()
+    client.request(records.ENABLE)
+    service.start()
+    assert service.look() == []
+    client.request(records.DISABLE)
+    assert service.look() == [("request", 11, 2, records.DISABLE)]

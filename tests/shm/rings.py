@@ -1,0 +1,73 @@
+"""Rings for tests: made, written, read, spoiled."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from failstop.shm import slot
+from failstop.shm.latest import slot_bytes
+from failstop.shm.ring import RingReader, RingWriter
+
+from .memory import Cut, Death, Memory, genuine, payload_of, time_of
+
+if TYPE_CHECKING:
+    from failstop.shm.views import View
+
+
+SEED = slot.seed("test.ring", 1)
+AT = 128
+CAPACITY = 40
+SLOTS = 8
+
+
+SIZE = slot_bytes(CAPACITY)
+
+
+def ring_memory(slots: int = SLOTS, capacity: int = CAPACITY) -> Cut:
+    return Cut(AT + slots * slot_bytes(capacity))
+
+
+def writer_of(view: View, slots: int = SLOTS, capacity: int = CAPACITY) -> RingWriter:
+    return RingWriter(view, AT, capacity, slots, SEED)
+
+
+def reader_of(view: View, slots: int = SLOTS, capacity: int = CAPACITY, *, from_oldest: bool = False) -> RingReader:
+    return RingReader(view, AT, capacity, slots, SEED, from_oldest=from_oldest)
+
+
+def put(writer: RingWriter, count: int = 1, size: int = CAPACITY) -> None:
+    for _ in range(count):
+        seq = writer.seq + 1
+        assert writer.put(payload_of(seq, size), time_of(seq)) == seq
+
+
+def drain(reader: RingReader) -> list[int]:
+    """The numbers of all entries that wait; each must be genuine."""
+    found = []
+    while entry := reader.next():
+        assert genuine(entry)
+        found.append(entry[0])
+    return found
+
+
+def place(seq: int) -> int:
+    return AT + seq % SLOTS * SIZE
+
+
+def damage(memory: Memory, seq: int, *, zero: bool = False) -> None:
+    """Spoil the slot of this entry."""
+    at = place(seq)
+    if zero:
+        memory.data[at : at + SIZE] = bytes(SIZE)
+    else:
+        memory.data[at + 30] ^= 0x40
+
+
+def die_writing(memory: Cut, writer: RingWriter, cut: int = 30) -> RingWriter:
+    """The writer dies after `cut` bytes of its next entry; returns its successor."""
+    memory.left = cut
+    with pytest.raises(Death):
+        put(writer)
+    return writer_of(memory)

@@ -1,0 +1,66 @@
+"""Segments for tests: their files, headers that do not fit, and how an attempt is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from failstop.shm import segment, slot
+from failstop.shm.layout import BY_NAME, LAYOUT_HASH, PRIVATE, PUBLIC, SEGMENTS
+from failstop.shm.segment import AttachError, Segment
+from failstop.version import VERSION
+
+RUN = 0xABCDEF0123456789
+NAMES = [spec.name for spec in SEGMENTS]
+
+
+SERVICE = [spec.name for spec in SEGMENTS if spec.mode == PUBLIC]
+PRIVATE_NAMES = [spec.name for spec in SEGMENTS if spec.mode == PRIVATE]
+
+
+def path_of(instance: str, of: str) -> str:
+    return "/dev/shm" + segment.shm_name(instance, of)
+
+
+def content(path: str) -> bytes:
+    with open(path, "rb") as file:
+        return file.read()
+
+
+def create_all(instance: str, run: int = RUN) -> None:
+    for of in NAMES:
+        segment.create(instance, of, run).close()
+
+
+def refusal(attempt: Callable[[], object]) -> tuple[str, str]:
+    """The kind and message with which an attempt is refused."""
+    with pytest.raises(AttachError) as refused:
+        attempt()
+    assert "\n" not in str(refused.value)
+    return refused.value.kind, str(refused.value)
+
+
+def write_header(
+    instance: str,
+    of: str,
+    *,
+    magic: bytes = segment.MAGIC,
+    layout: int = LAYOUT_HASH,
+    size: int | None = None,
+    run: int = RUN,
+    name: str | None = None,
+    version: str = VERSION,
+) -> None:
+    """Put a header of another program, run or layout into a segment."""
+    header = segment._HEADER.pack(
+        magic, layout, BY_NAME[of].size if size is None else size, run, (name or of).encode(), version.encode()
+    )
+    with open(path_of(instance, of), "r+b") as file:
+        file.write(slot.build(1, 0, header, segment._HEADER_SEED, 104))
+
+
+def attach_any(name: str, of: str, run: int = RUN) -> Segment:
+    if of.startswith("client."):
+        return segment.attach_client_slot(name, int(of[-1]), run)
+    return segment.attach(name, of, run)

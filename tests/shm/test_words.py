@@ -1,0 +1,69 @@
+"""Words: one store each, seen whole by every process."""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Callable
+
+import pytest
+
+from failstop.shm import segment
+from failstop.shm.words import Word
+
+from .children import Child
+from .segments import (
+    RUN,
+)
+
+
+def test_words_are_shared_between_processes(name: str) -> None:
+    segment.create(name, "supervisor", RUN).close()
+    epoch = segment.attach(name, "supervisor", RUN).word("epoch")
+
+    def work(send: Callable[[object], None], wait: Callable[[], None]) -> None:
+        own = segment.attach(name, "supervisor", RUN, write=True).word("epoch")
+        for value in (1, 2**32, 2**63, 2**64 - 1):
+            own.set(value)
+            send(value)
+            wait()
+
+    with Child(work) as child:
+        for _ in range(4):
+            value = child.receive()
+            assert epoch.get() == value
+            child.go()
+        child.result()
+
+
+def test_words_refuse_what_does_not_fit_and_where_they_may_not_lie(name: str) -> None:
+    segment.create(name, "supervisor", RUN).close()
+    word = segment.attach(name, "supervisor", RUN, write=True).word("epoch")
+    word.set(5)
+    for wrong in (-1, 2**64):
+        with pytest.raises(ValueError, match="memoryview"):
+            word.set(wrong)
+    assert word.get() == 5
+    for offset in (8, 32, 63):
+        with pytest.raises(ValueError, match="64-byte line"):
+            Word(mmap.mmap(-1, 4096), offset)
+
+
+def test_a_word_is_never_seen_half_written(name: str) -> None:
+    """Two patterns that differ in every byte, set flat out by another process."""
+    segment.create(name, "supervisor", RUN).close()
+    patterns = (0x5555555555555555, 0xAAAAAAAAAAAAAAAA)
+    segment.attach(name, "supervisor", RUN, write=True).word("epoch").set(patterns[0])
+
+    def work(send: Callable[[object], None], wait: object) -> None:
+        word = segment.attach(name, "supervisor", RUN, write=True).word("epoch")
+        send("writing")
+        for _ in range(400_000):
+            word.set(patterns[0])
+            word.set(patterns[1])
+
+    word = segment.attach(name, "supervisor", RUN).word("epoch")
+    with Child(work) as child:
+        assert child.receive() == "writing"
+        seen = {word.get() for _ in range(400_000)}
+        child.result()
+    assert seen <= set(patterns)

@@ -1,0 +1,234 @@
+"""What the supervisor does about a stop, and what it says of it: written only when somebody has written it."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import pty
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+
+from failstop.board.burst import BURST
+from failstop.procs import rights
+from failstop.shm import layout, records, segment
+from failstop.supervisor import main
+from failstop.supervisor.causes import Cause
+from failstop.supervisor.main import ANSWER_NS, Supervisor
+from failstop.supervisor.port import OwnPort
+from failstop.supervisor.resources import Resources
+from failstop.supervisor.settings import Settings
+
+MS = 1_000_000
+_numbers = itertools.count()
+
+
+class Scene:
+    """A supervisor without children on a pty, with a clock that the test moves; the test plays the port owner."""
+
+    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_ns = 40_000 * MS
+        self.said: list[str] = []
+        monkeypatch.setattr(main, "monotonic_ns", lambda: self.now_ns)
+        monkeypatch.setattr(main, "say", self.said.append)
+        monkeypatch.setattr(rights, "take_rights", lambda priority: 0)
+        self.master, slave = pty.openpty()
+        tty.setraw(slave)
+        for fd in (self.master, slave):
+            os.set_blocking(fd, False)
+        self.resources = Resources(f"a{os.getpid()}x{next(_numbers)}", str(directory))
+        self.port = OwnPort(slave)
+        self.supervisor = Supervisor(self.resources, self.port, Settings())
+        name = self.resources.name
+        self.port_owner = segment.attach(name, layout.PORT_OWNER, write=True)
+        self.gate = segment.attach(name, layout.GATE, write=True)
+        self.stop_record = segment.attach(name, layout.SUPERVISOR).latest_reader("stop")
+        self.word = segment.attach(name, layout.SUPERVISOR).word
+        child = self.supervisor._child(layout.PORT_OWNER)
+        child.pid = 2**31 - 1  # no such process, and as it is fenced already nobody asks or kills it
+        child.fenced = True
+        self.answers(written_ns=self.now_ns - 10_000 * MS)
+
+    def answers(self, *, written_ns: int = 0) -> None:
+        """The port owner answers the epoch; `written_ns`: with a burst written then."""
+        if written_ns:
+            self.port_owner.word("written_ns").set(written_ns)
+        self.port_owner.word("stopped_epoch").set(self.supervisor.epoch)
+
+    def notice(self, reason: str = "key1", *, written_ns: int = 0) -> None:
+        """The port owner has stopped for a cause of its own."""
+        stop = records.pack_stop(1, self.now_ns, written_ns, True, reason)
+        self.port_owner.ring_writer("stops").put(stop)
+
+    def trip(self, reason: str = "multiple cmd_vel publishers") -> None:
+        """The gate has latched."""
+        self.gate.ring_writer("trips").put(records.pack_stop(1, self.now_ns, 0, True, reason))
+
+    def turn(self, elapsed_ns: int = 0) -> bytes:
+        """Time passes and the supervisor wakes up; returns what it wrote to the port."""
+        self.now_ns += elapsed_ns
+        self.supervisor.turn(self.supervisor.loop.wait(0))
+        try:
+            return os.read(self.master, 65536)
+        except BlockingIOError:
+            return b""
+
+    def told(self) -> dict[str, Any]:
+        entry = self.stop_record.read()
+        assert entry is not None
+        found: dict[str, Any] = msgpack.unpackb(entry[2])
+        return {key: found[key] for key in ("reason", "written_by", "written_us")}
+
+    def close(self) -> None:
+        self.resources.remove()
+        for control in self.supervisor._controls.values():
+            control.close()
+        for pair in self.resources.controls.values():
+            os.close(pair[1])
+        for fd in (self.master, self.resources.stop_pipe, self.resources.client_bell):
+            os.close(fd)
+        self.port.replace(-1)
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+    made = Scene(tmp_path, monkeypatch)
+    yield made
+    made.close()
+
+
+def test_a_stop_that_the_port_owner_wrote(scene: Scene) -> None:
+    scene.notice(written_ns=scene.now_ns + 50_000)
+    assert scene.turn() == b""
+    assert scene.supervisor.epoch == 2
+    assert scene.word("epoch").get() == 2
+    assert scene.word("ready").get() == 0
+    scene.answers()
+    assert scene.turn(MS) == b""
+    assert scene.told() == {"reason": "key1", "written_by": "port owner", "written_us": 50.0}
+
+
+def test_a_stop_that_the_port_owner_wrote_in_answer(scene: Scene) -> None:
+    scene.trip()
+    scene.turn()
+    scene.answers(written_ns=scene.now_ns + 80_000)
+    assert scene.turn(MS) == b""
+    assert scene.told()["written_us"] == 80.0
+    assert scene.told()["written_by"] == "port owner"
+
+
+def test_a_stop_that_the_port_owner_could_not_write_is_the_supervisor_s(scene: Scene) -> None:
+    scene.notice("port trouble", written_ns=0)
+    scene.turn()
+    scene.answers()
+    assert scene.turn(MS) == BURST
+    assert scene.told() == {"reason": "port trouble", "written_by": "supervisor", "written_us": 1000.0}
+
+
+def test_an_answer_without_a_new_burst_is_none(scene: Scene) -> None:
+    """A port owner that has lost the port answers the epoch, and its last burst was long ago."""
+    scene.trip()
+    scene.turn()
+    scene.answers()
+    assert scene.turn(MS) == BURST
+    assert scene.told()["written_by"] == "supervisor"
+
+
+def test_a_device_lost_is_said_to_be_not_written(scene: Scene) -> None:
+    scene.answers(written_ns=scene.now_ns - MS)
+    os.close(scene.master)
+    scene.master = os.open("/dev/null", os.O_RDONLY)
+    scene.notice("device lost", written_ns=0)
+    scene.supervisor.turn(scene.supervisor.loop.wait(0))
+    scene.answers()
+    scene.supervisor.turn(scene.supervisor.loop.wait(0))
+    assert scene.told() == {"reason": "device lost", "written_by": "supervisor", "written_us": None}
+    assert "stop frame NOT written" in scene.said[-1]
+
+
+def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) -> None:
+    scene.trip()
+    assert scene.turn() == b""
+    assert scene.supervisor.next_ns(scene.now_ns) <= scene.now_ns + MS
+    assert scene.turn(ANSWER_NS - 1) == b""
+    assert scene.turn(1) == BURST
+    assert scene.told()["written_by"] == "supervisor"
+
+
+def test_without_a_port_owner_the_burst_is_written_at_once(scene: Scene) -> None:
+    scene.supervisor._child(layout.PORT_OWNER).pid = 0
+    scene.trip()
+    assert scene.turn() == BURST
+
+
+def test_a_full_port_is_said_to_be_not_written(scene: Scene) -> None:
+    scene.supervisor._child(layout.PORT_OWNER).pid = 0
+    refused = 0
+    while refused < 20:
+        try:
+            os.write(scene.port.fd, bytes(1))
+            refused = 0
+        except BlockingIOError:
+            refused += 1
+    scene.trip()
+    scene.supervisor.turn({})
+    assert scene.told()["written_us"] is None
+
+
+def test_the_cause_is_there_before_the_epoch_and_ready_is_not(scene: Scene) -> None:
+    """Whoever sees the new epoch finds its cause; and nobody finds the service ready in an epoch of a stop."""
+    order: list[str] = []
+
+    class Watched:
+        def __init__(self, name: str, real: Any) -> None:
+            self.name, self.real = name, real
+
+        def set(self, value: int) -> None:
+            order.append(f"{self.name} {value}")
+            self.real.set(value)
+
+        def write(self, payload: bytes) -> None:
+            order.append(self.name)
+            self.real.write(payload)
+
+    for attribute in ("_epoch_word", "_ready_word", "_cause_record"):
+        setattr(scene.supervisor, attribute, Watched(attribute, getattr(scene.supervisor, attribute)))
+    scene.supervisor._raise_epoch([Cause(scene.now_ns, "gate", "x")])
+    assert order == ["_cause_record", "_ready_word 0", "_epoch_word 2"]
+
+
+def test_a_cause_that_comes_while_the_last_is_looked_at_is_not_slept_over(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It rings after the rings were read: that ring must still wake the supervisor."""
+    real = scene.supervisor._collect
+
+    def then_another(*arguments: Any) -> list[Cause]:
+        found = real(*arguments)
+        if found:
+            scene.trip("the second")
+            scene.resources.bells[layout.SUPERVISOR].ring()
+        return found
+
+    monkeypatch.setattr(scene.supervisor, "_collect", then_another)
+    scene.trip("the first")
+    scene.resources.bells[layout.SUPERVISOR].ring()
+    scene.turn()
+    assert scene.resources.bells[layout.SUPERVISOR].fd in scene.supervisor.loop.wait(0)
+
+
+def test_the_first_cause_is_the_one_that_is_latched(scene: Scene) -> None:
+    scene.trip("the first")
+    scene.turn()
+    scene.answers(written_ns=scene.now_ns)
+    scene.turn(MS)
+    scene.notice("the second", written_ns=scene.now_ns)
+    scene.turn(MS)
+    entry = segment.attach(scene.resources.name, layout.SUPERVISOR).latest_reader("cause").read()
+    assert entry is not None
+    assert records.unpack_stop(entry[2])[4] == "the first"
+    assert scene.supervisor.epoch == 3, "each is a stop of its own"

@@ -1,0 +1,65 @@
+"""How processes are started: what they get, and what a terminal must not be able to do to all of them at once."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from failstop.supervisor import starter
+from failstop.supervisor.settings import Settings
+from failstop.supervisor.starter import Starter
+from failstop.supervisor.table import PROCESSES
+
+ROW = PROCESSES[0]
+SHOW = "import os, time; os.write(int(os.environ['OUT']), b'x'); time.sleep(120)"
+
+
+def is_inheritable(fd: int) -> bool:
+    """Of this process: the test's own runner may have been started with such."""
+    try:
+        return os.get_inheritable(fd)
+    except OSError:
+        return False
+
+
+@pytest.fixture
+def pipe() -> Iterator[tuple[int, int]]:
+    ends = os.pipe()
+    yield ends
+    for fd in ends:
+        os.close(fd)
+
+
+@pytest.fixture
+def child(monkeypatch: pytest.MonkeyPatch, pipe: tuple[int, int]) -> Iterator[int]:
+    """A started process, with something that waits in the place of the real program."""
+    monkeypatch.setattr(starter, "command", lambda *_: [sys.executable, "-I", "-S", "-c", SHOW])
+    made = Starter("none", 1, "/nowhere", Settings())
+    made._environment["OUT"] = str(pipe[1])
+    pid = made.start(ROW, 1, {key: pipe[1] if key == "stop" else -1 for key in ROW.descriptors})
+    yield pid
+    os.kill(pid, 9)
+    os.waitpid(pid, 0)
+
+
+def test_each_process_has_a_session_of_its_own(child: int) -> None:
+    """A terminal's signals, its hang-up above all, go to a whole process group: were they all in it, they would all die
+    at once, with nobody left to stop the wheels."""
+    assert os.getsid(child) == child
+    assert os.getpgid(child) == child
+
+
+def test_the_descriptors_it_is_given_are_its_own_and_no_other(child: int, pipe: tuple[int, int]) -> None:
+    assert os.read(pipe[0], 1) == b"x", "written by the child to the descriptor it was given"
+    assert not os.get_inheritable(pipe[1]), "the next process is not given it by accident"
+    inherited = {fd for fd in map(int, os.listdir("/proc/self/fd")) if is_inheritable(fd)}
+    assert {int(fd) for fd in os.listdir(f"/proc/{child}/fd")} <= {*inherited, pipe[1]}
+
+
+def test_the_environment_is_what_it_needs_and_no_more() -> None:
+    found = starter.environment(Settings())
+    assert set(found) <= {"FAILSTOP_PATH", "FAILSTOP_SETTINGS", "LANG", "XDG_RUNTIME_DIR"}
+    assert Settings.from_lines(found["FAILSTOP_SETTINGS"]).values == Settings().values
