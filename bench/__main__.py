@@ -40,6 +40,7 @@ def main() -> int:
         rows.append(latency.stop_requests(trial, arguments.samples, arguments.seed, _progress))
         rows.append(latency.first_commands(trial, arguments.samples, arguments.seed, _progress))
         rows.append(latency.direction_changes(trial, arguments.samples, arguments.seed, _progress))
+        rows.append(latency.command_timeouts(trial, max(3, arguments.samples // 4), arguments.seed, _progress))
         rows += kills.measure(trial, arguments.kills, arguments.seed, _progress)
         rows.append(latency.starts(trial, max(3, arguments.samples // 10), _progress))
     _progress("")

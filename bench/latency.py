@@ -75,6 +75,7 @@ def first_commands(trial: Trial, count: int, seed: int, progress: Callable[[str]
         progress(f"first commands, {turn + 1} of {count}")
         time.sleep(chance.uniform(0.36, 0.40))
         trial.board.events()
+        trial.robot.sensed()
         commanded_ns = time.monotonic_ns()
         trial.robot.drive(0.1, 0.0, 0.0)
         event = trial.board.wait_for(lambda e, since=commanded_ns: e.is_motion and e.arrival_ns >= since, 5.0)
@@ -117,4 +118,29 @@ def starts(trial: Trial, count: int, progress: Callable[[str], None]) -> stats.R
         samples.append(event.arrival_ns - since)
     row = stats.timing("exec of `failstop run` -> first stop frame", samples, p50_ms=None, p99_ms=None)
     row.bar, row.met = "max < 150 ms", row.numbers["max_ms"] < 150
+    return row
+
+
+def command_timeouts(trial: Trial, count: int, seed: int, progress: Callable[[str], None]) -> stats.Row:
+    """The last drive() to the frame that stops the wheels: the deadman."""
+    chance = random.Random(seed)
+    samples = []
+    trial.enable()
+    for turn in range(count):
+        progress(f"command timeouts, {turn + 1} of {count}")
+        trial.drive(chance.uniform(0.05, 0.08))
+        trial.robot.sensed()
+        trial.board.events()
+        commanded_ns = time.monotonic_ns()
+        trial.robot.drive(0.1, 0.0, 0.0)
+        event = trial.board.wait_for(
+            lambda e, since=commanded_ns: e.is_motor and not any(e.speeds) and e.arrival_ns >= since, 5.0
+        )
+        samples.append(event.arrival_ns - commanded_ns)
+    trial.robot.disable()
+    row = stats.timing("last drive() -> zero frame (command timeout 0.3 s)", samples, p50_ms=None, p99_ms=None)
+    row.numbers["min_ms"] = min(samples) / 1e6
+    row.result = f"min {row.numbers['min_ms']:.1f}  {row.result}"
+    row.bar = "300 to 320 ms"
+    row.met = row.numbers["min_ms"] >= 300 and row.numbers["max_ms"] <= 320
     return row

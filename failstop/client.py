@@ -78,6 +78,8 @@ class Client:
             raise
         self._commands = self._segment.latest_writer("command")
         self._requests = self._segment.latest_writer("request")
+        self._sensed = self._segment.latest_writer("sensed")
+        self._interlocks = self._segment.latest_writer("interlocks")
         self._reply = self._gate.latest_reader(f"reply.{self.slot}")
         self._hint = bytes([self.slot])
         self._segment.latest_writer("hello").write(records.pack_hello(self._session, os.getpid(), who))
@@ -109,10 +111,18 @@ class Client:
         except BrokenPipeError:
             raise NoService(f"the service {self.name!r} has gone: start it with `failstop run`") from None
 
-    def command(self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool) -> None:
+    def command(self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str) -> None:
         """Hand a velocity command to the gate; returns at once. Raises NoService."""
-        self._commands.write(records.pack_command(self._session, vx_mps, vy_mps, wz_radps, manual))
+        self._commands.write(records.pack_command(self._session, vx_mps, vy_mps, wz_radps, manual, source))
         self._ring()
+
+    def sensed(self) -> None:
+        """Say that the obstacle sensor delivered just now; the gate sees it at its next tick or command."""
+        self._sensed.write(records.pack_held(self._session, []))
+
+    def hold(self, names: list[str]) -> None:
+        """Say that these interlocks hold now, and no others by this client; the gate sees it at its next tick."""
+        self._interlocks.write(records.pack_held(self._session, names))
 
     def request(self, verb: int) -> tuple[bool, str]:
         """Ask and wait for the answer: (done, text). Raises NoAnswer, NoService."""

@@ -9,6 +9,7 @@ from types import TracebackType
 
 from failstop.client import Client, send_stop
 from failstop.errors import FailstopError, Refused
+from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import records
 from failstop.shm.instance import DEFAULT_NAME
 from failstop.state import State, StateReader
@@ -63,15 +64,29 @@ class Robot:
         """Clear the latched stop; motion stays disabled until enable(). Raises Refused."""
         return self._ask(records.RESET)
 
-    def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False) -> None:
+    def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> None:
         """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for the command timeout (0.3 s),
         so repeat it. Values past the limits are clamped; whether anything moves, and why not, is in `state.blocked`.
 
+        A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
         Raises ValueError for a value that is not finite, NoService when the service has gone.
         """
         if not (isfinite(vx) and isfinite(vy) and isfinite(wz)):
             raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
-        self._client().command(vx, vy, wz, manual=manual)
+        self._client().command(vx, vy, wz, manual=manual, source=source)
+
+    def sensed(self) -> None:
+        """The obstacle sensor delivered just now. Software commands move the wheels only while somebody says so at
+        least every 0.5 s (setting scan.timeout_s); else they are blocked with `no scan`."""
+        self._client().sensed()
+
+    def hold(self, *interlocks: str) -> None:
+        """These interlocks hold now (names of the settings' [interlocks]); repeat it within their timeout.
+
+        Enabling needs every declared one, and losing one disables motion. What an earlier call named and this one does
+        not is no longer asserted, and ends with its timeout.
+        """
+        self._client().hold(list(interlocks))
 
     def estop(self, reason: str = "") -> None:
         """Latched protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).

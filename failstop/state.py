@@ -66,9 +66,22 @@ class State:
     device: dict[str, Any]
     processes: dict[str, Process]
     clients: list[dict[str, Any]]
+    sources: list[dict[str, Any]]
+    """Who drives and who waits, highest priority first."""
+    scan_age_s: float | None
+    """Since the obstacle sensor delivered last; None: never."""
     last_stop: Stop | None
     imu: dict[str, list[float]] | None
+    """acceleration_mps2 and rate_radps, x forward, y left, z up; the rate less its bias."""
+    gyro_bias: dict[str, Any] | None
+    """bias_radps, tracking (it follows the reading now), calibrated."""
+    odometry: dict[str, float] | None
+    """x_m, y_m, th_rad since the start, integrated from what was commanded; and the twist."""
+    pad_mode: str | None
+    """locked or drive; None: no gamepad frame yet."""
     battery_mv: int | None
+    plugged: str
+    """unknown, plugged or unplugged."""
     age_ms: float
     """Of the gate's record."""
 
@@ -97,6 +110,9 @@ class StateReader:
         self._port = views[layout.PORT_OWNER].latest_reader("port")
         self._imu = views[layout.TELEMETRY].latest_reader("imu")
         self._battery = views[layout.TELEMETRY].latest_reader("battery")
+        self._bias = views[layout.TELEMETRY].latest_reader("bias")
+        self._odometry = views[layout.TELEMETRY].latest_reader("odometry")
+        self._pad = views[layout.TELEMETRY].latest_reader("pad")
 
     def read(self) -> State:
         """A snapshot now. Raises FailstopError while the service has not published one yet."""
@@ -104,6 +120,7 @@ class StateReader:
         if gate is None or table is None:
             raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
         now_ns = time.monotonic_ns()
+        battery = records.unpack_battery(found[2]) if (found := self._battery.read()) else None
         decided: dict[str, Any] = msgpack.unpackb(gate[2])
         known: dict[str, Any] = msgpack.unpackb(table[2])
         return State(
@@ -118,9 +135,15 @@ class StateReader:
             device=self._device(),
             processes=self._processes(known["processes"], now_ns),
             clients=decided["clients"],
+            sources=decided["sources"],
+            scan_age_s=max(0, now_ns - decided["scan_ns"]) / 1e9 if decided["scan_ns"] else None,
             last_stop=self._last_stop(),
             imu=self._sample(),
-            battery_mv=records.unpack_battery(found[2]) if (found := self._battery.read()) else None,
+            gyro_bias=self._gyro_bias(),
+            odometry=self._pose(),
+            pad_mode=records.PAD_MODES[records.unpack_pad(pad[2])[6]] if (pad := self._pad.read()) else None,
+            battery_mv=battery[0] if battery else None,
+            plugged=records.PLUGGED[battery[1] if battery else 0],
             age_ms=max(0, now_ns - gate[1]) / 1e6,
         )
 
@@ -166,3 +189,17 @@ class StateReader:
             return None
         values = records.unpack_imu(entry[2])
         return {"acceleration_mps2": list(values[:3]), "rate_radps": list(values[3:])}
+
+    def _gyro_bias(self) -> dict[str, Any] | None:
+        entry = self._bias.read()
+        if entry is None:
+            return None
+        bias, tracking, calibrated = records.unpack_bias(entry[2])
+        return {"bias_radps": list(bias), "tracking": tracking, "calibrated": calibrated}
+
+    def _pose(self) -> dict[str, float] | None:
+        entry = self._odometry.read()
+        if entry is None:
+            return None
+        names = ("x_m", "y_m", "th_rad", "vx_mps", "vy_mps", "wz_radps")
+        return dict(zip(names, records.unpack_odometry(entry[2]), strict=True))

@@ -200,6 +200,7 @@ class Trial:
         until_s = time.monotonic() + seconds
         while (left_s := until_s - time.monotonic()) > 0:
             with contextlib.suppress(FailstopError):
+                self.robot.sensed()
                 self.robot.drive(*velocity)
                 each()
             time.sleep(min(COMMAND_EVERY_S, left_s))

@@ -107,6 +107,8 @@ def _client(index: int) -> SegmentSpec:
         (
             _latest("hello", 128, "gate"),
             _latest("command", 64, "gate"),
+            _latest("sensed", 16, "gate"),  # its time is that of the obstacle sensor's last delivery
+            _latest("interlocks", 224, "gate"),  # the conditions that this client says hold, at its time
             _latest("request", 320, "gate"),
         ),
     )
@@ -151,7 +153,8 @@ SEGMENTS = (
             _word("reset_epoch", "supervisor, its successor"),  # the epoch in which a reset last cleared the latch
             _ring("frames", 304, 64, "port_owner"),  # motion, stops, other frames for the wire (records)
             _ring("trips", 320, 32, "supervisor"),  # every latch that it made itself, in order (records)
-            _latest("state", 2048, "clients"),  # msgpack
+            _ring("notes", 288, 32, "supervisor"),  # lines for the journal (UTF-8)
+            _latest("state", 4096, "telemetry, clients"),  # msgpack
             *(_latest(f"reply.{i}", 320, "the client of that slot") for i in range(CLIENT_SLOTS)),
         ),
     ),
@@ -161,10 +164,15 @@ SEGMENTS = (
         PUBLIC,
         (
             *_beat(),
-            _latest("imu", 64, "clients"),  # records
-            _latest("battery", 32, "clients"),  # records
-            _latest("pad", 32, "gate, clients"),  # records
-            _ring("events", 128, 64, "gate, clients"),  # keys and pad buttons, in order (msgpack)
+            _latest("imu", 64, "clients"),  # records: corrected, the rate less its bias
+            _latest("battery", 32, "clients"),  # records: voltage, charger
+            _latest("bias", 32, "its successor, clients"),  # records: the gyro's
+            _latest("odometry", 64, "its successor, clients"),  # records
+            _latest("pad", 32, "clients"),  # records: the last frame, the mode
+            _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
+            _ring("wishes", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
+            _ring("notes", 288, 32, "supervisor"),  # lines for the journal (UTF-8)
+            _ring("events", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
         ),
     ),
     SegmentSpec(STOPPER, STOPPER, PUBLIC, (*_beat(), _word("written_ns", "everyone"))),

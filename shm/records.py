@@ -18,12 +18,17 @@ OTHER = 3
 _FRAME = struct.Struct("<QB")
 _STOP = struct.Struct("<QQQB")
 _PORT = struct.Struct("<QQB")
-_COMMAND = struct.Struct("<QdddB")
+_COMMAND = struct.Struct("<QdddB16s")
+_SESSION = struct.Struct("<Q")
 _HELLO = struct.Struct("<QI")
 _REQUEST = struct.Struct("<QQB")
 _IMU = struct.Struct("<6d")
-_PAD = struct.Struct("<HB4b")
-_BATTERY = struct.Struct("<I")
+_PAD = struct.Struct("<HB4bB")
+_BATTERY = struct.Struct("<IB")
+_BIAS = struct.Struct("<3dBB")
+_ODOMETRY = struct.Struct("<6d")
+_PAD_COMMAND = struct.Struct("<3d")
+_WISH = struct.Struct("<B")
 
 PORT_CLOSED = 0
 PORT_OPEN = 1
@@ -33,6 +38,13 @@ PORT_STATES = ("closed", "open", "lost")
 ENABLE = 1
 DISABLE = 2
 RESET = 3
+
+WISH_RESET = 1
+WISH_FRAME = 2
+PLUGGED = ("unknown", "plugged", "unplugged")
+PAD_MODES = ("locked", "drive")
+NOTE_BYTES = 280
+"""The longest line for the journal."""
 
 
 def life(pid: int, block: int) -> int:
@@ -95,15 +107,30 @@ def unpack_port(payload: bytes) -> tuple[int, int, int, str]:
     return generation, since_ns, state, path.decode("utf-8", "replace")
 
 
-def pack_command(session: int, vx_mps: float, vy_mps: float, wz_radps: float, manual: bool) -> bytes:
+def pack_command(
+    session: int, vx_mps: float, vy_mps: float, wz_radps: float, manual: bool, source: str = "cmd_vel"
+) -> bytes:
     """A velocity command of the client session that wrote it: x forward, y left, wz counter-clockwise."""
-    return _COMMAND.pack(session, vx_mps, vy_mps, wz_radps, manual)
+    return _COMMAND.pack(session, vx_mps, vy_mps, wz_radps, manual, cut(source, 16))
 
 
-def unpack_command(payload: bytes) -> tuple[int, float, float, float, bool]:
-    """Return (session, vx_mps, vy_mps, wz_radps, manual); the speeds may be anything, NaN too."""
-    session, vx, vy, wz, manual = _exact(_COMMAND, payload)
-    return int(session), vx, vy, wz, bool(manual)
+def unpack_command(payload: bytes) -> tuple[int, float, float, float, bool, str]:
+    """Return (session, vx_mps, vy_mps, wz_radps, manual, source); the speeds may be anything, NaN too."""
+    if len(payload) != _COMMAND.size:
+        raise ValueError(f"payload of {len(payload)} bytes, {_COMMAND.size} expected")
+    session, vx, vy, wz, manual, source = _COMMAND.unpack(payload)
+    return session, vx, vy, wz, bool(manual), source.rstrip(b"\0").decode("ascii", "replace")
+
+
+def pack_held(session: int, names: list[str]) -> bytes:
+    """What a client session asserts now: names of interlocks, or none for "the sensor delivered"."""
+    return _SESSION.pack(session) + cut("\n".join(names), 200)
+
+
+def unpack_held(payload: bytes) -> tuple[int, list[str]]:
+    """Return (session, names)."""
+    (session,), names = _head(_SESSION, payload)
+    return session, names.decode("utf-8", "replace").split("\n") if names else []
 
 
 def pack_hello(session: int, pid: int, name: str) -> bytes:
@@ -149,21 +176,66 @@ def unpack_imu(payload: bytes) -> tuple[float, ...]:
     return _exact(_IMU, payload)
 
 
-def pack_battery(millivolts: int) -> bytes:
-    """Battery voltage."""
-    return _BATTERY.pack(millivolts)
+def pack_bias(bias_radps: tuple[float, float, float], tracking: bool, calibrated: bool) -> bytes:
+    """The gyro's bias: whether it follows the reading now, and whether it was ever found in a calibration."""
+    return _BIAS.pack(*bias_radps, tracking, calibrated)
 
 
-def unpack_battery(payload: bytes) -> int:
-    """Return millivolts."""
-    return int(_exact(_BATTERY, payload)[0])
+def unpack_bias(payload: bytes) -> tuple[tuple[float, float, float], bool, bool]:
+    """Return (bias in rad/s on x, y, z, tracking, calibrated)."""
+    x, y, z, tracking, calibrated = _exact(_BIAS, payload)
+    return (x, y, z), bool(tracking), bool(calibrated)
 
 
-def pack_pad(buttons: int, hat: int, lx: int, ly: int, rx: int, ry: int) -> bytes:
-    """The gamepad's last frame: a bit a button, the hat, raw axes -128..127."""
-    return _PAD.pack(buttons, hat, lx, ly, rx, ry)
+def pack_odometry(pose: tuple[float, float, float], twist: tuple[float, float, float]) -> bytes:
+    """Pose: x m, y m, th rad since the start; twist in the robot's frame: vx m/s, vy m/s, wz rad/s."""
+    return _ODOMETRY.pack(*pose, *twist)
+
+
+def unpack_odometry(payload: bytes) -> tuple[float, float, float, float, float, float]:
+    """Return (x_m, y_m, th_rad, vx_mps, vy_mps, wz_radps)."""
+    x, y, th, vx, vy, wz = _exact(_ODOMETRY, payload)
+    return x, y, th, vx, vy, wz
+
+
+def pack_battery(millivolts: int, plugged: int) -> bytes:
+    """Battery voltage, and whether the charger is plugged in: an index of PLUGGED."""
+    return _BATTERY.pack(millivolts, plugged)
+
+
+def unpack_battery(payload: bytes) -> tuple[int, int]:
+    """Return (millivolts, plugged)."""
+    millivolts, plugged = _exact(_BATTERY, payload)
+    return int(millivolts), int(plugged)
+
+
+def pack_pad(buttons: int, hat: int, lx: int, ly: int, rx: int, ry: int, mode: int) -> bytes:
+    """The gamepad's last frame: a bit a button, the hat, raw axes -128..127; its mode, an index of PAD_MODES."""
+    return _PAD.pack(buttons, hat, lx, ly, rx, ry, mode)
 
 
 def unpack_pad(payload: bytes) -> tuple[int, ...]:
-    """Return (buttons, hat, lx, ly, rx, ry)."""
+    """Return (buttons, hat, lx, ly, rx, ry, mode)."""
     return tuple(int(v) for v in _exact(_PAD, payload))
+
+
+def pack_pad_command(vx_mps: float, vy_mps: float, wz_radps: float) -> bytes:
+    """What the gamepad's sticks command: x forward, y left, wz counter-clockwise."""
+    return _PAD_COMMAND.pack(vx_mps, vy_mps, wz_radps)
+
+
+def unpack_pad_command(payload: bytes) -> tuple[float, float, float]:
+    """Return (vx_mps, vy_mps, wz_radps)."""
+    vx, vy, wz = _exact(_PAD_COMMAND, payload)
+    return vx, vy, wz
+
+
+def pack_wish(kind: int, frame: bytes = b"") -> bytes:
+    """What telemetry asks the gate for: WISH_RESET, or WISH_FRAME with a wire frame that is not motion."""
+    return _WISH.pack(kind) + frame
+
+
+def unpack_wish(payload: bytes) -> tuple[int, bytes]:
+    """Return (kind, frame)."""
+    (kind,), frame = _head(_WISH, payload)
+    return kind, frame

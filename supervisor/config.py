@@ -7,11 +7,15 @@ from failstop.supervisor.settings import SettingError, Settings
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> Settings:
     """Return the settings of a file (none: the defaults) with `changed` over them. Raises SettingError."""
-    values = dict(_flat("", _read(path))) if path else {}
-    return Settings({**values, **(changed or {})})
+    return Settings({**read(path), **(changed or {})})
 
 
-def _read(path: str) -> dict[str, object]:
+def read(path: str | None) -> dict[str, object]:
+    """What a file sets (none: nothing), by whole key, unchecked. Raises SettingError when it is no TOML file."""
+    return dict(_flat("", _parse(path))) if path else {}
+
+
+def _parse(path: str) -> dict[str, object]:
     # Only a run with a file pays for the parser.
     import sys
 
@@ -33,7 +37,11 @@ def _read(path: str) -> dict[str, object]:
 def _flat(prefix: str, table: dict[str, object]) -> list[tuple[str, object]]:
     found: list[tuple[str, object]] = []
     for key, value in table.items():
-        if isinstance(value, dict):
+        if "." in key or not key:
+            # It would pass for the table and the key on either side of its dot, and hide what those say.
+            raise SettingError(f'{prefix}"{key}": no such setting; write tables as [gate], keys without quotes')
+        # An empty table says something too: a source or an interlock with every default, or a name that is wrong.
+        if isinstance(value, dict) and value:
             found += _flat(f"{prefix}{key}.", value)
         else:
             found.append((prefix + key, value))

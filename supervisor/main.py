@@ -71,6 +71,7 @@ class Supervisor:
             (layout.PORT_OWNER, views[layout.PORT_OWNER].ring_reader("stops")),
             (layout.GATE, views[layout.GATE].ring_reader("trips")),
         )
+        self._notes = tuple(views[process].ring_reader("notes") for process in (layout.GATE, layout.TELEMETRY))
         self._reset_word = views[layout.GATE].word("reset_epoch")
         self._bells = resources.bells
         self._controls = {process: Control(fds[0]) for process, fds in resources.controls.items()}
@@ -126,6 +127,7 @@ class Supervisor:
         self._follow_answer(now_ns)
         self._fence_hangs(now_ns)
         self._restart_due(now_ns)
+        self._pass_notes()
         self._arm()
         self._publish()
         self.heartbeat.beat(now_ns, self.epoch)
@@ -256,6 +258,12 @@ class Supervisor:
                 self._raise_epoch([Cause(now_ns, layout.SUPERVISOR, f"{child.row.name} hangs: {age_ms:.0f} ms silent")])
                 os.kill(child.pid, signal.SIGKILL)
                 child.fenced = True
+
+    def _pass_notes(self) -> None:
+        """Lines that the processes have for the journal."""
+        for ring in self._notes:
+            while entry := ring.next():
+                say(entry[2].decode("utf-8", "replace"))
 
     def _arm(self) -> None:
         """A process that runs holds its mutexes: wait for the early news of its death."""

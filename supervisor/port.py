@@ -6,7 +6,9 @@ import os
 import time
 
 from failstop.board import port
-from failstop.board.burst import BURST
+from failstop.board.interface import BOARD
+
+BURST = BOARD.burst
 
 BUSY_S = 1.0
 """How long a port that a dead run's processes are just letting go of is waited for."""

@@ -1,11 +1,11 @@
 """Settings: every setting declared once, with its default, unit, range and meaning.
 
-The supervisor reads and checks them once (config.py) and hands them to the processes as `key=value` lines.
+The supervisor reads and checks them once (config.py) and hands them to the processes as `key=value` lines. Command
+sources and interlocks are tables with a name of the user's: [sources.NAME], [interlocks.NAME]. One source is always
+there, cmd_vel.
 """
 
 from __future__ import annotations
-
-from math import pi
 
 
 class SettingError(ValueError):
@@ -13,12 +13,22 @@ class SettingError(ValueError):
 
 
 class Setting:
-    """One declaration. Numbers have a range (inclusive); texts have none."""
+    """One declaration. A number has a range (inclusive) or a few allowed values; a text may have a few allowed words.
 
-    __slots__ = ("default", "doc", "high", "key", "low", "unit")
+    A text whose default is empty may be empty.
+    """
+
+    __slots__ = ("allowed", "default", "doc", "high", "key", "low", "unit")
 
     def __init__(
-        self, key: str, default: float | str, unit: str, low: float | None, high: float | None, doc: str
+        self,
+        key: str,
+        default: float | str,
+        unit: str,
+        low: float | None,
+        high: float | None,
+        doc: str,
+        allowed: tuple[int, ...] | tuple[str, ...] = (),
     ) -> None:
         self.key = key
         self.default = default
@@ -26,72 +36,209 @@ class Setting:
         self.low = low
         self.high = high
         self.doc = doc
+        self.allowed = allowed
 
-    def check(self, value: object) -> float | str:
-        """Return the value in its declared type, or raise SettingError."""
+    def check(self, value: object, key: str = "") -> float | str:
+        """Return the value in its declared type, or raise SettingError, which names `key` (its own, if empty)."""
+        if problem := self._problem(value):
+            raise SettingError(f"{key or self.key} = {value!r}: {problem}")
+        return type(self.default)(value)  # type: ignore[arg-type]
+
+    def _problem(self, value: object) -> str:
+        if self.allowed:
+            fits = type(value) is type(self.default) and value in self.allowed
+            return "" if fits else f"allowed is {self.range()}"
         if isinstance(self.default, str):
-            if isinstance(value, str) and value and value.isprintable():
-                return value
-            raise SettingError(f"{self.key} = {value!r}: a text is expected")
+            fits = isinstance(value, str) and value.isprintable() and len(value) <= LONGEST_TEXT
+            return "" if fits and (value or not self.default) else f"a text is expected, {self.range()}"
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise SettingError(f"{self.key} = {value!r}: a number is expected, {self.range()}")
+            return f"a number is expected, {self.range()}"
         if self.low is not None and self.high is not None and not self.low <= value <= self.high:
-            raise SettingError(f"{self.key} = {value!r}: allowed is {self.range()}")
+            return f"allowed is {self.range()}"
         if isinstance(self.default, int) and value != int(value):
-            raise SettingError(f"{self.key} = {value!r}: a whole number is expected, {self.range()}")
-        return type(self.default)(value)
+            return f"a whole number is expected, {self.range()}"
+        return ""
 
     def range(self) -> str:
-        """The allowed range in words."""
+        """What is allowed, in words."""
+        if self.allowed:
+            return " or ".join(f'"{word}"' if isinstance(word, str) else str(word) for word in self.allowed)
+        if isinstance(self.default, str):
+            return f"{1 if self.default else 0} to {LONGEST_TEXT} characters of one line"
         return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
 
+
+LONGEST_TEXT = 255
+SWITCH = ("on", "off")
+LAYOUTS = ("mecanum", "differential")
 
 DECLARED = (
     Setting("device.path", "/dev/ttyACM0", "", None, None, "the motor board's port"),
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
     Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "a command older than this moves nothing (the deadman)"),
     Setting("gate.refresh_s", 0.2, "s", 0.02, 1.0, "a motor frame goes out at least this often while enabled"),
-    Setting("gate.lease_s", 0.06, "s", 0.02, 1.0, "gate or supervisor silent for this long: the port owner stops"),
+    Setting("gate.lease_s", 0.06, "s", 0.04, 1.0, "gate or supervisor silent for this long: the port owner stops"),
     Setting("limits.vx_mps", 0.2, "m/s", 0.01, 3.0, "fastest forward and backward"),
     Setting("limits.vy_mps", 0.2, "m/s", 0.01, 3.0, "fastest sideways"),
     Setting("limits.wz_radps", 1.0, "rad/s", 0.01, 10.0, "fastest turn"),
     Setting("limits.acceleration_mps2", 0.5, "m/s2", 0.01, 20.0, "ramp of vx and vy"),
     Setting("limits.acceleration_radps2", 2.0, "rad/s2", 0.01, 100.0, "ramp of wz"),
+    Setting("wheels.layout", "mecanum", "", None, None, "how body velocity becomes wheel speeds", LAYOUTS),
     Setting("wheels.diameter_m", 0.08, "m", 0.02, 1.0, "wheel diameter"),
     Setting("wheels.wheelbase_m", 0.17706, "m", 0.01, 3.0, "distance of front and rear axle"),
     Setting("wheels.track_m", 0.17165, "m", 0.01, 3.0, "distance of left and right wheels"),
+    Setting(
+        "wheels.sign_1", 1, "", None, None, "front left: 1 if its motor turns forward on a positive speed", (1, -1)
+    ),
+    Setting("wheels.sign_2", 1, "", None, None, "rear left, likewise", (1, -1)),
+    Setting("wheels.sign_3", -1, "", None, None, "front right, likewise; mounted the other way round", (1, -1)),
+    Setting("wheels.sign_4", -1, "", None, None, "rear right, likewise; mounted the other way round", (1, -1)),
+    Setting("wheels.id_1", 0, "", 0, 3, "the front left motor's id on the wire; the four differ"),
+    Setting("wheels.id_2", 1, "", 0, 3, "the rear left motor's id"),
+    Setting("wheels.id_3", 2, "", 0, 3, "the front right motor's id"),
+    Setting("wheels.id_4", 3, "", 0, 3, "the rear right motor's id"),
+    Setting("scan.gate", "on", "", None, None, "software commands move nothing while the sensor is silent", SWITCH),
+    Setting("scan.timeout_s", 0.5, "s", 0.05, 10.0, "an obstacle sensor silent for this long blocks (no scan)"),
+    Setting("imu.offset_x_g", 0.0, "g", -1.0, 1.0, "subtracted from the raw acceleration along x"),
+    Setting("imu.offset_y_g", 0.0, "g", -1.0, 1.0, "subtracted from the raw acceleration along y"),
+    Setting("imu.offset_z_g", 0.0, "g", -1.0, 1.0, "subtracted from the raw acceleration along z"),
+    Setting("imu.scale_x", 1.0, "", 0.5, 2.0, "the acceleration along x, less its offset, times this"),
+    Setting("imu.scale_y", 1.0, "", 0.5, 2.0, "the acceleration along y, less its offset, times this"),
+    Setting("imu.scale_z", 1.0, "", 0.5, 2.0, "the acceleration along z, less its offset, times this"),
+    Setting("imu.calibration_s", 3.0, "s", 0.1, 60.0, "the gyro's bias at the start: its mean over this long"),
+    Setting("imu.calibration_std_dps", 0.3, "deg/s", 0.01, 10.0, "an axis that spreads more was not at rest: no bias"),
+    Setting("imu.tracking", "on", "", None, None, "tracking: the gyro's bias follows the reading at rest", SWITCH),
+    Setting("imu.tracking_rest_s", 1.0, "s", 0.1, 60.0, "tracking begins after zero commanded for this long"),
+    Setting("imu.tracking_band_dps", 0.5, "deg/s", 0.01, 10.0, "tracking takes readings this close to the bias only"),
+    Setting("imu.tracking_tau_s", 20.0, "s", 0.1, 3600.0, "time constant of tracking"),
+    Setting("odometry.forward_scale", 1.0, "", 0.1, 2.0, "way made per way commanded, forward; odometry only"),
+    Setting("odometry.sideways_scale", 0.765, "", 0.1, 2.0, "way made per way commanded, sideways; odometry only"),
+    Setting("battery.step_mv", 190, "mV", 10, 5000, "a step of this much is the charger plugged in or pulled out"),
+    Setting("battery.log", "on", "", None, None, "write the battery's voltage to a file a day", SWITCH),
+    Setting("battery.log_s", 10.0, "s", 1.0, 3600.0, "time between two lines of it"),
+    Setting("battery.directory", "", "", None, None, "where these files are; empty: the state directory"),
     Setting("pad.mode_button", 0x2000, "", 0, 0xFFFF, "the gamepad's MODE button, the only one that is no stop; a bit"),
+    Setting("pad.dead_zone", 0.1, "", 0.01, 0.9, "a stick this close to its middle (of 1) commands nothing"),
+    Setting("pad.mode_lockout_s", 0.6, "s", 0.1, 5.0, "MODE does not change the mode again for this long"),
+    Setting("pad.reset_hold_s", 2.0, "s", 0.5, 30.0, "MODE held for this long while latched is a reset"),
     Setting("key.stop", 1, "", 1, 255, "the board key that stops"),
+    Setting(
+        "buzzer.tones", "off", "", None, None, "the board sounds on a stop and on a change of the pad's mode", SWITCH
+    ),
     Setting("restart.deaths", 5, "", 1, 100000, "after this many deaths within the window, stay stopped"),
     Setting("restart.window_s", 60.0, "s", 1.0, 3600.0, "the window in which deaths are counted"),
-    Setting("restart.backoff_s", 0.1, "s", 0.001, 10.0, "wait before the second restart in the window; then doubled"),
+    Setting("restart.backoff_s", 0.1, "s", 0.001, 2.0, "wait before the second restart in the window; then doubled"),
 )
 
+# Tables that have a name of the user's: [sources.NAME] and [interlocks.NAME].
+FAMILIES = {
+    "sources": (
+        Setting("priority", 0, "", 0, 100, "a higher one takes over at once"),
+        Setting(
+            "timeout_s",
+            0.3,
+            "s",
+            0.05,
+            2.0,
+            "silent for this long, it no longer drives; default: gate.command_timeout_s",
+        ),
+    ),
+    "interlocks": (
+        Setting("timeout_s", 0.5, "s", 0.05, 10.0, "not asserted anew for this long, it is not satisfied"),
+        Setting("refusal", "", "", None, None, "what a refused enable is told; empty: interlock NAME is not satisfied"),
+    ),
+}
+MOST_OF_A_FAMILY = 8
+LONGEST_NAME = 16
+NAME_CHARACTERS = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
+FIRST_SOURCE = "cmd_vel"
+PAD_SOURCE = "gamepad"
+
 BY_KEY = {setting.key: setting for setting in DECLARED}
+WHEEL_IDS = ("wheels.id_1", "wheels.id_2", "wheels.id_3", "wheels.id_4")
 
 
 class Settings:
     """A complete, checked set of values."""
 
-    __slots__ = ("values",)
+    __slots__ = ("named", "values")
 
     def __init__(self, changed: dict[str, object] | None = None) -> None:
-        """Raises SettingError for an unknown key, a wrong type, a value out of range, or values that contradict."""
+        """Raises SettingError for an unknown key, a wrong type, a value out of range, or values that contradict.
+
+        An empty dict as a value is an empty table: of a source or an interlock it is one with every default.
+        """
         self.values: dict[str, float | str] = {setting.key: setting.default for setting in DECLARED}
+        # Family, name, key: every value of every named table.
+        self.named: dict[str, dict[str, dict[str, float | str]]] = {family: {} for family in FAMILIES}
+        self.named["sources"][FIRST_SOURCE] = {}
         for key, value in (changed or {}).items():
-            if key not in BY_KEY:
-                raise SettingError(f"{key}: no such setting; `failstop config` lists them all")
-            self.values[key] = BY_KEY[key].check(value)
+            if key in BY_KEY:
+                self.values[key] = BY_KEY[key].check(value)
+            elif key.partition(".")[0] in FAMILIES:
+                self._set_named(key, value)
+            elif not (value == {} and any(known.startswith(f"{key}.") for known in BY_KEY)):
+                raise _unknown(key)
+        self._fill_named()
         self._cross_check()
 
+    def _set_named(self, key: str, value: object) -> None:
+        family, _, rest = key.partition(".")
+        name, _, last = rest.partition(".")
+        if value == {} and not rest:
+            return
+        if not name or not (last or value == {}):
+            raise SettingError(f"{key} = {value!r}: a table is expected, [{family}.NAME]")
+        if len(name) > LONGEST_NAME or not NAME_CHARACTERS.issuperset(name):
+            raise SettingError(f"{family}.{name!r}: allowed as a name is 1 to {LONGEST_NAME} of a-z 0-9 _ -")
+        if family == "sources" and name == PAD_SOURCE:
+            raise SettingError(f"{key}: the board's gamepad is a source above all others, with no settings")
+        table = self.named[family].setdefault(name, {})
+        if len(self.named[family]) > MOST_OF_A_FAMILY:
+            most = f"at most {MOST_OF_A_FAMILY} {family} are allowed"
+            hint = f" ({FIRST_SOURCE} is one)" if family == "sources" else ""
+            raise SettingError(f"{family}.{name}: one too many, {most}{hint}")
+        if last:
+            declared = next((setting for setting in FAMILIES[family] if setting.key == last), None)
+            if declared is None:
+                raise _unknown(key)
+            table[last] = declared.check(value, key)
+
+    def _fill_named(self) -> None:
+        """Put in the defaults, in the order of the declarations."""
+        for family, tables in self.named.items():
+            for name, given in tables.items():
+                table = {setting.key: given.get(setting.key, setting.default) for setting in FAMILIES[family]}
+                if family == "sources" and "timeout_s" not in given:
+                    table["timeout_s"] = self["gate.command_timeout_s"]
+                tables[name] = table
+
     def _cross_check(self) -> None:
-        for longer, shorter in (
-            ("gate.command_timeout_s", "gate.lease_s"),
+        """What each range allows, but not together."""
+        timeouts = ["gate.command_timeout_s", *(f"sources.{name}.timeout_s" for name in self.named["sources"])]
+        longer_than = [
             ("gate.lease_s", "gate.period_s"),
-            ("gate.command_timeout_s", "gate.period_s"),
-        ):
-            if self[longer] <= self[shorter]:
-                raise SettingError(f"{longer} = {self[longer]:g} s must be longer than {shorter} = {self[shorter]:g} s")
+            *((timeout, "gate.lease_s") for timeout in timeouts),
+            ("restart.window_s", "restart.backoff_s"),
+        ]
+        for longer, shorter in longer_than:
+            if self._number(longer) <= self[shorter]:
+                raise SettingError(f"{self._said(longer)} must be longer than {self._said(shorter)}")
+        if self["gate.refresh_s"] < self["gate.period_s"]:
+            raise SettingError(f"{self._said('gate.refresh_s')} must not be shorter than {self._said('gate.period_s')}")
+        _check_distinct({key: self.values[key] for key in WHEEL_IDS})
+        _check_distinct(
+            {f"sources.{name}.priority": table["priority"] for name, table in self.named["sources"].items()}
+        )
+
+    def _number(self, key: str) -> float:
+        if key in self.values:
+            return self[key]
+        family, name, last = key.split(".")
+        return float(self.named[family][name][last])
+
+    def _said(self, key: str) -> str:
+        return f"{key} = {self._number(key):g} s"
 
     def __getitem__(self, key: str) -> float:
         """A number, in the unit its name ends in."""
@@ -101,22 +248,53 @@ class Settings:
         return value
 
     def text(self, key: str) -> str:
-        """A text."""
+        """A text, or one of the words that are allowed."""
         return str(self.values[key])
+
+    def on(self, key: str) -> bool:
+        """A switch: "on" is True."""
+        return self.values[key] == "on"
 
     def ns(self, key: str) -> int:
         """A time in seconds, as nanoseconds."""
         return round(self[key] * 1e9)
 
+    def sources(self) -> dict[str, tuple[int, int]]:
+        """The command sources by name, the highest priority first: (priority, timeout_ns)."""
+        found = {
+            name: (int(table["priority"]), round(float(table["timeout_s"]) * 1e9))
+            for name, table in self.named["sources"].items()
+        }
+        return dict(sorted(found.items(), key=lambda source: -source[1][0]))
+
+    def interlocks(self) -> dict[str, tuple[int, str]]:
+        """The interlocks by name: (timeout_ns, what a refused enable is told)."""
+        return {
+            name: (
+                round(float(table["timeout_s"]) * 1e9),
+                str(table["refusal"]) or f"interlock {name} is not satisfied",
+            )
+            for name, table in self.named["interlocks"].items()
+        }
+
     def max_wheel_rps(self) -> float:
         """The fastest that any wheel can turn within the limits, in revolutions per second."""
-        lever = (self["wheels.wheelbase_m"] + self["wheels.track_m"]) / 2
-        rim_mps = self["limits.vx_mps"] + self["limits.vy_mps"] + self["limits.wz_radps"] * lever
-        return rim_mps / (pi * self["wheels.diameter_m"])
+        from failstop.procs.gate import kinematics
+
+        limits = self["limits.vx_mps"], self["limits.vy_mps"], self["limits.wz_radps"]
+        return kinematics.from_settings(self).worst_rps(*limits)
+
+    def flat(self) -> dict[str, float | str]:
+        """Every value by its whole key, those of the named tables too."""
+        found = dict(self.values)
+        for family, tables in self.named.items():
+            for name, table in tables.items():
+                found.update({f"{family}.{name}.{key}": value for key, value in table.items()})
+        return found
 
     def lines(self) -> str:
         """The values as `key=value` lines, for from_lines."""
-        return "\n".join(f"{key}={value}" for key, value in self.values.items())
+        return "\n".join(f"{key}={value}" for key, value in self.flat().items())
 
     @classmethod
     def from_lines(cls, text: str) -> Settings:
@@ -124,5 +302,39 @@ class Settings:
         changed: dict[str, object] = {}
         for line in text.splitlines():
             key, value = line.split("=", 1)
-            changed[key] = value if isinstance(BY_KEY[key].default, str) else type(BY_KEY[key].default)(value)
+            kind = type(declaration(key).default)
+            changed[key] = value if kind is str else kind(value)
         return cls(changed)
+
+
+def _check_distinct(values: dict[str, float | str]) -> None:
+    seen: dict[float | str, str] = {}
+    for key, value in values.items():
+        if value in seen:
+            raise SettingError(f"{key} = {value}: {seen[value]} is {value} too; no two may be equal")
+        seen[value] = key
+
+
+def declaration(key: str) -> Setting:
+    """The declaration of a key, of a named table's too. Raises SettingError when there is none."""
+    if key in BY_KEY:
+        return BY_KEY[key]
+    family, _, rest = key.partition(".")
+    for setting in FAMILIES.get(family, ()):
+        if setting.key == rest.partition(".")[2]:
+            return setting
+    raise _unknown(key)
+
+
+def _unknown(key: str) -> SettingError:
+    # Imported for a mistake only: it costs more than this file.
+    from difflib import get_close_matches
+
+    name = key.split(".")[1] if key.count(".") > 1 else "NAME"
+    known = [
+        *BY_KEY,
+        *(f"{family}.{name}.{setting.key}" for family, declared in FAMILIES.items() for setting in declared),
+    ]
+    nearest = get_close_matches(key, known, 1, 0.5)
+    advice = f"did you mean {nearest[0]}?" if nearest else "`failstop config` lists them all"
+    return SettingError(f"{key}: no such setting; {advice}")

@@ -63,7 +63,7 @@ PROCESSES = (
         priority=20,
         deadline_s=0.5,
         outlives_supervisor=False,
-        descriptors=("stop", "bell", "supervisor_bell"),
+        descriptors=("stop", "bell", "gate_bell", "supervisor_bell"),
     ),
 )
 

@@ -1,4 +1,4 @@
-"""`failstop drive`: a velocity for a while, then zero."""
+"""`failstop drive`: a velocity for a while, then zero. A person types it, so it is a manual command."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def main(arguments: Namespace) -> int:
         if reason := _blocked(robot):
             raise Refused(reason)
         while time.monotonic() < until_s:
-            robot.drive(arguments.vx, arguments.vy, arguments.wz)
+            robot.drive(arguments.vx, arguments.vy, arguments.wz, manual=True)
             time.sleep(min(REPEAT_S, max(0.0, until_s - time.monotonic())))
             if reason := _blocked(robot):
                 raise Refused(reason)

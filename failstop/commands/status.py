@@ -33,6 +33,8 @@ def next_step(state: State) -> str:
         return f"wait for {state.waiting_for}"
     if not state.enabled:
         return "`failstop enable`"
+    if state.blocked == "no scan":
+        return "look at the obstacle sensor; its program calls robot.sensed()"
     if state.blocked == "cmd timeout":
         return "`failstop drive 0.1 0 0`, or your program's commands"
     return ""
@@ -41,7 +43,8 @@ def next_step(state: State) -> str:
 def _screen(state: State) -> list[str]:
     vx, vy, wz = state.body_vel
     wheels = f"blocked: {state.blocked}" if state.blocked else f"driving {vx:+.2f} m/s {vy:+.2f} m/s {wz:+.2f} rad/s"
-    battery = f", battery {state.battery_mv / 1000:.2f} V" if state.battery_mv else ""
+    charger = f" {state.plugged}" if state.plugged != "unknown" else ""
+    battery = f", battery {state.battery_mv / 1000:.2f} V{charger}" if state.battery_mv else ""
     lines = [f"wheels   {wheels}"]
     if step := next_step(state):
         lines.append(f"next     {step}")
@@ -50,6 +53,9 @@ def _screen(state: State) -> list[str]:
         written = "NOT written" if stop.written_us is None else f"written after {stop.written_us / 1000:.2f} ms"
         ago_s = time.time() - stop.t
         lines.append(f"stop     {stop.reason}: {written} by the {stop.written_by}, {ago_s:.0f} s ago")
+    lines += [
+        f"source   {row['source']} (priority {row['priority']}): {row['who']} {row['state']}" for row in state.sources
+    ]
     for client in state.clients:
         does = "drives" if client["driving"] else "connected"
         lines.append(f"client   {client['name']} (pid {client['pid']}) {does}")

@@ -6,7 +6,7 @@ are what it says of itself, for people to read; nothing depends on their truth.
 
 from __future__ import annotations
 
-from failstop.procs.gate.core import Command
+from failstop.procs.gate.sources import Command
 from failstop.procs.loop import READ
 from failstop.shm import claim, layout, records
 from failstop.shm.lifeline import Lifeline
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
         def client_command(self, command: Command, now_ns: int) -> None: ...
 
+        def client_holds(self, slot: Slot, now_ns: int) -> None: ...
+
         def client_request(self, slot: Slot, number: int, verb: int, now_ns: int) -> None: ...
 
         def client_gone(self, slot: Slot, now_ns: int) -> None: ...
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
 NAME_BYTES = 64
 
 
-def _seen(reader: LatestReader) -> int:
+def seen(reader: LatestReader) -> int:
     """What a restarted gate finds already there is not new: its predecessor may have acted on it."""
     entry = reader.read()
     return entry[0] if entry else 0
@@ -45,8 +47,10 @@ class Slot:
         "_command",
         "_command_seq",
         "_hello",
+        "_interlocks",
         "_request",
         "_request_seq",
+        "_sensed",
         "_session_seen",
         "ended",
         "index",
@@ -63,8 +67,10 @@ class Slot:
         self._hello = segment.latest_reader("hello")
         self._command = segment.latest_reader("command")
         self._request = segment.latest_reader("request")
-        self._command_seq = _seen(self._command)
-        self._request_seq = _seen(self._request)
+        self._sensed = segment.latest_reader("sensed")
+        self._interlocks = segment.latest_reader("interlocks")
+        self._command_seq = seen(self._command)
+        self._request_seq = seen(self._request)
         self._session_seen = self.greet()
         self.ended = 0
         """The session that held the slot before: what it left there is over."""
@@ -102,10 +108,30 @@ class Slot:
             return None
         self._command_seq, t_ns, payload = entry
         try:
-            session, vx, vy, wz, manual = records.unpack_command(payload)
+            session, vx, vy, wz, manual, source = records.unpack_command(payload)
         except ValueError:
             return None
-        return Command(session, self.who(), t_ns, (vx, vy, wz), manual=manual) if session == self.session else None
+        if session != self.session:
+            return None
+        return Command(session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
+
+    def sensed_ns(self) -> int:
+        """When this session said last that the obstacle sensor delivered; 0: never."""
+        return self._held(self._sensed)[0]
+
+    def interlocks(self) -> tuple[int, list[str]]:
+        """Which conditions this session says hold, and when it said so last; 0: never."""
+        return self._held(self._interlocks)
+
+    def _held(self, reader: LatestReader) -> tuple[int, list[str]]:
+        entry = reader.read()
+        if entry is None:
+            return 0, []
+        try:
+            session, names = records.unpack_held(entry[2])
+        except ValueError:
+            return 0, []
+        return (entry[1], names) if session == self.session else (0, [])
 
     def new_request(self) -> tuple[int, int] | None:
         """The request (number, verb), when it is new, whole and of this session."""
@@ -181,6 +207,7 @@ class ClientTable:
             slot.join(session)
             self.active.append(slot)
             self._watch(slot)
+        self._listener.client_holds(slot, now_ns)
         if request := slot.new_request():
             self._listener.client_request(slot, *request, now_ns)
         if command := slot.new_command():

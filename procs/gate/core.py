@@ -3,7 +3,8 @@
 Block reasons, the first that holds:
     estop: REASON     latched; ends only by reset
     disabled          until an explicit enable
-    cmd timeout       no command yet, or the last is older than the command timeout
+    cmd timeout       no source has a command that is younger than its timeout
+    no scan           the source that drives is not manual and the obstacle sensor is silent
 While blocked the velocity is zero at once, without a ramp. Otherwise it moves toward the clamped command by at most
 acceleration x elapsed time, and the elapsed time that counts is bounded, so that a late tick makes no jump.
 """
@@ -12,9 +13,13 @@ from __future__ import annotations
 
 from math import isfinite
 
+from failstop.procs.gate.interlocks import Interlocks
+from failstop.procs.gate.scan import ScanGate
+from failstop.procs.gate.sources import Command, Sources
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.procs.gate.kinematics import Mecanum
+    from failstop.procs.gate.kinematics import Differential, Mecanum
     from failstop.supervisor.settings import Settings
 
     Speeds = tuple[float, float, float, float]
@@ -23,41 +28,30 @@ STILL = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
 
 
-class Command:
-    """A velocity command: who gave it, when (CLOCK_MONOTONIC ns), and what."""
-
-    __slots__ = ("manual", "session", "t_ns", "velocity", "who")
-
-    def __init__(
-        self, session: int, who: str, t_ns: int, velocity: tuple[float, float, float], *, manual: bool = False
-    ) -> None:
-        self.session = session
-        self.who = who
-        self.t_ns = t_ns
-        self.velocity = velocity
-        self.manual = manual
-
-
 class GateCore:
-    """What the gate knows: enabled, the latch, the command, the velocity now."""
+    """What the gate knows: enabled, the latch, who commands what, the velocity now."""
 
-    def __init__(self, settings: Settings, kinematics: Mecanum, now_ns: int) -> None:
+    def __init__(self, settings: Settings, kinematics: Mecanum | Differential, now_ns: int) -> None:
         acceleration = settings["limits.acceleration_mps2"]
-        self._limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
+        limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
+        self._limits = tuple(limit * axis for limit, axis in zip(limits, kinematics.axes, strict=True))
         self._ramps = (acceleration, acceleration, settings["limits.acceleration_radps2"])
-        self._timeout_ns = settings.ns("gate.command_timeout_s")
         self._refresh_ns = settings.ns("gate.refresh_s")
         self._longest_step_ns = 2 * settings.ns("gate.period_s")
         self._kinematics = kinematics
+        self.sources = Sources(settings.sources(), settings.ns("gate.command_timeout_s"))
+        self.scan = ScanGate(settings.ns("scan.timeout_s"), on=settings.text("scan.gate") == "on")
+        self.interlocks = Interlocks(settings.interlocks())
         self.enabled = False
         self.latch: str | None = None
         self.latched_in = 0
         """The epoch in which the latch was made; its stop is carried out once the epoch is newer."""
         self.epoch = 0
         """The epoch that motion was enabled in; every frame carries it."""
-        self.command: Command | None = None
         self.velocity = REST
         self.speeds = STILL
+        self.notes: list[str] = []
+        """Lines for the journal, in order; whoever passes them on empties the list."""
         self._stepped_ns = now_ns
         self._sent_ns = 0
 
@@ -67,28 +61,31 @@ class GateCore:
             return f"estop: {self.latch}"
         if not self.enabled:
             return "disabled"
-        if self.command is None or now_ns - self.command.t_ns > self._timeout_ns:
+        driving = self.sources.driving(now_ns)
+        if driving is None:
             return "cmd timeout"
+        if not driving.manual and self.scan.silent(now_ns):
+            return "no scan"
         return ""
 
     def take(self, command: Command, now_ns: int) -> str:
         """A new command. Returns the reason to trip for, empty when it is a good one: non-finite values, a second
-        publisher beside one whose command still counts. A stamp from the future counts as now."""
+        publisher of one source beside one whose command still counts. A stamp from the future counts as now; a source
+        that no setting names is noted and ignored."""
         if not all(map(isfinite, command.velocity)):
             return f"command from {command.who} is not finite"
-        last = self.command
-        if last and last.session != command.session and now_ns - last.t_ns <= self._timeout_ns:
-            return f"multiple cmd_vel publishers: {last.who}, {command.who}"
-        command.t_ns = min(command.t_ns, now_ns)
-        self.command = command
+        if not self.sources.knows(command.source):
+            self.notes.append(f"command from {command.who} ignored: no source {command.source!r} in the settings")
+            return ""
+        rival = self.sources.rival(command, now_ns)
+        if rival is not None:
+            return f"multiple {command.source} publishers: {rival.who}, {command.who}"
+        self.sources.put(command, now_ns)
         return ""
 
     def driver_gone(self, session: int) -> bool:
-        """A client has gone; True when it was the one that drives: its command is dropped."""
-        if self.command is None or self.command.session != session:
-            return False
-        self.command = None
-        return True
+        """A client has gone; True when it had commands that counted: they are dropped."""
+        return self.sources.drop(session)
 
     def trip(self, reason: str, epoch: int) -> bool:
         """Latch (the first reason stays), disable, stand still. True when the latch is new."""
@@ -102,16 +99,18 @@ class GateCore:
     def stand_still(self) -> None:
         """Disable and set the velocity to zero at once."""
         self.enabled = False
-        self.command = None
+        self.sources.clear()
         self.velocity = REST
         self.speeds = STILL
 
-    def enable(self, epoch: int, missing: str) -> tuple[bool, str]:
+    def enable(self, epoch: int, missing: str, now_ns: int) -> tuple[bool, str]:
         """Allow motion in this epoch; `missing` names what is not ready. Returns (done, text)."""
         if self.latch is not None:
             return False, f"e-stop latched ({self.latch})"
         if missing:
             return False, f"not ready: {missing}"
+        if unmet := self.interlocks.unmet(now_ns):
+            return False, unmet
         if not self.enabled:
             self.stand_still()
             self.enabled = True
@@ -122,6 +121,14 @@ class GateCore:
         """Forbid motion. Returns (done, text)."""
         self.stand_still()
         return True, "motion disabled"
+
+    def check_interlocks(self, now_ns: int) -> str:
+        """Once a tick: an interlock that is lost while enabled disables motion; returns which, in words."""
+        unmet = self.interlocks.unmet(now_ns) if self.enabled else ""
+        if unmet:
+            self.stand_still()
+            self.notes.append(f"motion disabled: {unmet}")
+        return unmet
 
     def reset(self, epoch: int) -> tuple[bool, str]:
         """Clear the latch and nothing else. Returns (done, text)."""
@@ -139,10 +146,14 @@ class GateCore:
         self._stepped_ns = now_ns
         if not self.enabled:
             return None
-        if self.command is None or self.blocked(now_ns):
+        reason = self.blocked(now_ns)
+        if note := self.scan.note(now_ns, blocks=reason == "no scan"):
+            self.notes.append(note)
+        driving, fell_back = self.sources.take_over(now_ns)
+        if reason or driving is None:
             self.velocity = REST
         else:
-            self.velocity = self._ramped(self.command.velocity, elapsed_s)
+            self.velocity = self._ramped(driving.velocity, elapsed_s, REST if fell_back else self.velocity)
         speeds = self._kinematics.wheels_rps(*self.velocity)
         if speeds == self.speeds and now_ns - self._sent_ns < self._refresh_ns:
             return None
@@ -150,10 +161,12 @@ class GateCore:
         self._sent_ns = now_ns
         return speeds
 
-    def _ramped(self, wanted: tuple[float, float, float], elapsed_s: float) -> tuple[float, float, float]:
+    def _ramped(
+        self, wanted: tuple[float, float, float], elapsed_s: float, start: tuple[float, float, float]
+    ) -> tuple[float, float, float]:
         vx, vy, wz = (
             _toward(now, max(-limit, min(limit, want)), ramp * elapsed_s)
-            for now, want, limit, ramp in zip(self.velocity, wanted, self._limits, self._ramps, strict=True)
+            for now, want, limit, ramp in zip(start, wanted, self._limits, self._ramps, strict=True)
         )
         return vx, vy, wz
 

@@ -7,11 +7,12 @@ from time import monotonic_ns
 
 import msgpack
 
-from failstop.board import codec
+from failstop.board.interface import BOARD
 from failstop.procs import rights
-from failstop.procs.gate.clients import ClientTable
+from failstop.procs.gate import kinematics
+from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
-from failstop.procs.gate.kinematics import Mecanum
+from failstop.procs.gate.sources import PAD, Command
 from failstop.procs.loop import READ, Loop
 from failstop.shm import bell, heartbeat, instance, layout, records
 
@@ -19,7 +20,6 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.context import Context
     from failstop.procs.gate.clients import Slot
-    from failstop.procs.gate.core import Command
 
 PUBLISH_NS = 100_000_000
 """State goes out when it changes, and at least this often."""
@@ -39,8 +39,7 @@ class Gate:
         self._period_ns = settings.ns("gate.period_s")
         self._max_rps = settings.max_wheel_rps() * 1.0005
         now_ns = monotonic_ns()
-        kinematics = Mecanum(settings["wheels.diameter_m"], settings["wheels.wheelbase_m"], settings["wheels.track_m"])
-        self.core = GateCore(settings, kinematics, now_ns)
+        self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
 
         self._epoch_word = supervisor.word("epoch")
         self._ready_word = supervisor.word("ready")
@@ -48,6 +47,7 @@ class Gate:
         self._reset_word = own.word("reset_epoch")
         self._frames = own.ring_writer("frames")
         self._trips = own.ring_writer("trips")
+        self._notes = own.ring_writer("notes")
         self._state = own.latest_writer("state")
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._port_owner_bell = context.bell("port_owner_bell")
@@ -55,6 +55,10 @@ class Gate:
         self._bell = context.bell("bell")
         self._client_bell = context.fd("client_bell")
         claims_fd = os.open(instance.claims_path(context.runtime_dir), os.O_RDONLY | os.O_CLOEXEC)
+        telemetry = context.segment("telemetry")
+        self._pad_command = telemetry.latest_reader("pad_command")
+        self._pad_seq = seen(self._pad_command)
+        self._wishes = telemetry.ring_reader("wishes")
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, self)
         self.epoch = self._epoch_word.get()
         self._inherit_latch()
@@ -89,8 +93,10 @@ class Gate:
                 self.clients.rung(bell.take(self._client_bell), now_ns)
             elif fd != self._bell.fd:
                 self.clients.life_ended(fd, now_ns)
+        self._follow_telemetry(now_ns)
         if now_ns >= self._tick_ns:
             self._tick(now_ns)
+        self._tell()
         self._publish(now_ns)
         self.heartbeat.beat(now_ns, self.epoch)
 
@@ -102,11 +108,21 @@ class Gate:
             self.clients.look_at_active(now_ns)
         else:
             self.clients.look_at_all(now_ns)
+        if self.core.check_interlocks(now_ns):
+            self._write_stop("an interlock was lost")
         self._step(now_ns)
+
+    def _tell(self) -> None:
+        """Pass the core's lines on to the journal."""
+        if self.core.notes:
+            for note in self.core.notes:
+                self._notes.put(records.cut(note, 280))
+            self.core.notes.clear()
+            self.supervisor_bell.ring()
 
     def _step(self, now_ns: int) -> None:
         if speeds := self.core.step(now_ns):
-            frame = codec.motor_speeds(speeds, self._max_rps)
+            frame = BOARD.motor_speeds(speeds, self._max_rps)
             self._frames.put(records.pack_frame(self.core.epoch, records.MOTION, frame), now_ns)
             self._port_owner_bell.ring()
 
@@ -116,6 +132,27 @@ class Gate:
         if epoch != self.epoch:
             self.epoch = epoch
             self.core.trip(self._why(), epoch - 1)
+
+    def _follow_telemetry(self, now_ns: int) -> None:
+        """The gamepad's sticks, and what telemetry wishes: a reset, or a frame that is not motion."""
+        entry = self._pad_command.read()
+        if entry and entry[0] != self._pad_seq:
+            self._pad_seq, t_ns, payload = entry
+            velocity = records.unpack_pad_command(payload)
+            self.client_command(Command(0, "gamepad", t_ns, velocity, manual=True, source=PAD), now_ns)
+        while wish := self._wishes.next():
+            kind, frame = records.unpack_wish(wish[2])
+            if kind == records.WISH_RESET:
+                self.core.notes.append(f"gamepad: {self._reset()[1]}")
+            elif kind == records.WISH_FRAME:
+                self._frames.put(records.pack_frame(self.epoch, records.OTHER, frame), now_ns)
+                self._port_owner_bell.ring()
+
+    def _reset(self) -> tuple[bool, str]:
+        done, text = self.core.reset(self.epoch)
+        if done:
+            self._reset_word.set(self.epoch)
+        return done, text
 
     def _write_stop(self, reason: str) -> None:
         self._frames.put(records.pack_frame(self.epoch, records.STOP, records.cut(reason, 200)))
@@ -135,18 +172,24 @@ class Gate:
         else:
             self._step(now_ns)
 
+    def client_holds(self, slot: Slot, now_ns: int) -> None:
+        """What a client keeps asserting: the sensor's deliveries, interlocks."""
+        if sensed_ns := slot.sensed_ns():
+            self.core.scan.deliver(sensed_ns, now_ns)
+        asserted_ns, names = slot.interlocks()
+        if asserted_ns:
+            self.core.interlocks.hold(names, asserted_ns, now_ns)
+
     def client_request(self, slot: Slot, number: int, verb: int, now_ns: int) -> None:
         """Decide, act, answer."""
         if verb == records.ENABLE:
             missing = "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
-            done, text = self.core.enable(self.epoch, missing)
+            done, text = self.core.enable(self.epoch, missing, now_ns)
         elif verb == records.DISABLE:
             done, text = self.core.disable()
             self._write_stop("disabled")
         elif verb == records.RESET:
-            done, text = self.core.reset(self.epoch)
-            if done:
-                self._reset_word.set(self.epoch)
+            done, text = self._reset()
         else:
             done, text = False, f"unknown request {verb}"
         self._publish(now_ns)
@@ -160,7 +203,8 @@ class Gate:
     def _publish(self, now_ns: int) -> None:
         """Publish the state when it has changed, and at least every PUBLISH_NS."""
         core = self.core
-        driver = core.command.session if core.command else 0
+        driving = core.sources.driving(now_ns)
+        driver = driving.session if driving else 0
         state = msgpack.packb(
             {
                 "enabled": core.enabled,
@@ -169,6 +213,8 @@ class Gate:
                 "body_vel": core.velocity,
                 "wheels_rps": core.speeds,
                 "epoch": self.epoch,
+                "scan_ns": core.scan.delivered_ns,
+                "sources": core.sources.table(now_ns),
                 "clients": [
                     {"slot": slot.index, "name": slot.name, "pid": slot.pid, "driving": slot.session == driver}
                     for slot in self.clients.active

@@ -14,7 +14,7 @@ then refuses all motion until it sees a newer epoch than the one it stopped in.
 
 from __future__ import annotations
 
-from failstop.board.codec import check_motion
+from failstop.board.interface import BOARD
 
 
 class Admission:
@@ -32,7 +32,7 @@ class Admission:
 
     def frame_fault(self, frame: bytes) -> str:
         """Why this frame's content is a stop cause, or an empty text."""
-        return check_motion(frame, self._max_rps)
+        return BOARD.check_motion(frame, self._max_rps)
 
     def current(self, frame_epoch: int, frame_ns: int, epoch: int, now_ns: int) -> bool:
         """True when the frame is of the current epoch, after any stop of its own, and young enough."""

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from time import monotonic_ns
 
-from failstop.board.codec import STOP as ZERO_FRAME
-from failstop.board.codec import check_aux
+from failstop.board.interface import BOARD
 from failstop.procs import rights
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, READ, WRITE, Loop
@@ -244,7 +243,7 @@ class PortOwner:
                 motion = b""
                 self.wire.burst()
                 self._stopped(monotonic_ns())
-            elif not check_aux(body):
+            elif not BOARD.check_aux(body):
                 self.wire.frame(body, backlog=OTHER_BACKLOG)
         if motion:
             self._forward_motion(motion, motion_epoch, motion_ns)
@@ -266,7 +265,7 @@ class PortOwner:
             self._moved_ns = now_ns
             self.repeats.motion()
             self._wake_pipe()  # from here on the next request counts at once
-        elif frame == ZERO_FRAME:
+        elif frame == BOARD.stop:
             # Standing still does not wait for the next refresh, and a burst may be added to whatever is held.
             self.wire.burst()
 
@@ -315,7 +314,7 @@ class PortOwner:
         if due == repeats.BURST:
             self.wire.burst()
         elif due == repeats.ZERO:
-            self.wire.frame(ZERO_FRAME)
+            self.wire.frame(BOARD.stop)
 
     def next_ns(self, now_ns: int) -> int:
         """When to turn without any news."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 
 from failstop.board import port
-from failstop.board.burst import BURST
+from failstop.board.interface import BOARD
+
+BURST = BOARD.burst
 
 DRAIN_NS = 100_000_000
 """A port that holds bytes back for this long does not drain: a stop cause."""

@@ -11,13 +11,15 @@ from __future__ import annotations
 import os
 from time import monotonic_ns
 
-from failstop.board.burst import BURST
+from failstop.board.interface import BOARD
 from failstop.procs import rights
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
 from failstop.shm import heartbeat, layout, records
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
+
+BURST = BOARD.burst
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -7,8 +7,10 @@ import os
 import time
 
 from failstop.board import port
-from failstop.board.burst import BURST
+from failstop.board.interface import BOARD
 from failstop.board.port import PortError, open_port
+
+BURST = BOARD.burst
 
 RETRY_S = 0.02
 WARN_S = 1.0

@@ -1,8 +1,10 @@
-"""Telemetry's loop: bytes from the port owner's ring, decoded, published; buttons and keys become stop requests."""
+"""Telemetry's loop: bytes from the port owner's ring, decoded, published; buttons and keys become stop requests, the
+pad's sticks and its reset become wishes for the gate."""
 
 from __future__ import annotations
 
-from math import pi
+import os
+import time
 from time import monotonic_ns
 
 import msgpack
@@ -10,16 +12,30 @@ import msgpack
 from failstop.board import decoder, framing
 from failstop.procs import rights
 from failstop.procs.loop import READ, Loop
+from failstop.procs.telemetry import charger, imu, state_files
+from failstop.procs.telemetry.battery_log import HEADER, BatteryLog
+from failstop.procs.telemetry.charger import Charger
+from failstop.procs.telemetry.gate_state import GateState
+from failstop.procs.telemetry.imu import Accelerometer, GyroBias
+from failstop.procs.telemetry.odometry import Odometry
+from failstop.procs.telemetry.pad import Pad
+from failstop.procs.telemetry.state_files import StateFiles
+from failstop.procs.telemetry.tones import Tones
 from failstop.procs.telemetry.trips import Trips
 from failstop.shm import bell, heartbeat, records
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.context import Context
+    from failstop.shm.segment import Segment
 
 TICK_NS = 50_000_000
-G_MPS2 = 9.80665
-RAD_PER_DEG = pi / 180
+ODOMETRY_NS = 20_000_000
+"""Odometry goes out at most this often: the gate decides no more often."""
+BIAS_NS = 100_000_000
+CHARGER_FILE = "charger"
+CHARGER = "charger state"
+BATTERY_LOG = "battery log"
 
 
 class Telemetry:
@@ -32,32 +48,107 @@ class Telemetry:
         self.loop = Loop()
         self._epoch_word = context.segment("supervisor").word("epoch")
         self._received = context.segment("port_owner").ring_reader("received")
-        self._imu = own.latest_writer("imu")
-        self._battery = own.latest_writer("battery")
-        self._pad = own.latest_writer("pad")
+        self._records = {name: own.latest_writer(name) for name in ("imu", "bias", "odometry", "battery", "pad")}
+        self._command = own.latest_writer("pad_command")
         self._events = own.ring_writer("events")
+        self._wishes = own.ring_writer("wishes")
+        self._notes = own.ring_writer("notes")
         self._stop_pipe = context.fd("stop")
         self._bell = context.bell("bell")
+        self._gate_bell = context.bell("gate_bell")
         self.supervisor_bell = context.bell("supervisor_bell")
-        self._decoder = decoder.Decoder()
-        self._trips = Trips(int(settings["pad.mode_button"]), int(settings["key.stop"]))
         self._handlers = {
             framing.IMU: self._on_imu,
             framing.SYS: self._on_system,
             framing.GAMEPAD: self._on_pad,
             framing.KEY: self._on_key,
         }
+        self._decoder = decoder.Decoder()
+        self._trips = Trips(int(settings["pad.mode_button"]), int(settings["key.stop"]))
+        self._pad = Pad.of(settings, self._trips)
+        self._tones = Tones(on=settings.on("buzzer.tones"))
+        self._accelerometer = Accelerometer.of(settings)
+        self._gyro = GyroBias.of(settings)
+        self._odometry = Odometry.of(settings)
+        self._inherit(own)
+        folder = state_files.state_directory(context.instance, os.environ, settings.text("battery.directory"))
+        self._files = StateFiles(folder)
+        self._charger = Charger(settings["battery.step_mv"], self._known_charger_state())
+        self._log = BatteryLog(settings["battery.log_s"], on=settings.on("battery.log"))
+        self._gate = GateState(context.segment("gate").latest_reader("state"))
+        self._odometry_ns = self._bias_ns = 0
+        self._bias_flags = (False, False)
         self.loop.watch(self._bell.fd, READ)
+        now_ns = monotonic_ns()
+        self._gate.read(now_ns)
+        self._follow_gate(now_ns)
+
+    def _inherit(self, own: Segment) -> None:
+        """A successor goes on with the bias and the pose of the process before it, and calibrates anew only if the
+        wheels stand."""
+        if entry := own.latest_reader("bias").read():
+            bias_radps, _, calibrated = records.unpack_bias(entry[2])
+            if calibrated:
+                self._gyro.inherit(bias_radps)
+        if entry := own.latest_reader("odometry").read():
+            self._odometry.inherit(*records.unpack_odometry(entry[2])[:3])
+
+    def _known_charger_state(self) -> int:
+        """What the run before this one has seen last."""
+        name = self._files.read(CHARGER, CHARGER_FILE).strip()
+        return records.PLUGGED.index(name) if name in records.PLUGGED else charger.UNKNOWN
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         if ready:
             self._bell.clear()
+        now_ns = monotonic_ns()
+        if self._gate.read(now_ns):
+            self._follow_gate(now_ns)
         while entry := self._received.next():
             for func, data in self._decoder.feed(entry[2]):
                 if handler := self._handlers.get(func):
                     handler(data, entry[1])
-        self.heartbeat.beat(monotonic_ns(), self._epoch_word.get())
+        if frame := self._tones.follow(self._gate.latched, self._pad.mode):
+            self._wish(records.WISH_FRAME, frame)
+        self._publish(now_ns)
+        for line in self._files.notes():
+            self._note(line)
+        self.heartbeat.beat(now_ns, self._epoch_word.get())
+
+    def _follow_gate(self, now_ns: int) -> None:
+        """What the gate does now, for all who go by it."""
+        gate = self._gate
+        self._odometry.follow(gate.velocity, gate.since_ns or now_ns)
+        self._note(self._gyro.follow(gate.moving, now_ns))
+        self._charger.follow(gate.enabled, now_ns)
+        self._pad.follow(gate.latched, now_ns)
+
+    def _publish(self, now_ns: int) -> None:
+        """What has no frame of its own to come with."""
+        if now_ns - self._odometry_ns >= ODOMETRY_NS:
+            self._odometry_ns = now_ns
+            self._odometry.advance(now_ns)
+            found = self._odometry
+            pose = (found.x_m, found.y_m, found.th_rad)
+            twist = (found.vx_mps, found.vy_mps, found.wz_radps)
+            self._records["odometry"].write(records.pack_odometry(pose, twist), now_ns)
+        gyro = self._gyro
+        flags = (gyro.tracking, gyro.calibrated)
+        if now_ns - self._bias_ns >= BIAS_NS or flags != self._bias_flags:
+            self._bias_ns = now_ns
+            self._bias_flags = flags
+            self._records["bias"].write(records.pack_bias(gyro.bias_radps, *flags), now_ns)
+
+    def _note(self, line: str) -> None:
+        """A line for the journal; the supervisor writes it."""
+        if line:
+            self._notes.put(records.cut(line, records.NOTE_BYTES))
+            self.supervisor_bell.ring()
+
+    def _wish(self, kind: int, frame: bytes = b"") -> None:
+        self._wishes.put(records.pack_wish(kind, frame))
+        self._gate_bell.ring()
 
     def _request_stop(self, reason: str) -> None:
         """By the same pipe as everyone else: the port owner stops before anyone decides anything."""
@@ -67,22 +158,36 @@ class Telemetry:
     def _on_imu(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.imu(data):
             ax, ay, az, gx, gy, gz = sample
-            acceleration = (ax * G_MPS2, ay * G_MPS2, az * G_MPS2)
-            self._imu.write(
-                records.pack_imu(acceleration, (gx * RAD_PER_DEG, gy * RAD_PER_DEG, gz * RAD_PER_DEG)), t_ns
-            )
+            raw_radps = imu.radps(gx, gy, gz)
+            note = self._gyro.take(raw_radps, t_ns)
+            acceleration = self._accelerometer.mps2(ax, ay, az)
+            self._records["imu"].write(records.pack_imu(acceleration, self._gyro.corrected(raw_radps)), t_ns)
+            self._note(note)
 
     def _on_system(self, data: bytes, t_ns: int) -> None:
         if millivolts := decoder.battery_mv(data):
-            self._battery.write(records.pack_battery(millivolts), t_ns)
+            if self._charger.take(millivolts, t_ns):
+                name = records.PLUGGED[self._charger.state]
+                self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")
+                self._note(f"charger {name}: the battery stepped to {millivolts} mV")
+            self._records["battery"].write(records.pack_battery(millivolts, self._charger.state), t_ns)
+            if due := self._log.take(millivolts, self._gate.enabled, t_ns, time.time()):
+                self._files.append(BATTERY_LOG, due[0], HEADER, due[1])
 
     def _on_pad(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.gamepad(data):
-            reason = self._trips.pad(sample[0])
-            self._request_stop(reason)
-            self._pad.write(records.pack_pad(*sample), t_ns)
-            if reason:
+            news = self._pad.take(sample, data, t_ns)
+            self._request_stop(news.reason)
+            if news.command:
+                self._command.write(records.pack_pad_command(*news.command), t_ns)
+                self._gate_bell.ring()
+            if news.reset:
+                self._wish(records.WISH_RESET)
+                self._note("gamepad: MODE was held, reset requested")
+            self._records["pad"].write(records.pack_pad(*sample, self._pad.mode), t_ns)
+            if news.reason:
                 self._events.put(msgpack.packb({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
+                self._note(f"{news.reason}; last frames: {self._pad.recent()}")
 
     def _on_key(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.key(data):

@@ -23,6 +23,10 @@ class Trips:
         self._held = buttons
         return f"gamepad button 0x{pressed:04X}" if pressed else ""
 
+    def forget_held(self) -> None:
+        """The pad was silent: a button that was held then must not mask the next tap."""
+        self._held = 0
+
     def key(self, key: int, event: int) -> str:
         """The reason to stop for this key event, or an empty text."""
         return f"key{key}" if key == self._stop_key and event in PRESSES else ""

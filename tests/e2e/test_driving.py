@@ -80,7 +80,7 @@ def test_not_finite_is_refused_by_the_client_and_moves_nothing(trial: Trial) -> 
 def test_not_finite_past_the_client_latches(trial: Trial) -> None:
     trial.enable()
     trial.drive(0.1)
-    trial.robot._client().command(float("nan"), 0.0, 0.0, manual=False)
+    trial.robot._client().command(float("nan"), 0.0, 0.0, manual=False, source="cmd_vel")
     wait_for("the latch", lambda: "not finite" in (trial.robot.state.estop or ""))
     trial.board.wait_wheels(moving=False, timeout_s=2.0)
 
@@ -111,7 +111,7 @@ def test_death_of_the_driving_client(trial: Trial) -> None:
     trial.enable()
     code = (
         f"from failstop import Robot\nimport time\nwith Robot({trial.name!r}) as r:\n"
-        "    while True: r.drive(0.2, 0, 0); time.sleep(0.02)"
+        "    while True: r.drive(0.2, 0, 0, manual=True); time.sleep(0.02)"
     )
     client = subprocess.Popen([sys.executable, "-c", code])
     trial.board.wait_for(lambda event: event.is_motion and event.speeds[0] > 0.3, 10.0)

@@ -27,3 +27,30 @@ def test_imu_goes_on_while_driving(trial: Trial) -> None:
         assert imu is not None
         seen.add(tuple(imu["rate_radps"]))
     assert len(seen) > 10
+
+
+def test_gyro_bias_is_found_at_the_start_and_told(trial: Trial) -> None:
+    wait_for("the calibration", lambda: (trial.robot.state.gyro_bias or {}).get("calibrated") is True, 10.0)
+    assert "gyro" in trial.service.said()
+
+
+def test_odometry_follows_the_gated_command(trial: Trial) -> None:
+    trial.enable()
+    trial.drive(1.0)
+    trial.drive(0.2, (0.0, 0.0, 0.0))
+    pose = trial.robot.state.odometry
+    assert pose is not None
+    # The ramp takes 0.4 s up to 0.2 m/s and as long down; the rest is at speed.
+    assert 0.10 < pose["x_m"] < 0.22
+    assert pose["y_m"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_killed_telemetry_goes_on_where_it_was(trial: Trial) -> None:
+    trial.enable()
+    trial.drive(0.6)
+    pid = trial.service.pids()["telemetry"]
+    trial.kill("telemetry", 0.0)
+    trial.recover("telemetry", pid)
+    pose = trial.robot.state.odometry
+    assert pose is not None
+    assert pose["x_m"] > 0.03

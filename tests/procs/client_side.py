@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from failstop.procs.gate.clients import ClientTable, Slot
-from failstop.procs.gate.core import Command
+from failstop.procs.gate.sources import Command
 from failstop.procs.loop import Loop
 from failstop.shm import claim, layout, records, segment
 from failstop.shm.segment import Segment
@@ -85,6 +85,9 @@ class Service:
     def client_command(self, command: Command, now_ns: int) -> None:
         self.told.append(("command", command.session, command.velocity[0]))
         self.commanded = command
+
+    def client_holds(self, slot: Slot, now_ns: int) -> None:
+        self.held = (slot.sensed_ns(), slot.interlocks())
 
     def client_request(self, slot: Slot, number: int, verb: int, now_ns: int) -> None:
         self.told.append(("request", slot.session, number, verb))

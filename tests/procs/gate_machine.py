@@ -8,12 +8,26 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from failstop.procs.gate.core import REST, STILL, Command, GateCore
+from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.kinematics import Mecanum
+from failstop.procs.gate.sources import Command
 from failstop.supervisor.settings import Settings
 
 MS = 1_000_000
-TIMEOUT_NS = 300 * MS
+SCAN_NS = 500 * MS
+ARM_NS = 400 * MS
+REFUSAL = "arm is not in the drive pose"
+SOURCES = {"teleop": (10, 200 * MS), "cmd_vel": (0, 300 * MS)}
+SETTINGS = Settings(
+    {
+        "sources.cmd_vel.priority": 0,
+        "sources.cmd_vel.timeout_s": 0.3,
+        "sources.teleop.priority": 10,
+        "sources.teleop.timeout_s": 0.2,
+        "interlocks.arm.timeout_s": 0.4,
+        "interlocks.arm.refusal": REFUSAL,
+    }
+)
 REFRESH_NS = 200 * MS
 BOUND_NS = 40 * MS
 LIMITS = (0.2, 0.2, 1.0)
@@ -21,57 +35,94 @@ ACCELERATIONS = (0.5, 0.5, 2.0)
 ROBOT = Mecanum(0.08, 0.17706, 0.17165)
 
 # Times that matter and any other: ticks, the deadman's and the refresh's boundaries.
-durations = st.sampled_from([0, 1, 5 * MS, 20 * MS, 20 * MS, 20 * MS, 200 * MS, 300 * MS, 300 * MS + 1])
+durations = st.sampled_from(
+    [0, 1, 5 * MS, 20 * MS, 20 * MS, 20 * MS, 200 * MS, 200 * MS + 1, 300 * MS, 300 * MS + 1, 500 * MS]
+)
 durations |= st.integers(0, 2_000 * MS)
 axis = st.sampled_from([0.0, -0.0, 0.05, 0.2, -0.2, 1.0, -1.0, 1e308, -1e308]) | st.floats()
 ages = st.sampled_from([0, 0, 0, 100 * MS, 300 * MS, 300 * MS + 1, -1_000 * MS])
 
 
 class GateMachine(RuleBasedStateMachine):
-    """The gate beside a model that keeps only: has it been enabled, what is latched, what was last commanded."""
+    """The gate beside a model that keeps only: has it been enabled, what is latched, what each source commanded last,
+    when the sensor delivered and the arm was said to be in its pose."""
 
     def __init__(self) -> None:
         super().__init__()
         self.now = 1_000_000 * MS
-        self.core = GateCore(Settings(), ROBOT, self.now)
+        self.core = GateCore(SETTINGS, ROBOT, self.now)
         self.epoch = 1
         self.enabled = False
         self.latch: str | None = None
         self.latched_in = 0
-        self.command: tuple[int, int, tuple[float, float, float]] | None = None
+        self.commands: dict[str, tuple[int, int, tuple[float, float, float], bool]] = {}
+        self.driver = ""
+        self.scan_ns: int | None = None
+        self.arm_ns: int | None = None
         self.stepped_ns = self.now
         self.frame_ns = 0
 
-    def counts(self) -> bool:
-        """A command is there, and young enough."""
-        return self.command is not None and self.now - self.command[1] <= TIMEOUT_NS
+    def counts(self, source: str) -> bool:
+        """The source has a command, and it is young enough."""
+        return source in self.commands and self.now - self.commands[source][1] <= SOURCES[source][1]
 
-    def may_move(self) -> bool:
-        return self.enabled and self.latch is None and self.counts()
+    def highest(self) -> str:
+        """The source that drives, or an empty text."""
+        return next((source for source in SOURCES if self.counts(source)), "")
+
+    def sees(self) -> bool:
+        return self.scan_ns is not None and self.now - self.scan_ns <= SCAN_NS
+
+    def in_pose(self) -> bool:
+        return self.arm_ns is not None and self.now - self.arm_ns <= ARM_NS
+
+    def expected_block(self) -> str:
+        if self.latch is not None:
+            return f"estop: {self.latch}"
+        if not self.enabled:
+            return "disabled"
+        source = self.highest()
+        if not source:
+            return "cmd timeout"
+        return "" if self.commands[source][3] or self.sees() else "no scan"
+
+    def stand(self) -> None:
+        self.enabled = False
+        self.commands = {}
+        self.driver = ""
 
     def fall(self, reason: str) -> None:
         if self.latch is None:
             self.latch, self.latched_in = reason, self.epoch
-        self.enabled = False
-        self.command = None
+        self.stand()
 
     @rule(elapsed_ns=durations)
     def step(self, elapsed_ns: int) -> None:
-        """Time passes and a tick comes."""
+        """Time passes and a tick comes, as gate/main.py handles it: interlocks first."""
         self.now += elapsed_ns
+        lost = self.enabled and not self.in_pose()
+        assert self.core.check_interlocks(self.now) == (REFUSAL if lost else "")
+        if lost:
+            self.stand()
+        self.move()
+
+    def move(self) -> None:
         before = self.core.velocity
         speeds_before = self.core.speeds
+        block = self.expected_block()
         speeds = self.core.step(self.now)
         after = self.core.velocity
         passed_s = min(self.now - self.stepped_ns, BOUND_NS) * 1e-9
         self.stepped_ns = self.now
+        source = self.highest() if self.enabled else ""
+        fell_back = bool(source and self.driver) and SOURCES[source][0] < SOURCES[self.driver][0]
+        self.driver = source or self.driver
         if not self.enabled:
             assert speeds is None, "disabled: no motion frame at all"
-        elif not self.may_move():
+        elif block:
             assert after == REST, "blocked: zero at once"
         else:
-            assert self.command is not None
-            self.check_ramp(before, after, self.command[2], passed_s)
+            self.check_ramp(REST if fell_back else before, after, self.commands[source][2], passed_s)
         if speeds is not None:
             assert speeds == ROBOT.wheels_rps(*after)
             self.frame_ns = self.now
@@ -89,21 +140,47 @@ class GateMachine(RuleBasedStateMachine):
             assert abs(now - goal) <= abs(was - goal), "away from the command"
             assert now == goal or abs(now - was) >= acceleration * passed_s - 1e-12, "slower than the ramp"
 
-    @rule(velocity=st.tuples(axis, axis, axis), session=st.sampled_from([1, 1, 1, 2]), age_ns=ages)
-    def take(self, velocity: tuple[float, float, float], session: int, age_ns: int) -> None:
+    @rule(
+        velocity=st.tuples(axis, axis, axis),
+        session=st.sampled_from([1, 1, 1, 2]),
+        age_ns=ages,
+        source=st.sampled_from(["cmd_vel", "cmd_vel", "teleop"]),
+        manual=st.booleans(),
+    )
+    def take(self, velocity: tuple[float, float, float], session: int, age_ns: int, source: str, manual: bool) -> None:
         """A command, as gate/main.py handles it: a fault trips, anything else steps at once."""
-        fault = self.core.take(Command(session, f"client {session}", self.now - age_ns, velocity), self.now)
+        who = f"client {session}"
+        command = Command(session, who, self.now - age_ns, velocity, manual=manual, source=source)
+        fault = self.core.take(command, self.now)
         if not all(map(isfinite, velocity)):
             assert fault == f"command from client {session} is not finite"
-        elif self.counts() and self.command is not None and self.command[0] != session:
-            assert fault == f"multiple cmd_vel publishers: client {self.command[0]}, client {session}"
+        elif self.counts(source) and self.commands[source][0] != session:
+            assert fault == f"multiple {source} publishers: client {self.commands[source][0]}, client {session}"
         else:
             assert fault == ""
         if fault:
             self.trip(fault)
         else:
-            self.command = (session, min(self.now, self.now - age_ns), velocity)
-            self.step(0)
+            self.commands[source] = (session, min(self.now, self.now - age_ns), velocity, manual)
+            self.move()
+
+    @rule(velocity=st.tuples(axis, axis, axis))
+    def take_of_no_source(self, velocity: tuple[float, float, float]) -> None:
+        """A source that no setting names moves nothing and trips nothing, but for values that are no numbers."""
+        fault = self.core.take(Command(1, "client 1", self.now, velocity, source="stranger"), self.now)
+        if fault:
+            assert not all(map(isfinite, velocity))
+            self.trip(fault)
+
+    @rule()
+    def sensor_delivers(self) -> None:
+        self.core.scan.deliver(self.now, self.now)
+        self.scan_ns = self.now
+
+    @rule()
+    def arm_is_in_pose(self) -> None:
+        self.core.interlocks.hold(["arm", "no such thing"], self.now, self.now)
+        self.arm_ns = self.now
 
     @rule(reason=st.sampled_from(["key1", "gate died", ""]))
     def trip(self, reason: str) -> None:
@@ -122,20 +199,19 @@ class GateMachine(RuleBasedStateMachine):
 
     @rule(missing=st.sampled_from(["", "", "", "the port"]))
     def enable(self, missing: str) -> None:
-        done, text = self.core.enable(self.epoch, missing)
-        assert done is (self.latch is None and not missing)
+        done, text = self.core.enable(self.epoch, missing, self.now)
+        assert done is (self.latch is None and not missing and self.in_pose())
         if self.latch is not None:
             assert text == f"e-stop latched ({self.latch})"
         if done and not self.enabled:
+            self.stand()
             self.enabled = True
-            self.command = None
             assert self.core.epoch == self.epoch
 
     @rule()
     def disable(self) -> None:
         assert self.core.disable()[0]
-        self.enabled = False
-        self.command = None
+        self.stand()
 
     @rule()
     def reset(self) -> None:
@@ -151,11 +227,12 @@ class GateMachine(RuleBasedStateMachine):
     @rule(session=st.sampled_from([1, 2]))
     def driver_gone(self, session: int) -> None:
         """A client leaves, as gate/main.py handles it."""
-        drove = self.command is not None and self.command[0] == session
-        assert self.core.driver_gone(session) is drove
-        if drove:
-            self.command = None
-            self.step(0)
+        gone = [source for source, command in self.commands.items() if command[0] == session]
+        assert self.core.driver_gone(session) is bool(gone)
+        for source in gone:
+            del self.commands[source]
+        if gone:
+            self.move()
 
     @invariant()
     def enabled_by_nothing_but_enable(self) -> None:
@@ -167,17 +244,11 @@ class GateMachine(RuleBasedStateMachine):
 
     @invariant()
     def says_why_it_is_blocked(self) -> None:
-        if self.latch is not None:
-            expected = f"estop: {self.latch}"
-        elif not self.enabled:
-            expected = "disabled"
-        else:
-            expected = "" if self.counts() else "cmd timeout"
-        assert self.core.blocked(self.now) == expected
+        assert self.core.blocked(self.now) == self.expected_block()
 
     @invariant()
     def stands_while_blocked(self) -> None:
-        if not self.may_move():
+        if self.expected_block() and self.stepped_ns == self.now:
             assert self.core.velocity == REST
             assert self.core.speeds == STILL
 

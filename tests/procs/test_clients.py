@@ -298,3 +298,17 @@ def test_a_ring_that_was_taken_by_an_earlier_wake_up_is_nothing(service: Service
     service.join()
     assert service.look(b"") == []
     assert service.sessions() == []
+
+
+def test_what_a_session_holds_is_read_with_its_time(service: Service) -> None:
+    client = service.join()
+    service.look()
+    assert service.held == (0, (0, []))
+    client.segment.latest_writer("sensed").write(records.pack_held(11, []), 1234)
+    client.segment.latest_writer("interlocks").write(records.pack_held(11, ["arm", "lid"]), 5678)
+    service.look()
+    assert service.held == (1234, (5678, ["arm", "lid"]))
+    client.segment.latest_writer("sensed").write(records.pack_held(12, []), 9999)
+    client.segment.latest_writer("interlocks").write(b"\xff")
+    service.look()
+    assert service.held == (0, (0, [])), "another session's word, and damage"

@@ -7,8 +7,9 @@ from math import inf, nan
 
 import pytest
 
-from failstop.procs.gate.core import REST, STILL, Command, GateCore
+from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.kinematics import Mecanum
+from failstop.procs.gate.sources import Command
 from failstop.supervisor.settings import Settings
 
 from .gate_machine import GateMachine
@@ -21,10 +22,11 @@ Velocity = tuple[float, float, float]
 
 
 class Gate:
-    """A gate and its clock."""
+    """A gate and its clock; without the scan gate, which has its own tests."""
 
     def __init__(self, **changed: float) -> None:
-        self.core = GateCore(Settings({key.replace("__", "."): value for key, value in changed.items()}), ROBOT, T0)
+        values: dict[str, object] = {key.replace("__", "."): value for key, value in changed.items()}
+        self.core = GateCore(Settings({"scan.gate": "off", **values}), ROBOT, T0)
         self.now = T0
 
     def step(self, elapsed_ns: int = TICK) -> tuple[float, ...] | None:
@@ -44,7 +46,7 @@ class Gate:
         return found
 
     def enable(self, epoch: int = 1) -> None:
-        assert self.core.enable(epoch, "") == (True, "motion enabled")
+        assert self.core.enable(epoch, "", self.now) == (True, "motion enabled")
 
     @property
     def blocked(self) -> str:
@@ -94,12 +96,12 @@ def test_enable_takes_the_epoch(gate: Gate) -> None:
 
 
 def test_enable_is_refused_while_something_is_missing(gate: Gate) -> None:
-    assert gate.core.enable(1, "the port") == (False, "not ready: the port")
+    assert gate.core.enable(1, "the port", gate.now) == (False, "not ready: the port")
     assert gate.blocked == "disabled"
 
 
 def test_enable_while_enabled_changes_nothing(driving: Gate) -> None:
-    assert driving.core.enable(9, "") == (True, "motion enabled")
+    assert driving.core.enable(9, "", driving.now) == (True, "motion enabled")
     assert driving.core.epoch == 1
     assert driving.core.velocity == (0.2, 0.0, 0.0)
 
@@ -251,9 +253,9 @@ def test_frames_are_the_wheels_of_the_velocity(driving: Gate) -> None:
 def test_a_value_that_is_not_finite_is_a_reason_to_trip(driving: Gate, axis: int, value: float) -> None:
     wanted = [0.1, 0.1, 0.1]
     wanted[axis] = value
-    before = driving.core.command
+    before = driving.core.sources.driving(driving.now)
     assert driving.take((wanted[0], wanted[1], wanted[2])) == "command from client 1 is not finite"
-    assert driving.core.command is before
+    assert driving.core.sources.driving(driving.now) is before
 
 
 def test_a_second_publisher_is_a_reason_with_both_names(driving: Gate) -> None:
@@ -312,7 +314,7 @@ def test_the_first_reason_is_kept(driving: Gate) -> None:
 def test_a_reason_without_words_latches_too(driving: Gate) -> None:
     assert driving.core.trip("", 1)
     assert driving.blocked == "estop: "
-    assert driving.core.enable(2, "") == (False, "e-stop latched ()")
+    assert driving.core.enable(2, "", driving.now) == (False, "e-stop latched ()")
 
 
 def test_the_latch_is_told_before_everything_else(gate: Gate) -> None:
@@ -328,7 +330,7 @@ def test_the_latch_is_told_before_everything_else(gate: Gate) -> None:
 
 def test_enable_is_refused_while_latched(driving: Gate) -> None:
     driving.core.trip("key1", 3)
-    assert driving.core.enable(4, "") == (False, "e-stop latched (key1)")
+    assert driving.core.enable(4, "", driving.now) == (False, "e-stop latched (key1)")
     assert not driving.core.enabled
 
 
@@ -336,7 +338,7 @@ def test_nothing_but_a_reset_ends_a_latch(driving: Gate) -> None:
     driving.core.trip("key1", 3)
     driving.core.disable()
     driving.core.driver_gone(1)
-    driving.core.enable(4, "")
+    driving.core.enable(4, "", driving.now)
     driving.take((0.2, 0.0, 0.0))
     for _ in range(100):
         driving.step()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import permutations, product
 from math import copysign, pi
 
 import pytest
@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board import codec
-from failstop.procs.gate.kinematics import Mecanum
+from failstop.procs.gate import kinematics
+from failstop.procs.gate.kinematics import Differential, Mecanum
+from failstop.supervisor.settings import Settings
 
 DIAMETER_M, WHEELBASE_M, TRACK_M = 0.08, 0.17706, 0.17165
 ROBOT = Mecanum(DIAMETER_M, WHEELBASE_M, TRACK_M)
@@ -61,3 +63,77 @@ def test_cancelling_speeds_leave_a_wheel_at_the_bytes_of_zero(vx: float, wz: flo
     frame = codec.motor_speeds(ROBOT.wheels_rps(vx, vx, 0.0), 1000.0)
     assert frame[7:11] == bytes(4), "wire id 0 stands when forward and left cancel"
     assert codec.check_motion(codec.motor_speeds(ROBOT.wheels_rps(vx, -vx, wz), 1000.0), 1000.0) == ""
+
+
+# Chosen by name.
+
+
+def test_the_default_is_the_mecanum_robot() -> None:
+    chosen = kinematics.from_settings(Settings())
+    assert isinstance(chosen, Mecanum)
+    assert chosen.axes == (1.0, 1.0, 1.0)
+    for velocity in product((0.2, 0.0, -0.1), repeat=3):
+        assert chosen.wheels_rps(*velocity) == ROBOT.wheels_rps(*velocity)
+
+
+def test_differential_by_name() -> None:
+    settings = Settings({"wheels.layout": "differential", "wheels.diameter_m": 0.1, "wheels.track_m": 0.4})
+    chosen = kinematics.from_settings(settings)
+    assert isinstance(chosen, Differential)
+    assert chosen.wheels_rps(0.2, 0.0, 0.0) == Differential(0.1, 0.4).wheels_rps(0.2, 0.0, 0.0)
+
+
+TWO_SIDED = Differential(DIAMETER_M, TRACK_M)
+
+
+@given(speed, speed)
+def test_differential_formulas(vx: float, wz: float) -> None:
+    left, right = (vx - wz * TRACK_M / 2) / (pi * DIAMETER_M), (vx + wz * TRACK_M / 2) / (pi * DIAMETER_M)
+    assert TWO_SIDED.wheels_rps(vx, 0.0, wz) == pytest.approx((left, left, -right, -right), rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "printed"),
+    [
+        ((0.2, 0.0, 0.0), ["0.796", "0.796", "-0.796", "-0.796"]),
+        ((0.0, 0.0, 1.0), ["-0.341", "-0.341", "-0.341", "-0.341"]),
+    ],
+)
+def test_differential_numbers(velocity: tuple[float, float, float], printed: list[str]) -> None:
+    assert [f"{rps:.3f}" for rps in TWO_SIDED.wheels_rps(*velocity)] == printed
+
+
+def test_no_fixed_wheel_goes_sideways() -> None:
+    assert TWO_SIDED.axes == (1.0, 0.0, 1.0)
+    assert TWO_SIDED.wheels_rps(0.1, 5.0, 0.3) == TWO_SIDED.wheels_rps(0.1, 0.0, 0.3)
+    assert TWO_SIDED.worst_rps(0.2, 3.0, 1.0) == TWO_SIDED.worst_rps(0.2, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("velocity", list(product((0.0, -0.0), repeat=3)))
+@pytest.mark.parametrize("signs", list(product((1, -1), repeat=4)))
+def test_zero_is_the_stop_frame_in_every_mounting(
+    signs: tuple[int, int, int, int], velocity: tuple[float, float, float]
+) -> None:
+    for robot in (Mecanum(0.08, 0.2, 0.2, signs, (3, 1, 0, 2)), Differential(0.08, 0.2, signs, (3, 1, 0, 2))):
+        speeds = robot.wheels_rps(*velocity)
+        assert [copysign(1.0, rps) for rps in speeds] == [1.0] * 4
+        assert codec.motor_speeds(speeds, 0.0) == codec.STOP
+
+
+@pytest.mark.parametrize("wheel", [1, 2, 3, 4])
+@pytest.mark.parametrize("layout", ["mecanum", "differential"])
+def test_a_sign_turns_one_wheel(layout: str, wheel: int) -> None:
+    before = Settings({"wheels.layout": layout})
+    after = Settings({"wheels.layout": layout, f"wheels.sign_{wheel}": -int(before[f"wheels.sign_{wheel}"])})
+    was, now = (kinematics.from_settings(settings).wheels_rps(0.2, 0.0, 0.5) for settings in (before, after))
+    for index, (old, new) in enumerate(zip(was, now, strict=True)):
+        assert new == (-old if index == wheel - 1 else old) != 0.0
+
+
+@pytest.mark.parametrize("ids", list(permutations(range(4))))
+@pytest.mark.parametrize("layout", ["mecanum", "differential"])
+def test_each_wheel_goes_to_its_wire_id(layout: str, ids: tuple[int, int, int, int]) -> None:
+    by_wheel = kinematics.from_settings(Settings({"wheels.layout": layout})).wheels_rps(0.2, 0.0, 0.5)
+    changed = {f"wheels.id_{wheel}": wire_id for wheel, wire_id in enumerate(ids, 1)}
+    by_id = kinematics.from_settings(Settings({"wheels.layout": layout, **changed})).wheels_rps(0.2, 0.0, 0.5)
+    assert [by_id[wire_id] for wire_id in ids] == list(by_wheel)

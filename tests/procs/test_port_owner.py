@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import codec, port
+from failstop.board import codec, interface, port
 from failstop.board.burst import BURST
-from failstop.procs.port_owner import admission, main
+from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
 from failstop.shm import records
 
@@ -204,7 +204,7 @@ def test_the_epoch_is_looked_at_again_just_before_the_write(scene: Scene, monkey
         scene.raise_epoch(2)
         return ""
 
-    monkeypatch.setattr(admission, "check_motion", raised_meanwhile)
+    monkeypatch.setattr(interface.RosController, "check_motion", staticmethod(raised_meanwhile))
     scene.put()
     assert scene.turn() == BURST
 

@@ -67,12 +67,13 @@ def test_port(generation: int, since_ns: int, state: int, path: str) -> None:
 
 @given(session=U64, speeds=st.tuples(SPEED, SPEED, SPEED), manual=st.booleans())
 def test_command(session: int, speeds: tuple[float, float, float], manual: bool) -> None:
-    assert records.unpack_command(records.pack_command(session, *speeds, manual)) == (session, *speeds, manual)
+    packed = records.pack_command(session, *speeds, manual, "teleop")
+    assert records.unpack_command(packed) == (session, *speeds, manual, "teleop")
 
 
 def test_command_keeps_what_is_no_number() -> None:
     """It is for the gate to refuse it, with a latched stop."""
-    _, vx, vy, wz, _ = records.unpack_command(records.pack_command(1, float("nan"), float("inf"), -0.0, True))
+    _, vx, vy, wz, _, _ = records.unpack_command(records.pack_command(1, float("nan"), float("inf"), -0.0, True))
     assert vx != vx
     assert vy == float("inf")
     assert str(wz) == "-0.0"
@@ -105,12 +106,12 @@ def test_imu(samples: list[float]) -> None:
 
 @given(millivolts=U32)
 def test_battery(millivolts: int) -> None:
-    assert records.unpack_battery(records.pack_battery(millivolts)) == millivolts
+    assert records.unpack_battery(records.pack_battery(millivolts, 2)) == (millivolts, 2)
 
 
 @given(buttons=st.integers(0, 65535), hat=U8, sticks=st.tuples(I8, I8, I8, I8))
 def test_pad(buttons: int, hat: int, sticks: tuple[int, int, int, int]) -> None:
-    assert records.unpack_pad(records.pack_pad(buttons, hat, *sticks)) == (buttons, hat, *sticks)
+    assert records.unpack_pad(records.pack_pad(buttons, hat, *sticks, 1)) == (buttons, hat, *sticks, 1)
 
 
 @given(pid=st.integers(0, 2**32 - 1), block=st.integers(0, 2**32 - 1))
@@ -132,14 +133,22 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
         [f"client.{i}/hello" for i in range(CLIENT_SLOTS)],
     ),
     "reply": (lambda text: records.pack_reply(TOP, TOP, True, text), [f"gate/reply.{i}" for i in range(CLIENT_SLOTS)]),
+    "held": (
+        lambda text: records.pack_held(TOP, [text, text]),
+        [f"client.{i}/interlocks" for i in range(CLIENT_SLOTS)],
+    ),
     "command": (
-        lambda text: records.pack_command(TOP, 1e308, 1e308, 1e308, True),
+        lambda text: records.pack_command(TOP, 1e308, 1e308, 1e308, True, text),
         [f"client.{i}/command" for i in range(CLIENT_SLOTS)],
     ),
     "request": (lambda text: records.pack_request(TOP, TOP, 255), [f"client.{i}/request" for i in range(CLIENT_SLOTS)]),
     "imu": (lambda text: records.pack_imu((1e308,) * 3, (1e308,) * 3), ["telemetry/imu"]),
-    "battery": (lambda text: records.pack_battery(2**32 - 1), ["telemetry/battery"]),
-    "pad": (lambda text: records.pack_pad(65535, 255, -128, -128, 127, 127), ["telemetry/pad"]),
+    "battery": (lambda text: records.pack_battery(2**32 - 1, 2), ["telemetry/battery"]),
+    "pad": (lambda text: records.pack_pad(65535, 255, -128, -128, 127, 127, 1), ["telemetry/pad"]),
+    "bias": (lambda text: records.pack_bias((1e308,) * 3, True, True), ["telemetry/bias"]),
+    "odometry": (lambda text: records.pack_odometry((1e308,) * 3, (1e308,) * 3), ["telemetry/odometry"]),
+    "pad_command": (lambda text: records.pack_pad_command(1e308, 1e308, 1e308), ["telemetry/pad_command"]),
+    "wish": (lambda text: records.pack_wish(255, b"\xff" * 260), ["telemetry/wishes"]),
     # A wire frame has at most 260 bytes.
     "frame": (lambda text: records.pack_frame(TOP, 255, b"\xff" * 260), ["gate/frames"]),
 }
@@ -182,10 +191,15 @@ SIZES: dict[str, tuple[Callable[[bytes], Any], int, bool]] = {
     "hello": (records.unpack_hello, 12, False),
     "reply": (records.unpack_reply, 17, False),
     "request": (records.unpack_request, 17, True),
-    "command": (records.unpack_command, 33, True),
+    "command": (records.unpack_command, 49, True),
+    "held": (records.unpack_held, 8, False),
     "imu": (records.unpack_imu, 48, True),
-    "battery": (records.unpack_battery, 4, True),
-    "pad": (records.unpack_pad, 7, True),
+    "battery": (records.unpack_battery, 5, True),
+    "bias": (records.unpack_bias, 26, True),
+    "odometry": (records.unpack_odometry, 48, True),
+    "pad_command": (records.unpack_pad_command, 24, True),
+    "wish": (records.unpack_wish, 1, False),
+    "pad": (records.unpack_pad, 8, True),
 }
 
 
@@ -214,5 +228,6 @@ def test_any_bytes_are_unpacked_or_a_value_error(kind: str, payload: bytes) -> N
 
 def test_payloads_are_little_endian_without_padding() -> None:
     assert records.pack_frame(1, 2, b"x") == bytes([1, 0, 0, 0, 0, 0, 0, 0, 2]) + b"x"
-    assert records.pack_pad(0x0102, 3, -1, 4, 5, 6) == bytes([2, 1, 3, 255, 4, 5, 6])
-    assert records.pack_command(1, 0.2, 0.0, 0.0, True) == struct.pack("<QdddB", 1, 0.2, 0.0, 0.0, 1)
+    assert records.pack_pad(0x0102, 3, -1, 4, 5, 6, 1) == bytes([2, 1, 3, 255, 4, 5, 6, 1])
+    command = struct.pack("<QdddB16s", 1, 0.2, 0.0, 0.0, 1, b"cmd_vel")
+    assert records.pack_command(1, 0.2, 0.0, 0.0, True) == command

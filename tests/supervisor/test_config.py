@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
+from failstop import cli
 from failstop.supervisor import config
-from failstop.supervisor.settings import SettingError, Settings
+from failstop.supervisor.settings import DECLARED, SettingError, Settings
 
 
 @pytest.fixture
@@ -54,7 +56,7 @@ def test_the_command_line_wins(file: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[gate]\nperod_s = 0.02\n", "gate.perod_s: no such setting; `failstop config` lists them all"),
+        ("[gate]\nperod_s = 0.02\n", "gate.perod_s: no such setting; did you mean gate.period_s?"),
         ("[gaet]\nperiod_s = 0.02\n", "gaet.period_s: no such setting"),
         ("period_s = 0.02\n", "period_s: no such setting"),
         ("gate = 5\n", "gate: no such setting"),
@@ -65,12 +67,21 @@ def test_the_command_line_wins(file: Path) -> None:
         ("[gate]\nperiod_s = 1979-05-27\n", "gate.period_s = datetime.date(1979, 5, 27): a number is expected"),
         ("[gate]\nperiod_s = nan\n", "gate.period_s = nan: allowed is 0.005 to 0.05 s"),
         ("[gate]\nperiod_s = -inf\n", "gate.period_s = -inf: allowed is"),
-        ("[gate]\nlease_s = 9.0\n", "gate.lease_s = 9.0: allowed is 0.02 to 1 s"),
+        ("[gate]\nlease_s = 9.0\n", "gate.lease_s = 9.0: allowed is 0.04 to 1 s"),
         ("[restart]\ndeaths = nan\n", "restart.deaths = nan: allowed is 1 to 100000"),
         ("[restart]\ndeaths = inf\n", "restart.deaths = inf: allowed is 1 to 100000"),
         ("[restart]\ndeaths = 2.5\n", "restart.deaths = 2.5: a whole number is expected"),
         ("[device]\npath = 5\n", "device.path = 5: a text is expected"),
         ('[device]\npath = ""\n', "device.path = '': a text is expected"),
+        ("[scan]\ngate = true\n", 'scan.gate = True: allowed is "on" or "off"'),
+        ("[wheels]\nlayout = 'omni'\n", 'wheels.layout = \'omni\': allowed is "mecanum" or "differential"'),
+        ("[gaet]\n", "gaet: no such setting"),
+        ("[[sources]]\npriority = 1\n", "sources = [{'priority': 1}]: a table is expected, [sources.NAME]"),
+        ("[sources.teleop]\n", "sources.teleop.priority = 0: sources.cmd_vel.priority is 0 too"),
+        ("[sources.a.b]\npriority = 1\n", "sources.a.b.priority: no such setting"),
+        ("[gate]\nlease_s.x = 1\n", "gate.lease_s.x: no such setting"),
+        ("'gate.lease_s' = 0.1\n", '"gate.lease_s": no such setting; write tables as [gate], keys without quotes'),
+        ("[gate]\n'' = 0.1\n", 'gate."": no such setting'),
         ("[gate]\nlease_s = 0.5\n", "gate.command_timeout_s = 0.3 s must be longer than gate.lease_s = 0.5 s"),
     ],
 )
@@ -94,3 +105,115 @@ def test_a_missing_file_names_it(file: Path) -> None:
 def test_a_directory_is_no_file(tmp_path: Path) -> None:
     with pytest.raises(SettingError, match=f"configuration {tmp_path}: Is a directory"):
         config.load(str(tmp_path))
+
+
+def test_sources_and_interlocks_of_a_file(file: Path) -> None:
+    file.write_text(
+        """
+        [sources.teleop]
+        priority = 10
+        [sources.nav]
+        priority = 5
+        timeout_s = 0.5
+        [interlocks.arm]
+        refusal = "arm is not in the drive pose"
+        [interlocks.door]
+        """
+    )
+    settings = config.load(str(file))
+    assert settings.sources() == {
+        "teleop": (10, 300_000_000),
+        "nav": (5, 500_000_000),
+        "cmd_vel": (0, 300_000_000),
+    }
+    assert settings.interlocks() == {
+        "arm": (500_000_000, "arm is not in the drive pose"),
+        "door": (500_000_000, "interlock door is not satisfied"),
+    }
+
+
+# The command.
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    code = cli.main(["config", *words])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def row(text: str, key: str) -> list[str]:
+    return next(line.split() for line in text.splitlines() if line.startswith(f"{key} "))
+
+
+def test_value_unit_and_origin_of_each_setting(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file.write_text("[limits]\nvx_mps = 0.35\nwz_radps = 1.0\n[sources.teleop]\npriority = 10\n")
+    code, text, _ = run(capsys, "--config", str(file), "--device", "/dev/board")
+    assert code == 0
+    assert row(text, "device.path")[1:3] == ["/dev/board", "--device"]
+    assert row(text, "limits.vx_mps")[1:4] == ["0.35", "m/s", "failstop.toml"]
+    assert row(text, "limits.vy_mps")[1:4] == ["0.2", "m/s", "default"]
+    assert row(text, "limits.wz_radps")[1:4] == ["1.0", "rad/s", "failstop.toml"], "set, though to the default"
+    assert row(text, "sources.teleop.priority")[1:3] == ["10", "failstop.toml"]
+    assert row(text, "sources.teleop.timeout_s")[1:4] == ["0.3", "s", "default"]
+    assert row(text, "pad.mode_button")[1:3] == ["0x2000", "default"]
+    for setting in DECLARED:
+        assert row(text, setting.key)
+
+
+@pytest.mark.parametrize("columns", [80, 100, 120])
+def test_readable_at_any_width(
+    columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    _, text, _ = run(capsys)
+    assert max(map(len, text.splitlines())) <= columns
+    assert (DECLARED[0].doc in text) == (columns >= 100)
+    groups = [block.split(".")[0] for block in text.split("\n\n")]
+    assert groups[:4] == ["device", "gate", "limits", "wheels"], "an empty line between two groups"
+
+
+def test_as_json(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file.write_text("[limits]\nvx_mps = 0.35\n")
+    found = json.loads(run(capsys, "--json", "--config", str(file), "--device", "/dev/b")[1])
+    assert found["limits.vx_mps"] == {
+        "value": 0.35,
+        "unit": "m/s",
+        "origin": str(file),
+        "allowed": "0.01 to 3 m/s",
+    }
+    assert found["device.path"]["origin"] == "--device"
+    assert {key: entry["value"] for key, entry in found.items()} == config.load(
+        str(file), {"device.path": "/dev/b"}
+    ).flat()
+
+
+def test_check_of_a_file_that_is_right(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file.write_text("[limits]\nvx_mps = 0.35\n[interlocks.arm]\n")
+    assert run(capsys, "--check", str(file)) == (0, f"{file} is right; it sets 1 value\n", "")
+    file.write_text("")
+    assert run(capsys, "--check", str(file)) == (0, f"{file} is right; it sets 0 values\n", "")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[limits]\nvx_mps = 9\n", "limits.vx_mps = 9: allowed is 0.01 to 3 m/s"),
+        ("[limits]\nvx = 0.1\n", "limits.vx: no such setting; did you mean limits.vx_mps?"),
+        ("[limits\n", "is not TOML: "),
+    ],
+)
+def test_check_of_a_file_that_is_not(file: Path, text: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    file.write_text(text)
+    code, out, err = run(capsys, "--check", str(file))
+    assert (code, out) == (1, "")
+    assert err.startswith("failstop: ")
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_check_of_no_file(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "--check", str(file)) == (
+        1,
+        "",
+        f"failstop: configuration {file}: No such file or directory: check the path\n",
+    )

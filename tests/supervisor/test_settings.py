@@ -10,12 +10,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board.codec import RPS_CEILING
-from failstop.procs.gate.kinematics import Mecanum
-from failstop.supervisor.settings import BY_KEY, DECLARED, Setting, SettingError, Settings
+from failstop.procs.gate import kinematics
+from failstop.supervisor.main import TICK_NS
+from failstop.supervisor.restarts import LONGEST_WAIT_NS
+from failstop.supervisor.settings import (
+    BY_KEY,
+    DECLARED,
+    FAMILIES,
+    LAYOUTS,
+    WHEEL_IDS,
+    Setting,
+    SettingError,
+    Settings,
+)
 
-NUMBERS = [setting for setting in DECLARED if not isinstance(setting.default, str)]
-WHOLE = [setting for setting in DECLARED if isinstance(setting.default, int)]
-TEXTS = [setting for setting in DECLARED if isinstance(setting.default, str)]
+CHOICES = [setting for setting in DECLARED if setting.allowed]
+NUMBERS = [setting for setting in DECLARED if not isinstance(setting.default, str) and not setting.allowed]
+WHOLE = [setting for setting in NUMBERS if isinstance(setting.default, int)]
+TEXTS = [setting for setting in DECLARED if isinstance(setting.default, str) and not setting.allowed]
+NAMED_TIMEOUTS = ((FAMILIES["sources"], 1), (FAMILIES["interlocks"], 0))
 ROUNDING_OF_LIMITS = 1.001
 
 
@@ -40,7 +53,8 @@ def test_each_declaration_is_whole(setting: Setting) -> None:
     assert section.isidentifier()
     assert name.isidentifier()
     unit = {"_s": "s", "_m": "m", "_mps": "m/s", "_radps": "rad/s", "_mps2": "m/s2", "_radps2": "rad/s2"}
-    ending = "_" + name.rpartition("_")[2]
+    unit |= {"_g": "g", "_dps": "deg/s", "_mv": "mV"}
+    ending = name[name.rfind("_") :] if "_" in name else ""
     assert setting.unit == unit.get(ending, ""), "the unit is in the name"
 
 
@@ -62,17 +76,55 @@ def test_each_declaration_is_whole(setting: Setting) -> None:
         ("restart.deaths", 5),
         ("restart.window_s", 60.0),
         ("key.stop", 1),
+        ("scan.timeout_s", 0.5),
+        ("imu.calibration_s", 3.0),
+        ("imu.calibration_std_dps", 0.3),
+        ("imu.tracking_rest_s", 1.0),
+        ("imu.tracking_band_dps", 0.5),
+        ("imu.tracking_tau_s", 20.0),
+        ("odometry.forward_scale", 1.0),
+        ("odometry.sideways_scale", 0.765),
+        ("battery.step_mv", 190),
+        ("battery.log_s", 10.0),
+        ("pad.dead_zone", 0.1),
+        ("pad.mode_lockout_s", 0.6),
+        ("pad.reset_hold_s", 2.0),
     ],
 )
 def test_the_approved_defaults(key: str, value: float) -> None:
     assert Settings()[key] == value
 
 
+@pytest.mark.parametrize("axis", "xyz")
+def test_an_imu_that_nobody_has_measured_is_taken_as_it_is(axis: str) -> None:
+    assert Settings()[f"imu.offset_{axis}_g"] == 0.0
+    assert Settings()[f"imu.scale_{axis}"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("key", "word"),
+    [
+        ("scan.gate", "on"),
+        ("imu.tracking", "on"),
+        ("battery.log", "on"),
+        ("buzzer.tones", "off"),
+        ("wheels.layout", "mecanum"),
+        ("battery.directory", ""),
+    ],
+)
+def test_the_approved_words(key: str, word: str) -> None:
+    assert Settings().text(key) == word
+
+
+def test_a_lease_outlasts_two_turns_of_the_supervisor() -> None:
+    assert BY_KEY["gate.lease_s"].low == 2 * TICK_NS / 1e9
+
+
+def test_the_first_wait_before_a_restart_is_no_longer_than_the_longest() -> None:
+    assert BY_KEY["restart.backoff_s"].high == LONGEST_WAIT_NS / 1e9
+
+
 # What is refused.
-
-
-def test_an_unknown_key() -> None:
-    assert refusal(gate__perod_s=0.02) == "gate.perod_s: no such setting; `failstop config` lists them all"
 
 
 @pytest.mark.parametrize("value", ["0.02", None, [0.02], {}, True, False, b"1"])
@@ -86,12 +138,48 @@ def test_a_number_of_another_type(setting: Setting, value: object) -> None:
 @pytest.mark.parametrize("value", [1, 1.5, None, True, [], "", "two\nlines", "a\0b", "tab\t", "\u2028"])
 @pytest.mark.parametrize("setting", TEXTS, ids=lambda setting: setting.key)
 def test_a_text_of_another_type_or_empty_or_not_of_one_line(setting: Setting, value: object) -> None:
+    if value == "" and not setting.default:
+        assert setting.check(value) == "", "a text whose default is empty may be"
+        return
     with pytest.raises(SettingError) as raised:
         Settings({setting.key: value})
-    assert str(raised.value) == f"{setting.key} = {value!r}: a text is expected"
+    least = 1 if setting.default else 0
+    message = f"{setting.key} = {value!r}: a text is expected, {least} to 255 characters of one line"
+    assert str(raised.value) == message
 
 
-@pytest.mark.parametrize("value", [nan, inf, -inf, 1e308, -1e308, -1, 10**400])
+def test_a_text_has_an_end() -> None:
+    assert Settings({"device.path": "/" * 255}).text("device.path") == "/" * 255
+    assert refusal(device__path="/" * 256).endswith("a text is expected, 1 to 255 characters of one line")
+
+
+@pytest.mark.parametrize("value", [0, 2, 1.5, 1.0, True, False, None, "", "ON", "On ", "maybe", [], {}])
+@pytest.mark.parametrize("setting", CHOICES, ids=lambda setting: setting.key)
+def test_a_choice_of_another_word_names_the_allowed_ones(setting: Setting, value: object) -> None:
+    with pytest.raises(SettingError) as raised:
+        Settings({setting.key: value})
+    assert str(raised.value) == f"{setting.key} = {value!r}: allowed is {setting.range()}"
+
+
+def test_the_message_for_a_choice() -> None:
+    assert refusal(scan__gate="yes") == 'scan.gate = \'yes\': allowed is "on" or "off"'
+    assert refusal(wheels__layout="omni") == 'wheels.layout = \'omni\': allowed is "mecanum" or "differential"'
+    assert refusal(wheels__sign_3=0) == "wheels.sign_3 = 0: allowed is 1 or -1"
+
+
+@pytest.mark.parametrize("setting", CHOICES, ids=lambda setting: setting.key)
+def test_every_allowed_choice_survives_the_lines(setting: Setting) -> None:
+    for word in setting.allowed:
+        assert Settings.from_lines(Settings({setting.key: word}).lines()).values[setting.key] == word
+
+
+def test_switches() -> None:
+    assert Settings().on("scan.gate")
+    assert not Settings({"scan.gate": "off"}).on("scan.gate")
+    assert not Settings().on("buzzer.tones")
+
+
+@pytest.mark.parametrize("value", [nan, inf, -inf, 1e308, -1e308, -2, 10**400])
 @pytest.mark.parametrize("setting", NUMBERS, ids=lambda setting: setting.key)
 def test_a_number_out_of_range(setting: Setting, value: float) -> None:
     with pytest.raises(SettingError) as raised:
@@ -112,17 +200,18 @@ def test_the_range_ends_exactly_there(setting: Setting) -> None:
 
 
 def test_the_message_for_a_value_out_of_range() -> None:
-    assert refusal(gate__lease_s=9.0) == "gate.lease_s = 9.0: allowed is 0.02 to 1 s"
+    assert refusal(gate__lease_s=9.0) == "gate.lease_s = 9.0: allowed is 0.04 to 1 s"
     assert refusal(restart__deaths=0) == "restart.deaths = 0: allowed is 1 to 100000"
 
 
 @pytest.mark.parametrize("setting", WHOLE, ids=lambda setting: setting.key)
 def test_a_whole_number(setting: Setting) -> None:
-    assert setting.check(5.0) == 5
-    assert type(setting.check(5.0)) is int
+    whole = int(setting.low or 0) + 1
+    assert setting.check(float(whole)) == whole
+    assert type(setting.check(float(whole))) is int
     with pytest.raises(SettingError) as raised:
-        setting.check(5.5)
-    assert str(raised.value) == f"{setting.key} = 5.5: a whole number is expected, {setting.range()}"
+        setting.check(whole + 0.5)
+    assert str(raised.value) == f"{setting.key} = {whole}.5: a whole number is expected, {setting.range()}"
 
 
 def test_a_whole_number_will_do_where_any_number_is_expected() -> None:
@@ -147,8 +236,29 @@ def test_a_whole_number_will_do_where_any_number_is_expected() -> None:
             "gate.lease_s = 0.05 s must be longer than gate.period_s = 0.05 s",
         ),
         (
-            {"gate.period_s": 0.05, "gate.lease_s": 0.02, "gate.command_timeout_s": 0.05},
-            "gate.lease_s = 0.02 s must be longer than gate.period_s = 0.05 s",
+            {"gate.period_s": 0.05, "gate.lease_s": 0.04, "gate.command_timeout_s": 0.05},
+            "gate.lease_s = 0.04 s must be longer than gate.period_s = 0.05 s",
+        ),
+        (
+            {"sources.cmd_vel.timeout_s": 0.06},
+            "sources.cmd_vel.timeout_s = 0.06 s must be longer than gate.lease_s = 0.06 s",
+        ),
+        (
+            {"sources.pad.priority": 3, "sources.pad.timeout_s": 0.05},
+            "sources.pad.timeout_s = 0.05 s must be longer than gate.lease_s = 0.06 s",
+        ),
+        (
+            {"gate.period_s": 0.04, "gate.refresh_s": 0.03},
+            "gate.refresh_s = 0.03 s must not be shorter than gate.period_s = 0.04 s",
+        ),
+        (
+            {"restart.window_s": 1.0, "restart.backoff_s": 1.0},
+            "restart.window_s = 1 s must be longer than restart.backoff_s = 1 s",
+        ),
+        ({"wheels.id_3": 0}, "wheels.id_3 = 0: wheels.id_1 is 0 too; no two may be equal"),
+        (
+            {"sources.teleop": {}},
+            "sources.teleop.priority = 0: sources.cmd_vel.priority is 0 too; no two may be equal",
         ),
     ],
 )
@@ -156,6 +266,16 @@ def test_values_that_contradict_each_other(changed: dict[str, object], message: 
     with pytest.raises(SettingError) as raised:
         Settings(changed)
     assert str(raised.value) == message
+
+
+def test_what_is_sent_every_period_may_be() -> None:
+    assert Settings({"gate.refresh_s": 0.03, "gate.period_s": 0.03})["gate.refresh_s"] == 0.03
+
+
+def test_nothing_that_is_looked_at_every_period_times_out_sooner() -> None:
+    longest = BY_KEY["gate.period_s"].high or 0.0
+    timeouts = [BY_KEY["scan.timeout_s"], *(family[key] for family, key in NAMED_TIMEOUTS)]
+    assert all(setting.key.endswith("timeout_s") and (setting.low or 0.0) >= longest for setting in timeouts)
 
 
 # Reading values.
@@ -195,7 +315,7 @@ def test_lines_and_back() -> None:
             if isinstance(setting.default, int)
             else st.floats(setting.low, setting.high)
             for setting in NUMBERS
-            if not setting.key.startswith("gate.")
+            if not setting.key.startswith(("gate.", "restart.", "wheels.id_"))
         },
     )
 )
@@ -210,20 +330,50 @@ def test_no_lines_are_the_defaults() -> None:
     assert Settings.from_lines("").values == Settings().values
 
 
+# Unknown keys.
+
+
+@pytest.mark.parametrize(
+    ("key", "advice"),
+    [
+        ("gate.perod_s", "did you mean gate.period_s?"),
+        ("gaet.period_s", "did you mean gate.period_s?"),
+        ("limits.vx", "did you mean limits.vx_mps?"),
+        ("pad.deadzone", "did you mean pad.dead_zone?"),
+        ("source.teleop.priority", "did you mean sources.teleop.priority?"),
+        ("interlock.arm.refusal", "did you mean interlocks.arm.refusal?"),
+        ("qqq", "`failstop config` lists them all"),
+        ("", "`failstop config` lists them all"),
+    ],
+)
+def test_an_unknown_key_names_the_nearest_known_one(key: str, advice: str) -> None:
+    with pytest.raises(SettingError) as raised:
+        Settings({key: 1})
+    assert str(raised.value) == f"{key}: no such setting; {advice}"
+
+
+def test_an_empty_table_of_settings_sets_nothing() -> None:
+    assert Settings({"gate": {}, "sources": {}, "interlocks": {}}).flat() == Settings().flat()
+    assert refusal(gaet={}).startswith("gaet: no such setting")
+
+
 # The fastest wheel.
 
 
 @given(*(st.floats(BY_KEY[key].low, BY_KEY[key].high) for key in ("limits.vx_mps", "limits.vy_mps")))
-def test_the_fastest_wheel_is_that_of_the_worst_corner(vx: float, vy: float) -> None:
-    settings = Settings({"limits.vx_mps": vx, "limits.vy_mps": vy, "limits.wz_radps": 2.5})
-    robot = Mecanum(settings["wheels.diameter_m"], settings["wheels.wheelbase_m"], settings["wheels.track_m"])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_the_fastest_wheel_is_that_of_the_worst_corner(layout: str, vx: float, vy: float) -> None:
+    settings = Settings({"wheels.layout": layout, "limits.vx_mps": vx, "limits.vy_mps": vy, "limits.wz_radps": 2.5})
+    robot = kinematics.from_settings(settings)
     corners = product((-vx, vx), (-vy, vy), (-2.5, 2.5))
     worst = max(abs(rps) for corner in corners for rps in robot.wheels_rps(*corner))
     assert settings.max_wheel_rps() == pytest.approx(worst, rel=1e-12)
 
 
-def test_no_allowed_values_make_a_wheel_that_no_frame_can_carry() -> None:
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_no_allowed_values_make_a_wheel_that_no_frame_can_carry(layout: str) -> None:
     """The codec refuses limits beyond the ceiling; a gate that met one would die at its first step."""
     worst = {setting.key: setting.high for setting in NUMBERS if setting.key.startswith(("limits.", "wheels."))}
+    worst = {key: value for key, value in worst.items() if key not in WHEEL_IDS}
     worst["wheels.diameter_m"] = BY_KEY["wheels.diameter_m"].low
-    assert Settings(dict(worst)).max_wheel_rps() * ROUNDING_OF_LIMITS < RPS_CEILING
+    assert Settings({**worst, "wheels.layout": layout}).max_wheel_rps() * ROUNDING_OF_LIMITS < RPS_CEILING

@@ -1,0 +1,54 @@
+"""What gate, port owner, stopper and supervisor need of a motor board, and the one that is built in.
+
+A second board is a second class of this form, in a module of its own (docs/porting.md).
+"""
+
+from __future__ import annotations
+
+from failstop.board import burst, codec
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from typing import Protocol
+
+    class Board(Protocol):
+        """The board's language, as far as motion goes: constants and pure functions."""
+
+        @property
+        def stop(self) -> bytes:
+            """The frame that sets every wheel to zero: the very bytes of motor_speeds with zeros."""
+
+        @property
+        def burst(self) -> bytes:
+            """One write that stops the wheels whatever state the board's receiver is in."""
+
+        @property
+        def ping(self) -> bytes:
+            """A frame that moves nothing and is answered, in order with all others; empty when there is none."""
+
+        def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
+            """The frame that sets all wheels, in rps by wire id, each within plus or minus max_rps. Raises FrameError,
+            for a speed that is not finite too."""
+
+        def check_motion(self, frame: bytes, max_rps: float) -> str:
+            """Why these bytes must not be written as a motion frame; "" when they may. Never raises on bytes."""
+
+        def check_aux(self, frame: bytes) -> str:
+            """Why these bytes must not be written as another frame; "" when they may. No motion passes."""
+
+
+class RosController:
+    """The STM32 controller board of board/codec.py."""
+
+    __slots__ = ()
+
+    stop = codec.STOP
+    burst = burst.BURST
+    ping = codec.PING
+    motor_speeds = staticmethod(codec.motor_speeds)
+    check_motion = staticmethod(codec.check_motion)
+    check_aux = staticmethod(codec.check_aux)
+
+
+BOARD: Board = RosController()

@@ -1,0 +1,103 @@
+"""Sources: who may command, in which order. Pure.
+
+A source is named in the settings, with a priority and a timeout of its own. The highest whose command is fresh drives.
+A higher one takes over at once; a lower one gets the wheels back only after the higher has been silent for its timeout,
+and then from zero along the ramp. The gamepad in its drive mode is a source above all, needing no setting.
+"""
+
+from __future__ import annotations
+
+PAD = "gamepad"
+PAD_PRIORITY = 101
+DEFAULT = "cmd_vel"
+
+
+class Command:
+    """A velocity command: who gave it, as which source, when (CLOCK_MONOTONIC ns), and what."""
+
+    __slots__ = ("manual", "session", "source", "t_ns", "velocity", "who")
+
+    def __init__(
+        self,
+        session: int,
+        who: str,
+        t_ns: int,
+        velocity: tuple[float, float, float],
+        *,
+        manual: bool = False,
+        source: str = DEFAULT,
+    ) -> None:
+        self.session = session
+        self.who = who
+        self.t_ns = t_ns
+        self.velocity = velocity
+        self.manual = manual
+        self.source = source
+
+
+class Sources:
+    """The last command of each source, and which of them drives."""
+
+    def __init__(self, declared: dict[str, tuple[int, int]], pad_timeout_ns: int) -> None:
+        """`declared`: name -> (priority, timeout in ns)."""
+        rows = {**declared, PAD: (PAD_PRIORITY, pad_timeout_ns)}
+        self._order = sorted(rows, key=lambda name: -rows[name][0])
+        self._rank = {name: rows[name][0] for name in rows}
+        self._timeout_ns = {name: rows[name][1] for name in rows}
+        self._commands: dict[str, Command] = {}
+        self._driver = ""
+
+    def knows(self, source: str) -> bool:
+        """True for a source of the settings, and the pad."""
+        return source in self._rank
+
+    def fresh(self, source: str, now_ns: int) -> Command | None:
+        """The source's command while it is not older than its timeout."""
+        command = self._commands.get(source)
+        return command if command and now_ns - command.t_ns <= self._timeout_ns[source] else None
+
+    def rival(self, command: Command, now_ns: int) -> Command | None:
+        """The command of another publisher of the same source that still counts."""
+        last = self.fresh(command.source, now_ns)
+        return last if last and last.session != command.session else None
+
+    def put(self, command: Command, now_ns: int) -> None:
+        """The source's new command; a stamp from the future counts as now."""
+        command.t_ns = min(command.t_ns, now_ns)
+        self._commands[command.source] = command
+
+    def drop(self, session: int) -> bool:
+        """Forget every command of a session; True when there was one."""
+        gone = [source for source, command in self._commands.items() if command.session == session]
+        for source in gone:
+            del self._commands[source]
+        return bool(gone)
+
+    def clear(self) -> None:
+        """Forget every command."""
+        self._commands.clear()
+        self._driver = ""
+
+    def driving(self, now_ns: int) -> Command | None:
+        """The command of the highest source that is fresh."""
+        for source in self._order:
+            if command := self.fresh(source, now_ns):
+                return command
+        return None
+
+    def take_over(self, now_ns: int) -> tuple[Command | None, bool]:
+        """The command that drives from now on, and True when the wheels fall back to a lower source with it."""
+        command = self.driving(now_ns)
+        before, self._driver = self._driver, command.source if command else self._driver
+        fell_back = command is not None and bool(before) and self._rank[self._driver] < self._rank[before]
+        return command, fell_back
+
+    def table(self, now_ns: int) -> list[dict[str, str | int]]:
+        """Who drives and who waits, highest first, for people."""
+        driving = self.driving(now_ns)
+        rows: list[dict[str, str | int]] = []
+        for source in self._order:
+            if command := self.fresh(source, now_ns):
+                state = "drives" if command is driving else "waits"
+                rows.append({"source": source, "priority": self._rank[source], "who": command.who, "state": state})
+        return rows

@@ -1,0 +1,192 @@
+"""The IMU: raw samples to m/s2 and rad/s, the gyro's bias at start, and the bias afterwards. Pure.
+
+There is no orientation estimate: what integrates rates must know how much of them is bias, and that is all that is
+known here.
+"""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.supervisor.settings import Settings
+
+    Vector = tuple[float, float, float]
+
+G_MPS2 = 9.80665
+RAD_PER_DEG = pi / 180
+RATE_VARIANCE = 0.0012**2
+"""(rad/s)^2, to publish with a rate: the gyro's standard deviation at rest is 0.0007 to 0.0011 rad/s (measured)."""
+LONGEST_GAP_NS = 500_000_000
+"""Between two samples of one stretch. The first one after a longer silence neither moves the bias (its weight would be
+that of all the samples that are missing) nor goes on with a calibration."""
+NO_BIAS = (0.0, 0.0, 0.0)
+NOT_STATIONARY = "robot not stationary during gyro calibration"
+
+
+class Accelerometer:
+    """Raw g to m/s2: (raw - offset) x scale x 9.80665."""
+
+    __slots__ = ("_offsets_g", "_scales")
+
+    def __init__(self, offsets_g: Vector, scales: Vector) -> None:
+        self._offsets_g = offsets_g
+        self._scales = tuple(scale * G_MPS2 for scale in scales)
+
+    @classmethod
+    def of(cls, settings: Settings) -> Accelerometer:
+        """With the robot's own offsets and scales."""
+        offset_x, offset_y, offset_z = (settings[f"imu.offset_{axis}_g"] for axis in "xyz")
+        scale_x, scale_y, scale_z = (settings[f"imu.scale_{axis}"] for axis in "xyz")
+        return cls((offset_x, offset_y, offset_z), (scale_x, scale_y, scale_z))
+
+    def mps2(self, x_g: float, y_g: float, z_g: float) -> Vector:
+        """The acceleration in m/s2."""
+        (offset_x, offset_y, offset_z), (scale_x, scale_y, scale_z) = self._offsets_g, self._scales
+        return (x_g - offset_x) * scale_x, (y_g - offset_y) * scale_y, (z_g - offset_z) * scale_z
+
+
+def radps(x_dps: float, y_dps: float, z_dps: float) -> Vector:
+    """Degrees per second to rad/s."""
+    return x_dps * RAD_PER_DEG, y_dps * RAD_PER_DEG, z_dps * RAD_PER_DEG
+
+
+class GyroBias:
+    """The gyro's bias: a calibration at the start, and then it follows the readings while the robot rests.
+
+    calibrating -> calibrated   still for the whole time: the mean of the samples is the bias
+                -> uncorrected  moved, or told to: a warning, and the bias stays what it was (zero at the first start)
+    """
+
+    __slots__ = (
+        "_band_radps",
+        "_calibration_ns",
+        "_last_ns",
+        "_rest_ns",
+        "_resting_since_ns",
+        "_samples",
+        "_since_ns",
+        "_std_radps",
+        "_tau_s",
+        "_tracks",
+        "bias_radps",
+        "calibrated",
+        "tracking",
+    )
+
+    def __init__(
+        self,
+        *,
+        calibration_s: float,
+        std_dps: float,
+        rest_s: float,
+        band_dps: float,
+        tau_s: float,
+        tracks: bool = True,
+    ) -> None:
+        """`std_dps`: the most that counts as still; `tracks`: False never moves the bias after the calibration."""
+        self._calibration_ns = round(calibration_s * 1e9)
+        self._std_radps = std_dps * RAD_PER_DEG
+        self._rest_ns = round(rest_s * 1e9)
+        self._band_radps = band_dps * RAD_PER_DEG
+        self._tau_s = tau_s
+        self._tracks = tracks
+        self._samples: list[Vector] | None = []
+        self._since_ns = 0
+        self._last_ns: int | None = None
+        self._resting_since_ns: int | None = None
+        self.bias_radps: Vector = NO_BIAS
+        self.calibrated = False
+        self.tracking = False
+        """Whether the last sample moved the bias."""
+
+    @classmethod
+    def of(cls, settings: Settings) -> GyroBias:
+        """As the settings say."""
+        return cls(
+            calibration_s=settings["imu.calibration_s"],
+            std_dps=settings["imu.calibration_std_dps"],
+            rest_s=settings["imu.tracking_rest_s"],
+            band_dps=settings["imu.tracking_band_dps"],
+            tau_s=settings["imu.tracking_tau_s"],
+            tracks=settings.text("imu.tracking") == "on",
+        )
+
+    @property
+    def calibrating(self) -> bool:
+        """True from the start until the calibration's outcome."""
+        return self._samples is not None
+
+    def inherit(self, bias_radps: Vector) -> None:
+        """Go on with the bias that an earlier run of this process had found."""
+        self.bias_radps = bias_radps
+        self.calibrated = True
+
+    def follow(self, moving: bool, now_ns: int) -> str:
+        """The commanded velocity is not zero (moving) or zero. Returns a line for the journal, or an empty text:
+        a robot that is told to drive is not calibrated, however quiet its gyro."""
+        if not moving:
+            if self._resting_since_ns is None:
+                self._resting_since_ns = now_ns
+            return ""
+        self._resting_since_ns = None
+        self.tracking = False
+        return self._not_stationary("it was told to drive") if self.calibrating else ""
+
+    def take(self, rate_radps: Vector, t_ns: int) -> str:
+        """One raw sample. Returns a line for the journal when a calibration ends, else an empty text."""
+        gap_ns = LONGEST_GAP_NS + 1 if self._last_ns is None else t_ns - self._last_ns
+        self._last_ns = t_ns
+        if self._samples is not None:
+            return self._calibrate(self._samples, rate_radps, t_ns, gap_ns)
+        self._track(rate_radps, t_ns, gap_ns)
+        return ""
+
+    def corrected(self, rate_radps: Vector) -> Vector:
+        """The rate less its bias."""
+        (x, y, z), (bias_x, bias_y, bias_z) = rate_radps, self.bias_radps
+        return x - bias_x, y - bias_y, z - bias_z
+
+    def _calibrate(self, samples: list[Vector], rate_radps: Vector, t_ns: int, gap_ns: int) -> str:
+        if gap_ns > LONGEST_GAP_NS:
+            samples.clear()
+            self._since_ns = t_ns
+        samples.append(rate_radps)
+        if t_ns - self._since_ns < self._calibration_ns:
+            return ""
+        count = len(samples)
+        mean_x, mean_y, mean_z = (sum(axis) / count for axis in zip(*samples, strict=True))
+        means = (mean_x, mean_y, mean_z)
+        stds = [
+            sqrt(sum((value - mean) ** 2 for value in axis) / count)
+            for axis, mean in zip(zip(*samples, strict=True), means, strict=True)
+        ]
+        if max(stds) > self._std_radps:
+            return self._not_stationary(f"std {_dps(stds)} deg/s")
+        self._samples = None
+        self.bias_radps = means
+        self.calibrated = True
+        return f"gyro bias {_dps(means)} deg/s from {count} samples, std {_dps(stds)} deg/s"
+
+    def _not_stationary(self, why: str) -> str:
+        self._samples = None
+        kept = "the bias found before is kept" if self.calibrated else "rates are not corrected"
+        return f"{NOT_STATIONARY} ({why}): {kept}; next: leave it standing, restart the service"
+
+    def _track(self, rate_radps: Vector, t_ns: int, gap_ns: int) -> None:
+        since_ns = self._resting_since_ns
+        self.tracking = (
+            self._tracks
+            and since_ns is not None
+            and t_ns - since_ns >= self._rest_ns
+            and all(abs(rate) <= self._band_radps for rate in self.corrected(rate_radps))
+        )
+        if self.tracking and 0 < gap_ns <= LONGEST_GAP_NS:
+            step = min(gap_ns * 1e-9 / self._tau_s, 1.0)
+            (x, y, z), (bias_x, bias_y, bias_z) = rate_radps, self.bias_radps
+            self.bias_radps = (bias_x + step * (x - bias_x), bias_y + step * (y - bias_y), bias_z + step * (z - bias_z))
+
+
+def _dps(rates_radps: Vector | list[float]) -> str:
+    return "[" + " ".join(f"{rate / RAD_PER_DEG:.4f}" for rate in rates_radps) + "]"

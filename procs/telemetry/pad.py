@@ -1,0 +1,174 @@
+"""The gamepad: buttons that trip, the modes, the sticks, the hold that wishes a reset. Pure.
+
+locked --MODE--> drive --MODE--> locked ...     with a lockout between two changes
+any --any latch, any other button--> locked     and locked it stays while latched
+"""
+
+from __future__ import annotations
+
+from failstop.procs.telemetry.trips import Trips
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.supervisor.settings import Settings
+
+    Velocity = tuple[float, float, float]
+
+LOCKED = 0
+DRIVE = 1
+"""Indices of records.PAD_MODES."""
+
+FULL_AXIS = 127
+SILENCE_NS = 500_000_000
+"""About 20 frames a second come. After this long without one, nothing is held any more."""
+HOLD_ENDS = 3
+"""Frames without MODE that end a hold: single frames lose it."""
+RAW_FRAMES = 6
+"""How many raw frames are kept for the log: what the pad sent just before a trip."""
+STANDSTILL = (0.0, 0.0, 0.0)
+
+
+class PadNews:
+    """What one frame means: a reason to stop (or ""), a velocity to command (m/s, m/s, rad/s) or None, and whether to
+    wish a reset."""
+
+    __slots__ = ("command", "reason", "reset")
+
+    def __init__(self, reason: str, command: Velocity | None, reset: bool) -> None:
+        self.reason = reason
+        self.command = command
+        self.reset = reset
+
+
+class Pad:
+    """What is remembered from frame to frame. A pad that falls silent in drive mode is left to the command timeout."""
+
+    __slots__ = (
+        "_changed_ns",
+        "_dead_zone",
+        "_hold_frames_missing",
+        "_hold_ns",
+        "_hold_spent",
+        "_last_ns",
+        "_latched_ns",
+        "_limits",
+        "_lockout_ns",
+        "_mode_button",
+        "_raw",
+        "_reset_hold_ns",
+        "_trips",
+        "mode",
+    )
+
+    def __init__(
+        self,
+        trips: Trips,
+        *,
+        mode_button: int,
+        dead_zone: float,
+        mode_lockout_s: float,
+        reset_hold_s: float,
+        limits: Velocity,
+    ) -> None:
+        """`limits`: what a stick at its end commands, in m/s, m/s and rad/s."""
+        self._trips = trips
+        self._mode_button = mode_button
+        self._dead_zone = dead_zone
+        self._lockout_ns = round(mode_lockout_s * 1e9)
+        self._reset_hold_ns = round(reset_hold_s * 1e9)
+        self._limits = limits
+        self._raw: list[tuple[int, bytes]] = []
+        self._last_ns: int | None = None
+        self._changed_ns: int | None = None
+        self._latched_ns: int | None = None
+        self._hold_ns: int | None = None
+        self._hold_frames_missing = 0
+        self._hold_spent = False
+        self.mode = LOCKED
+
+    @classmethod
+    def of(cls, settings: Settings, trips: Trips) -> Pad:
+        """As the settings say."""
+        return cls(
+            trips,
+            mode_button=int(settings["pad.mode_button"]),
+            dead_zone=settings["pad.dead_zone"],
+            mode_lockout_s=settings["pad.mode_lockout_s"],
+            reset_hold_s=settings["pad.reset_hold_s"],
+            limits=(settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"]),
+        )
+
+    def follow(self, latched: bool, now_ns: int) -> None:
+        """Whether a stop is latched, by whomever. A latch drops the pad to locked."""
+        if not latched:
+            self._latched_ns = None
+            return
+        self.mode = LOCKED
+        if self._latched_ns is None:
+            self._latched_ns = now_ns
+
+    def take(self, sample: tuple[int, int, int, int, int, int], raw: bytes, t_ns: int) -> PadNews:
+        """One frame: (buttons, hat, lx, ly, rx, ry), and its bytes as they came."""
+        self._notice_silence(t_ns)
+        self._raw = [*self._raw[1 - RAW_FRAMES :], (t_ns, raw)]
+        buttons, _, lx, ly, rx, _ = sample
+        reason = self._trips.pad(buttons)
+        was = self.mode
+        if reason:
+            self.mode = LOCKED
+        self._follow_hold(buttons, t_ns)
+        if self.mode == DRIVE:
+            command: Velocity | None = self._sticks(lx, ly, rx)
+        else:
+            # Locked by MODE: stand still now, not when the command times out. A trip has stopped by itself.
+            command = STANDSTILL if was == DRIVE and not reason else None
+        return PadNews(reason, command, self._reset_is_due(buttons, t_ns))
+
+    def recent(self) -> str:
+        """The last raw frames in hex, the oldest first, each with its age in ms."""
+        newest_ns = self._raw[-1][0] if self._raw else 0
+        return ", ".join(f"{raw.hex()} (-{(newest_ns - t_ns) // 1_000_000} ms)" for t_ns, raw in self._raw)
+
+    def _notice_silence(self, t_ns: int) -> None:
+        if self._last_ns is not None and t_ns - self._last_ns > SILENCE_NS:
+            self._trips.forget_held()
+            self._hold_ns = None
+        self._last_ns = t_ns
+
+    def _follow_hold(self, buttons: int, t_ns: int) -> None:
+        """MODE down, or not: a hold begins, goes on, ends. The mode changes when one begins."""
+        if buttons & self._mode_button:
+            self._hold_frames_missing = 0
+            if self._hold_ns is None:
+                self._hold_ns = t_ns
+                self._hold_spent = False
+                if buttons == self._mode_button:
+                    self._change_mode(t_ns)
+        elif self._hold_ns is not None:
+            self._hold_frames_missing += 1
+            if self._hold_frames_missing >= HOLD_ENDS:
+                self._hold_ns = None
+
+    def _change_mode(self, t_ns: int) -> None:
+        if self._latched_ns is not None:
+            return
+        if self._changed_ns is None or t_ns - self._changed_ns >= self._lockout_ns:
+            self._changed_ns = t_ns
+            self.mode = DRIVE if self.mode == LOCKED else LOCKED
+
+    def _reset_is_due(self, buttons: int, t_ns: int) -> bool:
+        """MODE has been down for long enough, all that time latched: a hold from before the latch resets nothing of
+        which its holder could not know. Once a hold, and with no other button down."""
+        if buttons != self._mode_button or self._hold_ns is None or self._latched_ns is None or self._hold_spent:
+            return False
+        self._hold_spent = t_ns - max(self._hold_ns, self._latched_ns) >= self._reset_hold_ns
+        return self._hold_spent
+
+    def _sticks(self, lx: int, ly: int, rx: int) -> Velocity:
+        forward, left, turn = self._limits
+        return self._axis(ly) * forward, self._axis(-lx) * left, self._axis(-rx) * turn
+
+    def _axis(self, raw: int) -> float:
+        """-1 to 1 (the axis reaches -128), and 0 within the dead zone."""
+        value = max(-1.0, min(1.0, raw / FULL_AXIS))
+        return value if abs(value) >= self._dead_zone else 0.0

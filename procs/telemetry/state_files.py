@@ -1,0 +1,148 @@
+"""Files under the state directory, written whole or not at all, by a thread: a slow disk must not hold up the loop.
+
+A file that can't be written is a line for the journal, once, and never more than that.
+"""
+
+from __future__ import annotations
+
+import _thread
+import contextlib
+import os
+from _queue import SimpleQueue
+from errno import ENOSPC
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    Job = tuple[str, Callable[[str, str, str], None], str, str, str]
+
+SYSTEM_BASE = "/var/lib/failstop"
+STACK_BYTES = 256 * 1024
+"""The thread's: all memory is locked as it is touched, and counts against the limit even before."""
+MOST_WAITING = 100
+"""Jobs that a disk may leave waiting; at a line every 10 s that is a quarter of an hour."""
+
+
+def state_directory(instance: str, environ: Mapping[str, str], configured: str = "") -> str:
+    """The directory for an instance's files, which need not be there yet: the configured one, systemd's
+    $STATE_DIRECTORY, /var/lib/failstop/NAME when that is writable, else under $XDG_STATE_HOME or ~/.local/state."""
+    if configured:
+        return configured
+    if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:
+        return given
+    system = os.path.join(SYSTEM_BASE, instance)
+    if os.access(system if os.path.exists(system) else SYSTEM_BASE, os.W_OK | os.X_OK):
+        return system
+    home = environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
+    return os.path.join(home, "failstop", instance)
+
+
+def append_line(path: str, header: str, line: str) -> None:
+    """Append a whole line; a new file starts with the header. Raises OSError, and then the file is as it was."""
+    os.makedirs(os.path.dirname(path), exist_ok=True)
+    fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        size = os.fstat(fd).st_size
+        # What a power cut has left of a line gets its end, so that it spoils no other.
+        torn = size > 0 and os.pread(fd, 1, size - 1) != b"\n"
+        data = (("\n" if torn else "" if size else header) + line).encode()
+        if os.write(fd, data) != len(data):
+            os.ftruncate(fd, size)
+            raise OSError(ENOSPC, os.strerror(ENOSPC), path)
+    finally:
+        os.close(fd)
+
+
+def write_whole(path: str, _header: str, text: str) -> None:
+    """Replace a file's content: after a crash or power cut it is the old one or the new one. Raises OSError, and then
+    the old one is there."""
+    folder = os.path.dirname(path)
+    os.makedirs(folder, exist_ok=True)
+    draft = f"{path}.new"
+    try:
+        fd = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+        try:
+            data = text.encode()
+            if os.write(fd, data) != len(data):
+                raise OSError(ENOSPC, os.strerror(ENOSPC), path)
+            os.fsync(fd)
+        finally:
+            os.close(fd)
+        os.rename(draft, path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            os.unlink(draft)
+        raise
+    # Without this, a power cut can still bring the old name back.
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+class StateFiles:
+    """Jobs for the thread, and what it has to say of them. Everything but _work runs in the loop's thread."""
+
+    __slots__ = ("_failing", "_jobs", "_notes", "_started", "folder")
+
+    def __init__(self, folder: str) -> None:
+        self.folder = folder
+        self._jobs: SimpleQueue[Job] = SimpleQueue()
+        self._notes: SimpleQueue[str] = SimpleQueue()
+        self._failing: dict[str, str] = {}
+        """What could not be done last time, and why; the thread's own."""
+        self._started = False
+
+    def read(self, what: str, name: str) -> str:
+        """A file's text; empty when there is none. At the start only: it does not go through the thread."""
+        try:
+            with open(os.path.join(self.folder, name), encoding="utf-8", errors="replace") as file:
+                return file.read(4096)
+        except FileNotFoundError:
+            return ""
+        except OSError as error:
+            self._notes.put(f"{what} can't be read: {error}")
+            return ""
+
+    def append(self, what: str, name: str, header: str, line: str) -> None:
+        """Append a line to a file soon; `what` names it in the journal."""
+        self._put((what, append_line, os.path.join(self.folder, name), header, line))
+
+    def replace(self, what: str, name: str, text: str) -> None:
+        """Replace a file's content soon."""
+        self._put((what, write_whole, os.path.join(self.folder, name), "", text))
+
+    def notes(self) -> list[str]:
+        """Lines for the journal since the last call."""
+        return [self._notes.get() for _ in range(self._notes.qsize())]
+
+    def _put(self, job: Job) -> None:
+        if not self._started:
+            try:
+                _thread.stack_size(STACK_BYTES)
+                _thread.start_new_thread(self._work, ())
+            except RuntimeError as error:
+                self._say(job[0], f"no thread to write it: {error}")
+                return
+            self._started = True
+        if self._jobs.qsize() < MOST_WAITING:
+            self._jobs.put(job)
+
+    def _work(self) -> None:
+        """The thread."""
+        while True:
+            what, write, path, header, text = self._jobs.get()
+            try:
+                write(path, header, text)
+            except OSError as error:
+                self._say(what, f"{error}")
+            else:
+                if self._failing.pop(what, ""):
+                    self._notes.put(f"{what} is written again")
+
+    def _say(self, what: str, why: str) -> None:
+        if self._failing.get(what) != why:
+            self._failing[what] = why
+            self._notes.put(f"{what} can't be written: {why}; next: look at the disk and at {self.folder}")

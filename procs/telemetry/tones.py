@@ -1,0 +1,41 @@
+"""Buzzer tones: what sounds on a trip and on a change of the gamepad's mode. Pure."""
+
+from __future__ import annotations
+
+from failstop.board import codec
+from failstop.procs.telemetry import pad
+
+OFF_MS = 100
+"""Between two beeps and after the last: an off time of 0 left a buzzer sounding for ever."""
+
+TRIP = codec.buzzer(1000, 400, OFF_MS, 2)
+"""Two long low beeps."""
+MODES = {
+    pad.LOCKED: codec.buzzer(1500, 100, OFF_MS, 1),
+    pad.DRIVE: codec.buzzer(2500, 100, OFF_MS, 2),
+}
+"""One short beep: locked; two short high ones: drive."""
+
+
+class Tones:
+    """Remembers what it last saw, so that a tone sounds on the change alone; off, it never sounds."""
+
+    __slots__ = ("_latched", "_mode", "_on")
+
+    def __init__(self, *, on: bool) -> None:
+        self._on = on
+        self._latched: bool | None = None
+        self._mode = pad.LOCKED
+
+    def follow(self, latched: bool, mode: int) -> bytes:
+        """The frame to sound now, or none. A trip also locks the pad: then the trip's tone alone is heard. What is
+        latched at the start was told by whoever was there when it happened."""
+        tripped = latched and self._latched is False
+        changed = mode != self._mode
+        self._latched = latched
+        self._mode = mode
+        if not self._on:
+            return b""
+        if tripped:
+            return TRIP
+        return MODES[mode] if changed and not latched else b""

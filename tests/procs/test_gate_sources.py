@@ -1,0 +1,231 @@
+"""Sources, the scan gate and interlocks, sentence by sentence."""
+
+from __future__ import annotations
+
+import pytest
+
+from failstop.procs.gate import kinematics
+from failstop.procs.gate.core import REST, STILL, GateCore
+from failstop.procs.gate.kinematics import Mecanum
+from failstop.procs.gate.sources import PAD, Command
+from failstop.supervisor.settings import Settings
+
+MS = 1_000_000
+TICK = 20 * MS
+T0 = 100_000 * MS
+ROBOT = Mecanum(0.08, 0.17706, 0.17165)
+WITH_TELEOP: dict[str, object] = {
+    "sources.cmd_vel.priority": 0,
+    "sources.cmd_vel.timeout_s": 0.3,
+    "sources.teleop.priority": 10,
+    "sources.teleop.timeout_s": 0.2,
+}
+ARM: dict[str, object] = {"interlocks.arm.timeout_s": 0.5, "interlocks.arm.refusal": "arm is not in the drive pose"}
+
+
+class Gate:
+    """An enabled gate and its clock."""
+
+    def __init__(self, changed: dict[str, object], *, enabled: bool = True) -> None:
+        self.core = GateCore(Settings(changed), ROBOT, T0)
+        self.now = T0
+        if enabled:
+            assert self.core.enable(1, "", self.now)[0]
+
+    def command(self, vx: float, source: str = "cmd_vel", session: int = 1, manual: bool = False) -> str:
+        who = f"{source} {session}"
+        return self.core.take(Command(session, who, self.now, (vx, 0.0, 0.0), manual=manual, source=source), self.now)
+
+    def tick(self, ns: int = TICK) -> float:
+        self.now += ns
+        self.core.check_interlocks(self.now)
+        self.core.step(self.now)
+        return self.core.velocity[0]
+
+    def scan(self) -> None:
+        self.core.scan.deliver(self.now, self.now)
+
+    def cruise(self, vx: float, source: str = "cmd_vel", session: int = 1, ticks: int = 25) -> None:
+        for _ in range(ticks):
+            self.scan()
+            assert self.command(vx, source, session) == ""
+            self.tick()
+        assert self.core.velocity[0] == pytest.approx(vx)
+
+    @property
+    def blocked(self) -> str:
+        return self.core.blocked(self.now)
+
+
+# Sources.
+
+
+def test_a_higher_source_takes_over_at_once() -> None:
+    gate = Gate(WITH_TELEOP)
+    gate.cruise(0.1)
+    gate.command(-0.1, "teleop", session=2)
+    assert gate.tick() == pytest.approx(0.09), "from the speed it has, along the ramp"
+    rows = gate.core.sources.table(gate.now)
+    assert [(row["source"], row["who"], row["state"]) for row in rows] == [
+        ("teleop", "teleop 2", "drives"),
+        ("cmd_vel", "cmd_vel 1", "waits"),
+    ]
+
+
+def test_a_lower_source_gets_it_back_after_the_higher_s_silence_from_zero_along_the_ramp() -> None:
+    gate = Gate(WITH_TELEOP)
+    gate.cruise(-0.1, "teleop", session=2)
+    for _ in range(9):
+        gate.scan()
+        gate.command(0.1)
+        assert gate.tick() == pytest.approx(-0.1), "still the higher one's"
+    gate.scan()
+    gate.command(0.1)
+    assert gate.tick(TICK) == pytest.approx(0.01), "more than 0.2 s of silence: from zero, not from -0.1"
+
+
+def test_two_publishers_of_one_source_latch_and_of_two_sources_do_not() -> None:
+    gate = Gate(WITH_TELEOP)
+    assert gate.command(0.1, "cmd_vel", session=1) == ""
+    assert gate.command(0.1, "teleop", session=2) == ""
+    assert gate.command(0.1, "teleop", session=3) == "multiple teleop publishers: teleop 2, teleop 3"
+    assert gate.command(0.1, "cmd_vel", session=2) == "multiple cmd_vel publishers: cmd_vel 1, cmd_vel 2"
+
+
+def test_each_source_has_its_own_timeout() -> None:
+    gate = Gate(WITH_TELEOP)
+    gate.command(0.1, "teleop", manual=True)
+    gate.tick(200 * MS)
+    assert gate.blocked == ""
+    gate.tick(1)
+    assert gate.blocked == "cmd timeout"
+    gate.command(0.1, "cmd_vel", manual=True)
+    gate.tick(300 * MS)
+    assert gate.blocked == ""
+    gate.tick(1)
+    assert gate.blocked == "cmd timeout"
+
+
+def test_the_default_is_one_source() -> None:
+    assert list(Settings().sources()) == ["cmd_vel"]
+
+
+def test_the_pad_is_above_all() -> None:
+    gate = Gate(WITH_TELEOP)
+    gate.command(0.1, "teleop", session=2, manual=True)
+    gate.command(0.05, PAD, session=0, manual=True)
+    assert gate.core.sources.driving(gate.now).source == PAD  # type: ignore[union-attr]
+
+
+def test_a_source_that_no_setting_names_is_noted_and_moves_nothing() -> None:
+    gate = Gate({})
+    gate.scan()
+    assert gate.command(0.1, "navv") == ""
+    assert gate.tick() == 0
+    assert gate.core.notes == ["command from navv 1 ignored: no source 'navv' in the settings"]
+
+
+# The scan gate.
+
+
+def test_nothing_for_half_a_second_blocks_with_no_scan_and_does_not_latch() -> None:
+    gate = Gate({})
+    gate.cruise(0.1)
+    seen_ns = gate.now - TICK
+    while gate.now + TICK - seen_ns <= 500 * MS:
+        gate.command(0.1)
+        assert gate.tick() == pytest.approx(0.1)
+    gate.command(0.1)
+    assert gate.tick() == 0, "zero at once, no ramp"
+    assert gate.blocked == "no scan"
+    assert gate.core.latch is None
+    assert gate.core.enabled
+    assert gate.core.speeds == STILL
+
+
+def test_motion_resumes_by_itself_from_zero_and_both_are_logged_with_the_age() -> None:
+    gate = Gate({})
+    gate.cruise(0.1)
+    for _ in range(40):
+        gate.command(0.1)
+        gate.tick()
+    assert gate.core.notes == ["no scan for 0.52 s: wheels stopped"]
+    gate.scan()
+    gate.command(0.1)
+    assert gate.tick() == pytest.approx(0.01), "along the ramp"
+    assert gate.core.notes[1:] == ["scan is back (age 0.02 s): motion resumes by itself"]
+
+
+def test_before_the_first_scan_nothing_moves() -> None:
+    gate = Gate({})
+    gate.command(0.1)
+    assert gate.tick() == 0
+    assert gate.blocked == "no scan"
+    assert gate.core.notes == ["no scan yet: wheels stand"]
+
+
+def test_manual_commands_are_exempt() -> None:
+    gate = Gate({})
+    gate.command(0.1, manual=True)
+    assert gate.tick() == pytest.approx(0.01)
+    assert gate.blocked == ""
+
+
+def test_the_command_timeout_comes_before_no_scan() -> None:
+    gate = Gate({})
+    gate.command(0.1)
+    gate.tick(400 * MS)
+    assert gate.blocked == "cmd timeout"
+
+
+def test_switched_off_by_a_word() -> None:
+    gate = Gate({"scan.gate": "off"})
+    gate.command(0.1)
+    assert gate.tick() == pytest.approx(0.01)
+
+
+# Interlocks.
+
+
+def test_enabling_needs_every_interlock() -> None:
+    gate = Gate(ARM, enabled=False)
+    assert gate.core.enable(1, "", gate.now) == (False, "arm is not in the drive pose")
+    gate.core.interlocks.hold(["arm"], gate.now, gate.now)
+    assert gate.core.enable(1, "", gate.now) == (True, "motion enabled")
+
+
+def test_losing_one_disables_and_does_not_latch() -> None:
+    gate = Gate(ARM, enabled=False)
+    gate.core.interlocks.hold(["arm"], gate.now, gate.now)
+    gate.core.enable(1, "", gate.now)
+    gate.scan()
+    gate.command(0.1)
+    assert gate.tick(500 * MS) == 0
+    assert gate.blocked == "cmd timeout"
+    gate.tick(1)
+    assert gate.blocked == "disabled"
+    assert gate.core.latch is None
+    assert gate.core.velocity == REST
+    assert gate.core.notes == ["motion disabled: arm is not in the drive pose"]
+    gate.core.interlocks.hold(["arm"], gate.now, gate.now)
+    gate.tick()
+    assert gate.blocked == "disabled", "what comes back does not enable"
+
+
+def test_a_stamp_from_the_future_counts_as_now() -> None:
+    gate = Gate(ARM, enabled=False)
+    gate.core.interlocks.hold(["arm"], gate.now + 10_000 * MS, gate.now)
+    gate.core.scan.deliver(gate.now + 10_000 * MS, gate.now)
+    gate.now += 501 * MS
+    assert gate.core.interlocks.unmet(gate.now) == "arm is not in the drive pose"
+    assert gate.core.scan.silent(gate.now)
+
+
+def test_a_layout_without_a_sideways_axis_stands_sideways() -> None:
+    settings = Settings({"wheels.layout": "differential", "scan.gate": "off"})
+    core = GateCore(settings, kinematics.from_settings(settings), T0)
+    core.enable(1, "", T0)
+    for tick in range(1, 30):
+        core.take(Command(1, "one", T0 + tick * TICK, (0.1, 0.2, 0.0)), T0 + tick * TICK)
+        core.step(T0 + tick * TICK)
+    assert core.velocity == pytest.approx((0.1, 0.0, 0.0))

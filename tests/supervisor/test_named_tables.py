@@ -1,0 +1,120 @@
+"""Sources and interlocks: the tables of the settings that have a name of the user's."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.procs.gate import sources
+from failstop.supervisor.settings import FAMILIES, SettingError, Settings
+
+BY_PRIORITY = FAMILIES["sources"][0]
+MS = 1_000_000
+
+
+def refusal(key: str, value: object) -> str:
+    with pytest.raises(SettingError) as raised:
+        Settings({key: value})
+    return str(raised.value)
+
+
+def test_by_default_there_is_one_source_and_no_interlock() -> None:
+    assert Settings().sources() == {"cmd_vel": (0, 300 * MS)}
+    assert Settings().interlocks() == {}
+
+
+def test_a_source_is_silent_after_the_command_timeout_unless_it_says_otherwise() -> None:
+    changed = {"gate.command_timeout_s": 0.4, "sources.teleop.priority": 10, "sources.nav.priority": 5}
+    settings = Settings({**changed, "sources.nav.timeout_s": 0.25})
+    assert settings.sources() == {"teleop": (10, 400 * MS), "nav": (5, 250 * MS), "cmd_vel": (0, 400 * MS)}
+    assert list(settings.sources()) == ["teleop", "nav", "cmd_vel"], "the highest first"
+
+
+def test_the_source_that_is_always_there_can_be_set() -> None:
+    settings = Settings({"sources.cmd_vel.priority": 7, "sources.cmd_vel.timeout_s": 1})
+    assert settings.sources() == {"cmd_vel": (7, 1000 * MS)}
+
+
+def test_interlocks() -> None:
+    settings = Settings({"interlocks.arm.refusal": "arm is not in the drive pose", "interlocks.door": {}})
+    assert settings.interlocks() == {
+        "arm": (500 * MS, "arm is not in the drive pose"),
+        "door": (500 * MS, "interlock door is not satisfied"),
+    }
+
+
+def test_the_gamepad_is_a_source_without_settings() -> None:
+    assert refusal("sources.gamepad.priority", 5) == (
+        f"sources.{sources.PAD}.priority: the board's gamepad is a source above all others, with no settings"
+    )
+    assert BY_PRIORITY.high is not None
+    assert BY_PRIORITY.high < sources.PAD_PRIORITY
+    assert "gamepad" in Settings({"interlocks.gamepad": {}}).interlocks()
+
+
+def test_the_gate_and_the_settings_name_the_same_default_source() -> None:
+    assert sources.DEFAULT in Settings().sources()
+
+
+@pytest.mark.parametrize("name", ["a", "0", "a-b_c", "abcdefghijklmnop"])
+def test_names_that_are_allowed(name: str) -> None:
+    assert name in Settings({f"interlocks.{name}": {}}).interlocks()
+
+
+@pytest.mark.parametrize("name", ["A", "a b", "ä", "abcdefghijklmnopq", "a=b", "a\nb"])
+@pytest.mark.parametrize("family", FAMILIES)
+def test_names_that_are_not(family: str, name: str) -> None:
+    with pytest.raises(SettingError) as raised:
+        Settings({f"{family}.{name}": {}})
+    assert str(raised.value) == f"{family}.{name!r}: allowed as a name is 1 to 16 of a-z 0-9 _ -"
+
+
+def test_at_most_eight_of_each() -> None:
+    seven = {f"sources.s{n}.priority": n for n in range(1, 8)}
+    assert len(Settings(dict(seven)).sources()) == 8
+    with pytest.raises(SettingError) as raised:
+        Settings({**seven, "sources.s8.priority": 8})
+    assert str(raised.value) == "sources.s8: one too many, at most 8 sources are allowed (cmd_vel is one)"
+    eight: dict[str, object] = {f"interlocks.i{n}": {} for n in range(8)}
+    assert len(Settings(dict(eight)).interlocks()) == 8
+    with pytest.raises(SettingError, match=r"^interlocks\.i8: one too many, at most 8 interlocks are allowed$"):
+        Settings({**eight, "interlocks.i8": {}})
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"sources.a.priority": 101}, "sources.a.priority = 101: allowed is 0 to 100"),
+        ({"sources.a.priority": 1.5}, "sources.a.priority = 1.5: a whole number is expected, 0 to 100"),
+        ({"sources.a.timeout_s": 9}, "sources.a.timeout_s = 9: allowed is 0.05 to 2 s"),
+        ({"interlocks.a.timeout_s": 0}, "interlocks.a.timeout_s = 0: allowed is 0.05 to 10 s"),
+        ({"interlocks.a.refusal": 5}, "interlocks.a.refusal = 5: a text is expected, 0 to 255 characters of one line"),
+        ({"sources.a.prio": 5}, "sources.a.prio: no such setting; did you mean sources.a.priority?"),
+        ({"interlocks.a.b.c": 5}, "interlocks.a.b.c: no such setting; did you mean interlocks.a.refusal?"),
+        ({"sources.a": 5}, "sources.a = 5: a table is expected, [sources.NAME]"),
+        ({"sources": 5}, "sources = 5: a table is expected, [sources.NAME]"),
+        ({"sources.a": [{}]}, "sources.a = [{}]: a table is expected, [sources.NAME]"),
+    ],
+)
+def test_what_a_named_table_must_not_say(changed: dict[str, object], message: str) -> None:
+    with pytest.raises(SettingError) as raised:
+        Settings(changed)
+    assert str(raised.value) == message
+
+
+named = st.dictionaries(st.text("abz09_-", min_size=1, max_size=16), st.floats(0.1, 2.0), max_size=7)
+texts = st.text(st.characters(exclude_categories=("C", "Z")), max_size=40)
+
+
+@given(named, named, texts)
+def test_named_tables_survive_the_lines(tables: dict[str, float], locks: dict[str, float], refusal: str) -> None:
+    changed: dict[str, object] = {"sources.cmd_vel.priority": 100}
+    for priority, (name, timeout_s) in enumerate(tables.items()):
+        changed.update({f"sources.{name}.priority": priority, f"sources.{name}.timeout_s": timeout_s})
+    for name, timeout_s in locks.items():
+        changed.update({f"interlocks.{name}.timeout_s": timeout_s, f"interlocks.{name}.refusal": refusal})
+    settings = Settings(changed)
+    again = Settings.from_lines(settings.lines())
+    assert again.flat() == settings.flat()
+    assert (again.sources(), again.interlocks()) == (settings.sources(), settings.interlocks())

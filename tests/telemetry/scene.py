@@ -1,0 +1,164 @@
+"""A stage for telemetry, run turn by turn inside the test: real segments, bells and the stop pipe, a clock that the
+test moves, and the test in the roles of board, port owner and gate. The context that telemetry is given is this
+object."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import select
+import struct
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+
+from failstop.board import framing
+from failstop.procs.telemetry import main
+from failstop.procs.telemetry.main import Telemetry
+from failstop.shm import bell, layout, records, segment
+from failstop.shm.bell import EventBell
+from failstop.shm.heartbeat import Heartbeat
+from failstop.shm.segment import Segment
+from failstop.supervisor.settings import Settings
+
+MS = 1_000_000
+S = 1_000 * MS
+INCARNATION = 0x7E1E
+DEADLINE_S = 20.0
+NOON = 1_773_662_400.0
+"""2026-03-16 12:00:00 UTC."""
+_numbers = itertools.count()
+
+
+def until(condition: Callable[[], object], what: str) -> None:
+    """Wait for a condition; fails after the deadline."""
+    end_s = time.monotonic() + DEADLINE_S
+    while not condition():
+        if time.monotonic() > end_s:
+            pytest.fail(f"not within {DEADLINE_S} s: {what}")
+        select.select([], [], [], 0.0005)
+
+
+class Wall:
+    """The wall clock as telemetry sees it."""
+
+    @staticmethod
+    def time() -> float:
+        return NOON
+
+
+class Scene:
+    """Telemetry at work; `turn` moves the clock, publishes the gate's state and wakes it up."""
+
+    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch, **changed: object) -> None:
+        self.instance = f"t{os.getpid()}x{next(_numbers)}"
+        self.now_ns = 50_000 * S
+        monkeypatch.setattr(main, "monotonic_ns", lambda: self.now_ns)
+        monkeypatch.setattr(main, "time", Wall)
+        for spec in layout.SEGMENTS:
+            segment.create(self.instance, spec.name, INCARNATION).close()
+        self.folder = directory / "state"
+        self.settings = Settings({"battery.directory": str(self.folder), **changed})
+        self.own = self.owned(layout.TELEMETRY)
+        self.heartbeat = Heartbeat(self.own, os.getpid(), 0, self.now_ns)
+        self._received = self.owned(layout.PORT_OWNER).ring_writer("received")
+        self._gate = self.owned(layout.GATE).latest_writer("state")
+        bell.make_pipe(str(directory / "stop"), 0o600)
+        self._stop = bell.open_pipe(str(directory / "stop"))
+        self._bells = {name: EventBell.create() for name in ("bell", "gate_bell", "supervisor_bell")}
+        self.gate: dict[str, Any] = {"enabled": False, "estop": None, "body_vel": [0.0, 0.0, 0.0]}
+        self._readers = {name: self.own.ring_reader(name) for name in ("wishes", "notes", "events")}
+        self.telemetry: Telemetry
+        self.start()
+
+    # What Context offers.
+
+    def fd(self, key: str) -> int:
+        return {"stop": self._stop}[key]
+
+    def bell(self, key: str) -> EventBell:
+        return self._bells[key]
+
+    def segment(self, name: str) -> Segment:
+        return segment.attach(self.instance, name, INCARNATION)
+
+    # The rest of the service.
+
+    def owned(self, name: str) -> Segment:
+        return segment.attach(self.instance, name, INCARNATION, write=True)
+
+    def start(self) -> None:
+        """Telemetry starts, or starts again after its death."""
+        self.telemetry = Telemetry(self)  # type: ignore[arg-type]
+
+    def turn(self, *frames: tuple[int, bytes], elapsed_ns: int = 0, gate: bool = True) -> None:
+        """Time passes, the board sends frames, telemetry wakes up."""
+        self.now_ns += elapsed_ns
+        if gate:
+            self._gate.write(msgpack.packb(self.gate), self.now_ns)
+        if frames:
+            self._received.put(b"".join(framing.frame(func, data) for func, data in frames), self.now_ns)
+            self._bells["bell"].ring()
+        self.telemetry.turn(self.telemetry.loop.wait(0))
+
+    def imu(self, *raw: float, elapsed_ns: int = 9 * MS) -> None:
+        """One sample: g on x, y, z and deg/s on x, y, z."""
+        self.turn((framing.IMU, struct.pack("<6f", *raw)), elapsed_ns=elapsed_ns)
+
+    def stand(self, seconds: float, z_dps: float = 0.25) -> None:
+        """Samples of a robot at rest."""
+        for _ in range(round(seconds * 1000 / 9)):
+            self.imu(0.0, 0.0, 1.0, 0.0, 0.0, z_dps)
+
+    def pad(self, buttons: int = 0, lx: int = 0, ly: int = 0, rx: int = 0) -> None:
+        self.turn((framing.GAMEPAD, struct.pack("<HB4b", buttons, 0, lx, ly, rx, 0)), elapsed_ns=50 * MS)
+
+    def key(self, key: int, event: int) -> None:
+        self.turn((framing.KEY, bytes((key, event))))
+
+    def battery(self, *millivolts: int) -> None:
+        for mv in millivolts:
+            self.turn((framing.SYS, struct.pack("<BH", 4, mv)), elapsed_ns=1_050 * MS)
+
+    # What telemetry has told.
+
+    def latest(self, name: str) -> bytes | None:
+        entry = self.own.latest_reader(name).read()
+        return entry[2] if entry else None
+
+    def bias(self) -> tuple[tuple[float, float, float], bool, bool]:
+        return records.unpack_bias(self.latest("bias") or b"")
+
+    def commands(self) -> int:
+        """How many pad commands were written."""
+        entry = self.own.latest_reader("pad_command").read()
+        return entry[0] if entry else 0
+
+    def told(self, ring: str) -> list[bytes]:
+        """New entries of a ring of telemetry's."""
+        found = []
+        while entry := self._readers[ring].next():
+            found.append(entry[2])
+        return found
+
+    def notes(self) -> list[str]:
+        return [line.decode() for line in self.told("notes")]
+
+    def stop_requests(self) -> bytes:
+        return bell.take(self._stop)
+
+    def rung(self, name: str) -> bool:
+        """Whether a bell was rung; clears it."""
+        try:
+            return bool(os.read(self._bells[name].fd, 8))
+        except BlockingIOError:
+            return False
+
+    def close(self) -> None:
+        for fd in (self._stop, *(found.fd for found in self._bells.values())):
+            os.close(fd)
+        segment.unlink_all(self.instance)

@@ -1,0 +1,141 @@
+"""The gyro's bias after the calibration: what moves it, what freezes it, and what that does to a heading."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.procs.telemetry.imu import GyroBias
+
+from .still import PERIOD_NS, S, dps, gyro, heading_drift_deg, samples
+
+EIGHT_MINUTES_S = 480
+
+
+def resting(tau_s: float = 20.0) -> GyroBias:
+    """Calibrated to zero, at rest for long."""
+    tested = gyro(tau_s=tau_s)
+    tested.follow(True, 0)
+    tested.inherit((0.0, 0.0, 0.0))
+    tested.follow(False, 0)
+    tested.take((0.0, 0.0, 0.0), 10 * S)
+    return tested
+
+
+def test_it_follows_the_reading_with_a_time_constant_of_20_s() -> None:
+    tested = resting()
+    for i in range(1, 20 * 110 + 1):
+        tested.take(dps(0.0, 0.0, 0.1), 10 * S + i * PERIOD_NS)
+    assert tested.tracking
+    assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.1 * (1 - 0.36788)), rel=1e-3)
+
+
+def test_the_step_is_dt_over_tau() -> None:
+    tested = resting()
+    tested.take(dps(0.0, 0.4, 0.2), 10 * S + S // 10)
+    assert tested.bias_radps == pytest.approx(dps(0.0, 0.4 * 0.005, 0.2 * 0.005))
+
+
+def test_the_step_is_at_most_1() -> None:
+    tested = resting(tau_s=0.1)
+    tested.take(dps(0.0, 0.0, 0.2), 10 * S + S // 4)
+    assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.2))
+
+
+def test_it_begins_when_zero_has_been_commanded_for_1_s() -> None:
+    tested = resting()
+    tested.follow(True, 11 * S)
+    tested.follow(False, 20 * S)
+    seen = []
+    for t_ns in (20 * S + 990_000_000, 21 * S):
+        tested.take(dps(0.0, 0.0, 0.1), t_ns)
+        seen.append((tested.tracking, tested.bias_radps[2] > 0))
+    assert seen == [(False, False), (True, True)]
+
+
+def test_frozen_while_driving() -> None:
+    tested = resting()
+    tested.follow(True, 11 * S)
+    for i in range(500):
+        tested.take(dps(0.0, 0.0, 0.3), 11 * S + i * PERIOD_NS)
+        assert not tested.tracking
+    assert tested.bias_radps == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_frozen_when_turned_by_hand(axis: int) -> None:
+    """More than 0.5 deg/s from the bias on any axis."""
+    tested = resting()
+    rate = [0.01, 0.01, 0.01]
+    rate[axis] = 0.51
+    for i in range(1, 500):
+        tested.take(dps(*rate), 10 * S + i * PERIOD_NS)
+    assert tested.bias_radps == (0.0, 0.0, 0.0)
+    rate[axis] = 0.49
+    tested.take(dps(*rate), 15 * S)
+    assert tested.tracking
+
+
+def test_the_band_is_around_the_bias_and_not_around_zero() -> None:
+    tested = resting()
+    tested.inherit(dps(2.0, 2.0, 2.0))
+    tested.take(dps(2.4, 1.6, 2.0), 10 * S + PERIOD_NS)
+    assert tested.tracking
+    tested.take(dps(0.1, 0.1, 0.1), 10 * S + 2 * PERIOD_NS)
+    assert not tested.tracking
+
+
+def test_off_it_never_moves() -> None:
+    tested = gyro(tracks=False)
+    tested.follow(False, 0)
+    for i in range(1000):
+        tested.take(dps(0.0, 0.0, 0.1 if i < 400 else 0.2), i * PERIOD_NS)
+        assert not tested.tracking
+    assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.1))
+
+
+def test_a_reading_after_a_silence_is_not_given_the_weight_of_the_silence() -> None:
+    tested = resting()
+    tested.take(dps(0.0, 0.0, 0.4), 18 * S)
+    assert tested.bias_radps == (0.0, 0.0, 0.0)
+
+
+@given(st.lists(st.tuples(st.integers(0, 400), *[st.floats(-1.0, 1.0)] * 3, st.booleans()), max_size=60))
+def test_the_bias_never_leaves_what_was_within_the_band(steps: list[tuple[int, float, float, float, bool]]) -> None:
+    """Whatever happens, one reading moves it towards that reading, by no more than the band, and only at rest."""
+    tested = resting()
+    t_ns = 10 * S
+    for ms, x, y, z, moving in steps:
+        t_ns += ms * 1_000_000
+        tested.follow(moving, t_ns)
+        before, rate = tested.bias_radps, dps(x, y, z)
+        tested.take(rate, t_ns)
+        for was, now, reading in zip(before, tested.bias_radps, rate, strict=True):
+            assert min(was, reading) - 1e-15 <= now <= max(was, reading) + 1e-15
+            assert abs(now - was) <= dps(0.5, 0, 0)[0]
+        assert not (moving and before != tested.bias_radps)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_heading_drifts_less_than_0_15_degrees_in_8_minutes_at_rest(seed: int) -> None:
+    """The bias warms up by 0.002 deg/s and walks by 0.001 deg/s. With tracking the drift is the time constant times
+    the change of the bias's estimate, the error of the 3 s calibration included: of 40 such runs 38 stay below 0.15
+    degrees (median 0.08, worst 0.20). Without: median 0.80, worst 3.7."""
+
+    def drift_deg(*, tracks: bool) -> float:
+        run = samples(EIGHT_MINUTES_S, seed, ramp_dps=0.002, walk_dps=0.001)
+        return heading_drift_deg(gyro(tracks=tracks), run)
+
+    with_deg, without_deg = drift_deg(tracks=True), drift_deg(tracks=False)
+    assert with_deg < 0.15
+    assert without_deg > 4 * with_deg
+
+
+def test_a_bias_that_moves_0_15_deg_per_s_costs_3_degrees_with_tracking_and_36_without() -> None:
+    """20 s x 0.15 deg/s; without, half of it over 480 s. The time constant is the price of not following the noise."""
+    ramp = {"ramp_dps": 0.15, "walk_dps": 0.0, "noise_radps": 0.0}
+    with_deg = heading_drift_deg(gyro(), samples(EIGHT_MINUTES_S, 0, **ramp))
+    without_deg = heading_drift_deg(gyro(tracks=False), samples(EIGHT_MINUTES_S, 0, **ramp))
+    assert with_deg == pytest.approx(3.0, rel=0.06)
+    assert without_deg == pytest.approx(36.0, rel=0.03)

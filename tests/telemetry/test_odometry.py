@@ -1,0 +1,128 @@
+"""Wheel odometry: the gated command, integrated."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.procs.telemetry import odometry
+from failstop.procs.telemetry.odometry import Odometry, wrapped
+from failstop.supervisor.settings import Settings
+
+MS = 1_000_000
+SPEED = st.floats(-1.0, 1.0)
+VELOCITY = st.tuples(SPEED, SPEED, SPEED)
+
+
+def driven(velocity: tuple[float, float, float], duration_s: float, *, step_ms: int = 20) -> Odometry:
+    tested = Odometry.of(Settings())
+    tested.follow(velocity, 0)
+    for t_ms in range(step_ms, round(duration_s * 1000) + 1, step_ms):
+        tested.advance(t_ms * MS)
+    return tested
+
+
+def pose(tested: Odometry) -> tuple[float, float, float]:
+    return tested.x_m, tested.y_m, tested.th_rad
+
+
+def test_forward_is_scaled_by_1() -> None:
+    assert pose(driven((0.2, 0.0, 0.0), 5.0)) == pytest.approx((1.0, 0.0, 0.0))
+
+
+def test_sideways_is_scaled_by_0_765() -> None:
+    tested = driven((0.0, 0.2, 0.0), 5.0)
+    assert pose(tested) == pytest.approx((0.0, 0.765, 0.0))
+    assert (tested.vx_mps, tested.vy_mps, tested.wz_radps) == pytest.approx((0.0, 0.153, 0.0))
+
+
+def test_the_scales_are_the_settings() -> None:
+    tested = Odometry.of(Settings({"odometry.forward_scale": 0.9, "odometry.sideways_scale": 0.5}))
+    tested.follow((0.2, 0.2, 0.0), 0)
+    tested.advance(100 * MS)
+    assert pose(tested) == pytest.approx((0.018, 0.01, 0.0))
+
+
+def test_the_heading_is_that_of_the_middle_of_the_step() -> None:
+    tested = Odometry(1.0, 1.0)
+    tested.follow((0.2, 0.1, 1.0), 0)
+    tested.advance(100 * MS)
+    middle = 0.05
+    x = (0.2 * math.cos(middle) - 0.1 * math.sin(middle)) * 0.1
+    y = (0.2 * math.sin(middle) + 0.1 * math.cos(middle)) * 0.1
+    assert pose(tested) == pytest.approx((x, y, 0.1))
+
+
+def test_a_circle_ends_where_it_began() -> None:
+    tested = driven((0.2, 0.0, 1.0), 2 * math.pi, step_ms=10)
+    tested.advance(round(2 * math.pi * 1e9))
+    assert pose(tested) == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)
+
+
+@given(st.floats(-1e6, 1e6))
+def test_th_is_wrapped_from_minus_pi_to_pi(angle: float) -> None:
+    found = wrapped(angle)
+    assert -math.pi <= found <= math.pi
+    assert math.cos(found) == pytest.approx(math.cos(angle), abs=1e-6)
+    assert math.sin(found) == pytest.approx(math.sin(angle), abs=1e-6)
+
+
+def test_dt_is_bounded_to_0_1_s() -> None:
+    tested = Odometry(1.0, 1.0)
+    tested.follow((0.2, 0.0, 0.0), 0)
+    tested.advance(5_000 * MS)
+    assert pose(tested) == pytest.approx((0.02, 0.0, 0.0))
+    tested.advance(5_100 * MS)
+    assert pose(tested) == pytest.approx((0.04, 0.0, 0.0)), "the lost time is lost, not owed"
+
+
+def test_a_new_velocity_counts_from_its_own_time() -> None:
+    tested = Odometry(1.0, 1.0)
+    tested.follow((0.2, 0.0, 0.0), 0)
+    tested.follow((0.0, 0.0, 0.0), 60 * MS)
+    tested.advance(100 * MS)
+    assert pose(tested) == pytest.approx((0.012, 0.0, 0.0))
+
+
+def test_a_time_before_the_last_one_takes_nothing_back() -> None:
+    tested = Odometry(1.0, 1.0)
+    tested.follow((0.2, 0.0, 0.0), 0)
+    tested.advance(50 * MS)
+    tested.follow((0.1, 0.0, 0.0), 40 * MS)
+    assert pose(tested) == pytest.approx((0.01, 0.0, 0.0))
+    tested.advance(60 * MS)
+    assert pose(tested) == pytest.approx((0.011, 0.0, 0.0))
+
+
+def test_a_successor_goes_on_from_the_pose() -> None:
+    tested = Odometry(1.0, 1.0)
+    tested.inherit(1.0, 2.0, math.pi / 2)
+    tested.follow((0.2, 0.0, 0.0), 0)
+    tested.advance(100 * MS)
+    assert pose(tested) == pytest.approx((1.0, 2.02, math.pi / 2))
+
+
+def test_the_variances_to_publish() -> None:
+    """Twist 0.05 m/s and 0.2 rad/s (std); pose 1e3 on x, y, yaw."""
+    assert pytest.approx(0.05**2) == odometry.TWIST_VARIANCE_LINEAR
+    assert pytest.approx(0.2**2) == odometry.TWIST_VARIANCE_YAW
+    assert odometry.POSE_VARIANCE == 1e3
+
+
+@given(st.lists(st.tuples(st.integers(0, 300), VELOCITY), max_size=40))
+def test_it_never_goes_further_than_speed_times_bounded_time(
+    steps: list[tuple[int, tuple[float, float, float]]],
+) -> None:
+    tested = Odometry(1.0, 0.765)
+    t_ms, way_m, speed_mps = 0, 0.0, 0.0
+    tested.follow((0.0, 0.0, 0.0), 0)
+    for ms, velocity in steps:
+        t_ms += ms
+        tested.follow(velocity, t_ms * MS)
+        way_m += speed_mps * min(ms, 100) / 1000
+        speed_mps = math.hypot(velocity[0], velocity[1])
+        assert math.hypot(tested.x_m, tested.y_m) <= way_m + 1e-9
+        assert -math.pi <= tested.th_rad <= math.pi

@@ -1,0 +1,300 @@
+"""The gamepad: trips, modes, sticks, and the hold that resets."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.procs.telemetry.pad import DRIVE, LOCKED, Pad, PadNews
+from failstop.procs.telemetry.trips import Trips
+from failstop.shm import records
+from failstop.supervisor.settings import Settings
+
+MS = 1_000_000
+FRAME_MS = 50
+MODE = 0x2000
+X = 0x0100
+
+
+class Held:
+    """A pad in somebody's hands: frames, 20 a second."""
+
+    def __init__(self, **changed: object) -> None:
+        settings = Settings(dict(changed))
+        self.pad = Pad.of(settings, Trips(int(settings["pad.mode_button"]), int(settings["key.stop"])))
+        self.now_ns = 1_000_000 * MS
+
+    def frame(self, buttons: int = 0, lx: int = 0, ly: int = 0, rx: int = 0, ry: int = 0) -> PadNews:
+        self.now_ns += FRAME_MS * MS
+        raw = bytes((buttons & 0xFF, buttons >> 8, 0, lx & 0xFF, ly & 0xFF, rx & 0xFF, ry & 0xFF))
+        return self.pad.take((buttons, 0, lx, ly, rx, ry), raw, self.now_ns)
+
+    def frames(self, count: int, buttons: int = 0) -> list[PadNews]:
+        return [self.frame(buttons) for _ in range(count)]
+
+    def tap(self, buttons: int = MODE) -> PadNews:
+        """One frame, as real taps are, and rest enough for the next."""
+        news = self.frame(buttons)
+        self.frames(12)
+        return news
+
+    def silence(self, ms: int) -> None:
+        """`ms` from the last frame to the next."""
+        self.now_ns += (ms - FRAME_MS) * MS
+
+    def latch(self, latched: bool = True) -> None:
+        self.pad.follow(latched, self.now_ns)
+
+
+@pytest.fixture
+def held() -> Held:
+    made = Held()
+    made.frame()
+    return made
+
+
+@pytest.fixture
+def driving(held: Held) -> Held:
+    held.tap()
+    assert held.pad.mode == DRIVE
+    return held
+
+
+def test_any_button_but_mode_trips_on_its_first_frame(held: Held) -> None:
+    assert held.frame(X).reason == "gamepad button 0x0100"
+    for bit in range(16):
+        if 1 << bit != MODE:
+            assert held.tap(1 << bit).reason == f"gamepad button 0x{1 << bit:04X}"
+    assert held.tap(MODE).reason == ""
+
+
+def test_the_first_frame_of_all_trips_too() -> None:
+    assert Held().frame(X).reason == "gamepad button 0x0100"
+
+
+def test_the_last_raw_frames_are_kept_for_the_log(held: Held) -> None:
+    for ly in range(1, 10):
+        held.frame(ly=ly)
+    held.frame(X, ly=10)
+    assert held.pad.recent() == (
+        "00000000050000 (-250 ms), 00000000060000 (-200 ms), 00000000070000 (-150 ms), "
+        "00000000080000 (-100 ms), 00000000090000 (-50 ms), 000100000a0000 (-0 ms)"
+    )
+
+
+def test_mode_cycles_locked_and_drive(held: Held) -> None:
+    seen = [held.pad.mode]
+    for _ in range(4):
+        held.tap()
+        seen.append(held.pad.mode)
+    assert [records.PAD_MODES[mode] for mode in seen] == ["locked", "drive", "locked", "drive", "locked"]
+
+
+def test_mode_has_a_lockout_of_0_6_s(held: Held) -> None:
+    """From one change to the next: eleven frames are 0.55 s."""
+    held.frame(MODE)
+    held.frames(10)
+    held.frame(MODE)
+    assert held.pad.mode == DRIVE, "0.55 s"
+    held.frames(3)
+    held.frame(MODE)
+    assert held.pad.mode == LOCKED, "0.75 s; the press that was locked out did not prolong it"
+
+
+def test_exactly_0_6_s_is_enough(held: Held) -> None:
+    held.frame(MODE)
+    held.frames(11)
+    held.frame(MODE)
+    assert held.pad.mode == LOCKED
+
+
+def test_mode_held_changes_the_mode_once(held: Held) -> None:
+    held.frames(100, MODE)
+    assert held.pad.mode == DRIVE
+
+
+def test_modes_bit_is_a_setting() -> None:
+    held = Held(**{"pad.mode_button": 0x0008})
+    held.frame()
+    assert held.tap(0x0008).reason == ""
+    assert held.pad.mode == DRIVE
+    assert held.frame(MODE).reason == "gamepad button 0x2000"
+
+
+def test_in_drive_the_sticks_command_times_the_limits(driving: Held) -> None:
+    """Forward = ly, left = -lx, turn = -rx; the limits are 0.2 m/s, 0.2 m/s, 1.0 rad/s."""
+    assert driving.frame(ly=127).command == pytest.approx((0.2, 0.0, 0.0))
+    assert driving.frame(lx=127).command == pytest.approx((0.0, -0.2, 0.0))
+    assert driving.frame(rx=127).command == pytest.approx((0.0, 0.0, -1.0))
+    assert driving.frame(lx=-64, ly=-64, rx=-64).command == pytest.approx((-0.2 * 64 / 127, 0.2 * 64 / 127, 64 / 127))
+    assert driving.frame(ry=127).command == (0.0, 0.0, 0.0), "ry commands nothing"
+
+
+def test_the_limits_are_the_settings() -> None:
+    held = Held(**{"limits.vx_mps": 0.35, "limits.vy_mps": 0.3, "limits.wz_radps": 2.0})
+    held.tap()
+    assert held.frame(lx=-127, ly=127, rx=-127).command == pytest.approx((0.35, 0.3, 2.0))
+
+
+def test_an_axis_is_raw_over_127_and_at_most_1(driving: Held) -> None:
+    assert driving.frame(ly=-128, lx=-128, rx=-128).command == pytest.approx((-0.2, 0.2, 1.0))
+
+
+def test_the_dead_zone_is_0_1(driving: Held) -> None:
+    assert driving.frame(ly=12, lx=-12, rx=12).command == (0.0, 0.0, 0.0), "12/127 is 0.094"
+    assert driving.frame(ly=13).command == pytest.approx((0.2 * 13 / 127, 0.0, 0.0)), "13/127 is 0.102"
+
+
+def test_locked_the_sticks_command_nothing(held: Held) -> None:
+    assert held.frame(ly=127).command is None
+
+
+def test_leaving_drive_by_mode_commands_a_standstill_once(driving: Held) -> None:
+    driving.frame(ly=127)
+    assert driving.frame(MODE, ly=127).command == (0.0, 0.0, 0.0)
+    assert driving.frame(ly=127).command is None
+
+
+def test_any_latch_drops_the_pad_to_locked(driving: Held) -> None:
+    driving.latch()
+    assert driving.pad.mode == LOCKED
+    assert driving.frame(ly=127).command is None
+    driving.latch(False)
+    assert driving.frame(ly=127).command is None, "and so it stays until MODE"
+
+
+def test_its_own_trip_drops_it_at_once(driving: Held) -> None:
+    news = driving.frame(X, ly=127)
+    assert driving.pad.mode == LOCKED
+    assert news.command is None
+
+
+def test_while_latched_mode_changes_nothing(held: Held) -> None:
+    held.latch()
+    held.tap()
+    assert held.pad.mode == LOCKED
+    held.latch(False)
+    held.frame()
+    assert held.pad.mode == LOCKED
+
+
+def resets(found: list[PadNews]) -> list[int]:
+    """Which of the frames wished a reset."""
+    return [i for i, news in enumerate(found) if news.reset]
+
+
+def test_mode_held_2_s_while_latched_resets(held: Held) -> None:
+    """Forty frames after the first are 2 s."""
+    held.latch()
+    assert resets(held.frames(100, MODE)) == [40]
+
+
+def test_once_a_hold(held: Held) -> None:
+    held.latch()
+    held.frames(41, MODE)
+    held.latch(False)
+    held.latch()
+    assert resets(held.frames(200, MODE)) == []
+    held.frames(3)
+    assert resets(held.frames(50, MODE)) == [40]
+
+
+def test_the_reset_does_not_change_the_mode(held: Held) -> None:
+    held.latch()
+    held.frames(41, MODE)
+    held.latch(False)
+    held.frames(20, MODE)
+    held.frames(20)
+    assert held.pad.mode == LOCKED
+
+
+def test_3_frames_without_mode_end_a_hold_and_2_do_not(held: Held) -> None:
+    held.latch()
+    held.frames(30, MODE)
+    held.frames(2)
+    assert resets(held.frames(20, MODE)) == [8]
+    held.frames(3)
+    held.frames(30, MODE)
+    held.frames(3)
+    assert resets(held.frames(20, MODE)) == []
+
+
+def test_not_latched_nothing_is_reset(held: Held) -> None:
+    assert resets(held.frames(200, MODE)) == []
+
+
+def test_a_hold_from_before_the_latch_counts_from_the_latch(held: Held) -> None:
+    held.frames(200, MODE)
+    held.latch()
+    assert resets(held.frames(39, MODE)) == []
+    assert held.frame(MODE).reset
+
+
+def test_with_another_button_down_nothing_is_reset(held: Held) -> None:
+    held.latch()
+    assert resets(held.frames(100, MODE | X)) == []
+
+
+def test_the_hold_is_a_setting() -> None:
+    held = Held(**{"pad.reset_hold_s": 1.0})
+    held.latch()
+    assert resets(held.frames(30, MODE)) == [20]
+
+
+def test_a_button_held_into_a_silence_does_not_mask_the_next_tap(held: Held) -> None:
+    assert held.frame(X).reason
+    assert held.frame(X).reason == ""
+    held.silence(500)
+    held.now_ns += 1
+    assert held.frame(X).reason == "gamepad button 0x0100"
+
+
+def test_a_silence_of_0_5_s_is_still_the_same_hold(held: Held) -> None:
+    held.frame(X)
+    held.silence(500)
+    assert held.frame(X).reason == ""
+
+
+def test_a_silence_ends_a_hold_of_mode(held: Held) -> None:
+    held.latch()
+    held.frames(3, MODE)
+    held.silence(3_000)
+    assert resets(held.frames(40, MODE)) == []
+
+
+def test_a_pad_that_was_silent_in_drive_is_in_drive(driving: Held) -> None:
+    """The command timeout stops the wheels; the pad itself is none the wiser."""
+    driving.silence(10_000)
+    assert driving.frame(ly=127).command == pytest.approx((0.2, 0.0, 0.0))
+
+
+AXIS = st.integers(-128, 127)
+FRAME = st.tuples(
+    st.sampled_from([0, 0, 0, MODE, MODE, X, MODE | X]), AXIS, AXIS, AXIS, st.integers(1, 900), st.booleans()
+)
+
+
+@given(st.lists(FRAME, max_size=150))
+def test_whatever_is_done_with_the_pad(frames: list[tuple[int, int, int, int, int, bool]]) -> None:
+    """Latched it is locked, commands nothing, and only MODE alone resets; no command is past a limit; whoever presses
+    what is not MODE leaves drive."""
+    held = Held()
+    latched = False
+    for buttons, lx, ly, rx, ms, latch in frames:
+        held.silence(ms)
+        latched = latch if ms > 600 else latched
+        held.latch(latched)
+        news = held.frame(buttons, lx, ly, rx)
+        if latched:
+            assert held.pad.mode == LOCKED
+            assert news.command is None
+        if news.reset:
+            assert latched
+            assert buttons == MODE
+        if news.command:
+            assert all(abs(v) <= limit for v, limit in zip(news.command, (0.2, 0.2, 1.0), strict=True))
+        if news.reason:
+            assert buttons & ~MODE
+            assert held.pad.mode == LOCKED
+            assert news.command is None

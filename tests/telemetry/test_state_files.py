@@ -1,0 +1,178 @@
+"""Files under the state directory: where they are, whole or not at all, and never a crash."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from failstop.procs.telemetry import state_files
+from failstop.procs.telemetry.state_files import StateFiles, append_line, state_directory, write_whole
+
+from .scene import until
+
+HEADER = "a,b\n"
+
+
+@pytest.fixture
+def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """In place of /var/lib/failstop."""
+    monkeypatch.setattr(state_files, "SYSTEM_BASE", str(tmp_path / "var"))
+    return tmp_path / "var"
+
+
+def test_what_is_configured_comes_first(base: Path) -> None:
+    assert state_directory("robot", {"STATE_DIRECTORY": "/given"}, "/chosen") == "/chosen"
+
+
+def test_then_systemd_s_first_state_directory(base: Path) -> None:
+    base.mkdir()
+    assert state_directory("robot", {"STATE_DIRECTORY": "/given:/other"}) == "/given"
+
+
+def test_then_the_system_s_when_it_is_writable(base: Path) -> None:
+    base.mkdir()
+    assert state_directory("robot", {"XDG_STATE_HOME": "/home/x"}) == str(base / "robot")
+    (base / "robot").mkdir()
+    assert state_directory("robot", {"XDG_STATE_HOME": "/home/x"}) == str(base / "robot")
+
+
+def test_then_the_user_s(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/x")
+    assert state_directory("robot", {"XDG_STATE_HOME": "/elsewhere"}) == "/elsewhere/failstop/robot"
+    assert state_directory("robot", {}) == "/home/x/.local/state/failstop/robot"
+
+
+def test_a_new_file_starts_with_the_header(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "er" / "log.csv"
+    append_line(str(path), HEADER, "1,2\n")
+    append_line(str(path), HEADER, "3,4\n")
+    assert path.read_text() == "a,b\n1,2\n3,4\n"
+
+
+def test_a_line_that_a_power_cut_tore_spoils_no_other(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("a,b\n1,")
+    append_line(str(path), HEADER, "3,4\n")
+    assert path.read_text() == "a,b\n1,\n3,4\n"
+
+
+def test_a_line_that_does_not_fit_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("a,b\n1,2\n")
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda fd, data: write(fd, data[:2]))
+    with pytest.raises(OSError, match="No space left"):
+        append_line(str(path), HEADER, "3,4\n")
+    monkeypatch.undo()
+    assert path.read_text() == "a,b\n1,2\n"
+
+
+def test_a_full_disk_is_an_os_error() -> None:
+    """The real one: /dev/full."""
+    with pytest.raises(OSError, match="No space left"):
+        append_line("/dev/full", HEADER, "3,4\n")
+
+
+def test_replaced_whole(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "charger"
+    write_whole(str(path), "", "plugged\n")
+    write_whole(str(path), "", "unplugged\n")
+    assert path.read_text() == "unplugged\n"
+    assert os.listdir(path.parent) == ["charger"]
+
+
+@pytest.mark.parametrize("step", ["write", "fsync", "rename"])
+def test_whatever_fails_the_old_content_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+    path = tmp_path / "charger"
+    path.write_text("plugged\n")
+
+    def fail(*_: object) -> int:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, step, fail)
+    with pytest.raises(OSError, match="Input/output error"):
+        write_whole(str(path), "", "unplugged\n")
+    monkeypatch.undo()
+    assert path.read_text() == "plugged\n"
+    assert os.listdir(tmp_path) == ["charger"]
+
+
+def test_it_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+    real_fsync, real_rename = os.fsync, os.rename
+
+    def fsync(fd: int) -> None:
+        done.append(os.readlink(f"/proc/self/fd/{fd}"))
+        real_fsync(fd)
+
+    def rename(old: str, new: str) -> None:
+        done.append("rename")
+        real_rename(old, new)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "rename", rename)
+    write_whole(str(tmp_path / "charger"), "", "plugged\n")
+    assert done == [str(tmp_path / "charger.new"), "rename", str(tmp_path)]
+
+
+def test_the_thread_writes_in_order(tmp_path: Path) -> None:
+    files = StateFiles(str(tmp_path / "state"))
+    for i in range(20):
+        files.append("log", "log.csv", HEADER, f"{i},0\n")
+    files.replace("charger state", "charger", "plugged\n")
+    until(lambda: (tmp_path / "state" / "charger").exists(), "the last job")
+    assert (tmp_path / "state" / "log.csv").read_text() == HEADER + "".join(f"{i},0\n" for i in range(20))
+    assert files.read("charger state", "charger") == "plugged\n"
+    assert files.notes() == []
+
+
+def test_a_missing_directory_is_a_note_once_and_its_return_another(tmp_path: Path) -> None:
+    (tmp_path / "state").write_text("a file is in the way")
+    files = StateFiles(str(tmp_path / "state"))
+    notes: list[str] = []
+
+    def said(count: int) -> bool:
+        notes.extend(files.notes())
+        return len(notes) >= count
+
+    for _ in range(3):
+        files.append("battery log", "log.csv", HEADER, "1,2\n")
+    until(lambda: said(1) and files._jobs.empty(), "the note")
+    os.unlink(tmp_path / "state")
+    files.append("battery log", "log.csv", HEADER, "3,4\n")
+    until(lambda: said(2), "the second note")
+    assert len(notes) == 2
+    assert notes[0].startswith("battery log can't be written: ")
+    assert str(tmp_path / "state") in notes[0]
+    assert notes[1] == "battery log is written again"
+
+
+def test_a_file_that_is_not_there_is_empty_and_one_that_can_t_be_read_a_note(tmp_path: Path) -> None:
+    files = StateFiles(str(tmp_path))
+    assert files.read("charger state", "charger") == ""
+    assert files.notes() == []
+    (tmp_path / "charger").mkdir()
+    assert files.read("charger state", "charger") == ""
+    assert files.notes()[0].startswith("charger state can't be read: ")
+
+
+def test_a_disk_that_hangs_holds_nothing_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The jobs that wait are bounded; what comes on top is dropped."""
+    monkeypatch.setattr(StateFiles, "_work", lambda self: None)
+    files = StateFiles(str(tmp_path))
+    for _ in range(500):
+        files.append("log", "log.csv", HEADER, "1,2\n")
+    assert files._jobs.qsize() == state_files.MOST_WAITING
+
+
+def test_no_thread_is_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> int:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("_thread.start_new_thread", refuse)
+    files = StateFiles(str(tmp_path))
+    files.append("log", "log.csv", HEADER, "1,2\n")
+    files.append("log", "log.csv", HEADER, "1,2\n")
+    assert len(files.notes()) == 1

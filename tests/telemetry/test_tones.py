@@ -1,0 +1,63 @@
+"""Buzzer tones on a trip and on mode changes; off by default."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from failstop.board.codec import BUZZER
+from failstop.procs.telemetry import pad, tones
+from failstop.procs.telemetry.tones import Tones
+from failstop.shm import records
+from failstop.supervisor.settings import Settings
+
+
+@pytest.fixture
+def sounding() -> Tones:
+    made = Tones(on=True)
+    made.follow(False, pad.LOCKED)
+    return made
+
+
+def test_off_by_default() -> None:
+    assert not Settings().on("buzzer.tones")
+    silent = Tones(on=False)
+    seen = [silent.follow(latched, mode) for latched in (False, True, False) for mode in (pad.LOCKED, pad.DRIVE)]
+    assert set(seen) == {b""}
+
+
+def test_a_trip_sounds_once(sounding: Tones) -> None:
+    assert [sounding.follow(True, pad.LOCKED) for _ in range(3)] == [tones.TRIP, b"", b""]
+
+
+def test_each_trip_sounds(sounding: Tones) -> None:
+    sounding.follow(True, pad.LOCKED)
+    assert sounding.follow(False, pad.LOCKED) == b""
+    assert sounding.follow(True, pad.LOCKED) == tones.TRIP
+
+
+def test_each_mode_has_its_tone(sounding: Tones) -> None:
+    assert sounding.follow(False, pad.DRIVE) == tones.MODES[pad.DRIVE]
+    assert sounding.follow(False, pad.DRIVE) == b""
+    assert sounding.follow(False, pad.LOCKED) == tones.MODES[pad.LOCKED]
+    assert len({tones.TRIP, *tones.MODES.values()}) == 1 + len(records.PAD_MODES)
+
+
+def test_a_trip_that_locks_the_pad_sounds_as_a_trip(sounding: Tones) -> None:
+    sounding.follow(False, pad.DRIVE)
+    assert sounding.follow(True, pad.LOCKED) == tones.TRIP
+    assert sounding.follow(False, pad.LOCKED) == b""
+
+
+def test_what_was_latched_before_the_start_is_not_told_again() -> None:
+    assert Tones(on=True).follow(True, pad.LOCKED) == b""
+
+
+@pytest.mark.parametrize("frame", [tones.TRIP, *tones.MODES.values()])
+def test_every_tone_ends(frame: bytes) -> None:
+    """An off time of 0 left one sounding for ever: 100 ms."""
+    assert frame[2] == BUZZER
+    _, on_ms, off_ms, repeat = struct.unpack("<4H", frame[4:12])
+    assert off_ms == 100
+    assert (on_ms + off_ms) * repeat <= 1_000

@@ -1,0 +1,87 @@
+"""The examples are what the declarations say, and right; so is the page on settings."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from failstop import cli
+from failstop.procs.gate import kinematics
+from failstop.supervisor import config
+from failstop.supervisor.settings import DECLARED, FAMILIES, Settings
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = ROOT / "examples"
+COMPLETE = EXAMPLES / "failstop.toml"
+
+
+def printed(capsys: pytest.CaptureFixture[str], option: str) -> str:
+    assert cli.main(["config", option]) == 0
+    return capsys.readouterr().out
+
+
+def test_the_complete_example_is_the_generated_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert COMPLETE.read_text() == printed(capsys, "--example"), (
+        "renew it: failstop config --example > examples/failstop.toml"
+    )
+
+
+def test_the_page_on_settings_is_the_generated_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert (ROOT / "docs" / "configuration.md").read_text() == printed(capsys, "--markdown"), (
+        "renew it: failstop config --markdown > docs/configuration.md"
+    )
+
+
+def test_the_complete_example_sets_every_setting_to_its_default() -> None:
+    read = config.read(str(COMPLETE))
+    flat = Settings().flat()
+    del flat["sources.cmd_vel.timeout_s"]  # it follows gate.command_timeout_s, which is there
+    assert read == flat
+    assert read.keys() >= {setting.key for setting in DECLARED}
+
+
+def test_each_setting_of_the_example_says_what_it_is_and_what_is_allowed() -> None:
+    lines = COMPLETE.read_text().splitlines()
+    commented = {(line.partition(" = ")[0], above) for above, line in pairwise(lines) if " = " in line}
+    for setting in DECLARED:
+        name = setting.key.partition(".")[2]
+        assert any(
+            key == name and above.lower().startswith(f"# {setting.doc.lower()} [") and setting.range() in above
+            for key, above in commented
+        ), setting.key
+
+
+def test_the_samples_in_the_example_are_right_when_uncommented(tmp_path: Path) -> None:
+    text = COMPLETE.read_text()
+    for family in FAMILIES:
+        assert re.search(rf"^# \[{family}\.", text, re.MULTILINE)
+    file = tmp_path / "all.toml"
+    file.write_text(re.sub(r"^# (\[|\w+ = )", r"\1", text, flags=re.MULTILINE))
+    settings = config.load(str(file))
+    assert settings.sources() == {"teleop": (10, 300_000_000), "cmd_vel": (0, 300_000_000)}
+    assert settings.interlocks() == {"arm": (500_000_000, "arm is not in the drive pose")}
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.name)
+def test_every_example_passes_the_check(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["config", "--check", str(path)]) == 0
+    assert capsys.readouterr().out.startswith(f"{path} is right; ")
+
+
+def test_the_profile_of_the_robot() -> None:
+    settings = config.load(str(EXAMPLES / "rosorin.toml"))
+    assert (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"]) == (0.35, 0.35, 1.0)
+    assert [settings[f"imu.offset_{axis}_g"] for axis in "xyz"] == [0.0460, -0.0635, -0.0501]
+    assert [settings[f"imu.scale_{axis}"] for axis in "xyz"] == [1.0058, 0.9964, 1.0076]
+    assert list(settings.sources()) == ["teleop", "cmd_vel"], "teleop goes before the navigation"
+    speeds = kinematics.from_settings(settings).wheels_rps(0.2, 0.0, 0.0)
+    assert [f"{rps:.3f}" for rps in speeds] == ["0.796", "0.796", "-0.796", "-0.796"]
+
+
+def test_the_profile_says_only_what_differs() -> None:
+    defaults = Settings().flat()
+    for key, value in config.read(str(EXAMPLES / "rosorin.toml")).items():
+        assert key not in defaults or value != defaults[key], key
