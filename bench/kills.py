@@ -5,9 +5,8 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 
-from failstop.board.sim.client import SimBoard
-
 from bench import floor, stats
+from failstop.board.sim.client import SimBoard
 from failstop.shm import layout
 from failstop.trial import Stopped, Trial
 

@@ -7,7 +7,7 @@ import pytest
 from failstop.procs.gate import kinematics
 from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.kinematics import Mecanum
-from failstop.procs.gate.sources import PAD, Command
+from failstop.procs.gate.sources import PAD, PAD_PRIORITY, Command
 from failstop.supervisor.settings import Settings
 
 MS = 1_000_000
@@ -229,3 +229,14 @@ def test_a_layout_without_a_sideways_axis_stands_sideways() -> None:
         core.take(Command(1, "one", T0 + tick * TICK, (0.1, 0.2, 0.0)), T0 + tick * TICK)
         core.step(T0 + tick * TICK)
     assert core.velocity == pytest.approx((0.1, 0.0, 0.0))
+
+
+def test_a_command_is_no_manual_one_unless_it_says_so() -> None:
+    command = Command(1, "one", T0, (0.0, 0.0, 0.0))
+    assert not command.manual
+    assert command.source == "cmd_vel"
+
+
+def test_the_pad_s_name_and_rank() -> None:
+    """The settings refuse both for a source of the user's."""
+    assert (PAD, PAD_PRIORITY) == ("gamepad", 101)
