@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from failstop.board.port import PortError
 from failstop.commands import add_name
+from failstop.errors import FailstopError
 from failstop.shm import instance, segment
 from failstop.supervisor import config, starter
 from failstop.supervisor.port import OwnPort
@@ -26,6 +28,19 @@ def main(arguments: Namespace) -> int:
     lock = instance.lock(runtime_dir)
     if pid := segment.living_supervisor(arguments.name):
         raise instance.already_running(arguments.name, pid)
-    port = OwnPort.open_and_stop(settings.text("device.path"))
+    try:
+        port = OwnPort.open_and_stop(settings.text("device.path"))
+    except PortError as error:
+        raise FailstopError(f"{error}{_others(error)}") from None
     starter.become_supervisor(arguments.name, runtime_dir, settings, lock, port.fd)
     raise AssertionError("exec returned")
+
+
+def _others(error: PortError) -> str:
+    """The serial devices that are there, when the one that was asked for is not."""
+    if error.kind != "absent":
+        return ""
+    from failstop.board import discovery
+
+    found = ", ".join(f"{path} ({what})" for path, what in discovery.candidates())
+    return f"; here there is {found}" if found else ""

@@ -83,7 +83,7 @@ class GyroBias:
         rest_s: float,
         band_dps: float,
         tau_s: float,
-        tracks: bool = True,
+        tracks: bool,
     ) -> None:
         """`std_dps`: the most that counts as still; `tracks`: False never moves the bias after the calibration."""
         self._calibration_ns = round(calibration_s * 1e9)

@@ -56,7 +56,9 @@ def test_it_begins_when_zero_has_been_commanded_for_1_s() -> None:
 
 def test_frozen_while_driving() -> None:
     tested = resting()
+    tested.take(dps(0.0, 0.0, 0.0), 11 * S - PERIOD_NS)
     tested.follow(True, 11 * S)
+    assert not tested.tracking, "at once, not with the next sample"
     for i in range(500):
         tested.take(dps(0.0, 0.0, 0.3), 11 * S + i * PERIOD_NS)
         assert not tested.tracking
@@ -72,9 +74,9 @@ def test_frozen_when_turned_by_hand(axis: int) -> None:
     for i in range(1, 500):
         tested.take(dps(*rate), 10 * S + i * PERIOD_NS)
     assert tested.bias_radps == (0.0, 0.0, 0.0)
-    rate[axis] = 0.49
+    rate[axis] = 0.5
     tested.take(dps(*rate), 15 * S)
-    assert tested.tracking
+    assert tested.tracking, "exactly 0.5 is within"
 
 
 def test_the_band_is_around_the_bias_and_not_around_zero() -> None:
@@ -93,6 +95,13 @@ def test_off_it_never_moves() -> None:
         tested.take(dps(0.0, 0.0, 0.1 if i < 400 else 0.2), i * PERIOD_NS)
         assert not tested.tracking
     assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.1))
+
+
+@pytest.mark.parametrize(("gap_ns", "weight"), [(S // 2, 0.025), (S // 2 + 1, 0.0)])
+def test_0_5_s_is_the_longest_weight_of_one_reading(gap_ns: int, weight: float) -> None:
+    tested = resting()
+    tested.take(dps(0.0, 0.0, 0.4), 10 * S + gap_ns)
+    assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.4 * weight))
 
 
 def test_a_reading_after_a_silence_is_not_given_the_weight_of_the_silence() -> None:

@@ -61,13 +61,21 @@ def test_a_gate_silent_for_250_ms_moves_nothing(gate: GateState, published: Publ
     published.put(100 * MS)
     gate.read(100 * MS)
     assert not gate.read(350 * MS)
-    assert gate.read(351 * MS)
+    assert gate.read(350 * MS + 1)
     assert (gate.moving, gate.enabled) == (False, False)
-    assert gate.since_ns == 351 * MS
+    assert gate.since_ns == 350 * MS + 1
     assert not gate.read(400 * MS), "told once"
     published.put(500 * MS)
     assert gate.read(500 * MS)
     assert gate.moving
+
+
+def test_a_gate_silent_at_rest_enables_nothing(gate: GateState, published: Published) -> None:
+    published.put(100 * MS, body_vel=[0, 0, 0])
+    gate.read(100 * MS)
+    assert gate.enabled
+    assert gate.read(350 * MS + 1)
+    assert (gate.moving, gate.enabled) == (False, False)
 
 
 def test_what_a_dead_gate_left_is_old_at_once(gate: GateState, published: Published) -> None:

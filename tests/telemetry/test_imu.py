@@ -36,7 +36,7 @@ def test_g_is_9_80665() -> None:
 
 
 def test_gyro_comes_in_degrees_and_leaves_in_rad_per_second() -> None:
-    assert imu.radps(180.0, -90.0, 0.0) == pytest.approx((math.pi, -math.pi / 2, 0.0))
+    assert imu.radps(180.0, -90.0, 45.0) == pytest.approx((math.pi, -math.pi / 2, math.pi / 4))
 
 
 @given(raw=st.tuples(*[st.floats(-16, 16)] * 3))
@@ -79,6 +79,14 @@ def test_3_s_of_samples_give_their_mean() -> None:
     assert tested.bias_radps == pytest.approx(dps(1.0, -2.0, 3.0 + 330.5 / 2000), abs=2e-5)
 
 
+@pytest.mark.parametrize("start_ns", [0, 1, 77 * S])
+def test_the_3_s_end_with_the_first_sample_that_is_3_s_after_the_first(start_ns: int) -> None:
+    tested = gyro()
+    ends = [bool(tested.take(dps(0.1, 0.1, 0.1), start_ns + i * S // 100)) for i in range(400)]
+    assert ends.index(True) == 300
+    assert sum(ends) == 1
+
+
 def test_the_mean_is_logged_with_count_and_std() -> None:
     tested = gyro()
     (note,) = calibrate(tested, [dps(1.0, -2.0, 0.5 + (0.1 if i % 2 else -0.1)) for i in range(340)])
@@ -97,6 +105,34 @@ def test_a_standard_deviation_over_0_3_deg_per_s_on_any_axis_is_not_stationary(a
     assert note.startswith("robot not stationary during gyro calibration")
     assert quiet.calibrated
     assert not loud.calibrated
+
+
+def test_exactly_the_standard_deviation_is_stationary() -> None:
+    tested = gyro(std_dps=0.0)
+    calibrate(tested, [dps(0.0, 0.0, 0.0)] * 400)
+    assert tested.calibrated
+
+
+def test_the_settings_are_those_of_the_bias() -> None:
+    changed: dict[str, object] = {"imu.calibration_s": 1.0, "imu.calibration_std_dps": 1.0, "imu.tracking_rest_s": 2.0}
+    tested = GyroBias.of(Settings(changed | {"imu.tracking_band_dps": 5.0, "imu.tracking_tau_s": 10.0}))
+    tested.follow(False, 0)
+    rates = [dps(0.0, 0.0, 0.9 if i % 2 else -0.9) for i in range(101)]
+    assert [i for i, rate in enumerate(rates) if tested.take(rate, i * S // 100)] == [100]
+    assert tested.calibrated
+    tested.inherit((0.0, 0.0, 0.0))
+    tested.take(dps(0.0, 0.0, 4.9), 2 * S - S // 4)
+    tested.take(dps(0.0, 0.0, 4.9), 2 * S - 1)
+    assert tested.bias_radps == (0.0, 0.0, 0.0)
+    tested.take(dps(0.0, 0.0, 4.0), 2 * S - 1 + S // 10)
+    assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.04))
+    off = GyroBias.of(Settings({"imu.tracking": "off"}))
+    off.inherit((0.0, 0.0, 0.0))
+    off.follow(True, 0)
+    off.follow(False, 0)
+    for i in range(5):
+        off.take(dps(0.0, 0.0, 0.1), 10 * S + i * PERIOD_NS)
+    assert off.bias_radps == (0.0, 0.0, 0.0)
 
 
 def test_it_then_goes_on_uncorrected() -> None:
@@ -148,6 +184,13 @@ def test_a_restarted_one_keeps_the_bias_it_had_until_it_has_a_new_one() -> None:
     again.inherit(dps(1.0, 1.0, 1.0))
     calibrate(again, [dps(2.0, 2.0, 2.0)] * 400)
     assert again.bias_radps == pytest.approx(dps(2.0, 2.0, 2.0))
+
+
+@pytest.mark.parametrize(("gap_ns", "ends"), [(S // 2, True), (S // 2 + 1, False)])
+def test_only_more_than_0_5_s_is_a_gap(gap_ns: int, ends: bool) -> None:
+    tested = gyro(calibration_s=0.5)
+    tested.take(dps(0.0, 0.0, 0.1), 7 * S)
+    assert bool(tested.take(dps(0.0, 0.0, 0.1), 7 * S + gap_ns)) is ends
 
 
 def test_a_gap_in_the_samples_begins_the_3_s_anew() -> None:

@@ -79,6 +79,14 @@ def test_dt_is_bounded_to_0_1_s() -> None:
     assert pose(tested) == pytest.approx((0.04, 0.0, 0.0)), "the lost time is lost, not owed"
 
 
+def test_it_stands_until_the_gate_has_said_something() -> None:
+    tested = Odometry(1.0, 1.0)
+    tested.advance(0)
+    tested.advance(100 * MS)
+    assert pose(tested) == (0.0, 0.0, 0.0)
+    assert (tested.vx_mps, tested.vy_mps, tested.wz_radps) == (0.0, 0.0, 0.0)
+
+
 def test_a_new_velocity_counts_from_its_own_time() -> None:
     tested = Odometry(1.0, 1.0)
     tested.follow((0.2, 0.0, 0.0), 0)
