@@ -107,7 +107,7 @@ def _client(index: int) -> SegmentSpec:
         (
             _latest("hello", 128, "gate"),
             _latest("command", 64, "gate"),
-            _latest("sensed", 16, "gate"),  # its time is that of the obstacle sensor's last delivery
+            _latest("sensed", 64, "gate"),  # its time is that of the obstacle sensor's last delivery
             _latest("interlocks", 224, "gate"),  # the conditions that this client says hold, at its time
             _latest("request", 320, "gate"),
         ),

@@ -85,15 +85,16 @@ def write_whole(path: str, _header: str, text: str) -> None:
 class StateFiles:
     """Jobs for the thread, and what it has to say of them. Everything but _work runs in the loop's thread."""
 
-    __slots__ = ("_failing", "_jobs", "_notes", "_started", "folder")
+    __slots__ = ("_failing", "_jobs", "_notes", "folder", "running")
 
     def __init__(self, folder: str) -> None:
         self.folder = folder
-        self._jobs: SimpleQueue[Job] = SimpleQueue()
+        self._jobs: SimpleQueue[Job | None] = SimpleQueue()
         self._notes: SimpleQueue[str] = SimpleQueue()
         self._failing: dict[str, str] = {}
         """What could not be done last time, and why; the thread's own."""
-        self._started = False
+        self.running = False
+        """Whether the thread is there."""
 
     def read(self, what: str, name: str) -> str:
         """A file's text; empty when there is none. At the start only: it does not go through the thread."""
@@ -118,22 +119,27 @@ class StateFiles:
         """Lines for the journal since the last call."""
         return [self._notes.get() for _ in range(self._notes.qsize())]
 
+    def close(self) -> None:
+        """Let the thread end once it has written what waits; `running` says when. No job may follow before."""
+        if self.running:
+            self._jobs.put(None)
+
     def _put(self, job: Job) -> None:
-        if not self._started:
+        if not self.running:
             try:
                 _thread.stack_size(STACK_BYTES)
                 _thread.start_new_thread(self._work, ())
             except RuntimeError as error:
                 self._say(job[0], f"no thread to write it: {error}")
                 return
-            self._started = True
+            self.running = True
         if self._jobs.qsize() < MOST_WAITING:
             self._jobs.put(job)
 
     def _work(self) -> None:
         """The thread."""
-        while True:
-            what, write, path, header, text = self._jobs.get()
+        while job := self._jobs.get():
+            what, write, path, header, text = job
             try:
                 write(path, header, text)
             except OSError as error:
@@ -141,6 +147,7 @@ class StateFiles:
             else:
                 if self._failing.pop(what, ""):
                     self._notes.put(f"{what} is written again")
+        self.running = False
 
     def _say(self, what: str, why: str) -> None:
         if self._failing.get(what) != why:

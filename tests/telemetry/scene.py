@@ -93,6 +93,8 @@ class Scene:
 
     def start(self) -> None:
         """Telemetry starts, or starts again after its death."""
+        if hasattr(self, "telemetry"):
+            self._end_thread()
         self.telemetry = Telemetry(self)  # type: ignore[arg-type]
 
     def turn(self, *frames: tuple[int, bytes], elapsed_ns: int = 0, gate: bool = True) -> None:
@@ -158,7 +160,13 @@ class Scene:
         except BlockingIOError:
             return False
 
+    def _end_thread(self) -> None:
+        files = self.telemetry._files
+        files.close()
+        until(lambda: not files.running, "the end of the thread that writes files")
+
     def close(self) -> None:
+        self._end_thread()
         for fd in (self._stop, *(found.fd for found in self._bells.values())):
             os.close(fd)
         segment.unlink_all(self.instance)

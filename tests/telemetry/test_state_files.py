@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,15 @@ from failstop.procs.telemetry.state_files import StateFiles, append_line, state_
 from .scene import until
 
 HEADER = "a,b\n"
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Iterator[StateFiles]:
+    """Files in a directory that is not there yet."""
+    made = StateFiles(str(tmp_path / "state"))
+    yield made
+    made.close()
+    until(lambda: not made.running, "the end of the thread")
 
 
 @pytest.fixture
@@ -117,8 +127,7 @@ def test_it_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: p
     assert done == [str(tmp_path / "charger.new"), "rename", str(tmp_path)]
 
 
-def test_the_thread_writes_in_order(tmp_path: Path) -> None:
-    files = StateFiles(str(tmp_path / "state"))
+def test_the_thread_writes_in_order(files: StateFiles, tmp_path: Path) -> None:
     for i in range(20):
         files.append("log", "log.csv", HEADER, f"{i},0\n")
     files.replace("charger state", "charger", "plugged\n")
@@ -128,9 +137,8 @@ def test_the_thread_writes_in_order(tmp_path: Path) -> None:
     assert files.notes() == []
 
 
-def test_a_missing_directory_is_a_note_once_and_its_return_another(tmp_path: Path) -> None:
+def test_a_missing_directory_is_a_note_once_and_its_return_another(files: StateFiles, tmp_path: Path) -> None:
     (tmp_path / "state").write_text("a file is in the way")
-    files = StateFiles(str(tmp_path / "state"))
     notes: list[str] = []
 
     def said(count: int) -> bool:
@@ -165,6 +173,18 @@ def test_a_disk_that_hangs_holds_nothing_up(tmp_path: Path, monkeypatch: pytest.
     for _ in range(500):
         files.append("log", "log.csv", HEADER, "1,2\n")
     assert files._jobs.qsize() == state_files.MOST_WAITING
+
+
+def test_closing_writes_what_waits_and_ends_the_thread(files: StateFiles, tmp_path: Path) -> None:
+    files.close()
+    states = [files.running]
+    for _ in range(50):
+        files.append("log", "log.csv", HEADER, "1,2\n")
+        states.append(files.running)
+    assert states == [False] + [True] * 50
+    files.close()
+    until(lambda: not files.running, "the end of the thread")
+    assert (tmp_path / "state" / "log.csv").read_text().count("1,2\n") == 50
 
 
 def test_no_thread_is_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
