@@ -43,8 +43,9 @@ def wait_for(what: str, check: Callable[[], bool], timeout_s: float = READY_S) -
 class Service:
     """A `failstop run` of its own; stderr is kept in a file."""
 
-    def __init__(self, name: str, device: str, options: tuple[str, ...] = ()) -> None:
+    def __init__(self, name: str, device: str, state_home: str, options: tuple[str, ...] = ()) -> None:
         self.name = name
+        self._environment = {**os.environ, "XDG_STATE_HOME": state_home}
         self._log = tempfile.NamedTemporaryFile("w+", prefix=f"{name}-", suffix=".log")  # noqa: SIM115
         self._command = [sys.executable, "-m", "failstop", "run", "--name", name, "--device", device, *options]
         self.started_ns = 0
@@ -58,7 +59,9 @@ class Service:
     def exec(self) -> None:
         """Exec the service; `started_ns` is just before."""
         self.started_ns = time.monotonic_ns()
-        self.process = subprocess.Popen(self._command, stdin=subprocess.DEVNULL, stderr=self._log)
+        self.process = subprocess.Popen(
+            self._command, stdin=subprocess.DEVNULL, stderr=self._log, env=self._environment
+        )
 
     def ready(self) -> bool:
         """True when every process beats and the port is open. Raises TrialError when the service has ended."""
@@ -147,7 +150,7 @@ class Trial:
         self._directory = tempfile.TemporaryDirectory(prefix="failstop-")
         self.link = os.path.join(self._directory.name, "board")
         self.board = SimBoard(self.link, imu_hz=imu_hz)
-        self.service = Service(self.name, self.link, options)
+        self.service = Service(self.name, self.link, self._directory.name, options)
         self._robot: Robot | None = None
         self.fault_s = 0.0
         self._running_again_s: float | None = None

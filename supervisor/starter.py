@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from failstop.supervisor.settings import Settings
     from failstop.supervisor.table import Process
 
+PASSED_ON = ("XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
+"""Of this environment: where the runtime directory and the files of the telemetry are."""
+
 
 def command(process: str, words: dict[str, str]) -> list[str]:
     """The command line of a process."""
@@ -28,8 +31,9 @@ def environment(settings: Settings) -> dict[str, str]:
     """All that a process gets of the environment."""
     path = [entry for entry in sys.path if os.path.isabs(entry)]
     found = {PATH_VARIABLE: os.pathsep.join(path), SETTINGS_VARIABLE: settings.lines(), "LANG": "C.UTF-8"}
-    if "XDG_RUNTIME_DIR" in os.environ:
-        found["XDG_RUNTIME_DIR"] = os.environ["XDG_RUNTIME_DIR"]
+    for name in PASSED_ON:
+        if name in os.environ:
+            found[name] = os.environ[name]
     return found
 
 
