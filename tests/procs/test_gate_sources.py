@@ -240,3 +240,48 @@ def test_a_command_is_no_manual_one_unless_it_says_so() -> None:
 def test_the_pad_s_name_and_rank() -> None:
     """The settings refuse both for a source of the user's."""
     assert (PAD, PAD_PRIORITY) == ("gamepad", 101)
+
+
+def test_every_loss_and_every_return_is_logged_once() -> None:
+    gate = Gate({})
+    for _ in range(2):
+        gate.core.notes.clear()
+        gate.cruise(0.1)
+        for _ in range(40):
+            gate.command(0.1)
+            gate.tick()
+        gate.scan()
+        gate.core.step(gate.now)
+        assert gate.core.notes == [
+            "no scan for 0.52 s: wheels stopped",
+            "scan is back (age 0.00 s): motion resumes by itself",
+        ]
+
+
+def test_a_silent_sensor_is_not_back_because_something_else_blocks() -> None:
+    gate = Gate({})
+    gate.cruise(0.1)
+    for _ in range(30):
+        gate.command(0.1)
+        gate.tick()
+    gate.core.notes.clear()
+    gate.tick(400 * MS)
+    assert gate.blocked == "cmd timeout"
+    assert gate.core.notes == []
+
+
+def test_the_table_of_sources_says_the_priority() -> None:
+    gate = Gate(WITH_TELEOP)
+    gate.command(0.1, "teleop", session=2)
+    assert gate.core.sources.table(gate.now) == [
+        {"source": "teleop", "priority": 10, "who": "teleop 2", "state": "drives"}
+    ]
+
+
+def test_the_worst_corner_of_each_layout() -> None:
+    mecanum = kinematics.Mecanum(0.08, 0.17706, 0.17165)
+    corner = mecanum.wheels_rps(0.2, -0.3, -1.0)
+    assert mecanum.worst_rps(0.2, 0.3, 1.0) == pytest.approx(max(map(abs, corner)))
+    differential = kinematics.Differential(0.08, 0.17165)
+    corner = differential.wheels_rps(0.2, 0.0, -1.0)
+    assert differential.worst_rps(0.2, 0.3, 1.0) == pytest.approx(max(map(abs, corner)))
