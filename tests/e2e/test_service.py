@@ -39,13 +39,21 @@ def test_ends_with_the_stop_written_twice(trial: Trial, number: signal.Signals) 
     assert stopped.motion_after == 0
     assert sum(event.is_stop for event in events) >= 8
     assert "the stop was written twice" in trial.service.said()
-    wait_for("every process to be gone", lambda: not any(psutil.pid_exists(pid) for pid in pids))
+    wait_for("every process to be gone", lambda: not any(_alive(pid) for pid in pids))
+
+
+def _alive(pid: int) -> bool:
+    """A zombie is dead: when it is collected is its new parent's affair."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
 
 
 def test_no_process_outlives_a_killed_supervisor_for_long(trial: Trial) -> None:
     pids = trial.service.pids()
     trial.service.kill()
-    wait_for("every process to be gone", lambda: not any(psutil.pid_exists(pid) for pid in pids.values()), 2.0)
+    wait_for("every process to be gone", lambda: not any(_alive(pid) for pid in pids.values()), 2.0)
 
 
 def test_processes_have_names_and_no_threads_but_their_watchers(trial: Trial) -> None:
