@@ -147,7 +147,11 @@ def _speed(wheel: int, rps: float, limit: float) -> float:
 
 def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
     """The 27-byte frame that sets all four wheels: speeds in rps for wire ids 0 to 3 (motors 1 to 4), each within
-    plus or minus max_rps. Minus zero is sent as zero, so that four zeros are always exactly STOP."""
+    plus or minus max_rps. Minus zero is sent as zero, so that four zeros are always exactly STOP.
+
+    A speed may be sent smaller by a unit or a few in the last place of its float32: no frame is made that the zeros of
+    the stop burst could complete, were it cut short (see _complete_free).
+    """
     try:
         a, b, c, d = rps
     except (TypeError, ValueError):
@@ -163,7 +167,41 @@ def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
         limit = _limit(max_rps)
         a, b, c, d = (_speed(wheel, value, limit) for wheel, value in enumerate((a, b, c, d)))
     packed = _WHEELS4.pack(_WHEELS4_WORD, _WHEELS4_COUNT, 0, a + 0.0, 1, b + 0.0, 2, c + 0.0, 3, d + 0.0, 0)
-    return packed[:-1] + bytes((crc8(packed[2:-1]),))
+    return _complete_free(packed[2:-1])
+
+
+_FLOATS = (5, 10, 15, 20)
+"""Where the speeds begin in func, len and data of the four-wheel frame."""
+
+
+def _complete_free(body: bytes) -> bytes:
+    """Put head and CRC around func, len and data of a four-wheel frame, so that no cut of it moves a wheel.
+
+    Zeros leave a CRC of zero as it is, so a frame that is cut where its CRC so far is zero is completed by the zeros of
+    the burst, and executed, with the speeds sent until there: once in 256 cuts. Then the last speed sent until there
+    is made smaller by one unit in its last place, which changes the CRC, and the frame looked at again.
+    """
+    table = CRC_TABLE
+    while True:
+        crc = 0
+        for at, byte in enumerate(body):
+            crc = table[crc ^ byte]
+            if not crc and (smaller := _one_unit_smaller(body, at)):
+                body = smaller
+                break
+        else:
+            return HEAD + body + bytes((crc,))
+
+
+def _one_unit_smaller(body: bytes, at: int) -> bytes:
+    """The frame's func, len and data with the last speed that is not zero and begins until `at` made smaller; empty
+    when there is none, and so nothing that could move a wheel."""
+    for start in reversed(_FLOATS):
+        if start <= at:
+            bits = int.from_bytes(body[start : start + 4], "little")
+            if bits & 0x7FFFFFFF:
+                return body[:start] + (bits - 1).to_bytes(4, "little") + body[start + 4 :]
+    return b""
 
 
 def motor_some(pairs: Sequence[tuple[int, float]], max_rps: float) -> bytes:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from itertools import pairwise
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from failstop.board import codec
 from failstop.board.burst import BURST, FIRST_STOP_END
@@ -159,36 +162,60 @@ def test_after_any_cut_of_an_own_frame_nothing_but_stops_is_executed(name: str) 
         assert stop_ends(commands)[0] == (FIRST_STOP_END if remaining <= 31 else LAST_STOPS[0])
 
 
-def test_the_burst_can_complete_a_cut_frame_of_the_robots_own_forward_speed() -> None:
-    part = codec.motor_speeds((0.796, 0.796, -0.796, -0.796), MAX_RPS)[:24]
-    receiver, motors = Receiver(), Motors()
-    receiver.feed(part)
-    commands = execute(receiver, motors, BURST)
-    assert [end for end, _, _ in commands] == [3, FIRST_STOP_END, *LAST_STOPS]
-    assert commands[0][2] == pytest.approx((0.796, 0.796, -0.796, 0.0))
-    assert motors.stopped
+def unguarded(speeds: tuple[float, float, float, float]) -> bytes:
+    """The same frame as any other encoder makes it."""
+    packed = struct.pack("<BfBfBfBf", 0, speeds[0], 1, speeds[1], 2, speeds[2], 3, speeds[3])
+    body = bytes((MOTOR, 22, 1, 4)) + packed
+    return codec.HEAD + body + bytes((codec.crc8(body),))
 
 
-def test_a_cut_motor_frame_completed_by_chance_sets_only_what_it_was_sent_with() -> None:
-    # Once in 256 the CRC of what was sent is zero and the zeros of the burst complete the frame. Then wheels can get a
-    # speed they were just sent, or one cut short to next to nothing, until the stop at byte 59.
-    completed = 0
+FORWARD = (0.796, 0.796, -0.796, -0.796)
+
+
+def moved_by_cuts(frame: bytes) -> int:
+    """How many cuts of a frame let the burst move a wheel before it stops them."""
+    moved = 0
+    for part in cuts(frame):
+        receiver, motors = Receiver(), Motors()
+        receiver.feed(part)
+        commands = execute(receiver, motors, BURST)
+        moved += any(any(speeds) for _, _, speeds in commands)
+        assert not motors.wild
+        assert motors.stopped
+        assert stop_ends(commands)[0] == FIRST_STOP_END
+    return moved
+
+
+def test_control_zeros_complete_a_cut_frame_whose_crc_is_zero_there() -> None:
+    """The robot's own forward speed, from an encoder that does not look."""
+    assert moved_by_cuts(unguarded(FORWARD)) == 1
+    assert moved_by_cuts(codec.motor_speeds(FORWARD, MAX_RPS)) == 0
+
+
+def test_after_any_cut_of_any_motor_frame_no_wheel_moves() -> None:
+    coincidences = 0
     for hundredth in range(1, 141):
         rps = hundredth / 100
         for sent in ((rps, rps, -rps, -rps), (-rps, rps, -rps, rps), (rps, -rps / 2, rps / 3, 0.0)):
+            coincidences += moved_by_cuts(unguarded(sent)) > 0
             frame = codec.motor_speeds(sent, MAX_RPS)
-            whole = Motors().execute(frame[4:-1])
-            for part in cuts(frame):
-                receiver, motors = Receiver(), Motors()
-                receiver.feed(part)
-                commands = execute(receiver, motors, BURST)
-                for _, data, speeds in commands:
-                    completed += data != STOP_DATA
-                    assert all(got == was or abs(got) < 1e-37 for got, was in zip(speeds, whole, strict=True))
-                assert not motors.wild
-                assert motors.stopped
-                assert stop_ends(commands)[0] == FIRST_STOP_END
-    assert completed > 10
+            assert moved_by_cuts(frame) == 0
+            assert struct.unpack("<xxxxxxBfBfBfBfx", frame)[1::2] == pytest.approx(sent, rel=1e-6)
+    assert coincidences > 10, "the test can fail"
+
+
+@given(st.tuples(*[st.floats(-1.375, 1.375, width=32)] * 4))
+def test_no_cut_of_a_moving_frame_has_a_crc_of_zero(speeds: tuple[float, float, float, float]) -> None:
+    frame = codec.motor_speeds(speeds, 1.5)
+    assert codec.check_motion(frame, 1.5) == ""
+    for end in range(8, 27):
+        assert codec.crc8(frame[2:end]) != 0 or not _moves(frame, end)
+
+
+def _moves(frame: bytes, end: int) -> bool:
+    """True when the frame up to `end`, filled up with zeros, sets any wheel to more than zero."""
+    filled = frame[6:end].ljust(20, b"\0")[:20]
+    return any(struct.unpack("<BfBfBfBf", filled)[1::2])
 
 
 def test_after_any_cut_of_the_burst_itself() -> None:
