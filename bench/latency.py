@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from bench import stats
+from failstop.board.sim.client import Event
 from failstop.client import send_stop
 from failstop.trial import Trial
 
@@ -49,6 +50,12 @@ def unprivileged(action: Callable[[], None]) -> Iterator[Callable[[], int]]:
         os.waitpid(pid, 0)
 
 
+def _until(trial: Trial, since_ns: int, answers: Callable[[Event], bool]) -> int:
+    """Time in ns from `since_ns` to the arrival of the first frame after it that answers."""
+    event = trial.board.wait_for(lambda found: found.arrival_ns >= since_ns and answers(found), 5.0)
+    return event.arrival_ns - since_ns
+
+
 def stop_requests(trial: Trial, count: int, seed: int, progress: Callable[[str], None]) -> stats.Row:
     """A stop request by an unprivileged client, from the call to the board."""
     chance = random.Random(seed)
@@ -60,8 +67,7 @@ def stop_requests(trial: Trial, count: int, seed: int, progress: Callable[[str],
             trial.drive(chance.uniform(0.06, 0.12))
             trial.board.events()
             asked_ns = request()
-            event = trial.board.wait_for(lambda e, since=asked_ns: e.is_stop and e.arrival_ns >= since, 5.0)
-            samples.append(event.arrival_ns - asked_ns)
+            samples.append(_until(trial, asked_ns, lambda event: event.is_stop))
             time.sleep(0.15)
     return stats.timing("stop request by an unprivileged client -> stop frame", samples, p50_ms=0.5, p99_ms=2.0)
 
@@ -78,8 +84,7 @@ def first_commands(trial: Trial, count: int, seed: int, progress: Callable[[str]
         trial.robot.sensed()
         commanded_ns = time.monotonic_ns()
         trial.robot.drive(0.1, 0.0, 0.0)
-        event = trial.board.wait_for(lambda e, since=commanded_ns: e.is_motion and e.arrival_ns >= since, 5.0)
-        samples.append(event.arrival_ns - commanded_ns)
+        samples.append(_until(trial, commanded_ns, lambda event: event.is_motion))
     return stats.timing("drive() -> motor frame, first command", samples, p50_ms=0.5, p99_ms=2.0)
 
 
@@ -95,10 +100,7 @@ def direction_changes(trial: Trial, count: int, seed: int, progress: Callable[[s
         trial.board.events()
         commanded_ns = time.monotonic_ns()
         trial.robot.drive(-0.05, 0.0, 0.0)
-        event = trial.board.wait_for(
-            lambda e, since=commanded_ns, was=before: e.is_motor and e.arrival_ns >= since and e.speeds[0] < was, 5.0
-        )
-        samples.append(event.arrival_ns - commanded_ns)
+        samples.append(_until(trial, commanded_ns, lambda event, was=before: event.is_motor and event.speeds[0] < was))
         trial.drive(0.1, (0.0, 0.0, 0.0))
     trial.robot.disable()
     return stats.timing("drive() -> motor frame, change of direction", samples, p50_ms=0.5, p99_ms=2.0)
@@ -133,10 +135,7 @@ def command_timeouts(trial: Trial, count: int, seed: int, progress: Callable[[st
         trial.board.events()
         commanded_ns = time.monotonic_ns()
         trial.robot.drive(0.1, 0.0, 0.0)
-        event = trial.board.wait_for(
-            lambda e, since=commanded_ns: e.is_motor and not any(e.speeds) and e.arrival_ns >= since, 5.0
-        )
-        samples.append(event.arrival_ns - commanded_ns)
+        samples.append(_until(trial, commanded_ns, lambda event: event.is_motor and not any(event.speeds)))
     trial.robot.disable()
     row = stats.timing("last drive() -> zero frame (command timeout 0.3 s)", samples, p50_ms=None, p99_ms=None)
     row.numbers["min_ms"] = min(samples) / 1e6

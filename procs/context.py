@@ -14,7 +14,7 @@ from failstop.procs import rights
 from failstop.procs.child import SETTINGS_VARIABLE
 from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
-from failstop.shm.heartbeat import Heartbeat
+from failstop.shm.heartbeat import RUNNING, Heartbeat
 from failstop.shm.lifeline import EarlyNews
 from failstop.supervisor.settings import Settings
 
@@ -60,6 +60,12 @@ class Context:
         mutexes.hold(block)
         self.early = EarlyNews(mutexes)
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, monotonic_ns())
+
+    def runs(self) -> None:
+        """The end of the start-up: settle the memory, say that the process runs, and wake the supervisor for it."""
+        rights.settle()
+        self.heartbeat.state(RUNNING)
+        self.bell("supervisor_bell").ring()
 
     def fd(self, key: str) -> int:
         """An inherited descriptor; -1 when there is none, as with a port that is not open."""

@@ -57,6 +57,11 @@ def unpack_life(word: int) -> tuple[int, int]:
     return word & 0xFFFFFFFF, word >> 32
 
 
+def printable(text: str) -> str:
+    """A text of somebody else's, safe to show: what cannot be printed becomes a question mark."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
 def cut(text: str, room: int) -> bytes:
     """UTF-8 of at most `room` bytes, cut between characters."""
     return text.encode("utf-8", "replace")[:room].decode("utf-8", "ignore").encode()

@@ -16,20 +16,20 @@ if TYPE_CHECKING:
     from failstop.supervisor.settings import Settings
     from failstop.supervisor.table import Process
 
+_PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 PASSED_ON = ("XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
 """Of this environment: where the runtime directory and the files of the telemetry are."""
 
 
 def command(process: str, words: dict[str, str]) -> list[str]:
     """The command line of a process."""
-    package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    script = os.path.join(package, "procs", "child.py")
+    script = os.path.join(_PACKAGE, "procs", "child.py")
     return [sys.executable, "-I", "-S", script, process, *(f"{key}={value}" for key, value in words.items())]
 
 
 def environment(settings: Settings) -> dict[str, str]:
     """All that a process gets of the environment."""
-    path = [entry for entry in sys.path if os.path.isabs(entry)]
+    path = dict.fromkeys([os.path.dirname(_PACKAGE), *filter(os.path.isabs, sys.path)])
     found = {PATH_VARIABLE: os.pathsep.join(path), SETTINGS_VARIABLE: settings.lines(), "LANG": "C.UTF-8"}
     for name in PASSED_ON:
         if name in os.environ:
@@ -43,8 +43,6 @@ def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int
     for fd in (lock, port):
         os.set_inheritable(fd, True)
     words = {"name": name, "dir": runtime_dir, "lock": str(lock), "port": str(port)}
-    path = [os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))), *sys.path]
-    sys.path[:] = list(dict.fromkeys(path))
     arguments = command("supervisor", words)
     os.execve(arguments[0], arguments, environment(settings))
 

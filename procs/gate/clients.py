@@ -91,8 +91,7 @@ class Slot:
         except ValueError:
             return 0
         # Bounded here: the state with all names in it must fit its record, whatever clients call themselves.
-        printable = "".join(c if c.isprintable() else "?" for c in name)
-        self.name = printable.encode()[:NAME_BYTES].decode("utf-8", "ignore")
+        self.name = records.cut(records.printable(name), NAME_BYTES).decode()
         return session
 
     def join(self, session: int) -> None:

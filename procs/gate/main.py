@@ -8,13 +8,12 @@ from time import monotonic_ns
 import msgpack
 
 from failstop.board.interface import BOARD
-from failstop.procs import rights
 from failstop.procs.gate import kinematics
 from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import PAD, Command
 from failstop.procs.loop import READ, Loop
-from failstop.shm import bell, heartbeat, instance, layout, records
+from failstop.shm import bell, instance, layout, records
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -116,7 +115,7 @@ class Gate:
         """Pass the core's lines on to the journal."""
         if self.core.notes:
             for note in self.core.notes:
-                self._notes.put(records.cut(note, 280))
+                self._notes.put(records.cut(note, records.NOTE_BYTES))
             self.core.notes.clear()
             self.supervisor_bell.ring()
 
@@ -139,7 +138,7 @@ class Gate:
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
             velocity = records.unpack_pad_command(payload)
-            self.client_command(Command(0, "gamepad", t_ns, velocity, manual=True, source=PAD), now_ns)
+            self.client_command(Command(0, PAD, t_ns, velocity, manual=True, source=PAD), now_ns)
         while wish := self._wishes.next():
             kind, frame = records.unpack_wish(wish[2])
             if kind == records.WISH_RESET:
@@ -234,9 +233,7 @@ class Gate:
 def run(context: Context) -> int:
     """Run for ever: the gate dies with the supervisor."""
     gate = Gate(context)
-    rights.settle()
-    context.heartbeat.state(heartbeat.RUNNING)
-    gate.supervisor_bell.ring()
+    context.runs()
     ready: dict[int, int] = {}
     while True:
         gate.turn(ready)

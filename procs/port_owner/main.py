@@ -8,7 +8,6 @@ from __future__ import annotations
 from time import monotonic_ns
 
 from failstop.board.interface import BOARD
-from failstop.procs import rights
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, READ, WRITE, Loop
 from failstop.procs.port_owner import repeats
@@ -28,8 +27,6 @@ RECEIVED_CHUNK = 512
 OTHER_BACKLOG = 128
 """Unsent bytes behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
 PIPE_REST_NS = 20_000_000
-LEAVE_AFTER_NS = 150_000_000
-"""How long it outlives the supervisor: the burst and its two repeats."""
 
 
 class PortOwner:
@@ -48,7 +45,6 @@ class PortOwner:
         self._epoch_word = supervisor.word("epoch")
         self._gate_life_word = supervisor.word("gate_life")
         self._supervisor_beat = supervisor.word("beat_ns")
-        self._gate_beat = gate.word("beat_ns")
         self._gate_heart = HeartbeatReader(gate)
         self._frames = gate.ring_reader("frames")
         self._stopped_word = own.word("stopped_epoch")
@@ -95,7 +91,7 @@ class PortOwner:
         if self._gate_life and self._gate_life.down(ready):
             self._gate_died(now_ns)
         if not self._leave_ns and self._supervisor_life.down(ready):
-            self._leave_ns = now_ns + LEAVE_AFTER_NS
+            self._leave_ns = now_ns + repeats.LEAVE_AFTER_NS
             self.wire.burst()
             self._supervisor_life.demote()
             if self._gate_life:
@@ -147,8 +143,7 @@ class PortOwner:
         self.wire.burst()
         written_ns = monotonic_ns()
         text = bell.take(self._stop_pipe).split(b"\n", 1)[0].decode("utf-8", "replace")
-        printable = "".join(c if c.isprintable() else "?" for c in text)
-        self._own_stop(now_ns, written_ns, printable or "stop request")
+        self._own_stop(now_ns, written_ns, records.printable(text) or "stop request")
         if not self._pipe_rests_until_ns:
             self.loop.forget(self._stop_pipe)
         self._pipe_rests_until_ns = now_ns + PIPE_REST_NS
@@ -205,7 +200,7 @@ class PortOwner:
 
     def _lapsed(self, now_ns: int) -> str:
         """Whose lease has run out, as a reason; empty when both are fresh."""
-        for beat, name in ((self._gate_beat, "gate"), (self._supervisor_beat, "supervisor")):
+        for beat, name in ((self._gate_heart.ns, "gate"), (self._supervisor_beat, "supervisor")):
             beat_ns = beat.get()
             if self.admission.lapsed(beat_ns, now_ns):
                 return f"{name} hangs: silent for {(now_ns - beat_ns) / 1e6:.0f} ms"
@@ -328,9 +323,7 @@ class PortOwner:
 def run(context: Context) -> int:
     """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
     owner = PortOwner(context)
-    rights.settle()
-    context.heartbeat.state(heartbeat.RUNNING)
-    owner._supervisor_bell.ring()
+    context.runs()
     ready: dict[int, int] = {}
     while owner.turn(ready):
         ready = owner.loop.wait(owner.next_ns(monotonic_ns()))

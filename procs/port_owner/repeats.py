@@ -9,6 +9,8 @@ from __future__ import annotations
 BURST = 1
 ZERO = 2
 BURST_AFTER_NS = (20_000_000, 100_000_000)
+LEAVE_AFTER_NS = 150_000_000
+"""How long the stop's writers outlive the supervisor: the burst and its two repeats."""
 ZERO_EVERY_NS = 200_000_000
 
 

@@ -12,9 +12,9 @@ import os
 from time import monotonic_ns
 
 from failstop.board.interface import BOARD
-from failstop.procs import rights
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
+from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
 from failstop.shm import heartbeat, layout, records
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
@@ -31,8 +31,6 @@ FIRST_GO_NS = 3_000_000
 LOOK_AGAIN_NS = 200_000
 HANG_NS = 300_000_000
 """A port owner silent for this long hangs. The supervisor fences it sooner; this is for when it does not."""
-LEAVE_AFTER_NS = 150_000_000
-AGAIN_AFTER_NS = (20_000_000, 100_000_000)
 
 
 class Stopper:
@@ -49,7 +47,6 @@ class Stopper:
         self._port_owner_written = port_owner.word("written_ns")
         self._written_word = context.own.word("written_ns")
         self._bell = context.bell("bell")
-        self.supervisor_bell = context.bell("supervisor_bell")
         self._control = Control(context.fd("control"))
         self._port = context.fd("port")
         self._early = context.early
@@ -95,7 +92,7 @@ class Stopper:
         """Write the burst and plan its repeats."""
         self._write()
         self._burst_ns = now_ns
-        self._due = tuple(now_ns + after for after in AGAIN_AFTER_NS)
+        self._due = tuple(now_ns + after for after in BURST_AFTER_NS)
 
     def _write(self) -> None:
         """A short write needs no care: the kernel then holds bytes enough to say that the board takes none."""
@@ -182,9 +179,7 @@ class Stopper:
 def run(context: Context) -> int:
     """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
     stopper = Stopper(context)
-    rights.settle()
-    context.heartbeat.state(heartbeat.RUNNING)
-    stopper.supervisor_bell.ring()
+    context.runs()
     ready: dict[int, int] = {}
     while stopper.turn(ready):
         ready = stopper.loop.wait(stopper.next_ns(monotonic_ns()))

@@ -10,7 +10,6 @@ from time import monotonic_ns
 import msgpack
 
 from failstop.board import decoder, framing
-from failstop.procs import rights
 from failstop.procs.loop import READ, Loop
 from failstop.procs.telemetry import charger, imu, state_files
 from failstop.procs.telemetry.battery_log import HEADER, BatteryLog
@@ -22,7 +21,7 @@ from failstop.procs.telemetry.pad import Pad
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.tones import Tones
 from failstop.procs.telemetry.trips import Trips
-from failstop.shm import bell, heartbeat, records
+from failstop.shm import bell, records
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -198,9 +197,7 @@ class Telemetry:
 def run(context: Context) -> int:
     """Run for ever: telemetry dies with the supervisor."""
     telemetry = Telemetry(context)
-    rights.settle()
-    context.heartbeat.state(heartbeat.RUNNING)
-    telemetry.supervisor_bell.ring()
+    context.runs()
     ready: dict[int, int] = {}
     while True:
         telemetry.turn(ready)
