@@ -14,7 +14,7 @@ import sys
 import tempfile
 import termios
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,30 +26,9 @@ from failstop.board.sim.control import connect
 from failstop.board.sim.options import Options
 from failstop.board.sim.process import Simulator
 
+from .parts import DRIVE, FORWARD, wait_until
+
 NOBODY = 65534
-FORWARD = (0.796, 0.796, -0.796, -0.796)
-DRIVE = codec.motor_speeds(FORWARD, 2.0)
-
-
-@pytest.fixture
-def board(tmp_path: Path) -> Iterator[SimBoard]:
-    with SimBoard(tmp_path / "board") as running:
-        yield running
-
-
-@pytest.fixture
-def client(board: SimBoard) -> Iterator[int]:
-    """The port, opened as the service does."""
-    descriptor = open_port(board.link, exclusive=True)
-    yield descriptor
-    os.close(descriptor)
-
-
-def wait_until(what: str, check: Callable[[], bool], timeout_s: float = 10.0) -> None:
-    end_s = time.monotonic() + timeout_s
-    while not check():
-        assert time.monotonic() < end_s, f"waited {timeout_s} s for {what}"
-        time.sleep(0.005)
 
 
 def test_clients_may_come_go_and_crash(board: SimBoard) -> None:

@@ -8,7 +8,6 @@ import os
 import select
 import threading
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -18,30 +17,9 @@ from failstop.board.burst import BURST
 from failstop.board.port import open_port
 from failstop.board.sim.client import Event, SimBoard, SimBoardError
 
+from .parts import DRIVE, FORWARD, wait_until
+
 MS = 1_000_000
-FORWARD = (0.796, 0.796, -0.796, -0.796)
-DRIVE = codec.motor_speeds(FORWARD, 2.0)
-
-
-@pytest.fixture
-def board(tmp_path: Path) -> Iterator[SimBoard]:
-    with SimBoard(tmp_path / "board") as running:
-        yield running
-
-
-@pytest.fixture
-def client(board: SimBoard) -> Iterator[int]:
-    """The port, opened as the service does."""
-    descriptor = open_port(board.link, exclusive=True)
-    yield descriptor
-    os.close(descriptor)
-
-
-def wait_until(what: str, check: Callable[[], bool], timeout_s: float = 10.0) -> None:
-    end_s = time.monotonic() + timeout_s
-    while not check():
-        assert time.monotonic() < end_s, f"waited {timeout_s} s for {what}"
-        time.sleep(0.005)
 
 
 class Host:
