@@ -17,6 +17,8 @@ LAYOUT_VERSION = 1
 SUPERVISOR_BLOCK = 0
 """The block of mutexes (mutex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
+PINGS = 4
+"""Different pings in turn, so that an answer says which of them it answers."""
 PUBLIC = 0o644
 CLIENTS = 0o660
 PRIVATE = 0o600
@@ -139,7 +141,9 @@ SEGMENTS = (
             *_beat(),
             _word("stopped_epoch", "supervisor, stopper"),  # the newest epoch that it has answered with a stop
             _word("written_ns", "everyone"),  # when it last wrote a burst
-            _latest("port", 320, "supervisor, clients"),  # its state and path (records)
+            # When the ping of each index was last written; pings take the indices in turn (records.pong).
+            *(_word(f"ping_{i}", "supervisor") for i in range(PINGS)),
+            _latest("port", 320, "supervisor, stopper, clients"),  # its state and path (records)
             _ring("stops", 320, 32, "supervisor"),  # every stop cause that it noticed, in order (records)
             _ring("received", 512, 256, "telemetry"),  # bytes from the board, in order
         ),
@@ -164,6 +168,9 @@ SEGMENTS = (
         PUBLIC,
         (
             *_beat(),
+            _word("pong", "supervisor"),  # the last answer to a ping (records.pong)
+            _word("still_ns", "supervisor"),  # since when the IMU says that the wheels are still; 0: it shakes
+            _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
             _latest("imu", 64, "clients"),  # records: corrected, the rate less its bias
             _latest("battery", 32, "clients"),  # records: voltage, charger
             _latest("bias", 32, "its successor, clients"),  # records: the gyro's

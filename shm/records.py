@@ -57,6 +57,16 @@ def unpack_life(word: int) -> tuple[int, int]:
     return word & 0xFFFFFFFF, word >> 32
 
 
+def pong(arrival_ns: int, index: int) -> int:
+    """A word that says when the board answered a ping, and the ping of which index."""
+    return arrival_ns << 2 | index
+
+
+def unpack_pong(word: int) -> tuple[int, int]:
+    """Return (arrival_ns, index); (0, 0) before the first answer."""
+    return word >> 2, word & 3
+
+
 def printable(text: str) -> str:
     """A text of somebody else's, safe to show: what cannot be printed becomes a question mark."""
     return "".join(c if c.isprintable() else "?" for c in text)

@@ -113,6 +113,8 @@ DECLARED = (
     Setting("imu.tracking_tau_s", 20.0, "s", 0.1, 3600.0, "time constant of tracking"),
     Setting("odometry.forward_scale", 1.0, "", 0.1, 2.0, "way made per way commanded, forward; odometry only"),
     Setting("odometry.sideways_scale", 0.765, "", 0.1, 2.0, "way made per way commanded, sideways; odometry only"),
+    Setting("odometry.twist_std_mps", 0.05, "m/s", 0.0, 10.0, "standard deviation told with the odometry's speeds"),
+    Setting("odometry.twist_std_radps", 0.2, "rad/s", 0.0, 10.0, "standard deviation told with its rate of turn"),
     Setting("battery.step_mv", 190, "mV", 10, 5000, "a step of this much is the charger plugged in or pulled out"),
     Setting("battery.log", "on", "", None, None, "write the battery's voltage to a file a day", SWITCH),
     Setting("battery.log_s", 10.0, "s", 1.0, 3600.0, "time between two lines of it"),
@@ -121,6 +123,11 @@ DECLARED = (
     Setting("pad.dead_zone", 0.1, "", 0.01, 0.9, "a stick this close to its middle (of 1) commands nothing"),
     Setting("pad.mode_lockout_s", 0.6, "s", 0.1, 5.0, "MODE does not change the mode again for this long"),
     Setting("pad.reset_hold_s", 2.0, "s", 0.5, 30.0, "MODE held for this long while latched is a reset"),
+    Setting("link.ping_s", 0.5, "s", 0.1, 0.5, "time between two pings, which the board answers"),
+    Setting("link.deaf_s", 1.0, "s", 0.8, 60.0, "a board that has answered before and is silent for this long is deaf"),
+    Setting("still.std_radps", 0.0035, "rad/s", 0.0001, 1.0, "gyro x and y vary less than this: the wheels are still"),
+    Setting("still.after_s", 1.5, "s", 0.2, 60.0, "wheels not still this long after a stop: stop again, CRITICAL"),
+    Setting("still.command", "", "", None, None, "run then, such as a relay's; words as in a shell, empty: none"),
     Setting("key.stop", 1, "", 1, 255, "the board key that stops"),
     Setting(
         "buzzer.tones", "off", "", None, None, "the board sounds on a stop and on a change of the pad's mode", SWITCH
