@@ -36,6 +36,8 @@ GROUPS = {
     "odometry": "Where the robot got to, from what it was told.",
     "battery": "Charger detection and the voltage log.",
     "pad": "The gamepad at the board.",
+    "link": "The proof that the board hears: a question that it answers.",
+    "still": "Whether the wheels obeyed: the judgement of the IMU.",
     "key": "The keys on the board.",
     "buzzer": "The board's buzzer.",
     "restart": "What happens to a process that died.",

@@ -121,6 +121,13 @@ def test_life(pid: int, block: int) -> None:
     assert records.unpack_life(word) == (pid, block)
 
 
+@given(arrival_ns=st.integers(0, 2**62 - 1), index=st.integers(0, 3))
+def test_pong(arrival_ns: int, index: int) -> None:
+    word = records.pong(arrival_ns, index)
+    assert 0 <= word < 2**64
+    assert records.unpack_pong(word) == (arrival_ns, index)
+
+
 LONG = ["x" * 5000, "é" * 5000, "x" + "é" * 5000, "€" * 5000, "🛑" * 5000, "\udcff" * 5000, "\0" * 5000]
 BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     "stop": (
@@ -181,7 +188,7 @@ def test_every_pair_is_under_test() -> None:
     packs = {name[5:] for name, _ in inspect.getmembers(records, inspect.isfunction) if name.startswith("pack_")}
     unpacks = {name[7:] for name, _ in inspect.getmembers(records, inspect.isfunction) if name.startswith("unpack_")}
     assert packs == set(BIGGEST)
-    assert unpacks - {"life"} == packs
+    assert unpacks - {"life", "pong"} == packs
 
 
 SIZES: dict[str, tuple[Callable[[bytes], Any], int, bool]] = {
