@@ -68,6 +68,15 @@ class GateCore:
             return "no scan"
         return ""
 
+    def due_ns(self, now_ns: int) -> int | None:
+        """When what moves the wheels now stops counting, so that they stop then and not at a later tick; None: nothing
+        moves them."""
+        driving = self.sources.driving(now_ns) if self.enabled else None
+        if driving is None or (not driving.manual and self.scan.silent(now_ns)):
+            return None
+        stale_ns = self.sources.stale_ns(driving)
+        return stale_ns if driving.manual or not self.scan.on else min(stale_ns, self.scan.silent_ns())
+
     def take(self, command: Command, now_ns: int) -> str:
         """A new command. Returns the reason to trip for, empty when it is a good one: non-finite values, a second
         publisher of one source beside one whose command still counts. A stamp from the future counts as now; a source

@@ -63,7 +63,7 @@ class Gate:
         self._inherit_latch()
         for fd in (self._bell.fd, self._client_bell):
             self.loop.watch(fd, READ)
-        self._tick_ns = now_ns
+        self._tick_ns = self._due_ns = now_ns
         self._ticks = 0
         self._published_ns = 0
         self._published = b""
@@ -95,6 +95,8 @@ class Gate:
         self._follow_telemetry(now_ns)
         if now_ns >= self._tick_ns:
             self._tick(now_ns)
+        elif now_ns >= self._due_ns:
+            self._step(now_ns)
         self._tell()
         self._publish(now_ns)
         self.heartbeat.beat(now_ns, self.epoch)
@@ -226,8 +228,10 @@ class Gate:
             self._state.write(state, now_ns)
 
     def next_ns(self) -> int:
-        """When to turn without any news."""
-        return self._tick_ns
+        """When to turn without any news: at the tick, or when what drives the wheels stops counting."""
+        due_ns = self.core.due_ns(monotonic_ns())
+        self._due_ns = self._tick_ns if due_ns is None else min(self._tick_ns, due_ns)
+        return self._due_ns
 
 
 def run(context: Context) -> int:

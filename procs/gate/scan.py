@@ -7,11 +7,11 @@ from __future__ import annotations
 class ScanGate:
     """When the sensor delivered last, and whether its silence blocks now."""
 
-    __slots__ = ("_blocks", "_on", "_timeout_ns", "delivered_ns")
+    __slots__ = ("_blocks", "_timeout_ns", "delivered_ns", "on")
 
     def __init__(self, timeout_ns: int, *, on: bool) -> None:
         self._timeout_ns = timeout_ns
-        self._on = on
+        self.on = on
         self._blocks = False
         self.delivered_ns = 0
         """When the sensor delivered last; 0: never yet."""
@@ -22,7 +22,11 @@ class ScanGate:
 
     def silent(self, now_ns: int) -> bool:
         """True when software commands must not move the wheels."""
-        return self._on and (not self.delivered_ns or now_ns - self.delivered_ns > self._timeout_ns)
+        return self.on and (not self.delivered_ns or now_ns - self.delivered_ns > self._timeout_ns)
+
+    def silent_ns(self) -> int:
+        """When the last delivery stops counting."""
+        return self.delivered_ns + self._timeout_ns + 1
 
     def age_s(self, now_ns: int) -> float | None:
         """Since the last delivery; None when there was none."""

@@ -56,6 +56,10 @@ class Sources:
         command = self._commands.get(source)
         return command if command and now_ns - command.t_ns <= self._timeout_ns[source] else None
 
+    def stale_ns(self, command: Command) -> int:
+        """When a command stops counting."""
+        return command.t_ns + self._timeout_ns[command.source] + 1
+
     def rival(self, command: Command, now_ns: int) -> Command | None:
         """The command of another publisher of the same source that still counts."""
         last = self.fresh(command.source, now_ns)
