@@ -51,8 +51,11 @@ _I16 = Struct("<h")
 _U8 = Struct("<B")
 _I8 = Struct("<b")
 
+_READ_POSITION = 0x05
+_PINGED_SERVOS = 4
+
 # What a reply's value looks like, by sub-command.
-_PWM_VALUES = {0x05: _U16, 0x09: _I8}
+_PWM_VALUES = {_READ_POSITION: _U16, 0x09: _I8}
 _BUS_VALUES = {0x05: _I16, 0x07: _U16, 0x09: _U8, 0x0D: _U8, 0x12: _U8}
 
 
@@ -177,3 +180,13 @@ def servo_reply(func: int, data: bytes) -> tuple[int, int, int | None] | None:
         return data[0], data[1], None
     value: int = form.unpack_from(data, at)[0]
     return data[0], data[1], value
+
+
+def pong(func: int, data: bytes) -> int | None:
+    """The index, 0 to 3, of the ping that a frame answers (the position of PWM servo 1 to 4), or None for any other."""
+    if func != PWM_SERVO:
+        return None
+    reply = servo_reply(func, data)
+    if reply is None or reply[1] != _READ_POSITION or not 1 <= reply[0] <= _PINGED_SERVOS:
+        return None
+    return reply[0] - 1

@@ -5,7 +5,7 @@ A second board is a second class of this form, in a module of its own (docs/port
 
 from __future__ import annotations
 
-from failstop.board import burst, codec
+from failstop.board import burst, codec, decoder
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -27,6 +27,10 @@ if TYPE_CHECKING:
         def ping(self) -> bytes:
             """A frame that moves nothing and is answered, in order with all others; empty when there is none."""
 
+        @property
+        def pings(self) -> tuple[bytes, ...]:
+            """As many pings as layout.PINGS, all different, or none: their answers say which of them was answered."""
+
         def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
             """The frame that sets all wheels, in rps by wire id, each within plus or minus max_rps. Raises FrameError,
             for a speed that is not finite too."""
@@ -37,6 +41,9 @@ if TYPE_CHECKING:
         def check_aux(self, frame: bytes) -> str:
             """Why these bytes must not be written as another frame; "" when they may. No motion passes."""
 
+        def pong(self, func: int, data: bytes) -> int | None:
+            """The index in `pings` of the one that a frame from the board answers, None if it answers none."""
+
 
 class RosController:
     """The STM32 controller board of board/codec.py."""
@@ -46,9 +53,11 @@ class RosController:
     stop = codec.STOP
     burst = burst.BURST
     ping = codec.PING
+    pings = tuple(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
     motor_speeds = staticmethod(codec.motor_speeds)
     check_motion = staticmethod(codec.check_motion)
     check_aux = staticmethod(codec.check_aux)
+    pong = staticmethod(decoder.pong)
 
 
 BOARD: Board = RosController()

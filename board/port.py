@@ -85,8 +85,9 @@ def unsent_bytes(descriptor: int) -> int:
 
 
 def release_exclusive(descriptor: int) -> None:
-    """Let others open the port again (TIOCNXCL). Raises OSError."""
+    """Let others open the port again (TIOCNXCL, and the lock). Raises OSError."""
     fcntl.ioctl(descriptor, termios.TIOCNXCL)
+    fcntl.flock(descriptor, fcntl.LOCK_UN)
 
 
 def _check_kind(path: str) -> None:
@@ -105,11 +106,20 @@ def _prepare(path: str, descriptor: int, exclusive: bool) -> None:
     if exclusive:
         # First of all changes, so that nobody else gets in while the port is being set up.
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
+        # Root passes TIOCEXCL; another service of root's asks for this too. All duplicates share it.
+        _lock(path, descriptor)
     _set_raw(path, descriptor, before)
     # DTR on and RTS off is the board's safe state. Opening raised both; DTR first, because DTR off while RTS is on
     # resets the board's processor.
     _set_line(descriptor, termios.TIOCMBIS, _DTR)
     _set_line(descriptor, termios.TIOCMBIC, _RTS)
+
+
+def _lock(path: str, descriptor: int) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise PortError("busy", f"{path} is held by another process (flock): stop it first", errno.EBUSY) from None
 
 
 def _set_raw(path: str, descriptor: int, before: list[Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 
@@ -92,7 +93,7 @@ class Client:
                 try:
                     found = segment.attach_client_slot(self.name, index, self._gate.incarnation)
                 except segment.AttachError as error:
-                    if error.kind != "damaged":
+                    if error.kind not in ("damaged", "absent"):
                         raise
                     claim.drop(self._claims, index)
                     damaged += 1
@@ -142,6 +143,11 @@ class Client:
 
     def close(self) -> None:
         """Give the slot back; a command of this client stops counting at once."""
+        if self._claims >= 0 and hasattr(self, "_segment"):
+            # A goodbye: another process may have the claim before the gate has seen it free.
+            with contextlib.suppress(OSError, ValueError, NoService):
+                self._segment.wipe()
+                self._ring()
         for fd in (self._claims, self._bell):
             if fd >= 0:
                 os.close(fd)

@@ -10,9 +10,12 @@ class FailstopError(Exception):
 
 
 class Refused(FailstopError):
-    """The service answered, and said no; the message is its reason."""
+    """The service answered, and said no. The message is "refused: " and the reason, which alone is in `args`."""
 
     exit_code = 2
+
+    def __str__(self) -> str:
+        return f"refused: {super().__str__()}"
 
 
 class NoService(FailstopError):

@@ -10,6 +10,8 @@ import msgpack
 
 from failstop.client import attach, runtime_dir
 from failstop.errors import FailstopError
+from failstop.procs.telemetry.imu import RATE_VARIANCE
+from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.shm import heartbeat, layout, records
 
 
@@ -71,12 +73,15 @@ class State:
     scan_age_s: float | None
     """Since the obstacle sensor delivered last; None: never."""
     last_stop: Stop | None
-    imu: dict[str, list[float]] | None
-    """acceleration_mps2 and rate_radps, x forward, y left, z up; the rate less its bias."""
+    imu: dict[str, Any] | None
+    """acceleration_mps2 and rate_radps, x forward, y left, z up; the rate less its bias; rate_variance of each axis, in
+    (rad/s)2."""
     gyro_bias: dict[str, Any] | None
     """bias_radps, tracking (it follows the reading now), calibrated."""
     odometry: dict[str, float] | None
-    """x_m, y_m, th_rad since the start, integrated from what was commanded; and the twist."""
+    """x_m, y_m, th_rad since the start, integrated from what was commanded; pose_variance of each, in m2 and rad2: not
+    to be trusted; and the twist, vx_mps, vy_mps, wz_radps, with its standard deviations twist_std_mps of vx and vy and
+    twist_std_radps of wz (settings)."""
     pad_mode: str | None
     """locked or drive; None: no gamepad frame yet."""
     battery_mv: int | None
@@ -106,6 +111,7 @@ class StateReader:
         self._epoch = views[layout.SUPERVISOR].word("epoch")
         self._table = views[layout.SUPERVISOR].latest_reader("processes")
         self._stop = views[layout.SUPERVISOR].latest_reader("stop")
+        self._link = views[layout.SUPERVISOR].latest_reader("link")
         self._gate = views[layout.GATE].latest_reader("state")
         self._port = views[layout.PORT_OWNER].latest_reader("port")
         self._imu = views[layout.TELEMETRY].latest_reader("imu")
@@ -148,11 +154,12 @@ class StateReader:
         )
 
     def _device(self) -> dict[str, Any]:
-        entry = self._port.read()
+        entry, link = self._port.read(), self._link.read()
+        proof = link[2].decode("ascii", "replace") if link else "unproven"
         if entry is None:
-            return {"path": None, "state": "closed", "link": "unproven"}
+            return {"path": None, "state": "closed", "link": proof}
         _, _, state, path = records.unpack_port(entry[2])
-        return {"path": path, "state": records.PORT_STATES[state], "link": "unproven"}
+        return {"path": path, "state": records.PORT_STATES[state], "link": proof}
 
     def _processes(self, table: dict[str, Any], now_ns: int) -> dict[str, Process]:
         rows = {layout.SUPERVISOR: {"pid": self._beats[layout.SUPERVISOR].pid.get(), "restarts": 0}, **table}
@@ -183,12 +190,16 @@ class StateReader:
         found: dict[str, Any] = msgpack.unpackb(entry[2])
         return Stop(**{field.name: found[field.name] for field in dataclasses.fields(Stop)})
 
-    def _sample(self) -> dict[str, list[float]] | None:
+    def _sample(self) -> dict[str, Any] | None:
         entry = self._imu.read()
         if entry is None:
             return None
         values = records.unpack_imu(entry[2])
-        return {"acceleration_mps2": list(values[:3]), "rate_radps": list(values[3:])}
+        return {
+            "acceleration_mps2": list(values[:3]),
+            "rate_radps": list(values[3:]),
+            "rate_variance": RATE_VARIANCE,
+        }
 
     def _gyro_bias(self) -> dict[str, Any] | None:
         entry = self._bias.read()
@@ -201,5 +212,5 @@ class StateReader:
         entry = self._odometry.read()
         if entry is None:
             return None
-        names = ("x_m", "y_m", "th_rad", "vx_mps", "vy_mps", "wz_radps")
-        return dict(zip(names, records.unpack_odometry(entry[2]), strict=True))
+        names = ("x_m", "y_m", "th_rad", "vx_mps", "vy_mps", "wz_radps", "twist_std_mps", "twist_std_radps")
+        return {**dict(zip(names, records.unpack_odometry(entry[2]), strict=True)), "pose_variance": POSE_VARIANCE}

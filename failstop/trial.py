@@ -74,10 +74,15 @@ class Service:
         except FailstopError:
             return False
 
-    def said(self) -> str:
-        """Everything it wrote to stderr so far."""
-        with open(self._log.name, encoding="utf-8", errors="replace") as file:
-            return file.read()
+    def said(self, since: int = 0) -> str:
+        """What it wrote to stderr so far, without the first `since` bytes."""
+        with open(self._log.name, "rb") as file:
+            file.seek(since)
+            return file.read().decode("utf-8", "replace")
+
+    def written(self) -> int:
+        """How many bytes that is."""
+        return os.stat(self._log.name).st_size
 
     def pids(self) -> dict[str, int]:
         """The pid of each process now."""

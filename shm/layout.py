@@ -13,7 +13,7 @@ from failstop.shm.latest import record_bytes, slot_bytes
 from failstop.shm.mutex import BLOCKS, MUTEX_BYTES, PER_BLOCK
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 1
+LAYOUT_VERSION = 2
 SUPERVISOR_BLOCK = 0
 """The block of mutexes (mutex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
@@ -130,6 +130,7 @@ SEGMENTS = (
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
             _latest("cause", 320, "gate"),  # what the epoch was raised for: the first cause since a reset (records)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
+            _latest("link", 32, "clients"),  # whether the board answers: unproven, alive or deaf (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
         ),
     ),

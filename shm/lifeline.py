@@ -7,6 +7,8 @@ Either is enough. Heartbeats are for what neither sees: hangs.
 
 from __future__ import annotations
 
+# The C module under `signal`, which costs an import of enum.
+import _signal
 import _thread
 import contextlib
 import os
@@ -18,6 +20,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.shm.mutex import Mutexes
 
+_SIGKILL = 9
 _ORDINARY = os.sched_param(0)
 _STACK_BYTES = 128 * 1024
 
@@ -45,6 +48,11 @@ class Lifeline:
         poll = select.poll()
         poll.register(self.fd, select.POLLIN)
         return self.fallen or bool(poll.poll(0))
+
+    def kill(self) -> None:
+        """SIGKILL the process; never another one that has its pid by now."""
+        with contextlib.suppress(OSError):
+            _signal.pidfd_send_signal(self.fd, _SIGKILL)
 
     def demote(self) -> None:
         """Take real-time rights from every thread of the dying process; call when the stop is out.

@@ -26,7 +26,7 @@ _IMU = struct.Struct("<6d")
 _PAD = struct.Struct("<HB4bB")
 _BATTERY = struct.Struct("<IB")
 _BIAS = struct.Struct("<3dBB")
-_ODOMETRY = struct.Struct("<6d")
+_ODOMETRY = struct.Struct("<8d")
 _PAD_COMMAND = struct.Struct("<3d")
 _WISH = struct.Struct("<B")
 
@@ -122,6 +122,14 @@ def unpack_port(payload: bytes) -> tuple[int, int, int, str]:
     return generation, since_ns, state, path.decode("utf-8", "replace")
 
 
+def lost_since(entry: tuple[int, int, bytes] | None, opened_ns: int) -> bool:
+    """True when the port owner's record of the port says that it was lost after `opened_ns`."""
+    if entry is None:
+        return False
+    _, since_ns, state, _ = unpack_port(entry[2])
+    return state == PORT_LOST and since_ns > opened_ns
+
+
 def pack_command(
     session: int, vx_mps: float, vy_mps: float, wz_radps: float, manual: bool, source: str = "cmd_vel"
 ) -> bytes:
@@ -202,15 +210,17 @@ def unpack_bias(payload: bytes) -> tuple[tuple[float, float, float], bool, bool]
     return (x, y, z), bool(tracking), bool(calibrated)
 
 
-def pack_odometry(pose: tuple[float, float, float], twist: tuple[float, float, float]) -> bytes:
-    """Pose: x m, y m, th rad since the start; twist in the robot's frame: vx m/s, vy m/s, wz rad/s."""
-    return _ODOMETRY.pack(*pose, *twist)
+def pack_odometry(
+    pose: tuple[float, float, float], twist: tuple[float, float, float], twist_std: tuple[float, float]
+) -> bytes:
+    """Pose: x m, y m, th rad since the start; twist in the robot's frame: vx m/s, vy m/s, wz rad/s; the standard
+    deviation told with it: m/s of vx and vy, rad/s of wz."""
+    return _ODOMETRY.pack(*pose, *twist, *twist_std)
 
 
-def unpack_odometry(payload: bytes) -> tuple[float, float, float, float, float, float]:
-    """Return (x_m, y_m, th_rad, vx_mps, vy_mps, wz_radps)."""
-    x, y, th, vx, vy, wz = _exact(_ODOMETRY, payload)
-    return x, y, th, vx, vy, wz
+def unpack_odometry(payload: bytes) -> tuple[float, ...]:
+    """Return (x_m, y_m, th_rad, vx_mps, vy_mps, wz_radps, twist_std_mps, twist_std_radps), eight floats."""
+    return _exact(_ODOMETRY, payload)
 
 
 def pack_battery(millivolts: int, plugged: int) -> bytes:

@@ -10,6 +10,7 @@ from failstop.shm.lifeline import Lifeline
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.shm.heartbeat import HeartbeatReader
+    from failstop.supervisor.fence import Fence
     from failstop.supervisor.restarts import Restarts
     from failstop.supervisor.table import Process
 
@@ -24,8 +25,10 @@ class Child:
     __slots__ = (
         "beat",
         "block",
+        "excused_ns",
         "fallen",
-        "fenced",
+        "fence",
+        "gone_ns",
         "last_exit",
         "life",
         "pid",
@@ -49,8 +52,12 @@ class Child:
         self.started_ns = 0
         self.restart_ns: int | None = None
         """When it is to be started again; None: it runs, or stays down."""
-        self.fenced = False
-        """It was killed for hanging, and its death is still to come."""
+        self.fence: Fence | None = None
+        """It was killed for hanging: when and how."""
+        self.gone_ns = 0
+        """When its death was noticed."""
+        self.excused_ns = 0
+        """Silence before this is not its own."""
         self.times_restarted = 0
         self.last_exit = ""
 
@@ -59,7 +66,7 @@ class Child:
         self.pid = pid
         self.block = block
         self.fallen = False
-        self.fenced = False
+        self.fence = None
         self.life = Lifeline(pid)
         self.started_ns = now_ns
         self.restart_ns = None
@@ -70,11 +77,16 @@ class Child:
 
     def hangs(self, now_ns: int) -> bool:
         """True when its heartbeat, or its first one, is overdue."""
-        if not self.pid or self.fenced or self.fallen:
-            return False
+        overdue_ns = self.overdue_ns()
+        return overdue_ns is not None and now_ns >= overdue_ns
+
+    def overdue_ns(self) -> int | None:
+        """When it counts as hanging unless it beats before; None: there is nothing to wait for."""
+        if not self.pid or self.fence or self.fallen:
+            return None
         if self.running():
-            return self.beat.age_ns(now_ns) > self.row.deadline_s * 1e9
-        return now_ns - self.started_ns > STARTING_NS
+            return max(self.beat.ns.get(), self.excused_ns) + self.row.deadline_ns
+        return self.started_ns + STARTING_NS
 
     def buried(self) -> str:
         """Collect the dead process, whose pidfd has said so, and return how it died, in words."""

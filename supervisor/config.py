@@ -4,10 +4,23 @@ from __future__ import annotations
 
 from failstop.supervisor.settings import SettingError, Settings
 
+MODE_BUTTON = "pad.mode_button"
+BITS = tuple(1 << bit for bit in range(16))
+
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> Settings:
     """Return the settings of a file (none: the defaults) with `changed` over them. Raises SettingError."""
-    return Settings({**read(path), **(changed or {})})
+    return checked({**read(path), **(changed or {})})
+
+
+def checked(changed: dict[str, object]) -> Settings:
+    """The settings that a person wrote, by whole key. Raises SettingError."""
+    button = changed.get(MODE_BUTTON)
+    # Two bits would be two buttons that do not stop.
+    if isinstance(button, (int, float)) and not isinstance(button, bool) and button not in BITS:
+        shown = f"0x{button:04X}" if isinstance(button, int) else repr(button)
+        raise SettingError(f"{MODE_BUTTON} = {shown}: allowed is exactly one bit, 0x0001, 0x0002 ... 0x8000")
+    return Settings(changed)
 
 
 def read(path: str | None) -> dict[str, object]:

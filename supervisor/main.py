@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from time import monotonic_ns
 
 import msgpack
@@ -20,9 +19,11 @@ from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import Heartbeat, HeartbeatReader
 from failstop.shm.lifeline import EarlyNews
 from failstop.shm.mutex import BLOCKS
+from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.causes import Cause, Causes
 from failstop.supervisor.children import Child
 from failstop.supervisor.events import say
+from failstop.supervisor.fence import Fence
 from failstop.supervisor.restarts import Restarts
 from failstop.supervisor.starter import Starter
 from failstop.supervisor.table import PROCESSES, SUPERVISOR_PRIORITY
@@ -38,6 +39,10 @@ TICK_NS = 20_000_000
 ANSWER_NS = 5_000_000
 """How long the port owner may take to answer a raised epoch before the supervisor writes the burst itself."""
 HURRY_NS = 1_000_000
+ALONE_EVERY_NS = 200_000_000
+"""While no port owner runs, who sends zeros at this rate, the supervisor bursts at it."""
+HELD_UP_NS = 250_000_000
+"""A supervisor that itself was silent for this long judges nobody by it: the whole service was frozen."""
 
 
 class Supervisor:
@@ -62,7 +67,7 @@ class Supervisor:
         self._block = layout.SUPERVISOR_BLOCK
         self._written_word = own.word("written_ns")
         self._cause_record = own.latest_writer("cause")
-        self._stop_record = own.latest_writer("stop")
+        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings)
         self._table_record = own.latest_writer("processes")
         self._stopped_word = views[layout.PORT_OWNER].word("stopped_epoch")
         self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
@@ -93,6 +98,9 @@ class Supervisor:
         self._answer_by_ns = 0
         self._table = b""
         self._was_ready = False
+        self._path = settings.text("device.path")
+        self._turned_ns = monotonic_ns()
+        self._burst_ns = 0
         self.ending = False
 
         self._bell = self._bells[layout.SUPERVISOR]
@@ -112,10 +120,15 @@ class Supervisor:
         now_ns = monotonic_ns()
         fallen = [child for child in self.children if child.life and not child.fallen and child.life.down(ready)]
         written_ns = self._burst() if any(child.row.name == layout.PORT_OWNER for child in fallen) else 0
+        for child in fallen:
+            child.gone_ns = monotonic_ns()
         for rung in (self._bell, self._early.bell):
             if rung.fd in ready:
                 rung.clear()
-        if causes := self._collect(fallen, now_ns, written_ns):
+        causes = self._collect(fallen, now_ns, written_ns)
+        causes += self._held_up(now_ns)
+        causes += self.aftermath.follow(now_ns, listening=self._listening())
+        if causes:
             self._raise_epoch(causes)
         for child in fallen:
             if child.life:
@@ -126,6 +139,7 @@ class Supervisor:
         self._serve_descriptors(ready)
         self._follow_answer(now_ns)
         self._fence_hangs(now_ns)
+        self._stop_alone(now_ns)
         self._restart_due(now_ns)
         self._pass_notes()
         self._arm()
@@ -136,9 +150,33 @@ class Supervisor:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
         if not self._port.burst():
             return 0
-        written_ns = monotonic_ns()
-        self._written_word.set(written_ns)
-        return written_ns
+        self._burst_ns = monotonic_ns()
+        self._written_word.set(self._burst_ns)
+        return self._burst_ns
+
+    def _stop_alone(self, now_ns: int) -> None:
+        """Nobody else says zero to the board while no port owner runs, or opens a port that comes back."""
+        port_owner = self._child(layout.PORT_OWNER)
+        if now_ns - self._burst_ns < ALONE_EVERY_NS or port_owner.running():
+            return
+        self._burst_ns = now_ns
+        if port_owner.state() == "down" and self._port.reopen(self._path):
+            self.loop.watch(self._port.fd, HANGUP)
+            self._controls[layout.STOPPER].send(self._port.fd)
+        self._burst()
+
+    def _held_up(self, now_ns: int) -> list[Cause]:
+        """A stop for a supervisor that could not watch anybody; it kills nobody for a silence that it did not hear."""
+        gap_ns, self._turned_ns = now_ns - self._turned_ns, now_ns
+        if gap_ns < HELD_UP_NS or not self._was_ready:
+            return []
+        for child in self.children:
+            child.excused_ns = now_ns
+        return [Cause(now_ns, layout.SUPERVISOR, f"supervisor was held up for {gap_ns / 1e6:.0f} ms")]
+
+    def _listening(self) -> bool:
+        """True while pings are written and their answers decoded."""
+        return self._child(layout.TELEMETRY).running() and self._child(layout.PORT_OWNER).running()
 
     def _collect(self, fallen: list[Child], now_ns: int, burst_ns: int) -> list[Cause]:
         """Every cause that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
@@ -165,10 +203,9 @@ class Supervisor:
         self._epoch_word.set(self.epoch)
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.GATE].ring()
-        if self._unanswered:
-            say(f"also: {self._unanswered.reason}")
-        self._unanswered = min(causes, key=lambda cause: cause.t_ns)
-        self._answer_by_ns = monotonic_ns() + ANSWER_NS
+        if self._unanswered is None:
+            self._unanswered = min(causes, key=lambda cause: cause.t_ns)
+            self._answer_by_ns = monotonic_ns() + ANSWER_NS
         for cause in causes:
             if cause is not self._unanswered:
                 say(f"also: {cause.reason}")
@@ -197,28 +234,16 @@ class Supervisor:
 
     def _tell_stop(self, cause: Cause, written_ns: int, by: str) -> None:
         """Publish the stop for people, and log it."""
-        written_us = max(0, written_ns - cause.t_ns) / 1000 if written_ns else None
-        standing = self._causes.standing
-        self._stop_record.write(
-            msgpack.packb(
-                {
-                    "reason": cause.reason,
-                    "latched": standing.reason if standing else cause.reason,
-                    "noticed_by": cause.noticed_by,
-                    "written_by": by,
-                    "t": time.time(),
-                    "epoch": self.epoch,
-                    "written_us": written_us,
-                    "acknowledged_us": None,
-                    "observed_ms": None,
-                }
-            )
-        )
+        standing = self._causes.standing or cause
+        self.aftermath.written(cause, written_ns, by, standing.reason, self.epoch)
+        written_us = max(0, written_ns - cause.t_ns) / 1000
         wrote = f"stop frame written by the {by} after {written_us:.0f} us" if written_ns else "stop frame NOT written"
         if self.ending:
             say(f"{cause.reason}; {wrote}")
-        else:
+        elif standing is cause:
             say(f"E-STOP latched: {cause.reason}; {wrote}; next: `failstop reset`, then `failstop enable`")
+        else:
+            say(f"stopped again: {cause.reason}; {wrote}; latched is still: {standing.reason}")
 
     def _child(self, name: str) -> Child:
         return next(child for child in self.children if child.row.name == name)
@@ -227,6 +252,8 @@ class Supervisor:
         """Collect a process that has died, and plan its restart."""
         self.loop.forget(child.life.fd) if child.life else None
         name, death = child.row.name, child.buried()
+        if child.fence:
+            say(child.fence.story(name, child.gone_ns, self._burst_ns if name == layout.PORT_OWNER else 0))
         wait_ns = child.restarts.died(now_ns)
         if wait_ns is None:
             say(f"{name} was {death}; it died too often and stays down, the wheels stopped; next: restart the service")
@@ -236,28 +263,34 @@ class Supervisor:
 
     def _serve_descriptors(self, ready: dict[int, int]) -> None:
         """A port that has gone is let go at once; one that the port owner has opened anew is kept and passed on."""
-        if ready.get(self._port.fd, 0) & GONE:
-            self.loop.forget(self._port.fd)
-            self._port.replace(-1)
+        if ready.get(self._port.fd, 0) & GONE or records.lost_since(self._port_state.read(), self._port.since_ns):
+            self._let_port_go()
         if self._controls[layout.PORT_OWNER].fd in ready:
             fd = self._controls[layout.PORT_OWNER].receive()
             if fd >= 0:
-                if self._port.fd >= 0:
-                    self.loop.forget(self._port.fd)
+                self._let_port_go()
                 self._port.replace(fd)
                 self.loop.watch(fd, HANGUP)
                 self._controls[layout.STOPPER].send(fd)
+
+    def _let_port_go(self) -> None:
+        if self._port.fd >= 0:
+            self.loop.forget(self._port.fd)
+            self._port.replace(-1)
+            self._bells[layout.STOPPER].ring()  # it has the same to let go
 
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline is stopped for and killed; its death does the rest."""
         for child in self.children:
             if child.hangs(now_ns):
-                age_ms = child.beat.age_ns(now_ns) / 1e6
-                if child.row.name == layout.PORT_OWNER:
-                    self._burst()
-                self._raise_epoch([Cause(now_ns, layout.SUPERVISOR, f"{child.row.name} hangs: {age_ms:.0f} ms silent")])
+                silent_ns = child.beat.age_ns(now_ns)
+                # Killed before the burst: a port owner that wakes up between the two could write one frame more.
                 os.kill(child.pid, signal.SIGKILL)
-                child.fenced = True
+                kill_ns = monotonic_ns()
+                written_ns = self._burst() if child.row.name == layout.PORT_OWNER else 0
+                reason = f"{child.row.name} hangs: {silent_ns / 1e6:.0f} ms silent"
+                self._raise_epoch([Cause(now_ns, layout.SUPERVISOR, reason, written_ns)])
+                child.fence = Fence(now_ns, kill_ns, written_ns)
 
     def _pass_notes(self) -> None:
         """Lines that the processes have for the journal."""
@@ -312,9 +345,14 @@ class Supervisor:
         """What motion is still waiting for; empty when nothing."""
         absent = [child.row.name for child in self.children if not child.running()]
         entry = self._port_state.read()
-        if not absent and (entry is None or records.unpack_port(entry[2])[2] != records.PORT_OPEN):
+        port_open = entry is not None and records.unpack_port(entry[2])[2] == records.PORT_OPEN
+        # Its own descriptor too: without it there would be no second channel.
+        if not absent and not (port_open and self._port.fd >= 0):
             return "the port"
-        return ", ".join(absent) or ("a stop being carried out" if self._unanswered else "")
+        # A stop that the supervisor wrote itself is still to be answered: a port owner that was held up would cut into
+        # motion of a later enable, with frames of an older one perhaps before that.
+        stopping = self._unanswered or self._stopped_word.get() < self.epoch
+        return ", ".join(absent) or ("a stop being carried out" if stopping else "")
 
     def _publish(self) -> None:
         """The process table and the ready word, when they change."""
@@ -347,6 +385,8 @@ class Supervisor:
         if self._unanswered:
             return min(self._answer_by_ns, now_ns + HURRY_NS)
         waits = [child.restart_ns for child in self.children if child.restart_ns is not None]
+        # At the moment when a heartbeat is overdue, not at a tick after it.
+        waits += [overdue_ns for child in self.children if (overdue_ns := child.overdue_ns())]
         return min([now_ns + TICK_NS, *waits])
 
     def finish(self) -> None:

@@ -13,14 +13,20 @@ BURST = BOARD.burst
 BUSY_S = 1.0
 """How long a port that a dead run's processes are just letting go of is waited for."""
 
+TRIES = 3
+"""A non-blocking write is refused not only for want of room but also while another process is in its own write, as the
+stopper may be at the very same moment."""
+
 
 class OwnPort:
     """A duplicate of the port's descriptor; -1 while the port is gone."""
 
-    __slots__ = ("fd",)
+    __slots__ = ("fd", "since_ns")
 
     def __init__(self, fd: int) -> None:
         self.fd = fd
+        self.since_ns = time.monotonic_ns()
+        """When it was taken over."""
 
     @classmethod
     def open_and_stop(cls, path: str) -> OwnPort:
@@ -41,15 +47,28 @@ class OwnPort:
         """Write the burst. False when the kernel did not take all of it, or the port is gone."""
         if self.fd < 0:
             return False
+        for _ in range(TRIES):
+            try:
+                return os.write(self.fd, BURST) == len(BURST)
+            except BlockingIOError:
+                continue
+            except OSError:
+                return False
+        return False
+
+    def reopen(self, path: str) -> bool:
+        """Open a port that was lost; False when it is there already or not yet."""
+        if self.fd >= 0 or not os.access(path, os.R_OK | os.W_OK):
+            return False
         try:
-            return os.write(self.fd, BURST) == len(BURST)
-        except BlockingIOError:
+            self.replace(port.open_port(path, exclusive=True))
+        except port.PortError:
             return False
-        except OSError:
-            return False
+        return True
 
     def replace(self, fd: int) -> None:
         """Let the old descriptor go and keep another; -1 for none."""
         if self.fd >= 0:
             os.close(self.fd)
         self.fd = fd
+        self.since_ns = time.monotonic_ns()

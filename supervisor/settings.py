@@ -119,7 +119,9 @@ DECLARED = (
     Setting("battery.log", "on", "", None, None, "write the battery's voltage to a file a day", SWITCH),
     Setting("battery.log_s", 10.0, "s", 1.0, 3600.0, "time between two lines of it"),
     Setting("battery.directory", "", "", None, None, "where these files are; empty: the state directory"),
-    Setting("pad.mode_button", 0x2000, "", 0, 0xFFFF, "the gamepad's MODE button, the only one that is no stop; a bit"),
+    Setting(
+        "pad.mode_button", 0x2000, "", 1, 0x8000, "the gamepad's MODE button, the only one that is no stop; one bit"
+    ),
     Setting("pad.dead_zone", 0.1, "", 0.01, 0.9, "a stick this close to its middle (of 1) commands nothing"),
     Setting("pad.mode_lockout_s", 0.6, "s", 0.1, 5.0, "MODE does not change the mode again for this long"),
     Setting("pad.reset_hold_s", 2.0, "s", 0.5, 30.0, "MODE held for this long while latched is a reset"),
@@ -128,6 +130,7 @@ DECLARED = (
     Setting("still.std_radps", 0.0035, "rad/s", 0.0001, 1.0, "gyro x and y vary less than this: the wheels are still"),
     Setting("still.after_s", 1.5, "s", 0.2, 60.0, "wheels not still this long after a stop: stop again, CRITICAL"),
     Setting("still.command", "", "", None, None, "run then, such as a relay's; words as in a shell, empty: none"),
+    Setting("stop.wait_s", 30.0, "s", 0.0, 3600.0, "`failstop stop` tries to have the port for this long"),
     Setting("key.stop", 1, "", 1, 255, "the board key that stops"),
     Setting(
         "buzzer.tones", "off", "", None, None, "the board sounds on a stop and on a change of the pad's mode", SWITCH

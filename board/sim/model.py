@@ -65,8 +65,8 @@ class BoardModel:
     """The board. Feed it with receive(), let time pass with advance(); `next_ns` says when the latter is due.
 
     `imu_hz` is the IMU's rate, 0 for a board without one; `first_invalid` as in Receiver. `executed_total` is how many
-    frames have been executed, `wheels` what the wheels do now (rps). The faults below may be set at any time and hold
-    for what comes after.
+    frames have been executed, `imu_sent` how many IMU frames went up, `wheels` what the wheels do now (rps). The faults
+    below may be set at any time and hold for what comes after.
     """
 
     def __init__(
@@ -76,6 +76,7 @@ class BoardModel:
         self.wheels: Speeds = (0.0, 0.0, 0.0, 0.0)
         self.imu = Imu(start_ns, seed)
         self.battery_mv = battery_mv
+        self.imu_sent = 0
 
         # Faults.
         self.deaf = False
@@ -208,6 +209,7 @@ class BoardModel:
         self._imu_ns = self._next(t_ns, self._imu_period_ns, now_ns)
         if self.imu_on:
             frame = upward.imu(*self.imu.sample(self.wheels, t_ns))
+            self.imu_sent += 1
             # The rate is that of complete frames.
             self._send(frame, t_ns - BYTE_NS * len(frame))
 

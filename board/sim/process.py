@@ -199,6 +199,7 @@ class Simulator:
             "draining": port.draining,
             "waiting": self._control.waiting,
             "executed": self._model.executed_total,
+            "imu_sent": self._model.imu_sent,
             "lost_up_bytes": port.lost_up_bytes,
         }
 

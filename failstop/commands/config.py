@@ -38,6 +38,7 @@ GROUPS = {
     "pad": "The gamepad at the board.",
     "link": "The proof that the board hears: a question that it answers.",
     "still": "Whether the wheels obeyed: the judgement of the IMU.",
+    "stop": "The stop tool, `failstop stop`.",
     "key": "The keys on the board.",
     "buzzer": "The board's buzzer.",
     "restart": "What happens to a process that died.",
@@ -89,7 +90,7 @@ def main(arguments: Namespace) -> int:
 def check(path: str) -> str:
     """One line on a file that is right. Raises SettingError on one that is not."""
     read = config.read(path)
-    Settings(read)
+    config.checked(read)
     count = sum(value != {} for value in read.values())
     return f"{path} is right; it sets {count} value{'' if count == 1 else 's'}"
 
@@ -99,7 +100,7 @@ def rows(path: str | None, device: str | None) -> list[tuple[str, float | str, S
     "--device". Raises SettingError."""
     changed: dict[str, object] = {"device.path": device} if device else {}
     read = config.read(path)
-    settings = Settings({**read, **changed})
+    settings = config.checked({**read, **changed})
     origins = {**dict.fromkeys(read, path or ""), **dict.fromkeys(changed, "--device")}
     return [(key, value, declaration(key), origins.get(key, "default")) for key, value in settings.flat().items()]
 
@@ -218,4 +219,5 @@ TOGETHER = (
     "`restart.backoff_s` < `restart.window_s`",
     "`wheels.id_1` to `wheels.id_4` are 0, 1, 2 and 3 in any order",
     "no two sources have the same priority",
+    "`pad.mode_button` is exactly one bit",
 )

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
         def client_holds(self, slot: Slot, now_ns: int) -> None: ...
 
-        def client_request(self, slot: Slot, number: int, verb: int, now_ns: int) -> None: ...
+        def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None: ...
 
         def client_gone(self, slot: Slot, now_ns: int) -> None: ...
 
@@ -132,8 +132,8 @@ class Slot:
             return 0, []
         return (entry[1], names) if session == self.session else (0, [])
 
-    def new_request(self) -> tuple[int, int] | None:
-        """The request (number, verb), when it is new, whole and of this session."""
+    def new_request(self) -> tuple[int, int, int] | None:
+        """The request (number, verb, when it was made), when it is new, whole and of this session."""
         entry = self._request.read()
         if entry is None or entry[0] == self._request_seq:
             return None
@@ -142,7 +142,7 @@ class Slot:
             session, number, verb = records.unpack_request(entry[2])
         except ValueError:
             return None
-        return (number, verb) if session == self.session else None
+        return (number, verb, entry[1]) if session == self.session else None
 
 
 class ClientTable:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 STILL = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
+MOST_UNKNOWN = 64
+"""Unknown sources that are told of in the life of a gate."""
 
 
 class GateCore:
@@ -52,6 +54,7 @@ class GateCore:
         self.speeds = STILL
         self.notes: list[str] = []
         """Lines for the journal, in order; whoever passes them on empties the list."""
+        self._unknown: set[tuple[int, str]] = set()
         self._stepped_ns = now_ns
         self._sent_ns = 0
 
@@ -84,13 +87,20 @@ class GateCore:
         if not all(map(isfinite, command.velocity)):
             return f"command from {command.who} is not finite"
         if not self.sources.knows(command.source):
-            self.notes.append(f"command from {command.who} ignored: no source {command.source!r} in the settings")
+            self._note_unknown(command)
             return ""
         rival = self.sources.rival(command, now_ns)
         if rival is not None:
             return f"multiple {command.source} publishers: {rival.who}, {command.who}"
         self.sources.put(command, now_ns)
         return ""
+
+    def _note_unknown(self, command: Command) -> None:
+        """Once for each session and source; a session that makes up ever new ones is not told of for ever."""
+        unknown = (command.session, command.source)
+        if unknown not in self._unknown and len(self._unknown) < MOST_UNKNOWN:
+            self._unknown.add(unknown)
+            self.notes.append(f"command from {command.who} ignored: no source {command.source!r} in the settings")
 
     def driver_gone(self, session: int) -> bool:
         """A client has gone; True when it had commands that counted: they are dropped."""

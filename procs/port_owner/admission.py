@@ -38,6 +38,10 @@ class Admission:
         """True when the frame is of the current epoch, after any stop of its own, and young enough."""
         return frame_epoch == epoch and epoch > self.stopped_in and now_ns - frame_ns < self._lease_ns
 
+    def lapses_ns(self, beat_ns: int) -> int:
+        """When a lease that was last renewed at `beat_ns` runs out."""
+        return beat_ns + self._lease_ns
+
     def lapsed(self, beat_ns: int, now_ns: int) -> bool:
         """True when a lease that was last renewed at `beat_ns` has run out."""
         return now_ns - beat_ns >= self._lease_ns

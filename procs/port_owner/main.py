@@ -12,8 +12,10 @@ from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, READ, WRITE, Loop
 from failstop.procs.port_owner import repeats
 from failstop.procs.port_owner.admission import Admission
+from failstop.procs.port_owner.pings import Pings
 from failstop.procs.port_owner.reopen import Reopener
 from failstop.procs.port_owner.wire import Wire
+from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell, heartbeat, layout, records
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
@@ -26,6 +28,10 @@ TICK_NS = 20_000_000
 RECEIVED_CHUNK = 512
 OTHER_BACKLOG = 128
 """Unsent bytes behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
+PING_BACKLOG = 2 * len(BOARD.burst)
+"""Unsent bytes behind which a ping may queue: it follows a stop at once, to be handled right after it."""
+MOTION_BACKLOG = max((len(ping) for ping in BOARD.pings), default=0)
+"""A ping (70 us of wire) is no backlog that motion has to stay behind."""
 PIPE_REST_NS = 20_000_000
 
 
@@ -41,6 +47,8 @@ class PortOwner:
         self.loop = Loop()
         self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
         self.repeats = repeats.Repeats(monotonic_ns())
+        self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), monotonic_ns())
+        self.suspend = SuspendWatch()
 
         self._epoch_word = supervisor.word("epoch")
         self._gate_life_word = supervisor.word("gate_life")
@@ -49,6 +57,7 @@ class PortOwner:
         self._frames = gate.ring_reader("frames")
         self._stopped_word = own.word("stopped_epoch")
         self._written_word = own.word("written_ns")
+        self._ping_words = [own.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._port_record = own.latest_writer("port")
         self._stops = own.ring_writer("stops")
         self._received = own.ring_writer("received")
@@ -102,11 +111,13 @@ class PortOwner:
             if rung.fd in ready:
                 rung.clear()
         self._follow_epoch(now_ns)
+        self._check_suspend(now_ns)
         self._check_leases(now_ns)
         self._check_drain(now_ns)
         self._forward_frames()
         self._serve_port(ready.get(self.wire.fd, 0), now_ns)
         self._repeat(now_ns)
+        self._ping(now_ns)
         self._watch_port()
         self.heartbeat.beat(now_ns, self.epoch)
         return not self._leave_ns or now_ns < self._leave_ns
@@ -129,6 +140,7 @@ class PortOwner:
         """What follows every burst. Returns when it was written: 0 when the kernel did not take all of it."""
         self.admission.moving = False
         self.repeats.restart(written_ns)
+        self.pings.stopped(written_ns)
         if self.wire.lost or self.wire.unsent:
             return 0
         self._written_word.set(written_ns)
@@ -206,6 +218,12 @@ class PortOwner:
                 return f"{name} hangs: silent for {(now_ns - beat_ns) / 1e6:.0f} ms"
         return ""
 
+    def _check_suspend(self, now_ns: int) -> bool:
+        """On resume everything is older than it looks: commands, frames, and what people know of the robot's place."""
+        if slept_ns := self.suspend.slept_ns():
+            self.stop(now_ns, f"the machine was suspended for {slept_ns / 1e9:.1f} s")
+        return slept_ns > 0
+
     def _check_leases(self, now_ns: int) -> None:
         """Without motion there is nothing to stop."""
         if not self.admission.moving:
@@ -236,12 +254,19 @@ class PortOwner:
                 motion, motion_ns, motion_epoch = body, frame_ns, epoch
             elif kind == records.STOP:
                 motion = b""
-                self.wire.burst()
-                self._stopped(monotonic_ns())
+                self._gate_stop()
             elif not BOARD.check_aux(body):
                 self.wire.frame(body, backlog=OTHER_BACKLOG)
         if motion:
             self._forward_motion(motion, motion_epoch, motion_ns)
+
+    def _gate_stop(self) -> None:
+        """The gate wants a burst: at once while something moves, else not again so soon after the last: clients that
+        disable again and again must not keep the wire full."""
+        now_ns = monotonic_ns()
+        if self.admission.moving or now_ns - self._written_word.get() >= PIPE_REST_NS:
+            self.wire.burst()
+            self._stopped(monotonic_ns())
 
     def _forward_motion(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
         """The table of admission.py, row by row; the epoch is looked at again just before the write. The time is that
@@ -255,7 +280,9 @@ class PortOwner:
             self.stop(now_ns, fault)
         elif self._epoch_word.get() != frame_epoch:
             self._follow_epoch(now_ns)
-        elif self.wire.frame(frame):
+        elif self._check_suspend(now_ns):
+            return
+        elif self.wire.frame(frame, backlog=MOTION_BACKLOG):
             self.admission.moving = True
             self._moved_ns = now_ns
             self.repeats.motion()
@@ -311,13 +338,28 @@ class PortOwner:
         elif due == repeats.ZERO:
             self.wire.frame(BOARD.stop)
 
+    def _ping(self, now_ns: int) -> None:
+        """The time is that before the write: an answer never seems to come before its question."""
+        if self.wire.lost or not self.pings.due(now_ns):
+            return
+        asked_ns = monotonic_ns()
+        if self.wire.frame(BOARD.pings[self.pings.index], backlog=PING_BACKLOG):
+            self._ping_words[self.pings.index].set(asked_ns)
+            self.pings.sent(asked_ns)
+        else:
+            self.pings.failed(now_ns)
+
     def next_ns(self, now_ns: int) -> int:
         """When to turn without any news."""
-        tick_ns = now_ns + (TICK_NS if not self.wire.lost else self.reopener.EVERY_NS)
+        if self.wire.lost:
+            return now_ns + self.reopener.EVERY_NS
+        times = [now_ns + TICK_NS, self.pings.next_ns(), self.repeats.next_ns(moving=self.admission.moving)]
         if self._pipe_rests_until_ns:
-            tick_ns = min(tick_ns, self._pipe_rests_until_ns)
-        repeat_ns = self.repeats.next_ns(moving=self.admission.moving)
-        return tick_ns if repeat_ns is None else min(tick_ns, repeat_ns)
+            times.append(self._pipe_rests_until_ns)
+        if self.admission.moving:
+            # At the moment when a lease runs out, not at a tick after it.
+            times.append(self.admission.lapses_ns(min(self._gate_heart.ns.get(), self._supervisor_beat.get())))
+        return min(time for time in times if time is not None)
 
 
 def run(context: Context) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 
 from failstop.board import port
 from failstop.board.interface import BOARD
@@ -16,7 +17,7 @@ DRAIN_NS = 100_000_000
 class Wire:
     """The open port. `lost` turns true when the device has gone; nothing is written from then on."""
 
-    __slots__ = ("_held_since_ns", "fd", "lost", "unsent")
+    __slots__ = ("_held_since_ns", "_refused", "fd", "lost", "unsent")
 
     def __init__(self, fd: int) -> None:
         self.fd = fd
@@ -24,15 +25,20 @@ class Wire:
         self.unsent = b""
         """What the kernel did not take yet; only ever the rest of a burst or of one frame."""
         self._held_since_ns = 0
+        self._refused = False
+        """The last write was not taken at all."""
 
     def _write(self, data: bytes) -> int:
         try:
-            return os.write(self.fd, data)
+            taken = os.write(self.fd, data)
         except BlockingIOError:
+            self._refused = True
             return 0
         except OSError:
             self.lost = True
             return len(data)
+        self._refused = False
+        return taken
 
     def _held(self) -> int:
         """Bytes that the kernel holds; a port that can't say has gone."""
@@ -69,12 +75,17 @@ class Wire:
 
     def stuck(self, now_ns: int) -> bool:
         """True when bytes have been held back for DRAIN_NS; asked once a tick."""
-        if self.lost or not (self.unsent or self._held()):
+        if self._refused and not self.lost and self._has_room():
+            self._refused = False  # somebody else was in a write of theirs
+        if self.lost or not (self.unsent or self._refused or self._held()):
             self._held_since_ns = 0
             return False
         if not self._held_since_ns:
             self._held_since_ns = now_ns
         return now_ns - self._held_since_ns >= DRAIN_NS
+
+    def _has_room(self) -> bool:
+        return bool(select.select((), (self.fd,), (), 0)[1])
 
     def read(self) -> bytes:
         """What the board sent; empty when nothing waits."""
@@ -94,6 +105,7 @@ class Wire:
         self.lost = False
         self.unsent = b""
         self._held_since_ns = 0
+        self._refused = False
         self.burst()
 
     def close(self) -> None:

@@ -1,6 +1,9 @@
 """The stopper's loop: it waits for the port owner's or the supervisor's death, or the port owner's silence, and writes
 the burst on its own descriptor of the port.
 
+A port owner that is silent when it should have answered is fenced: SIGKILL, burst, and the burst again when it is gone,
+since a frame that it was about to write could still follow the first. The supervisor does that sooner, while it works.
+
 While the port owner lives it is the one that orders stops against motion, so at the supervisor's death the stopper
 lets it go first: a burst written beside a working port owner could be followed by a motion frame that was already on
 its way. It waits for the port owner's answer, but not long.
@@ -29,8 +32,10 @@ TICK_NS = 50_000_000
 FIRST_GO_NS = 3_000_000
 """How long the port owner may take to answer the supervisor's death before the stopper writes all the same."""
 LOOK_AGAIN_NS = 200_000
-HANG_NS = 300_000_000
+HANG_NS = 250_000_000
 """A port owner silent for this long hangs. The supervisor fences it sooner; this is for when it does not."""
+HELD_UP_NS = 200_000_000
+"""A stopper that itself was silent for this long judges nobody by it: the whole service was frozen."""
 
 
 class Stopper:
@@ -45,10 +50,13 @@ class Stopper:
         self._port_owner_life_word = supervisor.word("port_owner_life")
         self._port_owner_heart = HeartbeatReader(port_owner)
         self._port_owner_written = port_owner.word("written_ns")
+        self._port_record = port_owner.latest_reader("port")
         self._written_word = context.own.word("written_ns")
         self._bell = context.bell("bell")
         self._control = Control(context.fd("control"))
         self._port = context.fd("port")
+        self._port_since_ns = monotonic_ns()
+        self._turned_ns = self._excused_ns = monotonic_ns()
         self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
         self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 1)
@@ -67,6 +75,9 @@ class Stopper:
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
         now_ns = monotonic_ns()
+        if now_ns - self._turned_ns > HELD_UP_NS:
+            self._excused_ns = now_ns
+        self._turned_ns = now_ns
         if self._port_owner_life and self._port_owner_life.down(ready):
             self._burst(now_ns)
             self._drop_port_owner()
@@ -78,7 +89,7 @@ class Stopper:
         for rung in (self._bell, self._early.bell):
             if rung.fd in ready:
                 rung.clear()
-        if ready.get(self._port, 0) & GONE:
+        if ready.get(self._port, 0) & GONE or records.lost_since(self._port_record.read(), self._port_since_ns):
             self._close_port()
         if self._control.fd in ready:
             self._adopt_port()
@@ -114,7 +125,11 @@ class Stopper:
                 self._burst(now_ns)
         elif self._due and now_ns >= self._due[0]:
             self._due = self._due[1:]
-            if self._orphaned_ns or self._port_owner_written.get() < self._burst_ns:
+            if self._orphaned_ns:
+                if self._port_owner_written.get() < self._orphaned_ns:
+                    self._fence()
+                self._write()
+            elif self._port_owner_written.get() < self._burst_ns:
                 self._write()
             else:
                 self._due = ()  # a new port owner has stopped, and repeats that itself
@@ -136,14 +151,26 @@ class Stopper:
         if self._port_owner_life and not self._port_owner_life.armed and self._port_owner_heart.running(pid):
             self._early.arm(self._port_owner_life, block, 1)
 
-    def _answer_hang(self, now_ns: int) -> None:
-        """A port owner that has fallen silent gets one burst, and another when it falls silent again."""
+    def _hangs_ns(self) -> int | None:
+        """When the port owner counts as hanging unless it beats before; None: there is none that runs."""
         heart = self._port_owner_heart
-        alive = self._port_owner_life is not None and heart.running(self._port_owner_life.pid)
-        hangs = alive and heart.age_ns(now_ns) > HANG_NS
+        if self._port_owner_life is None or not heart.running(self._port_owner_life.pid):
+            return None
+        return max(heart.ns.get(), self._excused_ns) + HANG_NS
+
+    def _answer_hang(self, now_ns: int) -> None:
+        """A port owner that has fallen silent gets one burst, and is fenced."""
+        hangs_ns = self._hangs_ns()
+        hangs = hangs_ns is not None and now_ns >= hangs_ns
         if hangs and not self._port_owner_hangs:
+            self._fence()  # before the burst: it may wake up between the two
             self._burst(now_ns)
         self._port_owner_hangs = hangs
+
+    def _fence(self) -> None:
+        """SIGKILL the port owner; its death is then answered like any other."""
+        if self._port_owner_life:
+            self._port_owner_life.kill()
 
     def _drop_port_owner(self) -> None:
         if self._port_owner_life:
@@ -159,6 +186,7 @@ class Stopper:
             return
         self._close_port()
         self._port = fd
+        self._port_since_ns = monotonic_ns()
         self.loop.watch(fd, HANGUP)
 
     def _close_port(self) -> None:
@@ -172,8 +200,8 @@ class Stopper:
         """When to turn without any news."""
         if self._first_go_until_ns:
             return now_ns + LOOK_AGAIN_NS
-        tick_ns = now_ns + TICK_NS
-        return min(tick_ns, self._due[0]) if self._due else tick_ns
+        hangs_ns = None if self._port_owner_hangs or self._orphaned_ns else self._hangs_ns()
+        return min([now_ns + TICK_NS, *self._due[:1], *([hangs_ns] if hangs_ns else [])])
 
 
 def run(context: Context) -> int:

@@ -10,10 +10,6 @@ if TYPE_CHECKING:
 
 LONGEST_STEP_NS = 100_000_000
 """More time than this between two looks does not count: nobody knows what the wheels did in it."""
-TWIST_VARIANCE_LINEAR = 0.05**2
-"""(m/s)^2 of vx and vy, to publish with the twist."""
-TWIST_VARIANCE_YAW = 0.2**2
-"""(rad/s)^2 of wz, to publish with the twist."""
 POSE_VARIANCE = 1e3
 """m^2 of x and y, rad^2 of th, to publish with the pose: dead reckoning is not to be trusted."""
 
@@ -26,6 +22,7 @@ class Odometry:
         "_last_ns",
         "_sideways_scale",
         "th_rad",
+        "twist_std",
         "vx_mps",
         "vy_mps",
         "wz_radps",
@@ -33,19 +30,24 @@ class Odometry:
         "y_m",
     )
 
-    def __init__(self, forward_scale: float, sideways_scale: float) -> None:
+    def __init__(self, forward_scale: float, sideways_scale: float, twist_std: tuple[float, float]) -> None:
         """The scales say how much of a commanded speed mecanum wheels make good; they are in the odometry only, never
-        in what the motors are sent."""
+        in what the motors are sent. `twist_std`: m/s of vx and vy, rad/s of wz, to publish with the twist."""
         self._forward_scale = forward_scale
         self._sideways_scale = sideways_scale
         self._last_ns: int | None = None
+        self.twist_std = twist_std
         self.x_m = self.y_m = self.th_rad = 0.0
         self.vx_mps = self.vy_mps = self.wz_radps = 0.0
 
     @classmethod
     def of(cls, settings: Settings) -> Odometry:
         """As the settings say."""
-        return cls(settings["odometry.forward_scale"], settings["odometry.sideways_scale"])
+        return cls(
+            settings["odometry.forward_scale"],
+            settings["odometry.sideways_scale"],
+            (settings["odometry.twist_std_mps"], settings["odometry.twist_std_radps"]),
+        )
 
     def inherit(self, x_m: float, y_m: float, th_rad: float) -> None:
         """Go on from where an earlier run of this process had come to."""

@@ -89,7 +89,7 @@ class Service:
     def client_holds(self, slot: Slot, now_ns: int) -> None:
         self.held = (slot.sensed_ns(), slot.interlocks())
 
-    def client_request(self, slot: Slot, number: int, verb: int, now_ns: int) -> None:
+    def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
         self.told.append(("request", slot.session, number, verb))
 
     def client_gone(self, slot: Slot, now_ns: int) -> None:

@@ -87,8 +87,21 @@ def test_a_stop_ends_the_motion_queued_before_it_and_not_what_comes_after(scene:
     assert not scene.owner.admission.moving
     scene.put(b"disabled", kind=records.STOP)
     scene.put(SLOWER)
-    assert scene.turn() == BURST + SLOWER
+    assert scene.turn(TICK).endswith(BURST + SLOWER)
     assert scene.reasons() == []
+
+
+def test_stops_of_the_gate_do_not_flood_the_wire(scene: Scene) -> None:
+    scene.drive()
+    for _ in range(50):
+        scene.put(b"disabled", kind=records.STOP)
+    assert scene.turn() == BURST
+    scene.put(b"disabled", kind=records.STOP)
+    assert scene.turn(TICK - MS) == b""
+    scene.put(SLOWER)
+    assert scene.turn() == SLOWER
+    scene.put(b"disabled", kind=records.STOP)
+    assert scene.turn() == BURST, "at once when something moves"
 
 
 @pytest.mark.parametrize("age_ms", [60, 61, 5_000])

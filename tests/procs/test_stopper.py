@@ -11,7 +11,7 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.procs.stopper import main
 from failstop.procs.stopper.main import Stopper
-from failstop.shm import layout
+from failstop.shm import layout, records
 
 from .parts import Pty, new_pty, until
 from .stage import MS, Dummy, Stage
@@ -119,7 +119,11 @@ def test_the_supervisor_s_death_lets_the_port_owner_go_first(scene: Scene) -> No
 def test_but_not_for_long(scene: Scene) -> None:
     scene.die(scene.supervisor)
     assert scene.turn() == b""
-    assert scene.written(150, alive=False) == [(3, BURST), (23, BURST), (103, BURST)]
+    assert scene.written(22, alive=False) == [(3, BURST)]
+    assert scene.turn(MS, alive=False) == BURST, "again after 20 ms, and now it is fenced"
+    until(lambda: scene.stopper.loop.wait(0), "the news of the fenced port owner's death")
+    assert scene.turn() == BURST
+    assert scene.written(150, alive=False) == [(20, BURST), (100, BURST)]
     assert not scene.stays
 
 
@@ -153,12 +157,26 @@ def test_it_leaves_after_the_repeats(scene: Scene) -> None:
     assert not scene.stays
 
 
-def test_a_port_owner_that_hangs_is_answered_once(scene: Scene) -> None:
-    assert scene.written(300, alive=False) == []
-    assert scene.turn(1, alive=False) == BURST
+def test_a_port_owner_that_hangs_is_fenced(scene: Scene) -> None:
+    assert scene.written(249, alive=False) == []
+    assert scene.stopper.next_ns(scene.clock()) == scene.clock() + MS, "it looks again just when it is time"
+    assert scene.turn(MS, alive=False) == BURST
+    until(lambda: scene.stopper.loop.wait(0), "the news of its death")
+    assert scene.turn(MS, alive=False) == BURST, "again, now that nothing of it can follow"
     assert scene.written(1_000, alive=False) == [(20, BURST), (100, BURST)]
-    scene.turn()
-    assert scene.written(400, alive=False)[0] == (301, BURST), "and again when it hangs again"
+
+
+def test_a_stopper_that_was_frozen_with_the_rest_fences_nobody(scene: Scene) -> None:
+    assert scene.turn(5_000 * MS, alive=False) == b""
+    assert scene.written(249, alive=False) == []
+    assert scene.turn(MS, alive=False) == BURST, "but it does if nothing comes from then on"
+
+
+def test_a_port_that_the_port_owner_has_given_up_is_let_go(scene: Scene) -> None:
+    lost = records.pack_port(1, scene.clock() + 1, records.PORT_LOST, "/dev/board")
+    scene._views[layout.PORT_OWNER].latest_writer("port").write(lost)
+    scene.turn(MS)
+    assert scene.stopper._port == -1
 
 
 def test_a_port_owner_that_is_only_starting_does_not_hang(scene: Scene) -> None:

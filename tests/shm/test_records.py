@@ -153,7 +153,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     "battery": (lambda text: records.pack_battery(2**32 - 1, 2), ["telemetry/battery"]),
     "pad": (lambda text: records.pack_pad(65535, 255, -128, -128, 127, 127, 1), ["telemetry/pad"]),
     "bias": (lambda text: records.pack_bias((1e308,) * 3, True, True), ["telemetry/bias"]),
-    "odometry": (lambda text: records.pack_odometry((1e308,) * 3, (1e308,) * 3), ["telemetry/odometry"]),
+    "odometry": (lambda text: records.pack_odometry((1e308,) * 3, (1e308,) * 3, (1e308,) * 2), ["telemetry/odometry"]),
     "pad_command": (lambda text: records.pack_pad_command(1e308, 1e308, 1e308), ["telemetry/pad_command"]),
     "wish": (lambda text: records.pack_wish(255, b"\xff" * 260), ["telemetry/wishes"]),
     # A wire frame has at most 260 bytes.
@@ -203,7 +203,7 @@ SIZES: dict[str, tuple[Callable[[bytes], Any], int, bool]] = {
     "imu": (records.unpack_imu, 48, True),
     "battery": (records.unpack_battery, 5, True),
     "bias": (records.unpack_bias, 26, True),
-    "odometry": (records.unpack_odometry, 48, True),
+    "odometry": (records.unpack_odometry, 64, True),
     "pad_command": (records.unpack_pad_command, 24, True),
     "wish": (records.unpack_wish, 1, False),
     "pad": (records.unpack_pad, 8, True),

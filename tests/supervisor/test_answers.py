@@ -16,8 +16,10 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.procs import rights
 from failstop.shm import layout, records, segment
+from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import main
 from failstop.supervisor.causes import Cause
+from failstop.supervisor.fence import Fence
 from failstop.supervisor.main import ANSWER_NS, Supervisor
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
@@ -50,7 +52,9 @@ class Scene:
         self.word = segment.attach(name, layout.SUPERVISOR).word
         child = self.supervisor._child(layout.PORT_OWNER)
         child.pid = 2**31 - 1  # no such process, and as it is fenced already nobody asks or kills it
-        child.fenced = True
+        child.fence = Fence(1, 1, 1)
+        self.port_owner.word("beat_pid").set(child.pid)
+        self.port_owner.word("beat_state").set(RUNNING)
         self.answers(written_ns=self.now_ns - 10_000 * MS)
 
     def answers(self, *, written_ns: int = 0) -> None:

@@ -11,6 +11,8 @@ from failstop.procs.telemetry.imu import GyroBias
 from .still import PERIOD_NS, S, dps, gyro, heading_drift_deg, samples
 
 EIGHT_MINUTES_S = 480
+WORST_SEEDS = (6, 38, 35, 3, 33)
+"""Of 0 to 39, those whose calibration is furthest off."""
 
 
 def resting(tau_s: float = 20.0) -> GyroBias:
@@ -126,11 +128,80 @@ def test_the_bias_never_leaves_what_was_within_the_band(steps: list[tuple[int, f
         assert not (moving and before != tested.bias_radps)
 
 
-@pytest.mark.parametrize("seed", range(3))
+def calibrated(duration_s: float = 3.0, **changed: float) -> tuple[GyroBias, int]:
+    """Calibrated to zero, at rest; and the time of the last sample."""
+    tested = gyro(calibration_s=duration_s, **changed)
+    tested.follow(False, 0)
+    t_ns = 10 * S
+    while tested.calibrating:
+        t_ns += S // 100
+        tested.take((0.0, 0.0, 0.0), t_ns)
+    return tested, t_ns
+
+
+def test_after_the_calibration_it_goes_on_as_the_mean_of_all_readings() -> None:
+    """3 s of zeros, then 6 s of 0.3 deg/s: their mean is 0.2."""
+    tested, t_ns = calibrated()
+    for i in range(1, 601):
+        tested.take(dps(0.3, 0.0, -0.3), t_ns + i * S // 100)
+    assert tested.bias_radps == pytest.approx(dps(0.2, 0.0, -0.2), rel=1e-2)
+
+
+@pytest.mark.parametrize(("tau_s", "settled_s"), [(20.0, 17.0), (2.0, 0.0)])
+def test_once_20_s_are_averaged_the_step_is_dt_over_tau(tau_s: float, settled_s: float) -> None:
+    """Of which the calibration was 3. Just before, the step is still greater."""
+    for early_s in (0.5, 0.0):
+        tested, t_ns = calibrated(tau_s=tau_s)
+        count = round((settled_s - early_s) * 100)
+        for i in range(1, count + 1):
+            tested.take((0.0, 0.0, 0.0), t_ns + i * S // 100)
+        t_ns += max(count, 0) * S // 100
+        tested.take(dps(0.0, 0.0, 0.4), t_ns + S // 100)
+        step = tested.bias_radps[2] / dps(0.0, 0.0, 0.4)[2]
+        wanted = 0.01 / tau_s
+        assert (step == pytest.approx(wanted, rel=1e-3)) is (early_s == 0.0 or not settled_s)
+        assert step == pytest.approx(wanted, rel=0.05)
+
+
+def test_time_that_does_not_move_the_bias_is_not_averaged() -> None:
+    tested, t_ns = calibrated()
+    tested.follow(True, t_ns)
+    for i in range(1, 3_001):
+        tested.take((0.0, 0.0, 0.0), t_ns + i * S // 100)
+    t_ns += 30 * S
+    tested.follow(False, t_ns)
+    tested.take((0.0, 0.0, 0.0), t_ns + S - S // 100)
+    tested.take(dps(0.0, 0.0, 0.4), t_ns + S)
+    assert tested.bias_radps[2] == pytest.approx(dps(0.0, 0.0, 0.4 * 0.01 / 3.02)[2], rel=0.02)
+
+
+def test_a_bias_that_no_calibration_found_follows_with_the_time_constant_from_the_start() -> None:
+    """Else the first reading would be the bias."""
+    tested = gyro()
+    tested.follow(False, 0)
+    for i in range(1, 400):
+        tested.take(dps(0.0, 0.0, 5.0 if i % 2 else -5.0), i * S // 100)
+    assert not tested.calibrated
+    tested.take(dps(0.0, 0.0, 0.4), 4 * S)
+    assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.4 * 0.01 / 20))
+
+
+@pytest.mark.slow
+def test_the_noise_of_the_calibration_is_soon_forgotten() -> None:
+    """A constant bias, 8 minutes: of 40 such runs the worst strays by 0.098 degrees (median 0.066). With the time
+    constant from the start 2 exceed 0.15 (worst 0.169), and these seeds are its worst."""
+    worst_deg = max(
+        heading_drift_deg(gyro(), samples(EIGHT_MINUTES_S, seed, ramp_dps=0.0, walk_dps=0.0)) for seed in WORST_SEEDS
+    )
+    assert worst_deg < 0.11
+
+
+@pytest.mark.parametrize("seed", [1, 6, 38])
 def test_heading_drifts_less_than_0_15_degrees_in_8_minutes_at_rest(seed: int) -> None:
     """The bias warms up by 0.002 deg/s and walks by 0.001 deg/s. With tracking the drift is the time constant times
-    the change of the bias's estimate, the error of the 3 s calibration included: of 40 such runs 38 stay below 0.15
-    degrees (median 0.08, worst 0.20). Without: median 0.80, worst 3.7."""
+    the change of the bias's estimate: of 40 such runs 39 stay below 0.15 degrees (median 0.073, worst 0.156, where it
+    is the bias that walks). Without: median 0.79, worst 3.7. Seeds 6 and 38 exceed 0.15 with the time constant from the
+    start."""
 
     def drift_deg(*, tracks: bool) -> float:
         run = samples(EIGHT_MINUTES_S, seed, ramp_dps=0.002, walk_dps=0.001)

@@ -25,6 +25,10 @@ def driven(velocity: tuple[float, float, float], duration_s: float, *, step_ms: 
     return tested
 
 
+def unscaled() -> Odometry:
+    return Odometry(1.0, 1.0, (0.05, 0.2))
+
+
 def pose(tested: Odometry) -> tuple[float, float, float]:
     return tested.x_m, tested.y_m, tested.th_rad
 
@@ -47,7 +51,7 @@ def test_the_scales_are_the_settings() -> None:
 
 
 def test_the_heading_is_that_of_the_middle_of_the_step() -> None:
-    tested = Odometry(1.0, 1.0)
+    tested = unscaled()
     tested.follow((0.2, 0.1, 1.0), 0)
     tested.advance(100 * MS)
     middle = 0.05
@@ -71,7 +75,7 @@ def test_th_is_wrapped_from_minus_pi_to_pi(angle: float) -> None:
 
 
 def test_dt_is_bounded_to_0_1_s() -> None:
-    tested = Odometry(1.0, 1.0)
+    tested = unscaled()
     tested.follow((0.2, 0.0, 0.0), 0)
     tested.advance(5_000 * MS)
     assert pose(tested) == pytest.approx((0.02, 0.0, 0.0))
@@ -80,7 +84,7 @@ def test_dt_is_bounded_to_0_1_s() -> None:
 
 
 def test_it_stands_until_the_gate_has_said_something() -> None:
-    tested = Odometry(1.0, 1.0)
+    tested = unscaled()
     tested.advance(0)
     tested.advance(100 * MS)
     assert pose(tested) == (0.0, 0.0, 0.0)
@@ -88,7 +92,7 @@ def test_it_stands_until_the_gate_has_said_something() -> None:
 
 
 def test_a_new_velocity_counts_from_its_own_time() -> None:
-    tested = Odometry(1.0, 1.0)
+    tested = unscaled()
     tested.follow((0.2, 0.0, 0.0), 0)
     tested.follow((0.0, 0.0, 0.0), 60 * MS)
     tested.advance(100 * MS)
@@ -96,7 +100,7 @@ def test_a_new_velocity_counts_from_its_own_time() -> None:
 
 
 def test_a_time_before_the_last_one_takes_nothing_back() -> None:
-    tested = Odometry(1.0, 1.0)
+    tested = unscaled()
     tested.follow((0.2, 0.0, 0.0), 0)
     tested.advance(50 * MS)
     tested.follow((0.1, 0.0, 0.0), 40 * MS)
@@ -106,17 +110,20 @@ def test_a_time_before_the_last_one_takes_nothing_back() -> None:
 
 
 def test_a_successor_goes_on_from_the_pose() -> None:
-    tested = Odometry(1.0, 1.0)
+    tested = unscaled()
     tested.inherit(1.0, 2.0, math.pi / 2)
     tested.follow((0.2, 0.0, 0.0), 0)
     tested.advance(100 * MS)
     assert pose(tested) == pytest.approx((1.0, 2.02, math.pi / 2))
 
 
-def test_the_variances_to_publish() -> None:
-    """Twist 0.05 m/s and 0.2 rad/s (std); pose 1e3 on x, y, yaw."""
-    assert pytest.approx(0.05**2) == odometry.TWIST_VARIANCE_LINEAR
-    assert pytest.approx(0.2**2) == odometry.TWIST_VARIANCE_YAW
+def test_the_twist_s_std_is_0_05_m_per_s_and_0_2_rad_per_s_and_the_settings() -> None:
+    assert Odometry.of(Settings()).twist_std == (0.05, 0.2)
+    changed = Settings({"odometry.twist_std_mps": 0.1, "odometry.twist_std_radps": 0.3})
+    assert Odometry.of(changed).twist_std == (0.1, 0.3)
+
+
+def test_the_pose_s_variance_is_1e3_on_x_y_and_yaw() -> None:
     assert odometry.POSE_VARIANCE == 1e3
 
 
@@ -124,7 +131,7 @@ def test_the_variances_to_publish() -> None:
 def test_it_never_goes_further_than_speed_times_bounded_time(
     steps: list[tuple[int, tuple[float, float, float]]],
 ) -> None:
-    tested = Odometry(1.0, 0.765)
+    tested = Odometry.of(Settings())
     t_ms, way_m, speed_mps = 0, 0.0, 0.0
     tested.follow((0.0, 0.0, 0.0), 0)
     for ms, velocity in steps:

@@ -1,0 +1,141 @@
+"""Aftermath: what is to be seen after a stop was written - the board's answers, the IMU's verdict - and the link.
+
+The decisions are in stops.py and link.py; here are the words of shared memory that they are made of.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+
+import msgpack
+
+from failstop.shm import layout, records
+from failstop.supervisor.causes import Cause
+from failstop.supervisor.events import say
+from failstop.supervisor.link import Link
+from failstop.supervisor.stops import LastStop
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.shm.segment import Segment
+    from failstop.supervisor.settings import Settings
+
+DEAF = "the board is deaf: use the POWER SWITCH"
+UNSTILL = "the wheels do not come to rest: use the POWER SWITCH"
+
+
+class Aftermath:
+    """Follows the last stop, and the link. One follow() a turn."""
+
+    def __init__(self, views: dict[str, Segment], settings: Settings) -> None:
+        port_owner, telemetry = views[layout.PORT_OWNER], views[layout.TELEMETRY]
+        self._record = views[layout.SUPERVISOR].latest_writer("stop")
+        self._link_record = views[layout.SUPERVISOR].latest_writer("link")
+        self._pings = [port_owner.word(f"ping_{index}") for index in range(layout.PINGS)]
+        self._pong = telemetry.word("pong")
+        self._still = telemetry.word("still_ns")
+        self._judged = telemetry.word("judged_ns")
+        self._reset_word = views[layout.GATE].word("reset_epoch")
+        self._port_record = port_owner.latest_reader("port")
+        self._generation = 0
+        self._after_ns = settings.ns("still.after_s")
+        self._command = settings.text("still.command")
+        self._command_pid = 0
+        self._command_ran = False
+        self._seen_pong = 0
+        self.link = Link(settings.ns("link.deaf_s"))
+        self._published = ""
+        self._last: LastStop | None = None
+
+    def written(self, cause: Cause, written_ns: int, by: str, latched: str, epoch: int) -> None:
+        """A stop was written (`written_ns` 0: it could not be): follow it from now on."""
+        self._tell()
+        self._last = LastStop(cause, written_ns, by, latched, epoch, self._after_ns, time.time())
+        self._publish()
+
+    def follow(self, now_ns: int, *, listening: bool) -> list[Cause]:
+        """Look at everything once; returns the causes that this brings. `listening`: telemetry runs, which decodes the
+        answers, and so does the port owner, which asks."""
+        self._follow_port()
+        causes = []
+        self._take_answer()
+        if not listening:
+            self.link.listen()
+        elif self.link.silent(max(word.get() for word in self._pings), now_ns):
+            causes.append(Cause(now_ns, layout.SUPERVISOR, DEAF))
+        if self._follow_wheels(now_ns):
+            causes.append(Cause(now_ns, layout.SUPERVISOR, UNSTILL))
+        if self._last and self._last.complete(now_ns):
+            say(self._last.outcome(self.link.state))
+        if self.link.state != self._published:
+            self._published = self.link.state
+            self._link_record.write(self._published.encode())
+        return causes
+
+    def _follow_port(self) -> None:
+        """A port that was opened anew may be another board."""
+        entry = self._port_record.read()
+        generation = records.unpack_port(entry[2])[0] if entry else 0
+        if generation != self._generation:
+            self._generation = generation
+            self.link.opened()
+
+    def _take_answer(self) -> None:
+        word = self._pong.get()
+        if word == self._seen_pong:
+            return
+        self._seen_pong = word
+        arrival_ns, index = records.unpack_pong(word)
+        sent_ns = self._pings[index].get()
+        if not sent_ns or sent_ns > arrival_ns:
+            return  # an answer to a question that nobody has asked, or that was asked anew meanwhile
+        if self.link.answered(sent_ns):
+            say("the board answers again")
+        if self._last and self._last.answered(sent_ns, arrival_ns):
+            self._publish()
+
+    def _follow_wheels(self, now_ns: int) -> bool:
+        """True when the wheels should be still and are not. A reset ends the question: people see to it then."""
+        last = self._last
+        self._reap()
+        if last is None or self._reset_word.get() >= last.epoch:
+            return False
+        unstill = last.judged(self._still.get(), self._judged.get(), now_ns)
+        if last.observed_ns is not None:
+            self._command_ran = False
+            self._publish()
+        if unstill:
+            say(f"CRITICAL: {UNSTILL} ({last.cause.reason}; {(now_ns - last.cause.t_ns) / 1e9:.1f} s ago)")
+            self._run_command()
+        return unstill
+
+    def _run_command(self) -> None:
+        """Once, until the wheels have been seen still."""
+        if not self._command or self._command_ran:
+            return
+        self._command_ran = True
+        try:
+            words = ["/bin/sh", "-c", self._command]
+            self._command_pid = os.posix_spawn(words[0], words, os.environ, setsid=True)
+        except OSError as error:
+            say(f"cannot run still.command ({self._command}): {error}")
+        else:
+            say(f"still.command runs (pid {self._command_pid}): {self._command}")
+
+    def _reap(self) -> None:
+        if self._command_pid:
+            pid, status = os.waitpid(self._command_pid, os.WNOHANG)
+            if pid:
+                self._command_pid = 0
+                say(f"still.command ended with code {os.waitstatus_to_exitcode(status)}")
+
+    def _tell(self) -> None:
+        """A stop that another one follows is told of with what is known."""
+        if self._last and not self._last.told:
+            self._last.told = True
+            say(self._last.outcome(self.link.state))
+
+    def _publish(self) -> None:
+        if self._last:
+            self._record.write(msgpack.packb(self._last.as_record()))

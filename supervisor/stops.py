@@ -1,0 +1,123 @@
+"""The last stop, and the three levels of its proof, which are kept apart everywhere. Pure.
+
+written        its bytes were handed to the kernel
+acknowledged   the board answered a ping that was written after it: its receiver was in step by then
+observed       the IMU says that the wheels are still
+"""
+
+from __future__ import annotations
+
+from failstop.supervisor.causes import Cause
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+ACKNOWLEDGE_NS = 1_500_000_000
+"""A stop that the board has not acknowledged by then is told of without."""
+JUDGED_AFTER_NS = 800_000_000
+"""The IMU's word is of the time after the cause once it was judged this long after it: longer than a window of the
+judgement and its hold (procs/telemetry/still.py)."""
+JUDGED_WITHIN_NS = 500_000_000
+"""A judgement older than this is none: the IMU, or who decodes it, is silent."""
+
+
+class LastStop:
+    """One stop from its writing until all that can be known of it is known."""
+
+    __slots__ = (
+        "_after_ns",
+        "_proved_ns",
+        "_was_still",
+        "acknowledged_ns",
+        "by",
+        "cause",
+        "epoch",
+        "latched",
+        "observed_ns",
+        "told",
+        "unix_s",
+        "unstill",
+        "written_ns",
+    )
+
+    def __init__(
+        self, cause: Cause, written_ns: int, by: str, latched: str, epoch: int, after_ns: int, unix_s: float
+    ) -> None:
+        """`written_ns`: 0 when it could not be written; `after_ns`: how long the wheels may take to be still;
+        `unix_s`: the wall clock, for people."""
+        self.cause = cause
+        self.written_ns = written_ns
+        self.by = by
+        self.latched = latched
+        self.epoch = epoch
+        self.unix_s = unix_s
+        self.acknowledged_ns: int | None = None
+        """From the cause to the board's answer."""
+        self.observed_ns: int | None = None
+        """From the cause until the wheels were still; 0: the IMU saw no shaking before it either."""
+        self.unstill = False
+        """They were found not to be still when they should be."""
+        self.told = False
+        """All that can be known of it was told."""
+        self._was_still = True
+        self._proved_ns = written_ns or cause.t_ns
+        self._after_ns = after_ns
+
+    def answered(self, sent_ns: int, arrival_ns: int) -> bool:
+        """A ping was answered; True when this acknowledges the stop."""
+        if self.acknowledged_ns is not None or sent_ns < self._proved_ns or not self.written_ns:
+            return False
+        self.acknowledged_ns = arrival_ns - self.cause.t_ns
+        return True
+
+    def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
+        """What the IMU says: since when the wheels are still (0: they shake), judged at `judged_ns` (0: never yet).
+        True, once, when they should be still and are not: stop again."""
+        if self.observed_ns is not None or self.unstill or now_ns - judged_ns > JUDGED_WITHIN_NS:
+            return False
+        if not still_ns:
+            self._was_still = False
+            self.unstill = now_ns - self.cause.t_ns >= self._after_ns
+        elif not self._was_still:
+            self.observed_ns = max(0, still_ns - self.cause.t_ns)
+        elif judged_ns - self.cause.t_ns >= JUDGED_AFTER_NS:
+            self.observed_ns = 0
+        return self.unstill
+
+    def complete(self, now_ns: int) -> bool:
+        """True, once, when nothing more will be known of it: the time to tell people."""
+        age_ns = now_ns - self.cause.t_ns
+        if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
+            return False
+        if self.observed_ns is None and not self.unstill and age_ns < self._after_ns + JUDGED_WITHIN_NS:
+            return False
+        self.told, before = True, self.told
+        return not before
+
+    def outcome(self, link: str) -> str:
+        """What became of it, for the journal; `link` as of link.py."""
+        heard = f"acknowledged by the board after {self.acknowledged_ns / 1e6:.1f} ms" if self.acknowledged_ns else ""
+        heard = heard or f"not acknowledged (link {link})"
+        if self.observed_ns is None:
+            seen = "wheels NOT seen still" if self.unstill else "not observed (no IMU)"
+        elif self._was_still:
+            seen = "no shaking seen before or after"
+        else:
+            seen = f"wheels still after {self.observed_ns / 1e6:.0f} ms"
+        return f"{self.cause.reason}: {heard}, {seen}"
+
+    def as_record(self) -> dict[str, Any]:
+        """What clients see."""
+        written_ns = max(0, self.written_ns - self.cause.t_ns) if self.written_ns else None
+        return {
+            "reason": self.cause.reason,
+            "latched": self.latched,
+            "noticed_by": self.cause.noticed_by,
+            "written_by": self.by,
+            "t": self.unix_s,
+            "epoch": self.epoch,
+            "written_us": None if written_ns is None else written_ns / 1e3,
+            "acknowledged_us": None if self.acknowledged_ns is None else self.acknowledged_ns / 1e3,
+            "observed_ms": None if self.observed_ns is None else self.observed_ns / 1e6,
+        }

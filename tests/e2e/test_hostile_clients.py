@@ -1,0 +1,384 @@
+"""Clients that die, hang, scribble, flood and hoard: the wheels do what they should or stand, in time, and the service
+and everyone else's stop are unaffected."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import random
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop import FailstopError, Robot
+from failstop.client import Client
+from failstop.shm import claim, instance, layout, segment
+from failstop.trial import Trial, wait_for
+
+from .hostile_scene import MAX_RPS, Watch, drives_again, forward_or_still, hostile, latched, within_limits
+
+KILLS = 200
+TWO_SOURCES = "[sources.nav]\npriority = 10\n"
+
+
+@pytest.fixture
+def two_sources(name: str, tmp_path: Path) -> Iterator[Trial]:
+    """A service with a source above the one that the trial's client drives."""
+    config = tmp_path / "two-sources.toml"
+    config.write_text(TWO_SOURCES)
+    with Trial(name, ("--config", str(config))) as running:
+        yield running
+
+
+# Dying and hanging.
+
+
+@pytest.mark.slow
+def test_clients_killed_at_random_points_of_any_call(trial: Trial) -> None:
+    dice = random.Random(7)
+    watch = Watch(trial)
+    claims = claim.open_claims(instance.claims_path(instance.find(trial.name)))
+    trial.enable()
+    with hostile(trial, "nursery") as nursery:
+        nursery.says()
+        for _ in range(KILLS):
+            pid = int(nursery.asks())
+            time.sleep(dice.uniform(0.0, 0.025))
+            os.kill(pid, signal.SIGKILL)
+            wait_for("the slot to be free", lambda: not any(claim.held(claims, i) for i in range(1, 8)), 2.0)
+            wait_for("the gate to see it", lambda: len(trial.robot.state.clients) == 1, 2.0)
+    os.close(claims)
+    killed_ns = time.monotonic_ns()
+    trial.board.wait_wheels(moving=False, timeout_s=2.0)
+    events = trial.board.events()
+    assert sum(event.is_motion for event in events) > 10, "the clients did drive"
+    assert all(within_limits(event) for event in events if event.is_motor)
+    assert not any(event.is_motion and event.arrival_ns > killed_ns + 50e6 for event in events)
+    watch.holds()
+    drives_again(trial)
+
+
+def test_a_client_that_hangs_while_driving(trial: Trial) -> None:
+    trial.enable()
+    with hostile(trial, "drive", "cmd_vel", 0.2) as client:
+        client.says()
+        trial.board.wait_wheels(moving=True, timeout_s=5.0)
+        os.kill(client.pid, signal.SIGSTOP)
+        hung_ns = time.monotonic_ns()
+        event = trial.board.wait_for(
+            lambda one: one.is_motor and not any(one.speeds) and one.arrival_ns > hung_ns, timeout_s=2.0
+        )
+        assert 0.2 < (event.arrival_ns - hung_ns) / 1e9 < 0.4
+        wait_for("the block reason", lambda: trial.robot.state.blocked == "cmd timeout")
+        trial.drive(0.2)
+        assert trial.moving(), "others may drive"
+        assert trial.robot.state.estop is None
+        os.kill(client.pid, signal.SIGCONT)
+        trial.drive(0.2)
+        assert latched(trial).startswith("multiple cmd_vel publishers: "), "two at once may not"
+        assert not trial.moving()
+
+
+# Wrong values.
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
+def test_what_is_no_number_latches(trial: Trial, axis: int, value: float) -> None:
+    trial.enable()
+    trial.drive(0.1)
+    velocity = [0.1, 0.1, 0.1]
+    velocity[axis] = value
+    trial.board.events()
+    x, y, z = velocity
+    trial.robot._client().command(x, y, z, manual=True, source="cmd_vel")
+    assert "is not finite" in latched(trial)
+    trial.board.wait_wheels(moving=False, timeout_s=2.0)
+    assert all(within_limits(event) for event in trial.board.events() if event.is_motor)
+
+
+@pytest.mark.parametrize("value", [1.7e308, -1e9])
+def test_what_is_out_of_range_is_clamped(trial: Trial, value: float) -> None:
+    trial.enable()
+    trial.board.events()
+    trial.drive(0.6, (value, 0.0, 0.0))
+    alone = trial.board.events()
+    assert trial.board.wheels()[0] == pytest.approx(MAX_RPS if value > 0 else -MAX_RPS, rel=0.01)
+    assert all(within_limits(event) for event in alone if event.is_motor)
+    trial.drive(0.6, (value, value, value))
+    # All three add up on one wheel: 0.2 + 0.2 m/s and 1 rad/s at 0.174 m.
+    most = (0.4 + 0.1744) / 0.2 * MAX_RPS
+    events = [event for event in trial.board.events() if event.is_motor]
+    assert all(abs(speed) <= most and not event.wild for event in events for speed in event.speeds)
+    assert trial.robot.state.estop is None
+
+
+def test_records_of_another_run(trial: Trial) -> None:
+    watch = Watch(trial)
+    trial.enable()
+    with hostile(trial, "other_run") as client:
+        client.says()
+        trial.board.events()
+        trial.drive(0.3)
+        assert trial.robot.state.enabled, "its disable was not heard"
+        assert trial.robot.state.estop is None, "nor its commands"
+        assert trial.moving()
+    watch.holds()
+
+
+def test_a_session_played_back_after_its_end(trial: Trial) -> None:
+    trial.enable()
+    trial.drive(0.3)
+    with hostile(trial, "replay", 0) as client, Robot(trial.name, client="observer") as observer:
+        client.says()
+        trial.drive(0.1)
+        assert trial.moving()
+        trial.leave()
+        assert client.says() == "True", "it has the claim"
+        played_ns = time.monotonic_ns()
+        until_s = time.monotonic() + 0.5
+        while time.monotonic() < until_s:  # while it plays back
+            assert observer.state.clients == []
+            assert observer.state.enabled
+            time.sleep(0.005)
+    assert not any(event.is_motion and event.arrival_ns > played_ns for event in trial.board.events())
+
+
+# Scribbling, truncating, removing.
+
+
+def test_scribbling_over_its_own_slot(two_sources: Trial) -> None:
+    trial = two_sources
+    watch = Watch(trial)
+    trial.enable()
+    with hostile(trial, "scribble") as client:
+        client.says()
+        trial.board.events()
+        trial.drive(3.0)
+        assert trial.moving(), "it drives in another slot, of another source"
+        assert trial.robot.state.estop is None
+    events = [event for event in trial.board.events() if event.is_motor]
+    assert len(events) > 20
+    assert all(forward_or_still(event) for event in events)
+    watch.holds()
+
+
+def test_scribbling_over_everyone_s_slots(two_sources: Trial) -> None:
+    trial = two_sources
+    watch = Watch(trial)
+    trial.enable()
+    trial.drive(0.3)
+    trial.board.events()
+    with hostile(trial, "scribble", *range(layout.CLIENT_SLOTS)) as client:
+        client.says()
+        trial.drive(2.0)
+    events = [event for event in trial.board.events() if event.is_motor]
+    assert all(forward_or_still(event) for event in events)
+    trial.leave()
+    trial.board.wait_wheels(moving=False, timeout_s=2.0)
+    with pytest.raises(FailstopError, match="8 of them damaged by a client: restart the service"):
+        Client(trial.name, "late")
+    watch.holds()
+
+
+def test_garbling_the_velocities_that_another_commands(trial: Trial) -> None:
+    watch = Watch(trial)
+    trial.enable()
+    trial.drive(0.5)
+    trial.board.events()
+    with hostile(trial, "garble", 0) as client:
+        client.says()
+        trial.drive(1.0)
+        assert trial.robot.state.estop is None
+    events = [event for event in trial.board.events() if event.is_motor]
+    assert len(events) >= 3
+    assert all(forward_or_still(event) for event in events)
+    # A garbled command that counted would slow the wheels down along the ramp until the next one.
+    speeds = [event.speeds[0] for event in events]
+    assert all(after == 0 or after > before - 1e-5 for before, after in itertools.pairwise(speeds))
+    trial.drive(0.2)
+    assert trial.moving(), "a whole command counts again"
+    watch.holds()
+
+
+@pytest.mark.parametrize("size", [0, 200, 1 << 40])
+def test_a_slot_s_memory_of_another_size(trial: Trial, size: int) -> None:
+    watch = Watch(trial)
+    trial.enable()
+    trial.drive(0.1)
+    with hostile(trial, "resize", size) as client:
+        assert int(client.says()) == 1
+        trial.drive(0.1)
+        if size > 1000:
+            assert latched(trial).startswith("multiple cmd_vel publishers: "), "it is a client like any other"
+        else:
+            wait_for("the gate to see it", lambda: len(trial.robot.state.clients) == 1)
+            assert trial.moving()
+    drives_again(trial)
+    later = Client(trial.name, "later")
+    assert later.slot == (1 if size > 1000 else 2), "the damaged slot is passed over"
+    later.close()
+    watch.holds()
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root to become another user")
+def test_nothing_can_be_removed_or_replaced_by_the_group(trial: Trial) -> None:
+    trial.enable()
+    before = sorted(os.listdir(instance.find(trial.name)))
+    with hostile(trial, "vandal") as client:
+        assert int(client.says()) > len(layout.SEGMENTS) + 3
+        done = set(client.says().split(", "))
+    # Its own slots' memory and the claims' content are the group's to write; neither can hurt.
+    assert done <= {f"truncate failstop.{trial.name}.client.{i}" for i in range(layout.CLIENT_SLOTS)} | {
+        "truncate claims"
+    }
+    assert sorted(os.listdir(instance.find(trial.name))) == before
+    trial.leave()
+    trial.board.wait_wheels(moving=False, timeout_s=2.0)
+
+
+def test_names_removed_by_the_service_s_own_user(trial: Trial) -> None:
+    directory = instance.find(trial.name)
+    trial.enable()
+    trial.drive(0.1)
+    os.unlink(instance.bell_path(directory))
+    os.unlink(instance.claims_path(directory))
+    trial.drive(0.2)
+    assert trial.moving(), "who is connected goes on"
+    with pytest.raises(FailstopError, match="is going away"):
+        Client(trial.name, "late")
+    trial.robot.estop("still heard")
+    assert "still heard" in latched(trial)
+
+
+def test_a_slot_s_name_removed_by_the_service_s_own_user(trial: Trial) -> None:
+    trial.enable()
+    trial.drive(0.1)
+    os.unlink("/dev/shm" + segment.shm_name(trial.name, "client.1"))
+    later = Client(trial.name, "later")
+    assert later.slot == 2, "the slot is passed over"
+    later.close()
+
+
+# Flooding.
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [("ring", 1_000_000), ("flood", "bell", 8)], ids=["ring", "bell"])
+def test_floods_of_the_bell(trial: Trial, words: tuple[object, ...]) -> None:
+    watch = Watch(trial)
+    trial.enable()
+    with hostile(trial, "stops") as asker, hostile(trial, *map(str, words)) as flood:
+        asker.says()
+        flood.says()
+        trial.drive(0.5)
+        assert trial.moving(), "it drives through the flood"
+        watch.stop_arrives(asker)
+        flood.says()
+    watch.holds()
+    drives_again(trial)
+
+
+@pytest.mark.slow
+def test_a_flood_of_the_stop_pipe(trial: Trial) -> None:
+    watch = Watch(trial)
+    trial.enable()
+    trial.drive(0.2)
+    trial.board.events()
+    begun_ns = time.monotonic_ns()
+    with hostile(trial, "flood", "stop", 4) as flood:
+        flood.says()
+        trial.board.wait_for(lambda one: one.is_stop and one.arrival_ns >= begun_ns, 2.0)
+        latched(trial)
+        flood.says()
+    trial.drive(0.1)
+    assert not trial.moving()
+    watch.holds()
+    drives_again(trial)
+
+
+def test_a_flood_of_disabling_does_not_flood_the_wire(trial: Trial) -> None:
+    trial.enable()
+    trial.drive(0.2)
+    with hostile(trial, "disable_flood") as flood:
+        flood.says()
+        flood.says()
+        trial.drive(0.1)
+        before = trial.board.info()["executed"]
+        trial.drive(0.5)
+        # The repeats of the last burst, and a zero five times a second.
+        assert trial.board.info()["executed"] - before < 50
+
+
+def test_a_flood_of_commands_of_an_unknown_source_does_not_flood_the_log(trial: Trial) -> None:
+    trial.enable()
+    with hostile(trial, "unknown_source") as flood:
+        flood.says()
+        flood.says()
+        trial.drive(0.1)
+        assert trial.moving()
+    assert 0 < trial.service.said().count("no source 'nowhere'") < 50
+
+
+# Hoarding.
+
+
+def hoards(trial: Trial, program: str) -> None:
+    """With every slot held, a further client is told; a stop is heard; and all is free when the hoarder dies."""
+    with hostile(trial, program) as hoarder:
+        assert int(hoarder.says()) == layout.CLIENT_SLOTS - 1
+        os.kill(hoarder.pid, signal.SIGSTOP)
+        with pytest.raises(FailstopError, match=r"all 8 client slots .* are taken.*close a client"):
+            Client(trial.name, "one too many")
+        trial.drive(0.1)
+        assert trial.moving(), "who has a slot drives"
+        with hostile(trial, "stops") as asker:
+            asker.says()
+            Watch(trial).stop_arrives(asker)
+        hoarder.kill()
+    last = Client(trial.name, "after it")
+    last.close()
+    drives_again(trial)
+
+
+@pytest.mark.parametrize("program", ["hold_all", "claim_bytes"])
+def test_all_slots_held_by_one_that_hangs(trial: Trial, program: str) -> None:
+    trial.enable()
+    hoards(trial, program)
+
+
+def test_a_lock_on_the_whole_claims_file(trial: Trial) -> None:
+    trial.enable()
+    trial.drive(0.1)
+    with hostile(trial, "lock_everything") as locker:
+        assert locker.says() == "EAGAIN", "the driver's claim is in its way"
+    trial.leave()
+    with hostile(trial, "lock_everything") as locker:
+        assert locker.says() == "locked"
+        with pytest.raises(FailstopError, match="all 8 client slots"):
+            Client(trial.name, "late")
+        with Robot(trial.name, client="observer") as observer:
+            assert observer.state.clients == []
+            observer.estop("still heard")
+            wait_for("the latch", lambda: observer.state.estop is not None)
+    drives_again(trial)
+
+
+def test_a_claim_that_another_takes_over_at_once(trial: Trial) -> None:
+    trial.enable()
+    trial.drive(0.2)
+    with hostile(trial, "heir", 0) as heir:
+        heir.says()
+        trial.drive(0.2)
+        assert trial.moving()
+        trial.leave()
+        left_ns = time.monotonic_ns()
+        heir.says()
+        trial.board.wait_wheels(moving=False, timeout_s=2.0)
+        # No news of the driver's leaving: the command timeout is what is left.
+        still = [event for event in trial.board.events() if event.is_motion][-1]
+        assert (still.arrival_ns - left_ns) / 1e9 < 0.4
+    drives_again(trial)

@@ -1,0 +1,136 @@
+"""`failstop stop` as systemd and people run it: where to, for how long, and what a bad file does to it."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop import cli
+from failstop.board.burst import BURST
+from failstop.commands import stop
+from failstop.procs.stopper import tool
+
+Cli = Callable[..., "subprocess.CompletedProcess[str]"]
+Waits = list[tuple[str, float]]
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Iterator[tuple[str, int]]:
+    """A pty: its link, and the board's side of it."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    link = tmp_path / "board"
+    link.symlink_to(os.ttyname(slave))
+    yield str(link), master
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "failstop.toml"
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> Waits:
+    """What the tool is asked for: (device, seconds)."""
+    found: Waits = []
+
+    def stopped(path: str, wait_s: float, say: Callable[[str], None]) -> float:
+        found.append((path, wait_s))
+        return 0.0
+
+    monkeypatch.setattr(tool, "stop", stopped)
+    return found
+
+
+def test_by_default_30_s_for_the_default_port(asked: Waits) -> None:
+    assert cli.main(["stop"]) == 0
+    assert asked == [("/dev/ttyACM0", 30.0)]
+
+
+def test_the_file_s_settings_are_taken(asked: Waits, file: Path) -> None:
+    file.write_text('[device]\npath = "/dev/board"\n[stop]\nwait_s = 5\n')
+    assert cli.main(["stop", "--config", str(file)]) == 0
+    assert asked == [("/dev/board", 5.0)]
+
+
+def test_options_go_before_the_file(asked: Waits, file: Path) -> None:
+    file.write_text('[device]\npath = "/dev/board"\n[stop]\nwait_s = 5\n')
+    assert cli.main(["stop", "--config", str(file), "--device", "/dev/other", "--wait", "0.5"]) == 0
+    assert asked == [("/dev/other", 0.5)]
+
+
+def test_a_mistake_elsewhere_in_the_file_does_not_keep_the_wheels_turning(asked: Waits, file: Path) -> None:
+    file.write_text('[device]\npath = "/dev/board"\n[gate]\nlease_s = 99\nnonsense = 1\n')
+    assert cli.main(["stop", "--config", str(file)]) == 0
+    assert asked == [("/dev/board", 30.0)]
+
+
+def test_a_wait_that_is_not_allowed_costs_the_wait_alone(
+    asked: Waits, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file.write_text('[device]\npath = "/dev/board"\n[stop]\nwait_s = "long"\n')
+    assert cli.main(["stop", "--config", str(file)]) == 0
+    assert asked == [("/dev/board", 30.0)]
+    assert capsys.readouterr().err == (
+        "failstop: stop.wait_s = 'long': a number is expected, 0 to 3600 s; going on without it\n"
+    )
+
+
+@pytest.mark.parametrize("text", [None, "[device\n", "[device]\npath = 7\n"])
+def test_a_file_that_says_nothing_stops_the_default_port_and_says_so(
+    text: str | None, asked: Waits, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if text is not None:
+        file.write_text(text)
+    assert cli.main(["stop", "--config", str(file)]) == 1
+    assert asked == [("/dev/ttyACM0", 30.0)]
+    first, last = capsys.readouterr().err.splitlines()
+    assert first.endswith("; going on without it")
+    assert last == "failstop: it went to /dev/ttyACM0, the default: is this the board? Name it with --device"
+
+
+def test_with_the_port_named_a_bad_file_is_only_told(asked: Waits, file: Path) -> None:
+    assert cli.main(["stop", "--config", str(file), "--device", "/dev/board"]) == 0
+    assert asked == [("/dev/board", 30.0)]
+
+
+@pytest.mark.parametrize("wait", ["nan", "inf", "-1", "3601"])
+def test_a_wait_without_an_end_is_refused(wait: str, asked: Waits, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["stop", f"--wait={wait}"]) == 1
+    assert asked == []
+    assert capsys.readouterr().err == f"failstop: --wait = {float(wait)!r}: allowed is 0 to 3600 s\n"
+
+
+def test_the_setting_is_declared_once() -> None:
+    assert stop.DEFAULTS == {"device.path": "/dev/ttyACM0", "stop.wait_s": 30.0}
+
+
+def test_the_burst_goes_to_the_port_of_the_file(board: tuple[str, int], file: Path, failstop: Cli) -> None:
+    link, master = board
+    file.write_text(f'[device]\npath = "{link}"\n')
+    result = failstop("stop", "--config", str(file))
+    assert (result.returncode, result.stdout, result.stderr) == (0, "stop frame sent (after 0.0 s)\n", "")
+    assert os.read(master, 4096) == BURST
+
+
+def test_after_the_wait_exit_code_1_and_a_clear_message(tmp_path: Path, file: Path, failstop: Cli) -> None:
+    """It warned after 1 s, once."""
+    missing = tmp_path / "board"
+    file.write_text(f'[device]\npath = "{missing}"\n[stop]\nwait_s = 1.3\n')
+    start_s = time.monotonic()
+    result = failstop("stop", "--config", str(file))
+    assert time.monotonic() - start_s >= 1.3
+    assert (result.returncode, result.stdout) == (1, "")
+    warning, end = result.stderr.splitlines()
+    assert warning.startswith(f"failstop: no device {missing}: plug the board in")
+    assert warning.endswith("; trying for 1.3 s")
+    assert end.startswith(f"failstop: no device {missing}: plug the board in")

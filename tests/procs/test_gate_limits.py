@@ -1,0 +1,75 @@
+"""Limits and ramps: what the gate makes of a velocity. Integers for a clock."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from .gate_bench import MS, ROBOT, Gate, stands
+
+
+@pytest.mark.parametrize(("axis", "limit", "step"), [(0, 0.2, 0.01), (1, 0.2, 0.01), (2, 1.0, 0.04)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_each_axis_ramps_a_tick_at_a_time_to_its_limit(
+    gate: Gate, axis: int, limit: float, step: float, sign: float
+) -> None:
+    wanted = [0.0, 0.0, 0.0]
+    wanted[axis] = sign * 1e300
+    gate.enable()
+    found = gate.drive((wanted[0], wanted[1], wanted[2]), 60)
+    assert [v[axis] for v in found] == pytest.approx([sign * min(limit, step * (n + 1)) for n in range(60)])
+    assert found[-1][axis] == sign * limit, "the limit itself, not nearly"
+    assert all(v[other] == 0.0 for v in found for other in range(3) if other != axis)
+
+
+def test_axes_are_limited_each_for_itself(gate: Gate) -> None:
+    gate.enable()
+    assert gate.drive((9.0, -9.0, 0.3), 60)[-1] == (0.2, -0.2, 0.3)
+
+
+def test_limits_and_ramps_are_the_settings() -> None:
+    gate = Gate(limits__vx_mps=0.35, limits__vy_mps=0.1, limits__wz_radps=2.0, limits__acceleration_mps2=1.0)
+    gate.enable()
+    assert gate.drive((9.0, 9.0, 9.0), 1)[0] == pytest.approx((0.02, 0.02, 0.04))
+    assert gate.drive((9.0, 9.0, 9.0), 100)[-1] == (0.35, 0.1, 2.0)
+
+
+def test_slowing_down_and_turning_round_ramp_too(driving: Gate) -> None:
+    assert driving.drive((0.1, 0.0, 0.0), 3)[2][0] == pytest.approx(0.17)
+    found = [v[0] for v in driving.drive((-0.2, 0.0, 0.0), 40)]
+    assert found[0] == pytest.approx(0.16)
+    assert found[-1] == -0.2
+    assert all(a - b == pytest.approx(0.01) for a, b in pairwise(found[:37]))
+
+
+def test_a_command_counts_at_once_for_the_time_that_has_passed(gate: Gate) -> None:
+    gate.enable()
+    gate.step()
+    gate.take((0.2, 0.0, 0.0))
+    gate.step(5 * MS)
+    assert gate.core.velocity[0] == pytest.approx(0.0025)
+    gate.step(0)
+    assert gate.core.velocity[0] == pytest.approx(0.0025), "no time, no change"
+
+
+@pytest.mark.parametrize("late_ms", [40, 100, 299])
+def test_a_late_tick_makes_no_jump(gate: Gate, late_ms: int) -> None:
+    gate.enable()
+    gate.step()
+    gate.take((0.2, 0.0, 0.0))
+    gate.step(late_ms * MS)
+    assert gate.core.velocity[0] == pytest.approx(0.02), "two periods' worth and no more"
+
+
+def test_time_spent_disabled_is_not_saved_up(gate: Gate) -> None:
+    gate.step(10_000 * MS)
+    gate.enable()
+    gate.take((0.2, 0.0, 0.0))
+    gate.step(0)
+    assert stands(gate)
+
+
+def test_frames_are_the_wheels_of_the_velocity(driving: Gate) -> None:
+    assert driving.take((0.0, 0.1, 0.5)) == ""
+    assert driving.step() == ROBOT.wheels_rps(*driving.core.velocity)

@@ -1,0 +1,122 @@
+"""Pings: when they are due, and what the port owner does with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.board import port
+from failstop.board.interface import BOARD
+from failstop.procs.port_owner.pings import GAP_NS, Pings
+from failstop.shm import layout
+
+from .port_scene import MOTION, TICK, Scene
+from .stage import MS
+
+PERIOD = 500 * MS
+T0 = 1000 * MS
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+    found = Scene(tmp_path, monkeypatch)
+    yield found
+    found.close()
+
+
+def test_they_take_their_indices_in_turn() -> None:
+    pings = Pings(4, PERIOD, T0)
+    found = []
+    for turn in range(6):
+        assert pings.due(T0 + turn * PERIOD)
+        found.append(pings.index)
+        pings.sent(T0 + turn * PERIOD)
+        assert not pings.due(T0 + (turn + 1) * PERIOD - 1)
+        assert pings.next_ns() == T0 + (turn + 1) * PERIOD
+    assert found == [0, 1, 2, 3, 0, 1]
+
+
+def test_one_is_due_right_after_a_stop() -> None:
+    pings = Pings(4, PERIOD, T0)
+    pings.sent(T0)
+    pings.stopped(T0 + 200 * MS)
+    assert pings.due(T0 + 200 * MS)
+
+
+def test_a_flood_of_stops_is_no_flood_of_pings() -> None:
+    pings = Pings(4, PERIOD, T0)
+    pings.sent(T0)
+    pings.stopped(T0 + MS)
+    assert not pings.due(T0 + GAP_NS - 1)
+    assert pings.due(T0 + GAP_NS)
+
+
+def test_a_board_without_pings_is_never_asked() -> None:
+    pings = Pings(0, PERIOD, T0)
+    pings.stopped(T0)
+    assert not pings.due(T0 + PERIOD)
+    assert pings.next_ns() is None
+
+
+def test_the_port_owner_asks_twice_a_second(scene: Scene) -> None:
+    scene.turn()
+    for _ in range(100):
+        scene.turn(TICK)
+    assert scene.asked == [0, 1, 2, 3, 0]
+    assert scene.word("ping_0") == scene.clock() - 0 * MS
+
+
+def test_the_port_owner_asks_after_each_stop(scene: Scene) -> None:
+    scene.drive()
+    scene.turn(100 * MS)
+    before = len(scene.asked)
+    scene.ask_to_stop(b"x")
+    scene.turn()
+    assert len(scene.asked) == before + 1
+    index = scene.asked[-1]
+    assert scene.word(f"ping_{index}") >= scene.word("written_ns")
+
+
+def test_a_ping_that_the_port_does_not_take_is_not_counted(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene.turn()
+    asked = list(scene.asked)
+    words = [scene.word(f"ping_{index}") for index in range(layout.PINGS)]
+    monkeypatch.setattr(port, "unsent_bytes", lambda fd: 5000)
+    scene.turn(PERIOD)
+    assert scene.asked == asked
+    assert [scene.word(f"ping_{index}") for index in range(layout.PINGS)] == words
+    monkeypatch.setattr(port, "unsent_bytes", lambda fd: 0)
+    scene.turn(GAP_NS)
+    assert len(scene.asked) == len(asked) + 1, "and it is asked again soon"
+
+
+def test_motion_goes_on_behind_a_ping_and_behind_nothing_else(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene.turn()
+    monkeypatch.setattr(port, "unsent_bytes", lambda fd: len(BOARD.pings[0]))
+    scene.put()
+    assert scene.turn(TICK) == MOTION
+    monkeypatch.setattr(port, "unsent_bytes", lambda fd: len(BOARD.pings[0]) + 1)
+    scene.put()
+    assert scene.turn(TICK) == b""
+
+
+def test_a_machine_that_slept_is_stopped_for(scene: Scene) -> None:
+    scene.drive()
+    scene.owner.suspend._gained_ns -= 12_300 * MS
+    assert scene.turn(TICK).startswith(BOARD.burst)
+    assert scene.reasons() == ["the machine was suspended for 12.3 s"]
+    scene.put()
+    assert MOTION not in scene.turn(TICK), "not before a newer epoch"
+
+
+def test_a_sleep_between_the_look_and_the_write_is_stopped_for(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene.drive()
+    slept = iter([0, 5_000 * MS])
+    monkeypatch.setattr(type(scene.owner.suspend), "slept_ns", lambda _self: next(slept))
+    scene.put()
+    wrote = scene.turn(TICK)
+    assert wrote.startswith(BOARD.burst)
+    assert MOTION not in wrote
+    assert scene.reasons() == ["the machine was suspended for 5.0 s"]

@@ -1,0 +1,49 @@
+"""A machine that slept is noticed by the clock that went on; being held up is no sleep."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from failstop.procs import suspend
+from failstop.procs.suspend import SLEPT_NS, SuspendWatch
+
+MS = 1_000_000
+
+
+def watch(readings: list[int]) -> SuspendWatch:
+    found: Iterator[int] = iter(readings)
+    return SuspendWatch(lambda: next(found))
+
+
+def test_a_sleep_is_told_once_with_its_length() -> None:
+    watched = watch([7, 7, 7 + 3000 * MS, 7 + 3000 * MS])
+    assert [watched.slept_ns() for _ in range(3)] == [0, 3000 * MS, 0]
+
+
+def test_two_sleeps_are_two() -> None:
+    watched = watch([0, 60 * MS, 120 * MS])
+    assert [watched.slept_ns() for _ in range(2)] == [60 * MS, 60 * MS]
+
+
+def test_jitter_is_no_sleep() -> None:
+    watched = watch([0, 3 * MS, 0, SLEPT_NS - 1])
+    assert [watched.slept_ns() for _ in range(3)] == [0, 0, 0]
+
+
+def test_a_start_that_was_held_up_does_not_look_like_a_sleep_for_ever() -> None:
+    watched = watch([-40 * MS, 0, 0, 0])
+    assert [watched.slept_ns() for _ in range(3)] == [0, 0, 0]
+
+
+def test_being_held_up_between_the_clocks_makes_the_reading_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = iter([1000, 1000 + 900 * MS])
+    monkeypatch.setattr(suspend, "monotonic_ns", lambda: next(times))
+    monkeypatch.setattr(suspend, "clock_gettime_ns", lambda _clock: 1000)
+    assert suspend.gained_ns() == -900 * MS
+
+
+def test_this_machine_does_not_sleep_now() -> None:
+    watched = SuspendWatch()
+    assert [watched.slept_ns() for _ in range(1000)] == [0] * 1000

@@ -1,0 +1,101 @@
+"""The last stop's three levels: written, acknowledged, observed."""
+
+from __future__ import annotations
+
+import pytest
+
+from failstop.supervisor.causes import Cause
+from failstop.supervisor.fence import Fence
+from failstop.supervisor.stops import JUDGED_AFTER_NS, JUDGED_WITHIN_NS, LastStop
+
+MS = 1_000_000
+T0 = 10_000 * MS
+AFTER = 1_500 * MS
+
+
+def stop(written_ms: float = 0.5) -> LastStop:
+    written_ns = T0 + round(written_ms * MS) if written_ms else 0
+    return LastStop(Cause(T0, "gate", "gate died"), written_ns, "port owner", "gate died", 2, AFTER, 1.0)
+
+
+def test_written() -> None:
+    record = stop().as_record()
+    assert record["written_us"] == 500.0
+    assert record["acknowledged_us"] is None
+    assert record["observed_ms"] is None
+    assert stop(0).as_record()["written_us"] is None
+
+
+def test_a_ping_from_before_the_stop_proves_nothing() -> None:
+    last = stop()
+    assert not last.answered(T0 + MS // 2 - 1, T0 + 2 * MS)
+    assert last.answered(T0 + MS // 2, T0 + 3 * MS)
+    assert last.as_record()["acknowledged_us"] == 3_000.0
+    assert not last.answered(T0 + 5 * MS, T0 + 6 * MS), "the first answer counts"
+
+
+def test_what_was_not_written_is_not_acknowledged() -> None:
+    assert not stop(0).answered(T0 + 100 * MS, T0 + 101 * MS)
+
+
+def test_wheels_that_come_to_rest() -> None:
+    last = stop()
+    for ms in range(0, 900, 10):
+        assert not last.judged(0, T0 + ms * MS, T0 + ms * MS)
+    assert not last.judged(T0 + 380 * MS, T0 + 900 * MS, T0 + 900 * MS)
+    assert last.as_record()["observed_ms"] == 380.0
+    assert "wheels still after 380 ms" in last.outcome("alive")
+
+
+def test_the_judgement_from_before_the_stop_does_not_count() -> None:
+    last = stop()
+    still_ns = T0 - 5_000 * MS
+    assert not last.judged(still_ns, T0 + JUDGED_AFTER_NS - 1, T0 + JUDGED_AFTER_NS)
+    assert last.observed_ns is None
+    last.judged(still_ns, T0 + JUDGED_AFTER_NS, T0 + JUDGED_AFTER_NS)
+    assert last.observed_ns == 0
+    assert "no shaking seen" in last.outcome("alive")
+
+
+def test_wheels_that_do_not_come_to_rest_are_a_cause_once() -> None:
+    last = stop()
+    found = [ms for ms in range(0, 4_000, 20) if last.judged(0, T0 + ms * MS, T0 + ms * MS)]
+    assert found == [1_500]
+    assert "NOT seen still" in last.outcome("alive")
+
+
+@pytest.mark.parametrize("still_ns", [0, T0 + 400 * MS])
+def test_a_silent_imu_judges_nothing(still_ns: int) -> None:
+    last = stop()
+    judged_ns = T0 + 1_600 * MS
+    assert not last.judged(still_ns, judged_ns, judged_ns + JUDGED_WITHIN_NS + 1)
+    assert last.observed_ns is None
+
+
+def test_it_is_told_once_when_all_is_known() -> None:
+    last = stop()
+    last.answered(T0 + MS, T0 + 2 * MS)
+    assert not last.complete(T0 + 900 * MS)
+    last.judged(0, T0 + 500 * MS, T0 + 500 * MS)
+    last.judged(T0 + 300 * MS, T0 + 1_000 * MS, T0 + 1_000 * MS)
+    assert last.complete(T0 + 1_000 * MS)
+    assert not last.complete(T0 + 1_020 * MS)
+    assert last.outcome("alive") == "gate died: acknowledged by the board after 2.0 ms, wheels still after 300 ms"
+
+
+def test_it_is_told_at_last_without_answer_and_without_imu() -> None:
+    last = stop()
+    assert not last.complete(T0 + AFTER)
+    assert last.complete(T0 + AFTER + JUDGED_WITHIN_NS)
+    assert last.outcome("unproven") == "gate died: not acknowledged (link unproven), not observed (no IMU)"
+
+
+def test_a_fence_tells_its_times_in_order() -> None:
+    fence = Fence(T0, T0 + MS // 10, T0 + MS // 5)
+    assert fence.story("port_owner", T0 + MS, T0 + 2 * MS) == (
+        "port_owner was fenced: killed after 0.1 ms, stop written after 0.2 ms, "
+        "gone after 1.0 ms, stop again after 2.0 ms"
+    )
+    assert Fence(T0, T0 + MS, 0).story("gate", T0 + 2 * MS, 0) == (
+        "gate was fenced: killed after 1.0 ms, gone after 2.0 ms"
+    )

@@ -1,0 +1,182 @@
+"""Pings and their answers: that a ping can do no harm, that the board answers each, and what telemetry makes of it."""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.board import codec, framing, upward
+from failstop.board.decoder import Decoder
+from failstop.board.interface import BOARD
+from failstop.board.port import open_port
+from failstop.board.receiver import Receiver
+from failstop.board.sim.client import SimBoard
+from failstop.shm import layout, records
+
+from .scene import DEADLINE_S, MS, S, Scene
+
+STOP_DATA = BOARD.stop[4:-1]
+DRIVE = BOARD.motor_speeds((0.796, 0.796, -0.796, -0.796), 2.0)
+ALL = range(layout.PINGS)
+
+
+def answer(index: int) -> tuple[int, bytes]:
+    """The frame that answers a ping."""
+    frame = upward.pwm_servo_position(index + 1, 1500)
+    return frame[2], frame[4:-1]
+
+
+# The pings.
+
+
+def test_as_many_as_the_layout_has_words_for_all_different_and_the_first_as_published() -> None:
+    assert len(BOARD.pings) == len(set(BOARD.pings)) == layout.PINGS
+    assert BOARD.pings[0] == bytes.fromhex("AA5504020501E0")
+
+
+@pytest.mark.parametrize("ping", BOARD.pings)
+def test_a_ping_is_one_frame_that_is_no_motion_and_passes_as_another_frame(ping: bytes) -> None:
+    assert BOARD.check_aux(ping) == ""
+    assert BOARD.check_motion(ping, 1000.0) != ""
+    assert [func for _, func, _ in Receiver().feed(ping)] == [framing.PWM_SERVO]
+
+
+@pytest.mark.parametrize("behind", [BOARD.burst, BOARD.stop * 20, DRIVE * 20])
+@pytest.mark.parametrize("ping", BOARD.pings)
+def test_no_cut_of_a_ping_is_completed_to_anything(ping: bytes, behind: bytes) -> None:
+    """Whatever follows a cut ping: executed are frames that were written whole, and empty SYS frames of the burst's
+    zeros, which do nothing. Nothing reads servo 0, which is outside the firmware's table."""
+    whole = {(framing.SYS, b""), (framing.MOTOR, STOP_DATA), (framing.MOTOR, DRIVE[4:-1])}
+    for cut in range(len(ping)):
+        for version in (10, 11, 12):
+            receiver = Receiver(version)
+            receiver.feed(ping[:cut])
+            executed = {(func, data) for _, func, data in receiver.feed(behind)}
+            assert executed <= whole
+            assert executed - {(framing.SYS, b"")}, "nothing came through"
+
+
+@pytest.mark.parametrize("index", ALL)
+def test_its_answer_names_the_ping(index: int) -> None:
+    assert BOARD.pong(*answer(index)) == index
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        upward.pwm_servo_position(0, 1500),
+        upward.pwm_servo_position(5, 1500),
+        upward.pwm_servo_deviation(1, 0),
+        upward.bus_servo_position(1, 500),
+        upward.key(1, 5),
+        codec.frame(framing.PWM_SERVO, b"\x01\x05\xdc"),
+        codec.frame(framing.PWM_SERVO, b""),
+        BOARD.pings[1],
+    ],
+)
+def test_other_frames_answer_none(frame: bytes) -> None:
+    assert BOARD.pong(frame[2], frame[4:-1]) is None
+
+
+def test_the_board_answers_every_ping_in_order_with_no_servo_connected(tmp_path: Path) -> None:
+    with SimBoard(tmp_path / "board", imu_hz=0) as board:
+        descriptor = open_port(board.link, exclusive=True)
+        os.write(descriptor, b"".join(BOARD.pings))
+        decoder, answered = Decoder(), []
+        end_s = time.monotonic() + DEADLINE_S
+        while len(answered) < layout.PINGS and time.monotonic() < end_s:
+            if select.select([descriptor], [], [], 0.5)[0]:
+                found = (BOARD.pong(*frame) for frame in decoder.feed(os.read(descriptor, 512)))
+                answered += [index for index in found if index is not None]
+        os.close(descriptor)
+        assert answered == list(ALL)
+        assert board.wheels() == (0.0, 0.0, 0.0, 0.0)
+
+
+# Telemetry: the port owner's ring is fed by the test.
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+    made = Scene(tmp_path, monkeypatch)
+    yield made
+    made.close()
+
+
+def told(scene: Scene) -> tuple[int, int]:
+    """The published (arrival_ns, index)."""
+    return records.unpack_pong(scene.own.word("pong").get())
+
+
+def test_an_answer_is_published_with_the_time_it_was_read_and_rings_the_supervisor(scene: Scene) -> None:
+    assert told(scene) == (0, 0)
+    for index in (0, 1, 2, 3, 0):
+        scene.rung("supervisor_bell")
+        scene.turn(answer(index), elapsed_ns=500 * MS)
+        assert told(scene) == (scene.now_ns, index)
+        assert scene.rung("supervisor_bell")
+
+
+def test_the_time_is_the_port_owners_and_not_that_of_the_decoding(scene: Scene) -> None:
+    read_ns = scene.now_ns - 30 * MS
+    scene._received.put(upward.pwm_servo_position(3, 1500), read_ns)
+    scene.turn()
+    assert told(scene) == (read_ns, 2)
+
+
+def test_an_answer_in_pieces_arrives_with_its_last_piece(scene: Scene) -> None:
+    frame = upward.pwm_servo_position(2, 1500)
+    for piece, read_ns in ((frame[:5], scene.now_ns), (frame[5:], scene.now_ns + MS)):
+        scene._received.put(piece, read_ns)
+        scene.turn()
+    assert told(scene) == (scene.now_ns + MS, 1)
+
+
+def test_nothing_else_counts_as_an_answer(scene: Scene) -> None:
+    scene.turn((framing.PWM_SERVO, b"\x01\x09\x05"), (framing.PWM_SERVO, b"\x05\x05\xdc\x05"))
+    scene.turn((framing.BUS_SERVO, b"\x01\x05\x00\xdc\x05"), (framing.IMU, bytes(24)))
+    assert told(scene) == (0, 0)
+    assert not scene.rung("supervisor_bell")
+
+
+# A port that was opened again.
+
+
+def reopen(scene: Scene, generation: int) -> None:
+    port = scene.owned(layout.PORT_OWNER).latest_writer("port")
+    port.write(records.pack_port(generation, scene.now_ns, records.PORT_OPEN, "/dev/board"), scene.now_ns)
+
+
+@pytest.mark.parametrize("reopened", [True, False])
+def test_half_a_frame_from_before_a_reopening_does_not_join_what_comes_after(scene: Scene, reopened: bool) -> None:
+    """Control: without a reopening the halves are one frame. So the frame is not made twice by luck."""
+    reopen(scene, 1)
+    frame = upward.pwm_servo_position(2, 1500)
+    scene._received.put(frame[:5], scene.now_ns)
+    scene.turn()
+    scene.turn(elapsed_ns=3 * S)
+    if reopened:
+        reopen(scene, 2)
+    scene._received.put(frame[5:], scene.now_ns)
+    scene.turn()
+    assert told(scene) == ((0, 0) if reopened else (scene.now_ns, 1))
+
+
+def test_what_the_lost_port_had_sent_still_belongs_together(scene: Scene) -> None:
+    """News of the port and what came before and after it, all found in one turn."""
+    reopen(scene, 1)
+    whole, torn = upward.pwm_servo_position(2, 1500), upward.pwm_servo_position(3, 1500)
+    before_ns = scene.now_ns
+    scene.now_ns += 3 * S
+    reopen(scene, 2)
+    for piece, read_ns in ((whole[:5], before_ns), (whole[5:] + torn[:5], before_ns + MS), (torn[5:], scene.now_ns)):
+        scene._received.put(piece, read_ns)
+    scene.turn()
+    assert told(scene) == (before_ns + MS, 1)
+    scene.turn(answer(3))
+    assert told(scene) == (scene.now_ns, 3)
