@@ -16,6 +16,7 @@ COMMANDS = {
     "drive": ("drive", "drive for a while"),
     "stop": ("stop", "write the stop to the port; needs no service running"),
     "config": ("config", "every setting with its value and origin"),
+    "chaos": ("chaos", "random faults from the fault table on a simulated board, judged by it"),
 }
 
 DESCRIPTION = "The layer that makes a robot stop. Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name."

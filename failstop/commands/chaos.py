@@ -1,0 +1,158 @@
+"""`failstop chaos`: random faults from the table while driving random velocities, judged by the simulated board."""
+
+from __future__ import annotations
+
+import fnmatch
+import json
+import os
+import signal
+import sys
+import time
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
+
+from failstop.board.sim.client import SimBoardError
+from failstop.errors import FailstopError, Refused
+from failstop.faults import campaign, report
+from failstop.faults.fault import Fault
+from failstop.faults.scene import Scene
+from failstop.faults.table import BY_NAME, TABLE
+from failstop.trial import TrialError
+
+SECONDS = 60.0
+STORIES = 5
+SEEDS = 1_000_000
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop chaos`."""
+    add = parser.add_argument
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--seconds", type=float, metavar="S", help=f"how long (default: {SECONDS:g} s)")
+    length.add_argument("--count", type=int, metavar="N", help="this many faults instead")
+    length.add_argument("--each", type=int, metavar="N", help="every row this many times instead, in order")
+    add("--seed", type=int, metavar="K", help="of the random choices; a campaign says its own")
+    add(
+        "--first",
+        type=int,
+        default=0,
+        metavar="I",
+        help="begin at this index of the seed's campaign (a story names it)",
+    )
+    add("--only", metavar="ROW,...", help="these rows alone; * stands for anything")
+    add("--config", metavar="FILE", help="settings for the service, under those that a campaign needs")
+    add("--list", action="store_true", help="list the rows")
+    add("--json", metavar="FILE", help="write the result there")
+    add("--markdown", action="store_true", help="print the result as docs/faults.md")
+    add("--from", dest="source", metavar="FILE", help="with --markdown: of this result (--json), without a run")
+    add("--device", metavar="PATH", help="a real board; needs both consents below")
+    add("--on-the-stand", action="store_true", help="consent: the robot stands on a stand")
+    add("--wheels-are-free", action="store_true", help="consent: nobody and nothing is near the wheels")
+
+
+def main(arguments: Namespace) -> int:
+    """Run the campaign; exit code 1 when anything was not as the table says."""
+    if arguments.device is not None:
+        raise Refused(_real_board(arguments))
+    rows = _rows(arguments.only)
+    if arguments.list:
+        for fault in rows:
+            print(f"{fault.name:<50} {fault.cause}")
+        return 0
+    if arguments.source:
+        if not arguments.markdown:
+            raise FailstopError("--from is for --markdown")
+        print(report.markdown(_read(arguments.source)), end="")
+        return 0
+    tally = _run(arguments, rows)
+    result = tally.as_dict()
+    if arguments.json:
+        with open(arguments.json, "w", encoding="utf-8") as file:
+            json.dump(result, file, indent=1)
+    print(report.markdown(result) if arguments.markdown else f"{tally.table()}\n\n{tally.summary()}", flush=True)
+    print(f"{'interrupted; ' if tally.interrupted else ''}the same again: --seed {tally.seed}", file=sys.stderr)
+    for story in tally.stories[:STORIES]:
+        print(f"\n{story}", file=sys.stderr)
+    if len(tally.stories) > STORIES:
+        print(f"\nand {len(tally.stories) - STORIES} more; --json has them all", file=sys.stderr)
+    return 130 if tally.interrupted else 1 if tally.stories else 0
+
+
+def _rows(only: str | None) -> tuple[Fault, ...]:
+    if only is None:
+        return TABLE
+    found = []
+    for pattern in only.split(","):
+        names = fnmatch.filter(BY_NAME, pattern)
+        if not names:
+            raise FailstopError(f"no row {pattern!r} in the fault table; `failstop chaos --list` has them")
+        found += names
+    return tuple(fault for fault in TABLE if fault.name in found)
+
+
+def _read(path: str) -> dict[str, object]:
+    try:
+        with open(path, encoding="utf-8") as file:
+            found: dict[str, object] = json.load(file)
+    except (OSError, ValueError) as error:
+        raise FailstopError(f"{path} is no result of a campaign: {error}; make one with --json {path}") from None
+    return found
+
+
+def _run(arguments: Namespace, rows: tuple[Fault, ...]) -> report.Tally:
+    seed = arguments.seed if arguments.seed is not None else time.time_ns() % SEEDS
+    tally = report.Tally(rows, seed)
+    live = sys.stderr.isatty()
+    interrupted: list[bool] = []
+    signal.signal(signal.SIGINT, lambda *_: interrupted.append(True))
+    print(f"seed {seed}, {len(rows)} rows", file=sys.stderr, flush=True)
+    try:
+        with Scene(f"chaos-{os.getpid()}", arguments.config) as scene:
+            for outcome in _outcomes(arguments, scene, rows, tally):
+                if interrupted:
+                    # The terminal's signal went to the board and the service too: this one proves nothing.
+                    tally.interrupted = True
+                    break
+                tally.add(outcome)
+                if live:
+                    sys.stderr.write(f"\r\x1b[K{tally.summary()}; {outcome.fault.name}"[:200])
+                    sys.stderr.flush()
+    except (TrialError, SimBoardError) as error:
+        if interrupted:
+            tally.interrupted = True
+        else:
+            tally.stories.append(f"the campaign could not go on: {error}")
+    if live:
+        sys.stderr.write("\r\x1b[K")
+    return tally
+
+
+def _outcomes(
+    arguments: Namespace, scene: Scene, rows: tuple[Fault, ...], tally: report.Tally
+) -> Iterator[campaign.Outcome]:
+    if arguments.each is not None:
+        return (
+            campaign.inject_one(scene, fault, index, tally.seed) for fault in rows for index in range(arguments.each)
+        )
+    if arguments.count is not None:
+        return campaign.campaign(scene, rows, tally.seed, lambda injected: injected >= arguments.count, arguments.first)
+    until_s = tally.begun_s + (arguments.seconds or SECONDS)
+    return campaign.campaign(scene, rows, tally.seed, lambda _: time.monotonic() >= until_s, arguments.first)
+
+
+def _real_board(arguments: Namespace) -> str:
+    """Why a real board is refused."""
+    missing = [
+        word
+        for word, given in (
+            ("--on-the-stand", arguments.on_the_stand),
+            ("--wheels-are-free", arguments.wheels_are_free),
+        )
+        if not given
+    ]
+    if missing:
+        return f"{arguments.device} moves real wheels: put the robot on a stand, then say {' '.join(missing)}"
+    return (
+        f"{arguments.device}: on a real board nothing on its side of the wire can judge: a campaign needs a tap on the "
+        "board's receive line that gives the bytes with their times; without --device it runs on the simulated board"
+    )

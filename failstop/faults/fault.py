@@ -1,0 +1,86 @@
+"""A row of the fault table, and the words its columns are made of."""
+
+from __future__ import annotations
+
+import dataclasses
+
+RESET = "reset, then enable"
+ENABLE = "enable"
+ITSELF = "by itself"
+NEW_RUN = "a new start by systemd, then enable"
+
+KILL = "kill"
+HANG = "hang"
+CONTINUE = "continue"
+SPIN = "spin"
+"""What is done to a process: SIGKILL, SIGSTOP, SIGCONT, an endless loop put into its code."""
+
+DEATH = "a process dies"
+HANGS = "a process hangs"
+SEVERAL = "several processes at once"
+SERVICE = "the service is stopped"
+CLIENT = "the client that drives fails"
+REQUEST = "somebody asks for a stop"
+SENSOR = "the obstacle sensor or an interlock fails"
+USB = "the USB connection drops"
+BOARD = "the board does not take, hear or obey"
+MACHINE = "the machine is out of something"
+MEMORY = "a client damages shared memory"
+TIME = "the machine freezes or sleeps, its clock is stepped"
+EVENTS = (DEATH, HANGS, SEVERAL, SERVICE, CLIENT, REQUEST, SENSOR, USB, BOARD, MACHINE, MEMORY, TIME)
+
+LATE_MS = 100.0
+"""Added to one and a half bars for the limit that a test asserts: machines that tests run on are shared and busy."""
+
+Step = tuple[str, str]
+
+
+@dataclasses.dataclass(frozen=True)
+class Fault:
+    """One row. `latched` and `logged` are regular expressions that are searched for."""
+
+    name: str
+    event: str
+    """One of EVENTS."""
+    cause: str
+    """What goes wrong, in words."""
+    first: str
+    """Who stops first; "nobody" where nothing is to stop."""
+    latched: str
+    """Pattern of the reason that stays latched; empty: nothing does."""
+    cleared: str
+    """RESET, ENABLE, ITSELF or NEW_RUN."""
+    logged: str
+    """Pattern of a line that the service says; empty: there is nothing to say."""
+    bar_ms: float | None
+    """The time to the first stop frame that is aimed at (p99); None: this must not stop the wheels."""
+    injector: str
+    """A name in inject.INJECTORS."""
+    steps: tuple[Step, ...] = ()
+    """What is done to which process, in this order."""
+    counted_from: str = "the fault"
+    """The moment that times are taken from."""
+    aftermath_s: float = 0.15
+    """How long the fault lasts, the clients commanding all the while."""
+    fences: bool = False
+    """It lasts long enough for the supervisor to kill what hangs; else the hung are continued before."""
+    stop_tool: bool = False
+    """Nobody who can write is left: the campaign starts the stop tool, as systemd's ExecStopPost does."""
+    link: str = ""
+    """What `status` says of the link to the board meanwhile; empty: not looked at."""
+    weight: int = 4
+    """How often a campaign draws it, against the others."""
+
+    @property
+    def limit_ms(self) -> float | None:
+        """A stop later than this fails; None: any stop fails."""
+        return None if self.bar_ms is None else 1.5 * self.bar_ms + LATE_MS
+
+    @property
+    def survives(self) -> bool:
+        """Whether the service lives on; else systemd, here the campaign, starts it anew."""
+        return self.cleared != NEW_RUN
+
+    def struck(self, *actions: str) -> tuple[str, ...]:
+        """The processes that one of these things is done to."""
+        return tuple(process for action, process in self.steps if action in actions)

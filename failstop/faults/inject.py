@@ -1,0 +1,135 @@
+"""Injectors: each makes one kind of fault happen, with real signals and real bytes, and undoes what it can."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from collections.abc import Callable
+
+from failstop.faults import ptrace
+from failstop.faults.fault import CONTINUE, HANG, KILL, SPIN, Fault
+from failstop.faults.scene import Scene
+
+SIGNALS = {KILL: signal.SIGKILL, HANG: signal.SIGSTOP}
+APART_S = 0.005
+STOPPED_ON_S = (0.04, 0.14)
+"""How long the hung stay stopped after the stop is due: less than it takes to fence them."""
+TROUBLE_S = 0.2
+ASKED = "asked meanwhile"
+
+
+class Injector:
+    """One fault: prepare() while all is well, strike() while the wheels turn, heal() when its time is over."""
+
+    def __init__(self, fault: Fault) -> None:
+        self.fault = fault
+
+    def unfit(self) -> str:
+        """Why it can't be done here; empty when it can."""
+        return ""
+
+    def prepare(self, scene: Scene) -> None:
+        """Before the drive that the fault ends."""
+
+    def strike(self, scene: Scene) -> int:
+        """Make it happen; returns the moment that times are taken from (CLOCK_MONOTONIC ns)."""
+        raise NotImplementedError
+
+    def during(self, scene: Scene) -> None:
+        """With every command while the fault lasts."""
+
+    def heal(self, scene: Scene) -> None:
+        """Undo what is not the service's to undo; also after a strike that failed."""
+
+
+class AskedMeanwhile(Injector):
+    """A trouble that the wheels must turn through, and that a stop request must get through."""
+
+    def trouble(self, scene: Scene) -> None:
+        """Begin."""
+        raise NotImplementedError
+
+    def last(self, scene: Scene) -> None:
+        """Drive through it for a while."""
+        until_s = time.monotonic() + TROUBLE_S
+        while time.monotonic() < until_s:
+            self.during(scene)
+            scene.driver.run(0.02)
+
+    def strike(self, scene: Scene) -> int:
+        self.trouble(scene)
+        self.last(scene)
+        scene.was_moving = scene.trial.moving()
+        scene.board.events()
+        now_ns = time.monotonic_ns()
+        scene.ask(ASKED)
+        return now_ns
+
+
+class Processes(Injector):
+    """What the row's steps say, together or within 5 ms; what is continued was stopped for longer."""
+
+    def __init__(self, fault: Fault) -> None:
+        super().__init__(fault)
+        self._pids: dict[str, int] = {}
+        self._order: list[tuple[str, str]] = list(fault.steps)
+
+    def unfit(self) -> str:
+        return ptrace.unfit() if self.fault.struck(SPIN) else ""
+
+    def prepare(self, scene: Scene) -> None:
+        self._pids = scene.look_up_pids()
+        scene.chance.shuffle(self._order)
+        self._order.sort(key=lambda step: step[0] == CONTINUE)
+
+    def strike(self, scene: Scene) -> int:
+        spread_s = scene.chance.choice((0.0, APART_S)) / max(1, len(self._order) - 1)
+        fault_ns = time.monotonic_ns()
+        for number, (action, process) in enumerate(self._order):
+            if action == CONTINUE and self._order[number - 1][0] != CONTINUE:
+                scene.driver.run((self.fault.bar_ms or 0.0) / 1000 + scene.chance.uniform(*STOPPED_ON_S))
+            elif number and spread_s:
+                time.sleep(scene.chance.uniform(0.0, spread_s))
+            self._do(action, self._pids[process])
+        if self.fault.stop_tool:
+            scene.start_stop_tool()
+        return fault_ns
+
+    def _do(self, action: str, pid: int) -> None:
+        if action == SPIN:
+            ptrace.spin(pid)
+        elif action == CONTINUE:
+            # It may have been fenced.
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+        else:
+            os.kill(pid, SIGNALS[action])
+
+    def heal(self, scene: Scene) -> None:
+        for process in self.fault.struck(HANG):
+            if process in self._pids:
+                self._do(CONTINUE, self._pids[process])
+
+
+Registry = dict[str, Callable[[Fault], Injector]]
+
+
+def _all() -> Registry:
+    from failstop.faults import inject_board, inject_clients, inject_machine
+
+    found: Registry = {"processes": Processes}
+    for module in (inject_board, inject_clients, inject_machine):
+        found.update(module.INJECTORS)
+    return found
+
+
+def injector(fault: Fault) -> Injector:
+    """The row's injector. Raises KeyError when there is none."""
+    return _all()[fault.injector](fault)
+
+
+def names() -> set[str]:
+    """Every injector."""
+    return set(_all())

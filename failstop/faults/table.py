@@ -1,0 +1,204 @@
+"""The fault table: what goes wrong, who stops first, what stays latched, what clears it, what is said of it.
+
+The tests, the campaign (`failstop chaos`) and docs/faults.md all come from these rows. Whether the wheels stopped is
+the simulated board's word (judge.py), never the service's.
+"""
+
+from __future__ import annotations
+
+from failstop.faults import processes
+from failstop.faults.fault import (
+    BOARD,
+    CLIENT,
+    CONTINUE,
+    ENABLE,
+    HANG,
+    ITSELF,
+    MACHINE,
+    MEMORY,
+    NEW_RUN,
+    REQUEST,
+    RESET,
+    SENSOR,
+    SERVICE,
+    SEVERAL,
+    TIME,
+    USB,
+    Fault,
+)
+from failstop.shm.layout import PORT_OWNER, SUPERVISOR
+
+BACK = "the device's return"
+ASKED = "a stop request meanwhile"
+THAWED = "the thaw"
+
+
+def _asked(name: str, event: str, cause: str, injector: str, logged: str = "", *, bar_ms: float = 20.0) -> Fault:
+    """A trouble that must not stop the wheels, and not keep a stop request from stopping them either."""
+    return Fault(
+        name=name,
+        event=event,
+        cause=cause,
+        first="port owner, when asked",
+        latched="^asked meanwhile",
+        cleared=RESET,
+        logged=logged or "E-STOP latched: asked meanwhile",
+        bar_ms=bar_ms,
+        injector=injector,
+        counted_from=ASKED,
+        weight=1,
+    )
+
+
+WOKEN = (
+    Fault(
+        "hang-supervisor+port_owner-continued", SEVERAL,
+        "SIGSTOP of supervisor and port_owner, SIGCONT once the stopper has stopped", "stopper",
+        "^(supervisor|port_owner) (hangs|died)", RESET, "E-STOP latched: (supervisor|port_owner) (hangs|died)",
+        processes.STOPPER_MS, "processes",
+        steps=((HANG, SUPERVISOR), (HANG, PORT_OWNER), (CONTINUE, SUPERVISOR), (CONTINUE, PORT_OWNER)), weight=1,
+    ),
+)  # fmt: skip
+
+CLIENTS = (
+    Fault(
+        "client-killed", CLIENT, "SIGKILL of the client that drives", "gate (its claim is gone)",
+        "", ITSELF, "", 10.0, "client-killed",
+    ),
+    Fault(
+        "client-hung", CLIENT, "SIGSTOP of the client that drives", "gate (command timeout)",
+        "", ITSELF, "", 320.0, "client-hung", counted_from="its last command", aftermath_s=0.45, weight=1,
+    ),
+    Fault(
+        "client-nan", CLIENT, "a command that is not a number", "gate",
+        "^command from .* is not finite", RESET, "E-STOP latched: command from .* is not finite", 5.0, "client-nan",
+    ),
+    Fault(
+        "client-second", CLIENT, "a second publisher of one source", "gate",
+        "^multiple cmd_vel publishers", RESET, "E-STOP latched: multiple cmd_vel publishers", 5.0, "client-second",
+    ),
+    Fault(
+        "slot-scribbled", MEMORY, "the driving client's slot is overwritten", "gate (its session is gone)",
+        "", ITSELF, "", 50.0, "slot-scribbled", counted_from="its last command", aftermath_s=0.45, weight=1,
+    ),
+    Fault(
+        "slot-truncated", MEMORY, "the driving client's slot is truncated", "gate (its session is gone)",
+        "", ITSELF, "", 50.0, "slot-truncated", counted_from="its last command", aftermath_s=0.45, weight=1,
+    ),
+)  # fmt: skip
+
+REQUESTS = (
+    Fault(
+        "service-stopped", SERVICE, "SIGTERM to the service", "supervisor, through the port owner",
+        "", NEW_RUN, "stopped; the stop was written twice", 20.0, "service-stopped",
+    ),
+    Fault(
+        "stop-request", REQUEST, "a stop request by an unprivileged user", "port owner",
+        "^nobody says so", RESET, "E-STOP latched: nobody says so", 2.0, "stop-request",
+    ),
+    Fault(
+        "stop-pipe-garbage", REQUEST, "garbage in the stop FIFO", "port owner",
+        ".", RESET, "E-STOP latched: ", 2.0, "stop-pipe-garbage",
+    ),
+    Fault(
+        "stop-pipe-flood", REQUEST, "the stop FIFO is kept full", "port owner",
+        "^flood", RESET, "E-STOP latched: flood", 2.0, "stop-pipe-flood",
+    ),
+    Fault(
+        "pad-button", REQUEST, "a button of the gamepad, one frame", "port owner, asked by telemetry",
+        "^gamepad button 0x0100", RESET, "E-STOP latched: gamepad button 0x0100", 5.0, "pad-button",
+    ),
+    Fault(
+        "board-key", REQUEST, "the board's stop key", "port owner, asked by telemetry",
+        "^key1", RESET, "E-STOP latched: key1", 5.0, "board-key",
+    ),
+    Fault(
+        "scan-silent", SENSOR, "the obstacle sensor falls silent, and comes back", "gate (no scan)",
+        "", ITSELF, "no scan for", 520.0, "scan-silent", counted_from="its last delivery", aftermath_s=0.65, weight=1,
+    ),
+    Fault(
+        "interlock-lost", SENSOR, "an interlock is no longer asserted", "gate",
+        "", ENABLE, "motion disabled: interlock arm", 525.0, "interlock-lost", counted_from="its last assertion",
+        aftermath_s=0.65, weight=1,
+    ),
+)  # fmt: skip
+
+PORT = (
+    Fault(
+        "usb-drop", USB, "unplugged; back under the same name", "port owner, the moment it is back",
+        "^device lost", RESET, "E-STOP latched: device lost", 20.0, "usb-drop", counted_from=BACK,
+    ),
+    Fault(
+        "usb-drop-mid-frame", USB, "unplugged while a frame is half written", "port owner, the moment it is back",
+        "^device lost", RESET, "E-STOP latched: device lost", 20.0, "usb-drop-mid-frame", counted_from=BACK,
+    ),
+    Fault(
+        "usb-drop-renamed", USB, "unplugged; back as another node behind the link", "port owner, the moment it is back",
+        "^device lost", RESET, "E-STOP latched: device lost", 20.0, "usb-drop-renamed", counted_from=BACK,
+    ),
+    Fault(
+        "usb-drop-permission", USB, "unplugged; back, and the permission comes later", "port owner, once it may open",
+        "^device lost", RESET, "E-STOP latched: device lost", 20.0, "usb-drop-permission",
+        counted_from="the permission", weight=1,
+    ),
+    Fault(
+        "board-not-draining", BOARD, "the board takes no bytes", "nobody; port owner, once it takes bytes again",
+        "does not drain", RESET, "POWER SWITCH", 100.0, "board-not-draining", counted_from="taking bytes again",
+        weight=1,
+    ),
+    Fault(
+        "board-deaf", BOARD, "the board hears nothing while its telemetry goes on", "nobody; its 5 Hz zeros, later",
+        "deaf", RESET, "POWER SWITCH", 210.0, "board-deaf", counted_from="hearing again", aftermath_s=0.3, weight=1,
+    ),
+    Fault(
+        "board-unproven", BOARD, "the board has never answered a ping", "nobody",
+        "", ITSELF, "", None, "board-unproven", aftermath_s=1.6, link="unproven", weight=1,
+    ),
+    Fault(
+        "board-garbles-up", BOARD, "1 % of the bytes from the board are garbled", "nobody",
+        "", ITSELF, "", None, "board-garbles-up", aftermath_s=0.4, weight=1,
+    ),
+    _asked("board-garbles-down", BOARD, "1 % of the bytes to the board are garbled", "board-garbles-down", bar_ms=250),
+    _asked("board-floods", BOARD, "the board sends without pause", "board-floods"),
+    Fault(
+        "board-refuses", BOARD, "the board executes the stop, and the wheels turn on", "port owner, in vain",
+        "^asked meanwhile", RESET, "CRITICAL", 5.0, "board-refuses", counted_from=ASKED, aftermath_s=2.0, weight=1,
+    ),
+)  # fmt: skip
+
+SURROUNDINGS = (
+    _asked("no-processor", MACHINE, "every core is busy", "no-processor"),
+    _asked("no-descriptors", MACHINE, "no process may open another file", "no-descriptors"),
+    Fault(
+        "no-descriptors-kill", MACHINE, "no process may open another file; SIGKILL of the gate", "port owner",
+        "^gate died", RESET, "E-STOP latched: gate died", 10.0, "no-descriptors-kill", weight=1,
+    ),
+    _asked("no-memory", MACHINE, "no process may have more memory", "no-memory"),
+    _asked("no-disk", MACHINE, "no space for the state files", "no-disk", "can't be written: .*No space"),
+    Fault(
+        "frozen", TIME, "every process frozen for 0.3 s and thawed together", "the first to wake",
+        "hangs|silent|frozen|slept", RESET, "E-STOP latched: ", 65.0, "frozen", counted_from=THAWED, weight=1,
+    ),
+    Fault(
+        "suspended", TIME, "the machine sleeps and wakes", "the first to wake",
+        "slept|suspend", RESET, "E-STOP latched: ", 65.0, "suspended", counted_from="waking", weight=1,
+    ),
+    Fault(
+        "clock-stepped", TIME, "the wall clock is stepped by an hour, both ways", "nobody",
+        "", ITSELF, "", None, "clock-stepped", aftermath_s=0.5, weight=1,
+    ),
+)  # fmt: skip
+
+TABLE = (*processes.ROWS, *WOKEN, *CLIENTS, *REQUESTS, *PORT, *SURROUNDINGS)
+BY_NAME = {fault.name: fault for fault in TABLE}
+
+BEYOND = (
+    (
+        "everything is frozen from outside (the hypervisor, SIGSTOP to all)",
+        "a watchdog on the board's side",
+    ),
+    ("the kernel is dead or stuck", "a hardware watchdog that resets the machine; a watchdog on the board's side"),
+    ("no power to USB, the cable is cut and stays cut", "a relay in the motors' supply that needs a living signal"),
+    ("the board is deaf, does not drain, or does not obey", "the POWER SWITCH, or a relay run by `still.command`"),
+)
+"""What no program on this side of the wire can answer, and the hardware that helps."""

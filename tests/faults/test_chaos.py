@@ -1,0 +1,106 @@
+"""`failstop chaos`: a short campaign of random faults, and what the command refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from subprocess import PIPE
+
+import pytest
+
+from failstop.faults.table import BY_NAME
+
+SECONDS = 40
+
+
+def chaos(*words: str, timeout: float = 20.0) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "failstop", "chaos", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
+
+
+@pytest.mark.slow
+def test_random_faults(tmp_path: Path) -> None:
+    """Of a new seed every time: what it finds, it says how to find again."""
+    out = tmp_path / "chaos.json"
+    done = chaos("--seconds", str(SECONDS), "--json", str(out), timeout=100)
+    assert done.returncode == 0, done.stdout + done.stderr
+    result = json.loads(out.read_text())
+    assert result["count"] >= SECONDS / 2
+    assert result["missed"] == result["motion_after"] == result["wrong"] == 0
+    assert {row["name"] for row in result["rows"]} == set(BY_NAME)
+    assert f"{result['count']} faults in" in done.stdout
+    assert f"--seed {result['seed']}" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_campaign_can_be_repeated_from_any_fault_on(tmp_path: Path) -> None:
+    out = tmp_path / "chaos.json"
+    counts = []
+    for words in (("--count", "3"), ("--count", "2", "--first", "1")):
+        assert chaos("--only", "kill-gate,kill-t*", "--seed", "4", "--json", str(out), *words).returncode == 0
+        counts.append({row["name"]: row["count"] for row in json.loads(out.read_text())["rows"]})
+    assert sum(counts[0].values()) == 3
+    assert sum(counts[1].values()) == 2
+    assert all(counts[1][name] <= counts[0][name] for name in counts[0])
+
+
+@pytest.mark.slow
+def test_settings_of_the_user(tmp_path: Path) -> None:
+    config = tmp_path / "mine.toml"
+    config.write_text("[gate]\ncommand_timeout_s = 0.2\n")
+    only = ("--only", "client-hung", "--count", "1", "--json", str(tmp_path / "chaos.json"))
+    assert chaos(*only, "--config", str(config)).returncode == 0
+    row = json.loads((tmp_path / "chaos.json").read_text())["rows"][0]
+    assert 190 < row["max_ms"] < 300
+    config.write_text("[gate]\nlease_s = 9.0\n")
+    assert "gate.lease_s" in chaos(*only, "--config", str(config)).stderr
+
+
+def test_an_interrupted_campaign_tells_what_it_has(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "failstop", "chaos", "--only", "kill-gate", "--seconds", "60"]
+    with subprocess.Popen(command, stdout=PIPE, stderr=PIPE, text=True, start_new_session=True) as process:
+        assert process.stderr is not None
+        assert process.stderr.readline().endswith(" 1 rows\n")
+        # As a terminal's Ctrl-C does: to the campaign, its board and its service alike.
+        os.killpg(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    assert process.returncode == 130, err
+    assert " 0 not as the table says" in out
+    assert "interrupted; the same again: --seed " in err
+
+
+def test_list_names_every_row() -> None:
+    listed = chaos("--list").stdout.splitlines()
+    assert [line.split()[0] for line in listed] == list(BY_NAME)
+    assert len(chaos("--list", "--only", "kill-*-hang-gate").stdout.splitlines()) == 4
+
+
+def test_a_page_from_a_result(tmp_path: Path) -> None:
+    out = tmp_path / "chaos.json"
+    machine = dict.fromkeys(("version", "date", "python", "kernel", "machine", "cores", "took_s"), "x")
+    totals = dict.fromkeys(("count", "missed", "motion_after", "wrong"), 0)
+    out.write_text(json.dumps({"machine": machine, "seed": 1, **totals, "rows": [], "stories": []}))
+    page = chaos("--markdown", "--from", str(out)).stdout
+    assert all(f"| `{name}` |" in page for name in BY_NAME)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        (("--only", "nonsense"), 1, "no row 'nonsense' in the fault table"),
+        (("--from", "/nowhere"), 1, "--from is for --markdown"),
+        (("--markdown", "--from", "/nowhere"), 1, "/nowhere is no result of a campaign"),
+        (("--device", "/dev/ttyACM0"), 2, "say --on-the-stand --wheels-are-free"),
+        (("--device", "/dev/ttyACM0", "--on-the-stand"), 2, "say --wheels-are-free"),
+        (("--device", "/dev/ttyACM0", "--on-the-stand", "--wheels-are-free"), 2, "needs a tap"),
+    ],
+)
+def test_what_is_refused(words: tuple[str, ...], code: int, told: str) -> None:
+    done = chaos(*words)
+    assert done.returncode == code
+    assert told in done.stderr
+    assert done.stderr.count("\n") == 1

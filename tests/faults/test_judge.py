@@ -1,0 +1,119 @@
+"""The judge and the campaign say when something is wrong: they are what every other word about faults rests on."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from pathlib import Path
+
+import pytest
+
+from failstop.board.codec import MOTOR, STOP, motor_speeds
+from failstop.board.sim.client import Event
+from failstop.faults import report
+from failstop.faults.campaign import Outcome, draw, inject_one
+from failstop.faults.judge import verdict
+from failstop.faults.scene import Scene
+from failstop.faults.table import BY_NAME, TABLE
+
+MS = 1_000_000
+FAULT_NS = 10_000 * MS
+KILL_GATE = BY_NAME["kill-gate"]
+STILL = (0.0, 0.0, 0.0, 0.0)
+TURNING = (0.5, 0.5, -0.5, -0.5)
+
+
+def event(index: int, ms: float, speeds: tuple[float, float, float, float]) -> Event:
+    """A motor frame that the board got so long after the fault."""
+    at_ns = FAULT_NS + round(ms * MS)
+    frame = motor_speeds(speeds, 1.0) if any(speeds) else STOP
+    return Event(index, at_ns, at_ns + MS // 2, MOTOR, frame[4:-1], speeds)
+
+
+def wrong(*times: tuple[float, bool], fault: str = "kill-gate", was_moving: bool = True) -> list[str]:
+    events = [event(i, ms, TURNING if moves else STILL) for i, (ms, moves) in enumerate(times)]
+    return verdict(BY_NAME[fault], events, FAULT_NS, was_moving)[1]
+
+
+def test_a_stop_in_time_and_for_good() -> None:
+    assert wrong((-10, True), (0.2, True), (0.5, False), (20, False)) == []
+
+
+def test_no_stop() -> None:
+    assert wrong((-10, True), (10, True)) == ["NO STOP"]
+    assert wrong() == ["NO STOP"]
+    assert wrong((-1, False)) == ["NO STOP"], "a stop from before the fault is none"
+
+
+def test_a_stop_that_is_too_late() -> None:
+    assert KILL_GATE.limit_ms is not None
+    assert wrong((KILL_GATE.limit_ms, False)) == []
+    assert len(wrong((KILL_GATE.limit_ms + 0.1, False))) == 1
+
+
+def test_motion_after_the_stop() -> None:
+    assert wrong((0.5, False), (0.6, True), (0.7, False), (0.8, True)) == [
+        "2 motion frames after the stop and before any enable"
+    ]
+
+
+def test_wheels_that_were_at_rest_prove_nothing() -> None:
+    assert wrong((0.5, False), was_moving=False) == ["the wheels were not turning before the fault"]
+
+
+def test_a_stop_where_none_is_due() -> None:
+    assert wrong((-1, False), (1, True), fault="board-garbles-up") == []
+    assert len(wrong((1, False), fault="board-garbles-up")) == 1
+
+
+def test_a_write_outside_the_motor_table() -> None:
+    events = [event(0, 0.5, STILL), dataclasses.replace(event(1, 1, STILL), wild=((7, 1.0),))]
+    assert verdict(KILL_GATE, events, FAULT_NS, True)[1] == ["1 writes outside the board's motor table"]
+
+
+def test_what_is_counted() -> None:
+    tally = report.Tally((KILL_GATE, BY_NAME["suspended"]), seed=7)
+    for events in ([event(0, 2, STILL), event(1, 3, TURNING)], [event(0, 4, STILL)], [event(0, 1, TURNING)]):
+        stopped, found = verdict(KILL_GATE, events, FAULT_NS, True)
+        tally.add(Outcome(KILL_GATE, 0, stopped, wrong=found, events=events))
+    tally.add(Outcome(BY_NAME["suspended"], 0, skipped="no sleep"))
+    result = tally.as_dict()
+    assert (result["count"], result["missed"], result["motion_after"], result["wrong"]) == (3, 1, 1, 2)
+    assert result["rows"][0]["max_ms"] == 4.0
+    assert result["rows"][1]["skipped"] == "no sleep"
+    assert len(result["stories"]) == 2
+    assert "seed 7" in tally.stories[0]
+    assert "MOTION" in tally.stories[0]
+    assert "not here: no sleep" in tally.table()
+    assert "1 stops missed" in report.markdown(result)
+
+
+def test_a_seed_is_a_campaign() -> None:
+    drawn = [draw(TABLE, index, 5) for index in range(200)]
+    assert drawn == [draw(TABLE, index, 5) for index in range(200)]
+    assert drawn != [draw(TABLE, index, 6) for index in range(200)]
+    assert len({fault.name for fault in drawn}) > 50
+
+
+@pytest.mark.slow
+def test_a_row_that_does_not_hold_is_told(scene: Scene) -> None:
+    """Rows that are not true: the campaign must say so, with what the board and the service said."""
+    lies = (
+        (BY_NAME["kill-gate"], {"latched": "^never"}, "a latch '^never'"),
+        (BY_NAME["kill-gate"], {"logged": "never said"}, "a line of the service"),
+        (BY_NAME["board-garbles-up"], {"bar_ms": 5.0}, "NO STOP"),
+        (BY_NAME["stop-request"], {"latched": "", "cleared": "by itself", "bar_ms": None}, "nothing was to stop"),
+    )
+    for (fault, changes, told), index in zip(lies, itertools.count()):
+        outcome = inject_one(scene, dataclasses.replace(fault, **changes), index, "lies", seen_s=0.3)  # type: ignore[arg-type]
+        assert any(told in text for text in outcome.wrong), outcome.wrong
+        assert told in outcome.story("lies")
+    assert not inject_one(scene, KILL_GATE, 0, "and on").wrong, "the next scene is whole"
+
+
+def test_the_state_of_a_failed_scene_is_left_nowhere(scene: Scene, tmp_path: Path) -> None:
+    before = scene.look_up_pids()
+    scene.renew()
+    after = scene.look_up_pids()
+    assert not set(before.values()) & set(after.values())
+    assert not any(Path(f"/proc/{pid}").exists() for pid in before.values())
