@@ -1,0 +1,128 @@
+"""The benchmarks beside other tools: every peer and every channel does what it is measured for, and leaves nothing."""
+
+import glob
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from bench import oneway, peers, stats
+from bench.oneway_peer import CHANNELS, FLOOR, OURS
+from bench.peer import ExitHandler, Peer, PeerMissing
+from bench.peer_supervisord import Supervisord
+from failstop.board.sim.client import SimBoard
+from failstop.trial import Stopped, wait_for
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Iterator[SimBoard]:
+    with SimBoard(tmp_path / "board") as board:
+        yield board
+
+
+@pytest.fixture
+def nothing_left() -> Iterator[None]:
+    """No process that was started is left, and no shared memory of a channel."""
+    before = set(psutil.Process().children(recursive=True))
+    memory = set(glob.glob("/dev/shm/*oneway-*"))
+    yield
+    wait_for("every process to end", lambda: set(psutil.Process().children(recursive=True)) <= before)
+    assert set(glob.glob("/dev/shm/*oneway-*")) <= memory
+
+
+def _slow(kind: type[Peer]) -> tuple[pytest.MarkDecorator, ...]:
+    return (pytest.mark.slow,) if issubclass(kind, Supervisord) else ()
+
+
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=_slow(kind), id=kind.__name__) for kind in peers.PEERS])
+def test_a_peer_stops_the_wheels_of_a_killed_driver(kind: type[Peer], nothing_left: None, board: SimBoard) -> None:
+    try:
+        peer = kind(board.link)
+    except PeerMissing as reason:
+        pytest.skip(str(reason))
+    try:
+        samples = [peers.sample(peer, board, 0.05) for _ in range(2)]
+    finally:
+        peer.close()
+    assert all(0 < sample < peers.STOP_S * 1e9 for sample in samples)
+
+
+def test_a_peer_that_is_closed_while_driving_ends_its_driver(nothing_left: None, board: SimBoard) -> None:
+    peer = ExitHandler(board.link)
+    pid = peer.start()
+    board.wait_wheels(True, 10.0)
+    peer.close()
+    assert not psutil.pid_exists(pid)
+
+
+@pytest.mark.parametrize(
+    "stopped",
+    [
+        Stopped(0, None, None, None, 0, True),
+        Stopped(0, MS, MS, MS, 1, True),
+        Stopped(0, MS, MS, MS, 0, False),
+    ],
+    ids=["no stop", "motion after it", "wheels were at rest"],
+)
+def test_what_is_no_stop_is_no_sample(stopped: Stopped) -> None:
+    with pytest.raises(peers.PeerFailed):
+        peers._stop_ns("peer", stopped)
+
+
+@pytest.mark.parametrize(("theirs_ms", "met"), [((39, 100), False), ((41, 100), True)])
+def test_the_bar_is_the_fastest_peer_against_the_slower_kill(theirs_ms: tuple[int, int], met: bool) -> None:
+    theirs = {f"peer {ms}": [ms * MS] for ms in theirs_ms}
+    rows = peers._rows({"gate": [1 * MS], "port_owner": [2 * MS]}, theirs, {"absent": "not installed"})
+    assert rows[-1].met is met
+    assert f"peer {theirs_ms[0]}" in rows[-1].result
+    assert [row.result for row in rows if row.measure == "absent"] == ["skipped: not installed"]
+
+
+@pytest.mark.parametrize("name", CHANNELS)
+def test_a_channel_brings_every_message(name: str, nothing_left: None) -> None:
+    try:
+        pair = oneway.Pair(name)
+    except oneway.PairMissing as reason:
+        pytest.skip(str(reason))
+    with pair:
+        lots = [pair.send(10), pair.send(5)]
+    assert [len(lot) for lot in lots] == [10, 5]
+    assert all(0 < latency_ns < 10_000 * MS for lot in lots for latency_ns in lot)
+
+
+def test_a_pair_that_fails_says_why() -> None:
+    with pytest.raises(oneway.PairFailed, match="no such channel"):
+        oneway.Pair("no such channel")
+
+
+@pytest.mark.parametrize(("ours", "met"), [(110_000, True), (112_000, False)])
+def test_the_floor_is_no_peer(ours: int, met: bool) -> None:
+    rows = oneway._judged({OURS: [ours], FLOOR: [50_000], "ZeroMQ": [100_000], "Unix datagrams": [200_000]})
+    judged = [row for row in rows if row.met is not None]
+    assert [row.met for row in judged] == [met]
+    assert judged[0].numbers["best_peer"] == "ZeroMQ"
+
+
+def test_cores_are_kept_awake_by_processes_that_give_way() -> None:
+    before = set(psutil.Process().children())
+    with oneway.awake():
+        spinners = set(psutil.Process().children()) - before
+        assert len(spinners) == len(os.sched_getaffinity(0))
+        wait_for(
+            "the spinners to give way",
+            lambda: all(os.sched_getscheduler(spinner.pid) == os.SCHED_IDLE for spinner in spinners),
+        )
+    assert not any(spinner.is_running() for spinner in spinners)
+
+
+def test_rows_are_those_of_the_table() -> None:
+    row = oneway._row("ZeroMQ", [1000, 2000, 3000], oneway.AWAKE)
+    assert isinstance(row, stats.Row)
+    assert row.numbers == {"p50_us": 2.0, "p99_us": pytest.approx(2.98), "max_us": 3.0, "samples": 3}
