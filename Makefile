@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint bench mutants clean
+.PHONY: demo test lint bench soak chaos model mutants clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -18,6 +18,15 @@ lint: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m bench
+
+soak: $(VENV)/.dev
+	$(BIN)/python -m bench.soak
+
+chaos: $(VENV)/.installed
+	$(BIN)/failstop chaos --count 10000 --json chaos.json
+
+model:
+	model/check
 
 mutants: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check 'mutmut<3'

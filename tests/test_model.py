@@ -1,0 +1,99 @@
+"""The model of the stop protocol: every verdict as expected; and that the check itself can fail."""
+
+from __future__ import annotations
+
+import importlib.machinery
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+CHECK = Path(__file__).resolve().parent.parent / "model" / "check"
+SLOW_S = 300
+
+
+def load() -> ModuleType:
+    """`model/check` as a module: it is a script without a suffix."""
+    loader = importlib.machinery.SourceFileLoader("model_check", str(CHECK))
+    spec = importlib.util.spec_from_loader("model_check", loader)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.dont_write_bytecode, before = True, sys.dont_write_bytecode
+    try:
+        loader.exec_module(module)
+    finally:
+        sys.dont_write_bytecode = before
+    return module
+
+
+check = load()
+
+
+def skip_reason(missing: list[str], environment: dict[str, str]) -> str:
+    """Why the model cannot be checked here; empty when it can. In CI a missing program is a failure, not a reason."""
+    if not missing:
+        return ""
+    reason = f"the model needs {' and '.join(missing)}: apt-get install {' '.join(missing)}"
+    if environment.get("CI") == "true":
+        pytest.fail(f"CI must check the model; {reason}")
+    return reason
+
+
+@pytest.fixture
+def tools() -> None:
+    if reason := skip_reason(check.missing_tools(), dict(os.environ)):
+        pytest.skip(reason)
+
+
+def test_a_missing_program_is_skipped_at_home_with_its_name() -> None:
+    assert "spin" in skip_reason(["spin"], {})
+    assert skip_reason([], {"CI": "true"}) == ""
+
+
+def test_a_missing_program_fails_in_ci() -> None:
+    with pytest.raises(pytest.fail.Exception, match="CI must check the model"):
+        skip_reason(["spin"], {"CI": "true"})
+
+
+@pytest.mark.parametrize(
+    ("output", "found"),
+    [
+        ("State-vector 92 byte, depth reached 9, errors: 0", check.HOLDS),
+        (
+            "max search depth too small\ndepth reached 9, errors: 0",
+            "search cut short: max search depth too small",
+        ),
+        ("pan: reached -DMEMLIM bound\ndepth reached 9, errors: 0", "search cut short: reached -DMEMLIM"),
+        ("Warning: Search not completed\ndepth reached 9, errors: 0", "search not completed"),
+        ("pan:1: assertion violated (frame_mark!=2) (at depth 70)\nerrors: 1", "S1"),
+        ("pan:1: assertion violated  !(told) (at depth 5)\nerrors: 1", "S3"),
+        ("pan:1: acceptance cycle (at depth 5)\nerrors: 1", "ends"),
+        ("Killed", "no verdict"),
+    ],
+)
+def test_only_a_whole_search_without_errors_holds(output: str, found: str) -> None:
+    assert check.verdict(output) == found
+
+
+def test_a_search_that_is_too_shallow_proves_nothing(tools: None) -> None:
+    assert check.run(("FAULTS=1",), depth=50).verdict == "search cut short: max search depth too small"
+
+
+def test_a_search_that_takes_too_long_proves_nothing(tools: None) -> None:
+    assert check.run(("FAULTS=2",), limit_s=0.2).verdict.startswith("not done in")
+
+
+def test_a_model_whose_port_owner_forgets_its_stops_fails(tools: None) -> None:
+    assert check.run(("FAULTS=1", "NO_STOPPED_IN")).verdict == "S1"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(SLOW_S + 30)
+def test_every_verdict_is_the_expected_one(tools: None) -> None:
+    done = subprocess.run([sys.executable, CHECK], capture_output=True, text=True, timeout=SLOW_S, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert len(done.stdout.splitlines()) == len(check.RUNS) + 2
