@@ -10,7 +10,7 @@ import platform
 import sys
 import time
 
-from bench import cost, kills, latency
+from bench import cost, hangs, kills, latency, oneway, peers
 from bench.stats import Row
 from failstop.trial import Trial
 from failstop.version import VERSION
@@ -24,6 +24,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
     parser.add_argument("--kills", type=int, default=200, help="of each process (default: 200)")
     parser.add_argument("--samples", type=int, default=200, help="of each latency (default: 200)")
+    parser.add_argument("--hangs", type=int, default=20, help="of each process (default: 20)")
+    parser.add_argument("--peer-kills", type=int, default=30, help="of each peer (default: 30)")
+    parser.add_argument("--messages", type=int, default=3000, help="through each channel (default: 3000)")
     parser.add_argument("--seconds", type=float, default=20, help="of driving for processor and memory (default: 20)")
     parser.add_argument("--seed", type=int, default=1, help="of the random moments")
     parser.add_argument("--out", default="bench/out/bench.json", help="where the JSON goes")
@@ -42,7 +45,13 @@ def main() -> int:
         rows.append(latency.direction_changes(trial, arguments.samples, arguments.seed, _progress))
         rows.append(latency.command_timeouts(trial, max(3, arguments.samples // 4), arguments.seed, _progress))
         rows += kills.measure(trial, arguments.kills, arguments.seed, _progress)
+        rows += hangs.measure(trial, arguments.hangs, arguments.seed, _progress)
+        rows.append(hangs.replugs(trial, arguments.kills // 2, arguments.seed, _progress))
         rows.append(latency.starts(trial, max(3, arguments.samples // 10), _progress))
+    with kills.heavy(), Trial(options=("--config", config)) as trial:
+        rows += kills.measure(trial, arguments.kills // 4, arguments.seed, _progress, ballast_mb=kills.BALLAST_MB)
+    rows += peers.measure(arguments.peer_kills, arguments.seed, _progress)
+    rows += oneway.measure(arguments.messages, _progress)
     _progress("")
     machine = {
         "version": VERSION,

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import random
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
 
 from bench import floor, stats
 from failstop.board.sim.client import SimBoard
@@ -13,36 +16,77 @@ from failstop.trial import Stopped, Trial
 WIRE_MS = 0.59
 
 
-def measure(trial: Trial, kills: int, seed: int, progress: Callable[[str], None]) -> list[stats.Row]:
-    """Kill each process `kills` times, a floor sample beside each round; returns the rows."""
+BALLAST_MB = 100
+# Every process imports posix_ipc, so this one in its place gives each of them the memory of a large program.
+BALLAST = f"""
+import sys
+_ballast = b"x" * ({BALLAST_MB} << 20)
+sys.path = [path for path in sys.path if path != __file__.rsplit("/", 1)[0]]
+del sys.modules["posix_ipc"]
+import posix_ipc
+"""
+
+
+@contextlib.contextmanager
+def heavy() -> Iterator[None]:
+    """Services that are started inside have processes of BALLAST_MB more."""
+    before = os.environ.get("PYTHONPATH")
+    with tempfile.TemporaryDirectory(prefix="failstop-ballast-") as directory:
+        with open(os.path.join(directory, "posix_ipc.py"), "w", encoding="utf-8") as file:
+            file.write(BALLAST)
+        os.environ["PYTHONPATH"] = os.pathsep.join([directory, *([before] if before else [])])
+        try:
+            yield
+        finally:
+            os.environ.pop("PYTHONPATH")
+            if before is not None:
+                os.environ["PYTHONPATH"] = before
+
+
+def measure(
+    trial: Trial, kills: int, seed: int, progress: Callable[[str], None], *, ballast_mb: int = 0
+) -> list[stats.Row]:
+    """Kill each process `kills` times, floor samples beside each round; returns the rows. `ballast_mb`: what the
+    trial's processes were given, so that the floor's victim is given it too."""
     chance = random.Random(seed)
     floors: list[int] = []
+    mutex_floors: list[int] = []
     found: dict[str, list[Stopped]] = {process: [] for process in layout.PROCESSES}
     with SimBoard(trial.link + "-floor", imu_hz=0) as bare:
         for turn in range(kills):
             progress(f"kills, round {turn + 1} of {kills}")
-            floors.append(floor.sample(bare))
+            if not ballast_mb:
+                floors.append(floor.sample(bare))
+            mutex_floors.append(floor.mutex_sample(bare, ballast_mb))
             for process in layout.PROCESSES:
                 trial.enable()
                 pid = trial.service.pids()[process]
                 found[process].append(trial.kill(process, chance.uniform(0.1, 0.2)))
                 trial.recover(process, pid)
-    return _rows(floors, found)
+    return _rows(floors, mutex_floors, found, f", of {ballast_mb} MB" if ballast_mb else "")
 
 
-def _rows(floors: list[int], found: dict[str, list[Stopped]]) -> list[stats.Row]:
-    floor_ms, _, _ = stats.percentiles(floors)
-    rows = [stats.timing("floor: idle Python process killed -> pidfd -> 59 bytes", floors, p50_ms=None, p99_ms=None)]
+def _rows(floors: list[int], mutex_floors: list[int], found: dict[str, list[Stopped]], what: str) -> list[stats.Row]:
+    floor_ms, _, _ = stats.percentiles(mutex_floors)
+    rows = []
+    if floors:
+        rows.append(stats.timing("idle Python process killed -> pidfd -> 59 bytes", floors, p50_ms=None, p99_ms=None))
+    mutex = f"floor: idle Python process{what} killed -> robust mutex -> 59 bytes"
+    rows.append(stats.timing(mutex, mutex_floors, p50_ms=None, p99_ms=None))
     every = [stopped for row in found.values() for stopped in row]
     for process, row in found.items():
         times = [stopped.stop_ns for stopped in row if stopped.stop_ns is not None]
         rows.append(
-            stats.timing(f"kill {process} -> stop frame", times, p50_ms=2.0, p99_ms=5.0, floor_ms=floor_ms),
+            stats.timing(f"kill {process}{what} -> stop frame", times, p50_ms=1.3, p99_ms=2.0, floor_ms=floor_ms),
         )
-    rows.append(stats.count("stops missed", sum(stopped.stop_ns is None for stopped in every), len(every)))
+    missed = sum(stopped.stop_ns is None for stopped in every)
+    rows.append(stats.count(f"stops missed{what}", missed, len(every)))
     moved = sum(stopped.motion_after for stopped in every)
-    rows.append(stats.count("motion frames after the stop", moved, len(every)))
-    rows.append(stats.count("kills that found the wheels at rest", sum(not s.was_moving for s in every), len(every)))
-    wire = [s.executed_ns - s.stop_ns for s in every if s.executed_ns is not None and s.stop_ns is not None]
-    rows.append(stats.timing(f"the wire, added to each ({WIRE_MS} ms when it is idle)", wire, p50_ms=None, p99_ms=None))
+    rows.append(stats.count(f"motion frames after the stop{what}", moved, len(every)))
+    resting = sum(not stopped.was_moving for stopped in every)
+    rows.append(stats.count(f"kills that found the wheels at rest{what}", resting, len(every)))
+    if floors:
+        wire = [s.executed_ns - s.stop_ns for s in every if s.executed_ns is not None and s.stop_ns is not None]
+        added = f"the wire, added to each ({WIRE_MS} ms when it is idle)"
+        rows.append(stats.timing(added, wire, p50_ms=None, p99_ms=None))
     return rows
