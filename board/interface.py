@@ -24,12 +24,9 @@ if TYPE_CHECKING:
             """One write that stops the wheels whatever state the board's receiver is in."""
 
         @property
-        def ping(self) -> bytes:
-            """A frame that moves nothing and is answered, in order with all others; empty when there is none."""
-
-        @property
         def pings(self) -> tuple[bytes, ...]:
-            """As many pings as layout.PINGS, all different, or none: their answers say which of them was answered."""
+            """As many frames as layout.PINGS that move nothing and are answered, in order with all others; all
+            different, so that an answer says which of them it answers. Or none."""
 
         def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
             """The frame that sets all wheels, in rps by wire id, each within plus or minus max_rps. Raises FrameError,
@@ -52,7 +49,6 @@ class RosController:
 
     stop = codec.STOP
     burst = burst.BURST
-    ping = codec.PING
     pings = tuple(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
     motor_speeds = staticmethod(codec.motor_speeds)
     check_motion = staticmethod(codec.check_motion)

@@ -16,21 +16,18 @@ from failstop.procs import rights
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
 from failstop.shm import heartbeat, layout, records, segment
-from failstop.shm.heartbeat import Heartbeat, HeartbeatReader
-from failstop.shm.lifeline import EarlyNews
-from failstop.shm.mutex import BLOCKS
+from failstop.shm.heartbeat import Heartbeat
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.causes import Cause, Causes
-from failstop.supervisor.children import Child
 from failstop.supervisor.events import say
+from failstop.supervisor.family import Family
 from failstop.supervisor.fence import Fence
-from failstop.supervisor.restarts import Restarts
-from failstop.supervisor.starter import Starter
-from failstop.supervisor.table import PROCESSES, SUPERVISOR_PRIORITY
+from failstop.supervisor.table import SUPERVISOR_PRIORITY
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.shm.ring import RingReader
+    from failstop.supervisor.children import Child
     from failstop.supervisor.port import OwnPort
     from failstop.supervisor.resources import Resources
     from failstop.supervisor.settings import Settings
@@ -44,6 +41,11 @@ ALONE_EVERY_NS = 200_000_000
 HELD_UP_NS = 250_000_000
 """A supervisor that itself was silent for this long judges nobody by it: the whole service was frozen."""
 
+NO_REALTIME = (
+    "no real-time rights (SCHED_FIFO): on a busy machine stops come later, and some for no cause; "
+    "next: run it as root or with RLIMIT_RTPRIO of at least 40"
+)
+
 
 class Supervisor:
     """The parent's state; one turn() a wake-up."""
@@ -55,16 +57,14 @@ class Supervisor:
         name, run = resources.name, resources.incarnation
         own = segment.attach(name, layout.SUPERVISOR, run, write=True)
         views = {process: segment.attach(name, process, run) for process in layout.PROCESSES}
-        granted = rights.take_rights(SUPERVISOR_PRIORITY)
-        self.heartbeat = Heartbeat(own, os.getpid(), granted, monotonic_ns())
+        self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
+        self.heartbeat = Heartbeat(own, os.getpid(), self._granted, monotonic_ns())
         self._epoch_word = own.word("epoch")
         self._ready_word = own.word("ready")
-        self._life_words = {process: own.word(f"{process}_life") for process in (layout.GATE, layout.PORT_OWNER)}
-        self._mutexes = segment.attach(name, "lifelines", run, write=True).mutexes("mutexes")
-        self._mutexes.prepare(layout.SUPERVISOR_BLOCK)
-        self._mutexes.hold(layout.SUPERVISOR_BLOCK)
-        self._early = EarlyNews(self._mutexes)
-        self._block = layout.SUPERVISOR_BLOCK
+        mutexes = segment.attach(name, "lifelines", run, write=True).mutexes("mutexes")
+        self.family = Family(resources, settings, self.loop, own, views, mutexes)
+        self.children = self.family.children
+        self._early = self.family.early
         self._written_word = own.word("written_ns")
         self._cause_record = own.latest_writer("cause")
         self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings)
@@ -80,17 +80,6 @@ class Supervisor:
         self._reset_word = views[layout.GATE].word("reset_epoch")
         self._bells = resources.bells
         self._controls = {process: Control(fds[0]) for process, fds in resources.controls.items()}
-        self._starter = Starter(name, run, resources.runtime_dir, settings)
-        self.children = [
-            Child(
-                row,
-                HeartbeatReader(views[row.name]),
-                Restarts(
-                    int(settings["restart.deaths"]), settings.ns("restart.window_s"), settings.ns("restart.backoff_s")
-                ),
-            )
-            for row in PROCESSES
-        ]
         self._causes = Causes()
         self.epoch = 1
         self._epoch_word.set(1)
@@ -118,7 +107,7 @@ class Supervisor:
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
-        fallen = [child for child in self.children if child.life and not child.fallen and child.life.down(ready)]
+        fallen = self.family.fallen(ready)
         written_ns = self._burst() if any(child.row.name == layout.PORT_OWNER for child in fallen) else 0
         for child in fallen:
             child.gone_ns = monotonic_ns()
@@ -133,16 +122,14 @@ class Supervisor:
         for child in fallen:
             if child.life:
                 child.life.demote()
-        for child in self.children:
-            if child.life and child.life.fd in ready:
-                self._bury(child, now_ns)
+        self.family.bury(ready, now_ns, self._burst_ns)
         self._serve_descriptors(ready)
         self._follow_answer(now_ns)
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
-        self._restart_due(now_ns)
+        self.family.restart_due(self._port.fd, now_ns)
         self._pass_notes()
-        self._arm()
+        self.family.arm()
         self._publish()
         self.heartbeat.beat(now_ns, self.epoch)
 
@@ -156,7 +143,7 @@ class Supervisor:
 
     def _stop_alone(self, now_ns: int) -> None:
         """Nobody else says zero to the board while no port owner runs, or opens a port that comes back."""
-        port_owner = self._child(layout.PORT_OWNER)
+        port_owner = self.family[layout.PORT_OWNER]
         if now_ns - self._burst_ns < ALONE_EVERY_NS or port_owner.running():
             return
         self._burst_ns = now_ns
@@ -176,7 +163,7 @@ class Supervisor:
 
     def _listening(self) -> bool:
         """True while pings are written and their answers decoded."""
-        return self._child(layout.TELEMETRY).running() and self._child(layout.PORT_OWNER).running()
+        return self.family[layout.TELEMETRY].running() and self.family[layout.PORT_OWNER].running()
 
     def _collect(self, fallen: list[Child], now_ns: int, burst_ns: int) -> list[Cause]:
         """Every cause that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
@@ -219,7 +206,7 @@ class Supervisor:
         by = "port owner"
         written_ns = cause.written_ns
         if self._stopped_word.get() < self.epoch:
-            port_owner = self._child(layout.PORT_OWNER)
+            port_owner = self.family[layout.PORT_OWNER]
             if port_owner.pid and not port_owner.fallen and now_ns < self._answer_by_ns:
                 return
             by = "supervisor"
@@ -244,22 +231,6 @@ class Supervisor:
             say(f"E-STOP latched: {cause.reason}; {wrote}; next: `failstop reset`, then `failstop enable`")
         else:
             say(f"stopped again: {cause.reason}; {wrote}; latched is still: {standing.reason}")
-
-    def _child(self, name: str) -> Child:
-        return next(child for child in self.children if child.row.name == name)
-
-    def _bury(self, child: Child, now_ns: int) -> None:
-        """Collect a process that has died, and plan its restart."""
-        self.loop.forget(child.life.fd) if child.life else None
-        name, death = child.row.name, child.buried()
-        if child.fence:
-            say(child.fence.story(name, child.gone_ns, self._burst_ns if name == layout.PORT_OWNER else 0))
-        wait_ns = child.restarts.died(now_ns)
-        if wait_ns is None:
-            say(f"{name} was {death}; it died too often and stays down, the wheels stopped; next: restart the service")
-        else:
-            child.restart_ns = now_ns + wait_ns
-            say(f"{name} was {death}; restarting it {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}")
 
     def _serve_descriptors(self, ready: dict[int, int]) -> None:
         """A port that has gone is let go at once; one that the port owner has opened anew is kept and passed on."""
@@ -297,49 +268,6 @@ class Supervisor:
         for ring in self._notes:
             while entry := ring.next():
                 say(entry[2].decode("utf-8", "replace"))
-
-    def _arm(self) -> None:
-        """A process that runs holds its mutexes: wait for the early news of its death."""
-        for child in self.children:
-            if child.life and not child.life.armed and child.running():
-                self._early.arm(child.life, child.block, 0)
-                self._tell_watchers()
-
-    def _tell_watchers(self) -> None:
-        """Those who watch others look up whom, and who runs."""
-        self._bells[layout.PORT_OWNER].ring()
-        self._bells[layout.STOPPER].ring()
-
-    def _restart_due(self, now_ns: int) -> None:
-        for child in self.children:
-            if child.restart_ns is not None and now_ns >= child.restart_ns:
-                child.times_restarted += 1
-                self.start(child)
-
-    def start(self, child: Child) -> None:
-        """Start a process and name it to those who watch it."""
-        name = child.row.name
-        descriptors = self._resources.descriptors(name, self._port.fd)
-        block = self._free_block()
-        self._mutexes.prepare(block)
-        try:
-            pid = self._starter.start(child.row, block, descriptors)
-        except OSError as error:
-            say(f"cannot start {name}: {error}; trying again")
-            child.restart_ns = monotonic_ns() + 500_000_000
-            return
-        child.started(pid, block, monotonic_ns())
-        if child.life:
-            self.loop.watch(child.life.fd, READ)
-        if word := self._life_words.get(name):
-            word.set(records.life(pid, block))
-            self._tell_watchers()
-
-    def _free_block(self) -> int:
-        """The next block of mutexes that no living process holds."""
-        held = {child.block for child in self.children if child.pid} | {layout.SUPERVISOR_BLOCK}
-        self._block = next(b for i in range(1, BLOCKS) if (b := (self._block + i) % BLOCKS) not in held)
-        return self._block
 
     def _missing(self) -> str:
         """What motion is still waiting for; empty when nothing."""
@@ -379,6 +307,8 @@ class Supervisor:
             self._was_ready = True
             self.heartbeat.state(heartbeat.RUNNING)
             say(f"{self._resources.name!r} is ready: wheels stopped, motion disabled; next: `failstop enable`")
+            if not self._granted & heartbeat.REALTIME:
+                say(NO_REALTIME)
 
     def next_ns(self, now_ns: int) -> int:
         """When to turn without any news."""
@@ -410,7 +340,7 @@ def run(resources: Resources, port: OwnPort, settings: Settings) -> int:
     signal.signal(signal.SIGTERM, supervisor.end)
     signal.signal(signal.SIGINT, supervisor.end)
     for child in supervisor.children:
-        supervisor.start(child)
+        supervisor.family.start(child, port.fd)
     rights.settle()
     ready: dict[int, int] = {}
     while not supervisor.ending:

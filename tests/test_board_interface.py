@@ -12,6 +12,7 @@ from failstop.board import decoder
 from failstop.board.codec import FrameError
 from failstop.board.interface import BOARD
 from failstop.board.receiver import Receiver
+from failstop.shm import layout
 
 ROOT = Path(__file__).resolve().parent.parent
 # What the rooms may import of the board. Telemetry knows it; the gate never sees the port.
@@ -58,10 +59,11 @@ def test_the_burst_ends_between_frames_with_a_stop() -> None:
     assert receiver.feed(BOARD.burst)[-1][0] == len(BOARD.burst) - 1
 
 
-def test_the_ping_moves_nothing_and_is_one_frame() -> None:
-    assert BOARD.ping != BOARD.stop
-    assert BOARD.check_motion(BOARD.ping, 1000.0) != ""
-    assert len(decoder.Decoder().feed(BOARD.ping)) == 1
+def test_the_pings_move_nothing_and_are_different_frames() -> None:
+    assert len(set(BOARD.pings)) == len(BOARD.pings) == layout.PINGS
+    for ping in BOARD.pings:
+        assert BOARD.check_motion(ping, 1000.0) != ""
+        assert len(decoder.Decoder().feed(ping)) == 1
 
 
 def board_modules(folder: str) -> set[str]:
@@ -87,6 +89,6 @@ def test_who_knows_what_of_the_board(folder: str) -> None:
 
 def test_the_page_on_porting_names_all_of_the_interface() -> None:
     page = (ROOT / "docs" / "porting.md").read_text()
-    for name in ("motor_speeds", "check_motion", "check_aux", "stop", "burst", "ping"):
+    for name in ("motor_speeds", "check_motion", "check_aux", "stop", "burst", "pings", "pong"):
         assert f"| `{name}" in page
         assert hasattr(BOARD, name)

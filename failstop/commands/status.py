@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.commands import add_name
 from failstop.robot import Robot
-from failstop.state import State
+from failstop.state import State, Stop
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -40,6 +40,18 @@ def next_step(state: State) -> str:
     return ""
 
 
+def _proofs(stop: Stop) -> str:
+    """The three levels of a stop, as far as they are known."""
+    if stop.written_us is None:
+        return "NOT written"
+    known = [f"written after {stop.written_us / 1000:.2f} ms by the {stop.written_by}"]
+    if stop.acknowledged_us is not None:
+        known.append(f"acknowledged after {stop.acknowledged_us / 1000:.1f} ms")
+    if stop.observed_ms is not None:
+        known.append(f"wheels still after {stop.observed_ms:.0f} ms" if stop.observed_ms else "no shaking seen")
+    return ", ".join(known)
+
+
 def _screen(state: State) -> list[str]:
     vx, vy, wz = state.body_vel
     wheels = f"blocked: {state.blocked}" if state.blocked else f"driving {vx:+.2f} m/s {vy:+.2f} m/s {wz:+.2f} rad/s"
@@ -50,9 +62,7 @@ def _screen(state: State) -> list[str]:
         lines.append(f"next     {step}")
     lines.append(f"device   {state.device['path']} {state.device['state']}, link {state.device['link']}{battery}")
     if stop := state.last_stop:
-        written = "NOT written" if stop.written_us is None else f"written after {stop.written_us / 1000:.2f} ms"
-        ago_s = time.time() - stop.t
-        lines.append(f"stop     {stop.reason}: {written} by the {stop.written_by}, {ago_s:.0f} s ago")
+        lines.append(f"stop     {stop.reason}, {time.time() - stop.t:.0f} s ago: {_proofs(stop)}")
     lines += [
         f"source   {row['source']} (priority {row['priority']}): {row['who']} {row['state']}" for row in state.sources
     ]

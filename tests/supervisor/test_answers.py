@@ -50,7 +50,7 @@ class Scene:
         self.gate = segment.attach(name, layout.GATE, write=True)
         self.stop_record = segment.attach(name, layout.SUPERVISOR).latest_reader("stop")
         self.word = segment.attach(name, layout.SUPERVISOR).word
-        child = self.supervisor._child(layout.PORT_OWNER)
+        child = self.supervisor.family[layout.PORT_OWNER]
         child.pid = 2**31 - 1  # no such process, and as it is fenced already nobody asks or kills it
         child.fence = Fence(1, 1, 1)
         self.port_owner.word("beat_pid").set(child.pid)
@@ -164,13 +164,13 @@ def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) 
 
 
 def test_without_a_port_owner_the_burst_is_written_at_once(scene: Scene) -> None:
-    scene.supervisor._child(layout.PORT_OWNER).pid = 0
+    scene.supervisor.family[layout.PORT_OWNER].pid = 0
     scene.trip()
     assert scene.turn() == BURST
 
 
 def test_a_full_port_is_said_to_be_not_written(scene: Scene) -> None:
-    scene.supervisor._child(layout.PORT_OWNER).pid = 0
+    scene.supervisor.family[layout.PORT_OWNER].pid = 0
     refused = 0
     while refused < 20:
         try:

@@ -1,0 +1,127 @@
+"""Family: the supervisor's children - starting them, naming them to those who watch them, burying and restarting."""
+
+from __future__ import annotations
+
+from time import monotonic_ns
+
+from failstop.procs.loop import READ
+from failstop.shm import layout, records
+from failstop.shm.heartbeat import HeartbeatReader
+from failstop.shm.lifeline import EarlyNews
+from failstop.shm.mutex import BLOCKS
+from failstop.supervisor.children import Child
+from failstop.supervisor.events import say
+from failstop.supervisor.restarts import Restarts
+from failstop.supervisor.starter import Starter
+from failstop.supervisor.table import PROCESSES
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.procs.loop import Loop
+    from failstop.shm.mutex import Mutexes
+    from failstop.shm.segment import Segment
+    from failstop.supervisor.resources import Resources
+    from failstop.supervisor.settings import Settings
+
+TRY_AGAIN_NS = 500_000_000
+
+
+class Family:
+    """Every process of the table as it is now. The early news of their deaths ring `early.bell`."""
+
+    def __init__(
+        self,
+        resources: Resources,
+        settings: Settings,
+        loop: Loop,
+        own: Segment,
+        views: dict[str, Segment],
+        mutexes: Mutexes,
+    ) -> None:
+        """Holds the supervisor's own mutexes from here on."""
+        self._resources = resources
+        self._loop = loop
+        self._bells = resources.bells
+        self._life_words = {process: own.word(f"{process}_life") for process in (layout.GATE, layout.PORT_OWNER)}
+        self._mutexes = mutexes
+        mutexes.prepare(layout.SUPERVISOR_BLOCK)
+        mutexes.hold(layout.SUPERVISOR_BLOCK)
+        self._block = layout.SUPERVISOR_BLOCK
+        self.early = EarlyNews(mutexes)
+        self._starter = Starter(resources.name, resources.incarnation, resources.runtime_dir, settings)
+        deaths, window_ns = int(settings["restart.deaths"]), settings.ns("restart.window_s")
+        backoff_ns = settings.ns("restart.backoff_s")
+        self.children = [
+            Child(row, HeartbeatReader(views[row.name]), Restarts(deaths, window_ns, backoff_ns)) for row in PROCESSES
+        ]
+        self._by_name = {child.row.name: child for child in self.children}
+
+    def __getitem__(self, name: str) -> Child:
+        return self._by_name[name]
+
+    def fallen(self, ready: dict[int, int]) -> list[Child]:
+        """Those whose death this wake-up, or the early news before it, tells; each once."""
+        return [child for child in self.children if child.life and not child.fallen and child.life.down(ready)]
+
+    def bury(self, ready: dict[int, int], now_ns: int, burst_ns: int) -> None:
+        """Collect the processes that have died, and plan their restarts; `burst_ns`: the supervisor's last burst."""
+        for child in self.children:
+            if child.life and child.life.fd in ready:
+                self._bury(child, now_ns, burst_ns)
+
+    def _bury(self, child: Child, now_ns: int, burst_ns: int) -> None:
+        if child.life:
+            self._loop.forget(child.life.fd)
+        name, death = child.row.name, child.buried()
+        if child.fence:
+            say(child.fence.story(name, child.gone_ns, burst_ns if name == layout.PORT_OWNER else 0))
+        wait_ns = child.restarts.died(now_ns)
+        if wait_ns is None:
+            say(f"{name} was {death}; it died too often and stays down, the wheels stopped; next: restart the service")
+        else:
+            child.restart_ns = now_ns + wait_ns
+            say(f"{name} was {death}; restarting it {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}")
+
+    def arm(self) -> None:
+        """A process that runs holds its mutexes: wait for the early news of its death."""
+        for child in self.children:
+            if child.life and not child.life.armed and child.running():
+                self.early.arm(child.life, child.block, 0)
+                self._tell_watchers()
+
+    def _tell_watchers(self) -> None:
+        """Those who watch others look up whom, and who runs."""
+        self._bells[layout.PORT_OWNER].ring()
+        self._bells[layout.STOPPER].ring()
+
+    def restart_due(self, port_fd: int, now_ns: int) -> None:
+        """Start those whose time has come; `port_fd`: the port to inherit, -1 for none."""
+        for child in self.children:
+            if child.restart_ns is not None and now_ns >= child.restart_ns:
+                child.times_restarted += 1
+                self.start(child, port_fd)
+
+    def start(self, child: Child, port_fd: int) -> None:
+        """Start a process and name it to those who watch it."""
+        name = child.row.name
+        descriptors = self._resources.descriptors(name, port_fd)
+        block = self._free_block()
+        self._mutexes.prepare(block)
+        try:
+            pid = self._starter.start(child.row, block, descriptors)
+        except OSError as error:
+            say(f"cannot start {name}: {error}; trying again")
+            child.restart_ns = monotonic_ns() + TRY_AGAIN_NS
+            return
+        child.started(pid, block, monotonic_ns())
+        if child.life:
+            self._loop.watch(child.life.fd, READ)
+        if word := self._life_words.get(name):
+            word.set(records.life(pid, block))
+            self._tell_watchers()
+
+    def _free_block(self) -> int:
+        """The next block of mutexes that no living process holds."""
+        held = {child.block for child in self.children if child.pid} | {layout.SUPERVISOR_BLOCK}
+        self._block = next(b for i in range(1, BLOCKS) if (b := (self._block + i) % BLOCKS) not in held)
+        return self._block
