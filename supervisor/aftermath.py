@@ -49,7 +49,11 @@ class Aftermath:
         self._last: LastStop | None = None
 
     def written(self, cause: Cause, written_ns: int, by: str, latched: str, epoch: int) -> None:
-        """A stop was written (`written_ns` 0: it could not be): follow it from now on."""
+        """A stop was written (`written_ns` 0: it could not be): follow it from now on. What comes while one is latched
+        belongs to that: the first is the one that people look for."""
+        last = self._last
+        if last and last.written_ns and self._reset_word.get() < last.epoch:
+            return
         self._tell()
         self._last = LastStop(cause, written_ns, by, latched, epoch, self._after_ns, time.time())
         self._publish()

@@ -38,6 +38,7 @@ ANSWER_NS = 5_000_000
 HURRY_NS = 1_000_000
 ALONE_EVERY_NS = 200_000_000
 """While no port owner runs, who sends zeros at this rate, the supervisor bursts at it."""
+MOST_SAID = 64
 HELD_UP_NS = 250_000_000
 """A supervisor that itself was silent for this long judges nobody by it: the whole service was frozen."""
 
@@ -84,6 +85,8 @@ class Supervisor:
         self.epoch = 1
         self._epoch_word.set(1)
         self._unanswered: Cause | None = None
+        self._said: set[str] = set()
+        """Reasons that were told of since the latch."""
         self._answer_by_ns = 0
         self._table = b""
         self._was_ready = False
@@ -184,6 +187,8 @@ class Supervisor:
         """A stop: the cause first, then the epoch that refers to it, then the bells."""
         self.epoch += 1
         standing = self._causes.add(causes, self.epoch, self._reset_word.get())
+        if standing in causes:
+            self._said = {standing.reason}
         stop = records.pack_stop(self.epoch, standing.t_ns, standing.written_ns, True, standing.reason)
         self._cause_record.write(stop)
         self._ready_word.set(0)
@@ -194,8 +199,16 @@ class Supervisor:
             self._unanswered = min(causes, key=lambda cause: cause.t_ns)
             self._answer_by_ns = monotonic_ns() + ANSWER_NS
         for cause in causes:
-            if cause is not self._unanswered:
+            if cause is not self._unanswered and self._news_of(cause):
                 say(f"also: {cause.reason}")
+
+    def _news_of(self, cause: Cause) -> bool:
+        """True when this reason was not told of since the latch; several processes notice the same."""
+        if cause.reason in self._said:
+            return False
+        if len(self._said) < MOST_SAID:
+            self._said.add(cause.reason)
+        return True
 
     def _follow_answer(self, now_ns: int) -> None:
         """The port owner answers a raised epoch with a stop. If it does not, or could not write it, the supervisor
@@ -229,7 +242,7 @@ class Supervisor:
             say(f"{cause.reason}; {wrote}")
         elif standing is cause:
             say(f"E-STOP latched: {cause.reason}; {wrote}; next: `failstop reset`, then `failstop enable`")
-        else:
+        elif self._news_of(cause):
             say(f"stopped again: {cause.reason}; {wrote}; latched is still: {standing.reason}")
 
     def _serve_descriptors(self, ready: dict[int, int]) -> None:

@@ -20,6 +20,13 @@ JUDGED_AFTER_NS = 800_000_000
 judgement and its hold (procs/telemetry/still.py)."""
 JUDGED_WITHIN_NS = 500_000_000
 """A judgement older than this is none: the IMU, or who decodes it, is silent."""
+RESOLUTION_S = 0.2
+"""The IMU's word of when the wheels came to rest is no better than this."""
+
+
+def still_after(seconds: float) -> str:
+    """For people, to the resolution there is."""
+    return f"less than {RESOLUTION_S:g} s" if seconds < RESOLUTION_S else f"about {seconds:.1f} s"
 
 
 class LastStop:
@@ -27,6 +34,7 @@ class LastStop:
 
     __slots__ = (
         "_after_ns",
+        "_again_ns",
         "_proved_ns",
         "_was_still",
         "acknowledged_ns",
@@ -63,6 +71,7 @@ class LastStop:
         self._was_still = True
         self._proved_ns = written_ns or cause.t_ns
         self._after_ns = after_ns
+        self._again_ns = cause.t_ns + after_ns
 
     def answered(self, sent_ns: int, arrival_ns: int) -> bool:
         """A ping was answered; True when this acknowledges the stop."""
@@ -73,17 +82,20 @@ class LastStop:
 
     def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
         """What the IMU says: since when the wheels are still (0: they shake), judged at `judged_ns` (0: never yet).
-        True, once, when they should be still and are not: stop again."""
-        if self.observed_ns is not None or self.unstill or now_ns - judged_ns > JUDGED_WITHIN_NS:
+        True when they should be still and are not, and again each time they have had as long: stop again."""
+        if self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
             return False
         if not still_ns:
             self._was_still = False
-            self.unstill = now_ns - self.cause.t_ns >= self._after_ns
+            if now_ns >= self._again_ns:
+                self._again_ns = now_ns + self._after_ns
+                self.unstill = True
+                return True
         elif not self._was_still:
             self.observed_ns = max(0, still_ns - self.cause.t_ns)
         elif judged_ns - self.cause.t_ns >= JUDGED_AFTER_NS:
             self.observed_ns = 0
-        return self.unstill
+        return False
 
     def complete(self, now_ns: int) -> bool:
         """True, once, when nothing more will be known of it: the time to tell people."""
@@ -104,7 +116,7 @@ class LastStop:
         elif self._was_still:
             seen = "no shaking seen before or after"
         else:
-            seen = f"wheels still after {self.observed_ns / 1e6:.0f} ms"
+            seen = f"wheels still after {still_after(self.observed_ns / 1e9)}"
         return f"{self.cause.reason}: {heard}, {seen}"
 
     def as_record(self) -> dict[str, Any]:

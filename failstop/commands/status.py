@@ -9,6 +9,7 @@ from argparse import ArgumentParser, Namespace
 from failstop.commands import add_name
 from failstop.robot import Robot
 from failstop.state import State, Stop
+from failstop.supervisor.stops import still_after
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -48,7 +49,7 @@ def _proofs(stop: Stop) -> str:
     if stop.acknowledged_us is not None:
         known.append(f"acknowledged after {stop.acknowledged_us / 1000:.1f} ms")
     if stop.observed_ms is not None:
-        known.append(f"wheels still after {stop.observed_ms:.0f} ms" if stop.observed_ms else "no shaking seen")
+        known.append(f"wheels still after {still_after(stop.observed_ms / 1000)}")
     return ", ".join(known)
 
 

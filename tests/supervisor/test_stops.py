@@ -44,7 +44,7 @@ def test_wheels_that_come_to_rest() -> None:
         assert not last.judged(0, T0 + ms * MS, T0 + ms * MS)
     assert not last.judged(T0 + 380 * MS, T0 + 900 * MS, T0 + 900 * MS)
     assert last.as_record()["observed_ms"] == 380.0
-    assert "wheels still after 380 ms" in last.outcome("alive")
+    assert "wheels still after about 0.4 s" in last.outcome("alive")
 
 
 def test_the_judgement_from_before_the_stop_does_not_count() -> None:
@@ -57,10 +57,10 @@ def test_the_judgement_from_before_the_stop_does_not_count() -> None:
     assert "no shaking seen" in last.outcome("alive")
 
 
-def test_wheels_that_do_not_come_to_rest_are_a_cause_once() -> None:
+def test_wheels_that_do_not_come_to_rest_are_a_cause_again_and_again() -> None:
     last = stop()
     found = [ms for ms in range(0, 4_000, 20) if last.judged(0, T0 + ms * MS, T0 + ms * MS)]
-    assert found == [1_500]
+    assert found == [1_500, 3_000]
     assert "NOT seen still" in last.outcome("alive")
 
 
@@ -80,7 +80,7 @@ def test_it_is_told_once_when_all_is_known() -> None:
     last.judged(T0 + 300 * MS, T0 + 1_000 * MS, T0 + 1_000 * MS)
     assert last.complete(T0 + 1_000 * MS)
     assert not last.complete(T0 + 1_020 * MS)
-    assert last.outcome("alive") == "gate died: acknowledged by the board after 2.0 ms, wheels still after 300 ms"
+    assert last.outcome("alive") == "gate died: acknowledged by the board after 2.0 ms, wheels still after about 0.3 s"
 
 
 def test_it_is_told_at_last_without_answer_and_without_imu() -> None:
