@@ -125,6 +125,26 @@ def test_a_source_that_no_setting_names_is_noted_and_moves_nothing() -> None:
     assert gate.core.notes == ["command from navv 1 ignored: no source 'navv' in the settings"]
 
 
+def test_an_unknown_source_is_told_of_once_for_each_session_and_name() -> None:
+    gate = Gate({})
+    for session in (1, 2, 1, 2):
+        for source in ("a", "b", "a"):
+            assert gate.command(0.1, source=source, session=session) == ""
+    assert [note.split(" ignored")[0] for note in gate.core.notes] == [
+        "command from a 1",
+        "command from b 1",
+        "command from a 2",
+        "command from b 2",
+    ]
+
+
+def test_ever_new_unknown_sources_are_not_told_of_for_ever() -> None:
+    gate = Gate({})
+    for number in range(100):
+        gate.command(0.1, source=f"s{number}")
+    assert len(gate.core.notes) == 64
+
+
 # The scan gate.
 
 
