@@ -104,10 +104,11 @@ def _prepare(path: str, descriptor: int, exclusive: bool) -> None:
     # What stat() saw may have been replaced before open(); only a terminal answers this.
     before = termios.tcgetattr(descriptor)
     if exclusive:
-        # First of all changes, so that nobody else gets in while the port is being set up.
-        fcntl.ioctl(descriptor, termios.TIOCEXCL)
-        # Root passes TIOCEXCL; another service of root's asks for this too. All duplicates share it.
+        # Root passes TIOCEXCL; another service of root's asks for this lock too. All duplicates share it. First, since
+        # TIOCEXCL would outlive a refusal: it stays until the last descriptor of the terminal is closed.
         _lock(path, descriptor)
+        # Before all other changes, so that nobody else gets in while the port is being set up.
+        fcntl.ioctl(descriptor, termios.TIOCEXCL)
     _set_raw(path, descriptor, before)
     # DTR on and RTS off is the board's safe state. Opening raised both; DTR first, because DTR off while RTS is on
     # resets the board's processor.

@@ -56,6 +56,7 @@ class Client:
         directory = runtime_dir(name)
         self._session = int.from_bytes(os.urandom(8), "little") | 1
         self._number = 0
+        self._pid = os.getpid()
         self._gate = attach(name, layout.GATE)
         self._claims = -1
         self._bell = -1
@@ -143,7 +144,7 @@ class Client:
 
     def close(self) -> None:
         """Give the slot back; a command of this client stops counting at once."""
-        if self._claims >= 0 and hasattr(self, "_segment"):
+        if self._claims >= 0 and hasattr(self, "_segment") and os.getpid() == self._pid:
             # A goodbye: another process may have the claim before the gate has seen it free.
             with contextlib.suppress(OSError, ValueError, NoService):
                 self._segment.wipe()

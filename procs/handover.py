@@ -7,6 +7,9 @@ import _socket
 import struct
 
 _FD = struct.Struct("i")
+OPENING_NS = 2_000_000_000
+"""Without a port there is nothing to move, and opening one that comes back takes several USB transfers, of a board that
+may be slow to wake up. So the port owner is given this much beyond its deadlines."""
 
 
 class Control:

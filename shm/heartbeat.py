@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from time import monotonic_ns
+
 STARTING = 1
 RUNNING = 2
 STOPPING = 3
@@ -49,7 +51,8 @@ class Heartbeat:
         self._ns.set(now_ns)
 
     def state(self, state: int) -> None:
-        """Publish STARTING, RUNNING or STOPPING."""
+        """Publish STARTING, RUNNING or STOPPING. A start that took long was no silence."""
+        self._ns.set(monotonic_ns())
         self._state.set(state)
 
 

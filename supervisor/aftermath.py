@@ -64,9 +64,10 @@ class Aftermath:
         self._follow_port()
         causes = []
         self._take_answer()
+        newest_ns = max(word.get() for word in self._pings)
         if not listening:
-            self.link.listen()
-        elif self.link.silent(max(word.get() for word in self._pings), now_ns):
+            self.link.listen(newest_ns)
+        elif self.link.silent(newest_ns, now_ns):
             causes.append(Cause(now_ns, layout.SUPERVISOR, DEAF))
         if self._follow_wheels(now_ns):
             causes.append(Cause(now_ns, layout.SUPERVISOR, UNSTILL))
@@ -103,10 +104,15 @@ class Aftermath:
         """True when the wheels should be still and are not. A reset ends the question: people see to it then."""
         last = self._last
         self._reap()
-        if last is None or self._reset_word.get() >= last.epoch:
+        if last is None:
             return False
-        unstill = last.judged(self._still.get(), self._judged.get(), now_ns)
-        if last.observed_ns is not None:
+        if self._reset_word.get() >= last.epoch:
+            self._command_ran = False
+            return False
+        known = last.observed_ns is not None
+        judged_ns = self._judged.get()  # before the verdict: it may be newer than its time, never older
+        unstill = last.judged(self._still.get(), judged_ns, now_ns)
+        if last.observed_ns is not None and not known:
             self._command_ran = False
             self._publish()
         if unstill:
@@ -115,8 +121,8 @@ class Aftermath:
         return unstill
 
     def _run_command(self) -> None:
-        """Once, until the wheels have been seen still."""
-        if not self._command or self._command_ran:
+        """Once, until the wheels have been seen still or people have reset."""
+        if not self._command or self._command_ran or self._command_pid:
             return
         self._command_ran = True
         try:

@@ -31,6 +31,7 @@ class Child:
         "gone_ns",
         "last_exit",
         "life",
+        "patience_ns",
         "pid",
         "restart_ns",
         "restarts",
@@ -58,6 +59,8 @@ class Child:
         """When its death was noticed."""
         self.excused_ns = 0
         """Silence before this is not its own."""
+        self.patience_ns = 0
+        """What it is given beyond its deadline."""
         self.times_restarted = 0
         self.last_exit = ""
 
@@ -73,7 +76,7 @@ class Child:
 
     def running(self) -> bool:
         """True when it has said that it runs."""
-        return self.pid != 0 and not self.fallen and self.beat.running(self.pid)
+        return self.pid != 0 and not self.fallen and not self.fence and self.beat.running(self.pid)
 
     def hangs(self, now_ns: int) -> bool:
         """True when its heartbeat, or its first one, is overdue."""
@@ -85,8 +88,8 @@ class Child:
         if not self.pid or self.fence or self.fallen:
             return None
         if self.running():
-            return max(self.beat.ns.get(), self.excused_ns) + self.row.deadline_ns
-        return self.started_ns + STARTING_NS
+            return max(self.beat.ns.get(), self.excused_ns) + self.row.deadline_ns + self.patience_ns
+        return max(self.started_ns, self.excused_ns) + STARTING_NS
 
     def buried(self) -> str:
         """Collect the dead process, whose pidfd has said so, and return how it died, in words."""

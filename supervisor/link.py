@@ -13,6 +13,9 @@ UNPROVEN = "unproven"
 ALIVE = "alive"
 DEAF = "deaf"
 
+ANSWER_NS = 20_000_000
+"""A ping as young as this may still be answered; a stop's ping and the next are further apart (pings.py)."""
+
 
 class Link:
     """What is known of one opened port's board."""
@@ -32,9 +35,10 @@ class Link:
         self.state = UNPROVEN
         self._answered_ns = self._asked_ns = 0
 
-    def listen(self) -> None:
-        """Nobody has listened for a while: a silence begins with the next ping at the earliest."""
+    def listen(self, newest_ping_ns: int) -> None:
+        """Nobody could have heard an answer until now: a silence begins with the next ping at the earliest."""
         self._asked_ns = 0
+        self._answered_ns = max(self._answered_ns, newest_ping_ns)
 
     def answered(self, sent_ns: int) -> bool:
         """A ping that was sent at `sent_ns` was answered; True when that ends a deafness."""
@@ -52,6 +56,8 @@ class Link:
             return False
         # Half of it since a ping that it should have answered: a ping period before, it had nothing to answer.
         if now_ns - self._answered_ns < self._deaf_ns or now_ns - self._asked_ns < self._deaf_ns // 2:
+            return False
+        if now_ns - newest_ping_ns < ANSWER_NS:
             return False
         self.state = DEAF
         return True

@@ -13,7 +13,7 @@ from time import monotonic_ns
 import msgpack
 
 from failstop.procs import rights
-from failstop.procs.handover import Control
+from failstop.procs.handover import OPENING_NS, Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
 from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import Heartbeat
@@ -39,8 +39,11 @@ HURRY_NS = 1_000_000
 ALONE_EVERY_NS = 200_000_000
 """While no port owner runs, who sends zeros at this rate, the supervisor bursts at it."""
 MOST_SAID = 64
+EXCUSE_NS = 60_000_000
+"""A supervisor that itself was silent for this long judges nobody by it: the whole service may have been frozen. Two
+ticks less than the shortest deadline."""
 HELD_UP_NS = 250_000_000
-"""A supervisor that itself was silent for this long judges nobody by it: the whole service was frozen."""
+"""And one that was silent for this long stops: nobody has watched."""
 
 NO_REALTIME = (
     "no real-time rights (SCHED_FIFO): on a busy machine stops come later, and some for no cause; "
@@ -113,15 +116,16 @@ class Supervisor:
         fallen = self.family.fallen(ready)
         written_ns = self._burst() if any(child.row.name == layout.PORT_OWNER for child in fallen) else 0
         for child in fallen:
-            child.gone_ns = monotonic_ns()
+            child.gone_ns = now_ns
         for rung in (self._bell, self._early.bell):
             if rung.fd in ready:
                 rung.clear()
         causes = self._collect(fallen, now_ns, written_ns)
         causes += self._held_up(now_ns)
-        causes += self.aftermath.follow(now_ns, listening=self._listening())
         if causes:
             self._raise_epoch(causes)
+        if seen := self.aftermath.follow(now_ns, listening=self._listening()):
+            self._raise_epoch(seen)
         for child in fallen:
             if child.life:
                 child.life.demote()
@@ -152,21 +156,23 @@ class Supervisor:
         self._burst_ns = now_ns
         if port_owner.state() == "down" and self._port.reopen(self._path):
             self.loop.watch(self._port.fd, HANGUP)
-            self._controls[layout.STOPPER].send(self._port.fd)
+            self._pass_port_on()
         self._burst()
 
     def _held_up(self, now_ns: int) -> list[Cause]:
         """A stop for a supervisor that could not watch anybody; it kills nobody for a silence that it did not hear."""
         gap_ns, self._turned_ns = now_ns - self._turned_ns, now_ns
+        if gap_ns >= EXCUSE_NS:
+            for child in self.children:
+                child.excused_ns = now_ns
         if gap_ns < HELD_UP_NS or not self._was_ready:
             return []
-        for child in self.children:
-            child.excused_ns = now_ns
         return [Cause(now_ns, layout.SUPERVISOR, f"supervisor was held up for {gap_ns / 1e6:.0f} ms")]
 
     def _listening(self) -> bool:
         """True while pings are written and their answers decoded."""
-        return self.family[layout.TELEMETRY].running() and self.family[layout.PORT_OWNER].running()
+        asks, hears = self.family[layout.PORT_OWNER].running(), self.family[layout.TELEMETRY].running()
+        return self._port.fd >= 0 and asks and hears
 
     def _collect(self, fallen: list[Child], now_ns: int, burst_ns: int) -> list[Cause]:
         """Every cause that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
@@ -255,7 +261,12 @@ class Supervisor:
                 self._let_port_go()
                 self._port.replace(fd)
                 self.loop.watch(fd, HANGUP)
-                self._controls[layout.STOPPER].send(fd)
+                self._pass_port_on()
+
+    def _pass_port_on(self) -> None:
+        """To the stopper; one that is still to be started inherits it, and one in the queue would stay open."""
+        if self.family[layout.STOPPER].pid:
+            self._controls[layout.STOPPER].send(self._port.fd)
 
     def _let_port_go(self) -> None:
         if self._port.fd >= 0:
@@ -265,9 +276,10 @@ class Supervisor:
 
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline is stopped for and killed; its death does the rest."""
+        self.family[layout.PORT_OWNER].patience_ns = OPENING_NS if self._port.fd < 0 else 0
         for child in self.children:
             if child.hangs(now_ns):
-                silent_ns = child.beat.age_ns(now_ns)
+                silent_ns = now_ns - max(child.beat.ns.get(), child.started_ns)
                 # Killed before the burst: a port owner that wakes up between the two could write one frame more.
                 os.kill(child.pid, signal.SIGKILL)
                 kill_ns = monotonic_ns()

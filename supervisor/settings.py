@@ -126,7 +126,7 @@ DECLARED = (
     Setting("pad.mode_lockout_s", 0.6, "s", 0.1, 5.0, "MODE does not change the mode again for this long"),
     Setting("pad.reset_hold_s", 2.0, "s", 0.5, 30.0, "MODE held for this long while latched is a reset"),
     Setting("link.ping_s", 0.5, "s", 0.1, 0.5, "time between two pings, which the board answers"),
-    Setting("link.deaf_s", 1.0, "s", 0.8, 60.0, "a board that has answered before and is silent for this long is deaf"),
+    Setting("link.deaf_s", 1.0, "s", 1.0, 60.0, "a board that has answered before and is silent for this long is deaf"),
     Setting("still.std_radps", 0.0035, "rad/s", 0.0001, 1.0, "gyro x and y vary less than this: the wheels are still"),
     Setting("still.after_s", 1.5, "s", 0.2, 60.0, "wheels not still this long after a stop: stop again, CRITICAL"),
     Setting("still.command", "", "", None, None, "run then, such as a relay's; words as in a shell, empty: none"),

@@ -112,7 +112,7 @@ class LastStop:
         heard = f"acknowledged by the board after {self.acknowledged_ns / 1e6:.1f} ms" if self.acknowledged_ns else ""
         heard = heard or f"not acknowledged (link {link})"
         if self.observed_ns is None:
-            seen = "wheels NOT seen still" if self.unstill else "not observed (no IMU)"
+            seen = "wheels NOT seen still" if self.unstill else "not observed"
         elif self._was_still:
             seen = "no shaking seen before or after"
         else:

@@ -97,10 +97,10 @@ class Gate:
             self._bell.clear()
         self._follow_epoch()
         for fd in ready:
-            if fd == self._client_bell:
-                self._client_rang(now_ns)
-            elif fd != self._bell.fd:
+            if fd not in (self._client_bell, self._bell.fd):
                 self.clients.life_ended(fd, now_ns)
+        if self._client_bell in ready:  # last: who joins may get the number of a descriptor that was closed above
+            self._client_rang(now_ns)
         self._follow_telemetry(now_ns)
         if now_ns >= self._tick_ns:
             self._tick(now_ns)

@@ -15,7 +15,7 @@ import os
 from time import monotonic_ns
 
 from failstop.board.interface import BOARD
-from failstop.procs.handover import Control
+from failstop.procs.handover import OPENING_NS, Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
 from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
 from failstop.shm import heartbeat, layout, records
@@ -156,7 +156,7 @@ class Stopper:
         heart = self._port_owner_heart
         if self._port_owner_life is None or not heart.running(self._port_owner_life.pid):
             return None
-        return max(heart.ns.get(), self._excused_ns) + HANG_NS
+        return max(heart.ns.get(), self._excused_ns) + HANG_NS + (OPENING_NS if self._port < 0 else 0)
 
     def _answer_hang(self, now_ns: int) -> None:
         """A port owner that has fallen silent gets one burst, and is fenced."""

@@ -19,7 +19,6 @@ from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import main
 from failstop.supervisor.causes import Cause
-from failstop.supervisor.fence import Fence
 from failstop.supervisor.main import ANSWER_NS, Supervisor
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
@@ -51,10 +50,10 @@ class Scene:
         self.stop_record = segment.attach(name, layout.SUPERVISOR).latest_reader("stop")
         self.word = segment.attach(name, layout.SUPERVISOR).word
         child = self.supervisor.family[layout.PORT_OWNER]
-        child.pid = 2**31 - 1  # no such process, and as it is fenced already nobody asks or kills it
-        child.fence = Fence(1, 1, 1)
+        child.pid = 2**31 - 1  # no such process; it beats at every turn, so that nobody kills it
         self.port_owner.word("beat_pid").set(child.pid)
         self.port_owner.word("beat_state").set(RUNNING)
+        self.port_owner.word("beat_ns").set(self.now_ns)
         self.answers(written_ns=self.now_ns - 10_000 * MS)
 
     def answers(self, *, written_ns: int = 0) -> None:
@@ -75,6 +74,7 @@ class Scene:
     def turn(self, elapsed_ns: int = 0) -> bytes:
         """Time passes and the supervisor wakes up; returns what it wrote to the port."""
         self.now_ns += elapsed_ns
+        self.port_owner.word("beat_ns").set(self.now_ns)
         self.supervisor.turn(self.supervisor.loop.wait(0))
         try:
             return os.read(self.master, 65536)
