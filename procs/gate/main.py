@@ -72,7 +72,7 @@ class Gate:
         self._inherit_latch()
         for fd in (self._bell.fd, self._client_bell):
             self.loop.watch(fd, READ)
-        self._tick_ns = self._due_ns = now_ns
+        self._tick_ns = self._due_ns = self._turned_ns = now_ns
         self._ticks = 0
         self._published_ns = 0
         self._published = b""
@@ -92,7 +92,7 @@ class Gate:
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
-        now_ns = monotonic_ns()
+        now_ns = self._turned_ns = monotonic_ns()
         if self._bell.fd in ready:
             self._bell.clear()
         self._follow_epoch()
@@ -263,8 +263,9 @@ class Gate:
             self._state.write(state, now_ns)
 
     def next_ns(self) -> int:
-        """When to turn without any news: at the tick, or when what drives the wheels stops counting."""
-        due_ns = self.core.due_ns(monotonic_ns())
+        """When to turn without any news: at the tick, or when what drives the wheels stops counting. As the last turn
+        saw it: what has run out since is due now, and not forgotten until the tick."""
+        due_ns = self.core.due_ns(self._turned_ns)
         self._due_ns = self._tick_ns if due_ns is None else min(self._tick_ns, due_ns)
         return self._due_ns
 
