@@ -78,6 +78,18 @@ def open_port(path: str, *, exclusive: bool) -> int:
     return descriptor
 
 
+def open_if_there(path: str) -> int:
+    """Open a port that may be gone, exclusively; returns -1 while it can't be. Never raises, never looks users up."""
+    # A device is there before udev has given it to its group. Explaining a refused open looks users up, which may take
+    # long; here nobody reads the explanation.
+    if not os.access(path, os.R_OK | os.W_OK):
+        return -1
+    try:
+        return open_port(path, exclusive=True)
+    except PortError:
+        return -1
+
+
 def unsent_bytes(descriptor: int) -> int:
     """Bytes written to the port that the kernel has not passed on yet (TIOCOUTQ); on a pty always 0. Raises OSError."""
     answer: tuple[int] = _INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))

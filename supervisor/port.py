@@ -58,12 +58,9 @@ class OwnPort:
 
     def reopen(self, path: str) -> bool:
         """Open a port that was lost; False when it is there already or not yet."""
-        if self.fd >= 0 or not os.access(path, os.R_OK | os.W_OK):
+        if self.fd >= 0 or (fd := port.open_if_there(path)) < 0:
             return False
-        try:
-            self.replace(port.open_port(path, exclusive=True))
-        except port.PortError:
-            return False
+        self.replace(fd)
         return True
 
     def replace(self, fd: int) -> None:

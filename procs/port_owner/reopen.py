@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 from failstop.board import port
 
 
@@ -24,13 +22,6 @@ class Reopener:
         if now_ns < self._next_ns:
             return -1
         self._next_ns = now_ns + self.EVERY_NS
-        # A device is there before udev has given it to its group. Explaining a refused open looks users up, which may
-        # take long; here nobody reads the explanation.
-        if not os.access(self.path, os.R_OK | os.W_OK):
-            return -1
-        try:
-            fd = port.open_port(self.path, exclusive=True)
-        except port.PortError:
-            return -1
-        self.opened += 1
+        fd = port.open_if_there(self.path)
+        self.opened += fd >= 0
         return fd
