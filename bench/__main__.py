@@ -6,14 +6,13 @@ import argparse
 import dataclasses
 import json
 import os
-import platform
 import sys
 import time
 
 from bench import cost, hangs, kills, latency, oneway, peers
 from bench.stats import Row
+from failstop.machine import facts
 from failstop.trial import Trial
-from failstop.version import VERSION
 
 OPTIONS_TOML = "[restart]\ndeaths = 100000\nbackoff_s = 0.001\n"
 """So many kills are no crash loop here."""
@@ -54,12 +53,7 @@ def main() -> int:
     rows += oneway.measure(arguments.messages, _progress)
     _progress("")
     machine = {
-        "version": VERSION,
-        "date": time.strftime("%Y-%m-%d"),
-        "python": platform.python_version(),
-        "kernel": platform.release(),
-        "machine": platform.machine(),
-        "cores": os.cpu_count(),
+        **facts(),
         "realtime": realtime,
         "took_s": round(time.monotonic() - start_s),
     }

@@ -10,7 +10,6 @@ import ctypes
 import dataclasses
 import json
 import os
-import platform
 import random
 import resource
 import subprocess
@@ -27,11 +26,11 @@ from bench import stats, ticks
 from failstop.board.sim.client import Event
 from failstop.client import attach
 from failstop.errors import FailstopError
+from failstop.machine import facts
 from failstop.shm import layout
 from failstop.shm.latest import LatestReader
 from failstop.supervisor.settings import Settings
 from failstop.trial import Trial, wait_for
-from failstop.version import VERSION
 
 LATE_MS = 10.0
 GROWTH_MB_H = 1.0
@@ -335,11 +334,7 @@ def main() -> int:
         soak = Driver(trial, arguments.seed).drive(arguments.minutes * 60, _progress)
     _progress("")
     machine = {
-        "version": VERSION,
-        "date": time.strftime("%Y-%m-%d"),
-        "python": platform.python_version(),
-        "kernel": platform.release(),
-        "cores": os.cpu_count(),
+        **facts(),
         "realtime": realtime,
         "load": arguments.load,
     }

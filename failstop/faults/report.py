@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import platform
 import statistics
 import time
 from typing import Any
@@ -12,7 +10,7 @@ from typing import Any
 from failstop.faults.campaign import Outcome
 from failstop.faults.fault import EVENTS, Fault
 from failstop.faults.table import BEYOND, BY_NAME, TABLE
-from failstop.version import VERSION
+from failstop.machine import facts
 
 
 @dataclasses.dataclass
@@ -115,12 +113,7 @@ class Tally:
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as in `--json`."""
         machine = {
-            "version": VERSION,
-            "date": time.strftime("%Y-%m-%d"),
-            "python": platform.python_version(),
-            "kernel": platform.release(),
-            "machine": platform.machine(),
-            "cores": os.cpu_count(),
+            **facts(),
             "took_s": round(time.monotonic() - self.begun_s),
         }
         totals = {field: self.total(field) for field in ("count", "missed", "motion_after", "wrong")}
