@@ -62,11 +62,12 @@ class Stopper:
         self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 1)
         self._port_owner_life: Lifeline | None = None
         self._port_owner_named = 0
+        self._stopped_for = 0
+        """The pid of the port owner that it last wrote for."""
         self._port_owner_hangs = False
         self._orphaned_ns = 0
         self._first_go_until_ns = 0
         self._due: tuple[int, ...] = ()
-        self._burst_ns = 0
         for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
         if self._port >= 0:
@@ -79,8 +80,7 @@ class Stopper:
             self._excused_ns = now_ns
         self._turned_ns = now_ns
         if self._port_owner_life and self._port_owner_life.down(ready):
-            self._burst(now_ns)
-            self._drop_port_owner()
+            self._port_owner_died(now_ns)
         if not self._orphaned_ns and self._supervisor_life.down(ready):
             self._orphaned_ns = now_ns
             self.loop.forget(self._supervisor_life.fd)
@@ -99,10 +99,22 @@ class Stopper:
         self.heartbeat.beat(now_ns, self._epoch_word.get())
         return not self._orphaned_ns or now_ns < self._orphaned_ns + LEAVE_AFTER_NS
 
+    def _port_owner_died(self, now_ns: int) -> None:
+        if self._port_owner_life:
+            self._stopped_for = self._port_owner_life.pid
+            if not self._succeeded():
+                self._burst(now_ns)
+        self._drop_port_owner()
+
+    def _succeeded(self) -> bool:
+        """True when a new port owner runs: it has stopped the wheels at its start, and by now they may have been
+        enabled. A stopper that was held up must not cut into that motion for an old death."""
+        named, _ = records.unpack_life(self._port_owner_life_word.get())
+        return named != self._stopped_for and self._port_owner_heart.running(named)
+
     def _burst(self, now_ns: int) -> None:
         """Write the burst and plan its repeats."""
         self._write()
-        self._burst_ns = now_ns
         self._due = tuple(now_ns + after for after in BURST_AFTER_NS)
 
     def _write(self) -> None:
@@ -129,10 +141,10 @@ class Stopper:
                 if self._port_owner_written.get() < self._orphaned_ns:
                     self._fence()
                 self._write()
-            elif self._port_owner_written.get() < self._burst_ns:
-                self._write()
+            elif self._succeeded():
+                self._due = ()  # the new one repeats its stop itself
             else:
-                self._due = ()  # a new port owner has stopped, and repeats that itself
+                self._write()
 
     def _follow_port_owner(self, now_ns: int) -> None:
         """Watch the port owner that the supervisor names: by its pid at once, by its mutex once it runs."""
@@ -140,7 +152,7 @@ class Stopper:
         pid, block = records.unpack_life(named)
         if named != self._port_owner_named:
             if self._port_owner_life and self._port_owner_life.dead():
-                self._burst(now_ns)
+                self._port_owner_died(now_ns)
             self._drop_port_owner()
             self._port_owner_named = named
             try:
@@ -170,6 +182,7 @@ class Stopper:
     def _fence(self) -> None:
         """SIGKILL the port owner; its death is then answered like any other."""
         if self._port_owner_life:
+            self._stopped_for = self._port_owner_life.pid
             self._port_owner_life.kill()
 
     def _drop_port_owner(self) -> None:

@@ -120,15 +120,19 @@ class Stage:
         for process in processes:
             self._views[process].word("beat_ns").set(self.clock() - age_ns)
 
-    def start(self, process: str) -> Dummy:
-        """A new process, running, which the supervisor names."""
+    def start(self, process: str, state: int = heartbeat.RUNNING) -> Dummy:
+        """A new process which the supervisor names."""
         dummy = Dummy()
         self.others.append(dummy)
         self._views[process].word("beat_pid").set(dummy.pid)
-        self._views[process].word("beat_state").set(heartbeat.RUNNING)
+        self._views[process].word("beat_state").set(state)
         self._views[layout.SUPERVISOR].word(f"{process}_life").set(records.life(dummy.pid, 3))
         self.beat(process)
         return dummy
+
+    def runs(self, process: str) -> None:
+        """It says so."""
+        self._views[process].word("beat_state").set(heartbeat.RUNNING)
 
     def ask_to_stop(self, message: bytes) -> None:
         os.write(self._fds["stop"], message)

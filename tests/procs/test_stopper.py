@@ -11,7 +11,7 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.procs.stopper import main
 from failstop.procs.stopper.main import Stopper
-from failstop.shm import layout, records
+from failstop.shm import heartbeat, layout, records
 
 from .parts import Pty, new_pty, until
 from .stage import MS, Dummy, Stage
@@ -84,16 +84,30 @@ def test_the_port_owner_s_death_is_answered_at_once_and_again(scene: Scene) -> N
 def test_the_repeats_go_on_until_a_new_port_owner_has_stopped_itself(scene: Scene) -> None:
     scene.die(scene.port_owner)
     scene.turn()
-    scene.start(layout.PORT_OWNER)
+    scene.start(layout.PORT_OWNER, heartbeat.STARTING)
     assert scene.written(50) == [(20, BURST)], "it is named, and still starting"
-    scene.port_owner_writes()
+    scene.runs(layout.PORT_OWNER)
     assert scene.written(500) == []
+
+
+def test_one_that_was_held_up_meanwhile_does_not_cut_into_the_motion_of_the_next(scene: Scene) -> None:
+    scene.die(scene.port_owner)
+    scene.start(layout.PORT_OWNER)
+    assert scene.turn(100 * MS) == b""
+    assert scene.written(500) == []
+
+
+def test_nor_does_one_that_was_held_up_before_the_repeats(scene: Scene) -> None:
+    scene.die(scene.port_owner)
+    assert scene.turn() == BURST
+    scene.start(layout.PORT_OWNER)
+    assert scene.turn(150 * MS) == b""
 
 
 def test_a_port_owner_that_died_before_the_news_came_is_answered(scene: Scene) -> None:
     """The supervisor has named the next before this process came to look."""
     scene.port_owner.kill()
-    scene.start(layout.PORT_OWNER)
+    scene.start(layout.PORT_OWNER, heartbeat.STARTING)
     scene.stopper.turn({})
     assert scene.pty.read() == BURST
 
@@ -102,7 +116,6 @@ def test_the_next_port_owner_is_watched_too(scene: Scene) -> None:
     scene.die(scene.port_owner)
     scene.turn()
     second = scene.start(layout.PORT_OWNER)
-    scene.port_owner_writes()
     scene.written(200)
     scene.die(second)
     assert scene.turn() == BURST
