@@ -18,8 +18,9 @@ from failstop.board.sim.client import Event
 
 COMMANDED_NS = 250_000_000
 """For so long after a command every tick has to move; less than the command timeout."""
-EARLY_NS = 500_000
-"""The heap's width: a frame that comes so much before the tick's place is the tick's."""
+EARLY_NS = 1_500_000
+"""A frame that comes so much before the tick's place is the tick's: the place is an estimate, and one that is too late
+must not make a tick that was in time look missing."""
 ALIGN_NS = 1_000_000_000
 
 Stretch = tuple[int, list[int]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import os
 import signal
@@ -23,6 +24,12 @@ DRAINED_S = 0.1
 KEY_STOPS = 1
 PRESSED = 0x01
 BUTTON = 0x0100
+MODE = 0x2000
+PRESS = (MODE, *(0,) * 20)
+"""A press and its release, frame by frame."""
+FORWARD = 127
+"""A stick's way, all of it."""
+AWAY = ".away"
 
 
 class OtherDrives(Injector):
@@ -105,6 +112,22 @@ class SlotTruncated(SlotDamaged):
 
     def during(self, scene: Scene) -> None:
         os.truncate(self._path, 0)
+
+
+class SlotUnlinked(SlotDamaged):
+    """Its name is gone; the file lives as long as somebody has it open."""
+
+    def strike(self, scene: Scene) -> int:
+        assert self.child
+        self._path = "/dev/shm" + segment.shm_name(scene.name, f"client.{self.child.slot}")
+        now_ns = time.monotonic_ns()
+        os.rename(self._path, self._path + AWAY)
+        return now_ns
+
+    def heal(self, scene: Scene) -> None:
+        if self._path:
+            os.rename(self._path + AWAY, self._path)
+        super().heal(scene)
 
 
 class SecondClient(Injector):
@@ -211,6 +234,37 @@ class PadButton(Injector):
         scene.board.pad(0)
 
 
+class PadSilent(Injector):
+    """The gamepad drives, and is out of reach."""
+
+    def _mode(self, scene: Scene, mode: str) -> None:
+        """MODE, pressed again and again: a press within its lockout does nothing."""
+        frames = itertools.cycle(PRESS)
+
+        def reached() -> bool:
+            if scene.driver.robot.state.pad_mode == mode:
+                return True
+            scene.board.pad(next(frames))
+            return False
+
+        scene.driver.until(f"the gamepad's mode {mode}", reached)
+
+    def prepare(self, scene: Scene) -> None:
+        self._mode(scene, "drive")
+        scene.driver.leave()
+        scene.driver.commands = False
+        scene.board.pad(0, ly=FORWARD, hold=True)
+
+    def strike(self, scene: Scene) -> int:
+        now_ns = time.monotonic_ns()
+        scene.board.pad_silent()
+        return now_ns
+
+    def heal(self, scene: Scene) -> None:
+        self._mode(scene, "locked")
+        scene.driver.commands = True
+
+
 class BoardKey(Injector):
     """The stop key, pressed."""
 
@@ -263,6 +317,8 @@ INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "client-second": SecondClient,
     "slot-scribbled": SlotScribbled,
     "slot-truncated": SlotTruncated,
+    "slot-unlinked": SlotUnlinked,
+    "pad-silent": PadSilent,
     "service-stopped": ServiceStopped,
     "stop-request": StopRequest,
     "stop-pipe-garbage": StopPipeGarbage,

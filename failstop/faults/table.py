@@ -70,6 +70,10 @@ CLIENTS = (
         "", ITSELF, "", 320.0, "client-hung", counted_from="its last command", aftermath_s=0.45, weight=1,
     ),
     Fault(
+        "pad-silent", CLIENT, "the gamepad that drives falls silent", "gate (command timeout)",
+        "", ITSELF, "", 320.0, "pad-silent", aftermath_s=0.5, weight=1,
+    ),
+    Fault(
         "client-nan", CLIENT, "a command that is not a number", "gate",
         "^command from .* is not finite", RESET, "E-STOP latched: command from .* is not finite", 5.0, "client-nan",
     ),
@@ -84,6 +88,10 @@ CLIENTS = (
     Fault(
         "slot-truncated", MEMORY, "the driving client's slot is truncated", "gate (its session is gone)",
         "", ITSELF, "", 50.0, "slot-truncated", counted_from="its last command", aftermath_s=0.45, weight=1,
+    ),
+    Fault(
+        "slot-unlinked", MEMORY, "the driving client's slot is unlinked", "nobody",
+        "", ITSELF, "", None, "slot-unlinked", aftermath_s=0.4, weight=1,
     ),
 )  # fmt: skip
 
