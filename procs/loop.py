@@ -1,7 +1,8 @@
 """Loop: waits for descriptors or a point in time, with microsecond time-outs.
 
-`epoll.poll` rounds its time-out up to a millisecond; `select` does not, but can't watch a port for its hang-up alone.
-So the descriptors are in an epoll set, and `select` waits for that set.
+`epoll.poll` takes whole milliseconds; `select` is finer, but can't watch a port for its hang-up alone, and costs a call
+more. So the descriptors are in an epoll set, which waits by itself for the whole milliseconds, and `select` waits for
+that set for what is left.
 """
 
 from __future__ import annotations
@@ -15,15 +16,17 @@ HANGUP = 0
 """Watch for the hang-up or error alone, which the kernel always reports."""
 
 GONE = select.EPOLLHUP | select.EPOLLERR
+MS = 1_000_000
 
 
 class Loop:
     """One process's set of descriptors."""
 
-    __slots__ = ("_epoll", "_set")
+    __slots__ = ("_epoll", "_poll", "_set")
 
     def __init__(self) -> None:
         self._epoll = select.epoll()
+        self._poll = self._epoll.poll
         self._set = [self._epoll.fileno()]
 
     def watch(self, fd: int, events: int) -> None:
@@ -44,7 +47,12 @@ class Loop:
 
     def wait(self, until_ns: int) -> dict[int, int]:
         """Block until a descriptor is ready or CLOCK_MONOTONIC reaches `until_ns`; return {fd: events}."""
-        timeout_s = (until_ns - monotonic_ns()) * 1e-9
-        if select.select(self._set, (), (), timeout_s if timeout_s > 0 else 0)[0]:
-            return dict(self._epoll.poll(0))
+        left_ns = until_ns - monotonic_ns()
+        if left_ns > MS:
+            # Half a millisecond less, which the call rounds up again: the whole milliseconds that are left.
+            if ready := self._poll((left_ns // MS - 0.5) * 1e-3):
+                return dict(ready)
+            left_ns = until_ns - monotonic_ns()
+        if select.select(self._set, (), (), left_ns * 1e-9 if left_ns > 0 else 0)[0]:
+            return dict(self._poll(0))
         return {}
