@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _SIGKILL = 9
 _ORDINARY = os.sched_param(0)
+_DEMOTED = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
+"""With the flag that the processes have (procs/rights.py): only CAP_SYS_NICE may clear it."""
 _STACK_BYTES = 128 * 1024
 
 
@@ -67,7 +69,7 @@ class Lifeline:
             return
         for thread in threads:
             try:
-                os.sched_setscheduler(int(thread), os.SCHED_OTHER, _ORDINARY)
+                os.sched_setscheduler(int(thread), _DEMOTED, _ORDINARY)
             except OSError:
                 continue
 

@@ -15,7 +15,7 @@ from failstop.shm import segment
 from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.shm.mutex import BLOCKS, PER_BLOCK, Mutexes
 
-from .children import Child, call, until
+from .children import NOBODY, Child, become, call, needs_root, until
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]
@@ -24,6 +24,27 @@ Wait = Callable[[], None]
 def waiting(send: Send, wait: Wait) -> None:
     send("here")
     wait()
+
+
+def realtime_nobody(send: Send, wait: Wait) -> None:
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(5))  # as procs/rights.py does
+    become(NOBODY)
+    send("here")
+    wait()
+
+
+@needs_root
+def test_the_dying_are_demoted_without_any_capability() -> None:
+    """As under the systemd unit: the rights come from a limit, and nobody has CAP_SYS_NICE."""
+    with Child(realtime_nobody) as dying:
+        assert dying.receive() == "here"
+
+        def demote(send: Send, _wait: Wait) -> None:
+            Lifeline(dying.pid).demote()
+            send(os.sched_getscheduler(dying.pid) & ~os.SCHED_RESET_ON_FORK)
+
+        with Child(demote, uid=NOBODY) as other:
+            assert other.receive() == os.SCHED_OTHER
 
 
 def test_sigkill_is_seen_through_epoll() -> None:
