@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint bench soak chaos model mutants clean
+.PHONY: demo test lint bench soak chaos model mutants deb clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -32,6 +32,9 @@ model:
 mutants: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check 'mutmut<3'
 	tests/mutation/run $(BIN)/python
+
+deb: $(VENV)/.installed
+	@$(BIN)/python packaging/deb/build.py
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache

@@ -9,7 +9,7 @@ import os
 import sys
 import time
 
-from bench import cost, hangs, kills, latency, oneway, peers
+from bench import cost, hangs, kills, latency, oneway, peers, service
 from bench.stats import Row
 from failstop.machine import facts
 from failstop.trial import Trial
@@ -25,6 +25,7 @@ def main() -> int:
     parser.add_argument("--samples", type=int, default=200, help="of each latency (default: 200)")
     parser.add_argument("--hangs", type=int, default=20, help="of each process (default: 20)")
     parser.add_argument("--peer-kills", type=int, default=30, help="of each peer (default: 30)")
+    parser.add_argument("--unit-kills", type=int, default=30, help="of the systemd unit, of each kind (default: 30)")
     parser.add_argument("--messages", type=int, default=3000, help="through each channel (default: 3000)")
     parser.add_argument("--seconds", type=float, default=20, help="of driving for processor and memory (default: 20)")
     parser.add_argument("--seed", type=int, default=1, help="of the random moments")
@@ -49,6 +50,7 @@ def main() -> int:
         rows.append(latency.starts(trial, max(3, arguments.samples // 10), _progress))
     with kills.heavy(), Trial(options=("--config", config)) as trial:
         rows += kills.measure(trial, arguments.kills // 4, arguments.seed, _progress, ballast_mb=kills.BALLAST_MB)
+    rows += service.measure(arguments.unit_kills, arguments.seed, _progress)
     rows += peers.measure(arguments.peer_kills, arguments.seed, _progress)
     rows += oneway.measure(arguments.messages, _progress)
     _progress("")

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import sys
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from argparse import ArgumentParser
+    from types import ModuleType
+
 COMMANDS = {
     "run": ("run", "run the service in the foreground"),
     "sim": ("sim", "a simulated board on a pty"),
     "demo": ("demo", "simulated board, service, a drive, and every kill with its measured stop"),
     "status": ("status", "what the wheels may do and why, processes, last stop"),
+    "watch": ("watch", "the same as status, live, with velocity and vibration"),
+    "why": ("why", "what holds the wheels, since when, and what to do, in plain words"),
+    "events": ("events", "what happened: stops, deaths, requests"),
+    "incident": ("incident", "the black box: what happened around each stop, as story, picture, MCAP"),
+    "teleop": ("teleop", "drive with the keyboard, holding keys"),
     "enable": ("requests", "enable motion"),
     "disable": ("requests", "disable motion: the wheels stop"),
     "reset": ("requests", "clear a latched stop; motion stays disabled"),
@@ -16,21 +26,48 @@ COMMANDS = {
     "drive": ("drive", "drive for a while"),
     "stop": ("stop", "write the stop to the port; needs no service running"),
     "config": ("config", "every setting with its value and origin"),
+    "doctor": ("doctor", "what on this machine keeps failstop from its promises, and the command that helps"),
+    "prove": ("prove", "the stand test: every stop path timed on a real robot, with evidence"),
     "chaos": ("chaos", "random faults from the fault table on a simulated board, judged by it"),
+    "install": ("install", "make it a service of this machine, whole or not at all"),
+    "uninstall": ("uninstall", "stop the service and take away what install put there"),
+    "completion": ("completion", "the script that completes commands in a shell"),
 }
 
-DESCRIPTION = "The layer that makes a robot stop. Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name."
+GROUPS = (
+    ("drive", ("enable", "disable", "drive", "teleop", "estop", "reset")),
+    ("look", ("status", "watch", "why", "events", "incident")),
+    ("check", ("demo", "doctor", "prove", "chaos", "config")),
+    ("service", ("run", "stop", "sim", "install", "uninstall", "completion")),
+)
+"""What `failstop --help` shows together; a command that is in none is shown at the end."""
+
+DESCRIPTION = """The layer that makes a robot stop: whatever dies or hangs, the wheels are told to stop.
+Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name."""
+
+
+def groups() -> list[tuple[str, list[str]]]:
+    """The commands by purpose, each command once."""
+    found = [(title, [name for name in names if name in COMMANDS]) for title, names in GROUPS]
+    grouped = {name for _, names in found for name in names}
+    return [*found, ("other", [name for name in COMMANDS if name not in grouped])]
 
 
 def _usage() -> str:
     width = max(map(len, COMMANDS))
-    rows = "\n".join(f"  {name:<{width}}  {what}" for name, (_, what) in COMMANDS.items())
-    return f"usage: failstop COMMAND [OPTION ...]\n\n{DESCRIPTION}\n\n{rows}\n\n`failstop COMMAND --help` says more.\n"
+    parts = ["usage: failstop COMMAND [OPTION ...]", DESCRIPTION]
+    for title, names in groups():
+        if names:
+            parts.append("\n".join([f"{title}:", *(f"  {name:<{width}}  {COMMANDS[name][1]}" for name in names)]))
+    parts.append("`failstop COMMAND --help` says more, with examples; so does `man failstop`.")
+    return "\n\n".join(parts) + "\n"
 
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     words = sys.argv[1:] if argv is None else argv
+    if words[:1] == ["help"] and len(words) > 1:
+        words = [words[1], "--help"]
     if not words or words[0] in ("-h", "--help", "help"):
         sys.stdout.write(_usage())
         return 0 if words else 1
@@ -40,19 +77,53 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout.write(f"failstop {VERSION}\n")
         return 0
     if words[0] not in COMMANDS:
-        sys.stderr.write(f"failstop: no command {words[0]!r}; `failstop --help` lists them\n")
+        sys.stderr.write(f"failstop: no command {words[0]!r}{_meant(words[0])}; `failstop --help` lists them\n")
         return 1
     return _run(words[0], words[1:])
+
+
+def _meant(word: str) -> str:
+    """The command that looks most like a mistyped one."""
+    from difflib import get_close_matches
+
+    found = get_close_matches(word, COMMANDS, 1)
+    return f" (did you mean `failstop {found[0]}`?)" if found else ""
+
+
+def load(name: str) -> tuple[ArgumentParser, ModuleType]:
+    """The parser of one command, and its module. The module's EXAMPLES, a text or one for each command of the module,
+    is shown at the end of its help."""
+    import argparse
+
+    home, what = COMMANDS[name]
+    module = __import__(f"failstop.commands.{home}", fromlist=["main"])
+    parser = argparse.ArgumentParser(
+        prog=f"failstop {name}",
+        description=what[0].upper() + what[1:] + ".",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(parser)
+    if parser.epilog is None and (shown := examples(module, name)):
+        parser.epilog = "examples:\n" + "\n".join(f"  {line}" for line in shown)
+    return parser, module
+
+
+def examples(module: ModuleType, name: str) -> list[str]:
+    """The lines of a command's EXAMPLES."""
+    found: str | dict[str, str] = getattr(module, "EXAMPLES", "")
+    text = found if isinstance(found, str) else found.get(name, "")
+    return [line.strip() for line in text.splitlines() if line.strip()]
 
 
 def _run(name: str, words: list[str]) -> int:
     import argparse
 
-    home, what = COMMANDS[name]
-    module = __import__(f"failstop.commands.{home}", fromlist=["main"])
-    parser = argparse.ArgumentParser(prog=f"failstop {name}", description=what[0].upper() + what[1:] + ".")
-    module.add_arguments(parser)
-    arguments = parser.parse_args(words, argparse.Namespace(command=name))
+    parser, module = load(name)
+    try:
+        arguments = parser.parse_args(words, argparse.Namespace(command=name))
+    except SystemExit as end:
+        # argparse ends with 2 for words that it can't make sense of; here 2 is a refusal.
+        return 1 if end.code else 0
     try:
         code: int = module.main(arguments)
     except KeyboardInterrupt:

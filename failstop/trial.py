@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from types import TracebackType
 from failstop.board.sim.client import Event, SimBoard
 from failstop.errors import FailstopError
 from failstop.robot import Robot
-from failstop.shm import layout
+from failstop.shm import instance, layout, segment
 
 READY_S = 10.0
 COMMAND_EVERY_S = 0.02
@@ -40,6 +41,10 @@ def wait_for(what: str, check: Callable[[], bool], timeout_s: float = READY_S) -
         time.sleep(0.002)
 
 
+MOST_SAID = 2000
+"""Characters of its log in an error."""
+
+
 class Service:
     """A `failstop run` of its own; stderr is kept in a file."""
 
@@ -54,7 +59,10 @@ class Service:
     def start(self) -> None:
         """Exec the service and wait until motion could be enabled. Raises TrialError with what it said."""
         self.exec()
-        wait_for(f"service {self.name} to be ready", self.ready)
+        try:
+            wait_for(f"service {self.name} to be ready", self.ready)
+        except TrialError as error:
+            raise TrialError(f"{error}; it said: {self.said()[-MOST_SAID:]}") from None
 
     def exec(self) -> None:
         """Exec the service; `started_ns` is just before."""
@@ -66,7 +74,7 @@ class Service:
     def ready(self) -> bool:
         """True when every process beats and the port is open. Raises TrialError when the service has ended."""
         if self.process is None or self.process.poll() is not None:
-            raise TrialError(f"the service ended: {self.said()}")
+            raise TrialError(f"the service ended: {self.said()[-MOST_SAID:]}")
         try:
             with Robot(self.name) as robot:
                 state = robot.state
@@ -108,10 +116,14 @@ class Service:
             raise TrialError(f"the service did not end within 5 s: {self.said()}") from None
 
     def close(self) -> None:
-        """End it, whatever state it is in."""
+        """End it, whatever state it is in, and take away what it left: a name of its own is used once."""
         if self.process and self.process.poll() is None:
             self.end()
         self._log.close()
+        with contextlib.suppress(segment.AttachError):
+            segment.unlink_all(self.name)
+        for path in instance.places(self.name):
+            shutil.rmtree(path, ignore_errors=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,12 +148,12 @@ def judge(events: list[Event], fault_ns: int, was_moving: bool) -> Stopped:
     stop = next((event for event in after if event.is_stop), None)
     if stop is None:
         return Stopped(fault_ns, None, None, None, sum(event.is_motion for event in after), was_moving)
-    still = next(event for event in after if not any(event.speeds))
+    still = next((event for event in after if not any(event.speeds)), None)
     return Stopped(
         fault_ns,
         stop.arrival_ns - fault_ns,
         stop.executed_ns - fault_ns,
-        still.executed_ns - fault_ns,
+        None if still is None else still.executed_ns - fault_ns,
         sum(event.is_motion for event in after if event.index > stop.index),
         was_moving,
     )
@@ -152,7 +164,7 @@ class Trial:
 
     def __init__(self, name: str | None = None, options: tuple[str, ...] = (), imu_hz: float = 110.0) -> None:
         self.name = name or f"trial-{os.getpid()}"
-        self._directory = tempfile.TemporaryDirectory(prefix="failstop-")
+        self._directory = tempfile.TemporaryDirectory(prefix="failstop-", ignore_cleanup_errors=True)
         self.link = os.path.join(self._directory.name, "board")
         self.board = SimBoard(self.link, imu_hz=imu_hz)
         self.service = Service(self.name, self.link, self._directory.name, options)

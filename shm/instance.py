@@ -5,11 +5,16 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import time
 
 from failstop.shm import claim
 
 DEFAULT_NAME = "failstop"
 _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
+
+
+LETTING_GO_S = 0.5
+"""How long a lock whose owner has died is waited for."""
 
 
 class InstanceError(Exception):
@@ -33,6 +38,11 @@ def _candidates() -> list[str]:
         places.append(os.path.join(session, "failstop"))
     places.append(f"/tmp/failstop-{os.getuid()}")
     return places
+
+
+def places(name: str) -> list[str]:
+    """Where the runtime directory of an instance may be, the best first. Raises InstanceError."""
+    return [os.path.join(base, check_name(name)) for base in _candidates()]
 
 
 def make_runtime_dir(name: str) -> str:
@@ -86,13 +96,17 @@ def lock(runtime_dir: str) -> int:
     """Become the service of this directory; returns the descriptor to keep open. Raises InstanceError when one runs."""
     # Private: a lock that others could open, they could hold.
     fd = claim.open_claims(lock_path(runtime_dir), create=True, mode=0o600)
-    if claim.take(fd, 0):
-        os.ftruncate(fd, 0)
-        os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
-        return fd
-    pid = os.pread(fd, 32, 0).decode("ascii", "replace").strip() or "unknown"
-    os.close(fd)
-    raise already_running(os.path.basename(runtime_dir), pid)
+    until_s = time.monotonic() + LETTING_GO_S
+    while not claim.take(fd, 0):
+        pid = os.pread(fd, 32, 0).decode("ascii", "replace").strip()
+        # A process that a supervisor was just starting when it died has the lock too, until its exec.
+        if time.monotonic() > until_s or os.path.exists(f"/proc/{pid or 'unknown'}"):
+            os.close(fd)
+            raise already_running(os.path.basename(runtime_dir), pid or "unknown")
+        time.sleep(0.002)
+    os.ftruncate(fd, 0)
+    os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
+    return fd
 
 
 def already_running(name: str, pid: int | str) -> InstanceError:
@@ -111,9 +125,7 @@ def running(runtime_dir: str) -> bool:
 
 def find(name: str) -> str:
     """Return the runtime directory of the running service of this name. Raises NoService, InstanceError."""
-    check_name(name)
-    for base in _candidates():
-        path = os.path.join(base, name)
+    for path in places(name):
         if running(path):
             return path
     raise NoService(f"no service named {name!r} is running: start it with `failstop run --name {name}`")

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from zlib import crc32
 
+from failstop.shm import box
 from failstop.shm.latest import record_bytes, slot_bytes
 from failstop.shm.mutex import BLOCKS, MUTEX_BYTES, PER_BLOCK
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 2
+LAYOUT_VERSION = 3
 SUPERVISOR_BLOCK = 0
 """The block of mutexes (mutex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
+NOTE_BYTES = 576
+"""What gate and telemetry tell people at once, at most (notes.py)."""
 PINGS = 4
 """Different pings in turn, so that an answer says which of them it answers."""
 PUBLIC = 0o644
@@ -132,6 +135,8 @@ SEGMENTS = (
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
             _latest("link", 32, "clients"),  # whether the board answers: unproven, alive or deaf (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
+            _ring("events", 512, 256, "clients"),  # what people are told (msgpack, supervisor/events.py)
+            _ring("box", box.BEATS_BYTES, box.BEATS_SLOTS, "everyone"),  # beat ages, its own bursts (box.py)
         ),
     ),
     SegmentSpec(
@@ -146,7 +151,8 @@ SEGMENTS = (
             *(_word(f"ping_{i}", "supervisor") for i in range(PINGS)),
             _latest("port", 320, "supervisor, stopper, clients"),  # its state and path (records)
             _ring("stops", 320, 32, "supervisor"),  # every stop cause that it noticed, in order (records)
-            _ring("received", 512, 256, "telemetry"),  # bytes from the board, in order
+            _ring("received", 512, 512, "telemetry"),  # bytes from the board, in order; about 4 s of them
+            _ring("box", box.WIRE_BYTES, box.WIRE_SLOTS, "everyone"),  # bytes for the board (box.py)
         ),
     ),
     SegmentSpec(
@@ -158,9 +164,10 @@ SEGMENTS = (
             _word("reset_epoch", "supervisor, its successor"),  # the epoch in which a reset last cleared the latch
             _ring("frames", 304, 64, "port_owner"),  # motion, stops, other frames for the wire (records)
             _ring("trips", 320, 32, "supervisor"),  # every latch that it made itself, in order (records)
-            _ring("notes", 288, 32, "supervisor"),  # lines for the journal (UTF-8)
+            _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _latest("state", 4096, "telemetry, clients"),  # msgpack
             *(_latest(f"reply.{i}", 320, "the client of that slot") for i in range(CLIENT_SLOTS)),
+            _ring("box", box.GATE_BYTES, box.GATE_SLOTS, "everyone"),  # every tick's command and decision (box.py)
         ),
     ),
     SegmentSpec(
@@ -179,8 +186,9 @@ SEGMENTS = (
             _latest("pad", 32, "clients"),  # records: the last frame, the mode
             _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
             _ring("wishes", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
-            _ring("notes", 288, 32, "supervisor"),  # lines for the journal (UTF-8)
+            _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _ring("events", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
+            _ring("box", box.BOARD_BYTES, box.BOARD_SLOTS, "everyone"),  # what it decoded (box.py)
         ),
     ),
     SegmentSpec(STOPPER, STOPPER, PUBLIC, (*_beat(), _word("written_ns", "everyone"))),

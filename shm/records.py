@@ -43,8 +43,6 @@ WISH_RESET = 1
 WISH_FRAME = 2
 PLUGGED = ("unknown", "plugged", "unplugged")
 PAD_MODES = ("locked", "drive")
-NOTE_BYTES = 280
-"""The longest line for the journal."""
 
 
 def life(pid: int, block: int) -> int:

@@ -6,15 +6,17 @@ restart of the service makes new segments; nothing is ever repaired.
 
 from __future__ import annotations
 
+import errno
 import mmap
 import os
+import stat
 import struct
 
 import posix_ipc
 
 from failstop.shm import slot
 from failstop.shm.latest import LatestReader, LatestWriter
-from failstop.shm.layout import BY_NAME, CLIENTS, HEADER_BYTES, LAYOUT_HASH, SEGMENTS
+from failstop.shm.layout import BY_NAME, CLIENTS, HEADER_BYTES, LAYOUT_HASH, PROCESSES, SEGMENTS
 from failstop.shm.mutex import Mutexes
 from failstop.shm.ring import RingReader, RingWriter
 from failstop.shm.views import FileView
@@ -194,20 +196,56 @@ def read_client_slot(instance: str, index: int, incarnation: int) -> Segment:
     return Segment(BY_NAME[name], incarnation, FileView(fd := _open(instance, name, False)), None, fd)
 
 
+def open_all(instance: str) -> dict[str, int]:
+    """Read-only descriptors of the processes' segments, by name, as far as they are there: what is unlinked later can
+    still be read through them. Only files of this user's: a dead run's names may have been taken by others."""
+    found = {}
+    for name in PROCESSES:
+        try:
+            fd = _open_file(instance, name, os.O_RDONLY)
+        except OSError:
+            continue
+        if os.fstat(fd).st_uid == os.geteuid():
+            found[name] = fd
+        else:
+            os.close(fd)
+    return found
+
+
+def copy(fd: int, instance: str, name: str) -> tuple[int, bytes]:
+    """A private copy of a whole segment that is open as `fd`: (incarnation, bytes). Raises AttachError."""
+    spec = BY_NAME[name]
+    incarnation = _check_header(fd, instance, spec, None)
+    data = os.pread(fd, spec.size, 0)
+    return incarnation, data
+
+
+def _open_file(instance: str, name: str, flags: int) -> int:
+    """A segment's descriptor. Raises OSError. Not by shm_open, which waits for ever on a pipe that somebody has put
+    there."""
+    fd = os.open(f"/dev/shm{shm_name(instance, name)}", flags | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
+    if not stat.S_ISREG(os.fstat(fd).st_mode):
+        os.close(fd)
+        raise OSError(errno.EINVAL, "not a regular file", shm_name(instance, name))
+    return fd
+
+
 def _open(instance: str, name: str, write: bool) -> int:
     try:
-        memory = posix_ipc.SharedMemory(shm_name(instance, name), read_only=not write)
-    except posix_ipc.ExistentialError:
+        return _open_file(instance, name, os.O_RDWR if write else os.O_RDONLY)
+    except FileNotFoundError:
         raise AttachError(
             "absent", f"no service named {instance!r} has shared memory {name}: start it with `failstop run`"
         ) from None
-    except posix_ipc.PermissionsError:
+    except PermissionError:
         raise AttachError(
             "permission",
             f"no permission on shared memory {name} of {instance!r}: join the group `failstop`, or run as its user",
         ) from None
-    fd: int = memory.fd
-    return fd
+    except OSError as error:
+        raise AttachError(
+            "damaged", f"shared memory {name} of {instance!r} can't be opened ({error.strerror}): restart the service"
+        ) from None
 
 
 def _check_header(fd: int, instance: str, spec: SegmentSpec, incarnation: int | None) -> int:

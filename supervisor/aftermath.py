@@ -12,23 +12,24 @@ import msgpack
 
 from failstop.shm import layout, records
 from failstop.supervisor.causes import Cause
-from failstop.supervisor.events import say
-from failstop.supervisor.link import Link
+from failstop.supervisor.link import ALIVE, DEAF, Link
 from failstop.supervisor.stops import LastStop
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.shm.segment import Segment
+    from failstop.supervisor.events import Events
     from failstop.supervisor.settings import Settings
 
-DEAF = "the board is deaf: use the POWER SWITCH"
+DEAF_REASON = "the board is deaf: use the POWER SWITCH"
 UNSTILL = "the wheels do not come to rest: use the POWER SWITCH"
 
 
 class Aftermath:
     """Follows the last stop, and the link. One follow() a turn."""
 
-    def __init__(self, views: dict[str, Segment], settings: Settings) -> None:
+    def __init__(self, views: dict[str, Segment], settings: Settings, events: Events) -> None:
+        self._events = events
         port_owner, telemetry = views[layout.PORT_OWNER], views[layout.TELEMETRY]
         self._record = views[layout.SUPERVISOR].latest_writer("stop")
         self._link_record = views[layout.SUPERVISOR].latest_writer("link")
@@ -38,6 +39,7 @@ class Aftermath:
         self._judged = telemetry.word("judged_ns")
         self._reset_word = views[layout.GATE].word("reset_epoch")
         self._port_record = port_owner.latest_reader("port")
+        self._written = port_owner.word("written_ns")
         self._generation = 0
         self._after_ns = settings.ns("still.after_s")
         self._command = settings.text("still.command")
@@ -68,12 +70,13 @@ class Aftermath:
         if not listening:
             self.link.listen(newest_ns)
         elif self.link.silent(newest_ns, now_ns):
-            causes.append(Cause(now_ns, layout.SUPERVISOR, DEAF))
+            causes.append(Cause(now_ns, layout.SUPERVISOR, DEAF_REASON))
         if self._follow_wheels(now_ns):
             causes.append(Cause(now_ns, layout.SUPERVISOR, UNSTILL))
         if self._last and self._last.complete(now_ns):
-            say(self._last.outcome(self.link.state))
+            self._tell_outcome(self._last)
         if self.link.state != self._published:
+            self._tell_link(self._published, self.link.state)
             self._published = self.link.state
             self._link_record.write(self._published.encode())
         return causes
@@ -85,6 +88,10 @@ class Aftermath:
         if generation != self._generation:
             self._generation = generation
             self.link.opened()
+            # Whoever opens a port writes the burst before it says so.
+            if self._last and not self._last.written_ns and self._written.get() > self._last.cause.t_ns:
+                self._last.written_at_last(self._written.get(), "port owner")
+                self._publish()
 
     def _take_answer(self) -> None:
         word = self._pong.get()
@@ -95,8 +102,7 @@ class Aftermath:
         sent_ns = self._pings[index].get()
         if not sent_ns or sent_ns > arrival_ns:
             return  # an answer to a question that nobody has asked, or that was asked anew meanwhile
-        if self.link.answered(sent_ns):
-            say("the board answers again")
+        self.link.answered(sent_ns)
         if self._last and self._last.answered(sent_ns, arrival_ns):
             self._publish()
 
@@ -110,13 +116,17 @@ class Aftermath:
             self._command_ran = False
             return False
         known = last.observed_ns is not None
-        judged_ns = self._judged.get()  # before the verdict: it may be newer than its time, never older
-        unstill = last.judged(self._still.get(), judged_ns, now_ns)
+        judged_ns = self._judged.get()
+        still_ns = self._still.get()
+        if self._judged.get() != judged_ns:
+            return False  # judged anew meanwhile: next time
+        unstill = last.judged(still_ns, judged_ns, now_ns)
         if last.observed_ns is not None and not known:
             self._command_ran = False
             self._publish()
         if unstill:
-            say(f"CRITICAL: {UNSTILL} ({last.cause.reason}; {(now_ns - last.cause.t_ns) / 1e9:.1f} s ago)")
+            text = f"CRITICAL: {UNSTILL} ({last.cause.reason}; {(now_ns - last.cause.t_ns) / 1e9:.1f} s ago)"
+            self._events.tell("unstill", text, {"reason": last.cause.reason, "epoch": last.epoch})
             self._run_command()
         return unstill
 
@@ -129,22 +139,40 @@ class Aftermath:
             words = ["/bin/sh", "-c", self._command]
             self._command_pid = os.posix_spawn(words[0], words, os.environ, setsid=True)
         except OSError as error:
-            say(f"cannot run still.command ({self._command}): {error}")
+            text = f"cannot run still.command ({self._command}): {error}"
+            self._events.tell("command", text, {"state": "failed", "reason": str(error)}, level="error")
         else:
-            say(f"still.command runs (pid {self._command_pid}): {self._command}")
+            text = f"still.command runs (pid {self._command_pid}): {self._command}"
+            self._events.tell("command", text, {"state": "runs", "pid": self._command_pid})
 
     def _reap(self) -> None:
         if self._command_pid:
             pid, status = os.waitpid(self._command_pid, os.WNOHANG)
             if pid:
                 self._command_pid = 0
-                say(f"still.command ended with code {os.waitstatus_to_exitcode(status)}")
+                code = os.waitstatus_to_exitcode(status)
+                self._events.tell("command", f"still.command ended with code {code}", {"state": "ended", "code": code})
 
     def _tell(self) -> None:
         """A stop that another one follows is told of with what is known."""
         if self._last and not self._last.told:
             self._last.told = True
-            say(self._last.outcome(self.link.state))
+            self._tell_outcome(self._last)
+
+    def _tell_outcome(self, stop: LastStop) -> None:
+        link = self.link.state
+        level = "error" if stop.unstill and stop.observed_ns is None else ""
+        self._events.tell("stop_outcome", stop.outcome(link), stop.fields(link), level=level)
+
+    def _tell_link(self, before: str, state: str) -> None:
+        if state == DEAF:
+            self._events.tell("link", "the board answers no more", {"state": state}, level="critical")
+        elif state == ALIVE:
+            again = " again" if before == DEAF else ""
+            self._events.tell("link", f"the board answers{again}", {"state": state})
+        elif before:
+            text = "whether the board hears is not known until it answers"
+            self._events.tell("link", text, {"state": state}, level="info")
 
     def _publish(self) -> None:
         if self._last:

@@ -65,12 +65,12 @@ class Child:
         self.last_exit = ""
 
     def started(self, pid: int, block: int, now_ns: int) -> None:
-        """It was just started."""
+        """It was just started. Raises OSError, and then nothing is changed."""
+        self.life = Lifeline(pid)
         self.pid = pid
         self.block = block
         self.fallen = False
         self.fence = None
-        self.life = Lifeline(pid)
         self.started_ns = now_ns
         self.restart_ns = None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from time import monotonic_ns
 
 from failstop.procs.loop import READ
@@ -10,7 +12,6 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import EarlyNews
 from failstop.shm.mutex import BLOCKS
 from failstop.supervisor.children import Child
-from failstop.supervisor.events import say
 from failstop.supervisor.restarts import Restarts
 from failstop.supervisor.starter import Starter
 from failstop.supervisor.table import PROCESSES
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from failstop.procs.loop import Loop
     from failstop.shm.mutex import Mutexes
     from failstop.shm.segment import Segment
+    from failstop.supervisor.events import Events
     from failstop.supervisor.resources import Resources
     from failstop.supervisor.settings import Settings
 
@@ -37,9 +39,11 @@ class Family:
         own: Segment,
         views: dict[str, Segment],
         mutexes: Mutexes,
+        events: Events,
     ) -> None:
         """Holds the supervisor's own mutexes from here on."""
         self._resources = resources
+        self._events = events
         self._loop = loop
         self._bells = resources.bells
         self._life_words = {process: own.word(f"{process}_life") for process in (layout.GATE, layout.PORT_OWNER)}
@@ -72,15 +76,23 @@ class Family:
     def _bury(self, child: Child, now_ns: int, burst_ns: int) -> None:
         if child.life:
             self._loop.forget(child.life.fd)
-        name, death = child.row.name, child.buried()
+        name, pid = child.row.name, child.pid
+        death = child.buried()
+        told: dict[str, str | int] = {"process": name, "pid": pid}
         if child.fence:
-            say(child.fence.story(name, child.gone_ns, burst_ns if name == layout.PORT_OWNER else 0))
+            again_ns = burst_ns if name == layout.PORT_OWNER else 0
+            times = child.fence.fields(child.gone_ns, again_ns)
+            self._events.tell("fenced", child.fence.story(name, child.gone_ns, again_ns), {**told, **times})
+        how = f"was {death}" if death.startswith("killed") else death
+        self._events.tell("died", f"{name} (pid {pid}) {how}", {**told, "how": how})
         wait_ns = child.restarts.died(now_ns)
         if wait_ns is None:
-            say(f"{name} was {death}; it died too often and stays down, the wheels stopped; next: restart the service")
+            text = f"{name} died too often and stays down, the wheels stopped; next: restart the service"
+            self._events.tell("down", text, {"process": name})
         else:
             child.restart_ns = now_ns + wait_ns
-            say(f"{name} was {death}; restarting it {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}")
+            text = f"restarting {name} {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}"
+            self._events.tell("restarting", text, {"process": name, "wait_s": wait_ns / 1e9})
 
     def arm(self) -> None:
         """A process that runs holds its mutexes: wait for the early news of its death."""
@@ -108,17 +120,29 @@ class Family:
         block = self._free_block()
         self._mutexes.prepare(block)
         try:
-            pid = self._starter.start(child.row, block, descriptors)
+            pid = self._spawn(child, block, descriptors)
         except OSError as error:
-            say(f"cannot start {name}: {error}; trying again")
+            text = f"cannot start {name}: {error}; trying again"
+            self._events.tell("start_failed", text, {"process": name, "reason": str(error)})
             child.restart_ns = monotonic_ns() + TRY_AGAIN_NS
             return
-        child.started(pid, block, monotonic_ns())
         if child.life:
             self._loop.watch(child.life.fd, READ)
         if word := self._life_words.get(name):
             word.set(records.life(pid, block))
             self._tell_watchers()
+
+    def _spawn(self, child: Child, block: int, descriptors: dict[str, int]) -> int:
+        """Start a process and take it under watch; returns its pid. Raises OSError, and then there is none."""
+        pid = self._starter.start(child.row, block, descriptors)
+        try:
+            child.started(pid, block, monotonic_ns())
+        except OSError:
+            # Out of descriptors: without its pidfd nobody would know of its death.
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+            raise
+        return pid
 
     def _free_block(self) -> int:
         """The next block of mutexes that no living process holds."""

@@ -18,16 +18,22 @@ from failstop.procs.loop import GONE, HANGUP, READ, Loop
 from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import Heartbeat
 from failstop.supervisor.aftermath import Aftermath
+from failstop.supervisor.blackbox import BlackBox
 from failstop.supervisor.causes import Cause, Causes
-from failstop.supervisor.events import say
+from failstop.supervisor.device import Device
+from failstop.supervisor.events import Events
 from failstop.supervisor.family import Family
 from failstop.supervisor.fence import Fence
+from failstop.supervisor.herald import Herald
+from failstop.supervisor.notify import Notify
 from failstop.supervisor.table import SUPERVISOR_PRIORITY
+from failstop.supervisor.teller import Teller
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.shm.ring import RingReader
     from failstop.supervisor.children import Child
+    from failstop.supervisor.journal import Journal
     from failstop.supervisor.port import OwnPort
     from failstop.supervisor.resources import Resources
     from failstop.supervisor.settings import Settings
@@ -38,23 +44,24 @@ ANSWER_NS = 5_000_000
 HURRY_NS = 1_000_000
 ALONE_EVERY_NS = 200_000_000
 """While no port owner runs, who sends zeros at this rate, the supervisor bursts at it."""
-MOST_SAID = 64
 EXCUSE_NS = 60_000_000
 """A supervisor that itself was silent for this long judges nobody by it: the whole service may have been frozen. Two
 ticks less than the shortest deadline."""
 HELD_UP_NS = 250_000_000
 """And one that was silent for this long stops: nobody has watched."""
 
-NO_REALTIME = (
-    "no real-time rights (SCHED_FIFO): on a busy machine stops come later, and some for no cause; "
-    "next: run it as root or with RLIMIT_RTPRIO of at least 40"
-)
-
 
 class Supervisor:
     """The parent's state; one turn() a wake-up."""
 
-    def __init__(self, resources: Resources, port: OwnPort, settings: Settings) -> None:
+    def __init__(
+        self,
+        resources: Resources,
+        port: OwnPort,
+        settings: Settings,
+        notify: Notify | None = None,
+        journal: Journal | None = None,
+    ) -> None:
         self._resources = resources
         self._port = port
         self.loop = Loop()
@@ -66,13 +73,16 @@ class Supervisor:
         self._epoch_word = own.word("epoch")
         self._ready_word = own.word("ready")
         mutexes = segment.attach(name, "lifelines", run, write=True).mutexes("mutexes")
-        self.family = Family(resources, settings, self.loop, own, views, mutexes)
+        self._events = Events(name, own.ring_writer("events"), journal)
+        self.teller = Teller(name, self._events, views)
+        self.family = Family(resources, settings, self.loop, own, views, mutexes, self._events)
         self.children = self.family.children
         self._early = self.family.early
         self._written_word = own.word("written_ns")
         self._cause_record = own.latest_writer("cause")
-        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings)
+        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings, self._events)
         self._table_record = own.latest_writer("processes")
+        self.blackbox = BlackBox(resources, settings, own, views, self._events)
         self._stopped_word = views[layout.PORT_OWNER].word("stopped_epoch")
         self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
         self._port_state = views[layout.PORT_OWNER].latest_reader("port")
@@ -80,20 +90,21 @@ class Supervisor:
             (layout.PORT_OWNER, views[layout.PORT_OWNER].ring_reader("stops")),
             (layout.GATE, views[layout.GATE].ring_reader("trips")),
         )
-        self._notes = tuple(views[process].ring_reader("notes") for process in (layout.GATE, layout.TELEMETRY))
         self._reset_word = views[layout.GATE].word("reset_epoch")
         self._bells = resources.bells
         self._controls = {process: Control(fds[0]) for process, fds in resources.controls.items()}
         self._causes = Causes()
+        self.herald = Herald(notify or Notify(), self.family, self._causes, views)
         self.epoch = 1
         self._epoch_word.set(1)
         self._unanswered: Cause | None = None
-        self._said: set[str] = set()
-        """Reasons that were told of since the latch."""
         self._answer_by_ns = 0
+        self._owed_ns = 0
+        """Since when a stop is neither answered nor written; 0: there is none such."""
         self._table = b""
         self._was_ready = False
         self._path = settings.text("device.path")
+        self._device = Device(self._events, monotonic_ns())
         self._turned_ns = monotonic_ns()
         self._burst_ns = 0
         self.ending = False
@@ -135,17 +146,21 @@ class Supervisor:
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
         self.family.restart_due(self._port.fd, now_ns)
-        self._pass_notes()
+        self.teller.pass_notes()
         self.family.arm()
-        self._publish()
+        self._publish(now_ns)
+        self.blackbox.follow(now_ns, ready=self._was_ready)
         self.heartbeat.beat(now_ns, self.epoch)
+        self._events.flush(now_ns, hold=self._unanswered is not None)
 
     def _burst(self) -> int:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
         if not self._port.burst():
             return 0
         self._burst_ns = monotonic_ns()
+        self._owed_ns = 0
         self._written_word.set(self._burst_ns)
+        self.blackbox.wrote(self._burst_ns)
         return self._burst_ns
 
     def _stop_alone(self, now_ns: int) -> None:
@@ -157,6 +172,7 @@ class Supervisor:
         if port_owner.state() == "down" and self._port.reopen(self._path):
             self.loop.watch(self._port.fd, HANGUP)
             self._pass_port_on()
+            self._device.back(self._path, now_ns)
         self._burst()
 
     def _held_up(self, now_ns: int) -> list[Cause]:
@@ -194,27 +210,22 @@ class Supervisor:
         self.epoch += 1
         standing = self._causes.add(causes, self.epoch, self._reset_word.get())
         if standing in causes:
-            self._said = {standing.reason}
+            self.teller.latched(standing)
         stop = records.pack_stop(self.epoch, standing.t_ns, standing.written_ns, True, standing.reason)
         self._cause_record.write(stop)
         self._ready_word.set(0)
         self._epoch_word.set(self.epoch)
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.GATE].ring()
+        self._owed_ns = self._owed_ns or monotonic_ns()
         if self._unanswered is None:
             self._unanswered = min(causes, key=lambda cause: cause.t_ns)
             self._answer_by_ns = monotonic_ns() + ANSWER_NS
         for cause in causes:
-            if cause is not self._unanswered and self._news_of(cause):
-                say(f"also: {cause.reason}")
-
-    def _news_of(self, cause: Cause) -> bool:
-        """True when this reason was not told of since the latch; several processes notice the same."""
-        if cause.reason in self._said:
-            return False
-        if len(self._said) < MOST_SAID:
-            self._said.add(cause.reason)
-        return True
+            if cause is not self._unanswered:
+                self.teller.also(cause)
+        if standing in causes and not self.ending:
+            self.blackbox.latched(standing, self.epoch)
 
     def _follow_answer(self, now_ns: int) -> None:
         """The port owner answers a raised epoch with a stop. If it does not, or could not write it, the supervisor
@@ -242,19 +253,14 @@ class Supervisor:
         """Publish the stop for people, and log it."""
         standing = self._causes.standing or cause
         self.aftermath.written(cause, written_ns, by, standing.reason, self.epoch)
-        written_us = max(0, written_ns - cause.t_ns) / 1000
-        wrote = f"stop frame written by the {by} after {written_us:.0f} us" if written_ns else "stop frame NOT written"
-        if self.ending:
-            say(f"{cause.reason}; {wrote}")
-        elif standing is cause:
-            say(f"E-STOP latched: {cause.reason}; {wrote}; next: `failstop reset`, then `failstop enable`")
-        elif self._news_of(cause):
-            say(f"stopped again: {cause.reason}; {wrote}; latched is still: {standing.reason}")
+        self.teller.stopped(cause, written_ns, by, standing, self.epoch, ending=self.ending)
 
     def _serve_descriptors(self, ready: dict[int, int]) -> None:
         """A port that has gone is let go at once; one that the port owner has opened anew is kept and passed on."""
         if ready.get(self._port.fd, 0) & GONE or records.lost_since(self._port_state.read(), self._port.since_ns):
             self._let_port_go()
+            self._device.lost(self._path, monotonic_ns())
+        self._device.follow(self._port_state.read())
         if self._controls[layout.PORT_OWNER].fd in ready:
             fd = self._controls[layout.PORT_OWNER].receive()
             if fd >= 0:
@@ -286,13 +292,7 @@ class Supervisor:
                 written_ns = self._burst() if child.row.name == layout.PORT_OWNER else 0
                 reason = f"{child.row.name} hangs: {silent_ns / 1e6:.0f} ms silent"
                 self._raise_epoch([Cause(now_ns, layout.SUPERVISOR, reason, written_ns)])
-                child.fence = Fence(now_ns, kill_ns, written_ns)
-
-    def _pass_notes(self) -> None:
-        """Lines that the processes have for the journal."""
-        for ring in self._notes:
-            while entry := ring.next():
-                say(entry[2].decode("utf-8", "replace"))
+                child.fence = Fence(now_ns, kill_ns, written_ns, silent_ns)
 
     def _missing(self) -> str:
         """What motion is still waiting for; empty when nothing."""
@@ -307,8 +307,8 @@ class Supervisor:
         stopping = self._unanswered or self._stopped_word.get() < self.epoch
         return ", ".join(absent) or ("a stop being carried out" if stopping else "")
 
-    def _publish(self) -> None:
-        """The process table and the ready word, when they change."""
+    def _publish(self, now_ns: int) -> None:
+        """The process table and the ready word, when they change, and the service manager's part."""
         missing = self._missing()
         table = msgpack.packb(
             {
@@ -331,9 +331,12 @@ class Supervisor:
         if not missing and not self._was_ready:
             self._was_ready = True
             self.heartbeat.state(heartbeat.RUNNING)
-            say(f"{self._resources.name!r} is ready: wheels stopped, motion disabled; next: `failstop enable`")
-            if not self._granted & heartbeat.REALTIME:
-                say(NO_REALTIME)
+            self.teller.ready(realtime=bool(self._granted & heartbeat.REALTIME))
+            self.herald.notify.ready()
+        self.teller.missing(missing, now_ns)
+        if self._stopped_word.get() >= self.epoch:
+            self._owed_ns = 0
+        self.herald.follow(now_ns, missing, self._owed_ns, port_open=self._port.fd >= 0)
 
     def next_ns(self, now_ns: int) -> int:
         """When to turn without any news."""
@@ -350,22 +353,26 @@ class Supervisor:
         while self._unanswered:
             self.loop.wait(monotonic_ns() + HURRY_NS)
             self._follow_answer(monotonic_ns())
+        self.herald.notify.stopping("wheels stopped; ending every process")
         self.heartbeat.state(heartbeat.STOPPING)
         for child in reversed(self.children):
             if child.pid:
                 os.kill(child.pid, signal.SIGKILL)
                 child.buried()
         written = self._burst()
-        say("stopped; the stop was written twice" if written else "stopped; the second stop could NOT be written")
+        self.teller.ended(written=written > 0)
+        self._events.flush()
+        self.blackbox.finish()
 
 
-def run(resources: Resources, port: OwnPort, settings: Settings) -> int:
+def run(resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Journal | None) -> int:
     """Run the service until SIGTERM or SIGINT; returns the exit code."""
-    supervisor = Supervisor(resources, port, settings)
+    supervisor = Supervisor(resources, port, settings, notify, journal)
     signal.signal(signal.SIGTERM, supervisor.end)
     signal.signal(signal.SIGINT, supervisor.end)
     for child in supervisor.children:
         supervisor.family.start(child, port.fd)
+    supervisor.blackbox.begin()
     rights.settle()
     ready: dict[int, int] = {}
     while not supervisor.ending:

@@ -33,6 +33,8 @@ class Resources:
         gid = client_gid()
         may_change_group = gid >= 0 and (os.geteuid() == 0 or gid in os.getgroups())
         gid = gid if may_change_group else -1
+        self.left = segment.open_all(name)
+        """The segments of a run that was not ended in order, which are unlinked now: its black box."""
         for spec in layout.SEGMENTS:
             segment.create(name, spec.name, self.incarnation, gid).close()
         # For writing alone: whoever could read them could take away the requests of others.

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 PASSED_ON = ("XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
 """Of this environment: where the runtime directory and the files of the telemetry are."""
+TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
+"""What the service manager hands over: it speaks with the supervisor alone, which takes them out of its environment."""
 
 
 def command(process: str, words: dict[str, str]) -> list[str]:
@@ -31,10 +33,7 @@ def environment(settings: Settings) -> dict[str, str]:
     """All that a process gets of the environment."""
     path = dict.fromkeys([os.path.dirname(_PACKAGE), *filter(os.path.isabs, sys.path)])
     found = {PATH_VARIABLE: os.pathsep.join(path), SETTINGS_VARIABLE: settings.lines(), "LANG": "C.UTF-8"}
-    for name in PASSED_ON:
-        if name in os.environ:
-            found[name] = os.environ[name]
-    return found
+    return found | {name: os.environ[name] for name in PASSED_ON if name in os.environ}
 
 
 def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int, port: int) -> None:
@@ -44,7 +43,8 @@ def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int
         os.set_inheritable(fd, True)
     words = {"name": name, "dir": runtime_dir, "lock": str(lock), "port": str(port)}
     arguments = command("supervisor", words)
-    os.execve(arguments[0], arguments, environment(settings))
+    handed = {name: os.environ[name] for name in TO_THE_SUPERVISOR if name in os.environ}
+    os.execve(arguments[0], arguments, environment(settings) | handed)
 
 
 class Starter:

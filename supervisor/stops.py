@@ -36,6 +36,7 @@ class LastStop:
         "_after_ns",
         "_again_ns",
         "_proved_ns",
+        "_since_ns",
         "_was_still",
         "acknowledged_ns",
         "by",
@@ -69,9 +70,19 @@ class LastStop:
         self.told = False
         """All that can be known of it was told."""
         self._was_still = True
-        self._proved_ns = written_ns or cause.t_ns
         self._after_ns = after_ns
+        self._proved_ns = written_ns or cause.t_ns
+        self._since_ns = cause.t_ns
+        """What the board is given to obey and to answer counts from here."""
         self._again_ns = cause.t_ns + after_ns
+
+    def written_at_last(self, written_ns: int, by: str) -> None:
+        """It could not be written, and now it was: the port is back."""
+        self.written_ns = written_ns
+        self.by = by
+        self.told = False
+        self._proved_ns = self._since_ns = written_ns
+        self._again_ns = written_ns + self._after_ns
 
     def answered(self, sent_ns: int, arrival_ns: int) -> bool:
         """A ping was answered; True when this acknowledges the stop."""
@@ -99,7 +110,7 @@ class LastStop:
 
     def complete(self, now_ns: int) -> bool:
         """True, once, when nothing more will be known of it: the time to tell people."""
-        age_ns = now_ns - self.cause.t_ns
+        age_ns = now_ns - self._since_ns
         if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
             return False
         if self.observed_ns is None and not self.unstill and age_ns < self._after_ns + JUDGED_WITHIN_NS:
@@ -118,6 +129,20 @@ class LastStop:
         else:
             seen = f"wheels still after {still_after(self.observed_ns / 1e9)}"
         return f"{self.cause.reason}: {heard}, {seen}"
+
+    def fields(self, link: str) -> dict[str, str | float | None]:
+        """The same for programs."""
+        acknowledged_us = None if self.acknowledged_ns is None else self.acknowledged_ns / 1e3
+        observed_ms = None if self.observed_ns is None else self.observed_ns / 1e6
+        seen = "unknown" if observed_ms is None else "still"
+        return {
+            "reason": self.cause.reason,
+            "epoch": self.epoch,
+            "link": link,
+            "acknowledged_us": acknowledged_us,
+            "observed_ms": observed_ms,
+            "wheels": "unstill" if self.unstill and observed_ms is None else seen,
+        }
 
     def as_record(self) -> dict[str, Any]:
         """What clients see."""

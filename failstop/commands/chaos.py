@@ -19,6 +19,13 @@ from failstop.faults.scene import Scene
 from failstop.faults.table import BY_NAME, TABLE
 from failstop.trial import TrialError
 
+EXAMPLES = """\
+failstop chaos                          # a minute of random faults
+failstop chaos --list
+failstop chaos --each 5 --only 'kill-*'
+failstop chaos --count 100 --seed 7 --json chaos.json
+"""
+
 SECONDS = 60.0
 STORIES = 5
 SEEDS = 1_000_000

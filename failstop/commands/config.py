@@ -23,6 +23,13 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
+EXAMPLES = """\
+failstop config                         # every value, its unit and its origin
+failstop config --config robot.toml
+failstop config --check robot.toml
+failstop config --example > robot.toml
+"""
+
 # From this many columns on, a row has room for what the setting means.
 WIDE = 100
 
@@ -41,6 +48,7 @@ GROUPS = {
     "stop": "The stop tool, `failstop stop`.",
     "key": "The keys on the board.",
     "buzzer": "The board's buzzer.",
+    "incidents": "The black box: what is kept of each latched stop.",
     "restart": "What happens to a process that died.",
     "sources": "Who may command, and who goes before whom: [sources.NAME]. "
     f"{FIRST_SOURCE} is always there; no two priorities may be equal.",

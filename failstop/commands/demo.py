@@ -16,6 +16,12 @@ LATE_MS = 50.0
 ORDER = (layout.GATE, layout.PORT_OWNER, layout.TELEMETRY, layout.STOPPER, layout.SUPERVISOR)
 
 
+EXAMPLES = """\
+failstop demo                # exit code 1 if any stop was missing or late
+failstop demo --rounds 5
+"""
+
+
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop demo`."""
     parser.add_argument("--rounds", type=int, default=1, help="how often each process is killed (default: 1)")

@@ -9,6 +9,12 @@ from failstop.commands import add_name
 from failstop.errors import Refused
 from failstop.robot import Robot
 
+EXAMPLES = """\
+failstop drive 0.1 0 0             # 0.1 m/s forward for 1 s
+failstop drive 0 0.1 0 --for 2     # to the left
+failstop drive 0.1 0 -0.5 --for 3  # forward, turning right
+"""
+
 REPEAT_S = 0.05
 
 

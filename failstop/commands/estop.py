@@ -9,6 +9,11 @@ from failstop.commands import add_name
 from failstop.errors import NoAnswer
 from failstop.robot import Robot
 
+EXAMPLES = """\
+failstop estop
+failstop estop hand near wheel
+"""
+
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop estop`."""

@@ -7,6 +7,21 @@ from argparse import ArgumentParser, Namespace
 from failstop.commands import add_name
 from failstop.robot import Robot
 
+EXAMPLES = {
+    "enable": """\
+failstop enable
+failstop enable --name left  # of the service that runs with this name
+""",
+    "disable": """\
+failstop disable             # zero at once, no ramp; nothing is latched
+failstop disable --name left
+""",
+    "reset": """\
+failstop reset               # moves nothing
+failstop reset && failstop enable
+""",
+}
+
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of the three."""

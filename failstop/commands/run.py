@@ -14,6 +14,13 @@ if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
 
+EXAMPLES = """\
+failstop run                                    # /dev/ttyACM0, default settings
+failstop run --config /etc/failstop/failstop.toml
+failstop run --name left --device /dev/ttyACM1  # a second robot on this machine
+"""
+
+
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop run`."""
     parser.add_argument("--config", metavar="FILE", help="TOML file with settings; `failstop config` lists them")

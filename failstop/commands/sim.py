@@ -10,6 +10,13 @@ from failstop.board.sim.serve import serve
 __all__ = ["add_arguments", "main"]
 
 
+EXAMPLES = """\
+failstop sim --device /tmp/board
+failstop sim --device /tmp/board --verbose      # tells every change of the wheels
+failstop sim --device /tmp/board --record board.jsonl --imu-hz 0
+"""
+
+
 def main(args: argparse.Namespace) -> int:
     """Run the board until SIGTERM or SIGINT; 0 after that, 1 with a message when it cannot be set up."""
     return serve(from_arguments(args))

@@ -39,6 +39,8 @@ class Outcome:
     events: list[Event] = dataclasses.field(default_factory=list)
     said: str = ""
     took_s: float = 0.0
+    struck: bool = True
+    """The fault was made to happen, or at least begun."""
 
     def story(self, seed: object) -> str:
         """All that is known of one that went wrong."""
@@ -91,6 +93,7 @@ class _Injection:
             scene.driver.run(scene.chance.uniform(*BEFORE_S))
             self._see()
             scene.was_moving = scene.trial.moving()
+            self.outcome.struck = True
             fault_ns = self.injector.strike(scene)
             scene.driver.each = lambda: self.injector.during(scene)
             scene.driver.run(fault.aftermath_s)
@@ -198,7 +201,7 @@ def _velocity(chance: random.Random) -> tuple[float, float, float]:
 def inject_one(scene: Scene, fault: Fault, index: int = 0, seed: object = 0, *, seen_s: float = SEEN_S) -> Outcome:
     """Inject one fault and judge it; what the row says must be seen within `seen_s`. A scene in which anything was
     wrong is made anew."""
-    outcome = Outcome(fault, index)
+    outcome = Outcome(fault, index, struck=False)
     # Of the row too: the same row at the same index is the same fault, whatever else a campaign draws.
     scene.chance = random.Random(f"{seed} {index} {fault.name}")
     if reason := inject.injector(fault).unfit():
@@ -232,9 +235,10 @@ def campaign(
     for row in rows:
         if row.name in unfit:
             yield Outcome(row, 0, skipped=unfit[row.name])
-    index = first
-    while len(unfit) < len(rows) and not until(index - first):
+    index, injected = first, 0
+    while len(unfit) < len(rows) and not until(injected):
         row = draw(rows, index, seed)
         if row.name not in unfit:
             yield inject_one(scene, row, index, seed)
+            injected += 1
         index += 1

@@ -17,11 +17,14 @@ WHOLE_S = 10.0
 class Driver:
     """Commands a velocity every 20 ms. The switches say what it leaves out; the times are of the last of each."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, client: str = "chaos", interlocks: tuple[str, ...] = (INTERLOCK,)) -> None:
+        """`client`: what others see of it; `interlocks`: what it asserts."""
         self.name = name
+        self._client = client
+        self._interlocks = interlocks
         self.velocity = (0.1, 0.0, 0.0)
         self.commands = self.senses = self.holds = True
-        self.sensed_ns = self.held_ns = 0
+        self.sensed_ns = self.held_ns = self.commanded_ns = 0
         self.each: Callable[[], None] = lambda: None
         """Called with every command."""
         self._robot: Robot | None = None
@@ -30,7 +33,7 @@ class Driver:
     def robot(self) -> Robot:
         """Connected to the run that is there now. Raises NoService, FailstopError."""
         if self._robot is None:
-            self._robot = Robot(self.name, client="chaos")
+            self._robot = Robot(self.name, client=self._client)
         return self._robot
 
     def leave(self) -> None:
@@ -43,12 +46,13 @@ class Driver:
         """One command; to a service that is gone, in vain."""
         try:
             if self.holds:
-                self.robot.hold(INTERLOCK)
+                self.robot.hold(*self._interlocks)
                 self.held_ns = time.monotonic_ns()
             if self.senses:
                 self.robot.sensed()
                 self.sensed_ns = time.monotonic_ns()
             if self.commands:
+                self.commanded_ns = time.monotonic_ns()
                 self.robot.drive(*self.velocity)
         except FailstopError:
             self.leave()
@@ -85,7 +89,7 @@ class Driver:
         def enabled() -> bool:
             nonlocal refusal
             try:
-                self.robot.hold(INTERLOCK)
+                self.robot.hold(*self._interlocks)
                 self.held_ns = time.monotonic_ns()
                 if self.robot.state.estop:
                     self.robot.reset()

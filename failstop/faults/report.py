@@ -31,10 +31,10 @@ class Row:
         if outcome.skipped:
             self.skipped = outcome.skipped
             return
-        self.count += 1
+        self.count += outcome.struck
         self.wrong += bool(outcome.wrong)
         stopped = outcome.stopped
-        if outcome.fault.bar_ms is not None and (stopped is None or stopped.stop_ns is None):
+        if outcome.struck and outcome.fault.bar_ms is not None and (stopped is None or stopped.stop_ns is None):
             self.missed += 1
         elif stopped and stopped.stop_ns is not None:
             self.motion_after += stopped.motion_after

@@ -71,7 +71,7 @@ class Scene:
         process = self.trial.service.process
         for pid in self._pids.values():
             with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGCONT) if _is_ours(pid) else None
+                os.kill(pid, signal.SIGCONT) if is_ours(pid) else None
         if process and process.poll() is None and self._stopped_by_fault():
             self.trial.service.kill()
         try:
@@ -153,13 +153,13 @@ class Scene:
 
     def _kill_rest(self) -> None:
         for pid in self._pids.values():
-            if _is_ours(pid):
+            if is_ours(pid):
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
         self._pids = {}
 
 
-def _is_ours(pid: int) -> bool:
+def is_ours(pid: int) -> bool:
     """Whether the process is still one of the service's: its number may belong to another by now."""
     try:
         with open(f"/proc/{pid}/comm", encoding="utf-8") as file:

@@ -185,7 +185,7 @@ SURROUNDINGS = (
     _asked("no-disk", MACHINE, "no space for the state files", "no-disk", "can't be written: .*No space"),
     Fault(
         "frozen", TIME, "every process frozen for 0.3 s and thawed together", "the first to wake",
-        "hangs|silent|frozen|slept", RESET, "E-STOP latched: ", 65.0, "frozen", counted_from=THAWED, weight=1,
+        "hangs|silent|frozen|slept|held up", RESET, "E-STOP latched: ", 65.0, "frozen", counted_from=THAWED, weight=1,
     ),
     Fault(
         "suspended", TIME, "the machine sleeps and wakes", "the first to wake",

@@ -16,6 +16,7 @@ from math import isfinite
 from failstop.procs.gate.interlocks import Interlocks
 from failstop.procs.gate.scan import ScanGate
 from failstop.procs.gate.sources import Command, Sources
+from failstop.shm.notes import Note
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -52,8 +53,8 @@ class GateCore:
         """The epoch that motion was enabled in; every frame carries it."""
         self.velocity = REST
         self.speeds = STILL
-        self.notes: list[str] = []
-        """Lines for the journal, in order; whoever passes them on empties the list."""
+        self.notes: list[Note] = []
+        """What people are told, in order; whoever passes them on empties the list."""
         self._unknown: set[tuple[int, str]] = set()
         self._stepped_ns = now_ns
         self._sent_ns = 0
@@ -100,7 +101,8 @@ class GateCore:
         unknown = (command.session, command.source)
         if unknown not in self._unknown and len(self._unknown) < MOST_UNKNOWN:
             self._unknown.add(unknown)
-            self.notes.append(f"command from {command.who} ignored: no source {command.source!r} in the settings")
+            text = f"command from {command.who} ignored: no source {command.source!r} in the settings"
+            self.notes.append(Note("ignored", text, {"who": command.who, "source": command.source}))
 
     def driver_gone(self, session: int) -> bool:
         """A client has gone; True when it had commands that counted: they are dropped."""
@@ -146,7 +148,7 @@ class GateCore:
         unmet = self.interlocks.unmet(now_ns) if self.enabled else ""
         if unmet:
             self.stand_still()
-            self.notes.append(f"motion disabled: {unmet}")
+            self.notes.append(Note("disabled", f"motion disabled: {unmet}", {"reason": unmet}))
         return unmet
 
     def reset(self, epoch: int) -> tuple[bool, str]:

@@ -11,10 +11,12 @@ from failstop.board.interface import BOARD
 from failstop.procs.gate import kinematics
 from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
+from failstop.procs.gate.remarks import Budget, of_request
 from failstop.procs.gate.sources import PAD, Command
 from failstop.procs.loop import READ, Loop
-from failstop.shm import bell, instance, layout, records
+from failstop.shm import bell, box, instance, layout, records
 from failstop.shm.heartbeat import HeartbeatReader
+from failstop.shm.notes import Note
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -43,6 +45,7 @@ class Gate:
         self._max_rps = settings.max_wheel_rps() * 1.0005
         now_ns = monotonic_ns()
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
+        self._budget = Budget(now_ns)
 
         self._epoch_word = supervisor.word("epoch")
         self._ready_word = supervisor.word("ready")
@@ -54,6 +57,7 @@ class Gate:
         self._trips = own.ring_writer("trips")
         self._notes = own.ring_writer("notes")
         self._state = own.latest_writer("state")
+        self._box = box.GateBox(own.ring_writer("box"))
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._port_owner_bell = context.bell("port_owner_bell")
         self.supervisor_bell = context.bell("supervisor_bell")
@@ -137,6 +141,7 @@ class Gate:
             self._write_stop("an interlock was lost")
         self._check_supervisor(now_ns)
         self._step(now_ns)
+        self._box.tick(now_ns, self.core, self.epoch)
 
     def _check_supervisor(self, now_ns: int) -> None:
         """The port owner admits nothing without it: then nobody is to be told that motion is enabled."""
@@ -145,10 +150,10 @@ class Gate:
             self.trip(f"supervisor hangs: silent for {silent_ns / 1e6:.0f} ms", now_ns)
 
     def _tell(self) -> None:
-        """Pass the core's lines on to the journal."""
+        """Pass on what people are told."""
         if self.core.notes:
             for note in self.core.notes:
-                self._notes.put(records.cut(note, records.NOTE_BYTES))
+                self._notes.put(note.pack())
             self.core.notes.clear()
             self.supervisor_bell.ring()
 
@@ -177,7 +182,8 @@ class Gate:
         while wish := self._wishes.next():
             kind, frame = records.unpack_wish(wish[2])
             if kind == records.WISH_RESET:
-                self.core.notes.append(f"gamepad: {self._reset()[1]}")
+                latched = self.core.latch
+                self._remark(records.RESET, "gamepad", 0, *self._reset(), now_ns, latched=latched)
             elif kind == records.WISH_FRAME:
                 self._frames.put(records.pack_frame(self.epoch, records.OTHER, frame), now_ns)
                 self._port_owner_bell.ring()
@@ -201,6 +207,7 @@ class Gate:
 
     def client_command(self, command: Command, now_ns: int) -> None:
         """A new command moves the wheels at once, not at the next tick."""
+        self._box.command(command)
         if fault := self.core.take(command, now_ns):
             self.trip(fault, now_ns)
         else:
@@ -216,6 +223,7 @@ class Gate:
 
     def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
         """Decide, act, answer. Who asked before a stop did not know of it."""
+        enabled, latched = self.core.enabled, self.core.latch
         if verb in (records.ENABLE, records.RESET) and asked_ns < self._stopped_ns:
             done, text = False, f"asked before the last stop ({self._why()}): see to that, then ask again"
         elif verb == records.ENABLE:
@@ -230,6 +238,27 @@ class Gate:
             done, text = False, f"unknown request {verb}"
         self._publish(now_ns)
         self._replies[slot.index].write(records.pack_reply(slot.session, number, done, text))
+        self._remark(verb, slot.name, slot.pid, done, text, now_ns, enabled=enabled, latched=latched)
+
+    def _remark(
+        self,
+        verb: int,
+        who: str,
+        pid: int,
+        done: bool,
+        text: str,
+        now_ns: int,
+        *,
+        enabled: bool = False,
+        latched: str | None,
+    ) -> None:
+        """Tell people who has asked for what, with what effect."""
+        note = of_request(verb, who, pid, done, text, enabled=enabled, latched=latched)
+        if note and self._budget.spend(now_ns):
+            self.core.notes.append(note)
+            if unsaid := self._budget.unsaid:
+                self._budget.unsaid = 0
+                self.core.notes.append(Note("note", f"and {unsaid} more requests, too many to tell of each"))
 
     def client_gone(self, slot: Slot, now_ns: int) -> None:
         """Its claim is gone: if it was the one that drives, the wheels stand at once."""

@@ -3,6 +3,8 @@ delivers; manual ones are exempt. It blocks without latching: motion resumes by 
 
 from __future__ import annotations
 
+from failstop.shm.notes import Note
+
 
 class ScanGate:
     """When the sensor delivered last, and whether its silence blocks now."""
@@ -32,15 +34,18 @@ class ScanGate:
         """Since the last delivery; None when there was none."""
         return (now_ns - self.delivered_ns) * 1e-9 if self.delivered_ns else None
 
-    def note(self, now_ns: int, *, blocks: bool) -> str:
-        """A line for the journal when the block comes or goes, with the sensor's age; else empty."""
+    def note(self, now_ns: int, *, blocks: bool) -> Note | None:
+        """What people are told when the block comes or goes, with the sensor's age; else None."""
         if blocks == self._blocks:
-            return ""
+            return None
         age_s = self.age_s(now_ns)
         if blocks:
             self._blocks = True
-            return f"no scan for {age_s:.2f} s: wheels stopped" if age_s is not None else "no scan yet: wheels stand"
+            if age_s is None:
+                return Note("scan", "no scan yet: wheels stand", {"state": "silent"})
+            return Note("scan", f"no scan for {age_s:.2f} s: wheels stopped", {"state": "silent", "age_s": age_s})
         if self.silent(now_ns):
-            return ""  # something else holds the wheels now; the sensor is not back
+            return None  # something else holds the wheels now; the sensor is not back
         self._blocks = False
-        return f"scan is back (age {age_s or 0:.2f} s): motion resumes by itself"
+        text = f"scan is back (age {age_s or 0:.2f} s): motion resumes by itself"
+        return Note("scan", text, {"state": "back", "age_s": age_s or 0.0}, level="info")

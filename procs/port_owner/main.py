@@ -79,7 +79,7 @@ class PortOwner:
         self._watched = (-1, 0)
         self.epoch = self._epoch_word.get()
 
-        self.wire = Wire(context.fd("port"))
+        self.wire = Wire(context.fd("port"), own.ring_writer("box"))
         self.reopener = Reopener(settings.text("device.path"))
         self._control = Control(context.fd("control"))
         self.wire.burst()

@@ -7,6 +7,11 @@ import select
 
 from failstop.board import port
 from failstop.board.interface import BOARD
+from failstop.shm import box
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.shm.ring import RingWriter
 
 BURST = BOARD.burst
 
@@ -17,9 +22,11 @@ DRAIN_NS = 100_000_000
 class Wire:
     """The open port. `lost` turns true when the device has gone; nothing is written from then on."""
 
-    __slots__ = ("_held_since_ns", "_refused", "fd", "lost", "unsent")
+    __slots__ = ("_box", "_held_since_ns", "_refused", "fd", "lost", "unsent")
 
-    def __init__(self, fd: int) -> None:
+    def __init__(self, fd: int, written: RingWriter | None = None) -> None:
+        """`written`: the black box's ring, told of everything after it was written."""
+        self._box = written
         self.fd = fd
         self.lost = fd < 0
         self.unsent = b""
@@ -55,14 +62,22 @@ class Wire:
             return
         begun = self.unsent if BURST.endswith(self.unsent) else b""
         data = begun + BURST
-        self.unsent = data[self._write(data) :]
+        taken = self._write(data)
+        self.unsent = data[taken:]
+        self._note(box.BURST, data, taken)
+
+    def _note(self, kind: int, data: bytes, taken: int) -> None:
+        if self._box and not self.lost:
+            self._box.put(box.pack_wire(kind, data, taken))
 
     def frame(self, data: bytes, backlog: int = 0) -> bool:
         """Write one frame. False, with nothing of it written or kept, when the kernel holds more than `backlog` unsent
         bytes or takes none: what is kept for later would be late."""
         if self.lost or self.unsent or self._held() > backlog:
+            self._note(box.FRAME, data, 0)
             return False
         taken = self._write(data)
+        self._note(box.FRAME, data, taken)
         if self.lost or not taken:
             return False
         self.unsent = data[taken:]
@@ -71,7 +86,9 @@ class Wire:
     def flush(self) -> None:
         """Go on with what the kernel did not take."""
         if self.unsent and not self.lost:
-            self.unsent = self.unsent[self._write(self.unsent) :]
+            taken = self._write(self.unsent)
+            self._note(box.REST, self.unsent, taken)
+            self.unsent = self.unsent[taken:]
 
     def stuck(self, now_ns: int) -> bool:
         """True when bytes have been held back for DRAIN_NS; asked once a tick."""

@@ -23,11 +23,13 @@ from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
 from failstop.procs.telemetry.tones import Tones
 from failstop.procs.telemetry.trips import Trips
-from failstop.shm import bell, records
+from failstop.shm import bell, box, records
+from failstop.shm.notes import Note
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.context import Context
+    from failstop.shm.notes import Fields
     from failstop.shm.segment import Segment
 
 TICK_NS = 50_000_000
@@ -58,6 +60,7 @@ class Telemetry:
         self._events = own.ring_writer("events")
         self._wishes = own.ring_writer("wishes")
         self._notes = own.ring_writer("notes")
+        self._box = own.ring_writer("box")
         self._stop_pipe = context.fd("stop")
         self._bell = context.bell("bell")
         self._gate_bell = context.bell("gate_bell")
@@ -72,6 +75,7 @@ class Telemetry:
         self._decoder = decoder.Decoder()
         self._trips = Trips(int(settings["pad.mode_button"]), int(settings["key.stop"]))
         self._pad = Pad.of(settings, self._trips)
+        self._pad_mode = records.PAD_MODES[self._pad.mode]
         self._tones = Tones(on=settings.on("buzzer.tones"))
         self._accelerometer = Accelerometer.of(settings)
         self._gyro = GyroBias.of(settings)
@@ -124,15 +128,16 @@ class Telemetry:
         if frame := self._tones.follow(self._gate.latched, self._pad.mode):
             self._wish(records.WISH_FRAME, frame)
         self._publish(now_ns)
+        self._tell_pad_mode()
         for line in self._files.notes():
-            self._note(line)
+            self._note("disk", line)
         self.heartbeat.beat(now_ns, self._epoch_word.get())
 
     def _follow_gate(self, now_ns: int) -> None:
         """What the gate does now, for all who go by it."""
         gate = self._gate
         self._odometry.follow(gate.velocity, gate.since_ns or now_ns)
-        self._note(self._gyro.follow(gate.moving, now_ns))
+        self._note_gyro(self._gyro.follow(gate.moving, now_ns))
         self._charger.follow(gate.enabled, now_ns)
         self._pad.follow(gate.latched, now_ns)
 
@@ -145,7 +150,10 @@ class Telemetry:
             self._decoder.reset()
 
     def _publish_still(self) -> None:
-        # In this order: what was judged last is never shown with a verdict from before it.
+        # In this order, and read the other way round: a time is never shown with a verdict from before it, and the
+        # lack of a verdict never with a time.
+        if not self._still.judged_ns:
+            self._judged_word.set(0)
         self._still_word.set(self._still.still_ns)
         self._judged_word.set(self._still.judged_ns)
 
@@ -165,11 +173,21 @@ class Telemetry:
             self._bias_flags = flags
             self._records["bias"].write(records.pack_bias(gyro.bias_radps, *flags), now_ns)
 
-    def _note(self, line: str) -> None:
-        """A line for the journal; the supervisor writes it."""
-        if line:
-            self._notes.put(records.cut(line, records.NOTE_BYTES))
-            self.supervisor_bell.ring()
+    def _note(self, kind: str, text: str, fields: Fields | None = None, *, level: str = "") -> None:
+        """Tell people something; the supervisor passes it on."""
+        self._notes.put(Note(kind, text, fields, level=level).pack())
+        self.supervisor_bell.ring()
+
+    def _note_gyro(self, text: str) -> None:
+        if text:
+            self._note("gyro", text, level="warning" if text.startswith(imu.NOT_STATIONARY) else "")
+
+    def _tell_pad_mode(self) -> None:
+        """Whether the sticks move the wheels is what people want to know of a pad."""
+        mode = records.PAD_MODES[self._pad.mode]
+        if mode != self._pad_mode:
+            self._pad_mode = mode
+            self._note("pad", f"gamepad mode: {mode}", {"mode": mode})
 
     def _wish(self, kind: int, frame: bytes = b"") -> None:
         self._wishes.put(records.pack_wish(kind, frame))
@@ -186,21 +204,25 @@ class Telemetry:
             raw_radps = imu.radps(gx, gy, gz)
             note = self._gyro.take(raw_radps, t_ns)
             acceleration = self._accelerometer.mps2(ax, ay, az)
-            self._records["imu"].write(records.pack_imu(acceleration, self._gyro.corrected(raw_radps)), t_ns)
+            rate_radps = self._gyro.corrected(raw_radps)
+            self._records["imu"].write(records.pack_imu(acceleration, rate_radps), t_ns)
+            self._box.put(box.pack_imu(acceleration, rate_radps), t_ns)
             was_still = self._still.still_ns > 0
             self._still.take(raw_radps[0], raw_radps[1], t_ns)
             self._publish_still()
             if was_still != (self._still.still_ns > 0):
                 self.supervisor_bell.ring()
-            self._note(note)
+            self._note_gyro(note)
 
     def _on_system(self, data: bytes, t_ns: int) -> None:
         if millivolts := decoder.battery_mv(data):
             if self._charger.take(millivolts, t_ns):
                 name = records.PLUGGED[self._charger.state]
                 self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")
-                self._note(f"charger {name}: the battery stepped to {millivolts} mV")
+                text = f"charger {name}: the battery stepped to {millivolts} mV"
+                self._note("charger", text, {"state": name, "battery_mv": millivolts})
             self._records["battery"].write(records.pack_battery(millivolts, self._charger.state), t_ns)
+            self._box.put(box.pack_battery(millivolts, self._charger.state), t_ns)
             if due := self._log.take(millivolts, self._gate.enabled, t_ns, time.time()):
                 self._files.append(BATTERY_LOG, due[0], HEADER, due[1])
 
@@ -213,11 +235,13 @@ class Telemetry:
                 self._gate_bell.ring()
             if news.reset:
                 self._wish(records.WISH_RESET)
-                self._note("gamepad: MODE was held, reset requested")
+                self._note("pad", "gamepad: MODE was held, reset requested")
             self._records["pad"].write(records.pack_pad(*sample, self._pad.mode), t_ns)
+            self._box.put(box.pack_pad(sample, self._pad.mode), t_ns)
             if news.reason:
                 self._events.put(msgpack.packb({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
-                self._note(f"{news.reason}; last frames: {self._pad.recent()}")
+                text = f"{news.reason}; last frames: {self._pad.recent()}"
+                self._note("pad", text, {"reason": news.reason})
 
     def _on_key(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.key(data):

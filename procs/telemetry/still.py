@@ -55,7 +55,7 @@ class StillJudge:
         knows. A window that begins with the end of a movement is quiet as soon as the rest outweighs it, so this may be
         0.2 s early after a straight drive at 0.2 m/s, 0.4 s after a turn at 1.0 rad/s, and before the stop itself."""
         self.judged_ns = 0
-        """The last sample, once there is a window to judge; 0: there is none."""
+        """The last sample that there is a verdict of; 0: there is none, as while the first quiet windows must hold."""
 
     def take(self, gx_radps: float, gy_radps: float, t_ns: int) -> None:
         """One sample, finite, with its bias or without. About 2 us."""
@@ -63,12 +63,10 @@ class StillJudge:
             self._start(t_ns)
         self._last_ns = t_ns
         self._slide(round(gx_radps * UNITS_PER_RADPS), round(gy_radps * UNITS_PER_RADPS), t_ns)
-        self.judged_ns = 0
-        if t_ns - self._begun_ns >= WINDOW_NS and len(self._samples) >= LEAST_SAMPLES:
-            self._judge(t_ns)
-        if not self.judged_ns:
+        self.judged_ns = self.still_ns = 0
+        whole = t_ns - self._begun_ns >= WINDOW_NS and len(self._samples) >= LEAST_SAMPLES
+        if not (whole and self._judge(t_ns)):
             self._quiet_ns = (0, 0)
-            self.still_ns = 0
 
     def _start(self, t_ns: int) -> None:
         self._samples.clear()
@@ -92,20 +90,21 @@ class StillJudge:
             squares_y -= y * y
         self._sums = (sum_x, squares_x, sum_y, squares_y)
 
-    def _judge(self, t_ns: int) -> None:
+    def _judge(self, t_ns: int) -> bool:
+        """True when this window is quiet."""
         sum_x, squares_x, sum_y, squares_y = self._sums
         count = len(self._samples)
         # The variance times count x (count - 1).
         spread_x = count * squares_x - sum_x * sum_x
         spread_y = count * squares_y - sum_y * sum_y
         if not spread_x and not spread_y:
-            return  # one value again and again is a sensor that has died, which proves nothing
-        self.judged_ns = t_ns
+            return False  # one value again and again is a sensor that has died, which proves nothing
         if max(spread_x, spread_y) >= self._limit * (count * (count - 1)):
-            self._quiet_ns = (0, 0)
-            self.still_ns = 0
-            return
+            self.judged_ns = t_ns
+            return False
         if not self._quiet_ns[0]:
             self._quiet_ns = (self._samples[0][0], t_ns)
         if t_ns - self._quiet_ns[1] >= HOLD_NS:
+            self.judged_ns = t_ns
             self.still_ns = self._quiet_ns[0]
+        return True

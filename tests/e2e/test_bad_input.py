@@ -128,8 +128,8 @@ def test_nothing_is_left_behind(name: str) -> None:
     with Trial(name) as trial:
         runtime = Path(instance.find(name))
         assert trial.service.end() == 0
-    assert not [found for found in os.listdir("/dev/shm") if name in found]
-    assert {found.name for found in runtime.iterdir()} <= {"lock"}
+        assert not [found for found in os.listdir("/dev/shm") if name in found]
+        assert {found.name for found in runtime.iterdir()} <= {"lock"}
 
 
 def test_client_of_another_version(trial: Trial, failstop: Cli, monkeypatch: pytest.MonkeyPatch) -> None:

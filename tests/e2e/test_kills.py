@@ -10,7 +10,7 @@ from failstop.errors import Refused
 from failstop.shm import layout
 from failstop.trial import Trial
 
-KILLS = 20
+KILLS = 8
 LATEST_MS = 100
 """A generous absolute limit for shared and busy machines; the bars are in the bench, beside their floor."""
 

@@ -10,6 +10,8 @@ import psutil
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.client import attach
+from failstop.shm import layout
 from failstop.trial import Trial, judge, wait_for
 
 
@@ -100,6 +102,25 @@ def test_lost_and_returned_port(trial: Trial) -> None:
     assert stopped.stop_ns is not None
     assert stopped.motion_after == 0
     trial.recover("port_owner", pid)
+
+
+def test_a_long_absence_of_a_standing_robot_is_no_motion(trial: Trial) -> None:
+    """The IMU needs a while after the return before it says anything, and its silence is no shaking."""
+    wait_for("the IMU's word", lambda: attach(trial.name, layout.TELEMETRY).word("still_ns").get())
+    trial.enable()
+    trial.board.unplug()
+    lost_s = time.monotonic()
+    wait_for("the latch", lambda: trial.robot.state.estop == "device lost")
+    wait_for("longer than wheels may take to stand", lambda: time.monotonic() - lost_s > 1.8)
+    trial.board.replug()
+    wait_for("the IMU's word", lambda: (stop := trial.robot.state.last_stop) and stop.observed_ms == 0)
+    stop = trial.robot.state.last_stop
+    assert stop
+    assert stop.reason == "device lost"
+    assert stop.written_us is not None, "the burst at the return is its stop"
+    assert stop.written_us > 1.8e6
+    wait_for("the board's answer", lambda: (stop := trial.robot.state.last_stop) and stop.acknowledged_us)
+    assert "CRITICAL" not in trial.service.said()
 
 
 def _holders(trial: Trial) -> list[str]:

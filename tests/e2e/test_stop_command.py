@@ -15,7 +15,7 @@ import pytest
 from failstop import cli
 from failstop.board.burst import BURST
 from failstop.commands import stop
-from failstop.procs.stopper import tool
+from failstop.procs.stopper import rest, tool
 
 Cli = Callable[..., "subprocess.CompletedProcess[str]"]
 Waits = list[tuple[str, float]]
@@ -108,6 +108,81 @@ def test_a_wait_without_an_end_is_refused(wait: str, asked: Waits, capsys: pytes
     assert cli.main(["stop", f"--wait={wait}"]) == 1
     assert asked == []
     assert capsys.readouterr().err == f"failstop: --wait = {float(wait)!r}: allowed is 0 to 3600 s\n"
+
+
+@pytest.fixture
+def service(monkeypatch: pytest.MonkeyPatch, asked: Waits) -> list[object]:
+    """As if systemd ran it, after the service; what is done, in order. What was killed is what `left` says."""
+    done: list[object] = []
+
+    def kill(timeout_s: float) -> tuple[int, int]:
+        done.append("killed")
+        assert asked == [], "the port is not touched before"
+        return 2, 0
+
+    monkeypatch.setenv("SERVICE_RESULT", "watchdog")
+    monkeypatch.setattr(rest, "of_a_service", lambda: True)
+    monkeypatch.setattr(rest, "kill", kill)
+    return done
+
+
+def test_the_end_of_the_service_kills_the_rest_first(
+    service: list[object], asked: Waits, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["stop", "--end-service"]) == 0
+    assert service == ["killed"]
+    assert capsys.readouterr().err == "failstop: killed what was left of the service: 2 processes\n"
+
+
+def test_the_end_of_the_service_has_its_own_deadline(service: list[object], asked: Waits) -> None:
+    assert cli.main(["stop", "--end-service", "--device", "/dev/board"]) == 0
+    [(device, wait_s)] = asked
+    assert device == "/dev/board"
+    assert stop.END_SERVICE_S - 1.0 < wait_s <= stop.END_SERVICE_S
+
+
+def test_a_shorter_wait_stays(service: list[object], asked: Waits) -> None:
+    assert cli.main(["stop", "--end-service", "--wait", "3"]) == 0
+    assert asked == [("/dev/ttyACM0", 3.0)]
+
+
+def test_what_does_not_end_is_said(
+    service: list[object], asked: Waits, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rest, "kill", lambda timeout_s: (3, 1))
+    assert cli.main(["stop", "--end-service"]) == 0
+    assert "1 of them have not ended within 1 s" in capsys.readouterr().err
+    assert len(asked) == 1, "the stop is tried all the same"
+
+
+def test_a_group_that_cannot_be_read_costs_no_stop(
+    service: list[object], asked: Waits, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> tuple[int, int]:
+        raise PermissionError(13, "Permission denied", "/proc/self/cgroup")
+
+    monkeypatch.setattr(rest, "kill", fails)
+    assert cli.main(["stop", "--end-service"]) == 0
+    assert "cannot kill what is left of the service" in capsys.readouterr().err
+    assert len(asked) == 1
+
+
+@pytest.mark.parametrize(("result", "in_service"), [(None, True), ("success", False)])
+def test_by_hand_it_ends_nothing(
+    result: str | None,
+    in_service: bool,
+    service: list[object],
+    asked: Waits,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It would kill the caller's whole login."""
+    if result is None:
+        monkeypatch.delenv("SERVICE_RESULT")
+    monkeypatch.setattr(rest, "of_a_service", lambda: in_service)
+    assert cli.main(["stop", "--end-service"]) == 1
+    assert (service, asked) == ([], [])
+    assert "by hand use `failstop stop` without it" in capsys.readouterr().err
 
 
 def test_the_setting_is_declared_once() -> None:

@@ -15,6 +15,7 @@ from failstop.faults.campaign import Outcome, draw, inject_one
 from failstop.faults.judge import verdict
 from failstop.faults.scene import Scene
 from failstop.faults.table import BY_NAME, TABLE
+from failstop.trial import judge
 
 MS = 1_000_000
 FAULT_NS = 10_000 * MS
@@ -37,6 +38,13 @@ def wrong(*times: tuple[float, bool], fault: str = "kill-gate", was_moving: bool
 
 def test_a_stop_in_time_and_for_good() -> None:
     assert wrong((-10, True), (0.2, True), (0.5, False), (20, False)) == []
+
+
+def test_a_board_that_obeys_no_stop_is_no_error_of_the_judge() -> None:
+    told = dataclasses.replace(event(0, 1.0, STILL), speeds=(0.1, 0.0, 0.0, 0.0))
+    found = judge([told], FAULT_NS, True)
+    assert found.stop_ns == MS
+    assert found.still_ns is None
 
 
 def test_no_stop() -> None:
@@ -77,11 +85,12 @@ def test_what_is_counted() -> None:
         stopped, found = verdict(KILL_GATE, events, FAULT_NS, True)
         tally.add(Outcome(KILL_GATE, 0, stopped, wrong=found, events=events))
     tally.add(Outcome(BY_NAME["suspended"], 0, skipped="no sleep"))
+    tally.add(Outcome(KILL_GATE, 0, wrong=["no service to kill"], struck=False))
     result = tally.as_dict()
-    assert (result["count"], result["missed"], result["motion_after"], result["wrong"]) == (3, 1, 1, 2)
+    assert (result["count"], result["missed"], result["motion_after"], result["wrong"]) == (3, 1, 1, 3)
     assert result["rows"][0]["max_ms"] == 4.0
     assert result["rows"][1]["skipped"] == "no sleep"
-    assert len(result["stories"]) == 2
+    assert len(result["stories"]) == 3
     assert "seed 7" in tally.stories[0]
     assert "MOTION" in tally.stories[0]
     assert "not here: no sleep" in tally.table()

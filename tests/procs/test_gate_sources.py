@@ -32,6 +32,10 @@ class Gate:
         if enabled:
             assert self.core.enable(1, "", self.now)[0]
 
+    def told(self) -> list[str]:
+        """What people are told, in words."""
+        return [note.text for note in self.core.notes]
+
     def command(self, vx: float, source: str = "cmd_vel", session: int = 1, manual: bool = False) -> str:
         who = f"{source} {session}"
         return self.core.take(Command(session, who, self.now, (vx, 0.0, 0.0), manual=manual, source=source), self.now)
@@ -122,7 +126,7 @@ def test_a_source_that_no_setting_names_is_noted_and_moves_nothing() -> None:
     gate.scan()
     assert gate.command(0.1, "navv") == ""
     assert gate.tick() == 0
-    assert gate.core.notes == ["command from navv 1 ignored: no source 'navv' in the settings"]
+    assert gate.told() == ["command from navv 1 ignored: no source 'navv' in the settings"]
 
 
 def test_an_unknown_source_is_told_of_once_for_each_session_and_name() -> None:
@@ -130,7 +134,7 @@ def test_an_unknown_source_is_told_of_once_for_each_session_and_name() -> None:
     for session in (1, 2, 1, 2):
         for source in ("a", "b", "a"):
             assert gate.command(0.1, source=source, session=session) == ""
-    assert [note.split(" ignored")[0] for note in gate.core.notes] == [
+    assert [text.split(" ignored")[0] for text in gate.told()] == [
         "command from a 1",
         "command from b 1",
         "command from a 2",
@@ -169,11 +173,11 @@ def test_motion_resumes_by_itself_from_zero_and_both_are_logged_with_the_age() -
     for _ in range(40):
         gate.command(0.1)
         gate.tick()
-    assert gate.core.notes == ["no scan for 0.52 s: wheels stopped"]
+    assert gate.told() == ["no scan for 0.52 s: wheels stopped"]
     gate.scan()
     gate.command(0.1)
     assert gate.tick() == pytest.approx(0.01), "along the ramp"
-    assert gate.core.notes[1:] == ["scan is back (age 0.02 s): motion resumes by itself"]
+    assert gate.told()[1:] == ["scan is back (age 0.02 s): motion resumes by itself"]
 
 
 def test_before_the_first_scan_nothing_moves() -> None:
@@ -181,7 +185,7 @@ def test_before_the_first_scan_nothing_moves() -> None:
     gate.command(0.1)
     assert gate.tick() == 0
     assert gate.blocked == "no scan"
-    assert gate.core.notes == ["no scan yet: wheels stand"]
+    assert gate.told() == ["no scan yet: wheels stand"]
 
 
 def test_manual_commands_are_exempt() -> None:
@@ -226,7 +230,7 @@ def test_losing_one_disables_and_does_not_latch() -> None:
     assert gate.blocked == "disabled"
     assert gate.core.latch is None
     assert gate.core.velocity == REST
-    assert gate.core.notes == ["motion disabled: arm is not in the drive pose"]
+    assert gate.told() == ["motion disabled: arm is not in the drive pose"]
     gate.core.interlocks.hold(["arm"], gate.now, gate.now)
     gate.tick()
     assert gate.blocked == "disabled", "what comes back does not enable"
@@ -272,7 +276,7 @@ def test_every_loss_and_every_return_is_logged_once() -> None:
             gate.tick()
         gate.scan()
         gate.core.step(gate.now)
-        assert gate.core.notes == [
+        assert gate.told() == [
             "no scan for 0.52 s: wheels stopped",
             "scan is back (age 0.00 s): motion resumes by itself",
         ]
@@ -287,7 +291,7 @@ def test_a_silent_sensor_is_not_back_because_something_else_blocks() -> None:
     gate.core.notes.clear()
     gate.tick(400 * MS)
     assert gate.blocked == "cmd timeout"
-    assert gate.core.notes == []
+    assert gate.told() == []
 
 
 def test_the_table_of_sources_says_the_priority() -> None:

@@ -57,7 +57,7 @@ def test_a_start_on_a_port_that_has_just_gone_is_a_device_lost(tmp_path: Path, m
     scene.close()
 
 
-def unplugged_first(fd: int) -> wire_module.Wire:
+def unplugged_first(fd: int, _written: object = None) -> wire_module.Wire:
     made = wire_module.Wire(fd)
     made.lost = True
     return made

@@ -128,7 +128,7 @@ def test_the_hash_is_reproducible() -> None:
 @pytest.mark.parametrize(
     ("pattern", "replacement"),
     [
-        (r"LAYOUT_VERSION = 2", "LAYOUT_VERSION = 3"),
+        (r"LAYOUT_VERSION = \d+", "LAYOUT_VERSION = 99"),
         (r"CLIENT_SLOTS = 8", "CLIENT_SLOTS = 7"),
         (r"PUBLIC = 0o644", "PUBLIC = 0o640"),
         (r"HEADER_BYTES = 128", "HEADER_BYTES = 192"),

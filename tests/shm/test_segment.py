@@ -191,12 +191,20 @@ def test_a_link_in_the_way_is_replaced_and_not_followed(name: str, tmp_path: obj
     with open(victim, "w") as file:
         file.write("precious")
     os.symlink(victim, path_of(name, "gate"))
-    with pytest.raises(OSError, match=r"symbolic links"):
+    with pytest.raises(segment.AttachError, match=r"symbolic links"):
         segment.attach(name, "gate", RUN)
     segment.create(name, "gate", RUN).close()
     segment.attach(name, "gate", RUN)
     with open(victim) as file:
         assert file.read() == "precious"
+
+
+def test_a_pipe_in_the_way_is_not_waited_for(name: str) -> None:
+    os.mkfifo(path_of(name, "supervisor"))
+    with pytest.raises(segment.AttachError, match=r"not a regular file"):
+        segment.attach(name, "supervisor", RUN)
+    assert segment.living_supervisor(name) == 0
+    segment.unlink(name, "supervisor")
 
 
 @needs_root

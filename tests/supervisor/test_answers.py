@@ -19,7 +19,10 @@ from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import main
 from failstop.supervisor.causes import Cause
-from failstop.supervisor.main import ANSWER_NS, Supervisor
+from failstop.supervisor.fence import Fence
+from failstop.supervisor.health import OWED_NS, UNDYING_NS
+from failstop.supervisor.main import ALONE_EVERY_NS, ANSWER_NS, Supervisor
+from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
 from failstop.supervisor.settings import Settings
@@ -33,9 +36,7 @@ class Scene:
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_ns = 40_000 * MS
-        self.said: list[str] = []
         monkeypatch.setattr(main, "monotonic_ns", lambda: self.now_ns)
-        monkeypatch.setattr(main, "say", self.said.append)
         monkeypatch.setattr(rights, "take_rights", lambda priority: 0)
         self.master, slave = pty.openpty()
         tty.setraw(slave)
@@ -49,6 +50,7 @@ class Scene:
         self.gate = segment.attach(name, layout.GATE, write=True)
         self.stop_record = segment.attach(name, layout.SUPERVISOR).latest_reader("stop")
         self.word = segment.attach(name, layout.SUPERVISOR).word
+        self._events = segment.attach(name, layout.SUPERVISOR).ring_reader("events")
         child = self.supervisor.family[layout.PORT_OWNER]
         child.pid = 2**31 - 1  # no such process; it beats at every turn, so that nobody kills it
         self.port_owner.word("beat_pid").set(child.pid)
@@ -80,6 +82,13 @@ class Scene:
             return os.read(self.master, 65536)
         except BlockingIOError:
             return b""
+
+    def events(self) -> list[dict[str, Any]]:
+        """What people were told since the last call."""
+        found = []
+        while entry := self._events.next():
+            found.append(msgpack.unpackb(entry[2]))
+        return found
 
     def told(self) -> dict[str, Any]:
         entry = self.stop_record.read()
@@ -151,7 +160,7 @@ def test_a_device_lost_is_said_to_be_not_written(scene: Scene) -> None:
     scene.answers()
     scene.supervisor.turn(scene.supervisor.loop.wait(0))
     assert scene.told() == {"reason": "device lost", "written_by": "supervisor", "written_us": None}
-    assert "stop frame NOT written" in scene.said[-1]
+    assert "stop frame NOT written" in scene.events()[-1]["text"]
 
 
 def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) -> None:
@@ -236,3 +245,98 @@ def test_the_first_cause_is_the_one_that_is_latched(scene: Scene) -> None:
     assert entry is not None
     assert records.unpack_stop(entry[2])[4] == "the first"
     assert scene.supervisor.epoch == 3, "each is a stop of its own"
+
+
+def test_people_are_told_when_the_stop_is_out_and_not_before(scene: Scene) -> None:
+    scene.trip("multiple cmd_vel publishers")
+    scene.notice("key1", written_ns=scene.now_ns + 50_000)
+    scene.turn()
+    assert scene.word("epoch").get() == 2
+    assert scene.events() == [], "the port owner has not answered yet"
+    scene.answers()
+    scene.turn(MS)
+    also, stop = scene.events()
+    assert (also["kind"], also["fields"]) == (
+        "stop_also",
+        {"reason": "multiple cmd_vel publishers", "noticed_by": "gate"},
+    )
+    assert (stop["kind"], stop["level"]) == ("stop", "warning")
+    assert stop["fields"] == {
+        "reason": "key1",
+        "noticed_by": "port_owner",
+        "written_by": "port owner",
+        "latency_us": 50.0,
+        "epoch": 2,
+    }
+
+
+def test_no_event_is_sent_before_the_burst(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a port owner that has died, and of one that does not answer."""
+    order: list[str] = []
+    real_burst, real_send = scene.supervisor._port.burst, scene.supervisor._events._send
+
+    class Port:
+        fd, since_ns = scene.port.fd, scene.port.since_ns
+
+        def burst(self) -> bool:
+            order.append("burst")
+            return real_burst()
+
+    def send(*told: Any) -> None:
+        order.append("event")
+        real_send(*told)
+
+    scene.supervisor._port = Port()  # type: ignore[assignment]
+    monkeypatch.setattr(scene.supervisor._events, "_send", send)
+    scene.trip("the first")
+    scene.supervisor._events.tell("note", "from before")
+    scene.turn()
+    assert order == []
+    scene.turn(ANSWER_NS)
+    assert order[:2] == ["burst", "event"]
+
+
+def fill(fd: int) -> None:
+    """A port that takes nothing more."""
+    refused = 0
+    while refused < 20:
+        try:
+            os.write(fd, bytes(1))
+            refused = 0
+        except BlockingIOError:
+            refused += 1
+
+
+def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, tmp_path: Path) -> None:
+    """And only while there is a port to write it to."""
+    notify = Notify(str(tmp_path / "nobody"), 2)
+    scene.supervisor.herald.notify = notify
+    scene.supervisor.family[layout.PORT_OWNER].pid = 0
+    fill(scene.port.fd)
+    scene.trip()
+    scene.supervisor.turn({})
+    scene.now_ns += OWED_NS - MS
+    scene.supervisor.turn({})
+    assert scene.supervisor.herald.fault == ""
+    scene.now_ns += MS
+    scene.supervisor.turn({})
+    assert scene.supervisor.herald.fault == "a stop could not be written for 2 s"
+    for _ in range(3):  # the first of them makes room
+        scene.turn(ALONE_EVERY_NS)
+    assert scene.supervisor.herald.fault == "", "written at last"
+    notify.close()
+
+
+def test_a_killed_process_that_does_not_go_is_what_the_watchdog_is_for(scene: Scene, tmp_path: Path) -> None:
+    notify = Notify(str(tmp_path / "nobody"), 2)
+    scene.supervisor.herald.notify = notify
+    telemetry = scene.supervisor.family[layout.TELEMETRY]
+    telemetry.pid, telemetry.fence = 2**31 - 1, Fence(scene.now_ns, scene.now_ns, 0)
+    scene.turn()
+    assert scene.supervisor.herald.fault == ""
+    scene.turn(UNDYING_NS)
+    assert scene.supervisor.herald.fault == "telemetry was killed 10 s ago and is not gone"
+    telemetry.pid = 0
+    scene.turn()
+    assert scene.supervisor.herald.fault == ""
+    notify.close()

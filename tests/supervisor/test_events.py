@@ -1,15 +1,24 @@
-"""Lines for people: one each, and never a reason to stop working."""
+"""Events: lines for people, entries for the journal, slots for programs - and never a reason to stop working."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import select
+import socket
+import time
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
+import msgpack
 import pytest
 
-from failstop.supervisor.events import say
+from failstop.shm import layout, segment
+from failstop.shm.ring import RingReader
+from failstop.supervisor import kinds
+from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, Events, entry, pack, say
+from failstop.supervisor.journal import Journal
 
 
 @contextlib.contextmanager
@@ -69,3 +78,136 @@ def test_a_closed_stderr_is_no_error() -> None:
     finally:
         os.dup2(saved, 2)
         os.close(saved)
+
+
+class Scene:
+    """Events with a ring of their own, and a journal's socket."""
+
+    def __init__(self, directory: Path) -> None:
+        self.name = f"v{os.getpid()}x{time.monotonic_ns()}"
+        segment.create(self.name, layout.SUPERVISOR, 7).close()
+        own = segment.attach(self.name, layout.SUPERVISOR, write=True)
+        self._reader: RingReader = own.ring_reader("events")
+        self._path = str(directory / "journal")
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self._socket.bind(self._path)
+        self._journal = Journal(self._path)
+        self.events = Events(self.name, own.ring_writer("events"), self._journal)
+
+    def ring(self) -> list[dict[str, Any]]:
+        found = []
+        while slot := self._reader.next():
+            found.append(msgpack.unpackb(slot[2]))
+        return found
+
+    def journal(self) -> list[bytes]:
+        found = []
+        while select.select((self._socket,), (), (), 0)[0]:
+            found.append(self._socket.recv(65536))
+        return found
+
+    def lose_the_journal(self) -> None:
+        self._socket.close()
+        os.unlink(self._path)
+
+    def close(self) -> None:
+        self._journal.close()
+        self._socket.close()
+        segment.unlink_all(self.name)
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    made = Scene(tmp_path)
+    yield made
+    made.close()
+
+
+def test_an_event_goes_to_the_journal_and_into_the_ring_and_not_to_stderr(scene: Scene, pipe: tuple[int, int]) -> None:
+    before = time.time()
+    with stderr_is(pipe[1]):
+        scene.events.tell("enabled", "motion enabled by nav (pid 7)", {"who": "nav", "pid": 7, "left_out": None})
+        scene.events.flush()
+    assert not select.select((pipe[0],), (), (), 0)[0]
+    (found,) = scene.ring()
+    assert before <= found.pop("t") <= time.time()
+    t_ns = found.pop("ns")
+    assert found == {
+        "kind": "enabled",
+        "level": "notice",
+        "text": "motion enabled by nav (pid 7)",
+        "fields": {"who": "nav", "pid": 7},
+    }
+    assert scene.journal() == [
+        (
+            "MESSAGE=motion enabled by nav (pid 7)\nPRIORITY=5\nMESSAGE_ID=3bfd144a1c00461f861da553c93614d9\n"
+            f"SYSLOG_IDENTIFIER=failstop\nFAILSTOP_EVENT=enabled\nFAILSTOP_NAME={scene.name}\n"
+            f"FAILSTOP_MONOTONIC_NS={t_ns}\nFAILSTOP_WHO=nav\nFAILSTOP_PID=7\n"
+        ).encode()
+    ]
+
+
+def test_without_its_journal_an_event_is_a_line_on_stderr(scene: Scene, pipe: tuple[int, int]) -> None:
+    scene.lose_the_journal()
+    with stderr_is(pipe[1]):
+        scene.events.tell("stop", "E-STOP latched: key1", {"reason": "key1"})
+        scene.events.flush()
+    assert os.read(pipe[0], 1000) == b"failstop: E-STOP latched: key1\n"
+    assert len(scene.ring()) == 1
+
+
+def test_a_journal_that_is_full_holds_nobody_up(scene: Scene, pipe: tuple[int, int]) -> None:
+    with stderr_is(pipe[1]):
+        for _ in range(2 * MOST_WAITING):
+            scene.events.tell("note", "again")
+            scene.events.flush()
+    told = len(scene.journal())
+    assert 0 < told < 2 * MOST_WAITING, "the rest went to stderr"
+    assert os.read(pipe[0], 1_000_000).count(b"failstop: again\n") == 2 * MOST_WAITING - told
+
+
+def test_nothing_is_sent_before_flush_and_not_while_a_stop_is_on_its_way(scene: Scene) -> None:
+    scene.events.tell("stop_also", "also: key1", {"reason": "key1"})
+    now_ns = time.monotonic_ns()
+    scene.events.flush(now_ns, hold=True)
+    assert scene.ring() == scene.journal() == []
+    scene.events.flush(now_ns, hold=False)
+    assert len(scene.ring()) == len(scene.journal()) == 1
+
+
+def test_a_stop_that_can_not_be_written_does_not_hold_events_for_ever(scene: Scene) -> None:
+    scene.events.tell("note", "here")
+    scene.events.flush(time.monotonic_ns() + LONGEST_HOLD_NS, hold=True)
+    assert [event["text"] for event in scene.ring()] == ["here"]
+
+
+def test_a_kind_that_nobody_knows_is_a_note_and_a_level_too(scene: Scene) -> None:
+    scene.events.tell("surprise", "boo", level="loud")
+    scene.events.tell("scan", "scan is back", level="info")
+    scene.events.flush()
+    assert [(event["kind"], event["level"]) for event in scene.ring()] == [("note", "info"), ("scan", "info")]
+    assert b"PRIORITY=6\n" in scene.journal()[1]
+
+
+@pytest.mark.parametrize("size", [1, 47, 200, 5_000, 100_000])
+def test_every_event_fits_into_its_slot(size: int) -> None:
+    fields: dict[str, str | int | float] = {"reason": "\u2713" * size, "who": "\udcff" * size, "epoch": 2**63}
+    data = pack(2**62, 1.7e9, "stop_outcome", "critical", "\u2713" * size, fields)
+    assert len(data) <= ROOM
+    found = msgpack.unpackb(data)
+    assert (found["kind"], found["ns"]) == ("stop_outcome", 2**62)
+    assert found["text"].startswith("\u2713")
+    assert found["fields"].keys() == fields.keys()
+
+
+def test_fields_that_do_not_fit_however_short_are_left_out() -> None:
+    data = pack(1, 1.0, "note", "info", "text", {f"field_{i}": "x" * 30 for i in range(100)})
+    assert len(data) <= ROOM
+    assert msgpack.unpackb(data)["fields"] == {}
+
+
+def test_the_journal_s_entry_has_a_level_and_an_id_for_every_kind() -> None:
+    for kind in kinds.KINDS:
+        found = dict(entry("x", 1, kind.name, kind.level, "text", {}))
+        assert 2 <= int(found["PRIORITY"]) <= 6
+        assert found["MESSAGE_ID"] == kind.message_id

@@ -72,6 +72,19 @@ def test_a_silent_imu_judges_nothing(still_ns: int) -> None:
     assert last.observed_ns is None
 
 
+def test_a_stop_that_could_be_written_only_later_is_proven_from_then_on() -> None:
+    last = stop(0)
+    assert last.complete(T0 + AFTER + JUDGED_WITHIN_NS)
+    back_ns = T0 + 5_000 * MS
+    last.written_at_last(back_ns, "port owner")
+    assert last.as_record()["written_us"] == 5_000_000.0
+    assert not last.answered(back_ns - 1, back_ns + MS)
+    assert not last.judged(0, back_ns + 1_400 * MS, back_ns + 1_400 * MS), "the wheels have their time from then"
+    assert last.judged(0, back_ns + AFTER, back_ns + AFTER)
+    assert last.answered(back_ns, back_ns + 3 * MS)
+    assert last.complete(back_ns + AFTER), "and it is told again"
+
+
 def test_it_is_told_once_when_all_is_known() -> None:
     last = stop()
     last.answered(T0 + MS, T0 + 2 * MS)

@@ -22,6 +22,7 @@ from failstop.procs.telemetry.main import Telemetry
 from failstop.shm import bell, layout, records, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
+from failstop.shm.notes import Note
 from failstop.shm.segment import Segment
 from failstop.supervisor.settings import Settings
 
@@ -148,7 +149,7 @@ class Scene:
         return found
 
     def notes(self) -> list[str]:
-        return [line.decode() for line in self.told("notes")]
+        return [Note.unpack(note).text for note in self.told("notes")]
 
     def stop_requests(self) -> bytes:
         return bell.take(self._stop)

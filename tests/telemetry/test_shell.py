@@ -238,11 +238,11 @@ def test_a_directory_that_can_t_be_made_is_a_line_in_the_journal(scene: Scene) -
     assert records.unpack_battery(scene.latest("battery") or b"") == (11_800, 0)
 
 
-def test_a_line_for_the_journal_is_at_most_280_bytes(scene: Scene) -> None:
-    scene.telemetry._note("é" * 500)
-    (line,) = scene.told("notes")
-    assert len(line) == 280
-    assert set(line.decode()) == {"é"}
+def test_what_people_are_told_is_at_most_280_bytes(scene: Scene) -> None:
+    scene.telemetry._note("note", "é" * 500, {"reason": "x" * 5000})
+    (text,) = scene.notes()
+    assert len(text.encode()) == 280
+    assert set(text) == {"é"}
 
 
 def test_frames_that_make_no_sense_are_not_passed_on(scene: Scene) -> None:

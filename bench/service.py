@@ -1,0 +1,141 @@
+"""The unit on a real systemd: the stop times where systemd has a part, and how soon the service is there.
+
+The board is outside the container and judges as everywhere. Times include what the machine's own systemd takes: the
+stop tool is started by it, and its timers may be late by a quarter of a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import random
+import signal
+import sys
+from collections.abc import Callable
+from typing import NamedTuple
+
+from bench import stats
+from bench.container import ContainerMissing
+from bench.service_scene import HARDY, UNIT, Scene
+from failstop.machine import facts
+from failstop.trial import Stopped, wait_for
+
+WATCHDOG_MS = 1000.0
+"""The unit's WatchdogSec."""
+HANG_S = 1.6
+"""By then systemd has acted on a hang."""
+ENABLE = "systemctl --quiet enable failstop.service\n"
+
+
+class Fault(NamedTuple):
+    """One kind of end: its row, its bar, what is done to the service, how long the board is watched."""
+
+    label: str
+    p99_ms: float
+    cause: Callable[[Scene], Callable[[], object]]
+    aftermath_s: float
+    restarted: bool
+
+
+FAULTS = (
+    Fault("SIGKILL of the supervisor", 5.0, lambda scene: scene.kill("supervisor"), 0.25, True),
+    Fault("SIGKILL of every process at once", 250.0, lambda scene: scene.kill_all, 0.4, True),
+    Fault("`systemctl stop`", 50.0, lambda scene: lambda: scene.box.ctl("stop", UNIT), 0.25, False),
+    Fault(
+        "hang of the supervisor",
+        100.0,
+        lambda scene: scene.signal(signal.SIGSTOP, scene.pid("supervisor")),
+        HANG_S,
+        True,
+    ),
+)
+
+
+class Samples:
+    """What was seen of one kind of fault."""
+
+    def __init__(self) -> None:
+        self.stops: list[Stopped] = []
+        self.started_ns: list[int] = []
+        """From the fault to the exec of the next supervisor."""
+
+
+def measure(kills: int, seed: int, progress: Callable[[str], None]) -> list[stats.Row]:
+    """Each fault `kills` times, a third as often where systemd waits for a second, as often the boot; or one row that
+    says why nothing can be measured here."""
+    chance = random.Random(seed)
+    found = {fault: Samples() for fault in FAULTS}
+    try:
+        with Scene(HARDY) as scene:
+            for turn in range(kills):
+                for fault in FAULTS:
+                    if fault.aftermath_s < 1 or turn % 3 == 0:
+                        progress(f"systemd, round {turn + 1} of {kills}: {fault.label}")
+                        _sample(scene, fault, found[fault], chance.uniform(0.1, 0.2))
+        boots = [_boot(progress) for _ in range(max(3, kills // 3))]
+    except ContainerMissing as missing:
+        return [stats.Row("the unit on a real systemd", f"skipped: {missing}", "-", None, {"skipped": str(missing)})]
+    return _rows(found, boots)
+
+
+def _sample(scene: Scene, fault: Fault, samples: Samples, drive_s: float) -> None:
+    scene.start()
+    try:
+        stopped = scene.fault(fault.cause(scene), drive_s, fault.aftermath_s)
+        samples.stops.append(stopped)
+        if fault.restarted:
+            scene.recover(1)
+            started_us = scene.box.show(UNIT, "ExecMainStartTimestampMonotonic")["ExecMainStartTimestampMonotonic"]
+            samples.started_ns.append(int(started_us) * 1000 - stopped.fault_ns)
+    finally:
+        scene.end()
+
+
+def _boot(progress: Callable[[str], None]) -> int:
+    """ns from the start of systemd to the service's READY."""
+    progress("systemd, boot to ready")
+    with Scene(setup=ENABLE) as scene:
+        wait_for("it to be ready", scene.ready)
+        began = scene.box.show("", "UserspaceTimestampMonotonic")["UserspaceTimestampMonotonic"]
+        ready = scene.box.show(UNIT, "ActiveEnterTimestampMonotonic")["ActiveEnterTimestampMonotonic"]
+    return (int(ready) - int(began)) * 1000
+
+
+def _rows(found: dict[Fault, Samples], boots: list[int]) -> list[stats.Row]:
+    rows = []
+    for fault, samples in found.items():
+        times = [stopped.stop_ns for stopped in samples.stops if stopped.stop_ns is not None]
+        rows.append(stats.timing(f"systemd: {fault.label} -> stop frame", times, p50_ms=None, p99_ms=fault.p99_ms))
+        if samples.started_ns:
+            bar = WATCHDOG_MS + 300 if fault.aftermath_s == HANG_S else None
+            label = f"systemd: {fault.label} -> the service is started anew"
+            rows.append(stats.timing(label, samples.started_ns, p50_ms=None, p99_ms=bar))
+    rows.append(stats.timing("systemd: boot -> READY", boots, p50_ms=None, p99_ms=1000.0))
+    every = [stopped for samples in found.values() for stopped in samples.stops]
+    rows.append(stats.count("systemd: stops missed", sum(s.stop_ns is None for s in every), len(every)))
+    rows.append(stats.count("systemd: motion frames after the stop", sum(s.motion_after for s in every), len(every)))
+    rows.append(stats.count("systemd: wheels found at rest", sum(not s.was_moving for s in every), len(every)))
+    return rows
+
+
+def main() -> int:
+    """Measure alone and print the rows; exit code 1 when a bar is missed."""
+    parser = argparse.ArgumentParser(prog="python -m bench.service", description=__doc__)
+    parser.add_argument("--kills", type=int, default=30, help="of each kind (default: 30)")
+    parser.add_argument("--seed", type=int, default=1, help="of the random moments")
+    parser.add_argument("--json", metavar="FILE", help="write the rows there too")
+    arguments = parser.parse_args()
+    rows = measure(arguments.kills, arguments.seed, lambda text: None)
+    for row in rows:
+        print(f"{row.measure}\n    {row.result}" + ("" if row.met is None else f"\n    bar: {row.bar}, met: {row.met}"))
+    if arguments.json:
+        os.makedirs(os.path.dirname(arguments.json) or ".", exist_ok=True)
+        with open(arguments.json, "w", encoding="utf-8") as file:
+            json.dump({"machine": facts(), "rows": [dataclasses.asdict(row) for row in rows]}, file, indent=2)
+    return 1 if any(row.met is False for row in rows) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,63 @@
+"""The journal's message catalog, from the table of kinds: `python -m failstop.catalog FILE` writes it; for a file
+FILE.md, it writes the table of docs/journal.md into it, between its two marks.
+
+Write it anew when supervisor/kinds.py changes: a test compares the two.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from failstop.supervisor.kinds import KINDS, Kind
+
+HEAD = """\
+# What `journalctl -x` says below an entry of failstop. Made from supervisor/kinds.py by `python -m failstop.catalog`:
+# do not edit. Install as /usr/lib/systemd/catalog/failstop.catalog, then run `journalctl --update-catalog`.
+"""
+BEGIN = "<!-- kinds: made by `python -m failstop.catalog docs/journal.md` -->"
+END = "<!-- end of kinds -->"
+
+
+def entry(kind: Kind) -> str:
+    """The catalog's entry of one kind."""
+    return f"-- {kind.message_id}\nSubject: {kind.subject}\nDefined-By: failstop\n\n{kind.body}\n"
+
+
+def text() -> str:
+    """The whole file."""
+    return "\n".join([HEAD, *map(entry, KINDS)])
+
+
+def table() -> str:
+    """The kinds as a Markdown table."""
+    rows = ["| kind | level | its fields (`FAILSTOP_...`) | MESSAGE_ID |", "|---|---|---|---|"]
+    for kind in KINDS:
+        fields = ", ".join(f"`{field.upper()}`" for field in kind.fields)
+        rows.append(f"| `{kind.name}` | {kind.level} | {fields} | `{kind.message_id}` |")
+    return "\n".join(rows)
+
+
+def with_table(page: str) -> str:
+    """A page with the table of kinds between its marks."""
+    head, _, rest = page.partition(BEGIN)
+    return f"{head}{BEGIN}\n{table()}\n{END}{rest.partition(END)[2]}"
+
+
+def main(words: list[str]) -> int:
+    """Write the catalog to the file that is named, or to the standard output."""
+    if words and words[0].endswith(".md"):
+        with open(words[0], "r+", encoding="utf-8") as page:
+            made = with_table(page.read())
+            page.seek(0)
+            page.truncate()
+            page.write(made)
+    elif words:
+        with open(words[0], "w", encoding="utf-8") as file:
+            file.write(text())
+    else:
+        sys.stdout.write(text())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

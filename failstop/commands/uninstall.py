@@ -1,0 +1,61 @@
+"""`failstop uninstall`: takes away what `failstop install` put there."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from failstop.install import InstallError, dialogue, look, parts, plan, unplan
+from failstop.install.do import Doer
+from failstop.install.machine import Machine
+from failstop.shm import instance
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+EXAMPLES = """\
+failstop uninstall --dry-run            # only show what would be removed
+sudo failstop uninstall                 # stop it, remove it; configuration and logs stay
+sudo failstop uninstall --purge --yes   # these too
+sudo failstop uninstall --name front    # only this robot's instance
+"""
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop uninstall`."""
+    parser.add_argument("--dry-run", action="store_true", help="show what would be done and change nothing")
+    parser.add_argument("--yes", action="store_true", help="do not ask")
+    parser.add_argument("--purge", action="store_true", help="configuration, logs, incidents and the user too")
+    parser.add_argument("--name", help="only this instance (default: everything)")
+    parser.add_argument("--root", metavar="DIR", help="in this directory, the root of another system")
+    parser.add_argument("--json", action="store_true", help="what would be done, for programs; implies --dry-run")
+
+
+def main(arguments: Namespace) -> int:
+    """Uninstall. Raises InstallError or Refused; then nothing is changed."""
+    live = arguments.root is None
+    dry = arguments.dry_run or arguments.json
+    if not dry:
+        dialogue.need_root()
+        if live:
+            dialogue.need_systemd()
+    if not live and not os.path.isdir(arguments.root):
+        raise InstallError(f"--root {arguments.root}: no such directory")
+    name = instance.check_name(arguments.name) if arguments.name else plan.Wish.name
+    wish = plan.Wish(name, "", os.path.abspath(arguments.root or "/"), live)
+    found = look.look(wish, parts.of_this_version().units)
+    make = unplan.uninstall_instance if arguments.name else unplan.uninstall
+    made = make(wish, found, arguments.purge)
+    if arguments.json:
+        print(dialogue.as_json(made))
+        return 0
+    print(f"to be removed{'' if live else f' from {wish.root}'}:\n\n{dialogue.as_text(made)}\n")
+    if dry:
+        return 0
+    dialogue.consent("The wheels stop. Go ahead?" if made.restarts else "Go ahead?", arguments.yes)
+    dialogue.undo_when_ended()
+    for what in Doer(wish.root, Machine()).do(made.steps):
+        print(f"failstop: {what}: remove it by hand", file=sys.stderr)
+    print("done")
+    return 0

@@ -1,0 +1,242 @@
+"""The facts that the checks judge: plain values, gathered once. None stands for what could not be found out."""
+
+from __future__ import annotations
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class User:
+    """Somebody who is to open the port."""
+
+    name: str
+    uid: int
+    gids: frozenset[int]
+
+
+@dataclasses.dataclass(frozen=True)
+class Node:
+    """The device's file."""
+
+    path: str
+    resolved: str
+    """The path behind all links."""
+    character: bool
+    pseudo: bool
+    """A pseudo-terminal, as the simulated board's."""
+    mode: int
+    uid: int
+    gid: int
+    group: str
+    usb_id: str | None = None
+    """vendor:product in hexadecimal."""
+    product: str = ""
+    modem_ignored: bool | None = None
+    """Whether udev tells ModemManager to leave it alone."""
+    acl: bool = False
+    """Access is refined by an access control list."""
+    accessible: bool = False
+    """This process may read and write it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Holder:
+    """A process that has the device open."""
+
+    pid: int
+    name: str
+    unit: str = ""
+    """Its systemd service, if it is in one."""
+    ours: bool = False
+    """One of the processes of the running service of this name."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Rights:
+    """What this process may ask the kernel for."""
+
+    realtime_limit: int
+    """Highest SCHED_FIFO priority by limit; 0: none."""
+    memory_limit: int
+    """Bytes that may be locked; -1: no limit."""
+    nice_capability: bool
+    """CAP_SYS_NICE: real-time whatever the limit."""
+    lock_capability: bool
+    """CAP_IPC_LOCK: locked memory whatever the limit."""
+    realtime_granted: bool
+    """The kernel did give SCHED_FIFO when asked."""
+    runtime_us: int | None = None
+    """kernel.sched_rt_runtime_us: of each second, what real-time processes may use; -1: no limit, 0: none."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Clock:
+    """The clocks."""
+
+    source: str | None
+    available: tuple[str, ...]
+    backward_ns: int
+    """The furthest that CLOCK_MONOTONIC went back between two readings; 0: never."""
+    resolution_ns: int
+    synchronized: bool | None
+    offset_s: float | None
+    """That the kernel still has to correct."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Leftover:
+    """Shared memory of an instance whose service is not running."""
+
+    instance: str
+    segments: int
+    size: int
+    owner: str
+    ours: bool
+    """The service's user could remove it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SharedMemory:
+    """/dev/shm."""
+
+    present: bool
+    writable: bool
+    free: int | None
+    needed: int
+    leftovers: tuple[Leftover, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Process:
+    """A process of the running service."""
+
+    name: str
+    pid: int
+    realtime: bool
+    memory_locked: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Service:
+    """The running service."""
+
+    pid: int
+    version: str
+    same_layout: bool
+    problem: str = ""
+    """Why its state can't be read, in one line."""
+    user: str = ""
+    device: str = ""
+    device_state: str = ""
+    link: str = ""
+    enabled: bool = False
+    latched: str = ""
+    waiting_for: str = ""
+    processes: tuple[Process, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Unit:
+    """Its systemd unit."""
+
+    name: str
+    load: str
+    active: str
+    sub: str
+    enabled: str
+    result: str
+    user: str
+    needs_reload: bool
+    main_pid: int
+    restarts: int
+    """By systemd itself, since the last start by a person or the boot."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RemoveIpc:
+    """Whether logind deletes the shared memory of a user whose last session ends."""
+
+    on: bool
+    origin: str
+    """The file that says so; empty: systemd's default."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Idle:
+    """A sleep state of the processor that is in use."""
+
+    name: str
+    exit_us: int
+    """What waking from it takes."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Cpu:
+    """The processor."""
+
+    cores: int
+    governors: tuple[str, ...]
+    """Each that some core uses; empty: frequency is not scaled here."""
+    slowest_idle: Idle | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Ticks:
+    """How late a process was woken, against the moments that it asked for."""
+
+    realtime: bool
+    count: int
+    median_us: float
+    p99_us: float
+    worst_us: float
+
+
+@dataclasses.dataclass(frozen=True)
+class StopTest:
+    """One writer's burst, and the board's answer to a ping behind it."""
+
+    writer: str
+    written: bool
+    answered_ms: float | None
+    """From before the burst to the answer; None: there was none."""
+    problem: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Facts:
+    """Everything. The defaults are for what was not looked at."""
+
+    name: str
+    device: str
+    device_origin: str
+    user: User
+    service_user: User | None
+    """The account of the installed service; None: there is none."""
+    rights: Rights
+    clock: Clock
+    memory: SharedMemory
+    cpu: Cpu
+    lease_s: float
+    period_s: float
+    settings_file: str = ""
+    """Where the settings come from; empty: the defaults."""
+    settings_problem: str = ""
+    """What is wrong with them, in one line; they are then not used here."""
+    node: Node | None = None
+    candidates: tuple[tuple[str, str], ...] = ()
+    """(path, description) of serial devices, when the one that was asked for is not there."""
+    holders: tuple[Holder, ...] = ()
+    unseen_processes: int = 0
+    """Whose open files this user may not see."""
+    grabbers: tuple[Holder, ...] = ()
+    """Running programs that are known to open serial ports by themselves."""
+    service: Service | None = None
+    systemd: bool = False
+    unit: Unit | None = None
+    remove_ipc: RemoveIpc | None = None
+    ticks: tuple[Ticks, ...] = ()
+    stops: tuple[StopTest, ...] = ()
+    stop_skipped: str = ""
+    """Why the stop path was not tested."""
+    stop_wanted: bool = False
+    """It was asked for, or there is no service that it could disturb."""

@@ -1,0 +1,118 @@
+"""What the facts of the service, its unit and its stop path mean. Pure."""
+
+from __future__ import annotations
+
+from failstop.doctor.facts import Facts
+from failstop.doctor.finding import Finding, fail, ok, warn
+from failstop.doctor.service_facts import client_version, unit_name
+
+FIRST_REGULAR_UID = 1000
+"""logind spares system users (below this, as Debian and Ubuntu count)."""
+SLOW_ANSWER_MS = 100.0
+"""The burst takes 4 ms on the wire, ping and answer 0.2; a service leaves 50 ms between two pings."""
+
+
+def running(facts: Facts) -> list[Finding]:
+    """The service of this name."""
+    service = facts.service
+    if service is None:
+        return ok(f"no service named {facts.name!r} runs")
+    if service.problem:
+        return []
+    where = f"{facts.name!r} runs (pid {service.pid}, user {service.user})"
+    if service.waiting_for:
+        return warn(f"{where} and waits for {service.waiting_for}", f"failstop status --name {facts.name}")
+    if service.link == "deaf":
+        return fail(f"{where}, and the board does not answer: use the POWER SWITCH", "cut the motors' power")
+    if service.link == "unproven":
+        return warn(f"{where}; the board has not answered a ping yet", "failstop status; is it the right device?")
+    motion = f"stopped: {service.latched}" if service.latched else "enabled" if service.enabled else "disabled"
+    return ok(f"{where}, device {service.device_state}, the board answers, motion {motion}")
+
+
+def settings(facts: Facts) -> list[Finding]:
+    """The settings that a start would read."""
+    if facts.settings_problem:
+        text = f"{facts.settings_problem}: the service does not start with them"
+        return fail(text, "failstop config --check FILE, after the correction")
+    return ok(facts.settings_file or "no file: every setting has its default")
+
+
+def version(facts: Facts) -> list[Finding]:
+    """Service and client speak the same layout."""
+    service = facts.service
+    if service is None:
+        return ok(f"this is failstop {client_version()}")
+    if service.problem:
+        return fail(service.problem, f"sudo systemctl restart {unit_name(facts.name)}")
+    if service.version != client_version():
+        text = f"the service is {service.version}, this command {client_version()}; they still understand each other"
+        return warn(text, f"sudo systemctl restart {unit_name(facts.name)}")
+    return ok(f"service and command are failstop {service.version}")
+
+
+def unit(facts: Facts) -> list[Finding]:
+    """Its systemd unit."""
+    if not facts.systemd:
+        return ok("systemd does not run here: nothing restarts a service that died")
+    found = facts.unit
+    name = unit_name(facts.name)
+    if found is None:
+        return warn("systemd does not answer this user", "sudo failstop doctor")
+    if found.load == "not-found":
+        return warn(f"no unit {name}: nobody starts the service at boot or after a death", "sudo failstop install")
+    if found.load != "loaded":
+        return fail(f"{name} is {found.load}", f"systemd-analyze verify {name}")
+    if found.active == "failed" or found.result not in ("", "success"):
+        return fail(f"{name} is {found.active} (result: {found.result})", f"journalctl -xeu {name}")
+    if found.restarts:
+        text = f"{name} is {found.active} ({found.sub}), and systemd has restarted it {found.restarts} times"
+        return (warn if found.active == "active" else fail)(text, f"journalctl -xeu {name}")
+    if found.needs_reload:
+        return warn(f"{name} has changed on disk since systemd read it", "sudo systemctl daemon-reload")
+    if facts.service and found.active == "active" and found.main_pid != facts.service.pid:
+        text = f"{facts.name!r} runs as pid {facts.service.pid}, which is not of {name} (pid {found.main_pid})"
+        return warn(text, f"failstop status --name {facts.name}")
+    if found.enabled not in ("enabled", "enabled-runtime", "static"):
+        return warn(f"{name} is {found.active} and not started at boot", f"sudo systemctl enable {name}")
+    return ok(f"{name} is {found.active} ({found.sub}), started at boot")
+
+
+def remove_ipc(facts: Facts) -> list[Finding]:
+    """logind deletes the shared memory of a regular user who logs out."""
+    found = facts.remove_ipc
+    if found is None:
+        return []
+    who = facts.service_user or facts.user
+    where = f"RemoveIPC is {'on' if found.on else 'off'} ({found.origin or 'the default'})"
+    if found.on and who.uid >= FIRST_REGULAR_UID:
+        text = f"{where}: the service's shared memory goes when {who.name} logs out"
+        drop_in = "/etc/systemd/logind.conf.d/failstop.conf"
+        fix = f"printf '[Login]\\nRemoveIPC=no\\n' | sudo tee {drop_in}; or run it as the system user failstop"
+        return warn(text, fix)
+    return ok(f"{where}; it does not concern {who.name}" if found.on else where)
+
+
+def stop_path(facts: Facts) -> list[Finding]:
+    """Each writer's burst, and the board's answer behind it."""
+    found = []
+    for test in facts.stops:
+        if test.problem:
+            found += fail(
+                f"{test.writer}: {test.problem}",
+                "failstop doctor again, once that is seen to; wheels that turn: the POWER SWITCH",
+            )
+        elif not test.written:
+            found += fail(f"{test.writer}: the burst could not be written", "unplug the board and plug it in again")
+        elif test.answered_ms is None:
+            text = f"{test.writer}: the burst was written, and the board did not answer the ping behind it"
+            found += fail(text, "is it the board? if so, cut its power and try again")
+        elif test.answered_ms > SLOW_ANSWER_MS:
+            text = f"{test.writer}: acknowledged by the board after {test.answered_ms:.1f} ms, which is late"
+            found += warn(text, "failstop doctor again on a quiet machine")
+        else:
+            found += ok(f"{test.writer}: acknowledged by the board after {test.answered_ms:.1f} ms")
+    if facts.stop_skipped:
+        text = f"not tested: {facts.stop_skipped}"
+        found += warn(text, "failstop doctor --stop-test, once that is seen to") if facts.stop_wanted else ok(text)
+    return found

@@ -1,0 +1,53 @@
+"""The table of checks: each a name and a pure judgement over the facts."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+from failstop.doctor import judge_machine, judge_port, judge_service
+from failstop.doctor.facts import Facts
+from failstop.doctor.finding import Finding
+
+
+@dataclasses.dataclass(frozen=True)
+class Check:
+    """One row. A judgement may find nothing, one thing, or several."""
+
+    name: str
+    judge: Callable[[Facts], list[Finding]]
+
+
+CHECKS = (
+    Check("port", judge_port.present),
+    Check("identity", judge_port.identity),
+    Check("permission", judge_port.permission),
+    Check("holders", judge_port.holders),
+    Check("grabbers", judge_port.grabbers),
+    Check("settings", judge_service.settings),
+    Check("service", judge_service.running),
+    Check("version", judge_service.version),
+    Check("unit", judge_service.unit),
+    Check("realtime", judge_machine.realtime),
+    Check("memory lock", judge_machine.memory_lock),
+    Check("clock", judge_machine.clock),
+    Check("wall clock", judge_machine.wall_clock),
+    Check("shared memory", judge_machine.shared_memory),
+    Check("leftovers", judge_machine.leftovers),
+    Check("RemoveIPC", judge_service.remove_ipc),
+    Check("processor", judge_machine.cpu),
+    Check("idle", judge_machine.idle),
+    Check("ticks", judge_machine.ticks),
+    Check("stop path", judge_service.stop_path),
+)
+
+
+def examine(facts: Facts) -> list[tuple[str, Finding]]:
+    """Every finding with its check's name, in the table's order."""
+    return [(check.name, finding) for check in CHECKS for finding in check.judge(facts)]
+
+
+def as_records(found: list[tuple[str, Finding]]) -> list[dict[str, Any]]:
+    """For programs."""
+    return [{"check": name, **dataclasses.asdict(finding)} for name, finding in found]

@@ -1,0 +1,119 @@
+"""Copying: the segments of a run, taken apart record by record from private copies. Pure.
+
+Every record stands on its own checksum, so a copy of a segment that is being written misses what was just being
+written, and nothing else.
+"""
+
+from __future__ import annotations
+
+import struct
+
+from failstop.shm import box, layout, records, slot
+from failstop.shm.latest import slot_bytes
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+    from failstop.shm.slot import Entry
+
+    Copies = dict[str, tuple[int, bytes]]
+
+LEFT_OUT = "reply."
+"""Answers to clients: of no use to anybody else."""
+SUPERVISOR_DIED = "supervisor died"
+GATE_DIED = "gate died"
+SERVICE_DIED = "all of the service died"
+OUTLIVED_NS = 60_000_000
+"""Between two beats of whoever lives; who has beaten so long after the supervisor has outlived it."""
+_WORD = struct.Struct("<Q")
+
+
+def words(name: str, data: bytes) -> dict[str, int]:
+    """Every word of a segment."""
+    spec = layout.BY_NAME[name]
+    return {
+        record.name: _WORD.unpack_from(data, spec.offsets[record.name])[0]
+        for record in spec.records.values()
+        if record.kind == "word"
+    }
+
+
+def whole(name: str, record_name: str, incarnation: int, data: bytes) -> list[Entry]:
+    """Every whole entry of a record (a latest has two slots, a ring many), the oldest first."""
+    spec = layout.BY_NAME[name]
+    record = spec.records[record_name]
+    size, offset = slot_bytes(record.capacity), spec.offsets[record_name]
+    seed = slot.seed(f"{name}.{record_name}", incarnation)
+    found = (slot.check(data, seed, at, size) for at in range(offset, offset + record.size(), size))
+    return sorted(entry for entry in found if entry)
+
+
+def segment(name: str, incarnation: int, data: bytes) -> dict[str, Any]:
+    """A segment as it is saved: words by name, latest as [seq, t_ns, payload], rings as lists of these."""
+    latest, rings = {}, {}
+    for record in layout.BY_NAME[name].records.values():
+        if record.kind not in ("latest", "ring") or record.name.startswith(LEFT_OUT):
+            continue
+        entries = [list(entry) for entry in whole(name, record.name, incarnation, data)]
+        if record.kind == "ring":
+            rings[record.name] = entries
+        elif entries:
+            latest[record.name] = entries[-1]
+    return {"words": words(name, data), "latest": latest, "rings": rings}
+
+
+def merge(entries: list[list[Any]], earlier: list[Entry]) -> list[list[Any]]:
+    """A ring, with the entries of an earlier copy of it that have been overwritten since."""
+    oldest = entries[0][0] if entries else None
+    return [list(entry) for entry in earlier if oldest is None or entry[0] < oldest] + entries
+
+
+def left_cause(copies: Copies) -> tuple[int, int, str]:
+    """What ended a run that was not ended in order: (cause_ns, epoch, reason), by the port owner's word where it has
+    outlived the supervisor, else by the last sign of life."""
+    beats = {name: words(name, data)["beat_ns"] for name, (_, data) in copies.items()}
+    supervisor = words(layout.SUPERVISOR, copies[layout.SUPERVISOR][1])
+    # An epoch that was raised answered its causes: those of the last one had nobody to answer them.
+    owed = [(ns, epoch, reason) for ns, epoch, reason in _causes(copies) if epoch >= supervisor["epoch"]]
+    if owed:
+        first_ns, epoch, reason = owed[0]
+        # The gate is killed with its parent, and the news of its death may come first.
+        together = [why for ns, _, why in owed if ns - first_ns < OUTLIVED_NS]
+        return first_ns, epoch, SUPERVISOR_DIED if reason == GATE_DIED and SUPERVISOR_DIED in together else reason
+    outlived = any(beat_ns > supervisor["beat_ns"] + OUTLIVED_NS for beat_ns in beats.values())
+    if outlived:
+        return supervisor["beat_ns"], supervisor["epoch"], SUPERVISOR_DIED
+    return max(beats.values()), supervisor["epoch"], SERVICE_DIED
+
+
+def _causes(copies: Copies) -> list[tuple[int, int, str]]:
+    """What the port owner noticed: (cause_ns, epoch, reason), in order."""
+    found = []
+    if layout.PORT_OWNER in copies:
+        for _, _, payload in whole(layout.PORT_OWNER, "stops", *copies[layout.PORT_OWNER]):
+            try:
+                epoch, cause_ns, _, _, reason = records.unpack_stop(payload)
+            except ValueError:
+                continue
+            found.append((cause_ns, epoch, reason))
+    return sorted(found)
+
+
+def left_stop(copies: Copies, cause_ns: int) -> dict[str, Any] | None:
+    """What is known of the stop that ended such a run, as supervisor/stops.py has it; None: nobody wrote one."""
+    written: dict[str, int] = {}
+    if layout.PORT_OWNER in copies:
+        for _, ns, payload in whole(layout.PORT_OWNER, "box", *copies[layout.PORT_OWNER]):
+            kind, length, taken, _ = box.unpack_wire(payload)
+            if kind == box.BURST and taken == length and ns >= cause_ns:
+                written.setdefault("port owner", ns)
+    if layout.STOPPER in copies:
+        ns = words(layout.STOPPER, copies[layout.STOPPER][1])["written_ns"]
+        if ns >= cause_ns:
+            written["stopper"] = ns
+    if not written:
+        return None
+    by = min(written, key=lambda name: written[name])
+    stop = {"written_by": by, "written_us": (written[by] - cause_ns) / 1e3}
+    return stop | {"noticed_by": None, "acknowledged_us": None, "observed_ms": None}

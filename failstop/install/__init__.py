@@ -1,0 +1,13 @@
+"""Installing failstop as a service of the machine, and taking it away again.
+
+parts.py: what this version brings. tree.py: its Python environment as a list of files. look.py: what the machine has.
+plan.py, unplan.py (pure): from these, the steps. steps.py: what a step is. do.py: the steps done, or undone.
+"""
+
+from __future__ import annotations
+
+from failstop.errors import FailstopError
+
+
+class InstallError(FailstopError):
+    """Nothing was changed, or everything was changed back; the message says why and what to do."""

@@ -1,0 +1,71 @@
+"""What a machine, or a root directory for one, has of failstop already."""
+
+from __future__ import annotations
+
+import os
+
+from failstop.install import machine, tree
+from failstop.install.layout import (
+    CATALOG,
+    COMMAND_LINK,
+    MANIFEST,
+    MANIFEST_NAME,
+    PACKAGE_UNIT,
+    PREFIX,
+    STATE,
+    SYSUSERS,
+    UDEV,
+    UNITS,
+    Manifest,
+    configuration_of,
+    parents,
+    unit_of,
+)
+from failstop.install.parts import SERVICE, TEMPLATE, wanted_by
+from failstop.install.plan import Found, Wish
+
+UDEV_CONTROL = "/run/udev/control"
+
+
+def look(wish: Wish, units: dict[str, str]) -> Found:
+    """What is there of what an installation of these units would have. Raises InstallError when the list of what was
+    installed is damaged."""
+
+    def at(path: str) -> str:
+        return os.path.join(wish.root, path.lstrip("/"))
+
+    targets = {target for unit in units.values() for target in wanted_by(unit)}
+    wants = [f"{UNITS}/{target}.wants/{unit_of(wish.name)}" for target in targets]
+    paths = [f"{UNITS}/{SERVICE}", f"{UNITS}/{TEMPLATE}", SYSUSERS, UDEV, CATALOG, COMMAND_LINK, MANIFEST, *wants]
+    paths += [configuration_of(wish.name), "/etc/passwd", "/etc/group"]
+    files, links = {}, {}
+    for path in [*paths, PREFIX]:
+        if os.path.islink(at(path)):
+            links[path] = os.readlink(at(path))
+        elif os.path.isfile(at(path)):
+            with open(at(path), "rb") as file:
+                files[path] = file.read()
+    return Found(
+        files,
+        links,
+        frozenset(part for path in [*paths, f"{STATE}/x"] for part in parents(path) if os.path.isdir(at(part))),
+        _tree(at(PREFIX)),
+        Manifest.load(files[MANIFEST]) if MANIFEST in files else None,
+        machine.active_units() if wish.live else (),
+        wish.live and os.path.exists(UDEV_CONTROL),
+        os.path.exists(at(PACKAGE_UNIT)),
+    )
+
+
+def _tree(path: str) -> str:
+    """The digest of the environment; empty when there is none, nor anything else."""
+    return tree.digest_of(path, MANIFEST_NAME) if os.path.isdir(path) and os.listdir(path) else ""
+
+
+def configured_device(wish: Wish) -> str:
+    """What the instance's configuration says of the board's port; empty when there is none. Raises SettingError when
+    this version refuses it."""
+    from failstop.supervisor import config
+
+    path = os.path.join(wish.root, configuration_of(wish.name).lstrip("/"))
+    return str(config.load(path).flat()["device.path"]) if os.path.exists(path) else ""

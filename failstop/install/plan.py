@@ -1,0 +1,333 @@
+"""What an installation would do, from what is wanted and what is found. Pure: nothing is read and nothing is done."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from failstop.install import InstallError
+from failstop.install.layout import (
+    ACCOUNT_FILES,
+    CATALOG,
+    CATALOG_DATABASE,
+    COMMAND_LINK,
+    DEFAULT_NAME,
+    MANIFEST,
+    PREFIX,
+    SYSUSERS,
+    UDEV,
+    UNITS,
+    Manifest,
+    configuration_of,
+    parents,
+    sha256,
+    unit_file,
+    unit_of,
+)
+from failstop.install.parts import SERVICE, TEMPLATE, UNIT_COMMAND, Parts, accounts, wanted_by
+from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
+
+OWN_COMMAND = f"{PREFIX}/bin/failstop"
+MASK = "/dev/null"
+
+
+@dataclasses.dataclass(frozen=True)
+class Wish:
+    """What the user asked for."""
+
+    name: str = DEFAULT_NAME
+    device: str = ""
+    """The board's port; empty: the setting's default."""
+    root: str = "/"
+    live: bool = True
+    """False: files only, the system whose root this is does not run."""
+    start: bool = True
+    command: str = OWN_COMMAND
+    """What the units call; another than the default: no environment is made."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """What is there already. Paths are those of the installed system."""
+
+    files: dict[str, bytes] = dataclasses.field(default_factory=dict)
+    links: dict[str, str] = dataclasses.field(default_factory=dict)
+    directories: frozenset[str] = frozenset()
+    tree: str = ""
+    """The digest of the environment."""
+    manifest: Manifest | None = None
+    active: tuple[str, ...] = ()
+    """Units of failstop that run."""
+    udev: bool = False
+    """udev runs, or could be told to read its rules anew."""
+    package: bool = False
+    """The Debian package is installed."""
+    configured_device: str = ""
+    """What the instance's configuration, if there is one, says of the board's port."""
+    device_there: bool = True
+    """The board is plugged in; true if it would be looked for under a name that only the installation's rule makes."""
+
+
+UDEV_NAME = "/dev/failstop"
+
+
+def device_of(parts: Parts, wish: Wish, configured: str) -> str:
+    """The board's port, as the service will have it."""
+    return wish.device or configured or _example_device(parts.example.splitlines())[1]
+
+
+def _example_device(lines: list[str]) -> tuple[int, str]:
+    """Where the example says the board's port is: the line's number, and the path."""
+    at = next(number for number, line in enumerate(lines) if line.startswith("path = "))
+    return at, lines[at].split('"')[1]
+
+
+def install(parts: Parts, wish: Wish, tree: str, found: Found) -> Plan:
+    """The steps to what is wanted; `tree` is the digest of the environment to install, empty for none. Raises
+    InstallError."""
+    _refuse(parts, wish, found)
+    files = _files(parts, wish)
+    links = _links(parts, wish)
+    gone = _outdated(found, files)
+    new_tree = bool(tree) and tree != found.tree
+    content = _file_steps(files, found) + _configuration(parts, wish, found)
+    linking = [_link(path, target, found) for path, target in links.items() if found.links.get(path) != target]
+    written = {step.path for step in content}
+    reload = any(path.startswith(UNITS) for path in {*written, *(step.path for step in linking), *gone})
+    restarts = found.active if new_tree or any(unit_file(unit) in written for unit in found.active) else ()
+    missing = _missing_accounts(parts, found)
+    directories = _directories([*files, *links, PREFIX if new_tree else MANIFEST, configuration_of(wish.name)], found)
+    steps: list[Step] = [
+        *_stops(restarts),
+        *_on_undo(wish, reload, UDEV in written and found.udev),
+        *directories,
+        # First the list: what was cut short by a power failure can be taken away, or done again.
+        *_listed(_manifest(parts, wish, tree, found, files, links, directories), new_tree, found),
+        *(Remove("remove", path, "of another version", path) for path in gone),
+        *content,
+        *([_make_accounts(parts, wish)] if missing else []),
+        *linking,
+    ]
+    starts = _starts(wish, found, restarts)
+    if not (steps or starts):
+        return Plan((), _notes(wish, found))
+    steps += _told(wish, found, reload, UDEV in written, CATALOG in written)
+    if wish.live and (new_tree or missing or content):
+        steps.append(_check(wish))
+    return Plan((*steps, *starts), _notes(wish, found), restarts)
+
+
+def _listed(manifest: bytes, new_tree: bool, found: Found) -> list[Step]:
+    """The environment with the list in it; the list alone, or nothing, if these are as they should be."""
+    if new_tree:
+        return [_tree(found, manifest)]
+    return [File("", MANIFEST, "", MANIFEST, manifest)] if found.files.get(MANIFEST) != manifest else []
+
+
+def _starts(wish: Wish, found: Found, restarts: tuple[str, ...]) -> list[Start]:
+    if not (wish.live and wish.start):
+        return []
+    unit = unit_of(wish.name)
+    units = dict.fromkeys((*restarts, *([unit] if unit not in found.active else [])))
+    return [Start("start", unit, "motion stays disabled until somebody enables it", unit) for unit in units]
+
+
+def _refuse(parts: Parts, wish: Wish, found: Found) -> None:
+    if found.package:
+        raise InstallError(
+            "the Debian package of failstop is installed here: it is the service already; "
+            "remove it first (apt remove failstop) if you want another one"
+        )
+    if PREFIX in found.links:
+        raise InstallError(f"{PREFIX} is a link to {found.links[PREFIX]}: remove it")
+    if found.tree and found.manifest is None:
+        raise InstallError(f"{PREFIX} is there, and is not an installation's: remove it, or move it away")
+    if found.manifest and found.manifest.command != wish.command:
+        raise InstallError(
+            f"an installation that runs {found.manifest.command} is here, this one would run {wish.command}: "
+            "`failstop uninstall` first; it keeps your configuration"
+        )
+    for path in (*_files_of(), unit_file(unit_of(wish.name)), configuration_of(wish.name)):
+        if (target := found.links.get(path)) == MASK:
+            raise InstallError(f"{path} is masked: systemctl unmask {unit_of(wish.name)}")
+        if target is not None:
+            raise InstallError(f"{path} is a link to {target}, and is not an installation's: remove it")
+    if wish.name != DEFAULT_NAME and not wish.device and not found.configured_device:
+        raise InstallError(f"robot {wish.name!r} needs a board of its own: name its port with --device PATH")
+    if wish.device and found.configured_device not in ("", wish.device):
+        raise InstallError(
+            f"{configuration_of(wish.name)} says device.path = {found.configured_device!r}: "
+            f"change it there to {wish.device!r}, and call this without --device"
+        )
+    if not found.device_there and wish.live and wish.start and unit_of(wish.name) not in found.active:
+        raise InstallError(
+            f"no device {device_of(parts, wish, found.configured_device)}: plug the board in, name another port with "
+            "--device PATH, or say --no-start, and the service is started at the next boot"
+        )
+
+
+def _files_of() -> tuple[str, ...]:
+    return f"{UNITS}/{SERVICE}", f"{UNITS}/{TEMPLATE}", SYSUSERS, UDEV, CATALOG
+
+
+def _files(parts: Parts, wish: Wish) -> dict[str, tuple[bytes, str]]:
+    """Content and remark of every file but the configuration."""
+    units = [parts.units[name].replace(UNIT_COMMAND, wish.command).encode() for name in (SERVICE, TEMPLATE)]
+    rest = parts.sysusers.encode(), parts.udev.encode(), parts.catalog.encode()
+    remarks = (
+        "the service",
+        "services of further robots, failstop@NAME",
+        "its user and group",
+        "the board's port: a name, its rights, nobody else touches it",
+        "explanations for journalctl -x",
+    )
+    return dict(zip(_files_of(), zip((*units, *rest), remarks, strict=True), strict=True))
+
+
+def _links(parts: Parts, wish: Wish) -> dict[str, str]:
+    unit = unit_of(wish.name)
+    source = unit_file(unit)
+    targets = wanted_by(parts.units[source.rpartition("/")[2]])
+    return {COMMAND_LINK: wish.command, **{f"{UNITS}/{target}.wants/{unit}": source for target in targets}}
+
+
+def _file_steps(files: dict[str, tuple[bytes, str]], found: Found) -> list[File]:
+    steps = []
+    for path, (data, remark) in files.items():
+        there = found.files.get(path)
+        if there is None:
+            steps.append(File("create", path, remark, path, data))
+        elif there != data:
+            known = found.manifest.files.get(path) if found.manifest else None
+            by_hand = "" if sha256(there) == known else "; it was changed by hand"
+            steps.append(File("replace", path, remark + by_hand, path, data))
+    return steps
+
+
+def _configuration(parts: Parts, wish: Wish, found: Found) -> list[File]:
+    """The example, unless there is a configuration: that is the user's, and stays as it is."""
+    path = configuration_of(wish.name)
+    if path in found.files:
+        return []
+    lines = parts.example.splitlines(keepends=True)
+    at, device = _example_device(lines)
+    if wish.device:
+        device, lines[at] = wish.device, f'path = "{wish.device}"\n'
+    return [File("create", path, f"your settings; the board at {device}", path, "".join(lines).encode())]
+
+
+def _link(path: str, target: str, found: Found) -> Link:
+    if path in found.files:
+        raise InstallError(f"{path} is a file, and is not an installation's: remove it, or move it away")
+    remark = "the command" if path == COMMAND_LINK else "starts at boot"
+    return Link("replace" if path in found.links else "create", path, remark, path, target)
+
+
+def _outdated(found: Found, files: dict[str, tuple[bytes, str]]) -> list[str]:
+    """Files of another version that this one has not."""
+    return [path for path in found.manifest.files if path not in files] if found.manifest else []
+
+
+def _directories(paths: list[str], found: Found) -> list[Directory]:
+    needed = dict.fromkeys(part for path in paths for part in parents(path) if part not in found.directories)
+    return [Directory("", path, "", path) for path in needed]
+
+
+def _tree(found: Found, manifest: bytes) -> Tree:
+    verb = "replace" if found.tree else "create"
+    return Tree(verb, PREFIX, "failstop and what it needs, copied from here", PREFIX, manifest)
+
+
+def _stops(units: tuple[str, ...]) -> list[Command]:
+    return [
+        Command(
+            "stop", unit, "THE WHEELS STOP", ("systemctl", "stop", unit), ("systemctl", "start", "--no-block", unit)
+        )
+        for unit in units
+    ]
+
+
+def _on_undo(wish: Wish, reload: bool, udev: bool) -> list[Command]:
+    """What is to be told of the files once they are back as they were: undone last, so it comes first."""
+    told: list[tuple[str, ...]] = []
+    if wish.live and reload:
+        told.append(("systemctl", "daemon-reload"))
+    if wish.live and udev:
+        told.append(("udevadm", "control", "--reload"))
+    return [Command("", " ".join(words), "", (), words) for words in told]
+
+
+def _missing_accounts(parts: Parts, found: Found) -> bool:
+    users, memberships = accounts(parts.sysusers)
+    passwd = {line.split(":")[0] for line in found.files.get("/etc/passwd", b"").decode().splitlines()}
+    rows = [line.split(":") for line in found.files.get("/etc/group", b"").decode().splitlines()]
+    groups = {row[0]: row[3].split(",") for row in rows if len(row) == 4}
+    return not all(user in passwd and user in groups for user in users) or not all(
+        user in groups.get(group, ()) for user, group in memberships
+    )
+
+
+def _make_accounts(parts: Parts, wish: Wish) -> Command:
+    users, memberships = accounts(parts.sysusers)
+    lines = [line for line in parts.sysusers.splitlines() if line.strip() and not line.startswith("#")]
+    root = () if wish.live else (f"--root={wish.root}",)
+    groups = ", ".join(group for _, group in memberships)
+    remark = f"the service runs as it{f'; in the groups of {groups}' if groups else ''}"
+    return Command(
+        "create",
+        f"user and group {', '.join(users)}",
+        remark,
+        ("systemd-sysusers", *root, "--inline", *lines),
+        touches=ACCOUNT_FILES,
+    )
+
+
+def _manifest(
+    parts: Parts,
+    wish: Wish,
+    tree: str,
+    found: Found,
+    files: dict[str, tuple[bytes, str]],
+    links: dict[str, str],
+    directories: list[Directory],
+) -> bytes:
+    before = found.manifest
+    made = [step.path for step in directories]
+    return Manifest(
+        parts.version,
+        wish.command,
+        tree,
+        {path: sha256(data) for path, (data, _) in files.items()},
+        {**(before.links if before else {}), **links},
+        tuple(dict.fromkeys([*(before.directories if before else ()), *made])),
+    ).dump()
+
+
+def _told(wish: Wish, found: Found, reload: bool, udev: bool, catalog: bool) -> list[Command]:
+    """Those who are to read the new files."""
+    told = []
+    if catalog:
+        root = () if wish.live else (f"--root={wish.root}",)
+        words = ("journalctl", *root, "--update-catalog")
+        told.append(Command("run", " ".join(words), "", words, touches=(CATALOG_DATABASE,)))
+    if wish.live and reload:
+        told.append(Command("run", "systemctl daemon-reload", "", ("systemctl", "daemon-reload")))
+    if wish.live and udev and found.udev:
+        asked = ("udevadm", "control", "--reload"), ("udevadm", "trigger", "--subsystem-match=tty")
+        told += [Command("run", " ".join(words), "", words) for words in asked]
+    return told
+
+
+def _check(wish: Wish) -> Command:
+    """That the service's user can run what was installed, before anything is started."""
+    who = ("setpriv", "--reuid=failstop", "--regid=failstop", "--clear-groups")
+    words = (*who, wish.command, "config", "--check", configuration_of(wish.name))
+    return Command("check", "that the user failstop can run it", "", words)
+
+
+def _notes(wish: Wish, found: Found) -> tuple[str, ...]:
+    notes = []
+    if configuration_of(wish.name) in found.files:
+        notes.append(f"{configuration_of(wish.name)} is yours and stays as it is")
+    if wish.live and not found.udev:
+        notes.append("udev does not run here: its rule takes effect when it does")
+    return tuple(notes)

@@ -1,0 +1,115 @@
+"""What taking an installation away would do, from the list that it kept. Pure."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from failstop.install import InstallError
+from failstop.install.layout import (
+    ACCOUNT_FILES,
+    CATALOG,
+    CATALOG_DATABASE,
+    CONFIGURATION,
+    MANIFEST,
+    PREFIX,
+    RUNTIME,
+    STATE,
+    UDEV,
+    UNITS,
+    configuration_of,
+    unit_of,
+)
+from failstop.install.plan import Found, Wish
+from failstop.install.steps import Command, File, Plan, Remove, Step
+
+NO_SUCH_GROUP = 6
+"""groupdel's exit code, when userdel has taken the group along."""
+
+
+def uninstall(wish: Wish, found: Found, purge: bool = False) -> Plan:
+    """The steps that take everything away, configuration and logs only with `purge`. Raises InstallError."""
+    manifest = found.manifest
+    if manifest is None:
+        if purge and not found.package:
+            return Plan(tuple(_purge(wish, found)))
+        raise InstallError(_absent(found))
+    reload = ("systemctl", "daemon-reload")
+    files = [*manifest.links, *manifest.files]
+    steps: list[Step] = [*_stops(found.active)]
+    if wish.live:
+        steps.append(Command("", "", "", (), reload))
+    steps += [Remove("remove", path, "", path) for path in files]
+    whole = "the Python environment" if manifest.tree else "the list of what was installed"
+    steps.append(Remove("remove", PREFIX, whole, PREFIX))
+    if wish.live:
+        steps.append(Command("run", " ".join(reload), "", reload))
+        if found.udev and UDEV in manifest.files:
+            words = ("udevadm", "control", "--reload")
+            steps.append(Command("run", " ".join(words), "", words))
+    if CATALOG in manifest.files:
+        root = () if wish.live else (f"--root={wish.root}",)
+        words = ("journalctl", *root, "--update-catalog")
+        steps.append(Command("run", " ".join(words), "", words, touches=(CATALOG_DATABASE,)))
+    if purge:
+        steps += _purge(wish, found)
+    steps += [Remove("", path, "", path, only_empty=True) for path in reversed(manifest.directories)]
+    kept = () if purge else (f"{CONFIGURATION}, {STATE} and the user failstop stay; --purge removes them too",)
+    return Plan(tuple(steps), kept, found.active)
+
+
+def uninstall_instance(wish: Wish, found: Found, purge: bool = False) -> Plan:
+    """The steps that take one instance away and leave the rest. Raises InstallError."""
+    manifest = found.manifest
+    if manifest is None:
+        raise InstallError(_absent(found))
+    unit = unit_of(wish.name)
+    links = [path for path in manifest.links if path.startswith(UNITS) and path.endswith(f"/{unit}")]
+    if not links:
+        raise InstallError(f"no instance {wish.name!r} is installed")
+    active = tuple(name for name in found.active if name == unit)
+    left = {path: target for path, target in manifest.links.items() if path not in links}
+    reload = ("systemctl", "daemon-reload")
+    steps: list[Step] = [*_stops(active)]
+    if wish.live:
+        steps.append(Command("", "", "", (), reload))
+    steps += [Remove("remove", path, "no longer starts at boot", path) for path in links]
+    if purge:
+        steps.append(Remove("remove", configuration_of(wish.name), "your settings", configuration_of(wish.name)))
+        steps.append(Remove("remove", f"{STATE}/{wish.name}", "logs and incidents", f"{STATE}/{wish.name}"))
+    steps.append(File("", MANIFEST, "", MANIFEST, dataclasses.replace(manifest, links=left).dump()))
+    if wish.live:
+        steps.append(Command("run", " ".join(reload), "", reload))
+    return Plan(tuple(steps), (), active)
+
+
+def _absent(found: Found) -> str:
+    if found.package:
+        return "failstop is installed as a Debian package here: apt remove failstop (apt purge failstop: all of it)"
+    return "no installation of `failstop install` is here; --purge removes what an earlier one has left"
+
+
+def _stops(units: tuple[str, ...]) -> list[Command]:
+    return [
+        Command(
+            "stop", unit, "THE WHEELS STOP", ("systemctl", "stop", unit), ("systemctl", "start", "--no-block", unit)
+        )
+        for unit in units
+    ]
+
+
+def _purge(wish: Wish, found: Found) -> list[Step]:
+    """What an installation leaves, and what an earlier uninstall has left."""
+    steps: list[Step] = [
+        Remove("remove", CONFIGURATION, "your configuration", CONFIGURATION),
+        Remove("remove", STATE, "logs and incidents", STATE),
+    ]
+    if wish.live:
+        steps.append(Remove("", RUNTIME, "", RUNTIME))
+    rows = [line.split(":") for line in found.files.get("/etc/passwd", b"").decode().splitlines()]
+    # With another home it is a person's, or another program's.
+    if any(row[0] == "failstop" and row[5] == STATE for row in rows if len(row) == 7):
+        where = () if wish.live else ("--prefix", wish.root)
+        user, group = ("userdel", *where, "failstop"), ("groupdel", *where, "failstop")
+        steps.append(Command("remove", "user failstop", "", user, touches=ACCOUNT_FILES))
+        steps.append(Command("", "group failstop", "", group, touches=ACCOUNT_FILES, accepted=(0, NO_SUCH_GROUP)))
+    return steps

@@ -1,0 +1,193 @@
+"""Paragraph: what holds the wheels, since when, why, what proof the stop has, what clears it, in plain words. Pure."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from failstop.screen import reasons, verdict, words
+from failstop.state import State, Stop
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.events import Event
+
+YET_S = 2.0
+"""By then everything that will be known of a stop is known."""
+CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop"))
+"""Events that change whether motion is enabled."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """One block reason of the gate: what holds the wheels, and what clears it."""
+
+    holds: str
+    clears: str
+
+
+BLOCKS = {
+    verdict.LATCHED: Block(
+        "a stop is latched, and it stays until somebody resets it",
+        "a reset clears the latch alone; motion needs to be enabled after it",
+    ),
+    verdict.DISABLED: Block(
+        "motion is disabled, as it is after every start, every stop and every reset",
+        "enabling it is a decision of a person or a program, and is never made by itself",
+    ),
+    verdict.NO_COMMAND: Block(
+        "motion is enabled, but nobody commands: no source has a command that is younger than its timeout (0.3 s "
+        "unless the settings say otherwise)",
+        "the next command moves them",
+    ),
+    verdict.NO_SCAN: Block(
+        "motion is enabled, but the obstacle sensor is silent; without it only a person may drive (teleop, gamepad)",
+        "motion resumes by itself, from zero, when the sensor delivers again",
+    ),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Explanation:
+    """The answer to "why do the wheels stand?", in parts and as one paragraph."""
+
+    blocked: str | None
+    since: float | None
+    """Unix time; None: not known."""
+    cause: str
+    proof: str
+    next: list[str]
+    """What to do, in order."""
+    text: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, as in `failstop why --json`."""
+        return dataclasses.asdict(self)
+
+
+def block(state: State) -> Block | None:
+    """The row of what blocks now; None when nothing does."""
+    if state.blocked is None:
+        return None
+    kind = verdict.LATCHED if state.blocked.startswith(verdict.LATCHED) else state.blocked
+    return BLOCKS.get(kind) or Block(f"the gate blocks them: {state.blocked}", "")
+
+
+def explain(state: State, events: Sequence[Event], now_s: float) -> Explanation:
+    """The whole answer; `events`, oldest first, may be empty, and then less is known."""
+    row = block(state)
+    todo = verdict.steps(state)
+    if row is None:
+        return Explanation(None, None, "", "", todo, _sentences(_free(state), *_troubles(state), _advice(state, "")))
+    stop = state.last_stop
+    since, cause = _since(state, events, now_s)
+    proof, see_to = "", ""
+    if state.estop:
+        told, see_to = reasons.explain(state.estop)
+        cause = f"it was latched because {told}"
+    if stop and (state.blocked == verdict.DISABLED or stop.reason == state.estop):
+        proof = _proof(stop, state, now_s)
+    head = _head(state, row, "" if since is None else f" since {words.ago(since, now_s)}")
+    text = _sentences(*head, cause, proof, *_troubles(state), _advice(state, see_to), row.clears)
+    return Explanation(state.blocked, since, cause, proof, todo, text)
+
+
+def _head(state: State, row: Block, since: str) -> tuple[str, ...]:
+    """Whether the wheels stand, as far as is known, and what holds them."""
+    if doubt := verdict.doubt(state):
+        return (
+            f"THE WHEELS MAY TURN: {doubt}. If they do, use the POWER SWITCH",
+            f"nothing may drive{since}: {row.holds}",
+        )
+    return (f"the wheels stand{since}: {row.holds}",)
+
+
+def _free(state: State) -> str:
+    """Nothing blocks: who drives, and how."""
+    how = words.velocity(*state.body_vel) or "zero, so the wheels stand"
+    for row in state.sources:
+        if row["state"] == "drives":
+            return f"nothing holds the wheels: {row['who']} drives as {row['source']}, {how}"
+    return f"nothing holds the wheels: the command is {how}"
+
+
+def _since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | None, str]:
+    """Since when this block holds, as far as is known, and what began it."""
+    stop = state.last_stop
+    if state.estop:
+        return (stop.t if stop and stop.reason == state.estop else None), ""
+    if state.blocked == verdict.NO_SCAN:
+        if state.scan_age_s is None:
+            return None, "it has not delivered once since the service was started"
+        return None, f"it delivered last {words.span(state.scan_age_s)} ago"
+    if state.blocked == verdict.DISABLED:
+        change = next((event for event in reversed(events) if event.kind in CHANGES), None)
+        if change:
+            return change.t, f"what was said then: {change.text.partition('; next: ')[0]}"
+    return None, ""
+
+
+def _proof(stop: Stop, state: State, now_s: float) -> str:
+    """The three levels of the last stop."""
+    which = "the stop" if state.estop else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)})"
+    if stop.written_us is None:
+        if verdict.doubt(state):
+            return f"{which} could NOT be written to the port"
+        return (
+            f"{which} could NOT be written at first; the port is open now, and the board is told zero 5 times a second"
+        )
+    yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
+    by = stop.written_by.replace("_", " ")
+    found = [f"{which} was written to the port by the {by} {words.took(stop.written_us)} after its cause was noticed"]
+    if stop.acknowledged_us is None:
+        found.append(f"the board has not acknowledged it{yet}")
+    else:
+        found.append(f"the board acknowledged it after {words.took(stop.acknowledged_us)}")
+    if stop.observed_ms is None:
+        found.append(f"the IMU has not shown the wheels still{yet}")
+    else:
+        found.append(f"the IMU showed the wheels still after {words.still_after(stop)}")
+    return words.joined(found)
+
+
+def _troubles(state: State) -> list[str]:
+    """What else is wrong and keeps the wheels from moving, or may."""
+    found = []
+    for name, process in state.processes.items():
+        if process.state == "down":
+            found.append(
+                f"{name} died too often and stays down (it was {process.last_exit or 'lost'}): "
+                "only a restart of the service brings it back"
+            )
+        elif process.state != "running":
+            found.append(
+                f"{name} is {process.state}{f', after it was {process.last_exit}' if process.last_exit else ''}"
+            )
+    if state.device["state"] == "open" and state.device["link"] == "unproven":
+        found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
+    elif state.waiting_for and not found and not verdict.doubt(state):
+        found.append(f"the service waits for {state.waiting_for}")
+    if state.age_ms > verdict.STALE_MS:
+        found.append(f"the gate has said nothing for {words.span(state.age_ms / 1000)}, so this may be old")
+    return found
+
+
+def _advice(state: State, see_to: str) -> str:
+    """What to do now."""
+    step = verdict.next_step(state)
+    if not step:
+        return ""
+    first = f"first {see_to}; then " if see_to and not verdict.doubt(state) else ""
+    return f"what to do: {first}{step}"
+
+
+def _sentences(*parts: str) -> str:
+    """The parts that there are as sentences. A text that begins with a name keeps its case."""
+    return " ".join(f"{_capital(part)}." for part in parts if part)
+
+
+def _capital(text: str) -> str:
+    first = text.split(" ", 1)[0]
+    return text if first in reasons.ROLES else text[:1].upper() + text[1:]

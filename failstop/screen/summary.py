@@ -1,0 +1,181 @@
+"""Summary: the whole state in one screen, for `failstop status` and as the body of `failstop watch`. Pure."""
+
+from __future__ import annotations
+
+from failstop import style
+from failstop.screen import verdict, words
+from failstop.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.state import Process, State, Stop
+    from failstop.style import Line
+
+LABEL = 10
+"""Columns of the names on the left."""
+BATTERY_LOW_MV = 10_500
+"""Three lithium cells at 3.5 V: little is left."""
+LATE_BEAT_MS = 300.0
+"""A beat older than this is worth a look; the slowest process beats every 100 ms."""
+LINKS = {
+    "alive": ("alive: the board answers", OK),
+    "unproven": ("unproven: the board has not answered a ping yet, so nobody knows that it hears", WARN),
+    "deaf": ("deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH", FAIL),
+}
+PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
+
+
+def lines(state: State, now_s: float, columns: int) -> list[Line]:
+    """The screen. `now_s`: Unix time, for ages; `columns`: the width to wrap at."""
+    rows = wheels(state)
+    rows += _drivers(state)
+    rows += last_stop(state, now_s)
+    rows += [device(state), *_battery(state), *_sensors(state), *_clients(state)]
+    wrapped = [part for row in rows for part in style.wrap(row, columns, LABEL)]
+    return [*wrapped, [], *processes(state), *_remarks(state, columns)]
+
+
+def _row(label: str, text: str, role: str = PLAIN) -> Line:
+    return [(f"{label:<{LABEL}}", DIM), (text, role)]
+
+
+def wheels(state: State) -> list[Line]:
+    """What the wheels do, why, and the next command."""
+    word, role = verdict.word(state)
+    rows: list[Line] = [[(f"{'wheels':<{LABEL}}", DIM), (word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)]]
+    if step := verdict.next_step(state):
+        rows.append([(f"{'next':<{LABEL}}", DIM), *commands(step)])
+    if state.waiting_for and not state.blocked:
+        rows.append(_row("waits for", state.waiting_for, WARN))
+    return rows
+
+
+def commands(text: str) -> Line:
+    """A text whose commands in backquotes stand out."""
+    found: Line = []
+    for number, part in enumerate(text.split("`")):
+        if part:
+            found.append((f"`{part}`", STRONG) if number % 2 else (part, PLAIN))
+    return found
+
+
+def _drivers(state: State) -> list[Line]:
+    if not state.sources:
+        return [_row("driver", "nobody commands")]
+    rows = []
+    for source in state.sources:
+        drives = source["state"] == "drives"
+        text = f"{source['who']} as {source['source']}, priority {source['priority']}"
+        rows.append(_row("driver" if drives else "waits", text, OK if drives and verdict.moving(state) else PLAIN))
+    return rows
+
+
+def last_stop(state: State, now_s: float) -> list[Line]:
+    """The last stop and its three proofs."""
+    stop = state.last_stop
+    if stop is None:
+        return [_row("last stop", "none since the service was started")]
+    what = "the one that is latched" if stop.reason == state.estop else stop.reason
+    head: Line = [(f"{'last stop':<{LABEL}}", DIM), (what, PLAIN), (f" ({words.ago(stop.t, now_s)})", DIM)]
+    return [head, [(f"{'':<{LABEL}}", PLAIN), *proofs(stop)]]
+
+
+def proofs(stop: Stop) -> Line:
+    """The three levels of a stop, each with its time or that it is not known."""
+    if stop.written_us is None:
+        return [("NOT written: the board did not get it", FAIL)]
+    found: Line = [(f"written after {words.took(stop.written_us)}", OK), (", ", PLAIN)]
+    if stop.acknowledged_us is None:
+        found.append(("not acknowledged", WARN))
+    else:
+        found.append((f"acknowledged after {words.took(stop.acknowledged_us)}", OK))
+    found.append((", ", PLAIN))
+    if stop.observed_ms is None:
+        found.append(("not seen still", WARN))
+    else:
+        found.append((f"wheels still after {words.still_after(stop)}", OK))
+    return found
+
+
+def device(state: State) -> Line:
+    """The port, and what proves that the board hears."""
+    port = state.device["state"]
+    found = _row("device", state.device["path"] or "no port")
+    found.append((f" {port}", PORTS.get(port, WARN)))
+    if port == "open":
+        text, role = LINKS.get(state.device["link"], (state.device["link"], WARN))
+        found += [(", link ", PLAIN), (text, role)]
+    return found
+
+
+def _battery(state: State) -> list[Line]:
+    if not state.battery_mv:
+        return [_row("battery", "not known yet")]
+    low = state.battery_mv < BATTERY_LOW_MV
+    found = _row("battery", f"{state.battery_mv / 1000:.2f} V", WARN if low else PLAIN)
+    found.append((f", charger {state.plugged}" if state.plugged != "unknown" else "", PLAIN))
+    return [found]
+
+
+def _sensors(state: State) -> list[Line]:
+    age_s = state.scan_age_s
+    scan = "obstacle sensor " + ("never delivered" if age_s is None else f"delivered {words.span(age_s)} ago")
+    pad = f", gamepad {state.pad_mode}" if state.pad_mode else ""
+    return [_row("sensor", scan + pad, WARN if state.blocked == verdict.NO_SCAN else PLAIN)]
+
+
+def _clients(state: State) -> list[Line]:
+    names = [f"{client['name']} (pid {client['pid']})" for client in state.clients]
+    return [_row("clients", ", ".join(names))] if names else []
+
+
+def processes(state: State) -> list[Line]:
+    """The process table."""
+    rows: list[Line] = [
+        [(head, DIM) for head in ("process", " pid", "state", " beat", " worst", " restarts", "rights")]
+    ]
+    for name, process in state.processes.items():
+        running = process.state == "running"
+        late = running and process.age_ms > LATE_BEAT_MS
+        rows.append(
+            [
+                (name, PLAIN),
+                (f" {process.pid or '-'}", PLAIN),
+                (process.state, PLAIN if running else WARN if process.state in ("starting", "waiting") else FAIL),
+                (f" {process.age_ms:.0f} ms" if process.age_ms < 9999 else " -", WARN if late else PLAIN),
+                (f" {process.worst_ms:.0f} ms", PLAIN),
+                (f" {process.restarts}", WARN if process.restarts else PLAIN),
+                (_rights(process), PLAIN if process.realtime and process.memory_locked else WARN),
+            ]
+        )
+    return style.table(rows)
+
+
+def _rights(process: Process) -> str:
+    granted = [word for word, has in (("realtime", process.realtime), ("locked", process.memory_locked)) if has]
+    return " ".join(granted) or "none"
+
+
+def _remarks(state: State, columns: int) -> list[Line]:
+    """What is wrong beside the wheels, a line each."""
+    found: list[Line] = []
+    for name, process in state.processes.items():
+        if process.state == "down":
+            found.append([(f"{name} died too often and stays down; it was {process.last_exit or 'lost'}", FAIL)])
+        elif process.last_exit:
+            found.append(
+                [(f"{name} was started anew {_times(process.restarts)}, last after: {process.last_exit}", WARN)]
+            )
+    if state.age_ms > verdict.STALE_MS:
+        found.append(
+            [(f"the gate has said nothing for {words.span(state.age_ms / 1000)}: what is above may be old", FAIL)]
+        )
+    if not all(process.realtime for process in state.processes.values()):
+        found.append(
+            [("without real-time rights stops come later on a busy machine; `failstop doctor` says more", DIM)]
+        )
+    return [[], *(part for row in found for part in style.wrap(row, columns, 0))] if found else []
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"

@@ -1,0 +1,105 @@
+"""Verdict: in a word what the wheels do, what holds them, and the next command to type. Pure."""
+
+from __future__ import annotations
+
+from failstop import style
+from failstop.screen import words
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.state import State
+
+UNSTILL = "the wheels do not come to rest: use the POWER SWITCH"
+"""The latch's reason when the IMU contradicts a stop (supervisor/aftermath.py)."""
+DRIVING = "DRIVING"
+STANDING = "STANDING"
+STOPPED = "STOPPED"
+MAY_TURN = "MAY TURN"
+"""A stop that is not known to reach the wheels is none: nobody must rely on it."""
+STALE_MS = 500.0
+"""A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
+
+LATCHED = "estop: "
+DISABLED = "disabled"
+NO_COMMAND = "cmd timeout"
+NO_SCAN = "no scan"
+KINDS = (LATCHED, DISABLED, NO_COMMAND, NO_SCAN)
+"""Every block reason of the gate; the first is followed by the latch's reason."""
+
+
+def moving(state: State) -> bool:
+    """True while the gate commands a velocity."""
+    return not state.blocked and any(state.wheels_rps)
+
+
+def doubt(state: State) -> str:
+    """Why the wheels may turn though they were told to stop; empty when there is no reason to think so."""
+    if state.device["state"] != "open":
+        return f"the port {state.device['path'] or ''} is {state.device['state']}, so no stop reaches the board"
+    if state.device["link"] == "deaf":
+        return "the board does not answer, so a stop may not reach the wheels"
+    if state.estop == UNSTILL:
+        return "the IMU sees the robot shake on"
+    return ""
+
+
+def word(state: State) -> tuple[str, str]:
+    """What the wheels do, and its role."""
+    if doubt(state):
+        return MAY_TURN, style.FAIL
+    if moving(state):
+        return DRIVING, style.OK
+    if not state.blocked:
+        return STANDING, style.OK
+    return STOPPED, style.FAIL if state.estop else style.WARN
+
+
+def headline(state: State) -> str:
+    """What the wheels do and why, in a line."""
+    if state.blocked:
+        return f"blocked: {state.blocked}"
+    return words.velocity(*state.body_vel) or "zero is commanded"
+
+
+def down(state: State) -> list[str]:
+    """Processes that died too often and stay down."""
+    return [name for name, process in state.processes.items() if process.state == "down"]
+
+
+def steps(state: State) -> list[str]:
+    """What to do, in order, for the wheels to move; commands in backquotes. Empty while they move."""
+    drive = "`failstop drive 0.1 0 0`, or commands by your program"
+    if state.blocked is None:
+        return [] if moving(state) else [drive]
+    if down(state):
+        return [f"`sudo systemctl restart {words.unit(state.name)}`", "`failstop enable`"]
+    found = []
+    if state.device["state"] != "open":
+        found.append(f"plug the board in ({state.device['path']})")
+    elif doubt(state):
+        found.append("turn the robot's POWER SWITCH off and on")
+    elif state.waiting_for:
+        found.append(f"wait for {state.waiting_for}")
+    if state.estop:
+        found.append("`failstop reset`")
+    if not state.enabled:
+        found.append("`failstop enable`")
+    elif state.blocked == NO_SCAN:
+        found.append("start the obstacle sensor and the program that calls robot.sensed()")
+    elif state.blocked == NO_COMMAND:
+        found.append(drive)
+    return found
+
+
+def option(state: State, count: int) -> str:
+    """What the commands need on a machine with several robots."""
+    if state.name == "failstop":
+        return ""
+    return f" ({'each ' if count > 1 else ''}with --name {state.name})"
+
+
+def next_step(state: State) -> str:
+    """The steps as one line."""
+    found = steps(state)
+    commands = sum("`failstop " in step for step in found)
+    return ", then ".join(found) + (option(state, commands) if commands else "")

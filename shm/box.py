@@ -1,0 +1,183 @@
+"""The black box: the payloads of the rings `box`, in which each process keeps about its last minute.
+
+One ring in each writer's own segment, so it outlives its writer, and whoever looks at it disturbs nobody. A put is one
+slot of private bytes and one slice assignment. On the stop path it comes after the bytes of the stop.
+"""
+
+from __future__ import annotations
+
+import struct
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+    from failstop.procs.gate.core import GateCore
+    from failstop.procs.gate.sources import Command
+    from failstop.shm.ring import RingWriter
+
+SECONDS = 60
+"""What each ring is made for, at the rates of its writer's defaults."""
+GATE_SLOTS = 3072
+"""A tick each, 50 a second."""
+WIRE_SLOTS = 4096
+"""Up to 50 motion frames, 2 pings and a few stops a second; a client that drives at 100 Hz has them last for 40 s."""
+BOARD_SLOTS = 8192
+"""110 IMU samples, 20 gamepad frames and a battery reading a second."""
+BEATS_SLOTS = 768
+"""10 a second, and one at each stop."""
+
+GATE_BYTES = 104
+WIRE_BYTES = 40
+BOARD_BYTES = 40
+BEATS_BYTES = 48
+
+BLOCKS = ("driving", "estop", "disabled", "cmd timeout", "no scan")
+"""The gate's decision: its index is in the record."""
+_BLOCK = {"": 0, "disabled": 2, "cmd timeout": 3, "no scan": 4}
+ENABLED = 1
+MANUAL = 2
+DRIVES = 4
+"""Flag: the newest command is the one that drives, and not one that waits behind a higher source."""
+
+BURST = 1
+"""Wire: the stop burst."""
+FRAME = 2
+"""Wire: one frame; its first bytes follow."""
+REST = 3
+"""Wire: what the kernel had not taken of either before."""
+WIRE_HEAD = 35
+"""Bytes of a frame that are kept: a motor frame of four wheels is 27."""
+
+IMU = 1
+BATTERY = 2
+PAD = 3
+
+BEATS = 1
+OWN_BURST = 2
+"""Supervisor: a burst on its own descriptor, written at the entry's time."""
+LONGEST = 0xFFFFFFFF
+
+_GATE = struct.Struct("<IBBBxI3f3f4f16s")
+_WIRE = struct.Struct("<BHH")
+_IMU = struct.Struct("<B6f")
+_BATTERY = struct.Struct("<BIB")
+_PAD = struct.Struct("<BHB4bB")
+_BEATS = struct.Struct("<B10I")
+
+
+class GateBox:
+    """The gate's: one record a tick, of the newest command and of what became of it."""
+
+    __slots__ = ("_count", "_newest", "_ring")
+
+    def __init__(self, ring: RingWriter) -> None:
+        self._ring = ring
+        self._newest: Command | None = None
+        self._count = 0
+
+    def command(self, command: Command) -> None:
+        """A command came, good or bad."""
+        self._newest = command
+        self._count += 1
+
+    def tick(self, now_ns: int, core: GateCore, epoch: int) -> None:
+        """The end of a tick."""
+        command = self._newest
+        flags = ENABLED if core.enabled else 0
+        age_us, source, who = LONGEST, b"", b""
+        velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
+        if command is not None:
+            age_us = min(max(0, now_ns - command.t_ns) // 1000, LONGEST)
+            velocity = tuple(map(_single, command.velocity))
+            source, who = command.source.encode()[:16], command.who.encode("utf-8", "replace")[:36]
+            flags |= (MANUAL if command.manual else 0) | (DRIVES if core.sources.driving(now_ns) is command else 0)
+        block = _BLOCK.get(core.blocked(now_ns), 1)
+        numbers = (*velocity, *core.velocity, *core.speeds)
+        head = _GATE.pack(epoch & LONGEST, block, flags, min(self._count, 255), age_us, *numbers, source)
+        self._ring.put(head + who, now_ns)
+        self._count = 0
+
+
+def _single(value: float) -> float:
+    """What fits a float of four bytes: a client's command may be any double."""
+    return min(max(value, -3e38), 3e38) if value == value else value
+
+
+def pack_wire(kind: int, data: bytes, taken: int) -> bytes:
+    """Bytes for the board: BURST, FRAME or REST, and how many of them the kernel took (0: none, the port was full)."""
+    return _WIRE.pack(kind, min(len(data), 65535), min(taken, 65535)) + (data[:WIRE_HEAD] if kind == FRAME else b"")
+
+
+def pack_imu(acceleration_mps2: tuple[float, ...], rate_radps: tuple[float, ...]) -> bytes:
+    """A sample as it is published: corrected, the rate less its bias."""
+    return _IMU.pack(IMU, *acceleration_mps2, *rate_radps)
+
+
+def pack_battery(millivolts: int, plugged: int) -> bytes:
+    """A reading, as in records.pack_battery."""
+    return _BATTERY.pack(BATTERY, millivolts, plugged)
+
+
+def pack_pad(sample: tuple[int, ...], mode: int) -> bytes:
+    """A gamepad frame, as in records.pack_pad."""
+    return _PAD.pack(PAD, *sample, mode)
+
+
+def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
+    """The longest silence of each process of layout.PROCESSES since the record before, and how long before this record
+    that was seen."""
+    return _BEATS.pack(BEATS, *(min(max(0, time_us), LONGEST) for time_us in (*silent_us, *before_us)))
+
+
+OWN_BURST_RECORD = bytes((OWN_BURST,))
+
+
+def unpack_gate(payload: bytes) -> dict[str, Any]:
+    """A tick of the gate: epoch, block (a word of BLOCKS), enabled, manual, drives, commands (since the tick before),
+    age_us (None: no command yet), command, velocity, wheels_rps, source, who. Raises ValueError."""
+    if len(payload) < _GATE.size:
+        raise ValueError(f"a gate's record of {len(payload)} bytes, at least {_GATE.size} expected")
+    epoch, block, flags, commands, age_us, *numbers, source = _GATE.unpack_from(payload)
+    return {
+        "epoch": epoch,
+        "block": BLOCKS[block] if block < len(BLOCKS) else f"unknown {block}",
+        "enabled": bool(flags & ENABLED),
+        "manual": bool(flags & MANUAL),
+        "drives": bool(flags & DRIVES),
+        "commands": commands,
+        "age_us": None if age_us == LONGEST else age_us,
+        "command": tuple(numbers[:3]),
+        "velocity": tuple(numbers[3:6]),
+        "wheels_rps": tuple(numbers[6:]),
+        "source": source.rstrip(b"\0").decode("ascii", "replace"),
+        "who": payload[_GATE.size :].decode("utf-8", "replace"),
+    }
+
+
+def unpack_wire(payload: bytes) -> tuple[int, int, int, bytes]:
+    """Return (kind, length, taken, the frame's first bytes). Raises ValueError."""
+    if len(payload) < _WIRE.size:
+        raise ValueError(f"a record of the wire of {len(payload)} bytes, at least {_WIRE.size} expected")
+    kind, length, taken = _WIRE.unpack_from(payload)
+    return kind, length, taken, payload[_WIRE.size :]
+
+
+def unpack_board(payload: bytes) -> tuple[int, tuple[float, ...]]:
+    """Return (IMU, six floats), (BATTERY, (millivolts, plugged)) or (PAD, as records.unpack_pad). Raises ValueError."""
+    form = {IMU: _IMU, BATTERY: _BATTERY, PAD: _PAD}.get(payload[0] if payload else 0)
+    if form is None or len(payload) != form.size:
+        raise ValueError(f"a record of the board of {len(payload)} bytes, of no known kind")
+    kind, *values = form.unpack(payload)
+    return kind, tuple(values)
+
+
+def unpack_beats(payload: bytes) -> tuple[tuple[int, int], ...]:
+    """Return (silent_us, before_us) of each of layout.PROCESSES; empty for a burst of the supervisor's own. Raises
+    ValueError."""
+    if payload == OWN_BURST_RECORD:
+        return ()
+    if len(payload) != _BEATS.size or payload[0] != BEATS:
+        raise ValueError(f"a record of beats of {len(payload)} bytes, of no known kind")
+    times = _BEATS.unpack(payload)[1:]
+    return tuple(zip(times[:5], times[5:], strict=True))

@@ -1,0 +1,334 @@
+"""Kinds: every kind of event there is - its level, its MESSAGE_ID, its fields, and what the catalog says of it.
+
+`journalctl -x` shows the catalog's text below an entry; systemd/failstop.catalog is made from this table
+(`python -m failstop.catalog`). A MESSAGE_ID, once given, never changes its meaning.
+"""
+
+from __future__ import annotations
+
+LEVELS = {"critical": 2, "error": 3, "warning": 4, "notice": 5, "info": 6}
+"""The journal's PRIORITY of each level."""
+
+
+class Kind:
+    """One kind of event. `fields`: those that every event of the kind has; `body`: what it means and what to do, with
+    @FIELD@ for a field's value."""
+
+    __slots__ = ("body", "fields", "level", "message_id", "name", "subject")
+
+    def __init__(
+        self, name: str, level: str, message_id: str, fields: tuple[str, ...], subject: str, body: str
+    ) -> None:
+        self.name = name
+        self.level = level
+        self.message_id = message_id
+        self.fields = fields
+        self.subject = subject
+        self.body = body
+
+
+KINDS = (
+    Kind(
+        "ready",
+        "notice",
+        "019484cdaf0545c2b4ff5e8fc487d4bb",
+        (),
+        "@FAILSTOP_NAME@ is ready",
+        "Every process runs, the port is open and the wheels were told to stop. Motion is disabled.\n"
+        "Next: failstop enable --name @FAILSTOP_NAME@",
+    ),
+    Kind(
+        "waiting",
+        "warning",
+        "e12d029f8969465ebe24b87501c4fa50",
+        ("for",),
+        "@FAILSTOP_NAME@ waits for @FAILSTOP_FOR@",
+        "Motion can't be enabled until it is there; the wheels are told to stop meanwhile.\n"
+        "For the port: is the board plugged in and powered, and is device.path its path? For a process: the journal\n"
+        "says how it died.\n"
+        "Next: failstop doctor --name @FAILSTOP_NAME@",
+    ),
+    Kind(
+        "stop",
+        "warning",
+        "d64c7adf98c047808bc2802fe77d504b",
+        ("reason", "noticed_by", "written_by", "epoch"),
+        "Stop latched: @FAILSTOP_REASON@",
+        "A latched protective stop. Noticed by: @FAILSTOP_NOTICED_BY@. The stop frame was handed to the kernel by:\n"
+        "@FAILSTOP_WRITTEN_BY@, FAILSTOP_LATENCY_US after the notice. By nobody: it could NOT be written, so use the\n"
+        "POWER SWITCH. Whether the board and the wheels obeyed is told by the entry stop_outcome that follows within\n"
+        "two seconds. Nothing moves until people reset and enable.\n"
+        "Next: see to the cause, then failstop reset and failstop enable, each with --name @FAILSTOP_NAME@",
+    ),
+    Kind(
+        "stop_again",
+        "warning",
+        "2c6e64c285a7435ab4556b269c245db3",
+        ("reason", "noticed_by", "written_by", "epoch", "latched"),
+        "Stopped again: @FAILSTOP_REASON@",
+        "Another cause while a stop is latched for: @FAILSTOP_LATCHED@. The first cause is the one to look for.\n"
+        "Next: journalctl -x FAILSTOP_EVENT=stop FAILSTOP_NAME=@FAILSTOP_NAME@",
+    ),
+    Kind(
+        "stop_also",
+        "notice",
+        "16e91c030a5347e792e929e9f1a13adb",
+        ("reason", "noticed_by"),
+        "The same stop, also noticed as: @FAILSTOP_REASON@",
+        "Several causes came at once, or several processes noticed the same one. Nothing is to be done beyond the\n"
+        "stop itself.",
+    ),
+    Kind(
+        "stop_outcome",
+        "notice",
+        "fc05c1f31f724be5bca7cd7dd6834b42",
+        ("reason", "link"),
+        "What became of the stop: @FAILSTOP_REASON@",
+        "Two proofs beyond the written bytes. acknowledged: the board answered a ping that was sent after the stop\n"
+        "(FAILSTOP_ACKNOWLEDGED_US from the cause). observed: the IMU saw the wheels come to rest\n"
+        "(FAILSTOP_OBSERVED_MS). What is missing is not known; it does not say that the wheels turn.\n"
+        "Next: if the wheels were NOT seen still, use the POWER SWITCH; else failstop status --name @FAILSTOP_NAME@",
+    ),
+    Kind(
+        "unstill",
+        "critical",
+        "f71aa7ca3afa4b01a9932952acebe386",
+        ("reason",),
+        "The wheels do not come to rest",
+        "A stop was written for: @FAILSTOP_REASON@. The IMU still shakes: the board does not obey, or somebody\n"
+        "pushes the robot. The stop is written again and again, and still.command is run where there is one.\n"
+        "Next: use the POWER SWITCH. Software can do no more.",
+    ),
+    Kind(
+        "died",
+        "error",
+        "1e64f97a9f8242b9bbd9dac4d3533ca8",
+        ("process", "pid", "how"),
+        "@FAILSTOP_PROCESS@ died",
+        "Process @FAILSTOP_PID@ @FAILSTOP_HOW@. Its death was a stop cause; how it died is known only now.\n"
+        "Next: journalctl _PID=@FAILSTOP_PID@, and coredumpctl info @FAILSTOP_PID@ where it crashed",
+    ),
+    Kind(
+        "restarting",
+        "notice",
+        "839c001330c04363ace8f58dd80349f3",
+        ("process", "wait_s"),
+        "@FAILSTOP_PROCESS@ is started anew",
+        "In @FAILSTOP_WAIT_S@ s. A restarted process never enables motion again: that is for people.\n"
+        "Next: failstop status --name @FAILSTOP_NAME@",
+    ),
+    Kind(
+        "down",
+        "critical",
+        "d425ec3582c843a999835f153362effe",
+        ("process",),
+        "@FAILSTOP_PROCESS@ stays down",
+        "It died too often (settings restart.deaths, restart.window_s). The wheels are told to stop and the status is\n"
+        "served, but motion can't be enabled any more.\n"
+        "Next: journalctl FAILSTOP_EVENT=died FAILSTOP_PROCESS=@FAILSTOP_PROCESS@; then restart the service",
+    ),
+    Kind(
+        "start_failed",
+        "error",
+        "136159b2497249b0a1a23e57aa59480a",
+        ("process", "reason"),
+        "@FAILSTOP_PROCESS@ could not be started",
+        "@FAILSTOP_REASON@. It is tried again twice a second; motion waits for it.\n"
+        "Next: look for what the machine is short of: memory, processes, file descriptors",
+    ),
+    Kind(
+        "not_started",
+        "error",
+        "192201d8d49d43efb4ce40b1729976ac",
+        ("reason",),
+        "@FAILSTOP_NAME@ could not be started",
+        "@FAILSTOP_REASON@. The stop was written before; nothing watches the robot from here on.\n"
+        "Next: see to the reason, then start the service again",
+    ),
+    Kind(
+        "fenced",
+        "error",
+        "61960dd921854ce5960e3d28f97288ee",
+        ("process", "pid", "silent_ms", "kill_us"),
+        "@FAILSTOP_PROCESS@ hung and was fenced",
+        "It was silent for @FAILSTOP_SILENT_MS@ ms, so it was killed: what it still wanted to write can't happen.\n"
+        "The times are from the notice to the kill, the stop on the supervisor's own descriptor, the process gone,\n"
+        "and the stop after that.\n"
+        "Next: was the machine overloaded or frozen? failstop doctor --name @FAILSTOP_NAME@ looks for real-time rights",
+    ),
+    Kind(
+        "enabled",
+        "notice",
+        "3bfd144a1c00461f861da553c93614d9",
+        ("who",),
+        "Motion was enabled by @FAILSTOP_WHO@",
+        "From here on commands move the wheels. The name and the pid are what the client says of itself.\n"
+        "Next: failstop disable --name @FAILSTOP_NAME@ takes it back",
+    ),
+    Kind(
+        "disabled",
+        "notice",
+        "9ed186beffa7488bbf12bd4f6463b06f",
+        (),
+        "Motion was disabled",
+        "By the client FAILSTOP_WHO, or because of FAILSTOP_REASON: an interlock that is no longer held. The wheels\n"
+        "were stopped; nothing is latched.\n"
+        "Next: failstop enable --name @FAILSTOP_NAME@",
+    ),
+    Kind(
+        "reset",
+        "notice",
+        "085c02e749f54017874cb058835723df",
+        ("who",),
+        "The latched stop was cleared by @FAILSTOP_WHO@",
+        "A reset clears the latch and nothing else: motion stays disabled.\n"
+        "Next: failstop enable --name @FAILSTOP_NAME@",
+    ),
+    Kind(
+        "refused",
+        "notice",
+        "e46f8afd78764309952f8428eebda5b9",
+        ("who", "verb", "reason"),
+        "@FAILSTOP_WHO@ was refused: @FAILSTOP_VERB@",
+        "The reason: @FAILSTOP_REASON@. Nothing was changed.\nNext: failstop status --name @FAILSTOP_NAME@",
+    ),
+    Kind(
+        "ignored",
+        "warning",
+        "b3b319d319c74c748c77923638d33b72",
+        ("who", "source"),
+        "Commands of @FAILSTOP_WHO@ are ignored",
+        "It commands as a source that the settings do not name: @FAILSTOP_SOURCE@.\n"
+        "Next: correct the program, or declare the source under [sources] and restart the service",
+    ),
+    Kind(
+        "device_lost",
+        "error",
+        "ad86431d272243de804dc53ce7353048",
+        ("path",),
+        "The board's port is gone: @FAILSTOP_PATH@",
+        "Unplugged, without power, or reset. Nothing can stop wheels that turn now but the board and its power.\n"
+        "The stop is written the moment the port is back.\n"
+        "Next: use the POWER SWITCH if the wheels turn; look at the cable; journalctl -k shows what the kernel saw",
+    ),
+    Kind(
+        "device_back",
+        "notice",
+        "9ccb732a9e874f2ba9495eeedcf3228f",
+        ("path",),
+        "The board's port is back: @FAILSTOP_PATH@",
+        "The first bytes on it were a stop. What is latched stays latched.\n"
+        "Next: failstop reset, then failstop enable, each with --name @FAILSTOP_NAME@",
+    ),
+    Kind(
+        "link",
+        "notice",
+        "26df9cadbcba4b67963b906680e6a454",
+        ("state",),
+        "The board's link is @FAILSTOP_STATE@",
+        "unproven: it has not answered a ping since the port was opened, so whether it hears is not known.\n"
+        "alive: it answers. deaf: it answered before and is silent now, a stop cause: then use the POWER SWITCH.\n"
+        "Next: failstop status --name @FAILSTOP_NAME@",
+    ),
+    Kind(
+        "rights",
+        "warning",
+        "a56c088a927e4d8f9106a8df85dec9c6",
+        ("what",),
+        "Missing rights: @FAILSTOP_WHAT@",
+        "On a busy machine stops come later, and some for no cause.\n"
+        "Next: the unit's LimitRTPRIO=40 and LimitMEMLOCK=infinity give them; failstop doctor looks for them",
+    ),
+    Kind(
+        "pad",
+        "notice",
+        "a06ff401a7f049889d61e332ac51386f",
+        (),
+        "The gamepad",
+        "Its mode changed, one of its buttons stopped the robot, or MODE was held to reset. The last raw frames are\n"
+        "told with a button: they show whether somebody pressed it or the pad sent garbage.\n"
+        "Next: failstop status --name @FAILSTOP_NAME@ shows the mode",
+    ),
+    Kind(
+        "charger",
+        "info",
+        "72df7bd7397a41fca08599cf028e6a11",
+        ("state", "battery_mv"),
+        "The charger is @FAILSTOP_STATE@",
+        "Judged from a step of the battery's voltage, to @FAILSTOP_BATTERY_MV@ mV.\n"
+        "Next: failstop config shows battery.step_mv, in case that it is wrong",
+    ),
+    Kind(
+        "scan",
+        "warning",
+        "5db72888dc83420d9884c7633dd8d1f9",
+        ("state",),
+        "The obstacle sensor is @FAILSTOP_STATE@",
+        "While it is silent, software commands move nothing (no scan). That is not latched: motion resumes by itself,\n"
+        "from zero speed, when the sensor delivers again.\n"
+        "Next: does the sensor's driver run, and does its client call sensed()?",
+    ),
+    Kind(
+        "gyro",
+        "info",
+        "082c033a964f4063a2b4f6814ee960e8",
+        (),
+        "The gyro's calibration",
+        "Its bias at the start, or that the robot did not stand still for it.\n"
+        "Next: after `not stationary`, leave the robot standing and restart the service",
+    ),
+    Kind(
+        "disk",
+        "warning",
+        "9e790b1bc2634737a9047e698e7df8ff",
+        (),
+        "A file of the service",
+        "A file in the state directory could not be read or written, or can be again. Stops do not depend on it.\n"
+        "Next: df and ls -ld on the directory that the entry names",
+    ),
+    Kind(
+        "command",
+        "warning",
+        "24cb47b33041490ba3a67714e953ea58",
+        ("state",),
+        "still.command @FAILSTOP_STATE@",
+        "The command that the settings name for wheels that do not come to rest.\n"
+        "Next: did what it switches do its work? Its own output is in the journal too",
+    ),
+    Kind(
+        "note",
+        "info",
+        "52bb8f68c7914cb6b272bc07f6b0b35c",
+        (),
+        "A remark",
+        "What no other kind is for; the entry's own text says all of it.",
+    ),
+    Kind(
+        "incident",
+        "notice",
+        "03354876ce0c41f98bc62f66572f716a",
+        (),
+        "The record of a stop",
+        "The last minute before a latched stop, and what followed, as a file; or why there is none.\n"
+        "Next: failstop incident list --name @FAILSTOP_NAME@",
+    ),
+    Kind(
+        "stopping",
+        "notice",
+        "59066ee0452549998781172916643259",
+        ("reason",),
+        "@FAILSTOP_NAME@ is stopping",
+        "It was told to end. The stop is written first, then its processes end, then it is written once more.",
+    ),
+    Kind(
+        "stopped",
+        "notice",
+        "a9c157b26c984105a437043f1ba39f09",
+        (),
+        "@FAILSTOP_NAME@ has ended",
+        "Nothing watches the robot from here on. If the second stop could NOT be written, look at the wheels.\n"
+        "Next: failstop stop writes a stop without any service; systemctl start starts the service",
+    ),
+)
+
+BY_NAME = {kind.name: kind for kind in KINDS}

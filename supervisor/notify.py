@@ -1,0 +1,101 @@
+"""Notify: what the service manager is told (the sd_notify protocol): ready, a status line, the watchdog, the end.
+
+One datagram a message, never waited for. A message that could not be sent is sent again at a later turn, and is no
+reason to do anything else.
+"""
+
+from __future__ import annotations
+
+import _socket
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import MutableMapping
+
+VARIABLES = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
+"""What the service manager hands over; for the supervisor alone."""
+STATUS_CHARACTERS = 200
+
+
+class Notify:
+    """The socket of the service manager; without one, nothing is sent."""
+
+    __slots__ = ("_address", "_beat_ns", "_said", "_socket", "_told_ready", "_want_ready", "every_ns")
+
+    def __init__(self, address: str = "", watchdog_us: int = 0) -> None:
+        """`address`: a path, or @name for the abstract namespace; `watchdog_us`: the watchdog's timeout, 0 for none."""
+        self._address = address.encode("utf-8", "surrogateescape")
+        if address.startswith("@"):
+            self._address = b"\0" + self._address[1:]
+        self._socket: _socket.socket | None = None
+        self.every_ns = watchdog_us * 1000 // 2
+        """Half of the timeout: one message may get lost."""
+        self._beat_ns = 0
+        self._said = ""
+        self._want_ready = False
+        self._told_ready = False
+
+    @classmethod
+    def taken_from(cls, environ: MutableMapping[str, str], pid: int) -> Notify:
+        """As `environ` says, from which the variables are taken away: nothing that this process starts may speak for
+        it. A watchdog for another pid is none."""
+        address, timeout, wanted = (environ.pop(name, "") for name in VARIABLES)
+        if address[:1] not in ("/", "@"):
+            return cls()
+        for_us = not wanted or wanted == str(pid)
+        return cls(address, int(timeout) if for_us and timeout.isdecimal() else 0)
+
+    @property
+    def active(self) -> bool:
+        """True when somebody listens."""
+        return bool(self._address)
+
+    def ready(self) -> None:
+        """The service is ready; goes out with the next follow()."""
+        self._want_ready = True
+
+    def follow(self, now_ns: int, status: str, *, healthy: bool) -> None:
+        """Once a turn: what is new, and the watchdog's beat when it is due and the supervisor does its job."""
+        if not self._address:
+            return
+        lines = []
+        if self._want_ready and not self._told_ready:
+            lines.append("READY=1")
+        if status != self._said:
+            lines.append(f"STATUS={_one_line(status)}")
+        beats = healthy and self.every_ns > 0 and now_ns - self._beat_ns >= self.every_ns
+        if beats:
+            lines.append("WATCHDOG=1")
+        if lines and self.send("\n".join(lines)):
+            self._told_ready = self._want_ready
+            self._said = status
+            if beats:
+                self._beat_ns = now_ns
+
+    def stopping(self, status: str) -> None:
+        """The service ends now."""
+        self.send(f"STOPPING=1\nSTATUS={_one_line(status)}")
+
+    def close(self) -> None:
+        """Let the socket go."""
+        if self._socket:
+            self._socket.close()
+            self._socket = None
+
+    def send(self, message: str) -> bool:
+        """Send one message; False when it could not be handed over at once."""
+        if not self._address:
+            return False
+        try:
+            if self._socket is None:
+                kind = _socket.SOCK_DGRAM | _socket.SOCK_CLOEXEC | _socket.SOCK_NONBLOCK
+                self._socket = _socket.socket(_socket.AF_UNIX, kind)
+            self._socket.sendto(message.encode("utf-8", "replace"), self._address)
+        except (OSError, ValueError):
+            return False
+        return True
+
+
+def _one_line(text: str) -> str:
+    """A line break would begin another assignment: a reason is not to say that a service is ready."""
+    return "".join(c if c.isprintable() else "?" for c in text)[:STATUS_CHARACTERS]

@@ -1,0 +1,109 @@
+"""Teller: in which words people are told of stops and of what the processes have to say. It decides nothing."""
+
+from __future__ import annotations
+
+from failstop.shm import layout
+from failstop.shm.notes import Note
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.shm.segment import Segment
+    from failstop.supervisor.causes import Cause
+    from failstop.supervisor.events import Events
+
+MOST_SAID = 64
+WAITED_NS = 2_000_000_000
+"""What motion waits for is told of after this long: a restart takes a fraction of it."""
+NO_REALTIME = (
+    "no real-time rights (SCHED_FIFO): on a busy machine stops come later, and some for no cause; "
+    "next: run it as root or with RLIMIT_RTPRIO of at least 40"
+)
+
+
+class Teller:
+    """What was told since the latch, and the remarks of the processes."""
+
+    def __init__(self, name: str, events: Events, views: dict[str, Segment]) -> None:
+        self._name = name
+        self.events = events
+        self._notes = [(process, views[process].ring_reader("notes")) for process in (layout.GATE, layout.TELEMETRY)]
+        self._said: set[str] = set()
+        """Reasons that were told of since the latch."""
+        self._missing = ""
+        self._missing_ns = 0
+        self._told_missing = ""
+
+    def latched(self, cause: Cause) -> None:
+        """A cause is the first since a reset: everything that follows may be news again."""
+        self._said = {cause.reason}
+
+    def _news_of(self, cause: Cause) -> bool:
+        """True when this reason was not told of since the latch; several processes notice the same."""
+        if cause.reason in self._said:
+            return False
+        if len(self._said) < MOST_SAID:
+            self._said.add(cause.reason)
+        return True
+
+    def also(self, cause: Cause) -> None:
+        """A cause that came together with others, or before their stop was answered."""
+        if self._news_of(cause):
+            fields = {"reason": cause.reason, "noticed_by": cause.noticed_by}
+            self.events.tell("stop_also", f"also: {cause.reason}", fields)
+
+    def stopped(self, cause: Cause, written_ns: int, by: str, standing: Cause, epoch: int, *, ending: bool) -> None:
+        """A stop was answered; `written_ns` 0: it could not be written. `standing`: the cause that is latched."""
+        written_us = max(0, written_ns - cause.t_ns) / 1000
+        wrote = f"stop frame written by the {by} after {written_us:.0f} us" if written_ns else "stop frame NOT written"
+        fields = {
+            "reason": cause.reason,
+            "noticed_by": cause.noticed_by,
+            "written_by": by if written_ns else "nobody",
+            "latency_us": round(written_us, 1) if written_ns else None,
+            "epoch": epoch,
+        }
+        level = "" if written_ns else "critical"
+        if ending:
+            self.events.tell("stopping", f"{cause.reason}; {wrote}", fields, level=level)
+        elif standing is cause:
+            text = f"E-STOP latched: {cause.reason}; {wrote}; next: `failstop reset`, then `failstop enable`"
+            self.events.tell("stop", text, fields, level=level)
+        elif self._news_of(cause):
+            text = f"stopped again: {cause.reason}; {wrote}; latched is still: {standing.reason}"
+            self.events.tell("stop_again", text, {**fields, "latched": standing.reason}, level=level)
+
+    def ready(self, *, realtime: bool) -> None:
+        """Motion could be enabled, for the first time."""
+        self._told_missing = ""
+        self.events.tell("ready", f"{self._name!r} is ready: wheels stopped, motion disabled; next: `failstop enable`")
+        if not realtime:
+            self.events.tell("rights", NO_REALTIME, {"what": "SCHED_FIFO"})
+
+    def missing(self, missing: str, now_ns: int) -> None:
+        """Once a turn: what motion waits for; told of when it stays away, and when it has come after all."""
+        if missing != self._missing:
+            self._missing, self._missing_ns = missing, now_ns
+        if self._told_missing == missing:
+            return
+        if missing and now_ns - self._missing_ns >= WAITED_NS:
+            self._told_missing = missing
+            text = f"waiting for {missing}: motion can't be enabled; next: `failstop status`"
+            self.events.tell("waiting", text, {"for": missing})
+        elif not missing:
+            self.events.tell("ready", f"{self._told_missing} is there now: motion can be enabled again")
+            self._told_missing = ""
+
+    def pass_notes(self) -> None:
+        """Remarks that the processes have for people."""
+        for process, ring in self._notes:
+            while entry := ring.next():
+                try:
+                    note = Note.unpack(entry[2])
+                except ValueError:
+                    continue  # a damaged one: nothing depends on it
+                self.events.tell(note.kind, note.text, {"process": process, **note.fields}, level=note.level)
+
+    def ended(self, *, written: bool) -> None:
+        """The service has ended; `written`: the second stop could be written."""
+        told = "the stop was written twice" if written else "the second stop could NOT be written"
+        self.events.tell("stopped", f"stopped; {told}", level="" if written else "critical")

@@ -1,0 +1,1 @@
+"""The files of the system: units, the user, the udev rule, the journal's catalog. Package data."""

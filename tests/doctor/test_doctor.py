@@ -1,0 +1,132 @@
+"""`failstop doctor` as a user runs it: on a simulated board, with a service and without, and with what is wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from failstop.board.port import open_port
+from failstop.board.sim.client import SimBoard
+from failstop.trial import Trial, wait_for
+
+
+def doctor(*words: str) -> tuple[int, dict[str, list[dict[str, Any]]]]:
+    """Exit code, and the findings by check."""
+    command = [sys.executable, "-m", "failstop", "doctor", "--quick", "--json", *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    assert done.stderr == ""
+    result = json.loads(done.stdout)
+    found: dict[str, list[dict[str, Any]]] = {}
+    for finding in result["findings"]:
+        found.setdefault(finding["check"], []).append(finding)
+    assert (done.returncode == 1) == (result["worst"] == "fail"), result
+    return done.returncode, found
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Iterator[SimBoard]:
+    with SimBoard(tmp_path / "board", imu_hz=0) as running:
+        yield running
+
+
+@pytest.fixture
+def name() -> str:
+    return f"doctor-{os.getpid()}"
+
+
+def stop_path(found: dict[str, list[dict[str, Any]]]) -> list[str]:
+    return [f"{finding['level']}: {finding['text']}" for finding in found["stop path"]]
+
+
+def test_every_way_to_the_board_is_acknowledged(board: SimBoard, name: str) -> None:
+    _, found = doctor("--device", board.link, "--name", name)
+    said = stop_path(found)
+    assert [line.partition(": acknowledged")[0] for line in said] == [
+        "ok: supervisor's opening",
+        "ok: stopper's duplicate",
+        "ok: stop tool",
+    ]
+    assert sum(event.is_stop for event in board.events()) == 12, "three bursts of four stop frames"
+    assert not any(event.is_motion for event in board.events(since=0))
+
+
+def test_a_board_that_does_not_hear_is_a_failure(board: SimBoard, name: str) -> None:
+    board.deaf(True)
+    code, found = doctor("--device", board.link, "--name", name)
+    assert code == 1
+    assert [line for line in stop_path(found) if line.startswith("fail: ")] == [
+        "fail: supervisor's opening: the burst was written, and the board did not answer the ping behind it"
+    ]
+
+
+def test_a_port_that_somebody_has_open_is_left_alone(board: SimBoard, name: str) -> None:
+    fd = open_port(board.link, exclusive=False)
+    code, found = doctor("--device", board.link, "--name", name)
+    os.close(fd)
+    assert code == 1
+    assert f"(pid {os.getpid()}) has the port open" in found["holders"][0]["text"]
+    assert "has the port open" in stop_path(found)[0]
+    assert board.events() == []
+
+
+def test_settings_that_no_service_would_start_with(board: SimBoard, name: str, tmp_path: Path) -> None:
+    config = tmp_path / "mine.toml"
+    config.write_text("[gate]\nlease_s = 9.0\n")
+    code, found = doctor("--config", str(config), "--device", board.link, "--name", name)
+    assert code == 1
+    assert "gate.lease_s = 9.0" in found["settings"][0]["text"]
+    config.write_text(f'[device]\npath = "{board.link}"\n')
+    _, found = doctor("--config", str(config), "--name", name)
+    assert found["settings"][0] == {"check": "settings", "level": "ok", "text": str(config), "fix": ""}
+    assert board.link in found["port"][0]["text"]
+
+
+def test_no_device(name: str) -> None:
+    code, found = doctor("--device", "/dev/nowhere", "--name", name)
+    assert code == 1
+    assert found["port"][0]["level"] == "fail"
+
+
+def test_the_stop_of_a_running_service(name: str) -> None:
+    with Trial(name) as trial:
+        wait_for("the board's answer", lambda: trial.robot.state.device["link"] == "alive")
+        _, found = doctor("--name", name)
+        assert found["service"][0]["level"] == "ok"
+        assert trial.link in found["port"][0]["text"]
+        assert stop_path(found)[0].startswith("ok: not tested: the service runs")
+        assert found["holders"][0]["level"] == "ok"
+        assert trial.robot.state.last_stop is None or "doctor" not in trial.robot.state.last_stop.reason
+
+        _, found = doctor("--name", name, "--stop-test")
+        assert stop_path(found)[0].startswith("ok: port owner, by a stop request: acknowledged by the board after")
+        state = trial.robot.state
+        assert (state.estop, state.enabled) == (None, False)
+        assert state.last_stop is not None
+        assert state.last_stop.reason.startswith("doctor: stop test")
+
+
+def test_the_stop_test_keeps_off_a_robot_that_drives_and_a_latch_that_means_something(name: str) -> None:
+    with Trial(name) as trial:
+        trial.enable()
+        _, found = doctor("--name", name, "--stop-test")
+        assert "motion is enabled" in stop_path(found)[0]
+        assert trial.robot.state.enabled
+        trial.robot.estop("smoke")
+        _, found = doctor("--name", name, "--stop-test")
+        assert "latched already (smoke" in stop_path(found)[0]
+        assert (trial.robot.state.estop or "").startswith("smoke")
+
+
+def test_for_people(board: SimBoard, name: str) -> None:
+    command = [sys.executable, "-m", "failstop", "doctor", "--quick", "--device", board.link, "--name", name]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    assert "ok    stop path" in done.stdout
+    assert done.stdout.splitlines()[-1].endswith(" fine")
+    assert "\x1b" not in done.stdout

@@ -1,0 +1,218 @@
+"""Gathering: from a made-up tree of the system's files, and from this machine."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.doctor import machine_facts, port_facts, service_facts, ticks
+from failstop.doctor.facts import Idle, RemoveIpc, Unit
+from failstop.doctor.gather import gather
+from failstop.doctor.system import System
+from failstop.shm import layout, segment
+
+
+def write(root: Path, path: str, text: str) -> None:
+    place = root / path.lstrip("/")
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.write_text(text)
+
+
+def test_the_usb_device_is_found_above_its_node(tmp_path: Path) -> None:
+    usb = "/sys/devices/pci0/usb1/1-2"
+    write(tmp_path, f"{usb}/idVendor", "1a86\n")
+    write(tmp_path, f"{usb}/idProduct", "55d4\n")
+    write(tmp_path, f"{usb}/product", "USB Single Serial\n")
+    (tmp_path / f"{usb}/1-2:1.0".lstrip("/")).mkdir()
+    link = tmp_path / "sys/dev/char/166:0"
+    link.mkdir(parents=True)
+    (link / "device").symlink_to(tmp_path / f"{usb}/1-2:1.0".lstrip("/"))
+    system = System(str(tmp_path))
+    assert port_facts.usb_identity("/sys/dev/char/166:0/device", system) == ("1a86:55d4", "USB Single Serial")
+    assert port_facts.usb_identity("/sys/dev/char/4:0/device", system) == (None, "")
+
+
+@pytest.mark.parametrize(
+    ("text", "ignored"), [("E:ID_MM_DEVICE_IGNORE=1\n", True), ("E:ID_BUS=usb\n", False), (None, None)]
+)
+def test_what_udev_tells_modem_manager(tmp_path: Path, text: str | None, ignored: bool | None) -> None:
+    if text is not None:
+        write(tmp_path, "/run/udev/data/c166:0", text)
+    assert port_facts.modem_ignored("/run/udev/data/c166:0", System(str(tmp_path))) is ignored
+
+
+def test_grabbers_and_their_units(tmp_path: Path) -> None:
+    write(tmp_path, "/proc/12/comm", "ModemManager\n")
+    write(tmp_path, "/proc/12/cgroup", "0::/system.slice/ModemManager.service\n")
+    write(tmp_path, "/proc/13/comm", "bash\n")
+    found = port_facts.grabbers(System(str(tmp_path)))
+    assert [(holder.pid, holder.name, holder.unit) for holder in found] == [
+        (12, "ModemManager", "ModemManager.service")
+    ]
+
+
+CONF = "/systemd/logind.conf"
+
+
+@pytest.mark.parametrize(
+    ("files", "found"),
+    [
+        ({}, RemoveIpc(True, "")),
+        ({f"/etc{CONF}": "[Login]\n#RemoveIPC=no\n"}, RemoveIpc(True, "")),
+        ({f"/etc{CONF}": "[Login]\nRemoveIPC=no\n"}, RemoveIpc(False, f"/etc{CONF}")),
+        (
+            {f"/etc{CONF}": "RemoveIPC=no\n", f"/run{CONF}.d/a.conf": "RemoveIPC = yes\n"},
+            RemoveIpc(True, f"/run{CONF}.d/a.conf"),
+        ),
+        (
+            {f"/usr/lib{CONF}.d/a.conf": "RemoveIPC=yes\n", f"/etc{CONF}.d/a.conf": "RemoveIPC=no\n"},
+            RemoveIpc(False, f"/etc{CONF}.d/a.conf"),
+        ),
+        ({f"/usr/lib{CONF}": "RemoveIPC=no\n", f"/etc{CONF}": "[Login]\n"}, RemoveIpc(True, "")),
+        (
+            {f"/etc{CONF}.d/a.conf": "RemoveIPC=no\n", f"/usr/lib{CONF}.d/b.conf": "RemoveIPC=1\n"},
+            RemoveIpc(True, f"/usr/lib{CONF}.d/b.conf"),
+        ),
+    ],
+)
+def test_remove_ipc_as_logind_reads_it(tmp_path: Path, files: dict[str, str], found: RemoveIpc) -> None:
+    for path, text in files.items():
+        write(tmp_path, path, text)
+    assert service_facts.remove_ipc(System(str(tmp_path))) == found
+
+
+def test_governors_and_the_slowest_state_in_use(tmp_path: Path) -> None:
+    folder = "/sys/devices/system/cpu"
+    for core, governor in (("cpu0", "powersave"), ("cpu1", "performance")):
+        write(tmp_path, f"{folder}/{core}/cpufreq/scaling_governor", governor)
+    for state, name, latency, disabled in (("state0", "C1", 2, 0), ("state1", "C6", 85, 0), ("state2", "C10", 890, 1)):
+        for key, value in (("name", name), ("latency", latency), ("disable", disabled)):
+            write(tmp_path, f"{folder}/cpu0/cpuidle/{state}/{key}", f"{value}\n")
+    (tmp_path / "sys/devices/system/cpu/cpufreq").mkdir()
+    found = machine_facts.cpu(System(str(tmp_path)))
+    assert (found.cores, found.governors) == (2, ("performance", "powersave"))
+    assert found.slowest_idle == Idle("C6", 85)
+
+
+def test_what_systemctl_says() -> None:
+    text = (
+        "LoadState=loaded\nActiveState=failed\nSubState=failed\nUnitFileState=enabled\nResult=watchdog\n"
+        "User=failstop\nNeedDaemonReload=yes\nMainPID=0\nNRestarts=4\n"
+    )
+    expected = Unit("failstop.service", "loaded", "failed", "failed", "enabled", "watchdog", "failstop", True, 0, 4)
+    assert service_facts.parse_unit("failstop.service", text) == expected
+    assert service_facts.parse_unit("x.service", "LoadState=not-found\n").user == "root"
+    assert service_facts.unit_name("failstop") == "failstop.service"
+    assert service_facts.unit_name("left") == "failstop@left.service"
+
+
+SYSTEMCTL = """#!/bin/sh
+test "$1 $2" = "show failstop@left.service" && echo LoadState=loaded && echo MainPID=12
+"""
+
+
+@pytest.mark.parametrize(
+    ("script", "found"),
+    [(SYSTEMCTL, ("loaded", 12)), ("#!/bin/sh\nexit 1\n", None), ("#!/bin/sh\nexec sleep 30\n", None), ("", None)],
+    ids=["answers", "fails", "hangs", "missing"],
+)
+def test_systemctl_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, found: tuple[str, int] | None
+) -> None:
+    if script:
+        write(tmp_path, "bin/systemctl", script)
+        (tmp_path / "bin/systemctl").chmod(0o755)
+    shell_tools = "" if not script else ":/usr/bin:/bin"
+    monkeypatch.setenv("PATH", f"{tmp_path}/bin{shell_tools}")
+    unit = service_facts.unit("left")
+    assert (unit and (unit.load, unit.main_pid)) == found
+
+
+@pytest.fixture
+def dead_run() -> Iterator[str]:
+    name = f"dead-{os.getpid()}"
+    for spec in layout.SEGMENTS:
+        segment.create(name, spec.name, 7).close()
+    yield name
+    segment.unlink_all(name)
+
+
+def test_the_shared_memory_of_a_dead_run(dead_run: str) -> None:
+    server = port_facts.user(os.geteuid())
+    found = machine_facts.shared_memory(server, System())
+    left = next(row for row in found.leftovers if row.instance == dead_run)
+    assert (left.segments, left.ours) == (len(layout.SEGMENTS), True)
+    assert left.size > 0
+    assert service_facts.header(dead_run, System()) == (service_facts.client_version(), True)
+    stranger = port_facts.User("stranger", os.geteuid() + 4711, frozenset())
+    found = machine_facts.shared_memory(stranger, System())
+    assert not next(row for row in found.leftovers if row.instance == dead_run).ours
+
+
+def test_who_has_a_device_open() -> None:
+    master, slave = pty.openpty()
+    path = os.ttyname(slave)
+    code = f"import os; os.open({path!r}, os.O_RDWR | os.O_NOCTTY); print('open', flush=True); input()"
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        try:
+            assert other.stdout is not None
+            assert other.stdout.readline() == "open\n"
+            holders, _ = port_facts.holders(path, {4711}, System())
+            assert [(holder.pid, holder.ours) for holder in holders] == [(other.pid, False)]
+            assert port_facts.holders(path, {other.pid}, System())[0][0].ours
+        finally:
+            other.kill()
+    os.close(slave)
+    assert port_facts.holders(path, set(), System())[0] == ()
+    os.close(master)
+
+
+def test_a_pseudo_terminal_is_told_from_a_board() -> None:
+    master, slave = pty.openpty()
+    found = port_facts.node(os.ttyname(slave), System())
+    assert found is not None
+    assert (found.character, found.pseudo, found.accessible) == (True, True, True)
+    assert port_facts.node("/nowhere", System()) is None
+    os.close(slave)
+    os.close(master)
+
+
+def test_the_clocks_of_this_machine() -> None:
+    found = machine_facts.clock(System())
+    assert found.backward_ns == 0
+    assert 0 < found.resolution_ns < 20_000_000
+
+
+def test_asking_for_real_time_leaves_no_trace() -> None:
+    before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    machine_facts.rights(System())
+    assert (os.sched_getscheduler(0), os.sched_getparam(0).sched_priority) == before
+
+
+def test_the_ticks_of_this_machine() -> None:
+    found = ticks.measure(0.3)
+    assert not found[0].realtime
+    for row in found:
+        assert 1 <= row.count <= 30
+        assert 0 < row.median_us <= row.p99_us <= row.worst_us
+
+
+def test_ticks_in_numbers() -> None:
+    found = ticks.summary([n * 1000 for n in range(101)], realtime=True)
+    assert (found.median_us, found.p99_us, found.worst_us, found.count) == (50.0, 99.0, 100.0, 101)
+
+
+def test_all_of_it_is_quick() -> None:
+    begun_s = time.monotonic()
+    found = gather(f"none-{os.getpid()}", None, "/nowhere", quick=True, stop_test_wanted=False, system=System())
+    assert time.monotonic() - begun_s < 2.0
+    assert found.service is None
+    assert found.stop_skipped == "there is no port"

@@ -1,0 +1,131 @@
+"""The rings' payloads, and that whoever writes them can't fall over what it writes."""
+
+from __future__ import annotations
+
+import mmap
+import os
+from math import inf, isnan, nan
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.board.interface import BOARD
+from failstop.procs.gate.sources import Command
+from failstop.procs.port_owner.wire import Wire
+from failstop.shm import box, layout
+from failstop.shm.latest import slot_bytes
+from failstop.shm.ring import RingReader, RingWriter
+from tests.incidents.parts import KeptRing, Recorder, at, drive_and_die
+
+
+def ring(capacity: int, slots: int) -> tuple[RingWriter, RingReader]:
+    memory = mmap.mmap(-1, slot_bytes(capacity) * slots)
+    reader = RingReader(memory, 0, capacity, slots, 1)  # type: ignore[arg-type]
+    return RingWriter(memory, 0, capacity, slots, 1), reader  # type: ignore[arg-type]
+
+
+def test_a_tick_tells_the_command_and_what_became_of_it() -> None:
+    made = drive_and_die()
+    last = made.incident().ticks[-1]
+    assert last.block == "driving"
+    assert last.enabled
+    assert last.drives
+    assert last.command == pytest.approx((0.2, 0, 0))
+    assert last.velocity == pytest.approx((0.2, 0, 0))
+    assert last.wheels_rps == pytest.approx((0.796, 0.796, -0.796, -0.796), abs=1e-3)
+    assert (last.source, last.who, last.commands, last.epoch) == ("cmd_vel", "nav (pid 77)", 1, 7)
+    assert last.age_us == 1000
+
+
+@pytest.mark.parametrize(
+    ("block", "wanted"),
+    [("disabled", "disabled"), ("latched", "estop"), ("silent", "cmd timeout"), ("scan", "no scan")],
+)
+def test_every_decision_has_its_word(block: str, wanted: str) -> None:
+    made = Recorder()
+    if block != "disabled":
+        made.core.enable(7, "", at(0))
+    if block == "latched":
+        made.core.trip("a reason of its own", 7)
+    if block == "scan":
+        made.command(1, (0.1, 0, 0))
+    made.tick(2)
+    assert made.incident().ticks[-1].block == wanted
+
+
+any_float = st.floats(width=64)
+
+
+@given(velocity=st.tuples(any_float, any_float, any_float), who=st.text(max_size=80), source=st.text(max_size=20))
+def test_no_command_is_too_strange_to_be_recorded(velocity: tuple[float, float, float], who: str, source: str) -> None:
+    made = Recorder()
+    writer, reader = ring(box.GATE_BYTES, 8)
+    gate = box.GateBox(writer)
+    gate.command(Command(1, who, at(0), velocity, source=source))
+    gate.tick(at(5), made.core, 2**70)
+    entry = reader.next()
+    assert entry is not None
+    found = box.unpack_gate(entry[2])
+    for wanted, seen in zip(velocity, found["command"], strict=True):
+        assert isnan(seen) if isnan(wanted) else seen == pytest.approx(max(-3e38, min(3e38, wanted)), rel=1e-6)
+
+
+def test_infinity_and_nan_are_told_apart() -> None:
+    made = Recorder()
+    made.command(0, (nan, inf, -inf))
+    made.tick(1)
+    x, y, z = made.incident().ticks[-1].command
+    assert isnan(x)
+    assert y > 1e38
+    assert z < -1e38
+
+
+def test_the_wire_is_recorded_after_it_was_written() -> None:
+    """In the order of the bytes, with what the kernel took; a refusal too."""
+    reads, writes = os.pipe()
+    os.set_blocking(writes, False)
+
+    class Watched(KeptRing):
+        def put(self, payload: bytes, t_ns: int | None = None) -> int:
+            seen.append(os.read(reads, 4096) if payload[0] == box.BURST else b"")
+            return super().put(payload, 0)
+
+    seen: list[bytes] = []
+    kept = Watched()
+    wire = Wire(writes, kept)  # type: ignore[arg-type]
+    wire.burst()
+    assert seen == [BOARD.burst], "the bytes were out before the record was made"
+    assert box.unpack_wire(kept.entries[0][2]) == (box.BURST, len(BOARD.burst), len(BOARD.burst), b"")
+    for fd in (reads, writes):
+        os.close(fd)
+
+
+def test_the_longest_payloads_fit_their_rings() -> None:
+    assert len(box.pack_wire(box.FRAME, bytes(300), 300)) <= box.WIRE_BYTES
+    assert len(box.pack_imu((1.0,) * 3, (1.0,) * 3)) <= box.BOARD_BYTES
+    assert len(box.pack_pad((0xFFFF, 255, -128, 127, 0, 0), 1)) <= box.BOARD_BYTES
+    assert len(box.pack_beats([2**40] * len(layout.PROCESSES), [0] * len(layout.PROCESSES))) <= box.BEATS_BYTES
+    packed = box.pack_beats([2**40, -1, 0, 1, 2], [5, 6, 7, 8, 9])
+    assert box.unpack_beats(packed) == ((box.LONGEST, 5), (0, 6), (0, 7), (1, 8), (2, 9))
+
+
+def test_all_rings_together_stay_within_two_and_a_half_megabytes() -> None:
+    taken = sum(spec.records["box"].size() for spec in layout.SEGMENTS if "box" in spec.records)
+    assert 0 < taken < 2_500_000
+    assert [spec.name for spec in layout.SEGMENTS if "box" in spec.records] == [
+        layout.SUPERVISOR,
+        layout.PORT_OWNER,
+        layout.GATE,
+        layout.TELEMETRY,
+    ]
+
+
+@pytest.mark.parametrize("payload", [b"", b"\0", b"\x09" * 30, bytes(104)])
+def test_what_is_no_record_is_refused(payload: bytes) -> None:
+    for unpack in (box.unpack_board, box.unpack_beats):
+        with pytest.raises(ValueError, match="record"):
+            unpack(payload)
+    if len(payload) < 40:
+        with pytest.raises(ValueError, match="record"):
+            box.unpack_gate(payload)

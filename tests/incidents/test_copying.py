@@ -1,0 +1,180 @@
+"""Copying: real segments, whole ones and torn ones, and what ended a run that nobody ended."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from failstop.board.interface import BOARD
+from failstop.incidents import copying
+from failstop.shm import box, layout, records, segment
+from failstop.shm.latest import slot_bytes
+
+_numbers = itertools.count()
+RUN = 0x1234567890
+
+
+@pytest.fixture
+def name() -> Iterator[str]:
+    instance = f"copy{os.getpid()}x{next(_numbers)}"
+    for process in layout.PROCESSES:
+        segment.create(instance, process, RUN).close()
+    yield instance
+    segment.unlink_all(instance)
+
+
+def copies(name: str) -> copying.Copies:
+    fds = segment.open_all(name)
+    assert list(fds) == list(layout.PROCESSES)
+    found = {which: segment.copy(fd, name, which) for which, fd in fds.items()}
+    for fd in fds.values():
+        os.close(fd)
+    return found
+
+
+def owned(name: str, process: str) -> segment.Segment:
+    return segment.attach(name, process, RUN, write=True)
+
+
+def test_words_latest_and_rings_come_back_as_written(name: str) -> None:
+    gate = owned(name, layout.GATE)
+    gate.word("reset_epoch").set(9)
+    gate.latest_writer("state").write(b"old", 1)
+    gate.latest_writer("state").write(b"new", 2)
+    gate.latest_writer("reply.0").write(b"secret", 2)
+    writer = gate.ring_writer("box")
+    for number in range(box.GATE_SLOTS + 5):
+        writer.put(b"%d" % number, number)
+    found = copying.segment(layout.GATE, *copies(name)[layout.GATE])
+    assert found["words"]["reset_epoch"] == 9
+    assert found["latest"] == {"state": [2, 2, b"new"]}
+    ring = found["rings"]["box"]
+    assert [entry[0] for entry in ring] == list(range(6, box.GATE_SLOTS + 6)), "in order, the oldest overwritten"
+    assert ring[-1] == [box.GATE_SLOTS + 5, box.GATE_SLOTS + 4, b"%d" % (box.GATE_SLOTS + 4)]
+
+
+def test_a_torn_entry_is_left_out_and_nothing_else(name: str) -> None:
+    gate = owned(name, layout.GATE)
+    writer = gate.ring_writer("box")
+    for number in range(10):
+        writer.put(b"%d" % number, number)
+    at = gate.spec.offsets["box"] + 5 * slot_bytes(box.GATE_BYTES)
+    assert gate.mapped is not None
+    gate.mapped[at + 24] ^= 0xFF
+    ring = copying.segment(layout.GATE, *copies(name)[layout.GATE])["rings"]["box"]
+    assert [entry[0] for entry in ring] == [1, 2, 3, 4, 6, 7, 8, 9, 10]
+
+
+def test_segments_that_were_unlinked_can_still_be_copied(name: str) -> None:
+    owned(name, layout.SUPERVISOR).word("epoch").set(77)
+    fds = segment.open_all(name)
+    segment.unlink_all(name)
+    run, data = segment.copy(fds[layout.SUPERVISOR], name, layout.SUPERVISOR)
+    assert run == RUN
+    assert copying.words(layout.SUPERVISOR, data)["epoch"] == 77
+    for fd in fds.values():
+        os.close(fd)
+
+
+def test_a_truncated_segment_is_refused_with_a_reason(name: str) -> None:
+    os.truncate(f"/dev/shm/failstop.{name}.gate", 4096)
+    fds = segment.open_all(name)
+    with pytest.raises(segment.AttachError, match="wrong size"):
+        segment.copy(fds[layout.GATE], name, layout.GATE)
+    for fd in fds.values():
+        os.close(fd)
+
+
+def test_a_pipe_in_a_segments_place_holds_nobody_up(name: str) -> None:
+    """Anybody may put one there while no service runs; shm_open would wait for its other end for ever."""
+    path = f"/dev/shm/failstop.{name}.gate"
+    os.unlink(path)
+    os.mkfifo(path)
+    fds = segment.open_all(name)
+    assert layout.GATE not in fds
+    for fd in fds.values():
+        os.close(fd)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to give a file away")
+def test_another_users_file_is_not_a_run_of_ours(name: str) -> None:
+    os.chown(f"/dev/shm/failstop.{name}.gate", 65534, -1)
+    fds = segment.open_all(name)
+    assert layout.GATE not in fds
+    for fd in fds.values():
+        os.close(fd)
+
+
+def test_nothing_there_is_nothing_found() -> None:
+    assert segment.open_all("nobody-is-here") == {}
+
+
+def test_bytes_of_an_earlier_copy_come_before_the_later_ones() -> None:
+    earlier = [(number, number, b"early") for number in range(1, 6)]
+    assert [entry[0] for entry in copying.merge([[4, 4, b"late"], [6, 6, b"late"]], earlier)] == [1, 2, 3, 4, 6]
+    assert [entry[0] for entry in copying.merge([], earlier)] == [1, 2, 3, 4, 5]
+
+
+def dead_run(name: str, beats: dict[str, int], epoch: int = 3) -> None:
+    for process, beat_ns in beats.items():
+        owned(name, process).word("beat_ns").set(beat_ns)
+    owned(name, layout.SUPERVISOR).word("epoch").set(epoch)
+
+
+def test_the_port_owner_says_what_ended_the_run(name: str) -> None:
+    dead_run(name, dict.fromkeys(layout.PROCESSES, 1_000_000_000))
+    port_owner = owned(name, layout.PORT_OWNER)
+    stops, wire = port_owner.ring_writer("stops"), port_owner.ring_writer("box")
+    stops.put(records.pack_stop(2, 5, 6, True, "answered long ago"))
+    stops.put(records.pack_stop(3, 1_000_500_000, 1_000_600_000, True, "supervisor died"))
+    stops.put(records.pack_stop(3, 1_000_700_000, 1_000_700_000, True, "gate died"))
+    wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 900_000_000)
+    wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 1_000_620_000)
+    found = copies(name)
+    assert copying.left_cause(found) == (1_000_500_000, 3, "supervisor died")
+    stop = copying.left_stop(found, 1_000_500_000)
+    assert stop is not None
+    assert (stop["written_by"], stop["written_us"]) == ("port owner", 120.0)
+
+
+@pytest.mark.parametrize(
+    ("causes", "wanted"),
+    [
+        ([(100, "gate died"), (101, "supervisor died")], (100, "supervisor died")),
+        (
+            [(100, "supervisor hangs: silent for 60 ms"), (2000, "supervisor died")],
+            (100, "supervisor hangs: silent for 60 ms"),
+        ),
+        ([(100, "gate died")], (100, "gate died")),
+        ([(100, "key1"), (101, "gate died"), (102, "supervisor died")], (100, "key1")),
+    ],
+)
+def test_the_first_cause_is_told_but_for_what_dies_with_its_parent(
+    name: str, causes: list[tuple[int, str]], wanted: tuple[int, str]
+) -> None:
+    dead_run(name, dict.fromkeys(layout.PROCESSES, 90_000_000))
+    stops = owned(name, layout.PORT_OWNER).ring_writer("stops")
+    for ms, reason in causes:
+        stops.put(records.pack_stop(3, ms * 1_000_000, 0, True, reason))
+    cause_ns, _, reason = copying.left_cause(copies(name))
+    assert (cause_ns // 1_000_000, reason) == wanted
+
+
+def test_without_its_word_the_last_sign_of_life_counts(name: str) -> None:
+    dead_run(name, {**dict.fromkeys(layout.PROCESSES, 1_000_000_000), layout.STOPPER: 1_150_000_000})
+    owned(name, layout.STOPPER).word("written_ns").set(1_051_000_000)
+    found = copies(name)
+    assert copying.left_cause(found) == (1_000_000_000, 3, "supervisor died")
+    stop = copying.left_stop(found, 1_000_000_000)
+    assert stop is not None
+    assert (stop["written_by"], stop["written_us"]) == ("stopper", 51_000.0)
+
+
+def test_all_dead_at_once_and_nobody_wrote(name: str) -> None:
+    dead_run(name, {**dict.fromkeys(layout.PROCESSES, 1_000_000_000), layout.TELEMETRY: 1_050_000_000})
+    found = copies(name)
+    assert copying.left_cause(found) == (1_050_000_000, 3, "all of the service died")
+    assert copying.left_stop(found, 1_050_000_000) is None

@@ -1,0 +1,121 @@
+"""The file: whole or not there, and damage is told in one line, never a traceback."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from failstop.incidents import file
+from failstop.incidents.file import IncidentError
+from failstop.incidents.incident import Incident
+from tests.incidents.parts import Recorder, drive_and_die
+from tests.supervisor.test_imports import FORBIDDEN, imported
+
+HEAD = {"name": "failstop", "t": 1.5}
+BODY = {"segments": {"gate": {"rings": {"box": [[1, 2, b"\0\xff"]]}}}}
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> str:
+    return file.write(str(tmp_path / "incidents"), "20260101-000000-x", file.build(HEAD, BODY))
+
+
+def test_what_is_written_is_read(path: str) -> None:
+    assert file.read(path) == (HEAD, BODY)
+    assert file.read_head(path) == HEAD
+
+
+def test_two_of_one_name_are_both_kept(path: str) -> None:
+    folder = os.path.dirname(path)
+    other = file.write(folder, "20260101-000000-x", file.build({"name": "other"}, {}))
+    assert other == os.path.join(folder, "20260101-000000-x-2.incident")
+    assert file.read_head(path) == HEAD
+
+
+def test_a_file_that_is_cut_anywhere_says_so(path: str) -> None:
+    whole = Path(path).read_bytes()
+    for size in range(len(whole)):
+        Path(path).write_bytes(whole[:size])
+        with pytest.raises(IncidentError, match=r"cut short: \d+ of \d+ bytes|is no incident"):
+            file.read(path)
+
+
+def test_a_changed_byte_is_found_wherever_it_is(path: str) -> None:
+    whole = Path(path).read_bytes()
+    unused = range(len(file.MAGIC) + 2, len(file.MAGIC) + 4)
+    for at in set(range(len(whole))) - set(unused):
+        Path(path).write_bytes(whole[:at] + bytes((whole[at] ^ 0x41,)) + whole[at + 1 :])
+        with pytest.raises(IncidentError, match=r"damaged|cut short|no incident|of format"):
+            file.read(path)
+
+
+def test_a_file_that_unpacks_to_no_end_is_refused(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(file, "LONGEST_BODY", 10)
+    with pytest.raises(IncidentError, match="more than 10 bytes"):
+        file.read(path)
+
+
+def test_records_that_make_no_sense_are_left_out_and_counted() -> None:
+    made = drive_and_die()
+    ticks = len(made.incident().ticks)
+    made.ring("gate", "box").put(b"nonsense", 5)
+    made.ring("supervisor", "events").put(b"\xc1", 5)
+    made.ring("telemetry", "box").put(b"\x77", 5)
+    incident = made.incident()
+    assert len(incident.ticks) == ticks
+    assert len(incident.events) == 3
+    assert len(incident.imu) > 100
+    assert incident.undecoded == 3
+
+
+def test_an_incident_of_another_layout_names_the_version_that_reads_it(tmp_path: Path) -> None:
+    made = Recorder()
+    head = {**made.head(), "layout": 1}
+    path = file.write(str(tmp_path), "old", file.build(head, made.body()))
+    with pytest.raises(IncidentError, match=r"of failstop 0\.1\.0, whose records are laid out otherwise"):
+        Incident.read(path)
+
+
+def test_a_whole_file_of_something_else_is_refused_in_one_line(path: str) -> None:
+    with pytest.raises(IncidentError, match=r"no incident as failstop writes them \(KeyError\('layout'\)\)"):
+        Incident.read(path)
+
+
+def test_drafts_of_the_dead_are_cleared_and_those_of_the_living_are_not(path: str) -> None:
+    folder = Path(path).parent
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    dead, alive = folder / f".draft-{gone.pid}", folder / f".draft-{os.getppid()}"
+    for draft in (dead, alive):
+        draft.write_bytes(b"half")
+    file.clear_drafts(str(folder))
+    assert not dead.exists()
+    assert alive.exists()
+
+
+_WRITE = """
+import resource, sys
+from failstop.incidents import file
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+try:
+    file.write(sys.argv[1], "big", file.build({"name": "x"}, {"noise": __import__("os").urandom(5000)}))
+except OSError as error:
+    print(error.strerror)
+"""
+
+
+def test_the_saver_imports_little() -> None:
+    """It starts just after a stop, on the robot's own processor."""
+    assert sorted(imported("failstop.incidents.saver") & FORBIDDEN) == []
+
+
+def test_a_disk_that_takes_no_more_leaves_nothing_behind(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _WRITE, str(tmp_path)], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout.strip() == "File too large"
+    assert list(tmp_path.iterdir()) == []

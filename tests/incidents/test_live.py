@@ -1,0 +1,261 @@
+"""The real service on a simulated board: each stop leaves one file, and whatever hinders that hinders nothing else."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from failstop.events import EventLog
+from failstop.incidents import signals, store, story
+from failstop.incidents.incident import Incident
+from failstop.shm import box, layout
+from failstop.trial import Trial, wait_for
+
+pytestmark = pytest.mark.slow
+_numbers = itertools.count()
+SAVED_S = 20.0
+
+
+class Scene:
+    """A trial, its incidents, and what the service tells of them."""
+
+    def __init__(self, trial: Trial, home: Path) -> None:
+        self.trial = trial
+        self.environ = {"XDG_STATE_HOME": str(home)}
+
+    def heads(self) -> list[dict[str, object]]:
+        found, problems = store.heads(self.trial.name, self.environ)
+        assert problems == []
+        return found
+
+    def saved(self, count: int = 1) -> Incident:
+        """The newest, once there are so many."""
+        wait_for(f"{count} incidents", lambda: len(self.heads()) >= count, SAVED_S)
+        assert len(self.heads()) == count
+        return store.load("last", self.trial.name, self.environ)
+
+    def told(self) -> list[str]:
+        return [event.text for event in EventLog(self.trial.name).read() if event.kind == "incident"]
+
+    def folder(self) -> Path:
+        return Path(self.environ["XDG_STATE_HOME"]) / "failstop" / self.trial.name / "incidents"
+
+    def saver(self) -> psutil.Process:
+        """The saver, as soon as it runs."""
+        found: list[psutil.Process] = []
+
+        def there() -> bool:
+            for process in psutil.process_iter(["cmdline"]):
+                words = process.info["cmdline"] or []
+                if any(word.endswith("incidents/start.py") for word in words) and f"name={self.trial.name}" in words:
+                    found.append(process)
+            return bool(found)
+
+        wait_for("a saver", there, 5.0)
+        return found[0]
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+    """The state directory is the test's own, whatever this machine has in /var/lib."""
+    monkeypatch.setenv("STATE_DIRECTORY", "")
+    with started(tmp_path) as made:
+        yield made
+
+
+@contextlib.contextmanager
+def started(tmp_path: Path, settings: str = "") -> Iterator[Scene]:
+    config = tmp_path / "robot.toml"
+    config.write_text(settings)
+    with Trial(f"box-{os.getpid()}-{next(_numbers)}", ("--config", str(config))) as trial:
+        yield Scene(trial, Path(trial.service._environment["XDG_STATE_HOME"]))
+
+
+def test_a_stop_request_and_then_a_killed_gate(scene: Scene) -> None:
+    trial = scene.trial
+    trial.enable()
+    trial.drive(1.0)
+    trial.robot.estop("the test says so")
+    trial.drive(0.1)
+    first = scene.saved()
+    assert first.reason.startswith("the test says so")
+    check_driven(first)
+    assert first.head["stop"]["acknowledged_us"] > 0
+    assert next(event.kind for event in first.events if event.ns > first.cause_ns) == "stop"
+
+    trial.enable()
+    pid = trial.service.pids()["gate"]
+    assert trial.kill("gate", 0.5).stop_ns is not None
+    trial.recover("gate", pid)
+    second = scene.saved(2)
+    assert second.reason == "gate died"
+    check_driven(second)
+    assert second.processes()["gate"]["last_exit"] == "killed by SIGKILL"
+    assert second.processes()["gate"]["restarts"] == 1
+    assert second.ticks[-1].ns > second.cause_ns, "the successor writes where the dead gate ended"
+    ids = (first.id, second.id)
+    wait_for("words on both", lambda: len(scene.told()) == 2, SAVED_S)
+    assert scene.told() == [f"incident {one} saved; next: `failstop incident show {one}`" for one in ids]
+
+
+def check_driven(incident: Incident) -> None:
+    """Before: commands, decisions, frames, IMU, bytes. Then the burst, within a millisecond on the board owner's side,
+    and what followed for about 2 s."""
+    before = [tick for tick in incident.ticks if tick.ns < incident.cause_ns]
+    assert before[-1].block == "driving"
+    assert before[-1].who.startswith("trial (pid ")
+    assert before[-1].velocity[0] > 0.05
+    bursts = [w for w in incident.writes if w.kind == box.BURST and w.ns >= incident.cause_ns]
+    assert bursts[0].by == layout.PORT_OWNER
+    assert incident.ms(bursts[0].ns) < 100
+    assert incident.head["stop"]["written_us"] < 100_000
+    motion_after = [w for w in incident.writes if signals.kind(w) == signals.MOTION and w.ns > bursts[0].ns]
+    assert motion_after == []
+    end_ns = incident.span_ns()[1]
+    assert 1900 < incident.ms(end_ns) < 10_000
+    for times in ([ns for ns, _ in incident.received], [sample.ns for sample in incident.imu]):
+        assert times[0] < incident.cause_ns - 400_000_000, "before"
+        assert times[-1] > incident.cause_ns + 1_500_000_000, "and after"
+    assert incident.undecoded == 0
+    assert any(line.what == story.CAUSE for line in story.tell(incident))
+
+
+def test_a_killed_supervisor_is_told_of_by_the_next_start(scene: Scene) -> None:
+    trial = scene.trial
+    trial.enable()
+    trial.drive(0.5)
+    assert trial.kill(layout.SUPERVISOR, 0.2).stop_ns is not None
+    assert scene.heads() == []
+    trial.recover(layout.SUPERVISOR, 0)
+    incident = scene.saved()
+    assert (incident.reason, incident.head["kind"]) == ("supervisor died", "left")
+    stop = incident.head["stop"]
+    assert stop["written_by"] in ("port owner", "stopper")
+    assert 0 <= stop["written_us"] < 100_000
+    assert incident.ticks[-1].block == "driving"
+    assert "the last beat of the supervisor" in [line.text for line in story.tell(incident)]
+    trial.leave()
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.moving(), "the new run is not the old one's"
+
+
+def test_a_supervisor_that_dies_while_a_stop_is_being_saved(scene: Scene) -> None:
+    """Two stories: the stop's, saved at once by the saver that was there, and the death's, by the next start."""
+    trial = scene.trial
+    trial.robot.estop("and then it got worse")
+    scene.saver()
+    trial.leave()
+    trial.service.kill()
+    assert scene.saved().reason.startswith("and then it got worse")
+    trial.service.start()
+    wait_for("the second", lambda: len(scene.heads()) == 2, SAVED_S)
+    assert {str(head["kind"]) for head in scene.heads()} == {"stop", "left"}
+
+
+def test_all_killed_at_once(scene: Scene) -> None:
+    trial = scene.trial
+    trial.enable()
+    trial.drive(0.5)
+    for pid in trial.service.pids().values():
+        os.kill(pid, signal.SIGSTOP)
+    for pid in trial.service.pids().values():
+        os.kill(pid, signal.SIGKILL)
+    trial.leave()
+    trial.service.kill()
+    trial.service.start()
+    incident = scene.saved()
+    assert incident.reason == "all of the service died"
+    assert incident.head["stop"] is None
+    assert incident.ticks[-1].block == "driving"
+
+
+def test_a_stop_just_before_the_end_of_the_service_is_saved(scene: Scene) -> None:
+    trial = scene.trial
+    trial.robot.estop("the last word")
+    wait_for("the latch", lambda: bool(trial.robot.state.estop), 5.0)
+    trial.leave()
+    assert trial.service.end() == 0
+    incident = scene.saved()
+    assert incident.reason.startswith("the last word")
+    trial.service.start()
+    assert len(scene.heads()) == 1, "an orderly end leaves nothing to save"
+
+
+def test_a_killed_saver_and_a_folder_that_is_none(scene: Scene) -> None:
+    """One line each, no half file, and the next stop is saved as if nothing had been."""
+    trial = scene.trial
+    scene.folder().mkdir(parents=True)
+    half = scene.folder() / ".draft-1999999999"
+    half.write_bytes(b"half of it")
+    trial.robot.estop("first")
+    scene.saver().kill()
+    wait_for("a word on it", lambda: len(scene.told()) == 1, SAVED_S)
+    assert scene.told()[0].startswith("incident not saved: the saver was killed by signal 9; next: ")
+    assert scene.heads() == []
+
+    trial.robot.reset()
+    shutil.move(scene.folder(), scene.folder().with_suffix(".away"))
+    scene.folder().write_text("in the way")
+    trial.robot.estop("second")
+    wait_for("a word on that", lambda: len(scene.told()) == 2, SAVED_S)
+    assert scene.told()[1].startswith("incident not saved: [Errno 17] File exists")
+
+    trial.robot.reset()
+    scene.folder().unlink()
+    shutil.move(scene.folder().with_suffix(".away"), scene.folder())
+    trial.robot.estop("third")
+    assert scene.saved().reason.startswith("third")
+    assert not half.exists()
+    assert trial.robot.state.estop is not None
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to mount a tiny disk")
+def test_a_full_disk(scene: Scene) -> None:
+    trial = scene.trial
+    scene.folder().mkdir(parents=True)
+    mount = ["mount", "-t", "tmpfs", "-o", "size=16k", "none", str(scene.folder())]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("mounting is not allowed here")
+    try:
+        trial.enable()
+        trial.drive(1.0)
+        trial.robot.estop("into a full disk")
+        wait_for("a word on it", lambda: len(scene.told()) == 1, SAVED_S)
+        assert "No space left on device" in scene.told()[0]
+        assert list(scene.folder().iterdir()) == [], "neither half a file nor a draft"
+        state = trial.robot.state
+        assert (state.estop or "").startswith("into a full disk")
+        trial.enable()
+        trial.drive(0.2)
+        assert trial.moving()
+        trial.robot.disable()
+    finally:
+        subprocess.run(["umount", str(scene.folder())], check=True)
+
+
+def test_as_many_as_the_settings_allow_and_none_when_switched_off(tmp_path: Path) -> None:
+    with started(tmp_path, "[incidents]\nkeep = 1\n") as scene:
+        for number in range(2):
+            scene.trial.robot.estop(f"number {number}")
+            wait_for("a word on it", lambda number=number: len(scene.told()) == number + 1, SAVED_S)  # type: ignore[misc]
+            scene.trial.robot.reset()
+        assert [str(head["reason"])[:8] for head in scene.heads()] == ["number 1"]
+    with started(tmp_path, '[incidents]\nsave = "off"\n') as scene:
+        scene.trial.robot.estop("nobody writes this down")
+        wait_for("the outcome", lambda: outcome_told(scene.trial.name), SAVED_S)
+        assert scene.heads() == []
+        assert scene.told() == []
+
+
+def outcome_told(name: str) -> bool:
+    return any(event.kind == "stop_outcome" for event in EventLog(name).read())

@@ -1,0 +1,116 @@
+"""Picture and export: made, readable by others' tools, and a clear word where the tools are missing."""
+
+from __future__ import annotations
+
+import sys
+from math import tau
+from pathlib import Path
+
+import pytest
+
+from failstop.incidents import export, messages, plot
+from failstop.incidents.file import IncidentError
+from failstop.incidents.incident import Incident
+from failstop.shm import box
+from tests.incidents.parts import CAUSE_NS, UNIX_NS, Recorder, drive_and_die
+
+
+@pytest.fixture(scope="module")
+def incident() -> Incident:
+    made = drive_and_die()
+    made.ring("telemetry", "box").put(box.pack_battery(11_800, 2), CAUSE_NS)
+    return made.incident()
+
+
+@pytest.mark.parametrize(("name", "magic"), [("a.png", b"\x89PNG"), ("a.svg", b"<?xml"), ("a.pdf", b"%PDF")])
+def test_a_picture(incident: Incident, tmp_path: Path, name: str, magic: bytes) -> None:
+    pytest.importorskip("matplotlib")
+    path = tmp_path / name
+    plot.save(incident, str(path), 5.0)
+    assert path.read_bytes().startswith(magic)
+    assert path.stat().st_size > 20_000
+
+
+def test_a_picture_of_next_to_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    made = Recorder()
+    made.stop = None
+    plot.save(made.incident(), str(tmp_path / "empty.png"), 5.0)
+    assert (tmp_path / "empty.png").stat().st_size > 10_000
+
+
+def test_the_svg_says_what_happened(incident: Incident, tmp_path: Path) -> None:
+    matplotlib = pytest.importorskip("matplotlib")
+    with matplotlib.rc_context({"svg.fonttype": "none"}):
+        plot.save(incident, str(tmp_path / "a.svg"), 5.0)
+    shown = (tmp_path / "a.svg").read_text()
+    for words in ("gate died", "acknowledged after 3.1 ms", "was killed by SIGKILL", "stop bursts", "still below 3.5"):
+        assert words in shown
+
+
+def test_a_name_that_is_no_picture(incident: Incident, tmp_path: Path) -> None:
+    with pytest.raises(IncidentError, match=r"ends in \.png, \.svg, \.pdf"):
+        plot.save(incident, str(tmp_path / "a.txt"), 5.0)
+
+
+@pytest.mark.parametrize(
+    ("module", "needed", "extra"), [(plot, "matplotlib", "plots"), (export, "mcap_ros2.writer", "export")]
+)
+def test_a_missing_extra_is_named_with_its_command(
+    incident: Incident, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: object, needed: str, extra: str
+) -> None:
+    monkeypatch.setitem(sys.modules, needed, None)
+    path = str(tmp_path / "a.png")
+    with pytest.raises(IncidentError, match=rf"pip install 'failstop\[{extra}\]'"):
+        plot.save(incident, path, 5.0) if module is plot else export.save(incident, path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_export_is_read_back_with_the_decoder_of_ros_2(incident: Incident, tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap_ros2.reader")
+    path = str(tmp_path / "a.mcap")
+    count = export.save(incident, path)
+    found: dict[str, list[tuple[int, object]]] = {}
+    for message in reader.read_ros2_messages(path):
+        found.setdefault(message.channel.topic, []).append((message.log_time_ns, message.ros_msg))
+        assert message.schema.name in [name for name, _ in messages.ALL]
+    assert sum(map(len, found.values())) == count
+    assert set(found) == {
+        f"/failstop/{topic}" for topic in ("command", "gated", "wheels", "imu", "battery", "events", "processes")
+    }
+    check_values(found)
+
+
+def check_values(found: dict[str, list[tuple[int, object]]]) -> None:
+    """Of what drive_and_die() has put in."""
+
+    def value(topic: str, index: int) -> object:
+        return found[f"/failstop/{topic}"][index][1]
+
+    last = value("gated", -1)
+    assert last.twist.linear.x == pytest.approx(0.2)  # type: ignore[attr-defined]
+    wheels = found["/failstop/wheels"]
+    moving = [message for at_ns, message in wheels if at_ns < UNIX_NS][-1]
+    assert moving.name == ["front_left", "rear_left", "front_right", "rear_right"]  # type: ignore[attr-defined]
+    speeds = [0.796 * tau, 0.796 * tau, -0.796 * tau, -0.796 * tau]
+    assert moving.velocity == pytest.approx(speeds, abs=0.01)  # type: ignore[attr-defined]
+    assert [m.velocity for at_ns, m in wheels if at_ns > UNIX_NS] == [[0.0] * 4] * 13  # type: ignore[attr-defined]
+    imu = value("imu", 0)
+    assert imu.angular_velocity.z == pytest.approx(0.01)  # type: ignore[attr-defined]
+    assert imu.linear_acceleration.z == pytest.approx(9.8)  # type: ignore[attr-defined]
+    assert imu.orientation_covariance[0] == -1  # type: ignore[attr-defined]
+    battery = value("battery", 0)
+    assert battery.voltage == pytest.approx(11.8)  # type: ignore[attr-defined]
+    assert battery.power_supply_status == 2  # type: ignore[attr-defined]
+    causes = [(at_ns, m) for at_ns, m in found["/failstop/events"] if m.name == "failstop.cause"]  # type: ignore[attr-defined]
+    assert [(at_ns, m.msg, m.level) for at_ns, m in causes] == [(UNIX_NS, "gate died", 40)]  # type: ignore[attr-defined]
+    late = [m for _, m in found["/failstop/processes"] if any(row.level for row in m.status)]  # type: ignore[attr-defined]
+    assert [[row.name for row in m.status if row.level] for m in late] == [["gate"], ["gate"]]  # type: ignore[attr-defined]
+
+
+def test_an_export_that_fails_leaves_nothing(incident: Incident, tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2.writer")
+    (tmp_path / "a.mcap").mkdir()
+    with pytest.raises(IncidentError, match="can't be written"):
+        export.save(incident, str(tmp_path / "a.mcap"))
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]

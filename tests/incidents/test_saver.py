@@ -1,0 +1,150 @@
+"""The saver alone: a process with descriptors of segments, a file as its result."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+import failstop
+from failstop.incidents import saver, store
+from failstop.incidents.incident import Incident
+from failstop.shm import layout, segment
+from failstop.shm.heartbeat import RUNNING, STARTING
+from failstop.supervisor.blackbox import NOTHING
+from failstop.supervisor.settings import Settings
+from failstop.trial import wait_for
+
+_numbers = itertools.count()
+SCRIPT = Path(failstop.__file__).parent / "incidents" / "start.py"
+ROOT = str(Path(failstop.__file__).resolve().parent.parent)
+RUN = 0x77
+
+
+class Saving:
+    """Segments of a run, and a saver for them."""
+
+    def __init__(self, state: Path) -> None:
+        self.name = f"saver{os.getpid()}x{next(_numbers)}"
+        self.state = state
+        for process in layout.PROCESSES:
+            segment.create(self.name, process, RUN).close()
+        self.supervisor = segment.attach(self.name, layout.SUPERVISOR, RUN, write=True)
+        self.port_owner = segment.attach(self.name, layout.PORT_OWNER, RUN, write=True)
+        self.fds = segment.open_all(self.name)
+        self.result, self._told = os.pipe()
+        self._wait, self.hurry = os.pipe()
+
+    def start(self, **words: object) -> subprocess.Popen[bytes]:
+        passed = [*self.fds.values(), self._told, self._wait]
+        listed = ",".join(f"{which}:{fd}" for which, fd in self.fds.items())
+        words = {"name": self.name, "keep": 9, "max_mb": 9, "until_ns": 0, **words}
+        words |= {"fds": listed, "result": self._told}
+        search = [ROOT, *(entry for entry in sys.path if os.path.isabs(entry))]
+        environment = {
+            "FAILSTOP_PATH": os.pathsep.join(search),
+            "FAILSTOP_SETTINGS": Settings().lines(),
+            "STATE_DIRECTORY": str(self.state),
+        }
+        command = [sys.executable, "-I", "-S", str(SCRIPT), *(f"{key}={value}" for key, value in words.items())]
+        return subprocess.Popen(command, env=environment, pass_fds=passed)
+
+    def save(self, **words: object) -> str:
+        self.start(hurry=self._wait, **words).wait(30)
+        return os.read(self.result, 4096).decode()
+
+    def live(self, **words: object) -> dict[str, object]:
+        now_ns = time.monotonic_ns()
+        return {"cause_ns": now_ns, "epoch": 2, "reason": "a = b, and so on", "until_ns": now_ns, **words}
+
+    def newest(self) -> Incident:
+        return store.load("last", self.name, {"STATE_DIRECTORY": str(self.state)})
+
+
+def asleep(pid: int) -> bool:
+    """It sleeps at twenty looks in a row: a process that starts has work to do, or waits for the disk."""
+    looks = (psutil.Process(pid).status() for _ in range(20) if not time.sleep(0.005))
+    return all(status == psutil.STATUS_SLEEPING for status in looks)
+
+
+@pytest.fixture
+def saving(tmp_path: Path) -> Iterator[Saving]:
+    made = Saving(tmp_path / "state")
+    yield made
+    segment.unlink_all(made.name)
+    for fd in (*made.fds.values(), made.result, made._told, made._wait, made.hurry):
+        os.close(fd)
+
+
+def test_one_file_with_everything(saving: Saving) -> None:
+    saving.supervisor.word("epoch").set(2)
+    told = saving.save(**saving.live())
+    incident = saving.newest()
+    assert told == f"saved {incident.id}"
+    assert incident.id.endswith("-a-b-and-so-on")
+    assert incident.reason == "a = b, and so on"
+    assert incident.words(layout.SUPERVISOR)["epoch"] == 2
+    assert incident.settings == dict(line.split("=", 1) for line in Settings().lines().splitlines())
+    assert incident.head["versions"]["failstop"]
+    assert incident.machine["cores"] == os.cpu_count()
+    assert abs(incident.head["t"] - time.time()) < 60
+
+
+def test_it_copies_at_its_time_or_when_the_supervisor_ends(saving: Saving) -> None:
+    """With the bytes from the board that were overwritten while it waited."""
+    received = saving.port_owner.ring_writer("received")
+    for number in range(10):
+        received.put(b"before", number)
+    process = saving.start(hurry=saving._wait, **saving.live(until_ns=time.monotonic_ns() + 10**12))
+    wait_for("the saver to wait", lambda: asleep(process.pid), 30.0)
+    for number in range(512):
+        received.put(b"after", 100 + number)
+    saving.supervisor.word("epoch").set(99)
+    os.close(saving.hurry)
+    saving.hurry = os.dup(saving.result)
+    assert process.wait(30) == 0
+    incident = saving.newest()
+    assert incident.words(layout.SUPERVISOR)["epoch"] == 99, "copied after the wait"
+    assert [data for _, data in incident.received] == [b"before"] * 10 + [b"after"] * 512
+
+
+def test_a_dead_run_that_was_ready_once_is_saved_and_another_is_not(saving: Saving) -> None:
+    saving.supervisor.word("beat_state").set(STARTING)
+    assert saving.save() == NOTHING
+    assert not saving.state.exists()
+    saving.supervisor.word("beat_state").set(RUNNING)
+    assert saving.save().startswith("saved ")
+    assert saving.newest().reason == "all of the service died"
+
+
+def test_a_state_directory_that_is_none_is_said_in_one_line(saving: Saving) -> None:
+    saving.state.write_text("in the way")
+    assert saving.save(**saving.live()) == f"[Errno 20] Not a directory: '{saving.state}/incidents'"
+
+
+def test_a_segment_of_another_version_is_said_in_one_line(saving: Saving) -> None:
+    path = f"/dev/shm/failstop.{saving.name}.gate"
+    with open(path, "r+b") as file:
+        file.write(bytes(128))
+    assert saving.save(**saving.live()).endswith("has no whole header: restart the service")
+
+
+@pytest.mark.parametrize(
+    ("reason", "slug"),
+    [
+        ("gate died", "gate-died"),
+        ("../../etc/passwd", "etc-passwd"),
+        ("\u00fc\u00fc", "stop"),
+        ("", "stop"),
+        ("E-STOP: " + "x" * 100, "e-stop-" + "x" * 21),
+    ],
+)
+def test_a_reason_as_a_file_name(reason: str, slug: str) -> None:
+    assert saver.slug(reason) == slug

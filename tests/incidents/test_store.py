@@ -1,0 +1,100 @@
+"""Which incident a person means, and how many are kept."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from failstop.cli import main
+from failstop.incidents import store
+from failstop.incidents.file import IncidentError
+from failstop.incidents.prune import prune
+from tests.incidents.parts import UNIX_NS, drive_and_die
+
+MADE = drive_and_die()
+IDS = ["20260921-143320-gate-died", "20260921-150000-key1", "20260922-020000-device-lost"]
+
+
+@pytest.fixture
+def environ(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Three incidents of the service `failstop`, and one of another in the same folder."""
+    found = {"STATE_DIRECTORY": str(tmp_path / "state"), "XDG_STATE_HOME": str(tmp_path / "home")}
+    folder = tmp_path / "state" / "incidents"
+    for number, identity in enumerate(IDS):
+        MADE.save(folder, identity, unix_ns=UNIX_NS + number * 10**12)
+    MADE.save(folder, "20260930-000000-other", "other", UNIX_NS + 10**15)
+    for key, value in found.items():
+        monkeypatch.setenv(key, value)
+    return found
+
+
+def test_last_is_the_newest_of_this_name(environ: dict[str, str]) -> None:
+    assert store.load("last", "failstop", environ).id == IDS[-1]
+    assert store.load("last", "other", environ).id == "20260930-000000-other"
+
+
+def test_the_beginning_of_an_id_is_enough_if_it_is_the_only_one(environ: dict[str, str]) -> None:
+    assert store.load("20260922", "failstop", environ).id == IDS[2]
+    with pytest.raises(IncidentError, match=f"may be {IDS[0]}, {IDS[1]}: write more of it"):
+        store.load("20260921", "failstop", environ)
+    with pytest.raises(IncidentError, match="`failstop incident list` shows them"):
+        store.load("2025", "failstop", environ)
+
+
+def test_a_path_is_read_wherever_it_is(environ: dict[str, str], tmp_path: Path) -> None:
+    copy = tmp_path / "sent-by-mail.incident"
+    copy.write_bytes((tmp_path / "state" / "incidents" / f"{IDS[0]}.incident").read_bytes())
+    assert store.load(str(copy), "any", {"XDG_STATE_HOME": str(tmp_path)}).id == "sent-by-mail"
+
+
+def test_without_any_it_says_so(tmp_path: Path) -> None:
+    with pytest.raises(IncidentError, match="no incidents of 'nobody'"):
+        store.load("last", "nobody", {"XDG_STATE_HOME": str(tmp_path)})
+
+
+def test_a_damaged_one_is_told_of_and_hides_no_other(
+    environ: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "state" / "incidents" / f"{IDS[2]}.incident"
+    path.write_bytes(path.read_bytes()[:200])
+    assert main(["incident", "list"]) == 1
+    shown = capsys.readouterr()
+    assert IDS[0] in shown.out
+    assert f"{path} is cut short: 200 of" in shown.err
+    assert main(["incident", "show", IDS[2]]) == 1
+    assert capsys.readouterr().err.startswith(f"failstop: {path} is cut short")
+
+
+@pytest.mark.usefixtures("environ")
+def test_list_and_show_for_people_and_programs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["incident", "list"]) == 0
+    shown = capsys.readouterr().out
+    assert [line for line in shown.splitlines() if not line.startswith(" ")] == IDS
+    assert "stop written by the port owner after 212 us, acknowledged after 3.1 ms" in shown
+    assert main(["incident", "list", "--json"]) == 0
+    assert [row["id"] for row in json.loads(capsys.readouterr().out)] == IDS
+    assert main(["incident", "show"]) == 0
+    assert capsys.readouterr().out.startswith(f"Incident {IDS[-1]}\n")
+    assert main(["incident", "show", "last", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["id"] == IDS[-1]
+
+
+def test_the_oldest_go_first_and_nothing_of_others_is_touched(environ: dict[str, str], tmp_path: Path) -> None:
+    folder = tmp_path / "state" / "incidents"
+    (folder / "notes.txt").write_text("mine")
+    (folder / "broken.incident").write_bytes(b"?")
+    assert prune(str(folder), "failstop", 2, 10**9) == [f"{IDS[0]}.incident"]
+    left = {"notes.txt", "broken.incident", "20260930-000000-other.incident"}
+    assert set(os.listdir(folder)) == left | {f"{identity}.incident" for identity in IDS[1:]}
+    assert prune(str(folder), "failstop", 2, 10**9) == []
+
+
+def test_size_counts_too_and_the_newest_always_stays(environ: dict[str, str], tmp_path: Path) -> None:
+    folder = tmp_path / "state" / "incidents"
+    size = os.stat(folder / f"{IDS[0]}.incident").st_size
+    assert prune(str(folder), "failstop", 50, size * 2 + size // 2) == [f"{IDS[0]}.incident"]
+    assert prune(str(folder), "failstop", 50, 1) == [f"{IDS[1]}.incident"]
+    assert store.load("last", "failstop", environ).id == IDS[2]

@@ -1,0 +1,143 @@
+"""The story: in order, what repeats told once, the cause marked, and fit for a terminal of 80 columns."""
+
+from __future__ import annotations
+
+import json
+import re
+from math import nan
+
+import pytest
+
+from failstop.board.interface import BOARD
+from failstop.incidents import report, signals, story
+from failstop.incidents.incident import Incident
+from failstop.incidents.story import CAUSE, Line
+from failstop.shm import layout
+from tests.incidents.parts import CAUSE_NS, Recorder, at, drive_and_die
+
+
+@pytest.fixture(scope="module")
+def incident() -> Incident:
+    return drive_and_die().incident()
+
+
+def told(incident: Incident, what: str) -> list[str]:
+    return [line.text for line in story.tell(incident) if line.what == what]
+
+
+def text(incident: Incident, columns: int = 80, seconds: float = 10.0) -> str:
+    return "\n".join(report.text(incident, columns, incident.cause_ns - round(seconds * 1e9)))
+
+
+def test_lines_are_in_the_order_of_time_and_one_is_the_cause(incident: Incident) -> None:
+    lines = story.tell(incident)
+    assert [line.ns for line in lines] == sorted(line.ns for line in lines)
+    assert [line.ns for line in lines if line.what == CAUSE] == [CAUSE_NS]
+    assert told(incident, CAUSE) == ["gate died (noticed by the port owner)"]
+
+
+def test_what_repeats_is_told_once(incident: Incident) -> None:
+    commands = [line for line in story.tell(incident) if line.what == "command"]
+    assert [line.text for line in commands] == ["nav (pid 77) as cmd_vel: vx +0.20 m/s"] * 2
+    assert [line.count for line in commands] == [125, 25], "far from the cause, and near it"
+    assert len(story.tell(incident)) < 40
+
+
+def test_bursts_are_told_one_by_one_near_the_cause(incident: Incident) -> None:
+    bursts = [incident.ms(line.ns) for line in story.tell(incident) if line.text.startswith("STOP BURST")]
+    assert bursts == pytest.approx([0.2, 20.2, 100.2])
+
+
+def test_frames_before_and_after(incident: Incident) -> None:
+    wire = told(incident, "wire")
+    assert any(line.startswith("motion") and "+0.796 +0.796 -0.796 -0.796" in line for line in wire)
+    assert "zero frames" in wire
+    assert wire.count("pings, which the board answers") == 2
+
+
+def test_who_went_silent_and_for_how_long(incident: Incident) -> None:
+    assert told(incident, "beat") == ["last beat of the gate for 190 ms"]
+    (silence,) = signals.silences(incident)
+    assert (silence.process, silence.ended) == (layout.GATE, True)
+    assert (incident.ms(silence.since_ns), incident.ms(silence.until_ns)) == (9.0, 199.0)
+
+
+def test_the_wheels_turn_and_then_are_still(incident: Incident) -> None:
+    assert [still for _, still in signals.verdicts(incident)] == [False, True]
+    stood_ms = incident.ms(signals.verdicts(incident)[-1][0])
+    assert 80 < stood_ms < 900
+
+
+def test_a_frame_that_the_port_did_not_take_is_told() -> None:
+    made = Recorder()
+    made.frame(-10, BOARD.motor_speeds((1, 1, -1, -1), 5.0), taken=0)
+    assert told(made.incident(), "wire") == ["motion [+1.000 +1.000 -1.000 -1.000] rps; the port took 0 of 27 bytes"]
+
+
+def test_a_command_that_is_not_finite_is_shown_as_it_was() -> None:
+    made = Recorder("command from nav (pid 77) is not finite")
+    made.command(0, (nan, 0.0, 0.0))
+    made.tick(1)
+    assert told(made.incident(), "command") == ["nav (pid 77) as cmd_vel: vx +nan m/s"]
+
+
+def test_a_board_that_falls_silent() -> None:
+    made = Recorder("the board is deaf")
+    for ms in range(-2000, -500, 9):
+        made.imu(ms, 0.002)
+    made.beats(2000)
+    lines = told(made.incident(), "board")
+    assert lines[0] == "is heard"
+    assert re.fullmatch(r"its last byte; silent until the end, 2\d\d\d ms", lines[1])
+
+
+def test_an_empty_incident_is_a_report_all_the_same() -> None:
+    made = Recorder()
+    made.stop = None
+    shown = text(made.incident())
+    assert "stop       not known" in shown
+    assert "before     not known" in shown
+
+
+@pytest.mark.parametrize("columns", [80, 100, 200, 10])
+def test_nothing_is_wider_than_the_terminal(columns: int) -> None:
+    made = drive_and_die()
+    made.event(5, "note", "a word of Dr. " + "Pneumonoultramicroscopicsilicovolcanoconiosis " * 6)
+    shown = text(made.incident("20260921-143320-" + "x" * 20), columns)
+    assert max(map(len, shown.splitlines())) <= max(columns, 80)
+
+
+def test_the_report_reads_from_the_reason_to_the_versions(incident: Incident) -> None:
+    shown = text(incident)
+    parts = [
+        "Incident 20260921-143320-gate-died",
+        "why        gate died",
+        "written by the port owner after 212 us, acknowledged after 3.1 ms",
+        "wheels still after about 0.3 s",
+        "driving, vx +0.20 m/s; nav (pid 77) as cmd_vel",
+        "Story, milliseconds from the cause",
+        "motion enabled by nav",
+        ">>         0  CAUSE",
+        "! gate (pid 102) was killed by SIGKILL",
+        "Processes, as the file was saved",
+        "12.5 % of the time something waited for cpu",
+        "device.path = /dev/pts/7",
+        "failstop 0.1.0, python 3.11.7",
+    ]
+    places = [re.sub(r"\s+", " ", shown).find(re.sub(r"\s+", " ", part)) for part in parts]
+    assert -1 not in places, parts[places.index(-1)]
+    assert places == sorted(places)
+
+
+def test_what_began_before_is_told_as_of_where_the_story_begins() -> None:
+    lines = [Line(at(-5000), "wire", "a", at(-100), 3), Line(at(-5000), "wire", "b"), Line(at(5), "wire", "c")]
+    shown = story.within(lines, at(-1000))
+    assert [(line.text, line.ns) for line in shown] == [("a", at(-1000)), ("c", at(5))]
+
+
+def test_json_has_the_whole_of_it(incident: Incident) -> None:
+    found = json.loads(json.dumps(report.as_dict(incident)))
+    assert found["reason"] == "gate died"
+    assert found["settings"]["device.path"] == "/dev/pts/7"
+    assert [row["ms"] for row in found["story"] if row["what"] == CAUSE] == [0]
+    assert set(found["processes"]) == set(layout.PROCESSES)

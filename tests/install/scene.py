@@ -1,0 +1,67 @@
+"""What the tests of the installation share: small parts, an environment of three files, a machine that only notes."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Sequence
+from pathlib import Path
+
+from failstop.install import InstallError
+from failstop.install.parts import Parts
+from failstop.install.tree import Entry, Environment
+
+UNIT = "[Service]\nExecStart=/opt/failstop/bin/failstop run\n[Install]\nWantedBy=multi-user.target some.device\n"
+TEMPLATE = "[Service]\nExecStart=/opt/failstop/bin/failstop run --name %i\n[Install]\nWantedBy=multi-user.target\n"
+SYSUSERS = '# who\nu failstop - "the service" /var/lib/failstop\ng dialout -\nm failstop dialout\n'
+PASSWD = b"root:x:0:0:root:/root:/bin/sh\nfailstop:x:990:990:the service:/var/lib/failstop:/usr/sbin/nologin\n"
+GROUP = b"root:x:0:\ndialout:x:20:failstop\nfailstop:x:990:\n"
+EXAMPLE = '# Every setting.\n[device]\n# the board\'s port\npath = "/dev/ttyACM0"\n'
+CATALOG = "-- 5d1bd76d7a4e4b0f9c1f0b3fae1c0e55\nSubject: a stop\nDefined-By: failstop\n\nIt stopped.\n"
+PARTS = Parts("1.0", {"failstop.service": UNIT, "failstop@.service": TEMPLATE}, SYSUSERS, "# udev\n", CATALOG, EXAMPLE)
+
+
+def environment(version: str = "1.0") -> Environment:
+    """A small environment that differs by version."""
+    return Environment(
+        "/opt/failstop",
+        "/usr/bin/python3",
+        (
+            Entry("bin/python3", target="/usr/bin/python3"),
+            Entry("bin/failstop", data=b"#!/bin/sh\n", executable=True),
+            Entry("lib/module.py", data=f"VERSION = {version!r}\n".encode()),
+        ),
+    )
+
+
+class NotingMachine:
+    """Notes what it is to run; one command of these may fail."""
+
+    def __init__(self, failing: str = "") -> None:
+        self.ran: list[str] = []
+        self._failing = failing
+
+    def run(self, words: Sequence[str], accepted: Sequence[int] = (0,)) -> None:
+        """Note it, or fail."""
+        self.ran.append(" ".join(words))
+        if self._failing and self._failing in self.ran[-1]:
+            raise InstallError(f"{words[0]}: no")
+
+    def start(self, unit: str) -> None:
+        """Note it, or fail."""
+        self.run(("start", unit))
+
+
+def snapshot(root: Path) -> dict[str, tuple[str, int, bytes]]:
+    """Everything below a directory: by path, its kind, mode and content."""
+    found = {}
+    for folder, folders, names in os.walk(root):
+        for name in [*folders, *names]:
+            path = Path(folder, name)
+            mode = path.lstat().st_mode
+            if stat.S_ISLNK(mode):
+                content = str(path.readlink()).encode()
+            else:
+                content = path.read_bytes() if stat.S_ISREG(mode) else b""
+            found[str(path.relative_to(root))] = (stat.filemode(mode)[0], stat.S_IMODE(mode), content)
+    return found

@@ -1,0 +1,278 @@
+"""Steps done and undone in a directory: whole or not at all."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from failstop.install import InstallError
+from failstop.install.do import NEW, OLD, Doer
+from failstop.install.look import look
+from failstop.install.plan import Wish, install
+from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
+from failstop.install.unplan import uninstall
+from tests.install.scene import GROUP, PARTS, PASSWD, NotingMachine, environment, snapshot
+
+
+def plan_for(root: Path, version: str = "1.0", units: tuple[str, ...] = (), live: bool = True) -> Plan:
+    """The plan of an installation into a directory, as if the system there ran and these units with it."""
+    wish = Wish(root=str(root), live=live)
+    found = look(dataclasses.replace(wish, live=False), PARTS.units)
+    changed = {name: f"# {version}\n{text}" for name, text in PARTS.units.items()}
+    parts = dataclasses.replace(PARTS, version=version, units=changed, catalog=f"{PARTS.catalog}{version}\n")
+    return install(parts, wish, environment(version).digest(), dataclasses.replace(found, active=units, udev=True))
+
+
+def do(root: Path, plan: Plan, version: str = "1.0", machine: NotingMachine | None = None) -> NotingMachine:
+    machine = machine or NotingMachine()
+    assert Doer(str(root), machine, environment(version)).do(plan.steps) == []
+    return machine
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A system with a user database, and an administrator's own things."""
+    (tmp_path / "etc/systemd/system").mkdir(parents=True)
+    (tmp_path / "etc/systemd/system/own.service").write_text("[Service]\n")
+    (tmp_path / "etc/passwd").write_bytes(PASSWD)
+    (tmp_path / "etc/group").write_bytes(GROUP)
+    return tmp_path
+
+
+def test_what_is_installed_and_nothing_else(root: Path) -> None:
+    before = snapshot(root)
+    machine = do(root, plan_for(root))
+    after = snapshot(root)
+    assert {path: found for path, found in after.items() if path in before} == before
+    files = {path for path, (kind, _, _) in after.items() if kind == "-" and path not in before}
+    assert {path for path in files if not path.endswith(".pyc")} == {
+        "etc/failstop/failstop.toml",
+        "etc/systemd/system/failstop.service",
+        "etc/systemd/system/failstop@.service",
+        "etc/sysusers.d/failstop.conf",
+        "etc/udev/rules.d/90-failstop.rules",
+        "opt/failstop/bin/failstop",
+        "opt/failstop/install.json",
+        "opt/failstop/lib/module.py",
+        "usr/local/lib/systemd/catalog/failstop.catalog",
+    }
+    assert len([path for path in files if path.endswith(".pyc")]) == 1, "compiled: the service may not write there"
+    assert after["opt/failstop/bin/failstop"][1] == 0o755
+    assert all(mode == 0o755 for path, (kind, mode, _) in after.items() if kind == "d" and path not in before)
+    assert after["usr/local/bin/failstop"] == ("l", 0o777, b"/opt/failstop/bin/failstop")
+    assert machine.ran[-1] == "start failstop.service"
+
+
+def test_installed_again_it_is_nothing_and_uninstalled_it_is_as_before(root: Path) -> None:
+    before = snapshot(root)
+    do(root, plan_for(root))
+    assert plan_for(root, units=("failstop.service",)).steps == ()
+    wish = Wish(root=str(root), live=False)
+    do(root, uninstall(wish, look(wish, PARTS.units)))
+    assert {path for path in snapshot(root) if path not in before} == {"etc/failstop", "etc/failstop/failstop.toml"}
+    wish = Wish(root=str(root), live=False)
+    do(root, Plan(tuple(s for s in uninstall(wish, look(wish, PARTS.units), True).steps if isinstance(s, Remove))))
+    assert snapshot(root) == before
+
+
+def test_an_umask_does_not_hide_it_from_the_service(root: Path) -> None:
+    mask = os.umask(0o077)
+    try:
+        do(root, plan_for(root))
+    finally:
+        os.umask(mask)
+    assert all(mode & 0o044 == 0o044 for path, (_, mode, _) in snapshot(root).items() if path.startswith("opt/"))
+
+
+@pytest.mark.parametrize("upgrade", [False, True], ids=["fresh", "upgrade"])
+def test_a_failure_after_any_step_leaves_everything_as_it_was(root: Path, upgrade: bool) -> None:
+    units = ()
+    if upgrade:
+        do(root, plan_for(root))
+        units = ("failstop.service",)
+    before = snapshot(root)
+    plan = plan_for(root, "2.0", units)
+    assert len(plan.steps) > (8 if upgrade else 20)
+    for failing in plan.steps:
+
+        def fail(step: Step, failing: Step = failing) -> None:
+            if step is failing:
+                raise OSError("injected")
+
+        with pytest.raises(InstallError, match="injected; everything is as it was before"):
+            Doer(str(root), NotingMachine(), environment("2.0")).do(plan.steps, fail)
+        assert snapshot(root) == before, failing
+    do(root, plan, "2.0")
+    assert snapshot(root) != before
+
+
+class FullDisk:
+    """A function of `os` that works so many times, fails once, and works again."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, name: str, allowed: int) -> None:
+        self._real = getattr(os, name)
+        self._left = allowed
+        monkeypatch.setattr(os, name, self)
+
+    def __call__(self, *words: object, **named: object) -> object:
+        self._left -= 1
+        if self._left == -1:
+            raise OSError(28, "No space left on device")
+        return self._real(*words, **named)
+
+    @property
+    def failed(self) -> bool:
+        return self._left < 0
+
+
+@pytest.mark.parametrize("name", ["replace", "rename", "symlink", "mkdir", "fsync", "fchmod", "chmod"])
+def test_a_failure_within_any_step_too(root: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    do(root, plan_for(root))
+    before = snapshot(root)
+    plan = plan_for(root, "2.0", ("failstop.service",))
+    for allowed in range(100):
+        with monkeypatch.context() as patched:
+            disk = FullDisk(patched, name, allowed)
+            try:
+                Doer(str(root), NotingMachine(), environment("2.0")).do(plan.steps)
+            except InstallError as failure:
+                said = str(failure)
+        if not disk.failed:
+            break
+        assert "No space left on device; everything is as it was before" in said
+        assert snapshot(root) == before, (name, allowed)
+    assert 0 < allowed < 100
+    assert snapshot(root) != before
+
+
+def test_a_failing_command_undoes_what_was_before_it_and_starts_the_old_service_again(root: Path) -> None:
+    do(root, plan_for(root))
+    before = snapshot(root)
+    machine = NotingMachine("start failstop.service")
+    with pytest.raises(InstallError, match=r"^start failstop.service: start: no; everything is as it was before$"):
+        do(root, plan_for(root, "2.0", ("failstop.service",)), "2.0", machine)
+    assert snapshot(root) == before
+    assert machine.ran[0] == "systemctl stop failstop.service"
+    told = machine.ran[machine.ran.index("start failstop.service") + 1 :]
+    assert told == [
+        "systemctl stop failstop.service",
+        "systemctl daemon-reload",
+        "systemctl start --no-block failstop.service",
+    ], "the old version's, with the old files back and read"
+
+
+def test_ctrl_c_is_a_failure_too(root: Path) -> None:
+    before = snapshot(root)
+
+    def interrupt(step: Step) -> None:
+        if isinstance(step, Tree):
+            raise KeyboardInterrupt
+
+    with pytest.raises(InstallError, match="interrupted; everything is as it was before"):
+        Doer(str(root), NotingMachine(), environment()).do(plan_for(root).steps, interrupt)
+    assert snapshot(root) == before
+
+
+def test_what_cannot_be_changed_back_is_named(root: Path) -> None:
+    steps = (
+        Directory("create", "/new", "", "/new"),
+        Command("run", "something", "", ("true",), ("undo-it",)),
+        Start("start", "x", "", "x"),
+    )
+    machine = NotingMachine("undo-it")
+    machine.start = lambda unit: machine.run(("undo-it",))  # type: ignore[method-assign]
+    with pytest.raises(InstallError, match=r"^start x: undo-it: no; this could NOT be changed back: undo-it: no$"):
+        Doer(str(root), machine).do(steps)
+    assert not (root / "new").exists(), "the rest is"
+
+
+def test_a_users_file_that_somebody_else_changed_meanwhile_stays(root: Path) -> None:
+    passwd = root / "etc/passwd"
+
+    class Adding(NotingMachine):
+        def run(self, words: object, accepted: object = (0,)) -> None:
+            with passwd.open("a") as file:
+                file.write("failstop:x:\n")
+
+    def other(step: Step) -> None:
+        with passwd.open("a") as file:
+            file.write("somebody:x:\n")
+        raise OSError("injected")
+
+    steps = [Command("create", "user", "", ("sysusers",), touches=("/etc/passwd", "/etc/shadow"))]
+    with pytest.raises(InstallError, match=r"could NOT be changed back: .*/etc/passwd was changed by somebody else"):
+        Doer(str(root), Adding()).do(steps, other)
+    assert passwd.read_text().endswith("somebody:x:\n")
+
+
+def test_remains_of_a_power_failure_do_not_matter(root: Path) -> None:
+    for name in (f"failstop{NEW}", f"failstop{OLD}"):
+        (root / "opt" / name / "lib").mkdir(parents=True)
+    do(root, plan_for(root))
+    assert sorted(os.listdir(root / "opt")) == ["failstop"]
+
+
+def test_a_directory_with_something_of_somebody_else_stays(root: Path) -> None:
+    do(root, plan_for(root))
+    (root / "usr/local/lib/systemd/catalog/other.catalog").write_text("other")
+    wish = Wish(root=str(root), live=False)
+    do(root, uninstall(wish, look(wish, PARTS.units)))
+    assert (root / "usr/local/lib/systemd/catalog/other.catalog").exists()
+    assert not (root / "usr/local/bin").exists()
+
+
+def test_files_and_links_over_one_another(root: Path) -> None:
+    (root / "etc/a").symlink_to("/nowhere")
+    (root / "etc/b").write_text("b")
+    (root / "etc/d").write_text("d")
+    (root / "etc/d").chmod(0o640)
+    before = snapshot(root)
+    steps = (
+        File("create", "a", "", "/etc/a", b"new"),
+        Link("create", "b", "", "/etc/b", "/there"),
+        File("create", "d", "", "/etc/d", b"new"),
+        Remove("remove", "c", "", "/etc/c"),
+    )
+    with pytest.raises(InstallError):
+        Doer(str(root), NotingMachine("no")).do((*steps, Command("run", "no", "", ("no",))))
+    assert snapshot(root) == before
+    Doer(str(root), NotingMachine()).do(steps)
+    assert snapshot(root)["etc/a"][2] == b"new"
+    assert snapshot(root)["etc/b"] == ("l", 0o777, b"/there")
+
+
+def test_an_installation_that_lost_its_power_can_be_done_again_or_taken_away(root: Path) -> None:
+    before = snapshot(root)
+    plan = plan_for(root)
+    at = next(index for index, step in enumerate(plan.steps) if isinstance(step, File))
+    do(root, dataclasses.replace(plan, steps=plan.steps[: at + 1]))
+    partly = snapshot(root)
+    do(root, plan_for(root))
+    assert plan_for(root, units=("failstop.service",)).steps == ()
+    for path in sorted(set(snapshot(root)) - set(partly), reverse=True):
+        target = root / path
+        target.rmdir() if target.is_dir() and not target.is_symlink() else target.unlink()
+    wish = Wish(root=str(root), live=False)
+    do(root, uninstall(wish, look(wish, PARTS.units)))
+    assert set(snapshot(root)) - set(before) <= {"etc/failstop"}
+
+
+def test_a_second_ctrl_c_does_not_end_the_undoing(root: Path) -> None:
+    before = snapshot(root)
+
+    class Impatient(NotingMachine):
+        def run(self, words: object, accepted: object = (0,)) -> None:
+            if words == ("systemctl", "daemon-reload"):
+                self.ran.append("killed")
+                os.kill(os.getpid(), signal.SIGINT)
+
+    machine = Impatient()
+    # The reload is undone with a reload, in which the second signal comes.
+    with pytest.raises(InstallError, match=r"daemon-reload: interrupted; everything is as it was before"):
+        Doer(str(root), machine, environment()).do(plan_for(root).steps)
+    assert machine.ran == ["killed", "killed"]
+    assert snapshot(root) == before

@@ -1,0 +1,148 @@
+"""The Python environment as a list of files, and the parts that a version brings."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from failstop.install import InstallError, parts, tree
+from tests.install.scene import SYSUSERS, UNIT, environment
+
+BASE = os.path.realpath(getattr(sys, "_base_executable", sys.executable))
+
+
+@pytest.fixture(scope="module")
+def running() -> tree.Environment:
+    return tree.running("/opt/failstop", BASE)
+
+
+def test_the_running_environment_is_whole_and_nothing_of_the_checkout_but_the_package(
+    running: tree.Environment,
+) -> None:
+    paths = [entry.path for entry in running.entries]
+    assert len(paths) == len(set(paths))
+    tops = {path.split("/")[3].split("-")[0].split(".")[0] for path in paths if path.startswith(tree.SITE)}
+    assert tops >= {"failstop", "msgpack", "numpy", "posix_ipc", "psutil", "serial"}
+    assert not tops & {"pytest", "hypothesis", "__editable__", "tests", "bench"}
+    inside = f"{tree.SITE}/failstop"
+    for room in ("board/codec.py", "shm/ring.py", "supervisor/main.py", "procs/child.py", "systemd/failstop.service"):
+        assert f"{inside}/{room}" in paths
+    assert not any("__pycache__" in path or "/tests/" in path for path in paths)
+
+
+def test_written_it_runs_by_itself_and_has_the_same_digest(running: tree.Environment, tmp_path: Path) -> None:
+    place = tmp_path / "environment"
+    running.write(str(place))
+    assert tree.digest_of(str(place), "install.json") == running.digest()
+    needed = "import failstop, msgpack, numpy, posix_ipc, psutil, serial; print(numpy.__file__, failstop.__file__)"
+    said = subprocess.run(
+        [place / "bin/python3", "-I", "-W", "error", "-c", needed], check=True, capture_output=True, text=True, cwd="/"
+    )
+    assert all(path.startswith(str(place)) for path in said.stdout.split())
+    script = (place / "bin/failstop").read_text()
+    assert script.startswith("#!/opt/failstop/bin/python3 -I\n")
+    config = [place / "bin/python3", "-I", place / "bin/failstop", "config", "--json"]
+    assert "device.path" in json.loads(subprocess.run(config, check=True, capture_output=True, cwd="/").stdout)
+    modules = sorted(place.rglob("*.py"))
+    assert len(modules) > 100
+    assert all(list((module.parent / "__pycache__").glob(f"{module.stem}.cpython-*.pyc")) for module in modules)
+
+
+def test_the_digest_sees_content_names_and_links(tmp_path: Path) -> None:
+    first = environment()
+    first.write(str(tmp_path / "a"))
+    digest = first.digest()
+
+    def found() -> str:
+        return tree.digest_of(str(tmp_path / "a"), "install.json")
+
+    assert found() == digest != environment("2.0").digest()
+    (tmp_path / "a/install.json").write_text("is not counted")
+    assert found() == digest
+    module = tmp_path / "a/lib/module.py"
+    module.rename(module.with_name("other.py"))
+    assert found() != digest
+    module.with_name("other.py").rename(module)
+    assert found() == digest
+    (tmp_path / "a/bin/python3").unlink()
+    (tmp_path / "a/bin/python3").symlink_to("/elsewhere")
+    assert found() != digest
+
+
+def test_a_package_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = metadata.distribution
+
+    def absent(name: str) -> metadata.Distribution:
+        if name == "msgpack":
+            raise metadata.PackageNotFoundError(name)
+        return real(name)
+
+    monkeypatch.setattr(metadata, "distribution", absent)
+    with pytest.raises(InstallError, match=r"Python package msgpack is not installed .*with pip into a virtual env"):
+        tree.running("/opt/failstop", BASE)
+
+
+def test_a_package_that_is_not_pip_s_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metadata.Distribution, "files", None)
+    with pytest.raises(InstallError, match=r"which files belong to the Python package .* is not recorded"):
+        tree.running("/opt/failstop", BASE)
+
+
+def test_what_the_service_could_not_run(tmp_path: Path) -> None:
+    tmp_path.chmod(0o755)
+    program = tmp_path / "program"
+    program.touch(0o755)
+    # Everything below /tmp is hidden from it, so the rest is asked without that.
+    hidden, tree.HIDDEN_FROM_SERVICE = tree.HIDDEN_FROM_SERVICE, ()
+    try:
+        private = next((part for part in program.parents if not part.stat().st_mode & 0o001), None)
+        assert tree.unreachable(str(program)) == (f"others may not enter {private}" if private else "")
+        program.chmod(0o744)
+        assert tree.unreachable(str(program)) == "others may not execute it"
+        assert tree.unreachable(str(tmp_path / "absent")) == "no such file or directory"
+    finally:
+        tree.HIDDEN_FROM_SERVICE = hidden
+    for path in ("/root/.venv/bin/python", "/home/me/venv/bin/python", "/tmp/venv/bin/python"):
+        assert "is hidden from it" in tree.unreachable(path)
+    assert tree.unreachable("/bin/sh") == ""
+
+
+def test_the_interpreter_is_one_that_the_service_can_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    systems = f"/usr/bin/{tree.PYTHON}"
+    monkeypatch.setattr(sys, "_base_executable", "/opt/python/bin/python3", raising=False)
+    monkeypatch.setattr(tree, "unreachable", lambda path: "")
+    assert tree.interpreter() == "/opt/python/bin/python3"
+    monkeypatch.setattr(tree, "unreachable", lambda path: "" if path == systems else "hidden")
+    assert tree.interpreter() == systems
+    monkeypatch.setattr(tree, "unreachable", lambda path: "hidden")
+    with pytest.raises(InstallError, match=rf"could not run /opt/python/bin/python3: hidden. Install {tree.PYTHON} as"):
+        tree.interpreter()
+
+
+def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
+    found = parts.of_this_version()
+    for text in found.units.values():
+        assert parts.UNIT_COMMAND in text
+        assert "multi-user.target" in parts.wanted_by(text)
+    users, memberships = parts.accounts(found.sysusers)
+    assert users == ["failstop"]
+    assert memberships == [("failstop", "dialout")]
+    assert "path = " in found.example
+    assert found.catalog.count("Defined-By: failstop") > 3
+
+
+def test_units_and_accounts_are_read_as_systemd_reads_them() -> None:
+    assert parts.wanted_by(UNIT) == ["multi-user.target", "some.device"]
+    assert parts.wanted_by("[Install]\n#WantedBy=a\nWantedBy=b\nWantedBy=c d\n") == ["b", "c", "d"]
+    assert parts.accounts(SYSUSERS) == (["failstop"], [("failstop", "dialout")])
+
+
+def test_an_incomplete_package_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InstallError, match=r"comes without its file systemd/absent .*install the package anew"):
+        parts._text("absent")

@@ -1,0 +1,104 @@
+"""The help of the command line: every command in one group, examples that its own parser accepts, and a quick start."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+import pytest
+
+from failstop import cli
+from failstop.manual import grammar
+from tests.docs.pages import commands_in
+
+
+def test_every_command_is_in_one_group() -> None:
+    grouped = [name for _, names in cli.GROUPS for name in names]
+    assert sorted(grouped) == sorted(cli.COMMANDS), "give it a place in GROUPS of failstop/cli.py"
+    assert [title for title, names in cli.groups() if names] == [title for title, _ in cli.GROUPS]
+
+
+def test_the_help_shows_every_command_by_purpose(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for title, names in cli.GROUPS:
+        assert f"\n{title}:\n" in text
+        for name in names:
+            assert f"\n  {name} " in text
+    assert max(map(len, text.splitlines())) <= 100
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_the_examples_are_accepted_by_the_parser(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    _, module = cli.load(name)
+    lines = cli.examples(module, name)
+    assert len(lines) >= 2, f"commands/{cli.COMMANDS[name][0]}.py needs EXAMPLES for {name}"
+    for line in lines:
+        assert len(line) <= 110, line
+        assert commands_in(line), line
+        for words in commands_in(line):
+            parser, _ = cli.load(words[1])
+            parser.parse_args(words[2:])
+    assert cli.main([name, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(line in shown for line in lines)
+
+
+def test_a_mistyped_command_is_answered_with_the_likely_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["enabel"]) == 1
+    assert "did you mean `failstop enable`?" in capsys.readouterr().err
+    assert cli.main(["zzzzzz"]) == 1
+    assert "did you mean" not in capsys.readouterr().err
+
+
+def test_words_that_make_no_sense_are_an_error_and_no_refusal(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["drive", "fast"]) == 1
+    assert "usage: failstop drive" in capsys.readouterr().err
+    assert cli.main(["help", "drive"]) == 0
+    assert "m/s forward" in capsys.readouterr().out
+
+
+def test_the_help_needs_one_parser_and_the_usage_none() -> None:
+    """Imports are the start-up's cost."""
+    code = """
+import sys
+from failstop import cli
+cli.main(sys.argv[1:])
+print(*(name for name in sys.modules if name == 'argparse' or name.startswith('failstop.commands.')))
+"""
+
+    def imported(*words: str) -> list[str]:
+        command = [sys.executable, "-c", code, *words]
+        result = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
+        return result.stdout.splitlines()[-1].split()
+
+    assert imported("--help") == []
+    assert set(imported("drive", "--help")) == {"argparse", "failstop.commands.drive"}
+
+
+def test_the_help_is_there_at_once() -> None:
+    """The best of five: 22 ms on a quiet 2-core machine, a good part of it the interpreter's own start."""
+    best_s = float("inf")
+    for _ in range(5):
+        begun_s = time.monotonic()
+        subprocess.run([sys.executable, "-m", "failstop", "--help"], capture_output=True, timeout=20, check=True)
+        best_s = min(best_s, time.monotonic() - begun_s)
+    assert best_s < 0.12
+
+
+def test_the_grammar_reads_commands_of_commands() -> None:
+    import argparse
+
+    parser = argparse.ArgumentParser(prog="failstop box", description="a box")
+    below = parser.add_subparsers(dest="verb")
+    show = below.add_parser("show", help="tell the story")
+    show.add_argument("id", nargs="?", default="last", metavar="ID", help="which (default: %(default)s)")
+    show.add_argument("-o", "--output", metavar="FILE", required=True)
+    found = grammar._command(("box",), parser)
+    (child,) = found.children
+    assert (child.path, child.what) == (("box", "show"), "Tell the story.")
+    assert child.positionals[0].help == "which (default: last)"
+    assert (child.positionals[0].kind, child.positionals[0].required) == ("incident", False)
+    assert child.options[1].flags == ("-o", "--output")
+    assert (child.options[1].kind, child.options[1].required) == ("file", True)

@@ -1,0 +1,60 @@
+"""The man page: what the parsers say, and what man(1) takes without a warning."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from failstop import cli
+from failstop.manual import grammar, man
+
+PAGE = Path(__file__).resolve().parents[2] / "man" / "failstop.1"
+
+
+def test_the_page_is_the_generated_one() -> None:
+    assert PAGE.read_text() == man.page(grammar.read()), "renew it: python -m failstop.manual > man/failstop.1"
+
+
+def test_man_takes_the_page_without_a_warning() -> None:
+    if not shutil.which("man") or not shutil.which("groff"):
+        pytest.skip("man is not installed")
+    command = ["man", "--warnings", "-E", "UTF-8", "-l", "-Tutf8", str(PAGE)]
+    environ = {**os.environ, "MANWIDTH": "100", "TERM": "dumb"}
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environ)
+    assert (result.returncode, result.stderr) == (0, "")
+    words = set(re.sub(r"\x1b\[[0-9;]*m|.\x08", "", result.stdout).split())
+    for name in cli.COMMANDS:
+        assert name in words
+    for _, commands in grammar.read():
+        for command in commands:
+            for below in command.walk():
+                assert {flag for option in below.options for flag in option.flags} - {"-h", "--help"} <= {
+                    word.rstrip(",") for word in words
+                }, below.path
+
+
+def test_the_page_has_the_parts_of_a_man_page() -> None:
+    text = PAGE.read_text()
+    sections = re.findall(r"^\.SH (.*)$", text, re.MULTILINE)
+    assert sections[:3] == ["NAME", "SYNOPSIS", "DESCRIPTION"]
+    assert sections[-4:] == ["EXIT STATUS", "FILES", "ENVIRONMENT", "SEE ALSO"]
+    requests = {"TH", "SH", "SS", "PP", "TP", "B", "I", "RS", "RE", "nf", "fi", "nh", "ad", '\\"'}
+    for line in text.splitlines():
+        assert line
+        assert not line.startswith("'")
+        if line.startswith("."):
+            assert line[1:].split()[0] in requests, line
+
+
+def test_texts_that_look_like_requests_are_texts() -> None:
+    odd = grammar.Argument(("--odd",), "F", ".SH of 'it' \\ - `x`", "file")
+    command = grammar.Command(("odd",), "'quoted first.", (odd,), (), (), (".B failstop odd",))
+    text = man.page([("odd", [command])])
+    assert "\n\\&.SH of \\(aqit\\(aq \\e \\- \\(gax\\(ga\n" in text
+    assert "\n\\(aqquoted first.\n" in text
+    assert "\n\\&.B failstop odd\n" in text

@@ -1,0 +1,80 @@
+"""Who enabled, disabled, reset, was refused: told when it changed something, and never without end."""
+
+from __future__ import annotations
+
+import pytest
+
+from failstop.procs.gate.remarks import EVERY_NS, MOST_AT_ONCE, Budget, of_request
+from failstop.shm import records
+from failstop.shm.layout import NOTE_BYTES
+from failstop.shm.notes import Note
+
+WHO: dict[str, str | int] = {"who": "nav", "pid": 7}
+
+
+@pytest.mark.parametrize(
+    ("verb", "done", "enabled", "latched", "kind", "text"),
+    [
+        (records.ENABLE, True, False, None, "enabled", "motion enabled by nav (pid 7)"),
+        (records.ENABLE, True, True, None, "", ""),
+        (records.ENABLE, False, False, "key1", "refused", "refused to enable, nav (pid 7): answer"),
+        (records.DISABLE, True, True, None, "disabled", "motion disabled by nav (pid 7)"),
+        (records.DISABLE, True, False, "key1", "", ""),
+        (records.RESET, True, False, "key1", "reset", "nav (pid 7): answer"),
+        (records.RESET, True, False, None, "", ""),
+        (records.RESET, True, False, "", "reset", "nav (pid 7): answer"),
+        (records.RESET, False, False, "key1", "refused", "refused to reset, nav (pid 7): answer"),
+        (99, False, False, None, "refused", "refused to 99, nav (pid 7): answer"),
+    ],
+)
+def test_of_a_request(verb: int, done: bool, enabled: bool, latched: str | None, kind: str, text: str) -> None:
+    note = of_request(verb, "nav", 7, done, "answer", enabled=enabled, latched=latched)
+    assert (note.kind if note else "", note.text if note else "") == (kind, text)
+    assert note is None or WHO.items() <= note.fields.items()
+
+
+def test_the_gamepad_has_no_pid() -> None:
+    note = of_request(records.RESET, "gamepad", 0, True, "e-stop cleared", enabled=False, latched="key1")
+    assert note is not None
+    assert (note.text, note.fields) == ("gamepad: e-stop cleared", {"who": "gamepad", "reason": "key1"})
+
+
+def test_a_flood_is_told_of_a_few_times_a_second() -> None:
+    budget = Budget(0)
+    told = [budget.spend(i * 1_000_000) for i in range(10_000)]
+    assert all(told[:MOST_AT_ONCE])
+    assert sum(told) <= MOST_AT_ONCE + 10_000_000_000 // EVERY_NS
+    assert sum(told[-1000:]) == 1_000_000_000 // EVERY_NS
+    assert budget.unsaid == 10_000 - sum(told)
+
+
+def test_after_a_rest_everything_is_told_again() -> None:
+    budget = Budget(0)
+    while budget.spend(0):
+        pass
+    later_ns = MOST_AT_ONCE * EVERY_NS
+    assert [budget.spend(later_ns) for _ in range(MOST_AT_ONCE + 1)] == [*[True] * MOST_AT_ONCE, False]
+    assert [budget.spend(100 * later_ns) for _ in range(MOST_AT_ONCE + 1)] == [*[True] * MOST_AT_ONCE, False]
+
+
+@pytest.mark.parametrize("size", [0, 10, 300, 5_000])
+def test_a_note_fits_its_slot_and_comes_back(size: int) -> None:
+    note = Note("refused", "\u2713" * size, {"who": "\udcff" * size, "pid": 7}, level="warning")
+    data = note.pack()
+    assert len(data) <= NOTE_BYTES
+    found = Note.unpack(data)
+    assert (found.kind, found.level) == ("refused", "warning")
+    assert ("\u2713" * size).startswith(found.text)
+    assert found.fields == {"who": "?" * (size if size < 64 else 64), "pid": 7}
+
+
+def test_fields_without_end_are_left_out() -> None:
+    data = Note("note", "text", {f"field_{i}": "x" * 60 for i in range(50)}).pack()
+    assert len(data) <= NOTE_BYTES
+    assert Note.unpack(data).fields == {}
+
+
+@pytest.mark.parametrize("payload", [b"", b"gyro bias", b"\x90", b"\x94\xa1a\xa1b\xa1c\xa1d", b"\xc1", b"\x94\xa1a"])
+def test_what_is_no_note_is_refused(payload: bytes) -> None:
+    with pytest.raises(ValueError):  # noqa: PT011
+        Note.unpack(payload)

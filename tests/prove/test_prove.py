@@ -1,0 +1,270 @@
+"""`failstop prove` on simulated boards: it passes where all is well, and above all it fails where it is not."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.board.sim.client import SimBoard
+from failstop.prove.run import Result, Run
+from failstop.prove.stand import Stand
+from failstop.prove.table import BY_PATH, BY_VELOCITY
+from failstop.trial import Trial, wait_for
+from tests.prove.noise import SIMULATED
+
+WORD = "spin\n"
+LIMIT_S = 90
+
+
+def prove(*words: str, said: str = "") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "failstop", "prove", *words]
+    return subprocess.run(command, input=said, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+
+
+@contextlib.contextmanager
+def on_stand(tmp_path: Path, **settings: object) -> Iterator[Stand]:
+    with SimBoard(tmp_path / "board") as board, Stand(board.link, settings, str(tmp_path), board) as stand:
+        yield stand
+
+
+def one(stand: Stand, path: str, velocity: str = "0.2") -> Result:
+    return Run(stand, SIMULATED, BY_PATH[path], BY_VELOCITY[velocity], None).take()
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Iterator[SimBoard]:
+    with SimBoard(tmp_path / "board") as running:
+        yield running
+
+
+@pytest.mark.slow
+def test_the_main_paths_on_the_simulated_board(tmp_path: Path) -> None:
+    done = prove("--sim", "--quick", "--json", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr
+    result = json.loads(done.stdout)
+    rows = result["rows"]
+    assert [row["verdict"] for row in rows] == ["PASS"] * 8
+    assert all(row["written_ms"] is not None and row["acknowledged_ms"] and row["board_ms"] for row in rows)
+    assert all(row["rest_s"] < row["rest_bar_s"] + row["blind_s"] for row in rows)
+    # The times that it takes from shared memory are those of the board.
+    assert all(abs(row["board_ms"] - row["written_ms"]) < 20 for row in rows)
+    assert all(row["acknowledged_ms"] > row["written_ms"] for row in rows)
+    assert next(row for row in rows if row["path"] == "deadman")["written_ms"] >= 299
+    assert result["character"]["still"]["most"] < 0.0035 < result["character"]["spinning"]["0.2"]["least"]
+    (folder,) = tmp_path.iterdir()
+    assert {"report.txt", "result.json"} <= {file.name for file in folder.iterdir()}
+    assert "\nPASS\n" in (folder / "report.txt").read_text()
+
+
+@pytest.mark.slow
+def test_a_board_that_does_not_stop_fails_and_ends_it(tmp_path: Path) -> None:
+    with on_stand(tmp_path) as stand:
+        assert stand.board is not None
+        stand.board.refuse_stop(True)
+        result = one(stand, "stop-request")
+        assert (result.verdict, result.runaway, result.rest_s) == ("FAIL", True, None)
+        assert "THE WHEELS DID NOT COME TO REST" in result.wrong
+        stand.board.refuse_stop(False)
+
+
+@pytest.mark.slow
+def test_the_command_fails_on_a_board_that_does_not_stop(board: SimBoard, tmp_path: Path) -> None:
+    board.refuse_stop(True)
+    out = str(tmp_path / "evidence")
+    done = prove("--device", board.link, "--only", "deadman", "--at", "0.2", "--quick", "--out", out, said=WORD)
+    assert done.returncode == 1
+    assert "THE WHEELS DID NOT COME TO REST" in done.stdout
+    assert "POWER SWITCH" in done.stdout
+    assert "\nFAIL\n" in done.stdout
+    assert "PASS" not in done.stdout
+    assert list(Path(out).iterdir()), "failures are evidence too"
+
+
+@pytest.mark.slow
+def test_a_deadman_that_is_set_too_long_fails(tmp_path: Path) -> None:
+    with on_stand(tmp_path, **{"gate.command_timeout_s": 0.9}) as stand:
+        result = one(stand, "deadman")
+        assert result.verdict == "FAIL"
+        assert result.written_ms == pytest.approx(900, abs=60)
+        assert any(wrong.startswith("written after 9") for wrong in result.wrong)
+        assert any(wrong.startswith("at rest after") for wrong in result.wrong)
+        assert not result.runaway
+
+
+@pytest.mark.slow
+def test_the_users_settings_hold_beside_those_of_the_test(tmp_path: Path) -> None:
+    """Limits are raised and never lowered, interlocks are asserted."""
+    mine = {"limits.vx_mps": 0.1, "limits.wz_radps": 1.5, "interlocks.dock.timeout_s": 0.3, "device.path": "/dev/x"}
+    with on_stand(tmp_path, **mine) as stand:
+        assert (stand.settings["limits.vx_mps"], stand.settings["limits.wz_radps"]) == (0.35, 1.5)
+        assert one(stand, "disable", "0.2").wrong == []
+
+
+@pytest.mark.slow
+def test_what_the_imu_does_not_show_is_not_proved(tmp_path: Path) -> None:
+    with on_stand(tmp_path) as stand:
+        assert stand.board is not None
+        board = stand.board
+        stand.driver.each = silent_at_stop(stand, board)
+        result = one(stand, "stop-request")
+        assert result.verdict == "FAIL"
+        assert result.rest_s is None
+
+
+def silent_at_stop(stand: Stand, board: SimBoard) -> Callable[[], None]:
+    """The IMU goes silent as soon as the wheels turn at speed."""
+
+    def each() -> None:
+        stand.look()
+        if max(map(abs, board.wheels())) > 0.7:
+            board.imu(False)
+
+    return each
+
+
+@pytest.mark.slow
+def test_a_board_that_went_deaf_is_a_failure(tmp_path: Path) -> None:
+    """Wheels that turn on because nothing is heard; nobody gets them to rest but the switch."""
+    with on_stand(tmp_path, **{"link.deaf_s": 60.0}) as stand:
+        board = stand.board
+        assert board is not None
+        stand.driver.each = deaf_at_speed(stand, board)
+        result = one(stand, "disable")
+        assert result.verdict == "FAIL"
+        assert result.runaway
+        assert "not acknowledged by the board" in result.wrong
+        assert "the board has seen NO STOP" in result.wrong
+        stand.driver.each = stand.look
+        board.deaf(False)
+
+
+def deaf_at_speed(stand: Stand, board: SimBoard) -> Callable[[], None]:
+    def each() -> None:
+        stand.look()
+        if max(map(abs, board.wheels())) > 0.79:
+            board.deaf(True)
+
+    return each
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", ["hang-supervisor", "pad", "kill-stopper"])
+def test_paths_that_the_short_form_leaves_out(tmp_path: Path, path: str) -> None:
+    with on_stand(tmp_path) as stand:
+        result = one(stand, path, "turn")
+        assert result.verdict == "PASS", result.wrong
+        assert stand.whole()
+        assert not stand.driver.robot.state.enabled
+
+
+def test_without_the_word_nothing_is_written(board: SimBoard) -> None:
+    for said in ("", "yes\n", "SPIN\n"):
+        done = prove("--device", board.link, said=said)
+        assert done.returncode == 2
+        assert "no consent: nothing was moved" in done.stderr
+        assert "OFF THE GROUND" in done.stderr
+        assert "POWER SWITCH" in done.stderr
+    assert board.events() == []
+
+
+def test_a_service_that_runs_is_left_alone() -> None:
+    name = f"prove-other-{os.getpid()}"
+    with Trial(name) as trial:
+        done = prove("--name", name, "--device", trial.link, said=WORD)
+        assert done.returncode == 2
+        assert f"sudo systemctl stop failstop@{name}.service" in done.stderr
+        done = prove("--device", trial.link, said=WORD)
+        assert done.returncode == 2
+        assert f"has {trial.link} open" in done.stderr
+        assert trial.service.ready()
+        assert not any(event.is_motion for event in trial.board.events())
+
+
+def test_words_that_are_in_no_table() -> None:
+    done = prove("--sim", "--only", "deadman,earthquake")
+    assert done.returncode == 1
+    assert "no stop path 'earthquake'" in done.stderr
+    assert "no velocity '9'" in prove("--sim", "--at", "9").stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("send", "number"), [(os.kill, signal.SIGINT), (os.killpg, signal.SIGHUP)], ids=["told", "terminal-lost"]
+)
+def test_an_interruption_stops_the_wheels_first(
+    board: SimBoard, tmp_path: Path, send: Callable[[int, int], None], number: int
+) -> None:
+    """A terminal's signals go to the service too."""
+    command = [sys.executable, "-m", "failstop", "prove", "--device", board.link, "--out", str(tmp_path / "evidence")]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, start_new_session=True) as process:
+        assert process.stdin is not None
+        process.stdin.write(WORD)
+        process.stdin.flush()
+        wait_for("the wheels to turn", lambda: any(board.wheels()), 30)
+        interrupted_ns = time.monotonic_ns()
+        send(process.pid, number)
+        board.wait_for(lambda event: event.is_stop and event.arrival_ns > interrupted_ns, 2.0)
+        out, _ = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "ENDED EARLY: interrupted" in out
+    after = [event for event in board.events(since=0) if event.arrival_ns > interrupted_ns]
+    stop = next(event for event in after if event.is_stop)
+    assert stop.arrival_ns - interrupted_ns < 250e6
+    assert not any(event.is_motion for event in after if event.index > stop.index)
+    assert after[-1].is_stop
+    assert_nothing_runs(f"prove-{process.pid}")
+
+
+@pytest.mark.slow
+def test_a_test_that_is_killed_takes_its_service_along(board: SimBoard) -> None:
+    command = [sys.executable, "-m", "failstop", "prove", "--device", board.link]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+        process.stdin.write(WORD)  # type: ignore[union-attr]
+        process.stdin.flush()  # type: ignore[union-attr]
+        wait_for("the wheels to turn", lambda: any(board.wheels()), 30)
+        process.kill()
+    board.wait_wheels(False, 2.0)
+    wait_for("the service to end", lambda: not any(f"name=prove-{process.pid} " in line for line in command_lines()))
+    assert board.events()[-1].is_stop
+
+
+@pytest.mark.slow
+def test_a_stand_that_is_left_while_the_service_hangs_is_safe(tmp_path: Path) -> None:
+    with SimBoard(tmp_path / "board") as board:
+        with Stand(board.link, {}, str(tmp_path), board) as stand:
+            stand.driver.velocity = (0.2, 0.0, 0.0)
+            stand.driver.enable()
+            stand.run(5.0, lambda: any(board.wheels()))
+            assert any(board.wheels())
+            pids = stand.look_up_pids()
+            os.kill(pids["supervisor"], signal.SIGSTOP)
+            os.kill(pids["port_owner"], signal.SIGSTOP)
+            name = stand.name
+        assert stand.unsafe == ""
+        assert not any(board.wheels())
+        assert board.events()[-1].is_stop
+        assert_nothing_runs(name)
+
+
+def assert_nothing_runs(name: str) -> None:
+    assert not [file for file in os.listdir("/dev/shm") if file.startswith(f"failstop.{name}.")]
+    assert not os.path.exists(f"/run/failstop/{name}")
+    assert not any(f"name={name} " in line for line in command_lines())
+
+
+def command_lines() -> list[str]:
+    found = []
+    for pid in filter(str.isdigit, os.listdir("/proc")):
+        with contextlib.suppress(OSError):
+            found.append(Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " "))
+    return found

@@ -1,0 +1,92 @@
+"""The table of stop paths, its bars, and the plans made of it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from failstop.prove import report, table
+from failstop.prove.report import Evidence
+from failstop.prove.run import Result
+from failstop.prove.table import BY_PATH, BY_VELOCITY, PATHS, QUICK_NAMES, VELOCITIES, plan
+from failstop.shm.layout import PROCESSES
+from tests.prove.noise import SIMULATED, gyro
+
+
+def test_every_process_is_killed_and_hung() -> None:
+    for kind in (table.KILL, table.HANG):
+        assert {path.process for path in PATHS if path.kind == kind} == set(PROCESSES)
+    assert {path.kind for path in PATHS} >= {table.DEADMAN, table.REQUEST, table.DISABLE, table.SCAN, table.PAD}
+    assert len(BY_PATH) == len(PATHS)
+
+
+def test_every_bar_is_one() -> None:
+    for path in PATHS:
+        assert 0 < path.reaction_bar_ms(simulated=False) < path.reaction_bar_ms(simulated=True)
+        for velocity in VELOCITIES:
+            assert path.reaction_ms / 1000 < path.rest_bar_s(velocity) < 1.2
+
+
+def test_the_bars_are_those_that_were_measured_before() -> None:
+    bar = BY_PATH["deadman"].rest_bar_s(BY_VELOCITY["0.35"])
+    assert bar == pytest.approx(0.75 + table.RESOLUTION_S)
+    assert BY_PATH["hang-gate"].rest_bar_s(BY_VELOCITY["turn"]) == pytest.approx(0.065 + 0.25 + table.RESOLUTION_S)
+
+
+def test_plans() -> None:
+    whole = plan(quick=False)
+    assert len(whole) == len(set(whole)) == len(PATHS) * len(VELOCITIES)
+    quick = plan(quick=True)
+    assert {path.name for path, _ in quick} == set(QUICK_NAMES)
+    assert {velocity for _, velocity in quick} == set(VELOCITIES)
+    assert plan(quick=False, only=("scan",), at=("turn",)) == [(BY_PATH["scan"], BY_VELOCITY["turn"])]
+
+
+def result(**changed: object) -> Result:
+    found = Result(BY_PATH["deadman"], BY_VELOCITY["0.2"], False, 301.0, "gate", 420.0, 0.5)
+    return dataclasses.replace(found, **changed)  # type: ignore[arg-type]
+
+
+def test_rows_say_what_was_measured_and_what_is_wrong() -> None:
+    assert "301.00 (340)" in report.row(result())
+    assert report.row(result()).endswith("PASS")
+    assert report.row(result(wrong=["NO STOP written"])).endswith("FAIL NO STOP written")
+    assert report.row(result(skipped="no button was seen")).endswith("SKIP no button was seen")
+    assert "blind for 0.30 s" in report.row(result(blind_s=0.3))
+
+
+@pytest.mark.parametrize(
+    ("results", "ended", "passed"),
+    [
+        ([result()], "", True),
+        ([result(), result(skipped="nobody")], "", True),
+        ([result(), result(wrong=["late"])], "", False),
+        ([result()], "interrupted", False),
+        ([result(skipped="nobody")], "", False),
+        ([], "", False),
+    ],
+)
+def test_all_of_it_passes_only_if_nothing_failed_and_something_was_tried(
+    results: list[Result], ended: str, passed: bool
+) -> None:
+    evidence = Evidence("/dev/board", False, True, SIMULATED, results, ended)
+    assert evidence.passed is passed
+    assert evidence.as_dict()["passed"] is passed
+    assert f"\n{'PASS' if passed else 'FAIL'}\n" in report.text(evidence)
+
+
+def test_evidence_is_kept_in_a_dated_folder(tmp_path: object) -> None:
+    evidence = Evidence("/dev/board", False, True, SIMULATED, [result(samples=gyro((1.0, 0.002)))])
+    evidence.begun_unix_s = 0.0
+    paths = report.save(evidence, str(tmp_path))
+    assert [path.removeprefix(f"{tmp_path}/") for path in paths][:2] == [
+        "1970-01-01T000000Z/report.txt",
+        "1970-01-01T000000Z/result.json",
+    ]
+
+
+def test_a_limit_that_does_not_fit_is_told_with_one_that_does() -> None:
+    assert report.character_lines(SIMULATED)[-1].endswith("it fits this robot")
+    other = dataclasses.replace(SIMULATED, limit_radps=0.0031)
+    assert "set it to 0.0031" in report.character_lines(other)[-1]

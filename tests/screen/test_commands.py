@@ -1,0 +1,151 @@
+"""`failstop status`, `why` and `events` as a user types them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from failstop.screen.words import unit
+from failstop.trial import Trial, wait_for
+
+from .typist import Typist
+
+QUICK_S = 0.15
+
+
+def run(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "failstop", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+
+
+def said(trial: Trial, *words: str) -> str:
+    done = run(*words, "--name", trial.name)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def latch(trial: Trial, reason: str = "hand near") -> None:
+    trial.robot.estop(reason)
+    wait_for("the latch", lambda: trial.robot.state.estop is not None)
+    wait_for("its last proof", lambda: getattr(trial.robot.state.last_stop, "observed_ms", None) is not None)
+
+
+def test_status_through_its_states(trial: Trial) -> None:
+    assert "wheels    STOPPED  blocked: disabled\nnext      `failstop enable`" in said(trial, "status")
+    trial.enable()
+    assert "blocked: cmd timeout" in said(trial, "status")
+    latch(trial)
+    shown = said(trial, "status")
+    assert "blocked: estop: hand near (trial, pid" in shown
+    assert "`failstop reset`, then `failstop enable`" in shown
+    assert "written after" in shown
+    assert "link alive" in shown
+    assert "\x1b" not in shown, "no colours in a pipe"
+    assert max(map(len, shown.splitlines())) <= 80
+
+
+def test_colours_on_a_terminal_only_and_not_with_no_color(trial: Trial) -> None:
+    words = [sys.executable, "-m", "failstop", "status", "--name", trial.name]
+    with Typist(words) as coloured, Typist(words, environ={"NO_COLOR": "1"}) as plain:
+        assert (coloured.end(), plain.end()) == (0, 0)
+        assert "\x1b[38;5;166mSTOPPED" in coloured.raw
+        assert "\x1b" not in plain.raw
+        assert "STOPPED" in plain.raw
+
+
+def test_status_is_quick(trial: Trial) -> None:
+    """The least of a few: what it costs, not what else the machine does. Measured here 0.05 s."""
+    times = []
+    for _ in range(7):
+        start_s = time.monotonic()
+        said(trial, "status")
+        times.append(time.monotonic() - start_s)
+    assert min(times) < QUICK_S
+
+
+@pytest.mark.parametrize("command", ["status", "why"])
+def test_costly_modules_are_not_imported(command: str) -> None:
+    code = f"import failstop.commands.{command}, sys; print('\\n'.join(sys.modules))"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20, check=True).stdout
+    assert f"failstop.commands.{command}" in found.split()
+    assert {"numpy", "psutil", "serial", "subprocess", "asyncio", "logging"}.isdisjoint(found.split())
+
+
+def test_why_of_a_latch(trial: Trial) -> None:
+    latch(trial)
+    shown = " ".join(said(trial, "why").split())
+    assert f'trial (pid {os.getpid()}) asked for a stop: "hand near"' in shown
+    assert "the board acknowledged it after" in shown
+    assert "then `failstop reset`, then `failstop enable`" in shown
+    found = json.loads(said(trial, "why", "--json"))
+    assert found["next"] == ["`failstop reset`", "`failstop enable`"]
+    assert found["since"] == pytest.approx(time.time(), abs=60)
+
+
+def test_why_knows_who_disabled_and_when(trial: Trial) -> None:
+    trial.enable()
+    trial.robot.disable()
+    wait_for("the event", lambda: "motion disabled by trial" in " ".join(said(trial, "why").split()))
+    shown = " ".join(said(trial, "why").split())
+    assert "The wheels stand since" in shown
+
+
+def test_why_while_driving(trial: Trial) -> None:
+    trial.enable()
+    found: list[str] = []
+    process = subprocess.Popen(
+        [sys.executable, "-m", "failstop", "why", "--name", trial.name], stdout=subprocess.PIPE, text=True
+    )
+    while process.poll() is None:
+        trial.drive(0.05)
+    found.append(process.communicate()[0])
+    assert "Nothing holds the wheels: trial (pid" in found[0]
+
+
+def test_events_say_what_happened(trial: Trial) -> None:
+    start_s = time.time()
+    trial.enable()
+    latch(trial, "for the record")
+    wait_for("the event", lambda: "for the record" in said(trial, "events"))
+    rows = said(trial, "events", "--since", "1h").splitlines()
+    assert any(" enabled " in row for row in rows)
+    found = [json.loads(row) for row in said(trial, "events", "--json", "--kind", "stop").splitlines()]
+    assert {row["kind"] for row in found} == {"stop"}
+    assert found[-1]["fields"]["reason"].startswith("for the record")
+    assert start_s - 1 < found[-1]["t"] < time.time() + 1
+    assert set(found[-1]) == {"seq", "t", "ns", "kind", "level", "text", "fields"}
+    assert said(trial, "events", "--since", "0s") == ""
+    assert run("events", "--kind", "nonsense", "--name", trial.name).returncode == 1
+    assert run("events", "--since", "nonsense", "--name", trial.name).returncode == 1
+
+
+def test_events_without_a_service() -> None:
+    done = run("events", "--name", "nobody-here")
+    assert (done.returncode, done.stdout) == (3, "")
+    assert "`journalctl -u failstop@nobody-here -e`" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert (unit("failstop"), unit("left-arm")) == ("failstop", "failstop@left-arm")
+
+
+def test_events_follow_over_a_restart() -> None:
+    with (
+        Trial(f"screen-{os.getpid()}-follow") as own,
+        Typist.failstop("events", "--follow", "--name", own.name, columns=200) as events,
+    ):
+        events.wait("ready")
+        own.robot.estop("while it follows")
+        events.wait("while it follows")
+        own.leave()
+        own.service.end()
+        events.wait("waiting for it")
+        own.service.start()
+        own.enable()
+        events.wait("enabled by trial")
+        events.process.send_signal(signal.SIGINT)
+        assert events.end() == 130

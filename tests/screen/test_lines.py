@@ -1,0 +1,232 @@
+"""Screens as lines: every state at both widths; the live one; events."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from failstop import style
+from failstop.errors import FailstopError
+from failstop.events import Event
+from failstop.screen import cockpit, live, summary, told, verdict
+from failstop.screen.painter import CLEAR, Painter
+from failstop.screen.sparkline import spark
+from failstop.supervisor.kinds import KINDS
+
+from .states import NOW_S, driving, latched, process, state, stop
+
+LOST = {"path": "/dev/ttyACM0", "state": "lost", "link": "unproven"}
+DEAF = {"path": "/dev/ttyACM0", "state": "open", "link": "deaf"}
+DOWN = {"gate": process(pid=0, state="down", restarts=4, last_exit="killed by SIGKILL", age_ms=1e9)}
+STATES = {
+    "disabled": state(),
+    "driving": driving(),
+    "latched": latched("hand near the left wheel (failstop estop, pid 4711)"),
+    "waiting for the port": latched("device lost", device=LOST, waiting_for="the port"),
+    "deaf": latched("the board is deaf: use the POWER SWITCH", device=DEAF),
+    "process down": latched("gate died", processes={**state().processes, **DOWN}, waiting_for="gate", age_ms=9000.0),
+    "long": latched("x" * 300, clients=[{"name": "n" * 64, "pid": 4194304, "slot": i} for i in range(8)]),
+}
+
+
+def shown(lines: list[style.Line]) -> str:
+    return "\n".join(map(style.plain, lines))
+
+
+@pytest.mark.parametrize("columns", [20, 80, 120])
+@pytest.mark.parametrize("found", STATES.values(), ids=STATES)
+def test_every_state_fits_the_width(found: summary.State, columns: int) -> None:
+    lines = summary.lines(found, NOW_S, columns)
+    table = [style.plain(line) for line in summary.processes(found)]
+    assert all(style.cells(text) <= 80 for text in table)
+    assert all(style.cells(style.plain(line)) <= columns for line in lines if style.plain(line) not in table)
+
+
+@pytest.mark.parametrize("name", ["disabled", "driving", "latched", "deaf", "process down"])
+def test_a_screen_of_24_lines_holds_it(name: str) -> None:
+    assert len(summary.lines(STATES[name], NOW_S, 80)) <= 23
+
+
+def test_what_the_screen_says() -> None:
+    said = shown(summary.lines(STATES["latched"], NOW_S, 120))
+    for part in (
+        "wheels    STOPPED  blocked: estop: hand near the left wheel (failstop estop, pid 4711)",
+        "next      `failstop reset`, then `failstop enable`",
+        "written after 0.21 ms, acknowledged after 4.40 ms, wheels still after about 0.3 s",
+        "/dev/ttyACM0 open, link alive",
+        "12.00 V",
+        "supervisor  4711  running  5 ms  20 ms         0  realtime locked",
+    ):
+        assert part in said
+    said = shown(summary.lines(STATES["process down"], NOW_S, 120))
+    assert "gate           -  down" in said
+    assert "gate died too often and stays down; it was killed by SIGKILL" in said
+    assert "said nothing for 9.0 s" in said
+    said = shown(summary.lines(STATES["waiting for the port"], NOW_S, 120))
+    assert "wheels    MAY TURN" in said
+    said = shown(
+        summary.lines(
+            driving(sources=[*driving().sources, {"source": "x", "priority": -1, "who": "y", "state": "waits"}]),
+            NOW_S,
+            120,
+        )
+    )
+    assert "driver    nav (pid 42) as cmd_vel, priority 0" in said
+    assert "waits     y as x, priority -1" in said
+
+
+def test_proofs_that_are_missing_are_seen() -> None:
+    unseen = stop("key1", acknowledged_us=None, observed_ms=None)
+    assert "written after 0.21 ms, not acknowledged, not seen still" in shown(
+        summary.last_stop(latched(last_stop=unseen), NOW_S)
+    )
+    unwritten = latched(last_stop=stop(written_us=None))
+    assert "NOT written" in shown(summary.last_stop(unwritten, NOW_S))
+
+
+def test_restarts_and_missing_rights_are_remarked() -> None:
+    again = process(restarts=2, last_exit="killed by SIGKILL", realtime=False, memory_locked=False)
+    said = shown(summary.lines(state(processes={"gate": again}), NOW_S, 120))
+    assert "gate was started anew 2 times, last after: killed by SIGKILL" in said
+    assert "without real-time rights" in said
+    assert "none" in said
+
+
+def _live(rows: int = 40, columns: int = 100) -> tuple[live.Live, list[style.Line]]:
+    found = live.Live("failstop", fancy=True)
+    lines: list[style.Line] = []
+    for tick in range(30):
+        moving = tick >= 15
+        rate = [0.01 * (-1) ** tick if moving else 0.0001 * (-1) ** tick, 0.0, 0.0]
+        given = (driving if moving else state)(imu={"rate_radps": [*rate[:2], tick * 1e-6]})
+        lines = found.lines(given, tick * 0.1, NOW_S, columns, rows)
+    return found, lines
+
+
+def test_the_live_screen_has_its_history() -> None:
+    _, lines = _live()
+    speed, turn, shake = (style.plain(line) for line in lines[2:5])
+    assert speed.endswith("▁" * 15 + "█" * 15)
+    assert turn.endswith("▁" * 30)
+    assert "rad/s shakes" in shake
+    assert shake.rstrip()[-1] in "▆▇█"
+    assert "0.20 m/s" in speed
+
+
+@pytest.mark.parametrize("rows", [2, 5, 10, 24, 60])
+def test_the_live_screen_fits_any_window(rows: int) -> None:
+    _, lines = _live(rows, 40)
+    assert len(lines) <= rows
+    assert all(style.cells(style.plain(line)) <= 80 for line in lines)
+
+
+def test_a_silent_imu_is_not_still() -> None:
+    found = live.Vibration()
+    assert [found.add([0.0, 0.0, 0.0]) for _ in range(20)] == [None] * 20
+    assert found.add(None) is None
+
+
+def test_a_service_that_has_gone_is_said_with_what_to_do() -> None:
+    found, _ = _live()
+    said = shown(found.gone("no service named 'failstop' is running", NOW_S, 80))
+    for part in ("NO SERVICE", "waiting for it to come back", "`failstop stop`", "`journalctl -u failstop -e`"):
+        assert part in said
+    assert "5.0 s ago" in shown(found.gone("x", NOW_S + 5, 80))
+
+
+def test_the_cockpit_shows_keys_command_and_state() -> None:
+    lines = cockpit.lines(
+        latched(),
+        held=True,
+        releases=False,
+        command=(0.1, 0.0, 0.0),
+        percent=50,
+        speeds=(0.1, 0.5),
+        note=("a note", ""),
+        source="cmd_vel",
+        fancy=True,
+        columns=80,
+    )
+    said = shown(lines)
+    for part in (
+        "w s  ↑ ↓",
+        "STOP, latched",
+        "0.10 m/s forward",
+        "50 %",
+        "STOPPED",
+        "12.00 V",
+        "a note",
+        "a tap drives",
+    ):
+        assert part in said
+    assert len(lines) <= 23
+    assert all(style.cells(style.plain(line)) <= 80 for line in lines)
+
+
+def test_only_changed_lines_are_written() -> None:
+    painter = Painter()
+    assert painter.update(["one", "two", "three"]).startswith(CLEAR)
+    assert painter.update(["one", "two", "three"]) == ""
+    assert painter.update(["one", "2", "three"]) == "\x1b[2;1H2\x1b[K"
+    assert painter.update(["one"]) == "\x1b[2;1H\x1b[J"
+    painter.forget()
+    assert painter.update(["one"]) == f"{CLEAR}\x1b[1;1Hone\x1b[K"
+
+
+def test_sparklines() -> None:
+    assert spark([0.0, 0.5, 1.0, 2.0, None], 1.0, 7) == "  ▁▅██ "
+    assert spark([1.0, 0.0], 1.0, 1) == "▁"
+    assert spark([1.0, 0.0], 1.0, 0) == ""
+    assert spark([0.0, 1.0], 1.0, 2, fancy=False) == "_#"
+    assert spark([1.0], 0.0, 1) == "▁"
+
+
+def _event(text: str = "E-STOP latched: key1", kind: str = "stop") -> Event:
+    return Event(7, NOW_S + 0.25, 1, kind, "warning", text, {})
+
+
+def test_an_event_is_a_line() -> None:
+    clock = time.strftime("%H:%M:%S", time.localtime(NOW_S))
+    assert style.plain(told.line(_event(), NOW_S)) == f"{clock}.250  stop          E-STOP latched: key1"
+    rows = told.rows(_event("word " * 40), NOW_S, 60)
+    assert len(rows) > 3
+    assert all(style.cells(style.plain(row)) <= 60 for row in rows)
+    assert style.plain(rows[1]).startswith(" " * 28 + "word")
+    assert len(told.rows(_event("word " * 40), NOW_S, None)) == 1
+
+
+def test_every_kind_fits_its_column_and_every_level_has_a_role() -> None:
+    assert {kind.level for kind in KINDS} <= set(told.ROLES)
+    assert told.kinds("stop, died") == {"stop", "died"}
+    with pytest.raises(FailstopError, match="no kind of event is called foo"):
+        told.kinds("stop,foo")
+
+
+@pytest.mark.parametrize(("text", "age_s"), [("30s", 30), ("10m", 600), ("1.5h", 5400), ("1d", 86400), ("5min", 300)])
+def test_since_an_age(text: str, age_s: float) -> None:
+    assert told.since(text, NOW_S) == NOW_S - age_s
+
+
+def test_since_a_time() -> None:
+    form = "%Y-%m-%d %H:%M:%S"
+    noon_s = time.mktime(time.strptime("2025-06-01 12:00:00", form))
+    for text, when in (
+        ("11:30", "2025-06-01 11:30:00"),
+        ("11:30:15", "2025-06-01 11:30:15"),
+        ("14:03", "2025-05-31 14:03:00"),
+        ("2025-05-01", "2025-05-01 00:00:00"),
+        ("2025-05-01 14:03", "2025-05-01 14:03:00"),
+    ):
+        assert told.since(text, noon_s) == time.mktime(time.strptime(when, form)), text
+
+
+@pytest.mark.parametrize("text", ["", "m", "10", "10y", "-5m", "25:00", "1.2.3s", "yesterday", "٣m"])
+def test_since_nonsense(text: str) -> None:
+    with pytest.raises(FailstopError, match="allowed are"):
+        told.since(text, NOW_S)
+
+
+def test_the_word_is_on_the_live_screen_too() -> None:
+    _, lines = _live()
+    assert verdict.DRIVING in shown(lines)

@@ -1,0 +1,144 @@
+"""What keys do to the robot, by a robot that writes down what it is asked."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import pytest
+
+from failstop.errors import NoService, Refused
+from failstop.robot import Robot
+from failstop.screen.hold import ENDS_S
+from failstop.screen.keys import EVENTS, PRESS, RELEASE, Key
+from failstop.screen.pilot import Pilot
+from failstop.style import FAIL, WARN
+
+from .states import driving, latched, state
+
+ENABLED = driving(sources=[], body_vel=(0.0, 0.0, 0.0), wheels_rps=(0.0, 0.0, 0.0, 0.0), blocked="cmd timeout")
+RIVAL = driving()
+W: list[Key] = [("w", PRESS)]
+
+
+class Scribe:
+    """In the robot's place."""
+
+    def __init__(self) -> None:
+        self.asked: list[Any] = []
+        self.answer: Exception | None = None
+
+    def drive(self, vx: float, vy: float, wz: float, *, manual: bool, source: str) -> None:
+        assert manual
+        self.asked.append((round(vx, 3), round(vy, 3), round(wz, 3), source))
+
+    def estop(self, reason: str) -> None:
+        self.asked.append("estop")
+
+    def enable(self) -> str:
+        return self._ask("enable")
+
+    def reset(self) -> str:
+        return self._ask("reset")
+
+    def _ask(self, what: str) -> str:
+        self.asked.append(what)
+        if self.answer:
+            raise self.answer
+        return f"{what} done"
+
+
+@pytest.fixture
+def scribe() -> Scribe:
+    return Scribe()
+
+
+@pytest.fixture
+def pilot(scribe: Scribe) -> Pilot:
+    return Pilot(cast("Robot", scribe), "cmd_vel", 0.2, 1.0)
+
+
+def press(pilot: Pilot, *names: str, late: bool = False, now_s: float = 1.0, seen: Any = ENABLED) -> None:
+    pilot.keys([(name, PRESS) for name in names], seen, now_s, late=late)
+
+
+def test_speeds_are_parts_of_the_full_ones(pilot: Pilot, scribe: Scribe) -> None:
+    press(pilot, "w")
+    press(pilot, "+", "a")
+    assert scribe.asked == [(0.1, 0.0, 0.0, "cmd_vel"), (0.0, 0.0, 0.6, "cmd_vel")]
+    assert pilot.speeds() == pytest.approx((0.12, 0.6))
+    assert pilot.command(1.2) == pytest.approx((0.0, 0.0, 0.6))
+    assert pilot.command(1.5) is None
+
+
+def test_the_stop_is_the_first_thing_of_all_that_was_typed(pilot: Pilot, scribe: Scribe) -> None:
+    press(pilot, "w")
+    scribe.asked.clear()
+    press(pilot, "w", "e", "space")
+    assert scribe.asked == ["estop"]
+    assert pilot.note[1] == FAIL
+
+
+def test_of_what_comes_late_only_what_stops_counts(pilot: Pilot, scribe: Scribe) -> None:
+    press(pilot, "e", "w", "r", "+", late=True)
+    assert scribe.asked == []
+    press(pilot, "w", "space", late=True)
+    assert scribe.asked == ["estop"]
+    press(pilot, "q", late=True)
+    assert pilot.leaving
+
+
+def test_a_key_that_means_nothing_lets_go(pilot: Pilot, scribe: Scribe) -> None:
+    press(pilot, "w")
+    press(pilot, "x")
+    assert scribe.asked[-1] == (0.0, 0.0, 0.0, "cmd_vel")
+    assert not pilot.hold.active
+
+
+def test_beside_another_publisher_not_even_a_zero_goes_out(pilot: Pilot, scribe: Scribe) -> None:
+    press(pilot, "w")
+    scribe.asked.clear()
+    press(pilot, now_s=1.0 + ENDS_S, seen=RIVAL)
+    press(pilot, "w", now_s=1.5, seen=RIVAL)
+    assert scribe.asked == []
+    assert pilot.note == ("nav (pid 42) drives as cmd_vel: end it, or use --source with another one", WARN)
+    press(pilot, "w", now_s=2.0)
+    assert scribe.asked == [(0.1, 0.0, 0.0, "cmd_vel")]
+    assert pilot.note[0] == ""
+
+
+def test_another_source_is_no_rival(scribe: Scribe) -> None:
+    pilot = Pilot(cast("Robot", scribe), "teleop", 0.2, 1.0)
+    press(pilot, "w", seen=RIVAL)
+    assert scribe.asked == [(0.1, 0.0, 0.0, "teleop")]
+
+
+@pytest.mark.parametrize(("seen", "said"), [(state(), "e enables it"), (latched(), "r resets it")])
+def test_nothing_is_commanded_while_it_could_not_move(pilot: Pilot, scribe: Scribe, seen: Any, said: str) -> None:
+    press(pilot, "w", seen=seen)
+    assert scribe.asked == []
+    assert said in pilot.note[0]
+
+
+def test_what_was_held_through_a_stop_drives_nothing_after_it(pilot: Pilot, scribe: Scribe) -> None:
+    pilot.hold.releases = True
+    press(pilot, "w")
+    scribe.asked.clear()
+    press(pilot, now_s=1.1, seen=state())
+    press(pilot, now_s=1.2)
+    assert scribe.asked == []
+
+
+def test_releases_are_believed_once_the_terminal_has_answered(pilot: Pilot, scribe: Scribe) -> None:
+    press(pilot, EVENTS)
+    press(pilot, "w")
+    pilot.keys([("w", RELEASE)], ENABLED, 1.1, late=False)
+    assert scribe.asked[-1] == (0.0, 0.0, 0.0, "cmd_vel")
+
+
+def test_a_refusal_is_a_note_and_a_service_that_has_gone_is_the_end(pilot: Pilot, scribe: Scribe) -> None:
+    scribe.answer = Refused("arm is not in the drive pose")
+    press(pilot, "e")
+    assert pilot.note == ("refused: arm is not in the drive pose", FAIL)
+    scribe.answer = NoService("gone")
+    with pytest.raises(NoService):
+        press(pilot, "e")

@@ -1,0 +1,268 @@
+"""`failstop teleop` in a real terminal, the simulated board judging whether the wheels turn."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from failstop.board.sim.client import Event
+from failstop.screen.hold import COMMAND_S, ENDS_S
+from failstop.trial import Trial, wait_for
+
+from .typist import Typist
+
+REPEAT_S = 0.03
+LATE_S = 0.35
+"""A generous limit for shared and busy machines, on top of the command timeout."""
+
+
+@pytest.fixture
+def pilot(trial: Trial) -> Iterator[Typist]:
+    with Typist.failstop("teleop", "--name", trial.name) as typist:
+        typist.wait("e enables it")
+        yield typist
+
+
+def enable(pilot: Typist, trial: Trial) -> None:
+    pilot.type(b"e")
+    pilot.wait("motion enabled")
+    wait_for("motion to be enabled", lambda: trial.robot.state.enabled)
+    trial.leave()
+
+
+def hold(pilot: Typist, key: bytes, seconds: float) -> int:
+    """A held key of a terminal that only repeats; returns when its last byte was typed."""
+    until_s = time.monotonic() + seconds
+    typed_ns = 0
+    while time.monotonic() < until_s:
+        typed_ns = pilot.type(key)
+        pilot.look(REPEAT_S)
+        time.sleep(REPEAT_S / 2)
+    return typed_ns
+
+
+def drive(pilot: Typist, trial: Trial) -> int:
+    """Enable and hold w until the wheels turn; returns when its last byte was typed."""
+    enable(pilot, trial)
+    trial.board.events()
+    hold(pilot, b"w", 0.3)
+    trial.board.wait_for(lambda event: event.is_motion, 5.0)
+    return hold(pilot, b"w", 0.1)
+
+
+def last_motion_ns(trial: Trial, since_ns: int) -> int:
+    """How long after `since_ns` the board executed the last frame that moves a wheel; waits until it has been still."""
+    newest = since_ns
+    quiet_ns = 700_000_000
+    events: list[Event] = []
+    while time.monotonic_ns() < newest + quiet_ns:
+        events += trial.board.events()
+        newest = max([newest, *(event.executed_ns for event in events if event.is_motion)])
+        assert newest - since_ns < 5_000_000_000, "the wheels go on turning"
+        time.sleep(0.02)
+    assert not trial.moving()
+    return newest - since_ns
+
+
+def stopped_in_time(trial: Trial, since_ns: int, limit_s: float = COMMAND_S) -> None:
+    assert last_motion_ns(trial, since_ns) < (limit_s + LATE_S) * 1e9
+
+
+def test_hold_to_run_and_leave(pilot: Typist, trial: Trial) -> None:
+    typed_ns = drive(pilot, trial)
+    assert trial.moving()
+    assert pilot.look()
+    pilot.wait("0.10 m/s forward")
+    stopped_in_time(trial, typed_ns)
+    pilot.type(b"q")
+    assert pilot.end() == 0
+    assert "motion disabled" in pilot.raw
+    assert pilot.restored()
+    assert not trial.robot.state.enabled
+
+
+def test_nothing_moves_before_e(pilot: Typist, trial: Trial) -> None:
+    hold(pilot, b"w", 0.3)
+    pilot.wait("motion is disabled: e enables it")
+    assert not any(event.is_motion for event in trial.board.events())
+
+
+def test_a_tap_is_a_nudge(pilot: Typist, trial: Trial) -> None:
+    enable(pilot, trial)
+    trial.board.events()
+    typed_ns = pilot.type(b"\x1b[A")
+    trial.board.wait_for(lambda event: event.is_motion, 5.0)
+    stopped_in_time(trial, typed_ns)
+
+
+@pytest.mark.parametrize(
+    ("keys", "signs"),
+    [
+        (b"w", (1, 1, -1, -1)),
+        (b"s", (-1, -1, 1, 1)),
+        (b"a", (-1, -1, -1, -1)),
+        (b"\x1b[C", (1, 1, 1, 1)),
+        (b"j", (-1, 1, -1, 1)),
+        (b"L", (1, -1, 1, -1)),
+    ],
+)
+def test_every_direction(pilot: Typist, trial: Trial, keys: bytes, signs: tuple[int, ...]) -> None:
+    enable(pilot, trial)
+    trial.board.events()
+    pilot.type(keys)
+    moved = trial.board.wait_for(lambda event: event.is_motion, 5.0)
+    assert tuple((speed > 0) - (speed < 0) for speed in moved.speeds) == signs
+
+
+def test_space_latches_at_once(pilot: Typist, trial: Trial) -> None:
+    drive(pilot, trial)
+    typed_ns = pilot.type(b" ")
+    trial.board.wait_for(lambda event: event.is_stop and event.arrival_ns > typed_ns, 5.0)
+    pilot.wait("STOPPED  blocked: estop: space key (failstop teleop")
+    stopped_in_time(trial, typed_ns, 0.0)
+    hold(pilot, b"w", 0.2)
+    pilot.type(b"e")
+    pilot.wait("refused: e-stop latched")
+    pilot.type(b"r")
+    pilot.wait("e-stop cleared")
+    assert not trial.moving()
+
+
+def test_speed_steps(pilot: Typist, trial: Trial) -> None:
+    pilot.type(b"+")
+    pilot.wait("60 %: 0.12 m/s, 0.60 rad/s")
+    pilot.type(b"----------")
+    pilot.wait("10 %: 0.02 m/s, 0.10 rad/s")
+
+
+def test_a_terminal_that_tells_releases(pilot: Typist, trial: Trial) -> None:
+    """One press, no repeat for longer than the command timeout, and the release."""
+    assert "\x1b[?u" in pilot.raw
+    pilot.type(b"\x1b[?15u")
+    pilot.wait("it ends with the key's release")
+    pilot.type(b"\x1b[101;1:1u\x1b[101;1:3u")
+    pilot.wait("motion enabled")
+    trial.board.events()
+    pressed_ns = pilot.type(b"\x1b[119;1:1u")
+    first = trial.board.wait_for(lambda event: event.is_motion, 5.0)
+    trial.board.wait_for(lambda event: event.is_motion and event.arrival_ns > pressed_ns + 450_000_000, 5.0)
+    stops = [event for event in trial.board.events() if event.arrival_ns > first.arrival_ns and not any(event.speeds)]
+    assert not [event for event in stops if event.is_motor], "it drove without a gap"
+    released_ns = pilot.type(b"\x1b[119;1:3u")
+    stopped_in_time(trial, released_ns)
+
+
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_signals_stop_and_disable(pilot: Typist, trial: Trial, end: signal.Signals) -> None:
+    typed_ns = drive(pilot, trial)
+    pilot.process.send_signal(end)
+    assert pilot.end() == 128 + end
+    assert pilot.restored()
+    stopped_in_time(trial, typed_ns)
+    assert not trial.robot.state.enabled
+
+
+def test_ctrl_c_is_a_signal_in_both_languages(pilot: Typist, trial: Trial) -> None:
+    pilot.type(b"\x1b[99;5u")
+    assert pilot.end() == 128 + signal.SIGINT
+
+
+def test_a_terminal_that_goes_away(pilot: Typist, trial: Trial) -> None:
+    """The window is closed, the connection is gone: SIGHUP, and every write fails."""
+    typed_ns = drive(pilot, trial)
+    os.close(pilot.slave)
+    os.close(pilot.master)
+    stopped_in_time(trial, typed_ns)
+    pilot.process.wait(15)
+    assert not trial.robot.state.enabled
+
+
+def test_sigkill(pilot: Typist, trial: Trial) -> None:
+    drive(pilot, trial)
+    killed_ns = time.monotonic_ns()
+    pilot.process.kill()
+    stopped_in_time(trial, killed_ns, 0.0)
+
+
+def test_a_hang_stops_by_the_command_timeout_and_what_was_typed_meanwhile_is_old(pilot: Typist, trial: Trial) -> None:
+    typed_ns = drive(pilot, trial)
+    pilot.process.send_signal(signal.SIGSTOP)
+    for _ in range(3):
+        pilot.type(b"w")
+    stopped_in_time(trial, typed_ns)
+    trial.board.events()
+    pilot.process.send_signal(signal.SIGCONT)
+
+    def answers() -> bool:
+        """What is typed together with what is old is old too."""
+        pilot.type(b"+")
+        return "50 %" not in pilot.look(0.2)
+
+    wait_for("an answer", answers)
+    assert not any(event.is_motion for event in trial.board.events())
+
+
+def test_another_program_that_drives_is_not_driven_over(pilot: Typist, trial: Trial) -> None:
+    """A second publisher of one source would be a latched stop."""
+    enable(pilot, trial)
+    trial.drive(0.4)
+
+    def press() -> None:
+        pilot.type(b"w")
+        pilot.look()
+
+    trial.drive(1.0, each=press)
+    pilot.wait("drives as cmd_vel: end it")
+    assert trial.robot.state.estop is None
+
+
+def test_ctrl_z_disables_and_gives_the_terminal_back(trial: Trial) -> None:
+    """In a real shell, as only one with job control can stop a program."""
+    with Typist(["sh", "-i"], environ={"PS1": "PROMPT> ", "ENV": ""}) as pilot:
+        pilot.wait("PROMPT>")
+        pilot.type(f"{sys.executable} -m failstop teleop --name {trial.name}\n".encode())
+        pilot.wait("e enables it")
+        typed_ns = drive(pilot, trial)
+        pilot.type(b"\x1a")
+        wait_for("the main screen", lambda: bool(pilot.look(0.02)) and pilot.raw.rstrip().endswith("PROMPT>"))
+        assert pilot.raw.rfind("\x1b[?1049l") > pilot.raw.rfind("\x1b[?1049h")
+        stopped_in_time(trial, typed_ns)
+        assert not trial.robot.state.enabled
+        wait_for("its slot to be free", lambda: not trial.robot.state.clients)
+        pilot.type(b"fg\n")
+        pilot.wait("motion was disabled while this was stopped")
+        enable(pilot, trial)
+        pilot.type(b"q")
+        wait_for("the shell", lambda: bool(pilot.look(0.02)) and pilot.raw.rstrip().endswith("PROMPT>"))
+
+
+def test_refusals_are_said_before_the_screen_changes(trial: Trial) -> None:
+    for words, code, said in (
+        (["--name", "nobody-here"], 3, "no service named 'nobody-here'"),
+        (["--name", trial.name, "--speed", "0"], 1, "allowed is more than 0"),
+    ):
+        with Typist.failstop("teleop", *words) as typist:
+            assert typist.end() == code
+            assert said in typist.raw
+            assert "\x1b[?1049h" not in typist.raw
+
+
+def test_the_end_of_the_service() -> None:
+    """Its own, as the others go on with theirs."""
+    with Trial(f"screen-{os.getpid()}-end") as own, Typist.failstop("teleop", "--name", own.name) as pilot:
+        pilot.wait("e enables it")
+        own.leave()
+        own.service.end()
+        assert pilot.end() == 3
+        assert pilot.restored()
+        assert "no service named" in pilot.raw
+
+
+def test_the_hold_ends_after_the_command_timeout() -> None:
+    """Else a zero sent for the end of a hold would renew a command that still counts."""
+    assert ENDS_S > COMMAND_S

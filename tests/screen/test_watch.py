@@ -1,0 +1,126 @@
+"""`failstop watch` in a real terminal."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from failstop.shm import layout
+from failstop.trial import Trial, wait_for
+
+from .typist import Typist
+
+CPU_S = 20.0
+MOST_CPU = 0.01
+"""Of one core, as the robot has better things to do; measured here 0.0065."""
+BUSY = 2.0
+"""A shared machine may give it that much more."""
+
+
+@pytest.fixture
+def watch(trial: Trial) -> Iterator[Typist]:
+    with Typist.failstop("watch", "--name", trial.name) as typist:
+        typist.wait("STOPPED  blocked: disabled")
+        typist.wait("telemetry")
+        yield typist
+
+
+def test_it_follows_what_happens(watch: Typist, trial: Trial) -> None:
+    trial.enable()
+    watch.wait("blocked: cmd timeout")
+    trial.drive(0.8, each=watch.peek)
+    assert "█" in watch.screen()
+    trial.robot.estop("hand near")
+    watch.wait("blocked: estop: hand near")
+    watch.wait("`failstop reset`")
+
+
+def test_only_changed_lines_are_written(watch: Typist, trial: Trial) -> None:
+    watch.look(0.3)
+    before = len(watch.raw)
+    until_s = time.monotonic() + 2.0
+    while time.monotonic() < until_s:
+        watch.look(0.1)
+    written = watch.raw[before:]
+    assert written, "it is alive"
+    assert "failstop enable" not in written
+    assert "\x1b[2J" not in written
+    assert len(written) / 2.0 < 6000, "bytes a second, for a slow connection"
+
+
+@pytest.mark.parametrize("how", ["q", "Q", signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_terminal_is_given_back(watch: Typist, how: str | signal.Signals) -> None:
+    if isinstance(how, str):
+        watch.type(how.encode())
+        assert watch.end() == 0
+    else:
+        watch.process.send_signal(how)
+        assert watch.end() == 128 + how
+    assert watch.restored()
+
+
+def test_ctrl_c_is_enough(watch: Typist) -> None:
+    watch.type(b"\x03")
+    assert watch.end() == 128 + signal.SIGINT
+    assert watch.restored()
+
+
+def test_another_size(watch: Typist) -> None:
+    watch.resize(50, 12)
+    watch.wait("more lines: the window is too small")
+    lines = watch.look(0.3).split("\n")
+    assert len(lines) <= 12
+    assert max(map(len, lines)) <= 50
+    watch.resize(120, 40)
+    watch.wait("telemetry")
+
+
+def test_the_end_of_the_service_and_its_return() -> None:
+    with Trial(f"screen-{os.getpid()}-watch") as own, Typist.failstop("watch", "--name", own.name) as watch:
+        watch.wait("STOPPED  blocked: disabled")
+        watch.wait("port_owner")
+        pid = own.service.pids()[layout.SUPERVISOR]
+        own.leave()
+        own.service.end()
+        watch.wait("NO SERVICE")
+        watch.wait("waiting for it to come back")
+        assert "blocked" not in watch.screen()
+        own.service.start()
+        watch.wait("STOPPED  blocked: disabled")
+        assert own.service.pids()[layout.SUPERVISOR] != pid
+        watch.wait(str(own.service.pids()[layout.PORT_OWNER]))
+        own.service.kill()
+        watch.wait("NO SERVICE")
+
+
+def test_without_a_service_or_a_terminal(trial: Trial) -> None:
+    with Typist.failstop("watch", "--name", "nobody-here") as watch:
+        assert watch.end() == 3
+        assert "\x1b[?1049h" not in watch.raw
+    command = [sys.executable, "-m", "failstop", "watch", "--name", trial.name]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20, stdin=subprocess.DEVNULL)
+    assert done.returncode == 1
+    assert "needs a terminal" in done.stderr
+
+
+def _ticks(pid: int) -> int:
+    with open(f"/proc/{pid}/stat", encoding="ascii") as file:
+        fields = file.read().rpartition(")")[2].split()
+    return int(fields[11]) + int(fields[12])
+
+
+@pytest.mark.slow
+def test_it_costs_little(watch: Typist, trial: Trial) -> None:
+    """While the robot drives, when everything on the screen changes."""
+    trial.enable()
+    wait_for("the screen to settle", lambda: "cmd timeout" in watch.look(0.05))
+    before = _ticks(watch.process.pid)
+    trial.drive(CPU_S, each=watch.peek)
+    spent_s = (_ticks(watch.process.pid) - before) / os.sysconf("SC_CLK_TCK")
+    assert spent_s / CPU_S < MOST_CPU * BUSY

@@ -1,0 +1,81 @@
+"""The port's loss and its return are told once each, whichever sign comes first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from failstop.shm import records
+from failstop.supervisor.device import Device
+from failstop.supervisor.events import Events
+
+T0 = 10**12
+S = 10**9
+PATH = "/dev/ttyACM0"
+
+
+class Told(Events):
+    """Keeps the kinds and the times away."""
+
+    def __init__(self) -> None:
+        super().__init__("x")
+        self.told: list[tuple[str, object]] = []
+
+    def tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:
+        assert isinstance(fields, dict)
+        self.told.append((kind, fields.get("away_s")))
+        assert fields["path"] == PATH
+
+
+def entry(state: int, since_ns: int, generation: int = 1) -> tuple[int, int, bytes]:
+    return (1, since_ns, records.pack_port(generation, since_ns, state, PATH))
+
+
+Step = Callable[[Device], None]
+
+
+def record(state: int, at_s: int) -> Step:
+    return lambda device: device.follow(entry(state, T0 + at_s * S))
+
+
+def hang_up(at_s: int) -> Step:
+    return lambda device: device.lost(PATH, T0 + at_s * S)
+
+
+def reopened(at_s: int) -> Step:
+    return lambda device: device.back(PATH, T0 + at_s * S)
+
+
+OPEN, LOST = records.PORT_OPEN, records.PORT_LOST
+
+
+@pytest.mark.parametrize(
+    ("steps", "told"),
+    [
+        ([lambda device: device.follow(None)], []),
+        ([record(OPEN, 1), record(OPEN, 2)], []),
+        ([record(LOST, 1), record(LOST, 1), record(OPEN, 4)], [("device_lost", None), ("device_back", 3.0)]),
+        # The supervisor's own hang-up comes first, and the record is still of before.
+        (
+            [hang_up(1), record(OPEN, 0), record(LOST, 2), record(OPEN, 4)],
+            [("device_lost", None), ("device_back", 3.0)],
+        ),
+        # Gone and back between two turns: its own hang-up tells of it.
+        ([hang_up(1), record(OPEN, 2)], [("device_lost", None), ("device_back", 1.0)]),
+        # Without a port owner the supervisor opens it; the record stays what it was.
+        ([record(LOST, 1), reopened(4), record(LOST, 1)], [("device_lost", None), ("device_back", 3.0)]),
+        # A port owner that is started anew while it is gone says so anew.
+        ([record(LOST, 1), record(LOST, 2), record(OPEN, 3)], [("device_lost", None), ("device_back", 2.0)]),
+        (
+            [record(LOST, 1), record(OPEN, 2), hang_up(3), reopened(4)],
+            [("device_lost", None), ("device_back", 1.0), ("device_lost", None), ("device_back", 1.0)],
+        ),
+    ],
+)
+def test_once_each(steps: list[Step], told: list[tuple[str, object]]) -> None:
+    events = Told()
+    device = Device(events, T0)
+    for step in steps:
+        step(device)
+    assert events.told == told

@@ -1,0 +1,85 @@
+"""The table of kinds: whole, without doubles, and the catalog is made from it."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+import failstop
+from failstop import catalog
+from failstop.supervisor.kinds import BY_NAME, KINDS, LEVELS, Kind
+
+ROOT = Path(failstop.__file__).resolve().parent.parent
+ALWAYS = {"MESSAGE", "FAILSTOP_NAME", "FAILSTOP_EVENT"}
+AGREED = {
+    *("ready", "waiting", "stop", "stop_again", "stop_also", "stop_outcome", "unstill", "died", "restarting", "down"),
+    *("fenced", "enabled", "disabled", "reset", "device_lost", "device_back", "link", "rights", "pad", "charger"),
+    *("scan", "command", "note", "stopping", "stopped"),
+}
+
+
+def test_no_name_and_no_id_is_given_twice() -> None:
+    assert len(BY_NAME) == len({kind.message_id for kind in KINDS}) == len(KINDS)
+
+
+def test_the_kinds_that_programs_go_by_are_there() -> None:
+    assert set(BY_NAME) >= AGREED
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_every_kind_is_whole(kind: Kind) -> None:
+    assert re.fullmatch(r"[a-z]+(_[a-z]+)*", kind.name)
+    assert re.fullmatch(r"[0-9a-f]{32}", kind.message_id)
+    assert kind.level in LEVELS
+    assert kind.subject
+    assert "\n" not in kind.subject
+    assert kind.body.endswith((".", "@", "`")) or "Next: " in kind.body
+    assert max(map(len, kind.body.split("\n"))) <= 120
+    placed = set(re.findall(r"@([A-Z_]+)@", kind.subject + kind.body))
+    assert placed <= ALWAYS | {f"FAILSTOP_{field.upper()}" for field in kind.fields}, "not in every event of the kind"
+
+
+def told(path: Path) -> set[str]:
+    """The kinds that a module tells of, wherever they are written as words."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if name in ("tell", "Note", "_note"):
+                found.add(node.args[0].value)
+    return found
+
+
+def test_every_kind_is_told_somewhere_and_none_that_is_not_in_the_table() -> None:
+    found = set()
+    for room in ("supervisor", "procs"):
+        for path in (ROOT / room).rglob("*.py"):
+            found |= told(path)
+    assert found == set(BY_NAME)
+
+
+def test_the_catalog_in_the_tree_is_made_from_the_table() -> None:
+    written = (ROOT / "systemd" / "failstop.catalog").read_text()
+    assert written == catalog.text(), "next: python -m failstop.catalog systemd/failstop.catalog"
+
+
+def test_the_catalog_has_an_entry_for_each_kind() -> None:
+    assert re.findall(r"^-- ([0-9a-f]{32})$", catalog.text(), re.MULTILINE) == [kind.message_id for kind in KINDS]
+
+
+def test_the_generator_writes_the_file_that_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert catalog.main([str(tmp_path / "x.catalog")]) == 0
+    assert (tmp_path / "x.catalog").read_text() == catalog.text()
+    assert catalog.main([]) == 0
+    assert capsys.readouterr().out == catalog.text()
+
+
+def test_the_page_s_table_is_made_from_the_table(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "journal.md").read_text()
+    assert page == catalog.with_table(page), "next: python -m failstop.catalog docs/journal.md"
+    (tmp_path / "x.md").write_text(page.replace("| `unstill` |", "| `other` |"))
+    assert catalog.main([str(tmp_path / "x.md")]) == 0
+    assert (tmp_path / "x.md").read_text() == page

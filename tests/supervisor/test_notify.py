@@ -1,0 +1,141 @@
+"""What reaches the service manager's socket: real datagrams, on a path and in the abstract namespace."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.supervisor.notify import VARIABLES, Notify
+
+MS = 1_000_000
+T0 = 5_000 * MS
+
+
+class Manager:
+    """The service manager's end."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self._socket.bind("\0" + address[1:] if address.startswith("@") else address)
+
+    def heard(self) -> list[str]:
+        """Every assignment that has arrived, in order."""
+        found: list[str] = []
+        while True:
+            try:
+                found += self._socket.recv(4096).decode().split("\n")
+            except BlockingIOError:
+                return found
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture(params=["path", "abstract"])
+def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]:
+    made = Manager(str(tmp_path / "notify") if request.param == "path" else f"@failstop-test-{os.getpid()}")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def end() -> Iterator[contextlib.ExitStack]:
+    with contextlib.ExitStack() as stack:
+        yield stack
+
+
+def speaker(end: contextlib.ExitStack, address: str, watchdog_us: int = 0) -> Notify:
+    """The service's end, closed after the test."""
+    return end.enter_context(contextlib.closing(Notify(address, watchdog_us)))
+
+
+def test_ready_and_status_are_told_once_and_the_watchdog_at_half_its_time(
+    manager: Manager, end: contextlib.ExitStack
+) -> None:
+    notify = speaker(end, manager.address, 400_000)
+    notify.follow(T0, "waiting for the port", healthy=True)
+    assert manager.heard() == ["STATUS=waiting for the port", "WATCHDOG=1"]
+    notify.ready()
+    notify.follow(T0 + 199 * MS, "ready, motion disabled", healthy=True)
+    assert manager.heard() == ["READY=1", "STATUS=ready, motion disabled"]
+    notify.follow(T0 + 200 * MS, "ready, motion disabled", healthy=True)
+    notify.follow(T0 + 220 * MS, "ready, motion disabled", healthy=True)
+    assert manager.heard() == ["WATCHDOG=1"]
+    notify.stopping("wheels stopped")
+    assert manager.heard() == ["STOPPING=1", "STATUS=wheels stopped"]
+
+
+def test_who_does_not_do_its_job_does_not_beat(manager: Manager, end: contextlib.ExitStack) -> None:
+    notify = speaker(end, manager.address, 400_000)
+    notify.follow(T0, "gate was killed 11 s ago and is not gone", healthy=False)
+    assert manager.heard() == ["STATUS=gate was killed 11 s ago and is not gone"]
+
+
+def test_without_a_watchdog_there_is_no_beat(manager: Manager, end: contextlib.ExitStack) -> None:
+    speaker(end, manager.address).follow(T0, "ready", healthy=True)
+    assert manager.heard() == ["STATUS=ready"]
+
+
+def test_a_reason_can_not_speak_for_the_service(manager: Manager, end: contextlib.ExitStack) -> None:
+    speaker(end, manager.address).follow(T0, "stop latched: x\nREADY=1\nWATCHDOG=1", healthy=True)
+    assert manager.heard() == ["STATUS=stop latched: x?READY=1?WATCHDOG=1"]
+
+
+def test_what_could_not_be_sent_is_sent_later(tmp_path: Path, end: contextlib.ExitStack) -> None:
+    notify = speaker(end, str(tmp_path / "notify"), 400_000)
+    notify.ready()
+    notify.follow(T0, "ready", healthy=True)
+    manager = Manager(str(tmp_path / "notify"))
+    notify.follow(T0 + MS, "ready", healthy=True)
+    assert manager.heard() == ["READY=1", "STATUS=ready", "WATCHDOG=1"]
+    manager.close()
+
+
+def test_a_manager_that_does_not_listen_holds_nobody_up(manager: Manager, end: contextlib.ExitStack) -> None:
+    """Its queue is full: a blocking send would wait for ever."""
+    notify = speaker(end, manager.address, 2)
+    sent = 0
+    while notify.send("STATUS=again"):
+        sent += 1
+        assert sent < 100_000, "a queue without an end?"
+    notify.follow(T0, "ready", healthy=True)
+    assert set(manager.heard()) == {"STATUS=again"}
+
+
+@pytest.mark.parametrize("address", ["", "vsock:2:1234", "relative/path", "/no/such/socket", "/" + "x" * 300])
+def test_an_address_that_is_none_is_no_error(address: str) -> None:
+    notify = Notify.taken_from({"NOTIFY_SOCKET": address}, 1)
+    notify.ready()
+    notify.follow(T0, "ready", healthy=True)
+    notify.stopping("bye")
+    assert notify.send("READY=1") is False
+    notify.close()
+
+
+@pytest.mark.parametrize(
+    ("timeout", "pid", "every_ms"),
+    [
+        ("400000", "77", 200),
+        ("400000", "78", 0),
+        ("400000", "", 200),
+        ("0", "77", 0),
+        ("", "77", 0),
+        ("soon", "77", 0),
+        ("-5", "77", 0),
+    ],
+)
+def test_the_watchdog_of_another_process_is_none(timeout: str, pid: str, every_ms: int) -> None:
+    environ = {"NOTIFY_SOCKET": "/run/x", "WATCHDOG_USEC": timeout, "WATCHDOG_PID": pid}
+    assert Notify.taken_from(environ, 77).every_ns == every_ms * MS
+
+
+def test_the_variables_are_taken_away() -> None:
+    environ = {**dict.fromkeys(VARIABLES, "/1"), "HOME": "/root"}
+    Notify.taken_from(environ, 77)
+    assert environ == {"HOME": "/root"}

@@ -1,0 +1,68 @@
+"""When people are told what motion waits for; that a service which is never ready says why."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from failstop.shm import layout, segment
+from failstop.supervisor.events import Events
+from failstop.supervisor.teller import WAITED_NS, Teller
+
+T0 = 10**12
+
+
+class Told(Events):
+    """Keeps the kinds."""
+
+    def __init__(self) -> None:
+        super().__init__("x")
+        self.kinds: list[str] = []
+
+    def tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:
+        self.kinds.append(kind)
+
+
+@pytest.fixture
+def name() -> Iterator[str]:
+    made = f"w{os.getpid()}x{time.monotonic_ns()}"
+    for process in (layout.GATE, layout.TELEMETRY):
+        segment.create(made, process, 7).close()
+    yield made
+    segment.unlink_all(made)
+
+
+@pytest.fixture
+def events() -> Told:
+    return Told()
+
+
+@pytest.fixture
+def teller(name: str, events: Told) -> Teller:
+    return Teller(name, events, {process: segment.attach(name, process) for process in (layout.GATE, layout.TELEMETRY)})
+
+
+def test_a_short_wait_is_not_told_of(teller: Teller, events: Told) -> None:
+    for since_ns, missing in ((0, "gate, telemetry"), (WAITED_NS - 1, "gate"), (WAITED_NS, "gate"), (WAITED_NS, "")):
+        teller.missing(missing, T0 + since_ns)
+    assert events.kinds == []
+
+
+def test_a_start_that_hangs_says_what_it_waits_for_and_then_that_it_is_ready(teller: Teller, events: Told) -> None:
+    teller.missing("the port", T0)
+    teller.missing("the port", T0 + WAITED_NS)
+    teller.missing("the port", T0 + 2 * WAITED_NS)
+    assert events.kinds == ["waiting"]
+    teller.ready(realtime=True)
+    teller.missing("", T0 + 3 * WAITED_NS)
+    assert events.kinds == ["waiting", "ready"], "once"
+
+
+def test_each_long_wait_and_its_end_are_told(teller: Teller, events: Told) -> None:
+    teller.ready(realtime=False)
+    for at, missing in enumerate(("", "gate", "gate", "gate, the port", "gate, the port", "", "", "gate", "gate", "")):
+        teller.missing(missing, T0 + at * WAITED_NS)
+    assert events.kinds == ["ready", "rights", "waiting", "waiting", "ready", "waiting", "ready"]

@@ -1,0 +1,52 @@
+"""The bench's rows of the unit."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from bench import service
+from bench.container import ContainerMissing
+from bench.service_scene import Scene
+from failstop.trial import Stopped
+
+MS = 1_000_000
+
+
+def test_one_round_has_every_row(shared_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether the bars are met is for a quiet machine to say; no stop is missed anywhere."""
+    out = tmp_path / "out" / "rows.json"
+    monkeypatch.setattr(sys, "argv", ["service", "--kills", "1", "--json", str(out)])
+    service.main()
+    rows = {row["measure"]: row for row in json.loads(out.read_text())["rows"]}
+    for fault in service.FAULTS:
+        assert rows[f"systemd: {fault.label} -> stop frame"]["numbers"]["samples"] == 1
+    assert rows["systemd: boot -> READY"]["numbers"]["samples"] == 3
+    counts = [rows[f"systemd: {what}"] for what in ("stops missed", "motion frames after the stop")]
+    assert [row["result"] for row in counts] == [f"0 of {len(service.FAULTS)}"] * 2
+
+
+def test_a_missed_stop_and_motion_after_one_miss_their_bars() -> None:
+    fault = service.FAULTS[0]
+    samples = service.Samples()
+    samples.stops = [Stopped(0, None, None, None, 0, True), Stopped(0, 6 * MS, MS, MS, 2, False)]
+    rows = {row.measure: row for row in service._rows({fault: samples}, [MS])}
+    missed = {measure for measure, row in rows.items() if row.met is False}
+    assert missed == {
+        f"systemd: {fault.label} -> stop frame",
+        "systemd: stops missed",
+        "systemd: motion frames after the stop",
+        "systemd: wheels found at rest",
+    }
+
+
+def test_where_there_can_be_no_container_the_row_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: object) -> Scene:
+        raise ContainerMissing("no root here")
+
+    monkeypatch.setattr(service, "Scene", missing)
+    [row] = service.measure(1, 1, lambda text: None)
+    assert (row.result, row.met) == ("skipped: no root here", None)

@@ -1,0 +1,129 @@
+"""The container itself: a real systemd, soon there, and gone with everything in it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bench import container
+from bench.container import Bind, Container, ContainerMissing
+from failstop.trial import TrialError, wait_for
+
+SLEEP = "[Service]\nExecStart=/bin/sleep 1000\n"
+LATEST_BOOT_S = 5.0
+"""For a busy machine; 0.1 s here."""
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Container]:
+    shared = tmp_path_factory.mktemp("shared")
+    (shared / "file").write_text("from out here")
+    binds = [Bind(str(shared), "/shared"), Bind(str(shared / "file"), "/etc/new/file", "rw")]
+    units = {"sleep.service": SLEEP, "sleep.service.d/more.conf": "[Service]\nEnvironment=MORE=1\n"}
+    try:
+        made = Container(units, binds, setup="echo was here > /etc/setup")
+    except ContainerMissing as reason:
+        pytest.skip(str(reason))
+    with made:
+        yield made
+
+
+def test_boots_soon_and_whole(box: Container) -> None:
+    assert box.boot_s < LATEST_BOOT_S
+    assert box.ctl("is-system-running", check=False) == "running\n"
+
+
+def test_runs_commands_as_its_own_root(box: Container) -> None:
+    assert box.run("cat", "/proc/1/comm").stdout == "systemd\n"
+    with pytest.raises(TrialError, match=r"exit code 3: .*went wrong"):
+        box.run("sh", "-c", "echo went wrong; exit 3")
+    assert box.run("sh", "-c", "exit 3", check=False).returncode == 3
+
+
+def test_a_service_starts_with_its_drop_in_and_ends(box: Container) -> None:
+    box.ctl("start", "sleep.service")
+    pid = box.main_pid("sleep.service")
+    assert [pid] == box.pids("sleep.service")
+    assert Path(f"/proc/{pid}/comm").read_text() == "sleep\n"
+    assert b"MORE=1" in Path(f"/proc/{pid}/environ").read_bytes()
+    os.kill(pid, signal.SIGKILL)
+    box.wait("sleep.service", ActiveState="failed", Result="signal")
+    assert (box.pids("sleep.service"), box.main_pid("sleep.service")) == ([], 0)
+    assert "code=killed, status=9/KILL" in box.told("sleep.service")
+    assert any(entry.get("UNIT") == "sleep.service" for entry in box.journal())
+
+
+def test_waiting_in_vain_says_what_was_found(box: Container) -> None:
+    with pytest.raises(TrialError, match=r"sleep.service to be .*'active'.*: .*'failed'"):
+        box.wait("sleep.service", 0.05, ActiveState="active")
+
+
+def test_binds_and_setup_are_there_and_the_machine_sees_nothing(box: Container) -> None:
+    assert box.run("cat", "/shared/file", "/etc/new/file", "/etc/setup").stdout == "from out here" * 2 + "was here\n"
+    assert box.run("touch", "/shared/new", check=False).returncode, "it is read-only"
+    box.run("touch", "/etc/new/file")
+    box.run("touch", "/usr/written-inside")
+    assert box.path("/usr/written-inside").exists()
+    assert not any(os.path.exists(path) for path in ("/etc/new", "/etc/setup", "/usr/written-inside", "/shared/file"))
+
+
+def test_the_machine_s_own_services_are_not_there(box: Container) -> None:
+    found = box.ctl("list-units", "--plain", "--no-legend", "--type=service").splitlines()
+    assert {line.split()[0] for line in found} <= {"systemd-journald.service", "sleep.service"}
+
+
+def test_it_ends_with_everything_in_it() -> None:
+    try:
+        with Container({"sleep.service": SLEEP}) as box:
+            box.ctl("start", "sleep.service")
+            pids = [box.pid, *box.pids("sleep.service")]
+            group, base = box.group("sleep.service").parents[1], box._base
+            assert len(pids) == 2
+    except ContainerMissing as reason:
+        pytest.skip(str(reason))
+    assert not any(os.path.exists(f"/proc/{pid}") for pid in pids)
+    assert not group.exists()
+    assert not base.exists()
+
+
+def test_it_ends_with_a_killed_owner(box: Container) -> None:
+    """And the next one takes away what it has left."""
+    program = (
+        "import signal; from bench.container import Container as C; c = C(); print(c.pid, flush=True); signal.pause()"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as owner:
+        assert owner.stdout is not None
+        pid = int(owner.stdout.readline())
+        owner.kill()
+    wait_for("its systemd to end", lambda: not os.path.exists(f"/proc/{pid}"))
+    groups = container._hierarchy().glob(f"failstop-{owner.pid}-*")
+    left = [*groups, *Path(tempfile.gettempdir()).glob(f"{container.DIRECTORY}{owner.pid}-*")]
+    assert len(left) == 2
+    with Container():
+        pass
+    assert not any(path.exists() for path in left)
+
+
+def test_without_root_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    with pytest.raises(ContainerMissing, match="needs root"):
+        Container()
+
+
+def test_what_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.setattr(container, "TOOLS", ("/lib/systemd/no-systemd", "sh", "no-enter"))
+    with pytest.raises(ContainerMissing, match=r"not installed: /lib/systemd/no-systemd, no-enter$"):
+        Container()
+
+
+def test_a_boot_that_fails_says_why(box: Container) -> None:
+    with pytest.raises(ContainerMissing, match=r"the container has ended: .*no such thing"):
+        Container(setup="echo no such thing >&2; exit 1")

@@ -1,0 +1,220 @@
+"""The files of the system as systemd's own tools judge them, and against each other and the code."""
+
+from __future__ import annotations
+
+import importlib.resources
+import json
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from failstop.board.discovery import BOARD_PID, BOARD_VID
+from failstop.commands import stop
+from failstop.procs.port_owner.repeats import LEAVE_AFTER_NS
+from failstop.procs.telemetry.state_files import SYSTEM_BASE
+from failstop.supervisor.resources import GROUP
+from failstop.supervisor.settings import Settings
+from failstop.supervisor.table import PROCESSES
+
+SYSTEMD = Path(str(importlib.resources.files("failstop.systemd")))
+ONE, MANY = "failstop.service", "failstop@.service"
+EXPOSURE = 2.0
+OLDEST = 249
+"""The systemd of Ubuntu 22.04."""
+BY_VERSION = (
+    (239, "Description Type NotifyAccess ExecStart ExecStopPost TimeoutStartSec TimeoutStopSec Restart RestartSec"),
+    (239, "KillMode WatchdogSec User Group UMask WantedBy OOMScoreAdjust LimitRTPRIO LimitMEMLOCK LimitCORE"),
+    (239, "CapabilityBoundingSet AmbientCapabilities PrivateTmp PrivateNetwork PrivateMounts DevicePolicy DeviceAllow"),
+    (239, "NoNewPrivileges SystemCallFilter SystemCallErrorNumber SystemCallArchitectures RestrictAddressFamilies"),
+    (
+        239,
+        "RuntimeDirectory RuntimeDirectoryMode RuntimeDirectoryPreserve StateDirectory StateDirectoryMode KeyringMode",
+    ),
+    (
+        239,
+        "ProtectSystem ProtectHome ProtectKernelTunables ProtectKernelModules ProtectControlGroups RestrictNamespaces",
+    ),
+    (239, "KeyringMode RestrictNamespaces"),
+    (239, "StartLimitIntervalSec StartLimitBurst MemoryDenyWriteExecute RemoveIPC LockPersonality IPAddressDeny"),
+    (242, "RestrictSUIDSGID ProtectHostname"),
+    (243, "OOMPolicy TimeoutAbortSec"),
+    (244, "WatchdogSignal ProtectKernelLogs"),
+    (245, "ProtectClock"),
+    (247, "ProtectProc ProcSubset"),
+    (248, "PrivateIPC"),
+)
+"""The version of systemd that each setting came with, 239 or before it for the first."""
+SINCE = {key: version for version, keys in BY_VERSION for key in keys.split()}
+
+needs_analyze = pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="not installed: systemd-analyze")
+
+
+def settings(name: str) -> list[tuple[str, str]]:
+    """(key, value) of each setting of a unit, in order."""
+    lines = (SYSTEMD / name).read_text().splitlines()
+    pairs = (line.partition("=") for line in lines if re.match(r"[A-Z]\w*=", line))
+    return [(key, value) for key, _, value in pairs]
+
+
+UNIT = dict(settings(ONE))
+
+
+@pytest.fixture
+def runnable(tmp_path: Path) -> Path:
+    """The units with a command that is there: an absent one is all that would be found."""
+    for name in (ONE, MANY):
+        text = (SYSTEMD / name).read_text()
+        (tmp_path / name).write_text(text.replace("/opt/failstop/bin/failstop", "/bin/true"))
+    return tmp_path
+
+
+def analyze(*words: str) -> subprocess.CompletedProcess[str]:
+    """systemd-analyze, which here sees no units but those that it is given and the machine's own."""
+    return subprocess.run(["systemd-analyze", *words], capture_output=True, text=True, timeout=60, check=False)
+
+
+@needs_analyze
+@pytest.mark.parametrize("name", [ONE, "failstop@a.service"])
+def test_verify_finds_nothing(runnable: Path, name: str) -> None:
+    """Its exit code is 0 for unknown keys and bad values too."""
+    if name != ONE:
+        (runnable / name).symlink_to(MANY)
+    done = analyze("verify", "--man=no", str(runnable / name))
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@needs_analyze
+def test_verify_would_find_something(runnable: Path) -> None:
+    path = runnable / ONE
+    path.write_text(path.read_text().replace("WatchdogSec=", "WatchdogSecs="))
+    assert "WatchdogSecs" in analyze("verify", "--man=no", str(path)).stderr
+
+
+@needs_analyze
+@pytest.mark.parametrize("name", [ONE, "failstop@a.service"])
+def test_exposure(runnable: Path, name: str) -> None:
+    if name != ONE:
+        (runnable / name).symlink_to(MANY)
+    done = analyze("security", "--offline=true", "--no-pager", "--threshold=100", str(runnable / name))
+    if "offline" in done.stderr:
+        pytest.skip("this systemd-analyze judges no files (--offline)")
+    found = re.search(r"exposure level for \S+: ([\d.]+)", done.stdout)
+    assert found, done
+    assert float(found[1]) <= EXPOSURE
+
+
+@needs_analyze
+def test_each_exposure_that_is_left_is_meant(runnable: Path) -> None:
+    done = analyze("security", "--offline=true", "--json=short", str(runnable / ONE))
+    if done.returncode:
+        pytest.skip("this systemd-analyze judges no files (--offline)")
+    left = {row["json_field"] for row in json.loads(done.stdout) if row.get("exposure")}
+    assert left <= {
+        "SystemCallFilter_resources",  # real-time priorities
+        "SystemCallFilter_privileged",  # chown: shared memory is given to the group
+        "RestrictRealtime",
+        "RestrictAddressFamilies_AF_UNIX",  # sd_notify, the journal, descriptors handed over
+        "PrivateDevices",  # the port
+        "DeviceAllow",
+        "RemoveIPC",  # other instances, the black box
+        "UMask",  # incidents are for everybody to read
+        "PrivateUsers",  # real-time priorities of the machine's own user
+        "RootDirectoryOrRootImage",
+    }
+
+
+def test_the_template_differs_in_the_name_alone() -> None:
+    one, many = ((SYSTEMD / name).read_text() for name in (ONE, MANY))
+    for ours, theirs in (
+        ("failstop@.service is this file for several robots", "failstop.service is this file for one robot"),
+        ("the robot's wheels are told to stop\n", "the wheels of robot %i are told to stop\n"),
+        ("bin/failstop run --config", "bin/failstop run --name %i --config"),
+        ("/etc/failstop/failstop.toml", "/etc/failstop/%i.toml"),
+        ("StateDirectory=failstop/failstop\n", "StateDirectory=failstop/%i\n"),
+    ):
+        assert ours in one
+        one = one.replace(ours, theirs)
+    assert one[: one.index("[Install]")] == many[: many.index("[Install]")]
+    assert many.endswith("[Install]\nWantedBy=multi-user.target\n")
+
+
+def test_nothing_that_systemd_249_does_not_know() -> None:
+    assert [key for key, _ in settings(ONE) if SINCE.get(key, OLDEST + 1) > OLDEST] == []
+
+
+@pytest.mark.parametrize("name", [ONE, MANY])
+def test_commands_are_run_without_a_shell_and_stop_before_systemd_loses_patience(name: str) -> None:
+    found = settings(name)
+    [start], [post] = ([value for key, value in found if key == wanted] for wanted in ("ExecStart", "ExecStopPost"))
+    config = start[start.index("--config") :]
+    assert start.startswith("/opt/failstop/bin/failstop run ")
+    assert post == f"/opt/failstop/bin/failstop stop {config} --end-service"
+
+
+def test_timeouts_leave_room_for_the_stop_tool() -> None:
+    assert float(UNIT["TimeoutStopSec"]) >= stop.END_SERVICE_S + 2
+    assert stop.REST_S < stop.END_SERVICE_S / 2
+    starts = float(UNIT["StartLimitIntervalSec"]) / stop.END_SERVICE_S + 1
+    assert starts < int(UNIT["StartLimitBurst"]), "an absent board is no crash loop"
+
+
+def test_the_watchdog_waits_for_those_who_stop_first() -> None:
+    """The port owner's lease, and its leave."""
+    first_ns = Settings().ns("gate.lease_s") + LEAVE_AFTER_NS
+    assert float(UNIT["WatchdogSec"]) * 1e9 > 2 * first_ns
+
+
+def test_rights_are_those_that_the_processes_ask_for() -> None:
+    assert int(UNIT["LimitRTPRIO"]) >= max(row.priority for row in PROCESSES)
+    assert UNIT["LimitMEMLOCK"] == "infinity"
+
+
+def test_names_are_those_of_the_code() -> None:
+    sysusers = (SYSTEMD / "failstop.sysusers").read_text()
+    assert f"u {UNIT['User']} -" in sysusers
+    assert f"m {UNIT['User']} dialout" in sysusers
+    assert UNIT["Group"] == GROUP
+    assert f"/var/lib/{UNIT['StateDirectory']}" == f"{SYSTEM_BASE}/failstop"
+    assert f"/run/{UNIT['RuntimeDirectory']}" == "/run/failstop"
+
+
+@pytest.mark.skipif(not shutil.which("systemd-sysusers"), reason="not installed: systemd-sysusers")
+def test_sysusers_makes_the_user(tmp_path: Path) -> None:
+    (tmp_path / "etc").mkdir()
+    command = ["systemd-sysusers", f"--root={tmp_path}", str(SYSTEMD / "failstop.sysusers")]
+    if os.geteuid():
+        pytest.skip("systemd-sysusers needs root")
+    subprocess.run(command, check=True, capture_output=True, timeout=60)
+    passwd, group = ((tmp_path / "etc" / name).read_text() for name in ("passwd", "group"))
+    user = passwd.splitlines()[0].split(":")
+    assert user[0] == "failstop"
+    assert int(user[2]) < 1000, "a system user: logind leaves its shared memory alone"
+    assert user[5:] == ["/var/lib/failstop", "/usr/sbin/nologin"]
+    assert re.search(r"^dialout:.*:failstop$", group, re.MULTILINE)
+    assert re.search(r"^failstop:", group, re.MULTILINE)
+
+
+RULE = re.compile(r'([A-Z]+(?:\{\w+\})?)(==|!=|\+=|:=|=)"([^"]*)"')
+
+
+def test_udev_rules_are_well_formed_and_for_this_board() -> None:
+    lines = (SYSTEMD / "failstop.udev").read_text().splitlines()
+    rules = [line for line in lines if line and not line.startswith("#")]
+    for rule in rules:
+        assert ", ".join("".join((key, op, f'"{value}"')) for key, op, value in RULE.findall(rule)) == rule
+    link = next(rule for rule in rules if "SYMLINK" in rule)
+    assert f'ATTRS{{idVendor}}=="{BOARD_VID:04x}", ATTRS{{idProduct}}=="{BOARD_PID:04x}"' in link
+    assert 'SYMLINK+="failstop", GROUP="dialout", MODE="0660", TAG+="systemd"' in link
+    assert "dev-failstop.device" in UNIT["WantedBy"]
+    jumps = [value for rule in rules for key, _, value in RULE.findall(rule) if key in ("GOTO", "LABEL")]
+    assert len(jumps) == 2
+    assert len(set(jumps)) == 1
+
+
+def test_the_package_has_every_file() -> None:
+    names = {path.name for path in SYSTEMD.iterdir()}
+    assert {ONE, MANY, "failstop.sysusers", "failstop.udev"} <= names
