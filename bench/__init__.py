@@ -1,1 +1,1 @@
-"""The measurements behind the README's table: `make bench`, or `python -m bench --help`."""
+"""The measurements behind docs/measured.md: `make bench`, or `python -m bench --help`."""

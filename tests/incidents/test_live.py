@@ -107,6 +107,20 @@ def test_a_stop_request_and_then_a_killed_gate(scene: Scene) -> None:
     assert scene.told() == [f"incident {one} saved; next: `failstop incident show {one}`" for one in ids]
 
 
+def test_the_death_of_the_one_who_decodes_loses_nothing_of_before(scene: Scene) -> None:
+    trial = scene.trial
+    trial.enable()
+    pid = trial.service.pids()["telemetry"]
+    assert trial.kill("telemetry", 1.0).stop_ns is not None
+    trial.recover("telemetry", pid)
+    saved = scene.saved()
+    assert saved.reason == "telemetry died"
+    before = [sample for sample in saved.imu if saved.cause_ns - 1_000_000_000 < sample.ns < saved.cause_ns]
+    assert len(before) > 50, "110 a second"
+    assert [tick for tick in saved.ticks if tick.ns < saved.cause_ns][-1].block == "driving"
+    assert any(line.what == story.CAUSE for line in story.tell(saved))
+
+
 def check_driven(incident: Incident) -> None:
     """Before: commands, decisions, frames, IMU, bytes. Then the burst, within a millisecond on the board owner's side,
     and what followed for about 2 s."""
