@@ -23,8 +23,10 @@ ROOT = Path(failstop.__file__).resolve().parent.parent
 QUESTIONS = re.findall(r"^ +(journalctl -b .*)$", (ROOT / "docs" / "journal.md").read_text(), re.MULTILINE)
 
 
-WITHOUT_SENSOR = """
+WITHOUT_SENSOR = f"""
+import sys
 import time
+sys.path.insert(0, "{installed.PREFIX}/src")
 from failstop import Robot
 with Robot() as robot:
     for _ in range(10):
