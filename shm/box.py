@@ -111,7 +111,7 @@ def pack_wire(kind: int, data: bytes, taken: int) -> bytes:
 
 def pack_imu(acceleration_mps2: tuple[float, ...], rate_radps: tuple[float, ...]) -> bytes:
     """A sample as it is published: corrected, the rate less its bias."""
-    return _IMU.pack(IMU, *acceleration_mps2, *rate_radps)
+    return _IMU.pack(IMU, *map(_single, (*acceleration_mps2, *rate_radps)))
 
 
 def pack_battery(millivolts: int, plugged: int) -> bytes:

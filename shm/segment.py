@@ -120,6 +120,15 @@ def create(instance: str, name: str, incarnation: int, client_gid: int = -1) -> 
     unlink(instance, name)
     memory = posix_ipc.SharedMemory(shm_name(instance, name), posix_ipc.O_CREX, mode=0o600, size=spec.size)
     fd: int = memory.fd
+    try:
+        os.posix_fallocate(fd, 0, spec.size)
+    except OSError as error:
+        os.close(fd)
+        unlink(instance, name)
+        # Found at the first touch it would be a SIGBUS.
+        raise AttachError(
+            "damaged", f"no room in /dev/shm for {spec.size} bytes ({error.strerror}): look at `df /dev/shm`"
+        ) from None
     header = _HEADER.pack(MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), VERSION.encode())
     os.pwrite(fd, slot.build(1, 0, header, _HEADER_SEED, HEADER_BYTES - slot.HEADER_BYTES), 0)
     if spec.mode & 0o020 and client_gid >= 0:

@@ -16,6 +16,8 @@ from failstop.supervisor.starter import environment
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from failstop.shm.segment import Segment
     from failstop.supervisor.causes import Cause
     from failstop.supervisor.events import Events
@@ -30,12 +32,44 @@ COPY_NS = 2_200_000_000
 """From a stop to the copy: what can be known of a stop is known after 2.0 s (stops.py)."""
 PATIENCE_NS = 60_000_000_000
 """A dead run's saver waits for the service to be ready, at most so long."""
-MOST_WAITING = 4
-"""Stops whose saver is still to be started."""
+MOST_SAVERS = 4
+"""Stops that are being saved, or wait for it, at one time."""
 FINISH_S = 1.0
 NOTHING = "nothing to save"
 """The saver's word on a run that never was ready."""
 NEXT = "next: look at the disk and at the state directory"
+
+
+class Saver:
+    """A saver that runs."""
+
+    __slots__ = ("_hurry", "_result", "of_dead_run", "pid")
+
+    def __init__(self, pid: int, hurry: int, result: int, *, of_dead_run: bool) -> None:
+        """`hurry`: closed to have it copy now; `result`: what it has to say."""
+        self.pid = pid
+        self._hurry = hurry
+        self._result = result
+        self.of_dead_run = of_dead_run
+
+    def hasten(self) -> None:
+        """Have it copy now."""
+        if self._hurry >= 0:
+            os.close(self._hurry)
+            self._hurry = -1
+
+    def ended(self) -> tuple[int, str] | None:
+        """Once it has: (exit code, its word). Its descriptors are given back."""
+        pid, status = os.waitpid(self.pid, os.WNOHANG)
+        if not pid:
+            return None
+        try:
+            told = os.read(self._result, 4096).decode("utf-8", "replace")
+        except OSError:
+            told = ""
+        self.hasten()
+        os.close(self._result)
+        return os.waitstatus_to_exitcode(status), told
 
 
 class BlackBox:
@@ -64,9 +98,7 @@ class BlackBox:
         self._left = resources.left
         self._waiting: list[tuple[int, dict[str, str]]] = []
         """When to start a saver, and with what."""
-        self._pid = 0
-        self._of_dead_run = False
-        self._hurry = self._result = -1
+        self._savers: list[Saver] = []
         self._sampled_ns = 0
 
     def wrote(self, now_ns: int) -> None:
@@ -76,7 +108,7 @@ class BlackBox:
     def latched(self, cause: Cause, epoch: int) -> None:
         """A stop is latched, the news is out: save what led to it, and what follows."""
         self._sample(monotonic_ns())
-        if self._on and len(self._waiting) < MOST_WAITING:
+        if self._on and len(self._waiting) + len(self._savers) < MOST_SAVERS:
             words = {"cause_ns": str(cause.t_ns), "epoch": str(epoch), "reason": records.printable(cause.reason)}
             self._waiting.append((cause.t_ns + START_NS, words | {"until_ns": str(cause.t_ns + COPY_NS)}))
 
@@ -88,11 +120,12 @@ class BlackBox:
                 self._ages_ns[index], self._seen_ns[index] = age_ns, now_ns
         if now_ns - self._sampled_ns >= SAMPLE_NS:
             self._sample(now_ns)
-        if self._pid:
-            if ready and self._of_dead_run:
-                self._hasten()
+        if self._savers:
+            for saver in self._savers:
+                if ready and saver.of_dead_run:
+                    saver.hasten()
             self._reap()
-        elif self._waiting and now_ns >= self._waiting[0][0]:
+        if self._waiting and now_ns >= self._waiting[0][0]:
             self._save_live()
 
     def _sample(self, now_ns: int) -> None:
@@ -105,52 +138,59 @@ class BlackBox:
         """Start the saver for a run before this one that was not ended in order. It copies nothing, and takes no
         processor time from anybody, before this run is ready: but by then nobody wants to be held up for its start."""
         left, self._left = self._left, {}
-        if self._on and len(left) == len(layout.PROCESSES):
-            self._of_dead_run = True
-            self._start({"until_ns": str(monotonic_ns() + PATIENCE_NS)}, left)
-        self._close(*left.values())
+        try:
+            if self._on and len(left) == len(layout.PROCESSES):
+                self._start({"until_ns": str(monotonic_ns() + PATIENCE_NS)}, left, of_dead_run=True)
+        finally:
+            self._close(left.values())
 
     def _save_live(self) -> None:
         _, words = self._waiting.pop(0)
         fds = segment.open_all(self._name)
-        if len(fds) == len(layout.PROCESSES):
-            self._start(words, fds)
-        else:
-            self._not_saved(f"shared memory is gone ({words['reason']}); next: restart the service")
-        self._close(*fds.values())
+        try:
+            if len(fds) == len(layout.PROCESSES):
+                self._start(words, fds, of_dead_run=False)
+            else:
+                self._not_saved(f"shared memory is gone ({words['reason']}); next: restart the service")
+        finally:
+            self._close(fds.values())
 
-    def _start(self, words: dict[str, str], fds: dict[str, int]) -> None:
-        hurry, self._hurry = os.pipe()
-        self._result, result = os.pipe()
-        os.set_blocking(self._result, False)
-        listed = ",".join(f"{which}:{fd}" for which, fd in fds.items())
-        words = self._words | words | {"fds": listed, "hurry": str(hurry), "result": str(result)}
+    def _start(self, words: dict[str, str], fds: dict[str, int], *, of_dead_run: bool) -> None:
+        """Start a saver. A machine that is out of descriptors or processes has none, and that is all."""
+        pipes: list[int] = []
+        try:
+            pipes += os.pipe()
+            pipes += os.pipe()
+            hurry, hasten, told, result = pipes
+            os.set_blocking(told, False)
+            pid = self._spawn(words | {"hurry": str(hurry), "result": str(result)}, fds, (hurry, result))
+        except OSError as error:
+            self._close(pipes)
+            self._not_saved(f"cannot start the saver: {error}; {NEXT}")
+        else:
+            self._close((hurry, result))
+            self._savers.append(Saver(pid, hasten, told, of_dead_run=of_dead_run))
+
+    def _spawn(self, words: dict[str, str], fds: dict[str, int], pipes: tuple[int, int]) -> int:
+        words = self._words | words | {"fds": ",".join(f"{which}:{fd}" for which, fd in fds.items())}
         script = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "incidents", "start.py")
         arguments = [sys.executable, "-I", "-S", script, *(f"{key}={value}" for key, value in words.items())]
-        passed = [hurry, result, *fds.values()]
+        passed = [*pipes, *fds.values()]
         for fd in passed:
             os.set_inheritable(fd, True)
         try:
-            self._pid = os.posix_spawn(arguments[0], arguments, self._environment, setsid=True)
-        except OSError as error:
-            self._not_saved(f"cannot start the saver: {error}; {NEXT}")
-            self._forget()
+            return os.posix_spawn(arguments[0], arguments, self._environment, setsid=True)
         finally:
             for fd in passed:
                 os.set_inheritable(fd, False)
-            self._close(hurry, result)
 
     def _reap(self) -> None:
-        pid, status = os.waitpid(self._pid, os.WNOHANG)
-        if not pid:
-            return
-        self._pid = 0
-        try:
-            told = os.read(self._result, 4096).decode("utf-8", "replace")
-        except OSError:
-            told = ""
-        self._forget()
-        code = os.waitstatus_to_exitcode(status)
+        for saver in tuple(self._savers):
+            if ended := saver.ended():
+                self._savers.remove(saver)
+                self._tell(*ended)
+
+    def _tell(self, code: int, told: str) -> None:
         if not code and told == NOTHING:
             return
         if not code and told.startswith("saved "):
@@ -161,35 +201,26 @@ class BlackBox:
             died = f"the saver was killed by signal {-code}" if code < 0 else f"the saver ended with code {code}"
             self._not_saved(f"{records.printable(told) or died}; {NEXT}")
 
-    def _hasten(self) -> None:
-        """Have the saver copy now."""
-        self._close(self._hurry)
-        self._hurry = -1
-        self._of_dead_run = False
-
     def _not_saved(self, why: str) -> None:
         self._events.tell("incident", f"incident not saved: {why}", {"reason": why}, level="warning")
 
-    def _forget(self) -> None:
-        self._close(self._hurry, self._result)
-        self._hurry = self._result = -1
-
     @staticmethod
-    def _close(*fds: int) -> None:
+    def _close(fds: Iterable[int]) -> None:
         for fd in fds:
-            if fd >= 0:
-                os.close(fd)
+            os.close(fd)
 
     def finish(self) -> None:
-        """The end of the service, its stops written: a stop that is being saved is saved now."""
+        """The end of the service, its stops written: what is being saved is saved now."""
+        while self._waiting:
+            self._save_live()
         until_ns = monotonic_ns() + round(FINISH_S * 1e9)
-        while (self._pid or self._waiting) and (left_ns := until_ns - monotonic_ns()) > 0:
-            if not self._pid:
-                self._save_live()
+        for saver in self._savers:
+            saver.hasten()
+            try:
+                pidfd = os.pidfd_open(saver.pid)
+            except OSError:
                 continue
-            self._hasten()
-            pidfd = os.pidfd_open(self._pid)
-            select.select((pidfd,), (), (), left_ns * 1e-9)
+            select.select((pidfd,), (), (), max(0, until_ns - monotonic_ns()) * 1e-9)
             os.close(pidfd)
-            self._reap()
+        self._reap()
         self._events.flush()

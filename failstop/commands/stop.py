@@ -7,7 +7,6 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 
-from failstop.errors import FailstopError
 from failstop.procs.stopper import rest, tool
 from failstop.supervisor import config
 from failstop.supervisor.settings import BY_KEY, SettingError
@@ -43,12 +42,11 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Write the stop burst. Exit code 1, though it is written, if the file does not say where to and no option does;
-    raises PortError when the port can't be had in time, SettingError for an option that is not allowed, FailstopError
-    for --end-service where it is not allowed."""
+    """Write the stop burst. Exit code 1, though it is written, if the file does not say where to and no option does,
+    and for --end-service where it is not allowed; raises PortError when the port can't be had in time, SettingError for
+    an option that is not allowed."""
     start_s = time.monotonic()
-    if arguments.end_service:
-        _end_service()
+    misused = arguments.end_service and not _end_service()
     options = {DEVICE: ("--device", arguments.device), WAIT: ("--wait", arguments.wait)}
     given = {key: BY_KEY[key].check(value, name) for key, (name, value) in options.items() if value is not None}
     found, problems = _of_file(arguments.config) if arguments.config else ({}, {})
@@ -63,25 +61,28 @@ def main(arguments: Namespace) -> int:
     if DEVICE in problems and DEVICE not in given:
         _say(f"it went to {values[DEVICE]}, the default: is this the board? Name it with --device")
         return 1
-    return 0
+    return int(misused)
 
 
-def _end_service() -> None:
-    """SIGKILL the rest of the control group. Raises FailstopError where that is not the service's."""
+def _end_service() -> bool:
+    """SIGKILL the rest of the control group. False, with nothing killed, where that is not the service's: no reason not
+    to stop."""
     if "SERVICE_RESULT" not in os.environ or not _in_a_service():
-        raise FailstopError(
-            "--end-service kills the rest of the control group: it is for ExecStopPost in the systemd unit; "
-            "by hand use `failstop stop` without it"
+        _say(
+            "nothing killed: --end-service kills the rest of the control group, and is for ExecStopPost in the systemd "
+            "unit; by hand use `failstop stop` without it"
         )
+        return False
     try:
         killed, left = rest.kill(REST_S)
     except OSError as error:
         _say(f"cannot kill what is left of the service: {error}")
-        return
+        return True
     if killed:
         _say(f"killed what was left of the service: {killed} processes")
     if left:
         _say(f"{left} of them have not ended within {REST_S:g} s")
+    return True
 
 
 def _in_a_service() -> bool:

@@ -28,6 +28,8 @@ FORMAT = 1
 SUFFIX = ".incident"
 DRAFT = ".draft-"
 """What a file is named while it is written, then its writer's pid."""
+DRAFT_FLAGS = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+"""Never through a link: whoever runs this may be more than the folder's owner."""
 _LENGTHS = struct.Struct("<HHIIII")
 START_BYTES = len(MAGIC) + _LENGTHS.size
 LONGEST_HEAD = 65536
@@ -53,8 +55,10 @@ def write(folder: str, name: str, data: bytes) -> str:
     os.makedirs(folder, exist_ok=True)
     clear_drafts(folder)
     draft = os.path.join(folder, f"{DRAFT}{os.getpid()}")
+    with contextlib.suppress(FileNotFoundError):
+        os.unlink(draft)
     try:
-        fd = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+        fd = os.open(draft, DRAFT_FLAGS, 0o644)
         try:
             rest = memoryview(data)
             while rest:

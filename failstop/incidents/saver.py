@@ -140,7 +140,10 @@ def slug(reason: str) -> str:
 
 def machine() -> dict[str, Any]:
     """How busy the machine was: load, memory, pressure (share of the last 10 s that something waited), uptime."""
-    found: dict[str, Any] = {"load": [round(load, 2) for load in os.getloadavg()], "cores": os.cpu_count()}
+    found: dict[str, Any] = {"cores": os.cpu_count()}
+    # Under the unit's ProcSubset=pid, and with an older libc, it can't be had.
+    with contextlib.suppress(OSError):
+        found["load"] = [round(load, 2) for load in os.getloadavg()]
     for what, path in (("uptime_s", "/proc/uptime"), ("boot", "/proc/sys/kernel/random/boot_id")):
         with contextlib.suppress(OSError), open(path, encoding="ascii") as source:
             found[what] = source.read().split()[0]

@@ -79,12 +79,13 @@ class PortOwner:
         self._watched = (-1, 0)
         self.epoch = self._epoch_word.get()
 
-        self.wire = Wire(context.fd("port"), own.ring_writer("box"))
+        self.wire = Wire(context.fd("port"))
         self.reopener = Reopener(settings.text("device.path"))
         self._control = Control(context.fd("control"))
         self.wire.burst()
         self._stopped(monotonic_ns())
         self._stopped_word.set(self.epoch)
+        self.wire.keep(own.ring_writer("box"))
         self._publish_port(monotonic_ns())
 
         for fd in (self._bell.fd, self._early.bell.fd, self._stop_pipe, self._supervisor_life.fd):

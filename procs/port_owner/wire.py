@@ -24,9 +24,8 @@ class Wire:
 
     __slots__ = ("_box", "_held_since_ns", "_refused", "fd", "lost", "unsent")
 
-    def __init__(self, fd: int, written: RingWriter | None = None) -> None:
-        """`written`: the black box's ring, told of everything after it was written."""
-        self._box = written
+    def __init__(self, fd: int) -> None:
+        self._box: RingWriter | None = None
         self.fd = fd
         self.lost = fd < 0
         self.unsent = b""
@@ -65,6 +64,12 @@ class Wire:
         taken = self._write(data)
         self.unsent = data[taken:]
         self._note(box.BURST, data, taken)
+
+    def keep(self, ring: RingWriter) -> None:
+        """Tell the black box of the burst that was just written, and of everything from now on. Attaching its ring
+        takes milliseconds, so the first burst does not wait for it."""
+        self._box = ring
+        self._note(box.BURST, BURST, len(BURST) - len(self.unsent))
 
     def _note(self, kind: int, data: bytes, taken: int) -> None:
         if self._box and not self.lost:

@@ -10,6 +10,7 @@ import pytest
 
 from bench import installed
 from bench.service_scene import RIGHTS, UNIT, Scene
+from failstop.trial import wait_for
 
 NODES = ((1, 11), (4, 64))
 ALLOWED = {
@@ -54,8 +55,10 @@ def in_place_of_the_service(scene: Scene, rights: str) -> dict[str, Any]:
     for major, minor in NODES:
         scene.box.run("mknod", "-m", "666", f"/dev/probe-{major}-{minor}", "c", str(major), str(minor), check=False)
     scene.box.ctl("start", "probe.service")
-    entries = scene.box.journal("_SYSTEMD_UNIT=probe.service", "_COMM=python3")
-    found: dict[str, Any] = json.loads(entries[-1]["MESSAGE"])
+    # The journal may be behind, and it knows a process that has ended by less.
+    where = ("_SYSTEMD_UNIT=probe.service", "_TRANSPORT=stdout")
+    wait_for("the probe's findings in the journal", lambda: scene.box.journal(*where))
+    found: dict[str, Any] = json.loads(scene.box.journal(*where)[-1]["MESSAGE"])
     return found
 
 

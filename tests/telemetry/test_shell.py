@@ -75,6 +75,16 @@ def test_a_successor_goes_on_with_the_bias_and_calibrates_anew_at_rest(scene: Sc
     assert scene.bias()[0] == pytest.approx((0.0, 0.0, math.radians(0.3)), rel=1e-3)
 
 
+def test_a_value_of_any_size_is_no_end(scene: Scene) -> None:
+    """The frame's check byte is one of 256: a wild frame passes for a sample at times."""
+    huge = 3.4e38
+    for raw in ((huge, 0.0, 1.0, 0.0, 0.0, 0.0), (-huge, huge, huge, huge, -huge, huge)):
+        scene.imu(*raw)
+        assert records.unpack_imu(scene.latest("imu") or b"")[0] == pytest.approx(raw[0] * 9.80665, rel=1e-6)
+    scene.imu(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    assert records.unpack_imu(scene.latest("imu") or b"")[2] == pytest.approx(9.80665, rel=1e-6)
+
+
 def test_a_successor_calibrates_only_if_the_wheels_stand(scene: Scene) -> None:
     scene.stand(3.5)
     scene.notes()
