@@ -84,7 +84,9 @@ class Aftermath:
     def _follow_port(self) -> None:
         """A port that was opened anew may be another board."""
         entry = self._port_record.read()
-        generation = records.unpack_port(entry[2])[0] if entry else 0
+        generation, _, state, _ = records.unpack_port(entry[2]) if entry else (0, 0, records.PORT_OPEN, "")
+        if state == records.PORT_LOST:
+            self.link.opened()
         if generation != self._generation:
             self._generation = generation
             self.link.opened()

@@ -20,6 +20,8 @@ JUDGED_AFTER_NS = 800_000_000
 judgement and its hold (procs/telemetry/still.py)."""
 JUDGED_WITHIN_NS = 500_000_000
 """A judgement older than this is none: the IMU, or who decodes it, is silent."""
+LEAST_NS = 1_000_000
+"""The shortest time to rest: 0 means that there was nothing to come to rest."""
 RESOLUTION_S = 0.2
 """The IMU's word of when the wheels came to rest is no better than this."""
 
@@ -27,6 +29,11 @@ RESOLUTION_S = 0.2
 def still_after(seconds: float) -> str:
     """For people, to the resolution there is."""
     return f"less than {RESOLUTION_S:g} s" if seconds < RESOLUTION_S else f"about {seconds:.1f} s"
+
+
+def wheels_seen(seconds: float) -> str:
+    """The IMU's word for people; 0: it saw no shaking before the stop either."""
+    return f"wheels still after {still_after(seconds)}" if seconds else "no shaking seen before or after"
 
 
 class LastStop:
@@ -103,7 +110,8 @@ class LastStop:
                 self.unstill = True
                 return True
         elif not self._was_still:
-            self.observed_ns = max(0, still_ns - self.cause.t_ns)
+            # A window may begin before the cause: they turned all the same.
+            self.observed_ns = max(LEAST_NS, still_ns - self.cause.t_ns)
         elif judged_ns - self.cause.t_ns >= JUDGED_AFTER_NS:
             self.observed_ns = 0
         return False
@@ -124,10 +132,8 @@ class LastStop:
         heard = heard or f"not acknowledged (link {link})"
         if self.observed_ns is None:
             seen = "wheels NOT seen still" if self.unstill else "not observed"
-        elif self._was_still:
-            seen = "no shaking seen before or after"
         else:
-            seen = f"wheels still after {still_after(self.observed_ns / 1e9)}"
+            seen = wheels_seen(self.observed_ns / 1e9)
         return f"{self.cause.reason}: {heard}, {seen}"
 
     def fields(self, link: str) -> dict[str, str | float | None]:

@@ -8,6 +8,7 @@ from argparse import ArgumentParser, Namespace
 from failstop.commands import add_name
 from failstop.errors import Refused
 from failstop.robot import Robot
+from failstop.screen.words import velocity
 
 EXAMPLES = """\
 failstop drive 0.1 0 0             # 0.1 m/s forward for 1 s
@@ -33,12 +34,17 @@ def main(arguments: Namespace) -> int:
         until_s = time.monotonic() + arguments.seconds
         if reason := _blocked(robot):
             raise Refused(reason)
+        asked = (arguments.vx, arguments.vy, arguments.wz)
+        reached = asked
         while time.monotonic() < until_s:
-            robot.drive(arguments.vx, arguments.vy, arguments.wz, manual=True)
+            robot.drive(*asked, manual=True)
             time.sleep(min(REPEAT_S, max(0.0, until_s - time.monotonic())))
             if reason := _blocked(robot):
                 raise Refused(reason)
-    print(f"drove for {arguments.seconds:g} s; the wheels are told to stand")
+            reached = robot.state.body_vel
+    less = any(abs(got) < 0.98 * abs(wanted) for got, wanted in zip(reached, asked, strict=True))
+    held = f", no faster than {velocity(*reached) or 'zero'} (limits and ramp)" if less else ""
+    print(f"drove for {arguments.seconds:g} s{held}; the wheels are told to stand")
     return 0
 
 

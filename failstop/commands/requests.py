@@ -5,7 +5,9 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 
 from failstop.commands import add_name
+from failstop.errors import Refused
 from failstop.robot import Robot
+from failstop.screen.verdict import next_step
 
 EXAMPLES = {
     "enable": """\
@@ -29,8 +31,14 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Ask; a refusal is raised as Refused."""
+    """Ask; a refusal is raised as Refused, with what to do first."""
     with Robot(arguments.name, client="failstop " + arguments.command) as robot:
         verbs = {"enable": robot.enable, "disable": robot.disable, "reset": robot.reset}
-        print(verbs[arguments.command]())
+        try:
+            print(verbs[arguments.command]())
+        except Refused as refused:
+            state = robot.state
+            if state.estop or state.waiting_for:
+                raise Refused(f"{refused}; next: {next_step(state)}") from None
+            raise
     return 0

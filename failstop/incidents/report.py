@@ -12,7 +12,7 @@ from failstop.incidents.story import CAUSE, Line
 from failstop.shm.records import printable
 from failstop.style import DIM, FAIL, STRONG, WARN, paint
 from failstop.supervisor.settings import BY_KEY, declaration
-from failstop.supervisor.stops import still_after
+from failstop.supervisor.stops import wheels_seen
 
 NARROWEST = 60
 LABEL = 10
@@ -39,7 +39,7 @@ def proof(stop: dict[str, Any] | None) -> str:
     if (heard_us := stop.get("acknowledged_us")) is not None:
         parts.append(f"acknowledged after {duration(heard_us / 1e6)}")
     if (seen_ms := stop.get("observed_ms")) is not None:
-        parts.append(f"wheels still after {still_after(seen_ms / 1e3)}")
+        parts.append(wheels_seen(seen_ms / 1e3))
     elif stop.get("wheels") == "unstill":
         parts.append("wheels NOT seen still")
     return ", ".join(parts)

@@ -134,7 +134,7 @@ def _outcome(segments: dict[str, Any], epoch: int, reason: str) -> dict[str, Any
 
 def slug(reason: str) -> str:
     """The beginning of a reason as part of a file name."""
-    text = "".join(c if c in SLUG_CHARACTERS else "-" for c in reason.lower()[:40])
+    text = "".join(c if c in SLUG_CHARACTERS else "-" for c in reason.lower().split(" (")[0][:40])
     return "-".join(filter(None, text.split("-")))[:28].strip("-") or "stop"
 
 

@@ -147,8 +147,10 @@ def _proof(stop: Stop, state: State, now_s: float) -> str:
         found.append(f"the board acknowledged it after {words.took(stop.acknowledged_us)}")
     if stop.observed_ms is None:
         found.append(f"the IMU has not shown the wheels still{yet}")
+    elif stop.observed_ms:
+        found.append(f"the IMU showed the {words.wheels_seen(stop)}")
     else:
-        found.append(f"the IMU showed the wheels still after {words.still_after(stop)}")
+        found.append("the IMU saw no shaking before it or after")
     return words.joined(found)
 
 

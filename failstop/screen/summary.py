@@ -93,7 +93,7 @@ def proofs(stop: Stop) -> Line:
     if stop.observed_ms is None:
         found.append(("not seen still", WARN))
     else:
-        found.append((f"wheels still after {words.still_after(stop)}", OK))
+        found.append((words.wheels_seen(stop), OK))
     return found
 
 

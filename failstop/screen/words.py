@@ -59,12 +59,12 @@ def took(microseconds: float) -> str:
     return f"{milliseconds:.2f} ms" if milliseconds < 10 else f"{milliseconds:.0f} ms"
 
 
-def still_after(stop: Stop) -> str:
+def wheels_seen(stop: Stop) -> str:
     """The third proof, to the resolution there is: the IMU's verdict."""
     from failstop.supervisor import stops
 
     assert stop.observed_ms is not None
-    return stops.still_after(stop.observed_ms / 1000)
+    return stops.wheels_seen(stop.observed_ms / 1000)
 
 
 def unit(name: str) -> str:
