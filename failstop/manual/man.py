@@ -7,8 +7,8 @@ from failstop.version import VERSION
 
 DESCRIPTION = (
     "failstop is the layer between everything that wants to drive a robot and a motor board that keeps its last wheel "
-    "speed for ever. Whatever part of it dies or hangs, the wheels are told to stop, and nothing moves them again until "
-    "somebody enables motion anew. A client that dies stops them too; one that falls silent, 0.3 s later.",
+    "speed for ever. Whatever part of it dies or hangs, the wheels are told to stop, and nothing moves them again "
+    "until somebody enables motion anew. A client that dies stops them too; one that falls silent, 0.3 s later.",
     "It is a stop by software and no emergency stop in the sense of ISO 13850: keep a power switch in reach.",
     "A service, \x01failstop run\x02, owns the board's port. The other commands talk to the service of the same name; "
     "\x01failstop stop\x02, \x01failstop sim\x02 and \x01failstop config\x02 need none.",

@@ -61,5 +61,5 @@ def test_the_descriptors_it_is_given_are_its_own_and_no_other(child: int, pipe: 
 
 def test_the_environment_is_what_it_needs_and_no_more() -> None:
     found = starter.environment(Settings())
-    assert set(found) <= {"FAILSTOP_PATH", "FAILSTOP_SETTINGS", "LANG", *starter.PASSED_ON}
+    assert set(found) <= {"FAILSTOP_PATH", "FAILSTOP_SETTINGS", *starter.C_LIBRARY, *starter.PASSED_ON}
     assert Settings.from_lines(found["FAILSTOP_SETTINGS"]).values == Settings().values
