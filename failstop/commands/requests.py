@@ -39,6 +39,6 @@ def main(arguments: Namespace) -> int:
         except Refused as refused:
             state = robot.state
             if state.estop or state.waiting_for:
-                raise Refused(f"{refused}; next: {next_step(state)}") from None
+                raise Refused(f"{refused.args[0]}; next: {next_step(state)}") from None
             raise
     return 0
