@@ -6,6 +6,8 @@ import msgpack
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from failstop.shm.latest import LatestReader
 
 SILENT_NS = 250_000_000
@@ -17,10 +19,11 @@ REST = (0.0, 0.0, 0.0)
 class GateState:
     """The newest state. Before the first: motion is disabled, the wheels stand, nothing is latched."""
 
-    __slots__ = ("_reader", "_seq", "_t_ns", "enabled", "latched", "since_ns", "velocity")
+    __slots__ = ("_found", "_reader", "_seq", "_t_ns", "enabled", "latched", "since_ns", "velocity")
 
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
+        self._found: dict[str, Any] = {}
         self._seq = 0
         self._t_ns = 0
         self.enabled = False
@@ -51,7 +54,9 @@ class GateState:
 
     def _take(self, payload: bytes, t_ns: int) -> bool:
         try:
-            found = msgpack.unpackb(payload)
+            # Kept until the next: its keys are interned strings, and to intern and drop them at each turn has Python
+            # build its table of them anew every few minutes.
+            found = self._found = msgpack.unpackb(payload)
             vx, vy, wz = found["body_vel"]
             velocity = float(vx), float(vy), float(wz)
             enabled, latched = bool(found["enabled"]), found["estop"] is not None
