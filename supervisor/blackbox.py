@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import os
 import select
-import sys
 from time import monotonic_ns
 
 from failstop.shm import box, layout, records, segment
-from failstop.supervisor.starter import environment
+from failstop.supervisor.starter import environment, script_command, spawn
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -173,16 +172,8 @@ class BlackBox:
 
     def _spawn(self, words: dict[str, str], fds: dict[str, int], pipes: tuple[int, int]) -> int:
         words = self._words | words | {"fds": ",".join(f"{which}:{fd}" for which, fd in fds.items())}
-        script = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "incidents", "start.py")
-        arguments = [sys.executable, "-I", "-S", script, *(f"{key}={value}" for key, value in words.items())]
-        passed = [*pipes, *fds.values()]
-        for fd in passed:
-            os.set_inheritable(fd, True)
-        try:
-            return os.posix_spawn(arguments[0], arguments, self._environment, setsid=True)
-        finally:
-            for fd in passed:
-                os.set_inheritable(fd, False)
+        arguments = script_command(("incidents", "start.py"), words=words)
+        return spawn(arguments, self._environment, [*pipes, *fds.values()])
 
     def _reap(self) -> None:
         for saver in tuple(self._savers):

@@ -27,8 +27,26 @@ TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_
 
 def command(process: str, words: dict[str, str]) -> list[str]:
     """The command line of a process."""
-    script = os.path.join(_PACKAGE, "procs", "child.py")
-    return [sys.executable, "-I", "-S", script, process, *(f"{key}={value}" for key, value in words.items())]
+    return script_command(("procs", "child.py"), process, words=words)
+
+
+def script_command(script: tuple[str, ...], *arguments: str, words: dict[str, str]) -> list[str]:
+    """The command line of a script of this package, by its path from there."""
+    path = os.path.join(_PACKAGE, *script)
+    return [sys.executable, "-I", "-S", path, *arguments, *(f"{key}={value}" for key, value in words.items())]
+
+
+def spawn(arguments: list[str], environ: dict[str, str], passed: list[int]) -> int:
+    """Start a process that inherits the descriptors in `passed`; returns its pid. Raises OSError."""
+    for fd in passed:
+        os.set_inheritable(fd, True)
+    try:
+        # A terminal's signals (Ctrl-C, Ctrl-Z, quit, its hang-up) go to a whole process group: were the children in
+        # it, they would all die or freeze at once, with nobody left to stop the wheels.
+        return os.posix_spawn(arguments[0], arguments, environ, setsid=True)
+    finally:
+        for fd in passed:
+            os.set_inheritable(fd, False)
 
 
 def environment(settings: Settings) -> dict[str, str]:
@@ -65,12 +83,4 @@ class Starter:
         arguments = command(
             row.name, {**self._common, "block": str(block), **{key: str(fd) for key, fd in given.items()}}
         )
-        for fd in passed:
-            os.set_inheritable(fd, True)
-        try:
-            # A terminal's signals (Ctrl-C, Ctrl-Z, quit, its hang-up) go to a whole process group: were the children
-            # in it, they would all die or freeze at once, with nobody left to stop the wheels.
-            return os.posix_spawn(arguments[0], arguments, self._environment, setsid=True)
-        finally:
-            for fd in passed:
-                os.set_inheritable(fd, False)
+        return spawn(arguments, self._environment, passed)

@@ -11,13 +11,13 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
-from errno import ENOSPC
 from zlib import compress, crc32, decompressobj
 from zlib import error as ZlibError
 
 import msgpack
 
 from failstop.errors import FailstopError
+from failstop.procs import durable
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -28,8 +28,6 @@ FORMAT = 1
 SUFFIX = ".incident"
 DRAFT = ".draft-"
 """What a file is named while it is written, then its writer's pid."""
-DRAFT_FLAGS = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-"""Never through a link: whoever runs this may be more than the folder's owner."""
 _LENGTHS = struct.Struct("<HHIIII")
 START_BYTES = len(MAGIC) + _LENGTHS.size
 LONGEST_HEAD = 65536
@@ -55,32 +53,9 @@ def write(folder: str, name: str, data: bytes) -> str:
     os.makedirs(folder, exist_ok=True)
     clear_drafts(folder)
     draft = os.path.join(folder, f"{DRAFT}{os.getpid()}")
-    with contextlib.suppress(FileNotFoundError):
-        os.unlink(draft)
-    try:
-        fd = os.open(draft, DRAFT_FLAGS, 0o644)
-        try:
-            rest = memoryview(data)
-            while rest:
-                written = os.write(fd, rest)
-                if not written:
-                    raise OSError(ENOSPC, os.strerror(ENOSPC), draft)
-                rest = rest[written:]
-            os.fsync(fd)
-        finally:
-            os.close(fd)
-        path = _free(folder, name)
-        os.rename(draft, path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            os.unlink(draft)
-        raise
-    # Without this, a power cut can still take the name away.
-    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
+    durable.write_draft(draft, data)
+    path = _free(folder, name)
+    durable.publish(draft, path)
     return path
 
 

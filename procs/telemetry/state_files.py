@@ -6,10 +6,11 @@ A file that can't be written is a line for the journal, once, and never more tha
 from __future__ import annotations
 
 import _thread
-import contextlib
 import os
 from _queue import SimpleQueue
 from errno import ENOSPC
+
+from failstop.procs import durable
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -57,31 +58,10 @@ def append_line(path: str, header: str, line: str) -> None:
 def write_whole(path: str, _header: str, text: str) -> None:
     """Replace a file's content: after a crash or power cut it is the old one or the new one. Raises OSError, and then
     the old one is there."""
-    folder = os.path.dirname(path)
-    os.makedirs(folder, exist_ok=True)
+    os.makedirs(os.path.dirname(path), exist_ok=True)
     draft = f"{path}.new"
-    with contextlib.suppress(FileNotFoundError):
-        os.unlink(draft)
-    try:
-        fd = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
-        try:
-            data = text.encode()
-            if os.write(fd, data) != len(data):
-                raise OSError(ENOSPC, os.strerror(ENOSPC), path)
-            os.fsync(fd)
-        finally:
-            os.close(fd)
-        os.rename(draft, path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            os.unlink(draft)
-        raise
-    # Without this, a power cut can still bring the old name back.
-    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
+    durable.write_draft(draft, text.encode())
+    durable.publish(draft, path)
 
 
 class StateFiles:
