@@ -6,8 +6,9 @@ break, its length as a little-endian u64, the value, a line break.
 
 from __future__ import annotations
 
-import _socket
 import os
+
+from failstop.supervisor.datagram import Outbox
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -44,26 +45,15 @@ def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
 class Journal:
     """The journal's socket."""
 
-    __slots__ = ("_path", "_socket")
+    __slots__ = ("_outbox",)
 
     def __init__(self, path: str = SOCKET) -> None:
-        self._path = path
-        self._socket: _socket.socket | None = None
+        self._outbox = Outbox(path)
 
     def send(self, fields: Iterable[tuple[str, Value]]) -> bool:
         """Send one entry; False when it could not be handed over at once: the journal is gone, or its queue full."""
-        try:
-            if self._socket is None:
-                kind = _socket.SOCK_DGRAM | _socket.SOCK_CLOEXEC | _socket.SOCK_NONBLOCK
-                self._socket = _socket.socket(_socket.AF_UNIX, kind)
-            # By its path each time: a journal that was started anew may have another socket there.
-            self._socket.sendto(encode(fields), self._path)
-        except OSError:
-            return False
-        return True
+        return self._outbox.send(encode(fields))
 
     def close(self) -> None:
         """Let the socket go."""
-        if self._socket:
-            self._socket.close()
-            self._socket = None
+        self._outbox.close()

@@ -202,6 +202,26 @@ KINDS = (
         "Next: correct the program, or declare the source under [sources] and restart the service",
     ),
     Kind(
+        "driver_silent",
+        "warning",
+        "c551b8c00bd64343874e0bef0e460f9d",
+        ("who", "source", "silent_ms"),
+        "@FAILSTOP_WHO@ fell silent while it drove",
+        "No command of it for FAILSTOP_SILENT_MS, longer than the timeout of the source @FAILSTOP_SOURCE@, so the\n"
+        "wheels were told zero. Nothing is latched: they turn again as soon as it commands again.\n"
+        "Next: does that program still run, and does it repeat its command often enough?",
+    ),
+    Kind(
+        "driver_gone",
+        "warning",
+        "5c69d278e12541c884ee76082770b8f7",
+        ("who", "source"),
+        "@FAILSTOP_WHO@ has gone while it drove",
+        "It ended, crashed or was killed without a last command of zero, so the wheels were told zero at once.\n"
+        "Nothing is latched: they turn again as soon as somebody commands.\n"
+        "Next: that program's own log; coredumpctl list, where it crashed",
+    ),
+    Kind(
         "device_lost",
         "error",
         "ad86431d272243de804dc53ce7353048",

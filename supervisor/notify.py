@@ -6,7 +6,7 @@ reason to do anything else.
 
 from __future__ import annotations
 
-import _socket
+from failstop.supervisor.datagram import Outbox
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -20,14 +20,14 @@ STATUS_CHARACTERS = 200
 class Notify:
     """The socket of the service manager; without one, nothing is sent."""
 
-    __slots__ = ("_address", "_beat_ns", "_said", "_socket", "_told_ready", "_want_ready", "every_ns")
+    __slots__ = ("_beat_ns", "_outbox", "_said", "_told_ready", "_want_ready", "active", "every_ns")
 
     def __init__(self, address: str = "", watchdog_us: int = 0) -> None:
         """`address`: a path, or @name for the abstract namespace; `watchdog_us`: the watchdog's timeout, 0 for none."""
-        self._address = address.encode("utf-8", "surrogateescape")
-        if address.startswith("@"):
-            self._address = b"\0" + self._address[1:]
-        self._socket: _socket.socket | None = None
+        self.active = bool(address)
+        """True when somebody listens."""
+        abstract = address.startswith("@")
+        self._outbox = Outbox(b"\0" * abstract + address[abstract:].encode("utf-8", "surrogateescape"))
         self.every_ns = watchdog_us * 1000 // 2
         """Half of the timeout: one message may get lost."""
         self._beat_ns = 0
@@ -45,18 +45,13 @@ class Notify:
         for_us = not wanted or wanted == str(pid)
         return cls(address, int(timeout) if for_us and timeout.isdecimal() else 0)
 
-    @property
-    def active(self) -> bool:
-        """True when somebody listens."""
-        return bool(self._address)
-
     def ready(self) -> None:
         """The service is ready; goes out with the next follow()."""
         self._want_ready = True
 
     def follow(self, now_ns: int, status: str, *, healthy: bool) -> None:
         """Once a turn: what is new, and the watchdog's beat when it is due and the supervisor does its job."""
-        if not self._address:
+        if not self.active:
             return
         lines = []
         if self._want_ready and not self._told_ready:
@@ -78,22 +73,11 @@ class Notify:
 
     def close(self) -> None:
         """Let the socket go."""
-        if self._socket:
-            self._socket.close()
-            self._socket = None
+        self._outbox.close()
 
     def send(self, message: str) -> bool:
         """Send one message; False when it could not be handed over at once."""
-        if not self._address:
-            return False
-        try:
-            if self._socket is None:
-                kind = _socket.SOCK_DGRAM | _socket.SOCK_CLOEXEC | _socket.SOCK_NONBLOCK
-                self._socket = _socket.socket(_socket.AF_UNIX, kind)
-            self._socket.sendto(message.encode("utf-8", "replace"), self._address)
-        except (OSError, ValueError):
-            return False
-        return True
+        return self.active and self._outbox.send(message.encode("utf-8", "replace"))
 
 
 def _one_line(text: str) -> str:

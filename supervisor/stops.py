@@ -138,16 +138,13 @@ class LastStop:
 
     def fields(self, link: str) -> dict[str, str | float | None]:
         """The same for programs."""
-        acknowledged_us = None if self.acknowledged_ns is None else self.acknowledged_ns / 1e3
-        observed_ms = None if self.observed_ns is None else self.observed_ns / 1e6
-        seen = "unknown" if observed_ms is None else "still"
+        seen = "unknown" if self.observed_ns is None else "still"
         return {
             "reason": self.cause.reason,
             "epoch": self.epoch,
             "link": link,
-            "acknowledged_us": acknowledged_us,
-            "observed_ms": observed_ms,
-            "wheels": "unstill" if self.unstill and observed_ms is None else seen,
+            **self._proofs(),
+            "wheels": "unstill" if self.unstill and self.observed_ns is None else seen,
         }
 
     def as_record(self) -> dict[str, Any]:
@@ -161,6 +158,11 @@ class LastStop:
             "t": self.unix_s,
             "epoch": self.epoch,
             "written_us": None if written_ns is None else written_ns / 1e3,
+            **self._proofs(),
+        }
+
+    def _proofs(self) -> dict[str, float | None]:
+        return {
             "acknowledged_us": None if self.acknowledged_ns is None else self.acknowledged_ns / 1e3,
             "observed_ms": None if self.observed_ns is None else self.observed_ns / 1e6,
         }

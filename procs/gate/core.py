@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from math import isfinite
 
+from failstop.procs.gate import remarks
 from failstop.procs.gate.interlocks import Interlocks
 from failstop.procs.gate.scan import ScanGate
 from failstop.procs.gate.sources import Command, Sources
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
     Speeds = tuple[float, float, float, float]
 
+NO_COMMAND = "cmd timeout"
+NO_SCAN = "no scan"
 STILL = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
 MOST_UNKNOWN = 64
@@ -55,6 +58,7 @@ class GateCore:
         self.speeds = STILL
         self.notes: list[Note] = []
         """What people are told, in order; whoever passes them on empties the list."""
+        self._halts = remarks.Budget(now_ns, remarks.HALTS_AT_ONCE, remarks.HALTS_EVERY_NS)
         self._unknown: set[tuple[int, str]] = set()
         self._stepped_ns = now_ns
         self._sent_ns = 0
@@ -67,9 +71,9 @@ class GateCore:
             return "disabled"
         driving = self.sources.driving(now_ns)
         if driving is None:
-            return "cmd timeout"
+            return NO_COMMAND
         if not driving.manual and self.scan.silent(now_ns):
-            return "no scan"
+            return NO_SCAN
         return ""
 
     def due_ns(self, now_ns: int) -> int | None:
@@ -104,8 +108,11 @@ class GateCore:
             text = f"command from {command.who} ignored: no source {command.source!r} in the settings"
             self.notes.append(Note("ignored", text, {"who": command.who, "source": command.source}))
 
-    def driver_gone(self, session: int) -> bool:
-        """A client has gone; True when it had commands that counted: they are dropped."""
+    def client_gone(self, session: int, now_ns: int) -> bool:
+        """A client has gone; True when it had commands: they are dropped, and if it drove, that is told."""
+        driving = self.sources.driving(now_ns)
+        if driving and driving.session == session and any(self.velocity):
+            self._tell_halt(remarks.gone(driving), now_ns)
         return self.sources.drop(session)
 
     def trip(self, reason: str, epoch: int) -> bool:
@@ -168,8 +175,10 @@ class GateCore:
         if not self.enabled:
             return None
         reason = self.blocked(now_ns)
-        if note := self.scan.note(now_ns, blocks=reason == "no scan"):
+        if note := self.scan.note(now_ns, blocks=reason == NO_SCAN):
             self.notes.append(note)
+        if reason == NO_COMMAND and any(self.velocity) and (silent := self.sources.last_driver()):
+            self._tell_halt(remarks.silent(silent, now_ns), now_ns)
         driving, fell_back = self.sources.take_over(now_ns)
         if reason or driving is None:
             self.velocity = REST
@@ -181,6 +190,10 @@ class GateCore:
         self.speeds = speeds
         self._sent_ns = now_ns
         return speeds
+
+    def _tell_halt(self, note: Note, now_ns: int) -> None:
+        if self._halts.spend(now_ns):
+            self.notes.append(note)
 
     def _ramped(
         self, wanted: tuple[float, float, float], elapsed_s: float, start: tuple[float, float, float]

@@ -262,7 +262,7 @@ class Gate:
 
     def client_gone(self, slot: Slot, now_ns: int) -> None:
         """Its claim is gone: if it was the one that drives, the wheels stand at once."""
-        if self.core.driver_gone(slot.session):
+        if self.core.client_gone(slot.session, now_ns):
             self._step(now_ns)
 
     def _publish(self, now_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""Remarks: what people are told of the gate's requests - who enabled, disabled, reset, who was refused. Pure."""
+"""Remarks: what people are told by the gate - who enabled, disabled, reset, was refused, left off driving. Pure."""
 
 from __future__ import annotations
 
@@ -7,12 +7,17 @@ from failstop.shm.notes import Note
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.procs.gate.sources import Command
     from failstop.shm.notes import Fields
 
 VERBS = {records.ENABLE: "enable", records.DISABLE: "disable", records.RESET: "reset"}
 MOST_AT_ONCE = 20
 EVERY_NS = 200_000_000
 """A program that asks without end is told of five times a second, not a thousand times."""
+HALTS_AT_ONCE = 5
+HALTS_EVERY_NS = 10_000_000_000
+"""A program that commands more slowly than its timeout starts and stops the wheels for ever: that is told of too, now
+and then."""
 
 
 def of_request(
@@ -34,22 +39,36 @@ def of_request(
     return None
 
 
+def silent(driver: Command, now_ns: int) -> Note:
+    """Who drove has sent nothing for its timeout: the wheels stand, and nothing is latched."""
+    silent_ms = (now_ns - driver.t_ns) / 1e6
+    text = f"{driver.who} fell silent while it drove: last command {silent_ms:.0f} ms ago, the wheels are stopped"
+    return Note("driver_silent", text, {"who": driver.who, "source": driver.source, "silent_ms": round(silent_ms, 1)})
+
+
+def gone(driver: Command) -> Note:
+    """Who drove has ended or died without a last command of zero: the wheels stand, and nothing is latched."""
+    text = f"{driver.who} has gone while it drove: the wheels are stopped"
+    return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
+
+
 class Budget:
     """How many remarks people are told: some at once, then one at a time."""
 
-    __slots__ = ("_left", "_ns", "unsaid")
+    __slots__ = ("_every_ns", "_left", "_most", "_ns", "unsaid")
 
-    def __init__(self, now_ns: int) -> None:
-        self._left = MOST_AT_ONCE
+    def __init__(self, now_ns: int, most: int = MOST_AT_ONCE, every_ns: int = EVERY_NS) -> None:
+        self._most = self._left = most
+        self._every_ns = every_ns
         self._ns = now_ns
         self.unsaid = 0
         """Those that were left out since the last one that was not."""
 
     def spend(self, now_ns: int) -> bool:
         """True when one more may be told now."""
-        earned = (now_ns - self._ns) // EVERY_NS
-        self._ns += earned * EVERY_NS
-        self._left = min(MOST_AT_ONCE, self._left + earned)
+        earned = (now_ns - self._ns) // self._every_ns
+        self._ns += earned * self._every_ns
+        self._left = min(self._most, self._left + earned)
         if not self._left:
             self.unsaid += 1
             return False

@@ -89,6 +89,10 @@ class Sources:
                 return command
         return None
 
+    def last_driver(self) -> Command | None:
+        """The last command of the source that drove last, however old it is."""
+        return self._commands.get(self._driver)
+
     def take_over(self, now_ns: int) -> tuple[Command | None, bool]:
         """The command that drives from now on, and True when the wheels fall back to a lower source with it."""
         command = self.driving(now_ns)

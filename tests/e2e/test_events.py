@@ -147,3 +147,16 @@ def reading(listener: Listener) -> Callable[[], bool]:
         return False
 
     return check
+
+
+def test_a_driver_that_leaves_off(trial: Trial, listener: Listener) -> None:
+    who = f"trial (pid {os.getpid()})"
+    trial.enable()
+    trial.drive(0.2)
+    silent = listener.wait("driver_silent", who=who, source="cmd_vel")
+    assert 300 <= float(silent.fields["silent_ms"]) < 1000
+    assert f"{who} fell silent" in silent.text
+    trial.drive(0.2)
+    trial.leave()
+    listener.wait("driver_gone", who=who, source="cmd_vel")
+    assert listener.of("stop") == [], "neither is a latched stop"

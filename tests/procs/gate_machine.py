@@ -225,10 +225,10 @@ class GateMachine(RuleBasedStateMachine):
             assert not done
 
     @rule(session=st.sampled_from([1, 2]))
-    def driver_gone(self, session: int) -> None:
+    def client_gone(self, session: int) -> None:
         """A client leaves, as gate/main.py handles it."""
         gone = [source for source, command in self.commands.items() if command[0] == session]
-        assert self.core.driver_gone(session) is bool(gone)
+        assert self.core.client_gone(session, self.now) is bool(gone)
         for source in gone:
             del self.commands[source]
         if gone:

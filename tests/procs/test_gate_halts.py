@@ -1,0 +1,68 @@
+"""Who drove and left off: what people are told when the wheels stop without a latch."""
+
+from __future__ import annotations
+
+from .gate_bench import MS, REST, TICK, Gate
+
+VELOCITY = (0.2, 0.0, 0.0)
+
+
+def told(gate: Gate) -> list[str]:
+    kinds = [note.kind for note in gate.core.notes]
+    gate.core.notes.clear()
+    return kinds
+
+
+def test_a_driver_that_falls_silent_is_told_of_once_with_its_name(driving: Gate) -> None:
+    driving.drive(VELOCITY, 3)
+    assert told(driving) == []
+    driving.step(281 * MS)
+    (note,) = driving.core.notes
+    assert (note.kind, note.fields["who"], note.fields["source"]) == ("driver_silent", "client 1", "cmd_vel")
+    assert note.fields["silent_ms"] == 301
+    assert "client 1 fell silent" in note.text
+    told(driving)
+    for _ in range(100):
+        driving.step()
+    assert told(driving) == []
+
+
+def test_a_driver_that_has_gone_is_told_of(driving: Gate) -> None:
+    driving.drive(VELOCITY, 3)
+    driving.core.client_gone(1, driving.now)
+    (note,) = driving.core.notes
+    assert (note.kind, note.fields["who"], note.fields["source"]) == ("driver_gone", "client 1", "cmd_vel")
+    driving.step(0)
+    driving.step(400 * MS)
+    assert told(driving) == ["driver_gone"], "and not as silent too"
+
+
+def test_whoever_stopped_the_wheels_before_is_not_told_of(driving: Gate) -> None:
+    driving.drive(VELOCITY, 3)
+    driving.drive(REST, 30)
+    driving.step(301 * MS)
+    driving.core.client_gone(1, driving.now)
+    assert told(driving) == []
+
+
+def test_a_client_that_does_not_drive_leaves_without_a_word(driving: Gate) -> None:
+    driving.drive(VELOCITY, 3)
+    driving.core.client_gone(2, driving.now)
+    assert told(driving) == []
+
+
+def test_a_latched_or_disabled_robot_has_no_silent_driver(driving: Gate) -> None:
+    driving.drive(VELOCITY, 3)
+    driving.core.trip("key1", 1)
+    driving.step(301 * MS)
+    assert told(driving) == []
+
+
+def test_who_falls_silent_without_end_is_told_of_now_and_then(driving: Gate) -> None:
+    count = 0
+    for _ in range(200):
+        driving.drive(VELOCITY, 2)
+        driving.step(301 * MS)
+        count += len(told(driving))
+    elapsed_s = 200 * (2 * TICK + 301 * MS) / 1e9
+    assert 5 <= count <= 5 + elapsed_s / 10 + 1
