@@ -6,7 +6,9 @@ Write it anew when supervisor/kinds.py changes: a test compares the two.
 
 from __future__ import annotations
 
+import argparse
 import sys
+from pathlib import Path
 
 from failstop.supervisor.kinds import KINDS, Kind
 
@@ -43,21 +45,22 @@ def with_table(page: str) -> str:
     return f"{head}{BEGIN}\n{table()}\n{END}{rest.partition(END)[2]}"
 
 
-def main(words: list[str]) -> int:
+def main(words: list[str] | None = None) -> int:
     """Write the catalog to the file that is named, or to the standard output."""
-    if words and words[0].endswith(".md"):
-        with open(words[0], "r+", encoding="utf-8") as page:
-            made = with_table(page.read())
-            page.seek(0)
-            page.truncate()
-            page.write(made)
-    elif words:
-        with open(words[0], "w", encoding="utf-8") as file:
-            file.write(text())
-    else:
+    parser = argparse.ArgumentParser(prog="python -m failstop.catalog", description=__doc__)
+    parser.add_argument("file", nargs="?", help="the catalog, or a page FILE.md that has the two marks")
+    file = parser.parse_args(words).file
+    if file is None:
         sys.stdout.write(text())
+    elif file.endswith(".md"):
+        page = Path(file).read_text(encoding="utf-8")
+        if BEGIN not in page or END not in page:
+            parser.error(f"{file} has no place for the table: a line {BEGIN!r} and a line {END!r}")
+        Path(file).write_text(with_table(page), encoding="utf-8")
+    else:
+        Path(file).write_text(text(), encoding="utf-8")
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())
