@@ -93,6 +93,24 @@ class RingAndBell:
         os.close(self._silent.fd)
 
 
+class RingAndBellAlone(RingAndBell):
+    """The same for a receiver that has nothing else to wait for, as the peers' receivers have not."""
+
+    def receiver(self) -> Receive:
+        """Block in the bell's read, then take the entry."""
+        reader = segment.attach(self._instance, "gate", 1).ring_reader("frames")
+        fd = self._bell.fd
+        os.set_blocking(fd, True)
+
+        def receive() -> bytes:
+            while True:
+                if entry := reader.next():
+                    return entry[2]
+                os.read(fd, 8)
+
+        return receive
+
+
 class Pipe:
     """The floor: one write, one blocking read."""
 
@@ -300,9 +318,11 @@ def _import(name: str, package: str) -> Any:
 
 
 OURS = "ring + bell"
+OURS_ALONE = "ring + bell, blocked on the bell alone"
 FLOOR = "pipe"
 CHANNELS: dict[str, Callable[[str], Channel]] = {
     OURS: RingAndBell,
+    OURS_ALONE: RingAndBellAlone,
     FLOOR: Pipe,
     "POSIX message queue": PosixQueue,
     "POSIX message queue in failstop's loop": PosixQueueInLoop,
