@@ -57,8 +57,11 @@ GROUPS = {
 
 HEAD = """\
 # Every setting of failstop, with its default, unit and allowed range. Generated: `failstop config --example`.
-# Keep only the lines you change. `failstop config --check FILE` reads a file as `failstop run --config FILE` will.
+# A line that begins with # and no space is a default: take the # away to change it. What stays commented out follows
+# the version that is installed. `failstop config --check FILE` reads a file as `failstop run --config FILE` will.
 """
+ALWAYS_SET = ("device.path",)
+"""Settings that the example sets although they have a default: no two robots need be alike in them."""
 
 # Named tables that nobody has until they write them.
 SAMPLES = (
@@ -76,7 +79,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="the same for programs")
     other = parser.add_mutually_exclusive_group()
     other.add_argument("--check", metavar="FILE", help="only say whether this file is right (exit code 0) or not (1)")
-    other.add_argument("--example", action="store_true", help="a complete TOML file with a comment on every setting")
+    other.add_argument(
+        "--example",
+        action="store_true",
+        help="a TOML file with every setting, its default commented out, and what it means",
+    )
     other.add_argument("--markdown", action="store_true", help="the table of docs/configuration.md")
 
 
@@ -158,30 +165,33 @@ def _json(found: list[tuple[str, float | str, Setting, str]]) -> str:
 
 
 def example() -> str:
-    """A complete configuration, every value its default; what is only a sample is commented out."""
+    """A complete configuration: every default, commented out so that it does not outlive the version it is of; what is
+    only a sample is commented out as well."""
     parts = [HEAD]
     for group, what in GROUPS.items():
         declared = [(key, setting.default) for key, setting in BY_KEY.items() if key.partition(".")[0] == group]
         parts.append(f"\n# {what}\n")
         if declared:
-            parts.append(_toml(group, declared))
+            parts.append(_toml(group, declared, defaults=True))
         if group == "sources":
             # Its timeout is left out: a copy of the command timeout would hide a change of that one.
             priority = f"sources.{FIRST_SOURCE}.priority"
-            parts.append(_toml(f"sources.{FIRST_SOURCE}", [(priority, Settings().flat()[priority])]))
+            parts.append(_toml(f"sources.{FIRST_SOURCE}", [(priority, Settings().flat()[priority])], defaults=True))
         for name in dict.fromkeys(key.split(".")[1] for key, _ in SAMPLES if key.startswith(f"{group}.")):
             prefix = f"{group}.{name}"
-            sample = _toml(prefix, [(key, value) for key, value in SAMPLES if key.startswith(f"{prefix}.")])
+            values = [(key, value) for key, value in SAMPLES if key.startswith(f"{prefix}.")]
+            sample = _toml(prefix, values, defaults=False)
             parts.append(("\n" if group == "sources" else "") + "".join(f"# {line}\n" for line in sample.splitlines()))
     return "".join(parts)
 
 
-def _toml(name: str, values: list[tuple[str, float | str]]) -> str:
+def _toml(name: str, values: list[tuple[str, float | str]], *, defaults: bool) -> str:
     lines = [f"[{name}]"]
     for key, value in values:
         setting = declaration(key)
         lines.append(f"# {setting.doc[0].upper()}{setting.doc[1:]} [{_allowed(setting)}]")
-        lines.append(f"{key.rpartition('.')[2]} = {_literal(setting, value)}")
+        mark = "#" if defaults and key not in ALWAYS_SET else ""
+        lines.append(f"{mark}{key.rpartition('.')[2]} = {_literal(setting, value)}")
     return "\n".join(lines) + "\n"
 
 
@@ -204,7 +214,7 @@ def markdown() -> str:
         "Generated from the declarations: `failstop config --markdown`. One TOML file holds them, in tables named as",
         "the part before the dot; `failstop run --config FILE` reads it once and refuses what is unknown, out of range",
         "or contradictory, naming the key, the value and what is allowed. `failstop config` prints every value with",
-        "its origin, `failstop config --check FILE` checks a file, `failstop config --example` writes a complete one.",
+        "its origin, `failstop config --check FILE` checks a file, `failstop config --example` writes one with every setting in it, commented out.",
     ]
     for group, what in GROUPS.items():
         found = [(setting.key, setting) for setting in DECLARED if setting.key.partition(".")[0] == group]
