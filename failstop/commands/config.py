@@ -214,7 +214,8 @@ def markdown() -> str:
         "Generated from the declarations: `failstop config --markdown`. One TOML file holds them, in tables named as",
         "the part before the dot; `failstop run --config FILE` reads it once and refuses what is unknown, out of range",
         "or contradictory, naming the key, the value and what is allowed. `failstop config` prints every value with",
-        "its origin, `failstop config --check FILE` checks a file, `failstop config --example` writes one with every setting in it, commented out.",
+        "its origin, `failstop config --check FILE` checks a file, `failstop config --example` writes one with every",
+        "setting in it, commented out.",
     ]
     for group, what in GROUPS.items():
         found = [(setting.key, setting) for setting in DECLARED if setting.key.partition(".")[0] == group]
