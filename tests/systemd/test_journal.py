@@ -123,7 +123,7 @@ ANSWERS = [
     {"died", "fenced"},
     {"device_lost", "device_back", "link"},
     {"pad"},
-    {"scan"},
+    {"scan", "driver_gone"},
     {"ready", "stopping", "stopped"},
     {"link", "stop_again"},
 ]
