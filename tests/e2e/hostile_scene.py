@@ -115,4 +115,6 @@ def drives_again(trial: Trial) -> None:
 
     wait_for("a motion enable", enabled)
     trial.drive(0.15)
-    assert trial.moving()
+    if not trial.moving():
+        state = trial.robot.state
+        raise AssertionError(f"blocked: {state.blocked}; last stop: {state.last_stop}\n{trial.service.said()}")
