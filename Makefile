@@ -2,14 +2,18 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+# compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
+EDITABLE := --config-settings editable_mode=compat --editable
 
 .PHONY: demo test lint bench soak chaos model mutants deb clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
 
+# Two at a time: most of them wait. JOBS=0 is one after the other, in one process.
+JOBS ?= 2
 test: $(VENV)/.dev lint
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses $(JOBS) --dist loadfile
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -17,7 +21,7 @@ lint: $(VENV)/.dev
 	$(BIN)/mypy
 
 bench: $(VENV)/.dev
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev,bench]'
+	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,bench]'
 	$(BIN)/python -m bench
 
 soak: $(VENV)/.dev
@@ -47,10 +51,10 @@ $(VENV)/bin/python:
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 	@echo "installing failstop and its dependencies into $(VENV) ..."
-	@$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) .
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 	@echo "installing failstop with its tests' tools into $(VENV) ..."
-	@$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev]'
 	@touch $@ $(VENV)/.installed

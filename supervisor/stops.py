@@ -22,6 +22,8 @@ JUDGED_WITHIN_NS = 500_000_000
 """A judgement older than this is none: the IMU, or who decodes it, is silent."""
 LEAST_NS = 1_000_000
 """The shortest time to rest: 0 means that there was nothing to come to rest."""
+LATE_LOOK_NS = 200_000_000
+"""A first look at the IMU's word this long after the cause (the supervisor was held up) may have missed the shaking."""
 RESOLUTION_S = 0.2
 """The IMU's word of when the wheels came to rest is no better than this."""
 
@@ -42,6 +44,7 @@ class LastStop:
     __slots__ = (
         "_after_ns",
         "_again_ns",
+        "_looked_ns",
         "_proved_ns",
         "_since_ns",
         "_was_still",
@@ -77,6 +80,7 @@ class LastStop:
         self.told = False
         """All that can be known of it was told."""
         self._was_still = True
+        self._looked_ns = 0
         self._after_ns = after_ns
         self._proved_ns = written_ns or cause.t_ns
         self._since_ns = cause.t_ns
@@ -101,15 +105,17 @@ class LastStop:
     def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
         """What the IMU says: since when the wheels are still (0: they shake), judged at `judged_ns` (0: never yet).
         True when they should be still and are not, and again each time they have had as long: stop again."""
+        self._looked_ns = self._looked_ns or now_ns
         if self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
             return False
+        late = self._looked_ns - self.cause.t_ns > LATE_LOOK_NS
         if not still_ns:
             self._was_still = False
             if now_ns >= self._again_ns:
                 self._again_ns = now_ns + self._after_ns
                 self.unstill = True
                 return True
-        elif not self._was_still:
+        elif not self._was_still or (late and still_ns > self.cause.t_ns):
             # A window may begin before the cause: they turned all the same.
             self.observed_ns = max(LEAST_NS, still_ns - self.cause.t_ns)
         elif judged_ns - self.cause.t_ns >= JUDGED_AFTER_NS:

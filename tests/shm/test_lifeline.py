@@ -297,13 +297,14 @@ def test_the_pidfd_alone_is_enough(mutexes: Mutexes) -> None:
     """The early news never comes where the mutex was not held: the late word is there all the same."""
     mutexes.prepare(7)
     news = EarlyNews(mutexes)
+    threads = _thread._count()
     with Child(waiting) as child:
         assert child.receive() == "here"
         life = Lifeline(child.pid)
         news.arm(life, 7, 0)
         os.kill(child.pid, signal.SIGKILL)
         ready = dict(select_poll(life.fd))
-        until(lambda: _thread._count() == 0, "the waiting thread has given up")
+        until(lambda: _thread._count() == threads, "the waiting thread has given up")
         assert life.down(ready)
         assert not life.fallen
         assert life.dead()

@@ -57,6 +57,26 @@ def test_the_judgement_from_before_the_stop_does_not_count() -> None:
     assert "no shaking seen" in last.outcome("alive")
 
 
+def test_a_supervisor_that_was_held_up_takes_the_imu_s_word_for_what_it_missed() -> None:
+    last = stop()
+    assert not last.judged(T0 + 150 * MS, T0 + 700 * MS, T0 + 705 * MS)
+    assert last.as_record()["observed_ms"] == 150.0
+
+
+def test_wheels_that_stood_while_the_supervisor_was_held_up_did_not_shake() -> None:
+    last = stop()
+    last.judged(T0 - 5_000 * MS, T0 + 900 * MS, T0 + 905 * MS)
+    assert last.observed_ns == 0
+
+
+def test_a_verdict_that_only_began_anew_is_no_shaking() -> None:
+    """Telemetry that was restarted judges from its own start on; the supervisor looked all the while."""
+    last = stop()
+    assert not last.judged(T0 - 5_000 * MS, T0 - 10 * MS, T0 + 5 * MS)
+    last.judged(T0 + 200 * MS, T0 + 900 * MS, T0 + 905 * MS)
+    assert last.observed_ns == 0
+
+
 def test_wheels_that_do_not_come_to_rest_are_a_cause_again_and_again() -> None:
     last = stop()
     found = [ms for ms in range(0, 4_000, 20) if last.judged(0, T0 + ms * MS, T0 + ms * MS)]
