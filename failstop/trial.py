@@ -117,13 +117,15 @@ class Service:
 
     def close(self) -> None:
         """End it, whatever state it is in, and take away what it left: a name of its own is used once."""
-        if self.process and self.process.poll() is None:
-            self.end()
-        self._log.close()
-        with contextlib.suppress(segment.AttachError):
-            segment.unlink_all(self.name)
-        for path in instance.places(self.name):
-            shutil.rmtree(path, ignore_errors=True)
+        try:
+            if self.process and self.process.poll() is None:
+                self.end()
+        finally:
+            self._log.close()
+            with contextlib.suppress(segment.AttachError):
+                segment.unlink_all(self.name)
+            for path in instance.places(self.name):
+                shutil.rmtree(path, ignore_errors=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,11 +187,12 @@ class Trial:
         self.close()
 
     def close(self) -> None:
-        """End everything that was started."""
-        self.leave()
-        self.service.close()
-        self.board.close()
-        self._directory.cleanup()
+        """End everything that was started, whichever part of it does not end as it should."""
+        with contextlib.ExitStack() as rest:
+            rest.callback(self._directory.cleanup)
+            rest.callback(self.board.close)
+            rest.callback(self.service.close)
+            self.leave()
 
     @property
     def robot(self) -> Robot:

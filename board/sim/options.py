@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--first-invalid-func", type=int, choices=(10, 11, 12), default=12, help="by firmware (default %(default)s)")
     add("--mode", type=_octal, metavar="OCTAL", help="permissions of the port, 0660 for one (default: the system's)")
     add("--cooked", action="store_true", help="begin in the kernel's terminal mode, echo and all, as a real port does")
-    add("--verbose", action="store_true", help="print every change of the wheel speeds")
+    add("--verbose", action="store_true", help="tell what the wheels do, stop bursts, and how much else came in 10 s")
     add("--until-eof", action="store_true", help="end when standard input is closed")
 
 

@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 SHELLS = ("bash", "zsh", "fish")
 
 EXAMPLES = """\
-source <(failstop completion bash)   # in this shell; in ~/.bashrc: in every one
+source <(failstop completion bash)   # or in ~/.bashrc, for every shell
 failstop completion zsh > ~/.zfunc/_failstop
 failstop completion fish > ~/.config/fish/completions/failstop.fish
 """

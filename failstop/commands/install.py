@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\
 failstop install --dry-run           # only show what would be done
-sudo failstop install                # show it, ask, do it, wait until the service is ready
+sudo failstop install                # show it, ask, do it, wait until ready
 sudo failstop install --device /dev/ttyUSB0 --yes
-sudo failstop install --name front --device /dev/ttyACM1   # another robot: failstop@front.service
-sudo failstop install --root /mnt/image --yes              # into the files of a system that does not run
+sudo failstop install --name front --device /dev/ttyACM1   # one more robot
+sudo failstop install --root /mnt/image --yes   # of a system not running
 """
 
 

@@ -12,7 +12,7 @@ __all__ = ["add_arguments", "main"]
 
 EXAMPLES = """\
 failstop sim --device /tmp/board
-failstop sim --device /tmp/board --verbose      # tells every change of the wheels
+failstop sim --device /tmp/board --verbose   # tells what the wheels do
 failstop sim --device /tmp/board --record board.jsonl --imu-hz 0
 """
 

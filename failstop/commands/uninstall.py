@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\
 failstop uninstall --dry-run            # only show what would be removed
-sudo failstop uninstall                 # stop it, remove it; configuration and logs stay
+sudo failstop uninstall                 # settings and logs stay
 sudo failstop uninstall --purge --yes   # these too
 sudo failstop uninstall --name front    # only this robot's instance
 """

@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
+
+from failstop.shm.instance import DEFAULT_NAME
+
+NAMED = "--device"
+"""The origin of a device that the user named."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +55,8 @@ class Holder:
     """Its systemd service, if it is in one."""
     ours: bool = False
     """One of the processes of the running service of this name."""
+    instance: str = ""
+    """Whose service it belongs to, if it is one of failstop's processes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,6 +112,8 @@ class SharedMemory:
     free: int | None
     needed: int
     leftovers: tuple[Leftover, ...] = ()
+    living: tuple[str, ...] = ()
+    """Names of the services that run."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -238,5 +248,19 @@ class Facts:
     stops: tuple[StopTest, ...] = ()
     stop_skipped: str = ""
     """Why the stop path was not tested."""
+    stop_fix: str = ""
+    """The command by which it would be."""
     stop_wanted: bool = False
-    """It was asked for, or there is no service that it could disturb."""
+    """It was asked for."""
+    commands: tuple[str, str] = ("failstop", "failstop")
+    """How this program is called: from this shell, and by way of sudo."""
+
+
+def again(facts: Facts, *options: str) -> str:
+    """The command that asks the same once more."""
+    words = ["failstop", "doctor", *options]
+    if facts.name != DEFAULT_NAME:
+        words += ["--name", facts.name]
+    if facts.device_origin == NAMED:
+        words += ["--device", facts.device]
+    return shlex.join(words)

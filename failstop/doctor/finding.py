@@ -1,4 +1,4 @@
-"""A finding: what a check has to say, and the command that helps."""
+"""A finding: what a check has to say, and what helps: a command, or what a person is to do."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import dataclasses
 from collections.abc import Iterable
 
 OK = "ok"
+SKIP = "skip"
 WARN = "warn"
 FAIL = "fail"
-LEVELS = (OK, WARN, FAIL)
-"""fail: a stop may be missing or late, or the service can't run; warn: it runs, with less certainty than it could."""
+LEVELS = (OK, SKIP, WARN, FAIL)
+"""fail: a stop may be missing or late, or the service can't run; warn: it runs, with less certainty than it could;
+skip: nobody has looked, or there is nothing here to look at; ok: looked at, and well."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,7 +21,9 @@ class Finding:
     level: str
     text: str
     fix: str = ""
-    """A command, or what a person is to do; empty when there is nothing to do."""
+    """A command that can be pasted into a shell; empty where none helps."""
+    advice: str = ""
+    """What a person is to do, or to know of the command."""
 
 
 def ok(text: str) -> list[Finding]:
@@ -27,14 +31,19 @@ def ok(text: str) -> list[Finding]:
     return [Finding(OK, text)]
 
 
-def warn(text: str, fix: str) -> list[Finding]:
+def skip(text: str, fix: str = "", advice: str = "") -> list[Finding]:
+    """Not known; it may be well or not."""
+    return [Finding(SKIP, text, fix, advice)]
+
+
+def warn(text: str, fix: str = "", advice: str = "") -> list[Finding]:
     """It works, but not as well as it could."""
-    return [Finding(WARN, text, fix)]
+    return [Finding(WARN, text, fix, advice)]
 
 
-def fail(text: str, fix: str) -> list[Finding]:
+def fail(text: str, fix: str = "", advice: str = "") -> list[Finding]:
     """It can't be relied on like this."""
-    return [Finding(FAIL, text, fix)]
+    return [Finding(FAIL, text, fix, advice)]
 
 
 def worst(levels: Iterable[str]) -> str:

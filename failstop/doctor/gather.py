@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 
 from failstop.board.discovery import BOARD_PID, BOARD_VID
-from failstop.doctor import machine_facts, port_facts, service_facts, stop_test, ticks
-from failstop.doctor.facts import Facts, Holder, Node, Service, StopTest, Unit, User
+from failstop.doctor import machine_facts, paste, port_facts, service_facts, stop_test, ticks
+from failstop.doctor.facts import NAMED, Facts, Holder, Node, Service, StopTest, Unit, User
 from failstop.doctor.system import System
 from failstop.errors import FailstopError
 from failstop.shm.instance import DEFAULT_NAME, check_name
@@ -34,7 +34,7 @@ def gather(
     service_user = _service_user(unit)
     ours = {row.pid for row in service.processes} if service else set()
     holders, unseen = port_facts.holders(node.resolved, ours, system) if node else ((), 0)
-    stops, skipped = _stops(name, node, service, holders, named=device is not None, wanted=stop_test_wanted)
+    stops, skipped, stop_fix = _stops(name, node, service, holders, named=device is not None, wanted=stop_test_wanted)
     return Facts(
         name=name,
         device=path,
@@ -61,7 +61,9 @@ def gather(
         ticks=() if quick else ticks.measure(),
         stops=stops,
         stop_skipped=skipped,
-        stop_wanted=stop_test_wanted or service is None,
+        stop_fix=stop_fix,
+        stop_wanted=stop_test_wanted,
+        commands=paste.commands(os.environ),
     )
 
 
@@ -82,7 +84,7 @@ def _settings_or_problem(name: str, path: str | None, system: System) -> tuple[s
 
 def _device(option: str | None, service: Service | None, setting: str, config_path: str | None) -> tuple[str, str]:
     if option:
-        return option, "--device"
+        return option, NAMED
     if service and service.device:
         return service.device, "of the running service"
     return setting, config_path or "the default of device.path"
@@ -94,35 +96,43 @@ def _service_user(unit: Unit | None) -> User | None:
     return port_facts.account(ACCOUNT)
 
 
+_Stops = tuple[tuple[StopTest, ...], str, str]
+"""What was tested; why it was left out; the command by which it would be tested."""
+
+
 def _stops(
     name: str, node: Node | None, service: Service | None, holders: tuple[Holder, ...], *, named: bool, wanted: bool
-) -> tuple[tuple[StopTest, ...], str]:
+) -> _Stops:
     """The self-test where it is safe, else why it was left out."""
     if service:
         return _of_service(name, service, wanted=wanted)
     if node is None or not node.character:
-        return (), "there is no port"
+        return (), "there is no port", ""
     if not node.accessible:
-        return (), "this user may not open the port"
+        return (), "this user may not open the port", ""
     if holders:
-        return (), f"{holders[0].name} (pid {holders[0].pid}) has the port open"
+        return (), f"{holders[0].name} (pid {holders[0].pid}) has the port open", ""
     if not (named or node.pseudo or node.usb_id == BOARD_USB):
-        return (), f"{node.path} may not be the board; --device {node.path} says that it is"
-    return stop_test.by_hand(node.path), ""
+        return (
+            (),
+            f"{node.path} may not be the board, and it is not written to",
+            f"failstop doctor --device {node.path}",
+        )
+    return stop_test.by_hand(node.path), "", ""
 
 
-def _of_service(name: str, service: Service, *, wanted: bool) -> tuple[tuple[StopTest, ...], str]:
+def _of_service(name: str, service: Service, *, wanted: bool) -> _Stops:
     if service.problem:
-        return (), "the running service can't be asked"
-    if not wanted:
-        return (), "the service runs; --stop-test has it stop and latch once, and resets it"
+        return (), "the running service can't be asked", ""
     if service.enabled:
-        return (), f"motion is enabled: failstop disable --name {name}"
+        return (), "motion is enabled", f"failstop disable --name {name}"
     if service.latched:
-        return (), f"a stop is latched already ({service.latched}): failstop reset --name {name}"
+        return (), f"a stop is latched already ({service.latched})", f"failstop reset --name {name}"
+    if not wanted:
+        return (), "the service runs, and would be stopped once and reset", f"failstop doctor --stop-test --name {name}"
     if problem := stop_test.no_right(name):
-        return (), problem
+        return (), problem, f"sudo failstop doctor --stop-test --name {name}"
     try:
-        return stop_test.by_service(name), ""
+        return stop_test.by_service(name), "", ""
     except FailstopError as error:
-        return (StopTest("port owner, by a stop request", False, None, str(error)),), ""
+        return (StopTest("port owner, by a stop request", False, None, str(error)),), "", ""

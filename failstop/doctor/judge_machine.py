@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from failstop.doctor.facts import Facts, Ticks
-from failstop.doctor.finding import Finding, fail, ok, warn
+from failstop.doctor.facts import Facts, Leftover, Ticks, again
+from failstop.doctor.finding import Finding, fail, ok, skip, warn
 
 GOOD_SOURCES = ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page", "xen")
 SLOW_GOVERNORS = ("powersave", "conservative", "ondemand")
@@ -14,7 +14,15 @@ LATE_US = 5_000.0
 ENOUGH_BYTES = 1 << 30
 """Of memory that may be locked: far more than the service's processes map."""
 STEP_S = 0.5
+GOVERNORS = "/sys/devices/system/cpu/cpu*/cpufreq/scaling_governor"
+LIMITS = "/etc/security/limits.d/failstop.conf"
+SHOWN = 3
 MICRO = 1e6
+SET_CLOCK = {
+    True: ("sudo timedatectl set-ntp true", ""),
+    False: ("", "start an NTP client (chrony, ntpd); in a container the host's clock counts"),
+}
+"""By whether systemd runs."""
 
 
 def realtime(facts: Facts) -> list[Finding]:
@@ -26,16 +34,30 @@ def realtime(facts: Facts) -> list[Finding]:
             text = (
                 f"the service runs without real-time priority ({', '.join(without)}): a busy machine delays its stops"
             )
-            return warn(text, "in the unit: LimitRTPRIO=40; from a shell: ulimit -r 40")
+            return warn(text, *_limit(facts, "rtprio 40", "LimitRTPRIO=40"))
         return ok("every process of the service has real-time priority")
     if rights.runtime_us == 0:
         return fail("real-time processes get no time at all", "sudo sysctl kernel.sched_rt_runtime_us=950000")
     if rights.realtime_granted:
         return ok("this user gets real-time priority")
     if rights.nice_capability or rights.realtime_limit:
-        return warn("real-time priority is refused in spite of limit or capability: a container?", "run it on the host")
+        return warn(
+            "real-time priority is refused in spite of limit or capability: a container?", "", "run it on the host"
+        )
     text = "this user gets no real-time priority: a service run by hand delays its stops on a busy machine"
-    return warn(text, f"echo '{facts.user.name} - rtprio 40' | sudo tee -a /etc/security/limits.d/failstop.conf")
+    return warn(text, *_limit(facts, "rtprio 40", "LimitRTPRIO=40"))
+
+
+def _limit(facts: Facts, limit: str, unit_line: str) -> tuple[str, str]:
+    """The command that raises a limit, and what is to be done besides."""
+    if facts.unit and facts.service and facts.unit.main_pid == facts.service.pid:
+        return (
+            "",
+            f"its unit should say {unit_line}, as the one of failstop install does; in a container the host decides",
+        )
+    who = (facts.service.user if facts.service else "") or facts.user.name
+    fix = f"echo '{who} - {limit}' | sudo tee -a {LIMITS}"
+    return fix, "then log in anew, and start the service again; in a container the host decides"
 
 
 def memory_lock(facts: Facts) -> list[Finding]:
@@ -44,15 +66,13 @@ def memory_lock(facts: Facts) -> list[Finding]:
         without = [row.name for row in facts.service.processes if not row.memory_locked]
         if without:
             text = f"the service's memory is not locked ({', '.join(without)}): it may be swapped out, and late"
-            return warn(text, "in the unit: LimitMEMLOCK=infinity; from a shell: ulimit -l unlimited")
+            return warn(text, *_limit(facts, "memlock unlimited", "LimitMEMLOCK=infinity"))
         return ok("the memory of every process of the service is locked")
     limit = facts.rights.memory_limit
     if facts.rights.lock_capability or limit < 0 or limit >= ENOUGH_BYTES:
         return ok("this user may lock memory")
     text = f"this user may lock {limit // 1024} KiB of memory: too little for a service run by hand"
-    return warn(
-        text, f"echo '{facts.user.name} - memlock unlimited' | sudo tee -a /etc/security/limits.d/failstop.conf"
-    )
+    return warn(text, *_limit(facts, "memlock unlimited", "LimitMEMLOCK=infinity"))
 
 
 def clock(facts: Facts) -> list[Finding]:
@@ -60,30 +80,29 @@ def clock(facts: Facts) -> list[Finding]:
     found = facts.clock
     if found.backward_ns:
         text = f"CLOCK_MONOTONIC went back by {found.backward_ns} ns (clocksource {found.source})"
-        return fail(text, "add clocksource=hpet to the kernel's command line, and report the machine")
+        return fail(text, "", "add clocksource=hpet to the kernel's command line, and report the machine")
     if found.resolution_ns > 1000:
-        return fail(
-            f"CLOCK_MONOTONIC has steps of {found.resolution_ns} ns", "use a kernel with high-resolution timers"
-        )
+        text = f"CLOCK_MONOTONIC has steps of {found.resolution_ns} ns"
+        return fail(text, "", "use a kernel with high-resolution timers")
     if found.source not in GOOD_SOURCES:
         better = next((name for name in GOOD_SOURCES if name in found.available), None)
-        fix = f"add clocksource={better} to the kernel's command line" if better else "see dmesg | grep -i clocksource"
-        return warn(f"clocksource {found.source}: reading it is slow", fix)
+        advice = f"add clocksource={better} to the kernel's command line" if better else "the kernel's log says why"
+        fix = "" if better else "sudo dmesg | grep -i clocksource"
+        return warn(f"clocksource {found.source}: reading it is slow", fix, advice)
     return ok(f"monotonic, clocksource {found.source}, {found.resolution_ns} ns")
 
 
 def wall_clock(facts: Facts) -> list[Finding]:
     """Only what people read goes by it."""
     found = facts.clock
-    harmless = "no stop goes by it, but times in journal and evidence would jump"
+    harmless = "no stop goes by it, but the times in journal and evidence would jump"
     if found.synchronized is None:
-        return ok("the kernel does not say whether the wall clock is synchronized; no stop goes by it")
+        return skip("the kernel does not say whether the wall clock is synchronized; no stop goes by it")
     if not found.synchronized:
-        return warn(f"the wall clock is not synchronized and may be stepped: {harmless}", "timedatectl set-ntp true")
+        return warn(f"the wall clock is not synchronized and may be stepped: {harmless}", *SET_CLOCK[facts.systemd])
     if found.offset_s is not None and abs(found.offset_s) >= STEP_S:
-        return warn(
-            f"the wall clock is off by {found.offset_s:.1f} s and may be stepped: {harmless}", "chronyc makestep"
-        )
+        text = f"the wall clock is off by {found.offset_s:.1f} s and may be stepped: {harmless}"
+        return warn(text, "sudo chronyc makestep", "if chrony keeps it; else have the NTP client step it")
     return ok("the wall clock is synchronized")
 
 
@@ -96,7 +115,7 @@ def shared_memory(facts: Facts) -> list[Finding]:
         return fail("this user may not write /dev/shm", "sudo chmod 1777 /dev/shm")
     if found.free is not None and found.free < found.needed and facts.service is None:
         text = f"/dev/shm has {found.free // 1024} KiB free, the service needs {found.needed // 1024}"
-        return fail(text, "sudo mount -o remount,size=64M /dev/shm")
+        return fail(text, "ls -lS /dev/shm | head", "remove what fills it; or: sudo mount -o remount,size=75% /dev/shm")
     return ok(f"/dev/shm has room for the {found.needed // 1024} KiB that the service needs")
 
 
@@ -105,20 +124,32 @@ def leftovers(facts: Facts) -> list[Finding]:
     found = facts.memory.leftovers
     if not found:
         return ok("no shared memory of dead runs")
-    size = sum(left.size for left in found) // 1024
     blocking = [left for left in found if left.instance == facts.name and not left.ours]
     if blocking:
         text = (
             f"shared memory of a dead run of {facts.name!r} belongs to {blocking[0].owner}: no start until it is gone"
         )
-        return fail(text, f"sudo rm /dev/shm/failstop.{facts.name}.*")
-    own = [left for left in found if left.instance == facts.name]
-    if len(own) == len(found):
-        return ok(f"shared memory of a dead run ({size} KiB); the next start removes it")
-    names = sorted({left.instance for left in found} - {facts.name})
-    shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    fix = " ".join(f"/dev/shm/failstop.{name}.*" for name in names[:3])
-    return warn(f"shared memory of dead runs: {shown} ({size} KiB)", f"rm {fix}")
+        return fail(text, "sudo failstop doctor --remove-leftovers")
+    told = [finding for left in found if left.instance == facts.name for finding in _own(left)]
+    others = [left for left in found if left.instance != facts.name]
+    return [*told, *_others(others, facts)] if others else told
+
+
+def _own(left: Leftover) -> list[Finding]:
+    text = f"the last run of {left.instance!r} was killed and left {left.size // 1024} KiB of shared memory"
+    return ok(f"{text}; the next start keeps what it recorded as an incident, and removes it")
+
+
+def _others(found: list[Leftover], facts: Facts) -> list[Finding]:
+    size = sum(left.size for left in found) // 1024
+    names = sorted(left.instance for left in found)
+    shown = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
+    who = "sudo " if any(left.owner != facts.user.name for left in found) else ""
+    return warn(
+        f"shared memory of dead runs of other names: {shown} ({size} KiB)",
+        f"{who}failstop doctor --remove-leftovers",
+        "what they recorded of their end goes with it; a new start of one keeps that",
+    )
 
 
 def cpu(facts: Facts) -> list[Finding]:
@@ -127,8 +158,9 @@ def cpu(facts: Facts) -> list[Finding]:
         return ok(f"{facts.cpu.cores} cores, frequency is not scaled here")
     slow = [governor for governor in facts.cpu.governors if governor in SLOW_GOVERNORS]
     if slow:
-        fix = "sudo cpupower frequency-set -g performance"
-        return warn(f"CPU governor {', '.join(slow)}: the first milliseconds after a wake-up run slowly", fix)
+        fix = f"echo performance | sudo tee {GOVERNORS}"
+        text = f"CPU governor {', '.join(slow)}: the first milliseconds after a wake-up run slowly"
+        return warn(text, fix, "until the next boot; cpupower's service keeps it")
     return ok(f"{facts.cpu.cores} cores, governor {', '.join(facts.cpu.governors)}")
 
 
@@ -145,9 +177,11 @@ def idle(facts: Facts) -> list[Finding]:
 
 def ticks(facts: Facts) -> list[Finding]:
     """How late a process is woken: what the lease can bear, and what is good."""
+    if not facts.ticks:
+        return skip("not measured (--quick)", again(facts))
     found = [finding for row in facts.ticks for finding in _ticks(row, facts)]
-    if facts.ticks and not any(row.realtime for row in facts.ticks):
-        found += ok("real-time priority could not be measured: this user does not get it")
+    if not any(row.realtime for row in facts.ticks):
+        found += skip("real-time priority could not be measured: this user does not get it")
     return found
 
 
@@ -159,8 +193,9 @@ def _ticks(row: Ticks, facts: Facts) -> list[Finding]:
     if row.worst_us >= spare_us:
         text += f"; {spare_us / 1000:.0f} ms and the lease runs out: stops without a cause"
         if row.realtime:
-            return fail(text, "find what holds the cores up: a virtual machine, firmware, a runaway real-time program")
-        return warn(text, "give the service real-time priority, see above")
+            advice = "find what holds the cores up: a virtual machine, firmware, a runaway real-time program"
+            return fail(text, "top -H", advice)
+        return warn(text, "", "give the service real-time priority: see realtime")
     if row.realtime and row.worst_us >= LATE_US:
-        return warn(text, "failstop doctor again on a quiet machine; then a kernel with PREEMPT_RT")
+        return warn(text, again(facts), "once more on a quiet machine; then a kernel with PREEMPT_RT")
     return ok(text)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from failstop.board.discovery import BOARD_PID, BOARD_VID
-from failstop.doctor.facts import Facts, Node, User
-from failstop.doctor.finding import Finding, fail, ok, warn
+from failstop.doctor.facts import NAMED, Facts, Node, User, again
+from failstop.doctor.finding import Finding, fail, ok, skip, warn
 
 BOARD_USB = f"{BOARD_VID:04x}:{BOARD_PID:04x}"
-RELOAD = "sudo udevadm control --reload && sudo udevadm trigger"
-RULE = f"sudo failstop install, or install systemd/failstop.udev and run {RELOAD}"
+RULE = ("sudo failstop install", "it brings a rule for udev that sees to it")
+SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")
 
 
 def present(facts: Facts) -> list[Finding]:
@@ -17,13 +17,15 @@ def present(facts: Facts) -> list[Finding]:
     if node is None:
         there = ", ".join(f"{path} ({what})" for path, what in facts.candidates)
         boards = [path for path, what in facts.candidates if BOARD_USB in what]
-        fix = f"failstop doctor --device {boards[0]}" if boards else "plug the board in"
-        return fail(f"no device {facts.device} ({facts.device_origin}); here there is {there or 'no serial port'}", fix)
+        text = f"no device {facts.device} ({facts.device_origin}); "
+        if boards:
+            fix = f"failstop doctor --device {boards[0]}"
+            return fail(f"{text}here there is {there}", fix, f"then set device.path to {boards[0]}")
+        advice = "plug the board in, and see whether the kernel saw it come"
+        text += f"here there is {there}" if there else "there is no USB serial device at all"
+        return fail(text, "sudo dmesg | tail", advice)
     if not node.character:
-        return fail(
-            f"{facts.device} is no serial port",
-            "failstop doctor --device /dev/serial/by-id/..., then set device.path to that",
-        )
+        return fail(f"{facts.device} is no serial port", *SERIAL_BY_NAME)
     behind = "" if node.resolved == node.path else f", which is {node.resolved}"
     return ok(f"{facts.device}{behind} ({facts.device_origin})")
 
@@ -36,13 +38,13 @@ def identity(facts: Facts) -> list[Finding]:
     if node.pseudo:
         return ok("a pseudo-terminal: a simulated board, or a program between the board and failstop")
     if node.usb_id is None:
-        return warn(
-            f"{node.path} is no USB device; the board's port is one of {BOARD_USB}",
-            f"failstop doctor --device {node.path}, if it is the board",
-        )
+        text = f"{node.path} is no USB device; the board's port is one of {BOARD_USB}"
+        if facts.device_origin == NAMED:
+            return skip(text, "", "the stop path says whether the board is behind it")
+        return warn(text, f"failstop doctor --device {node.path}", "if it is the board: naming it allows the test")
     if node.usb_id != BOARD_USB:
         text = f"{node.path} is USB {node.usb_id} {node.product}; the board is {BOARD_USB}"
-        return fail(text, "failstop doctor --device /dev/serial/by-id/..., then set device.path to that")
+        return fail(text, *SERIAL_BY_NAME)
     return ok(f"USB {node.usb_id} {node.product}, the board's")
 
 
@@ -71,13 +73,23 @@ def permission(facts: Facts) -> list[Finding]:
         elif node.acl:
             found += warn(f"the mode keeps the service's user {who.name} out; the ACL may not", f"getfacl {node.path}")
         else:
-            fix = f"sudo usermod -aG {node.group} {who.name}" if node.mode & 0o060 == 0o060 else RULE
-            found += fail(f"the service's user {who.name} may not open it: {whose}", fix)
+            remedy = _let_in(node, who, "restart the service")
+            found += fail(f"the service's user {who.name} may not open it: {whose}", *remedy)
     if node.accessible:
         return [*found, *ok(f"this user ({facts.user.name}) may open it")]
-    fix = f"sudo usermod -aG {node.group} {facts.user.name}, then log in again"
-    text = f"this user ({facts.user.name}) may not open it: {whose}"
-    return [*found, *(warn(text, fix) if found or facts.service else fail(text, fix))]
+    text = f"this user ({facts.user.name}) may not open it"
+    if facts.service and not facts.service.problem:
+        return [*found, *skip(f"{text}, and need not: the service has it")]
+    return [*found, *(warn if found else fail)(f"{text}: {whose}", *_let_in(node, facts.user, "log in again"))]
+
+
+def _let_in(node: Node, who: User, then: str) -> tuple[str, str]:
+    """How somebody comes to open it; root's group gives more than that."""
+    if node.mode & 0o060 == 0o060 and node.gid:
+        return f"sudo usermod -aG {node.group} {who.name}", f"then {then}"
+    if node.usb_id == BOARD_USB:
+        return RULE
+    return "", "no group may: it takes a rule for udev that gives it the group dialout and the mode 0660"
 
 
 def holders(facts: Facts) -> list[Finding]:
@@ -85,8 +97,11 @@ def holders(facts: Facts) -> list[Finding]:
     if facts.node is None:
         return []
     found = []
+    for name in dict.fromkeys(holder.instance for holder in facts.holders if holder.instance and not holder.ours):
+        text = f"the service {name!r} has the port open, and two services can't share a board"
+        found += fail(text, f"failstop doctor --name {name}", "this one may be meant; or end it")
     for holder in facts.holders:
-        if not holder.ours:
+        if not (holder.ours or holder.instance):
             fix = f"sudo systemctl stop {holder.unit}" if holder.unit else f"sudo kill {holder.pid}"
             text = f"{holder.name} (pid {holder.pid}{f', {holder.unit}' if holder.unit else ''}) has the port open"
             found += fail(f"{text}: what it writes goes past every check of failstop", fix)
@@ -96,7 +111,7 @@ def holders(facts: Facts) -> list[Finding]:
     who = f"only the service has it open ({ours} processes)" if ours else "nobody has it open"
     if facts.unseen_processes:
         text = f"nobody else is seen with it, but {facts.unseen_processes} processes hide their files from this user"
-        return warn(text, "sudo failstop doctor")
+        return warn(text, f"sudo {again(facts)}", "root sees them")
     return ok(who)
 
 
@@ -107,7 +122,7 @@ def grabbers(facts: Facts) -> list[Finding]:
     ignored = facts.node.modem_ignored if facts.node else None
     if "ModemManager" in names and not ignored and not (facts.node and facts.node.pseudo):
         text = "ModemManager runs and is not told to leave the port alone: it opens it and writes to the board"
-        found += fail(text, RULE)
+        found += fail(text, *RULE)
     if "brltty" in names:
         found += warn("brltty runs: it takes serial adapters of 1a86 for itself", "sudo apt purge brltty")
     if found:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from failstop.doctor.facts import Facts
-from failstop.doctor.finding import Finding, fail, ok, warn
+import shlex
+
+from failstop.doctor.facts import Facts, again
+from failstop.doctor.finding import Finding, fail, ok, skip, warn
 from failstop.doctor.service_facts import client_version, unit_name
+from failstop.shm.instance import DEFAULT_NAME
 
 FIRST_REGULAR_UID = 1000
 """logind spares system users (below this, as Debian and Ubuntu count)."""
+LOGIND = "/etc/systemd/logind.conf.d"
+SHOWN = 3
 SLOW_ANSWER_MS = 100.0
 """The burst takes 4 ms on the wire, ping and answer 0.2; a service leaves 50 ms between two pings."""
 
@@ -16,25 +21,43 @@ def running(facts: Facts) -> list[Finding]:
     """The service of this name."""
     service = facts.service
     if service is None:
-        return ok(f"no service named {facts.name!r} runs")
+        return _not_running(facts)
     if service.problem:
         return []
     where = f"{facts.name!r} runs (pid {service.pid}, user {service.user})"
     if service.waiting_for:
         return warn(f"{where} and waits for {service.waiting_for}", f"failstop status --name {facts.name}")
     if service.link == "deaf":
-        return fail(f"{where}, and the board does not answer: use the POWER SWITCH", "cut the motors' power")
+        return fail(f"{where}, and the board does not answer", "", "cut the motors' power with the POWER SWITCH")
     if service.link == "unproven":
-        return warn(f"{where}; the board has not answered a ping yet", "failstop status; is it the right device?")
+        text = f"{where}; the board has not answered a ping yet"
+        return warn(text, f"failstop status --name {facts.name}", "is it the right device?")
     motion = f"stopped: {service.latched}" if service.latched else "enabled" if service.enabled else "disabled"
     return ok(f"{where}, device {service.device_state}, the board answers, motion {motion}")
+
+
+def _not_running(facts: Facts) -> list[Finding]:
+    text = f"no service named {facts.name!r} runs: nothing drives, and nothing would stop wheels that turn"
+    others = [name for name in facts.memory.living if name != facts.name]
+    if others:
+        text += f" (there is {', '.join(others[:SHOWN])}{' and more' if len(others) > SHOWN else ''})"
+    name = unit_name(facts.name)
+    if facts.unit and facts.unit.load == "loaded":
+        if facts.unit.active == "inactive":
+            return warn(text, f"sudo systemctl start {name}")
+        return warn(text, f"journalctl -eu {name}", f"{name} is {facts.unit.active}: see unit")
+    if facts.node is None:
+        return warn(text, "", "first see to the port")
+    name = "" if facts.name == DEFAULT_NAME else f" --name {facts.name}"
+    config = f" --config {shlex.quote(facts.settings_file)}" if facts.settings_file else ""
+    return warn(text, f"failstop run{name}{config} --device {shlex.quote(facts.device)}")
 
 
 def settings(facts: Facts) -> list[Finding]:
     """The settings that a start would read."""
     if facts.settings_problem:
         text = f"{facts.settings_problem}: the service does not start with them"
-        return fail(text, "failstop config --check FILE, after the correction")
+        return fail(text, f"failstop config --check {shlex.quote(facts.settings_file)}", "after the correction")
     return ok(facts.settings_file or "no file: every setting has its default")
 
 
@@ -44,21 +67,28 @@ def version(facts: Facts) -> list[Finding]:
     if service is None:
         return ok(f"this is failstop {client_version()}")
     if service.problem:
-        return fail(service.problem, f"sudo systemctl restart {unit_name(facts.name)}")
+        return fail(service.problem, *_restart(facts))
     if service.version != client_version():
         text = f"the service is {service.version}, this command {client_version()}; they still understand each other"
-        return warn(text, f"sudo systemctl restart {unit_name(facts.name)}")
+        return warn(text, *_restart(facts))
     return ok(f"service and command are failstop {service.version}")
+
+
+def _restart(facts: Facts) -> tuple[str, str]:
+    """The command that ends a service of another version; it stops the wheels."""
+    if facts.unit and facts.unit.active == "active":
+        return f"sudo systemctl restart {facts.unit.name}", "it stops the wheels"
+    return f"sudo kill {facts.service.pid if facts.service else 0}", "it stops the wheels; then start it anew"
 
 
 def unit(facts: Facts) -> list[Finding]:
     """Its systemd unit."""
     if not facts.systemd:
-        return ok("systemd does not run here: nothing restarts a service that died")
+        return skip("systemd does not run here: nobody starts the service at boot or after a death")
     found = facts.unit
     name = unit_name(facts.name)
     if found is None:
-        return warn("systemd does not answer this user", "sudo failstop doctor")
+        return warn("systemd does not answer this user", f"sudo {again(facts)}")
     if found.load == "not-found":
         return warn(f"no unit {name}: nobody starts the service at boot or after a death", "sudo failstop install")
     if found.load != "loaded":
@@ -87,9 +117,8 @@ def remove_ipc(facts: Facts) -> list[Finding]:
     where = f"RemoveIPC is {'on' if found.on else 'off'} ({found.origin or 'the default'})"
     if found.on and who.uid >= FIRST_REGULAR_UID:
         text = f"{where}: the service's shared memory goes when {who.name} logs out"
-        drop_in = "/etc/systemd/logind.conf.d/failstop.conf"
-        fix = f"printf '[Login]\\nRemoveIPC=no\\n' | sudo tee {drop_in}; or run it as the system user failstop"
-        return warn(text, fix)
+        fix = f"sudo mkdir -p {LOGIND} && printf '[Login]\\nRemoveIPC=no\\n' | sudo tee {LOGIND}/failstop.conf"
+        return warn(text, fix, "in force after the next boot; or run it as the system user failstop")
     return ok(f"{where}; it does not concern {who.name}" if found.on else where)
 
 
@@ -98,21 +127,19 @@ def stop_path(facts: Facts) -> list[Finding]:
     found = []
     for test in facts.stops:
         if test.problem:
-            found += fail(
-                f"{test.writer}: {test.problem}",
-                "failstop doctor again, once that is seen to; wheels that turn: the POWER SWITCH",
-            )
+            advice = "once that is seen to; wheels that turn: the POWER SWITCH"
+            found += fail(f"{test.writer}: {test.problem}", again(facts), advice)
         elif not test.written:
-            found += fail(f"{test.writer}: the burst could not be written", "unplug the board and plug it in again")
+            found += fail(f"{test.writer}: the burst could not be written", "", "unplug the board and plug it in again")
         elif test.answered_ms is None:
             text = f"{test.writer}: the burst was written, and the board did not answer the ping behind it"
-            found += fail(text, "is it the board? if so, cut its power and try again")
+            found += fail(text, again(facts), "is it the board? if so, cut its power and try again")
         elif test.answered_ms > SLOW_ANSWER_MS:
             text = f"{test.writer}: acknowledged by the board after {test.answered_ms:.1f} ms, which is late"
-            found += warn(text, "failstop doctor again on a quiet machine")
+            found += warn(text, again(facts), "once more on a quiet machine")
         else:
             found += ok(f"{test.writer}: acknowledged by the board after {test.answered_ms:.1f} ms")
     if facts.stop_skipped:
-        text = f"not tested: {facts.stop_skipped}"
-        found += warn(text, "failstop doctor --stop-test, once that is seen to") if facts.stop_wanted else ok(text)
+        advice = "" if facts.stop_fix else "see to that first"
+        found += (warn if facts.stop_wanted else skip)(f"not tested: {facts.stop_skipped}", facts.stop_fix, advice)
     return found

@@ -8,15 +8,15 @@ import resource
 import struct
 import time
 
-from failstop.doctor.facts import Clock, Cpu, Idle, Leftover, Rights, SharedMemory, User
-from failstop.doctor.system import System, user_name
-from failstop.shm import instance, layout, segment
-from failstop.shm.instance import InstanceError
+from failstop.doctor import leftovers
+from failstop.doctor.facts import Clock, Cpu, Idle, Rights, SharedMemory, User
+from failstop.doctor.leftovers import SHM
+from failstop.doctor.system import System
+from failstop.shm import layout
 
 CAP_IPC_LOCK = 14
 CAP_SYS_NICE = 23
 READINGS = 20_000
-SHM = "/dev/shm"
 STA_UNSYNC = 0x0040
 STA_NANO = 0x2000
 _TIMEX = struct.Struct("=i4xqqqqi")
@@ -97,33 +97,7 @@ def shared_memory(server: User, system: System) -> SharedMemory:
     except OSError:
         return SharedMemory(False, False, None, needed)
     writable = os.access(place, os.W_OK | os.X_OK)
-    return SharedMemory(True, writable, found.f_bavail * found.f_frsize, needed, _leftovers(place, server, system))
-
-
-def _leftovers(place: str, server: User, system: System) -> tuple[Leftover, ...]:
-    files: dict[str, list[os.stat_result]] = {}
-    for name in system.names(SHM):
-        prefix, _, rest = name.partition(".")
-        if prefix == "failstop" and "." in rest:
-            try:
-                files.setdefault(rest.partition(".")[0], []).append(os.stat(os.path.join(place, name)))
-            except OSError:
-                continue
-    return tuple(_leftover(name, stats, server) for name, stats in files.items() if not _lives(name))
-
-
-def _lives(name: str) -> bool:
-    try:
-        instance.find(name)
-    except (instance.NoService, InstanceError):
-        return bool(segment.living_supervisor(name))
-    return True
-
-
-def _leftover(name: str, stats: list[os.stat_result], server: User) -> Leftover:
-    # The sticky bit: only the owner or root removes a name.
-    ours = server.uid in (0, stats[0].st_uid)
-    return Leftover(name, len(stats), sum(found.st_blocks * 512 for found in stats), user_name(stats[0].st_uid), ours)
+    return SharedMemory(True, writable, found.f_bavail * found.f_frsize, needed, *leftovers.look(server, system))
 
 
 def cpu(system: System) -> Cpu:

@@ -12,6 +12,8 @@ from failstop.doctor.system import System
 
 PSEUDO_MAJORS = range(136, 144)
 """Of the pseudo-terminals (the kernel's list of devices)."""
+UNKNOWN = "n/a"
+"""pyserial's description of a port without one."""
 GRABBERS = ("ModemManager", "brltty")
 USB_DEPTH = 6
 """A serial node is so many directories below its USB device at most."""
@@ -117,8 +119,17 @@ def holders(resolved: str, ours: set[int], system: System) -> tuple[tuple[Holder
         except OSError:
             continue
         if any(_target(os.path.join(folder, number)) == resolved for number in numbers):
-            found.append(Holder(pid, system.comm(pid), system.unit(pid), pid in ours))
+            name = _instance(system.read(f"/proc/{pid}/cmdline") or "")
+            found.append(Holder(pid, system.comm(pid), system.unit(pid), pid in ours, name))
     return tuple(found), unseen
+
+
+def _instance(command_line: str) -> str:
+    """The instance that a process of failstop's belongs to, from its arguments; empty for others."""
+    words = command_line.split("\0")
+    if not any(word.endswith("/procs/child.py") for word in words):
+        return ""
+    return next((word.removeprefix("name=") for word in words if word.startswith("name=")), "")
 
 
 def _target(link: str) -> str:
@@ -134,5 +145,5 @@ def grabbers(system: System) -> tuple[Holder, ...]:
 
 
 def candidates() -> tuple[tuple[str, str], ...]:
-    """Serial devices that are there instead."""
-    return tuple(discovery.candidates())
+    """Serial devices that are there instead; those that nothing is known of are the PC's own ports, used or not."""
+    return tuple((path, what) for path, what in discovery.candidates() if what != UNKNOWN)

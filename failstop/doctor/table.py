@@ -6,9 +6,9 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from failstop.doctor import judge_machine, judge_port, judge_service
+from failstop.doctor import judge_machine, judge_port, judge_service, paste
 from failstop.doctor.facts import Facts
-from failstop.doctor.finding import Finding
+from failstop.doctor.finding import LEVELS, Finding
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,8 +44,16 @@ CHECKS = (
 
 
 def examine(facts: Facts) -> list[tuple[str, Finding]]:
-    """Every finding with its check's name, in the table's order."""
-    return [(check.name, finding) for check in CHECKS for finding in check.judge(facts)]
+    """Every finding with its check's name, the most serious first, those of one level in the table's order; commands
+    are such as the user who asks can paste."""
+    shell, sudo = facts.commands
+    root = facts.user.uid == 0
+    found = [
+        (check.name, dataclasses.replace(finding, fix=paste.ready(finding.fix, shell, sudo, root=root)))
+        for check in CHECKS
+        for finding in check.judge(facts)
+    ]
+    return sorted(found, key=lambda row: -LEVELS.index(row[1].level))
 
 
 def as_records(found: list[tuple[str, Finding]]) -> list[dict[str, Any]]:

@@ -18,6 +18,13 @@ UNITS = "/etc/systemd/system"
 SYSUSERS = "/etc/sysusers.d/failstop.conf"
 UDEV = "/etc/udev/rules.d/90-failstop.rules"
 CATALOG = "/usr/local/lib/systemd/catalog/failstop.catalog"
+MANUAL = "/usr/local/share/man/man1/failstop.1"
+COMPLETIONS = {
+    "bash": "/usr/local/share/bash-completion/completions/failstop",
+    "zsh": "/usr/local/share/zsh/site-functions/_failstop",
+    "fish": "/usr/local/share/fish/vendor_completions.d/failstop.fish",
+}
+"""Where each shell looks by itself."""
 COMMAND_LINK = "/usr/local/bin/failstop"
 CONFIGURATION = "/etc/failstop"
 STATE = "/var/lib/failstop"

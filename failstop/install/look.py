@@ -8,8 +8,10 @@ from failstop.install import machine, tree
 from failstop.install.layout import (
     CATALOG,
     COMMAND_LINK,
+    COMPLETIONS,
     MANIFEST,
     MANIFEST_NAME,
+    MANUAL,
     PACKAGE_UNIT,
     PREFIX,
     STATE,
@@ -37,7 +39,7 @@ def look(wish: Wish, units: dict[str, str]) -> Found:
     targets = {target for unit in units.values() for target in wanted_by(unit)}
     wants = [f"{UNITS}/{target}.wants/{unit_of(wish.name)}" for target in targets]
     paths = [f"{UNITS}/{SERVICE}", f"{UNITS}/{TEMPLATE}", SYSUSERS, UDEV, CATALOG, COMMAND_LINK, MANIFEST, *wants]
-    paths += [configuration_of(wish.name), "/etc/passwd", "/etc/group"]
+    paths += [MANUAL, *COMPLETIONS.values(), configuration_of(wish.name), "/etc/passwd", "/etc/group"]
     files, links = {}, {}
     for path in [*paths, PREFIX]:
         if os.path.islink(at(path)):

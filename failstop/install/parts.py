@@ -1,4 +1,5 @@
-"""What this version of failstop brings to a machine: the files of the folder systemd/, and an example configuration."""
+"""What this version of failstop brings to a machine: the files of the folder systemd/, and generated texts: an example
+configuration, the manual, completion for the shells."""
 
 from __future__ import annotations
 
@@ -26,11 +27,16 @@ class Parts:
     catalog: str
     example: str
     """A complete configuration, every value its default."""
+    manual: str
+    """The man page, as roff."""
+    completions: dict[str, str]
+    """The completion script by shell."""
 
 
 def of_this_version() -> Parts:
     """The parts of the running failstop. Raises InstallError when its files are not there."""
-    from failstop.commands import config
+    from failstop.commands import completion, config
+    from failstop.manual import grammar, man
 
     return Parts(
         VERSION,
@@ -39,6 +45,8 @@ def of_this_version() -> Parts:
         _text("failstop.udev"),
         _text("failstop.catalog"),
         config.example(),
+        man.page(grammar.read()),
+        {shell: completion.script(shell) for shell in completion.SHELLS},
     )
 
 

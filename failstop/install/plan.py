@@ -10,8 +10,10 @@ from failstop.install.layout import (
     CATALOG,
     CATALOG_DATABASE,
     COMMAND_LINK,
+    COMPLETIONS,
     DEFAULT_NAME,
     MANIFEST,
+    MANUAL,
     PREFIX,
     SYSUSERS,
     UDEV,
@@ -166,19 +168,22 @@ def _refuse(parts: Parts, wish: Wish, found: Found) -> None:
 
 
 def _files_of() -> tuple[str, ...]:
-    return f"{UNITS}/{SERVICE}", f"{UNITS}/{TEMPLATE}", SYSUSERS, UDEV, CATALOG
+    return f"{UNITS}/{SERVICE}", f"{UNITS}/{TEMPLATE}", SYSUSERS, UDEV, CATALOG, MANUAL, *COMPLETIONS.values()
 
 
 def _files(parts: Parts, wish: Wish) -> dict[str, tuple[bytes, str]]:
     """Content and remark of every file but the configuration."""
     units = [parts.units[name].replace(UNIT_COMMAND, wish.command).encode() for name in (SERVICE, TEMPLATE)]
-    rest = parts.sysusers.encode(), parts.udev.encode(), parts.catalog.encode()
+    shells = [parts.completions[shell] for shell in COMPLETIONS]
+    rest = [text.encode() for text in (parts.sysusers, parts.udev, parts.catalog, parts.manual, *shells)]
     remarks = (
         "the service",
         "services of further robots, failstop@NAME",
         "its user and group",
         "the board's port: a name, its rights, nobody else touches it",
         "explanations for journalctl -x",
+        "the manual, man failstop",
+        *(f"completion for {shell}" for shell in COMPLETIONS),
     )
     return dict(zip(_files_of(), zip((*units, *rest), remarks, strict=True), strict=True))
 

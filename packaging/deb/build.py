@@ -10,7 +10,6 @@ import argparse
 import email.utils
 import gzip
 import hashlib
-import io
 import os
 import re
 import shutil
@@ -18,10 +17,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import redirect_stdout
+from collections.abc import Mapping
 from pathlib import Path
 
-from failstop import cli
 from failstop.install import InstallError, parts, tree
 from failstop.install.layout import PREFIX
 
@@ -29,8 +27,13 @@ HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent.parent
 SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
 CONFIGURATION = "etc/failstop/failstop.toml"
-MAINTAINER = "failstop <root@localhost>"
+NOBODY = "failstop developers <root@localhost>"
 DOC = "usr/share/doc/failstop"
+COMPLETIONS = {
+    "bash": "usr/share/bash-completion/completions/failstop",
+    "zsh": "usr/share/zsh/vendor-completions/_failstop",
+    "fish": "usr/share/fish/vendor_completions.d/failstop.fish",
+}
 
 
 def main() -> int:
@@ -61,8 +64,7 @@ def build(root: Path, out: Path, interpreter: str) -> Path:
     for path, text in files(brought).items():
         _write(root / path, text.encode())
     _write_compressed(root / DOC / "changelog.gz", changelog(brought.version))
-    if (manual := CHECKOUT / "man" / "failstop.1").exists():
-        _write_compressed(root / "usr/share/man/man1/failstop.1.gz", manual.read_text())
+    _write_compressed(root / "usr/share/man/man1/failstop.1.gz", brought.manual)
     (root / "usr/bin").mkdir(parents=True)
     (root / "usr/bin/failstop").symlink_to(f"{PREFIX}/bin/failstop")
     for folder, _, _ in os.walk(root):
@@ -83,25 +85,32 @@ def files(brought: parts.Parts) -> dict[str, str]:
         "usr/lib/sysusers.d/failstop.conf": brought.sysusers,
         "usr/lib/udev/rules.d/90-failstop.rules": brought.udev,
         "usr/lib/systemd/catalog/failstop.catalog": brought.catalog,
-        "usr/share/bash-completion/completions/failstop": completion(),
+        **{path: brought.completions[shell] for shell, path in COMPLETIONS.items()},
         f"{DOC}/copyright": (CHECKOUT / "LICENSE").read_text()
         + f"\nThe packages below {PREFIX} have licences of their own, in their .dist-info directories.\n",
     }
 
 
-def completion() -> str:
-    """The bash completion."""
-    text = io.StringIO()
-    with redirect_stdout(text):
-        if cli.main(["completion", "bash"]):
-            raise InstallError("`failstop completion bash` failed")
-    return text.getvalue()
+def maintainer(environ: Mapping[str, str], folder: Path = CHECKOUT) -> str:
+    """Who answers for this package: DEBFULLNAME and DEBEMAIL, as Debian's tools have it, else git's user, or nobody."""
+    name, mail = environ.get("DEBFULLNAME") or _git("user.name", folder), environ.get("DEBEMAIL")
+    mail = mail or _git("user.email", folder)
+    return f"{name} <{mail}>" if name and mail else NOBODY
+
+
+def _git(key: str, folder: Path) -> str:
+    try:
+        done = subprocess.run(["git", "-C", str(folder), "config", key], capture_output=True, text=True, check=False)
+    except OSError:
+        return ""
+    return done.stdout.strip()
 
 
 def changelog(version: str) -> str:
     """What Debian wants to see of a version."""
+    who = maintainer(os.environ)
     date = email.utils.formatdate(int(os.environ.get("SOURCE_DATE_EPOCH", time.time())))
-    return f"failstop ({version}) unstable; urgency=medium\n\n  * Version {version}.\n\n -- {MAINTAINER}  {date}\n"
+    return f"failstop ({version}) unstable; urgency=medium\n\n  * Version {version}.\n\n -- {who}  {date}\n"
 
 
 def newest_libc(root: Path) -> str:
@@ -122,7 +131,7 @@ def _control(root: Path, version: str, architecture: str, python: str) -> None:
         .format(
             version=version,
             architecture=architecture,
-            maintainer=MAINTAINER,
+            maintainer=maintainer(os.environ),
             installed_kib=sum(path.stat().st_size for path in regular) // 1024 + 1,
             python=python,
             libc=newest_libc(root),

@@ -12,8 +12,11 @@ from typing import Any
 
 import pytest
 
+from failstop import style
 from failstop.board.port import open_port
 from failstop.board.sim.client import SimBoard
+from failstop.commands.doctor import ARROW, screen
+from failstop.doctor.finding import SKIP, WARN, Finding
 from failstop.trial import Trial, wait_for
 
 
@@ -84,7 +87,7 @@ def test_settings_that_no_service_would_start_with(board: SimBoard, name: str, t
     assert "gate.lease_s = 9.0" in found["settings"][0]["text"]
     config.write_text(f'[device]\npath = "{board.link}"\n')
     _, found = doctor("--config", str(config), "--name", name)
-    assert found["settings"][0] == {"check": "settings", "level": "ok", "text": str(config), "fix": ""}
+    assert found["settings"][0] == {"check": "settings", "level": "ok", "text": str(config), "fix": "", "advice": ""}
     assert board.link in found["port"][0]["text"]
 
 
@@ -100,7 +103,7 @@ def test_the_stop_of_a_running_service(name: str) -> None:
         _, found = doctor("--name", name)
         assert found["service"][0]["level"] == "ok"
         assert trial.link in found["port"][0]["text"]
-        assert stop_path(found)[0].startswith("ok: not tested: the service runs")
+        assert stop_path(found)[0].startswith("skip: not tested: the service runs")
         assert found["holders"][0]["level"] == "ok"
         assert trial.robot.state.last_stop is None or "doctor" not in trial.robot.state.last_stop.reason
 
@@ -128,5 +131,23 @@ def test_for_people(board: SimBoard, name: str) -> None:
     command = [sys.executable, "-m", "failstop", "doctor", "--quick", "--device", board.link, "--name", name]
     done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
     assert "ok    stop path" in done.stdout
+    assert f"no service named '{name}' runs" in done.stdout
     assert done.stdout.splitlines()[-1].endswith(" fine")
     assert "\x1b" not in done.stdout
+
+
+def test_at_80_columns_no_word_is_cut_and_every_command_is_whole() -> None:
+    tee = "echo 'anna - memlock unlimited' | sudo tee -a /etc/security/limits.d/failstop.conf"
+    found = [
+        ("memory lock", Finding(WARN, "word " * 40, tee, "advice " * 20)),
+        ("stop path", Finding(SKIP, "short", "failstop doctor")),
+    ]
+    lines = [style.plain(line) for line in screen(found, 80)]
+    assert max(map(len, lines)) <= 80
+    at = next(index for index, line in enumerate(lines) if ARROW in line)
+    pasted = "\n".join(line.replace(ARROW, "") for line in lines[at : at + 2])
+    assert " ".join(pasted.split()) == tee
+    assert pasted.split("\n")[0].endswith("|"), "the shell waits for the rest"
+    assert {word for line in lines for word in line.split()} >= {"word", "advice"}
+    assert lines[-1] == "1 warned, 1 not known"
+    assert len(screen(found)) == 7, "a finding is a line where nobody looks at it"

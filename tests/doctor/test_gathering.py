@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from failstop.doctor import machine_facts, port_facts, service_facts, ticks
+from failstop.doctor import leftovers, machine_facts, port_facts, service_facts, ticks
 from failstop.doctor.facts import Idle, RemoveIpc, Unit
 from failstop.doctor.gather import gather
 from failstop.doctor.system import System
 from failstop.shm import layout, segment
+from failstop.trial import Trial
 
 
 def write(root: Path, path: str, text: str) -> None:
@@ -154,6 +155,23 @@ def test_the_shared_memory_of_a_dead_run(dead_run: str) -> None:
     stranger = port_facts.User("stranger", os.geteuid() + 4711, frozenset())
     found = machine_facts.shared_memory(stranger, System())
     assert not next(row for row in found.leftovers if row.instance == dead_run).ours
+
+
+def test_what_dead_runs_left_is_removed_and_what_lives_is_not(dead_run: str, tmp_path: Path) -> None:
+    """In a copy of the folder: others' runs are left alone."""
+    for file in os.listdir("/dev/shm"):
+        if file.startswith(f"failstop.{dead_run}."):
+            write(tmp_path, f"/dev/shm/{file}", "")
+    write(tmp_path, "/dev/shm/failstop.BAD!.x", "")
+    write(tmp_path, "/dev/shm/other", "")
+    with Trial(f"alive-{os.getpid()}") as trial:
+        write(tmp_path, f"/dev/shm/failstop.{trial.name}.gate", "")
+        _, living = leftovers.look(port_facts.user(os.geteuid()), System())
+        assert trial.name in living
+        removed, left = leftovers.remove(System(str(tmp_path)))
+    assert [row.instance for row in removed] == [dead_run]
+    assert left == []
+    assert sorted(os.listdir(tmp_path / "dev/shm")) == ["failstop.BAD!.x", f"failstop.{trial.name}.gate", "other"]
 
 
 def test_who_has_a_device_open() -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from failstop.doctor import judge_port
-from failstop.doctor.facts import Facts, Holder, Idle, Leftover, RemoveIpc, StopTest, Ticks
-from failstop.doctor.finding import FAIL, LEVELS, OK, WARN, worst
+from failstop.doctor import judge_port, paste
+from failstop.doctor.facts import NAMED, Facts, Holder, Idle, Leftover, RemoveIpc, StopTest, Ticks
+from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, worst
 from failstop.doctor.table import CHECKS, as_records, examine
 from tests.doctor.parts import (
     CLOCK,
@@ -34,20 +37,26 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("port", facts(node=but(NODE, character=False)), FAIL, "no serial port"),
     ("identity", facts(node=but(NODE, usb_id="0403:6001")), FAIL, "0403:6001"),
     ("identity", facts(node=but(NODE, usb_id=None)), WARN, "no USB device"),
+    ("identity", facts(node=but(NODE, usb_id=None), device_origin=NAMED), SKIP, "no USB device"),
     ("permission", facts(service_user=but(SERVER, gids=frozenset({998}))), FAIL, "failstop may not open"),
     ("permission", facts(service_user=but(SERVER, gids=frozenset()), node=but(NODE, acl=True)), WARN, "ACL"),
-    ("permission", facts(node=but(NODE, accessible=False)), WARN, "anna"),
+    ("permission", facts(node=but(NODE, accessible=False)), SKIP, "need not"),
+    ("permission", facts(node=but(NODE, accessible=False), service=None), WARN, "anna"),
     ("permission", facts(node=but(NODE, accessible=False), service_user=None, service=None), FAIL, "anna"),
     ("holders", facts(holders=(Holder(7, "python3"),)), FAIL, "python3 (pid 7)"),
     ("holders", facts(holders=(Holder(7, "driver", "old.service"),)), FAIL, "old.service"),
+    ("holders", facts(holders=(Holder(7, "fs:gate", instance="left"),)), FAIL, "the service 'left' has the port"),
     ("holders", facts(unseen_processes=3), WARN, "3 processes hide"),
     ("grabbers", facts(grabbers=(Holder(9, "ModemManager"),), node=but(NODE, modem_ignored=False)), FAIL, "ModemM"),
     ("grabbers", facts(grabbers=(Holder(9, "ModemManager"),), node=but(NODE, modem_ignored=None)), FAIL, "ModemM"),
     ("grabbers", facts(grabbers=(Holder(9, "brltty"),)), WARN, "brltty"),
     ("settings", facts(settings_problem="gate.lease_s = 9.0: allowed is 0.04 to 1 s"), FAIL, "gate.lease_s = 9.0"),
-    ("service", facts(service=but(SERVICE, link="deaf")), FAIL, "POWER SWITCH"),
+    ("service", facts(service=None), WARN, "no service named 'failstop' runs"),
+    ("service", facts(service=None, unit=None, memory=but(MEMORY, living=("left",))), WARN, "there is left"),
+    ("service", facts(service=but(SERVICE, link="deaf")), FAIL, "does not answer"),
     ("service", facts(service=but(SERVICE, link="unproven")), WARN, "not answered"),
     ("service", facts(service=but(SERVICE, waiting_for="the port")), WARN, "waits for the port"),
+    ("unit", facts(unit=None, systemd=False), SKIP, "systemd does not run"),
     ("version", facts(service=but(SERVICE, problem="is of failstop 0.0.9")), FAIL, "0.0.9"),
     ("version", facts(service=but(SERVICE, version="0.0.9")), WARN, "0.0.9"),
     ("unit", facts(unit=None), WARN, "does not answer"),
@@ -79,6 +88,8 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("RemoveIPC", facts(service_user=but(SERVER, uid=1001)), WARN, "logs out"),
     ("processor", facts(cpu=but(CPU, governors=("performance", "powersave"))), WARN, "powersave"),
     ("idle", facts(cpu=but(CPU, slowest_idle=Idle("C10", 890))), WARN, "C10 takes 890 us"),
+    ("ticks", facts(ticks=()), SKIP, "not measured"),
+    ("wall clock", facts(clock=but(CLOCK, synchronized=None)), SKIP, "does not say"),
     ("ticks", facts(ticks=(Ticks(True, 9, 1.0, 1.0, 41_000.0),)), FAIL, "40 ms and the lease runs out"),
     ("ticks", facts(ticks=(Ticks(True, 9, 1.0, 1.0, 6_000.0),)), WARN, "worst 6000 us"),
     ("ticks", facts(ticks=(Ticks(False, 9, 1.0, 1.0, 41_000.0),)), WARN, "ordinary priority"),
@@ -87,6 +98,7 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("stop path", facts(stops=(StopTest("stop tool", True, 1.0, "stays latched"),)), FAIL, "stays latched"),
     ("stop path", facts(stops=(StopTest("stop tool", True, 180.0),)), WARN, "late"),
     ("stop path", facts(stops=(), stop_skipped="motion is enabled", stop_wanted=True), WARN, "motion is enabled"),
+    ("stop path", facts(stops=(), stop_skipped="the service runs"), SKIP, "not tested: the service runs"),
 )
 
 
@@ -100,7 +112,7 @@ def test_on_a_machine_that_is_well_every_check_says_so() -> None:
 def test_what_is_wrong_is_found(check: str, given: Facts, level: str, says: str) -> None:
     found = [finding for name, finding in examine(given) if name == check and finding.level == level]
     assert any(says in finding.text for finding in found), examine(given)
-    assert all(finding.fix for finding in found), "every one has a remedy"
+    assert all(finding.fix or finding.advice or level == SKIP for finding in found), "every one has a remedy"
     assert all("\n" not in finding.text for finding in found)
 
 
@@ -116,12 +128,11 @@ def test_a_service_that_runs_without_rights_is_judged_and_not_the_person_who_ask
 @pytest.mark.parametrize(
     ("changed", "ignored"),
     [
-        ({"unit": None, "systemd": False, "remove_ipc": None}, ("unit", "RemoveIPC")),
+        ({"remove_ipc": None}, ("RemoveIPC",)),
         ({"remove_ipc": RemoveIpc(False, "/etc/systemd/logind.conf"), "service_user": PERSON}, ("RemoveIPC",)),
         ({"grabbers": (Holder(9, "ModemManager"),)}, ("grabbers",)),
         ({"grabbers": (Holder(9, "ModemManager"),), "node": but(NODE, pseudo=True, modem_ignored=None)}, ("grabbers",)),
         ({"holders": (Holder(101, "fs:port_owner", "failstop.service", ours=True),)}, ("holders",)),
-        ({"stops": (), "stop_skipped": "the service runs"}, ("stop path",)),
         ({"node": but(NODE, pseudo=True, usb_id=None)}, ("identity",)),
         ({"memory": but(MEMORY, leftovers=(Leftover("failstop", 14, 4096, "x", True),))}, ("leftovers",)),
     ],
@@ -147,10 +158,65 @@ def test_who_may_open_a_file(mode: int, uid: int, gid: int, may: bool) -> None:
     assert judge_port.may_open(but(NODE, mode=mode, uid=uid, gid=gid), but(SERVER, uid=0))
 
 
+def fixes(given: Facts) -> dict[str, str]:
+    return {name: finding.fix for name, finding in examine(given) if finding.fix}
+
+
+def test_the_gravest_comes_first() -> None:
+    given = facts(node=None, service=None, ticks=(), clock=but(CLOCK, synchronized=None, source="hpet"))
+    levels = [LEVELS.index(finding.level) for _, finding in examine(given)]
+    assert levels == sorted(levels, reverse=True)
+    assert set(levels) == set(range(len(LEVELS)))
+
+
+def test_who_is_let_into_which_group() -> None:
+    outside = but(PERSON, gids=frozenset())
+    closed = facts(node=but(NODE, accessible=False), service=None, service_user=None, user=outside)
+    assert fixes(closed)["permission"] == "sudo usermod -aG dialout anna"
+    private = but(NODE, accessible=False, mode=0o600, gid=0, group="root")
+    assert fixes(dataclasses.replace(closed, node=private))["permission"] == "sudo failstop install"
+    assert "permission" not in fixes(dataclasses.replace(closed, node=but(private, usb_id=None))), "not root's group"
+
+
+def test_how_a_service_that_does_not_run_is_started() -> None:
+    stopped = but(UNIT, active="inactive", sub="dead", main_pid=0)
+    assert fixes(facts(service=None, unit=stopped))["service"] == "sudo systemctl start failstop.service"
+    assert fixes(facts(service=None, unit=None))["service"] == "failstop run --device /dev/ttyACM0"
+    named = facts(service=None, unit=None, name="left", device="/dev/my board", settings_file="/etc/x.toml")
+    assert fixes(named)["service"] == "failstop run --name left --config /etc/x.toml --device '/dev/my board'"
+    assert "service" not in fixes(facts(service=None, unit=None, node=None)), "first the port"
+
+
+def test_commands_are_such_as_the_user_can_paste() -> None:
+    left = facts(memory=but(MEMORY, leftovers=(Leftover("old", 14, 4096, "anna", True),)))
+    assert fixes(left)["leftovers"] == "failstop doctor --remove-leftovers"
+    others = facts(memory=but(MEMORY, leftovers=(Leftover("old", 14, 4096, "bob", True),)), commands=("fs", "/v/fs"))
+    assert fixes(others)["leftovers"] == "sudo /v/fs doctor --remove-leftovers"
+    root = dataclasses.replace(others, user=but(PERSON, name="root", uid=0))
+    assert fixes(root)["leftovers"] == "fs doctor --remove-leftovers"
+    unit = facts(unit=but(UNIT, needs_reload=True), user=but(PERSON, uid=0), commands=("/v/failstop", "/v/failstop"))
+    assert fixes(unit)["unit"] == "systemctl daemon-reload"
+    stop = "sudo systemctl restart failstop.service"
+    assert paste.ready(stop, "/v/failstop", "/v/failstop", root=False) == stop, "no command of failstop's"
+
+
+def test_how_failstop_is_called(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    own = tmp_path / "bin/failstop"
+    own.parent.mkdir()
+    own.touch(0o755)
+    monkeypatch.setattr(sys, "executable", str(own.with_name("python3")))
+    assert paste.commands({"PATH": str(own.parent)}) == ("failstop", str(own)), "sudo does not know this path"
+    assert paste.commands({"PATH": "/usr/bin"})[0] == str(own)
+    own.unlink()
+    assert paste.commands({"PATH": str(own.parent)})[0] == f"{sys.executable} -m failstop"
+
+
 def test_the_worst_of_all() -> None:
     assert worst([]) == OK
     assert worst([OK, WARN]) == WARN
     assert worst([WARN, FAIL, OK]) == FAIL
     records = as_records(examine(facts(node=None)))
     assert worst(record["level"] for record in records) == FAIL
-    assert all(set(record) == {"check", "level", "text", "fix"} and record["level"] in LEVELS for record in records)
+    assert all(
+        set(record) == {"check", "level", "text", "fix", "advice"} and record["level"] in LEVELS for record in records
+    )

@@ -18,7 +18,18 @@ PASSWD = b"root:x:0:0:root:/root:/bin/sh\nfailstop:x:990:990:the service:/var/li
 GROUP = b"root:x:0:\ndialout:x:20:failstop\nfailstop:x:990:\n"
 EXAMPLE = '# Every setting.\n[device]\n# the board\'s port\npath = "/dev/ttyACM0"\n'
 CATALOG = "-- 5d1bd76d7a4e4b0f9c1f0b3fae1c0e55\nSubject: a stop\nDefined-By: failstop\n\nIt stopped.\n"
-PARTS = Parts("1.0", {"failstop.service": UNIT, "failstop@.service": TEMPLATE}, SYSUSERS, "# udev\n", CATALOG, EXAMPLE)
+MANUAL = ".TH FAILSTOP 1\n"
+SHELLS = {shell: f"# {shell}\n" for shell in ("bash", "zsh", "fish")}
+PARTS = Parts(
+    "1.0",
+    {"failstop.service": UNIT, "failstop@.service": TEMPLATE},
+    SYSUSERS,
+    "# udev\n",
+    CATALOG,
+    EXAMPLE,
+    MANUAL,
+    SHELLS,
+)
 
 
 def environment(version: str = "1.0") -> Environment:

@@ -50,6 +50,10 @@ def test_into_an_empty_directory_and_out_again(tmp_path: Path, capsys: pytest.Ca
         "opt/failstop/lib/module.py",
         "usr/local/bin/failstop",
         "usr/local/lib/systemd/catalog/failstop.catalog",
+        "usr/local/share/bash-completion/completions/failstop",
+        "usr/local/share/fish/vendor_completions.d/failstop.fish",
+        "usr/local/share/man/man1/failstop.1",
+        "usr/local/share/zsh/site-functions/_failstop",
         "var/lib/systemd/catalog/database",
     }
     assert b"failstop:" in found["etc/passwd"][2]

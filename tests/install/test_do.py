@@ -59,6 +59,10 @@ def test_what_is_installed_and_nothing_else(root: Path) -> None:
         "opt/failstop/install.json",
         "opt/failstop/lib/module.py",
         "usr/local/lib/systemd/catalog/failstop.catalog",
+        "usr/local/share/bash-completion/completions/failstop",
+        "usr/local/share/fish/vendor_completions.d/failstop.fish",
+        "usr/local/share/man/man1/failstop.1",
+        "usr/local/share/zsh/site-functions/_failstop",
     }
     assert len([path for path in files if path.endswith(".pyc")]) == 1, "compiled: the service may not write there"
     assert after["opt/failstop/bin/failstop"][1] == 0o755

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from failstop.install import InstallError, parts, tree
+from failstop.install.layout import COMPLETIONS
 from tests.install.scene import SYSUSERS, UNIT, environment
 
 BASE = os.path.realpath(getattr(sys, "_base_executable", sys.executable))
@@ -135,6 +136,9 @@ def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
     assert memberships == [("failstop", "dialout")]
     assert "path = " in found.example
     assert found.catalog.count("Defined-By: failstop") > 3
+    assert ".TH FAILSTOP 1" in found.manual
+    assert set(found.completions) == set(COMPLETIONS)
+    assert all("failstop" in text for text in found.completions.values())
 
 
 def test_units_and_accounts_are_read_as_systemd_reads_them() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import os
 import signal
@@ -15,6 +16,10 @@ from pathlib import Path
 import pytest
 
 from failstop.board.sim.client import SimBoard
+from failstop.commands.prove import _check_free
+from failstop.doctor import port_facts
+from failstop.doctor.system import System
+from failstop.errors import Refused
 from failstop.prove.run import Result, Run
 from failstop.prove.stand import Stand
 from failstop.prove.table import BY_PATH, BY_VELOCITY
@@ -187,6 +192,20 @@ def test_a_service_that_runs_is_left_alone() -> None:
         assert f"has {trial.link} open" in done.stderr
         assert trial.service.ready()
         assert not any(event.is_motion for event in trial.board.events())
+
+
+def test_a_service_on_another_board_does_not_hinder_a_simulated_one(
+    board: SimBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = f"prove-other-{os.getpid()}"
+    with Trial(name):
+        done = prove("--name", name, "--device", board.link, said="no\n")
+        assert (done.returncode, "no consent" in done.stderr) == (2, True), done.stderr
+        # Of a robot's port it is not known whether the service is about to open it under another name.
+        real = dataclasses.replace(port_facts.node(board.link, System()), pseudo=False)  # type: ignore[type-var]
+        monkeypatch.setattr(port_facts, "node", lambda *_: real)
+        with pytest.raises(Refused, match=f"the service '{name}' runs"):
+            _check_free(name, board.link)
 
 
 def test_words_that_are_in_no_table() -> None:

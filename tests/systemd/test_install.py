@@ -16,6 +16,7 @@ import pytest
 from bench.container import Bind, Container, ContainerMissing
 from failstop.board.sim.client import SimBoard
 from failstop.install import InstallError, tree
+from failstop.install.layout import COMPLETIONS, MANUAL
 from failstop.trial import wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,7 +24,11 @@ UNIT = "failstop.service"
 BOARD = "/board/port"
 RUNNING = str(Path(sys.executable).parent / "failstop")
 """The command of the environment that the tests run in, which is there inside too."""
-PLACES = ("/opt", "/etc", "/var/lib/failstop", "/run/failstop", "/usr/local/bin", "/usr/local/lib", "/usr/lib/systemd")
+PLACES = (
+    *("/opt", "/etc", "/var/lib/failstop", "/run/failstop", "/usr/lib/systemd"),
+    *("/usr/local/bin", "/usr/local/lib", "/usr/local/share"),
+    *("/usr/share/bash-completion", "/usr/share/zsh", "/usr/share/fish", "/usr/share/man/man1"),
+)
 INSTALLED = f"{tree.SITE}/failstop/version.py"
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
@@ -125,6 +130,8 @@ def test_installed_ready_driven_and_taken_away(place: Place) -> None:
     assert "nothing to do" in place.failstop("install", "--yes")
     assert "nothing to do" in place.failstop("install", "--yes", command="/opt/failstop/bin/failstop")
     assert "failstop" in place.box.run("journalctl", "--list-catalog").stdout
+    assert completes(place, "/usr/local/share/bash-completion/completions/failstop")
+    assert set(COMPLETIONS.values()) | {MANUAL} <= place.files() - before
     place.board.events()
     with place.driving():
         assert "THE WHEELS STOP" in place.failstop("uninstall", "--yes")
@@ -189,6 +196,13 @@ def test_with_the_environment_that_runs_and_a_second_robot(place: Place) -> None
     place.box.run("rm", "-r", "/srv/failstop")
 
 
+def completes(place: Place, script: str) -> bool:
+    """Whether bash knows with this script what to type after `failstop est`."""
+    words = f". {script}; COMP_WORDS=(failstop est); COMP_CWORD=1; $(complete -p failstop | grep -o '_[a-z]*')"
+    done = place.box.run("bash", "-c", f'{words} failstop est failstop; echo "${{COMPREPLY[@]}}"', check=False)
+    return "estop" in done.stdout.split()
+
+
 def hidden(path: str) -> bool:
     return bool(tree.unreachable(path))
 
@@ -226,6 +240,9 @@ def test_the_package_installed_upgraded_removed_and_purged(place: Place, package
     wait_for("the service to be ready", place.ready)
     assert place.box.show(UNIT, "UnitFileState", "User") == {"UnitFileState": "enabled", "User": "failstop"}
     assert place.box.run("dpkg", "--verify", "failstop").stdout == "", "every file has its checksum"
+    assert completes(place, "/usr/share/bash-completion/completions/failstop")
+    shells = {"/usr/share/zsh/vendor-completions/_failstop", "/usr/share/fish/vendor_completions.d/failstop.fish"}
+    assert shells | {"/usr/share/man/man1/failstop.1.gz"} <= place.files()
     assert "Debian package of failstop is installed here" in place.failstop("install", "--yes", code=1)
     assert "apt remove failstop" in place.failstop("uninstall", "--yes", code=1)
     place.box.path("/etc/failstop/failstop.toml").write_text(f'[device]\npath = "{BOARD}"\n')

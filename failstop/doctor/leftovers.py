@@ -1,0 +1,88 @@
+"""What dead runs left in shared memory: finding it, and removing it without touching what lives."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+
+from failstop.doctor.facts import Leftover, User
+from failstop.doctor.system import System, user_name
+from failstop.shm import claim, instance, segment
+from failstop.shm.instance import InstanceError
+
+SHM = "/dev/shm"
+
+
+def look(server: User, system: System) -> tuple[tuple[Leftover, ...], tuple[str, ...]]:
+    """(what dead runs left, names of the services that run). `server`: who runs the service."""
+    found, living = [], []
+    for name, files in _files(system).items():
+        if _lives(name):
+            living.append(name)
+        elif stats := [stat for stat in map(_stat, files) if stat]:
+            found.append(_leftover(name, stats, server))
+    return tuple(found), tuple(living)
+
+
+def remove(system: System) -> tuple[list[Leftover], list[Leftover]]:
+    """Remove what this user may; returns (removed, left)."""
+    found, _ = look(User("", os.geteuid(), frozenset()), system)
+    removed: list[Leftover] = []
+    left: list[Leftover] = []
+    for leftover in found:
+        (removed if _remove(leftover.instance, system) else left).append(leftover)
+    return removed, left
+
+
+def _remove(name: str, system: System) -> bool:
+    # While its lock is held, no service of this name can start in the middle of this.
+    locks: list[int] = []
+    try:
+        for place in instance.places(name):
+            if os.path.exists(instance.lock_path(place)):
+                locks.append(claim.open_claims(instance.lock_path(place)))
+                if not claim.take(locks[-1], 0):
+                    return False
+        if _lives(name):
+            return False
+        for path in _files(system).get(name, ()):
+            os.unlink(path)
+        return True
+    except (InstanceError, OSError):
+        return False
+    finally:
+        for fd in locks:
+            os.close(fd)
+
+
+def _files(system: System) -> dict[str, list[str]]:
+    """The files of each instance."""
+    found: dict[str, list[str]] = {}
+    for file in system.names(SHM):
+        prefix, _, rest = file.partition(".")
+        name, dot, _ = rest.partition(".")
+        with contextlib.suppress(InstanceError):
+            if prefix == "failstop" and dot:
+                found.setdefault(instance.check_name(name), []).append(system.path(f"{SHM}/{file}"))
+    return found
+
+
+def _stat(path: str) -> os.stat_result | None:
+    try:
+        return os.stat(path)
+    except OSError:
+        return None
+
+
+def _lives(name: str) -> bool:
+    try:
+        instance.find(name)
+    except instance.NoService:
+        return bool(segment.living_supervisor(name))
+    return True
+
+
+def _leftover(name: str, stats: list[os.stat_result], server: User) -> Leftover:
+    # The sticky bit: only the owner or root removes a name.
+    ours = server.uid in (0, stats[0].st_uid)
+    return Leftover(name, len(stats), sum(found.st_blocks * 512 for found in stats), user_name(stats[0].st_uid), ours)
