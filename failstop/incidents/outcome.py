@@ -39,6 +39,16 @@ def known(record: bytes | None, events: list[bytes], epoch: int, reason: str) ->
     return dict.fromkeys(LEVELS) | {"wheels": "unknown"} | found
 
 
+def asked(reason: str) -> tuple[str, str, str]:
+    """(what was said, by whom, its pid) of a stop that a program or a person asked for, whose reason ends in
+    `(WHO, pid N)`; of another one the reason and two empty texts."""
+    text, opened, end = reason.rpartition(" (")
+    who, comma, pid = end.removesuffix(")").rpartition(", pid ")
+    if opened and comma and end.endswith(")") and pid.isdigit():
+        return text, who, pid
+    return reason, "", ""
+
+
 def _same(found: dict[str, Any], reason: str) -> bool:
     return printable(str(found.get("reason"))) == reason
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 from collections.abc import Callable
-from itertools import groupby
-from math import nan
+from math import inf, nan
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
-from failstop.incidents import report, signals
+from failstop.incidents import report, shades, signals
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Event, Incident
+from failstop.incidents.palette import ALARM, BEATS, BLUE, FAINT, GREEN, INK, ORANGE, PAPER, PURPLE, STYLE
 from failstop.shm import layout
 from failstop.supervisor.settings import SettingError, Settings
 
@@ -22,18 +24,19 @@ FORMATS = (".png", ".svg", ".pdf")
 NEEDS = "a plot needs matplotlib: pip install 'failstop[plots]'"
 ZOOM_MS = (-60.0, 140.0)
 """A tick of 20 ms is to be seen, and the burst's repeats at 20 and 100 ms."""
+LEAST_NS = 200_000_000
+"""So much before the cause is in the picture, and after it, even of next to nothing."""
 MOST_EVENTS = 12
 PANELS_IN = 9.6
 EVENT_IN = 0.19
 """Inches of the picture's height: all but the events, and a line of these."""
 HEAD_IN = 1.28
-FOOT_IN = 0.72
+FOOT_IN = 1.15
+LOWEST_IN = 0.2
+"""The middle of the last event's line."""
 HEIGHTS = (2.2, 1.9, 1.5, 2.9)
 WIDTHS = (1.9, 1.0)
 
-INK, FAINT, GRID, PAPER = "#1b1f24", "#6b7480", "#e3e7ec", "#ffffff"
-ALARM = "#c62828"
-BLUE, ORANGE, GREEN, PURPLE = "#0b6fb8", "#d9822b", "#1a936f", "#8e5ea2"
 WHEELS = (
     (BLUE, 4.5, 0.3),
     (BLUE, 1.4, 1.0),
@@ -41,13 +44,13 @@ WHEELS = (
     (ORANGE, 1.4, 1.0),
 )
 """As signals.WHEELS: colour, width and opacity: the wheels of one side often turn alike, and both are to be seen."""
+Row = tuple[int, tuple[float, float, float], tuple[float, float, float]]
+NOTHING = (nan, nan, nan)
 AXES = (("vx", BLUE), ("vy", ORANGE), ("wz", GREEN))
-SHADES = {"estop": "#fdeaea", "disabled": "#f1f3f5", "cmd timeout": "#fff6df", "no scan": "#fff6df"}
-"""Behind the curves while the gate blocks; white: the wheels may turn."""
 
 
 def save(incident: Incident, path: str, seconds: float) -> None:
-    """Write the picture, from `seconds` before the cause to the end. Raises IncidentError."""
+    """Write the picture, from `seconds` before the cause to the end, whole or not at all. Raises IncidentError."""
     if not path.lower().endswith(FORMATS):
         raise IncidentError(f"{path}: a picture's name ends in {', '.join(FORMATS)}")
     try:
@@ -55,41 +58,19 @@ def save(incident: Incident, path: str, seconds: float) -> None:
         from matplotlib.figure import Figure
     except ImportError:
         raise IncidentError(NEEDS) from None
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         events = _chosen(incident, seconds)
         figure = Figure(figsize=(13, PANELS_IN + EVENT_IN * len(events)), dpi=130, facecolor=PAPER)
         _draw(figure, incident, seconds, events)
+        draft = f"{path}.part"
         try:
-            figure.savefig(path)
+            figure.savefig(draft, format=path.rpartition(".")[2].lower())
+            os.replace(draft, path)
         except OSError as error:
             raise IncidentError(f"{path} can't be written: {error.strerror}") from None
-
-
-_STYLE: Any = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "text.parse_math": False,
-    "text.color": INK,
-    "axes.edgecolor": "#b8c0c8",
-    "axes.labelcolor": FAINT,
-    "axes.linewidth": 0.8,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 10,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "grid.color": GRID,
-    "grid.linewidth": 0.7,
-    "xtick.color": FAINT,
-    "ytick.color": FAINT,
-    "xtick.major.size": 0,
-    "ytick.major.size": 0,
-    "lines.linewidth": 1.7,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-}
+        finally:
+            with contextlib.suppress(OSError):
+                os.unlink(draft)
 
 
 class Panel:
@@ -112,35 +93,40 @@ def _draw(figure: Figure, incident: Incident, seconds: float, events: list[Event
         len(HEIGHTS), 2, height_ratios=HEIGHTS, width_ratios=WIDTHS, left=0.09, right=0.975, hspace=0.28, wspace=0.09
     )
     grid.update(top=1 - HEAD_IN / height_in, bottom=(FOOT_IN + EVENT_IN * len(events)) / height_in)
-    end_ms = incident.ms(incident.span_ns()[1])
+    begin_ns, end_ns = incident.span_ns()
+    end_ms = incident.ms(end_ns)
+    since_ns = max(min(begin_ns, incident.cause_ns - LEAST_NS), incident.cause_ns - round(seconds * 1e9))
     drawers: tuple[Callable[[Panel, Incident], None], ...] = (_velocity, _wheels, _vibration, _lanes)
     for row, draw in enumerate(drawers):
         whole = figure.add_subplot(grid[row, 0])
         zoom = figure.add_subplot(grid[row, 1])
         for panel in (
-            Panel(whole, 1e-3, -seconds, max(end_ms, 200.0) / 1e3, zoomed=False),
+            Panel(whole, 1e-3, incident.ms(since_ns) / 1e3, max(end_ms, 200.0) / 1e3, zoomed=False),
             Panel(zoom, 1.0, *ZOOM_MS, zoomed=True),
         ):
             _background(panel, incident)
             draw(panel, incident)
             _mark_events(panel, incident, events, numbered=row == 0)
-            if row == 0:
-                _name_shades(panel, incident)
             last = row == len(drawers) - 1
             panel.axes.tick_params(labelbottom=last)
             if last:
                 panel.axes.set_xlabel("ms from the cause" if panel.zoomed else "s from the cause")
         zoom.set_ylim(whole.get_ylim())
+        if row == 0:
+            zoom.set_title("Close up", color=FAINT)
         zoom.tick_params(labelleft=False)
     _title(figure, incident)
+    shades.legend(figure, incident, since_ns, (FOOT_IN - 0.85 + LOWEST_IN + EVENT_IN * len(events)) / height_in)
     _list_events(figure, incident, events)
 
 
 def _title(figure: Figure, incident: Incident) -> None:
     head = incident.head
+    proof = report.proof(report.known(incident), head)
+    reason = shorten(incident.reason, 130) or "?"
     inch = 1 / figure.get_figheight()
-    figure.text(0.03, 1 - 0.45 * inch, shorten(incident.reason, 90), fontsize=19, fontweight="bold", color=ALARM)
-    figure.text(0.03, 1 - 0.7 * inch, f"stop {report.proof(head['stop'])}", fontsize=11)
+    figure.text(0.03, 1 - 0.45 * inch, reason, fontsize=min(19, 1300 / len(reason)), fontweight="bold", color=ALARM)
+    figure.text(0.03, 1 - 0.7 * inch, proof[0].upper() + proof[1:], fontsize=11)
     where = (
         f"{report.when(head['t'])}   {head['host']}   service {head['name']}   failstop {head['versions']['failstop']}"
     )
@@ -150,59 +136,68 @@ def _title(figure: Figure, incident: Incident) -> None:
 
 def _background(panel: Panel, incident: Incident) -> None:
     """What the gate said, as shades, and the cause as a line."""
-    for block, begin_ns, end_ns in _blocked(incident):
-        begin, end = (panel.x(incident.ms(ns)) for ns in (begin_ns, end_ns))
-        panel.axes.axvspan(begin, end, color=SHADES[block], linewidth=0, zorder=0)
+    shades.draw(panel.axes, incident, panel.per_ms)
     panel.axes.axvline(0, color=ALARM, linewidth=1.4, zorder=5)
 
 
-def _blocked(incident: Incident) -> list[tuple[str, int, int]]:
-    """Each time that the gate blocked: why, from when, until when."""
-    found = []
-    ticks = incident.ticks
-    for block, run in groupby(enumerate(ticks), lambda numbered: numbered[1].block):
-        numbers = [number for number, _ in run]
-        if block in SHADES:
-            after = ticks[min(numbers[-1] + 1, len(ticks) - 1)]
-            found.append((block, ticks[numbers[0]].ns, after.ns))
-    return found
-
-
-def _name_shades(panel: Panel, incident: Incident) -> None:
-    """Why the gate blocked, in the shade itself where that is wide enough."""
-    first, last = panel.axes.get_xlim()
-    for block, begin_ns, end_ns in _blocked(incident):
-        begin, end = max(first, panel.x(incident.ms(begin_ns))), min(last, panel.x(incident.ms(end_ns)))
-        if end - begin > (last - first) * 0.12:
-            panel.axes.annotate(
-                block, ((begin + end) / 2, 0), xycoords=("data", "axes fraction"), xytext=(0, 4),
-                textcoords="offset points", ha="center", va="bottom", fontsize=8, color=FAINT, style="italic",
-            )  # fmt: skip
-
-
 def _velocity(panel: Panel, incident: Incident) -> None:
-    axes, ticks = panel.axes, incident.ticks
-    at = [panel.x(incident.ms(tick.ns)) for tick in ticks]
+    """What was commanded and what the gate made of it; nothing where the gate was silent."""
+    axes = panel.axes
     limits = _limits(incident)
+    silent = [(begin_ns, end_ns) for what, begin_ns, end_ns in shades.spans(incident) if what == shades.SILENT]
+    holds_us = _holds_us(incident)
+    rows: list[Row] = []
+    for tick in incident.ticks:
+        holds = tick.age_us is not None and tick.age_us <= holds_us
+        rows.append((tick.ns, tick.command if holds else NOTHING, tick.velocity))
+    rows += [(begin_ns + 1, NOTHING, NOTHING) for begin_ns, _ in silent]
+    rows.sort(key=lambda row: row[0])
+    at = [panel.x(incident.ms(ns)) for ns, _, _ in rows]
+    shown: list[float] = []
+    lines: list[tuple[float, str, str]] = []
     for index, (name, color) in enumerate(AXES):
         unit = "rad/s" if name == "wz" else "m/s"
-        gated = [tick.velocity[index] for tick in ticks]
-        asked = [nan if tick.age_us is None else tick.command[index] for tick in ticks]
-        if not (any(gated) or any(value == value and value for value in asked)):
+        limit = limits.get(name, inf)
+        asked, gated = [row[1][index] for row in rows], [row[2][index] for row in rows]
+        moved = [value for value in (*asked, *gated) if value and value == value]
+        if not moved:
             continue
         axes.plot(at, asked, color=color, alpha=0.45, linewidth=1.1, linestyle=(0, (3, 1.5)), drawstyle="steps-post")
         axes.plot(at, gated, color=color, drawstyle="steps-post", label=f"{name} ({unit})")
-        if limit := limits.get(name):
-            _limit(axes, limit, color)
-            _limit(axes, -limit, color)
-    axes.margins(y=0.15)
+        # A command far beyond its limit must not squash what the wheels did.
+        shown += [max(-limit * 1.3, min(limit * 1.3, value)) for value in moved]
+        lines += [(sign * limit, f"limit {sign * limit:g} {unit}", color) for sign in (1, -1) if limit < inf]
+    _scale(axes, shown, lines, least=0.1)
     if not panel.zoomed:
-        axes.set_title("Velocity (dashed: commanded, dotted: limits)", color=INK)
+        axes.set_title("Velocity (dashed: commanded)", color=INK)
         _legend(axes)
 
 
-def _limit(axes: Axes, value: float, color: str) -> None:
-    axes.axhline(value, color=color, linewidth=0.9, linestyle=":", alpha=0.7, zorder=1)
+def _holds_us(incident: Incident) -> float:
+    """How long a command may hold, whoever sends it."""
+    times = [
+        float(value)
+        for key, value in incident.settings.items()
+        if key == "gate.command_timeout_s" or (key.startswith("sources.") and key.endswith(".timeout_s"))
+    ]
+    return max(times, default=0.3) * 1e6
+
+
+def _scale(axes: Axes, shown: list[float], limits: list[tuple[float, str, str]], least: float) -> None:
+    """Limits of the y axis: by the values, and by those limits (value, words, colour) that are not far off."""
+    high = max([least, *(value for value in shown if abs(value) < inf)])
+    low = min([0.0, *(value for value in shown if abs(value) < inf)])
+    near = [limit for limit in limits if low * 2 <= limit[0] <= high * 2]
+    values = [high, low, *(value for value, _, _ in near)]
+    margin = (max(values) - min(values)) * 0.16
+    # Above the curves is the place of the events' numbers.
+    axes.set_ylim(min(values) - margin, max(values) + margin * 1.6)
+    for value, words, color in near:
+        axes.axhline(value, color=color, linewidth=0.9, linestyle=":", alpha=0.8, zorder=1)
+        axes.annotate(
+            words, (0, value), xycoords=("axes fraction", "data"), xytext=(4, 2), textcoords="offset points",
+            fontsize=7.5, color=color, annotation_clip=True,
+        )  # fmt: skip
 
 
 def _limits(incident: Incident) -> dict[str, float]:
@@ -231,34 +226,36 @@ def _wheels(panel: Panel, incident: Incident) -> None:
             at, [speeds[wire_id] for _, speeds in frames], color=color, drawstyle="steps-post", label=name, alpha=alpha,
             linewidth=width, solid_joinstyle="miter",
         )  # fmt: skip
-    try:
-        most = Settings.from_lines(
-            "\n".join(f"{key}={value}" for key, value in incident.settings.items())
-        ).max_wheel_rps()
-    except (SettingError, ValueError):
-        most = 0.0
-    if most:
-        _limit(axes, most, FAINT)
-        _limit(axes, -most, FAINT)
-    axes.margins(y=0.15)
+    most = _most_rps(incident)
+    values = [speed for _, speeds in frames for speed in speeds]
+    _scale(axes, values, [(sign * most, f"limit {sign * most:.2f}", FAINT) for sign in (1, -1) if most], least=0.2)
     if not panel.zoomed:
         axes.set_title("Wheel speeds written to the board (rps)", color=INK)
         _legend(axes, columns=4)
 
 
+def _most_rps(incident: Incident) -> float:
+    """What the port owner lets through; 0: not known."""
+    lines = "\n".join(f"{key}={value}" for key, value in incident.settings.items())
+    try:
+        return Settings.from_lines(lines).max_wheel_rps()
+    except (SettingError, ValueError):
+        return 0.0
+
+
 def _vibration(panel: Panel, incident: Incident) -> None:
     axes = panel.axes
-    at, values = signals.vibration(incident)
+    at, values = signals.broken(*signals.vibration(incident))
     limit = float(incident.settings.get("still.std_radps", "0.0035")) * 1e3
     values = values * 1e3
     axes.plot(panel.x(at), values, color=INK, linewidth=1.4)
     axes.fill_between(panel.x(at), values, limit, where=values > limit, color=ORANGE, alpha=0.3, linewidth=0)
     axes.axhline(limit, color=GREEN, linewidth=1.2, linestyle="--")
-    axes.set_ylim(bottom=0, top=max([limit * 1.6, *(values * 1.15)]))
+    axes.set_ylim(bottom=0, top=max([limit * 1.6, *(value * 1.15 for value in values if value == value)]))
     if not panel.zoomed:
         axes.text(
-            0.992, limit, f"still below {limit:g}", color=GREEN, fontsize=8, va="bottom", ha="right",
-            transform=axes.get_yaxis_transform(), bbox={"facecolor": PAPER, "alpha": 0.7, "pad": 1, "linewidth": 0},
+            0.006, limit, f"still below {limit:g}", color=GREEN, fontsize=8, va="bottom", ha="left",
+            transform=axes.get_yaxis_transform(),
         )  # fmt: skip
         axes.set_title("Vibration: gyro std over 0.5 s (mrad/s); orange: the wheels turn", color=INK)
 
@@ -286,7 +283,7 @@ def _lanes(panel: Panel, incident: Incident) -> None:
         silent[silence.process].append((begin, end - begin))
     for y, process in enumerate(layout.PROCESSES, len(rows)):
         begin, end = _lifetime(incident, process)
-        axes.broken_barh([(panel.x(begin), panel.x(end - begin))], (y - 0.22, 0.44), color="#a9d5c3", linewidth=0)
+        axes.broken_barh([(panel.x(begin), panel.x(end - begin))], (y - 0.22, 0.44), color=BEATS, linewidth=0)
         axes.broken_barh(silent[process], (y - 0.32, 0.64), color=ALARM, linewidth=0)
         deaths = [
             incident.ms(event.ns)
@@ -352,7 +349,7 @@ def _mark_events(panel: Panel, incident: Incident, events: list[Event], *, numbe
 def _list_events(figure: Figure, incident: Incident, events: list[Event]) -> None:
     inch = 1 / figure.get_figheight()
     for number, event in enumerate(events, 1):
-        y = (0.12 + EVENT_IN * (len(events) - number)) * inch
+        y = (LOWEST_IN + EVENT_IN * (len(events) - number)) * inch
         color = ALARM if event.kind in ("stop", "died", "fenced") or event.level == "critical" else INK
         figure.text(0.03, y, f"{number}", fontsize=8.5, color=FAINT, ha="right", va="center")
         figure.text(0.098, y, f"{incident.ms(event.ns):+.1f} ms", fontsize=8.5, color=FAINT, ha="right", va="center")

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import textwrap
 import time
-from textwrap import wrap
 from typing import Any
 
-from failstop.incidents import story
+from failstop.incidents import brief, outcome, signals, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE, Line
 from failstop.shm.records import printable
-from failstop.style import DIM, FAIL, STRONG, WARN, paint
+from failstop.style import DIM, FAIL, STRONG, WARN, cut, paint
 from failstop.supervisor.settings import BY_KEY, declaration
 from failstop.supervisor.stops import wheels_seen
 
@@ -18,6 +18,17 @@ NARROWEST = 60
 LABEL = 10
 LEAD = 2 + 10 + 2 + LABEL + 2
 """Columns in front of a line's text: indent, time, gap, label, gap."""
+INDENT = 16
+"""Columns in front of a fact."""
+Fact = tuple[str, str, str]
+"""Its name, what it says, and its role."""
+UNSTILL = "wheels NOT seen still"
+DRIVER_ENDS = ("driver_silent", "driver_gone")
+TICK_NS = 100_000_000
+"""The gate's decision and its word on it belong together when they are no further apart."""
+LEAST_MS = 1.0
+LATE_S = 0.1
+"""A stop that is written later than this is worth a look."""
 ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL, "command": ""}
 SHORT = {
     "stop_outcome": "outcome",
@@ -25,23 +36,28 @@ SHORT = {
     "stop_also": "also",
     "device_lost": "device",
     "device_back": "device",
+    "driver_gone": "driver",
+    "driver_silent": "driver",
 }
 
 
-def proof(stop: dict[str, Any] | None) -> str:
-    """How the stop was proven, the three levels in a few words."""
+NOT_KNOWN = "not known"
+
+
+def proof(stop: dict[str, Any] | None, head: dict[str, Any]) -> str:
+    """How the stop was proven, the three levels in a few words; `head` tells how long after it the file was saved."""
     if stop is None:
-        return "not known"
-    by = stop.get("written_by")
-    parts = ["NOT written"]
+        return "not known whether a stop was written"
+    parts = [f"NOT written within {duration(max(0.0, head['saved'] - head['t']))}"]
     if stop.get("written_us") is not None:
-        parts = [f"written {f'by the {by} ' if by else ''}after {duration(stop['written_us'] / 1e6)}"]
+        parts = [f"written after {duration(stop['written_us'] / 1e6)}"]
     if (heard_us := stop.get("acknowledged_us")) is not None:
         parts.append(f"acknowledged after {duration(heard_us / 1e6)}")
     if (seen_ms := stop.get("observed_ms")) is not None:
-        parts.append(wheels_seen(seen_ms / 1e3))
+        # Without a word that would not fit a line of 80 columns.
+        parts.append(wheels_seen(seen_ms / 1e3).removeprefix("wheels "))
     elif stop.get("wheels") == "unstill":
-        parts.append("wheels NOT seen still")
+        parts.append(UNSTILL)
     return ", ".join(parts)
 
 
@@ -59,26 +75,50 @@ def when(unix_s: float) -> str:
     return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(unix_s))
 
 
+def ago(seconds: float) -> str:
+    """How long ago, roughly; empty for what is to come."""
+    for unit, length in (("days", 86400), ("h", 3600), ("min", 60), ("s", 1)):
+        if seconds >= 2 * length or (unit == "s" and seconds >= 0):
+            return f", {seconds / length:.0f} {unit} ago"
+    return ""
+
+
 def table(heads: list[dict[str, Any]], columns: int) -> list[str]:
-    """The list of incidents, the newest last: id, when, why, and how the stop was proven, below each other where both
-    do not fit."""
+    """The list of incidents, the newest last: id, when, why, and how the stop was proven, below each other."""
     lines = []
     for head in heads:
-        lines.append(f"{paint(head['id'], STRONG)}")
-        lines += wrap(
-            f"{when(head['t'])}  {printable(head['reason'])}", columns, initial_indent="  ", subsequent_indent="  "
-        )
-        said = wrap(f"stop {proof(head['stop'])}", columns, initial_indent="  ", subsequent_indent="  ")
-        lines += [paint(line, DIM) for line in said]
+        lines.append(paint(head["id"], STRONG))
+        lines += wrap(f"{when(head['t'])}  {printable(head['reason'])}", columns, 2)
+        said = proof(head["stop"], head)
+        role = FAIL if "NOT " in said else DIM
+        lines += [paint(line, role) for line in wrap(said, columns, 2)]
     return lines
 
 
-def text(incident: Incident, columns: int, since_ns: int) -> list[str]:
+def summary(incident: Incident, columns: int, since_ns: int, now_s: float, again: str = "") -> list[str]:
+    """What matters, without scrolling: the facts, and the lines of the story that led to the stop and came of it;
+    `again`: the words that name the incident on a command line."""
+    columns = max(columns, NARROWEST)
+    lines = brief.choose(incident, story.tell(incident), since_ns)
+    return [
+        *_head(incident, columns, now_s),
+        "",
+        paint("Story", STRONG) + ", milliseconds from the cause",
+        *(row for line in lines for row in _row(incident, line, columns, short=True)),
+        *(
+            paint(row, DIM)
+            for row in wrap(f"--all tells the rest; a picture: `failstop incident plot{again}`", columns)
+        ),
+    ]
+
+
+def text(incident: Incident, columns: int, since_ns: int, now_s: float) -> list[str]:
     """The whole report."""
     columns = max(columns, NARROWEST)
     lines = story.tell(incident)
     return [
-        *_head(incident, columns),
+        *_head(incident, columns, now_s),
+        *_facts(_about(incident), columns),
         "",
         paint("Story", STRONG) + ", milliseconds from the cause",
         *(row for line in story.within(lines, since_ns) for row in _row(incident, line, columns)),
@@ -90,48 +130,135 @@ def text(incident: Incident, columns: int, since_ns: int) -> list[str]:
     ]
 
 
-def _facts(pairs: list[tuple[str, str]], columns: int) -> list[str]:
+def wrap(text: str, columns: int, indent: int = 0) -> list[str]:
+    """Lines of a text, each at most so wide; a process id stays with its word."""
+    margin = " " * indent
+    rows = textwrap.wrap(text.replace("pid ", "pid\xa0"), columns, initial_indent=margin, subsequent_indent=margin)
+    return [row.replace("\xa0", " ") for row in rows] or [margin]
+
+
+def _facts(rows: list[Fact], columns: int) -> list[str]:
     lines = []
-    for name, value in pairs:
-        first, *rest = wrap(printable(value), columns - 13) or [""]
-        lines += [f"  {name:<9}  {first}", *(" " * 13 + line for line in rest)]
+    for name, value, role in rows:
+        first, *rest = wrap(printable(value), columns - INDENT)
+        lines += [f"  {name:<{INDENT - 4}}  {paint(first, role)}"]
+        lines += [" " * INDENT + paint(line, role) for line in rest]
     return lines
 
 
-def _head(incident: Incident, columns: int) -> list[str]:
+def _head(incident: Incident, columns: int, now_s: float) -> list[str]:
+    """The facts: what, when, and the three times of the stop, which are kept apart."""
     head = incident.head
-    begin_ns, end_ns = incident.span_ns()
-    pairs = [
-        ("when", f'{when(head["t"])} on {head["host"]}, service "{head["name"]}"'),
-        ("why", incident.reason),
-        ("stop", proof(head["stop"])),
-        ("before", _before(incident)),
-        ("recorded", f"from {-incident.ms(begin_ns) / 1e3:.1f} s before to {incident.ms(end_ns) / 1e3:.1f} s after"),
+    reason, by, pid = outcome.asked(incident.reason)
+    rows: list[Fact] = [
+        ("why", reason, FAIL),
+        ("when", f'{when(head["t"])}{ago(now_s - head["t"])}; service "{head["name"]}" on {head["host"]}', ""),
+        ("before", _before(incident), ""),
+        ("noticed", _noticed(incident, f"{by} (pid {pid})" if by else ""), ""),
+        *_proofs(incident),
     ]
     if head["kind"] == "left":
-        pairs.insert(2, ("", "The supervisor was gone: saved at the next start from what its run had left."))
+        rows.append(("note", "The supervisor was gone: saved at the next start from what its run had left.", WARN))
     if incident.undecoded:
-        pairs.append(("damaged", f"{incident.undecoded} records could not be decoded"))
-    return [f"{paint('Incident', STRONG)} {paint(incident.id, STRONG)}", "", *_facts(pairs, columns)]
+        rows.append(("damaged", f"{incident.undecoded} records could not be decoded", WARN))
+    return [f"{paint('Incident', STRONG)} {paint(incident.id, STRONG)}", *_facts(rows, columns)]
+
+
+def _noticed(incident: Incident, asked_by: str) -> str:
+    by = story.noticed_by(incident)
+    said = f"by the {story.name(by)}" if by else NOT_KNOWN
+    return f"{said}; asked for by {asked_by}" if asked_by else said
+
+
+def _proofs(incident: Incident) -> list[Fact]:
+    """Written, acknowledged, observed: by whom, and when after the cause."""
+    stop = known(incident) or {}
+    recorded = duration(max(0.0, incident.ms(incident.span_ns()[1]) / 1e3))
+    written: Fact = ("written", f"NOT within the {recorded} that are recorded after the cause", FAIL)
+    if not stop:
+        written = ("written", f"{NOT_KNOWN}: nobody of the service has told of it, nor is it recorded", FAIL)
+    elif stop.get("written_us") is not None:
+        by = f"by the {story.name(stop['written_by'])}, " if stop.get("written_by") else ""
+        after_s = stop["written_us"] / 1e6
+        written = (
+            "written",
+            f"{by}after {duration(after_s)}{_delayed(incident, after_s)}",
+            WARN if after_s > LATE_S else "",
+        )
+    heard: Fact = ("acknowledged", f"{NOT_KNOWN}: no answer of the board to it is recorded", WARN)
+    if (heard_us := stop.get("acknowledged_us")) is not None:
+        heard = ("acknowledged", f"by the board, after {duration(heard_us / 1e6)}", "")
+    return [written, heard, ("observed", *_observed(stop))]
+
+
+def _delayed(incident: Incident, after_s: float) -> str:
+    """Why it could not be written sooner, if that is known."""
+    written_ns = incident.cause_ns + round(after_s * 1e9)
+    back = any(e.kind == "device_back" and abs(e.ns - written_ns) < TICK_NS for e in incident.events)
+    return ", when the port was back" if back else ""
+
+
+def known(incident: Incident) -> dict[str, Any] | None:
+    """What is known of the stop. Where the supervisor saw no shaking, since it was held up itself, the samples' word
+    on when the wheels came to rest."""
+    stop: dict[str, Any] | None = incident.head["stop"]
+    if stop is None or stop.get("observed_ms") or stop.get("wheels") == "unstill":
+        return stop
+    verdicts = signals.verdicts(incident)
+    turned = [still for ns, still in verdicts if ns <= incident.cause_ns][-1:] == [False]
+    rested = [ns for ns, still in verdicts if still and ns > incident.cause_ns]
+    if turned and rested:
+        # It is found so much later than it was.
+        return {**stop, "observed_ms": max(LEAST_MS, incident.ms(rested[0] - signals.FIRST_NS))}
+    return stop
+
+
+def _observed(stop: dict[str, Any]) -> tuple[str, str]:
+    """The IMU's word and its role."""
+    if (seen_ms := stop.get("observed_ms")) is not None:
+        return f"by the IMU: {wheels_seen(seen_ms / 1e3)}", ""
+    if stop.get("wheels") == "unstill":
+        return f"by the IMU: {UNSTILL}", FAIL
+    return f"{NOT_KNOWN}: the IMU said nothing of it that is recorded", WARN
+
+
+def _about(incident: Incident) -> list[Fact]:
+    begin_ns, end_ns = incident.span_ns()
+    span = f"from {-incident.ms(begin_ns) / 1e3:.1f} s before to {incident.ms(end_ns) / 1e3:.1f} s after"
+    return [("recorded", span, "")]
 
 
 def _before(incident: Incident) -> str:
-    """What the robot did when it happened."""
+    """What the robot did when it happened, and since when it stood."""
     ticks = [tick for tick in incident.ticks if tick.ns <= incident.cause_ns]
     if not ticks:
-        return "not known"
+        return NOT_KNOWN
     last = ticks[-1]
     if last.block != "driving":
-        return f"the wheels stood: {last.block}"
+        driven = [tick.ns for tick in ticks if tick.block == "driving"]
+        since_ns = next(tick.ns for tick in ticks if tick.ns > max(driven, default=0))
+        ended = [
+            event.text for event in incident.events if event.kind in DRIVER_ENDS and event.ns <= since_ns + TICK_NS
+        ]
+        # What was told before they turned for the last time explains nothing.
+        least = "" if driven else "at least "
+        stood = f"the wheels stood ({last.block}), for {least}{duration((incident.cause_ns - since_ns) / 1e9)}"
+        return f"{stood}; {ended[-1]}" if driven and ended else stood
     age_ms = (last.age_us or 0) / 1e3 + (incident.cause_ns - last.ns) / 1e6
     return f"driving, {story.velocity(last.velocity)}; {last.who} as {last.source}, command {age_ms:.0f} ms old"
 
 
-def _row(incident: Incident, line: Line, columns: int) -> list[str]:
+def _row(incident: Incident, line: Line, columns: int, *, short: bool = False) -> list[str]:
     cause = line.what == CAUSE
-    label = printable(SHORT.get(line.what, line.what)[:LABEL])
+    label = SHORT.get(line.what, printable(line.what.replace("_", " "))[:LABEL])
+    said = printable(line.text)
     more = _more(incident, line)
-    first, *rest = wrap(printable(line.text) + more, columns - LEAD) or [""]
+    if short and not cause:
+        if more and len(said) + len(more) > columns - LEAD:
+            more = f" (until {incident.ms(line.until_ns):+.1f})"
+        first, rest = cut(said, columns - LEAD - len(more)) + more, []
+    else:
+        first, *rest = wrap(said + more, columns - LEAD)
     stamp = f"{incident.ms(line.ns):>+10.1f}" if not cause else f"{'0':>10}"
     role = ROLES.get(line.what, DIM if line.what in ("wire", "board") else "")
     if cause:
@@ -174,10 +301,10 @@ def _rest(incident: Incident, columns: int) -> list[str]:
     changed = {key: value for key, value in incident.settings.items() if _default(key) != value}
     shown = ", ".join(f"{key} = {value}" for key, value in changed.items())
     of = "of the run that saved it; " if incident.head["kind"] == "left" else ""
-    pairs = [
-        ("machine", ", ".join(state)),
-        ("settings", f"{of}{shown or 'all as by default'} ({len(incident.settings)} in all: --json)"),
-        ("versions", ", ".join(f"{name} {value}" for name, value in versions.items())),
+    pairs: list[Fact] = [
+        ("machine", ", ".join(state), ""),
+        ("settings", f"{of}{shown or 'all as by default'} ({len(incident.settings)} in all: --json)", ""),
+        ("versions", ", ".join(f"{name} {value}" for name, value in versions.items()), ""),
     ]
     return [paint("Around it", STRONG), *_facts(pairs, columns)]
 

@@ -11,10 +11,11 @@ import os
 import select
 import sys
 import time
+from unicodedata import normalize
 
 from failstop.incidents import copying, file, outcome
 from failstop.incidents.prune import prune
-from failstop.shm import layout, segment
+from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import STARTING
 from failstop.supervisor.blackbox import NOTHING
 from failstop.version import VERSION
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
 
 FOLDER = "incidents"
 SLUG_CHARACTERS = frozenset("abcdefghijklmnopqrstuvwxyz0123456789")
+SLUG_LENGTH = 32
+RETURN_NS = 12_000_000_000
+"""A lost port is waited for: no stop can be written before it is back, and a USB drop lasts 3 to 8 s."""
+LOOK_S = 0.25
 PRESSURES = ("cpu", "memory", "io")
 
 
@@ -58,7 +63,11 @@ def _save(words: dict[str, str]) -> str:
         incarnation, data = segment.copy(fds[layout.PORT_OWNER], name, layout.PORT_OWNER)
         earlier = copying.whole(layout.PORT_OWNER, "received", incarnation, data)
         del data
-    _wait(int(words["until_ns"]), int(words["hurry"]))
+    hurried = _wait(int(words["until_ns"]), int(words["hurry"]))
+    if live and not hurried:
+        _wait_for_port(
+            name, fds[layout.PORT_OWNER], int(words["cause_ns"]), int(words["until_ns"]), int(words["hurry"])
+        )
     copies = {which: segment.copy(fd, name, which) for which, fd in fds.items()}
     segments = {which: copying.segment(which, run, data) for which, (run, data) in copies.items()}
     if earlier:
@@ -73,11 +82,28 @@ def _save(words: dict[str, str]) -> str:
     return os.path.basename(path).removesuffix(file.SUFFIX)
 
 
-def _wait(until_ns: int, hurry: int) -> None:
-    """Until it is time, or the supervisor ends."""
+def _wait(until_ns: int, hurry: int) -> bool:
+    """Until it is time; True when the supervisor ends before that."""
     left_s = (until_ns - time.monotonic_ns()) * 1e-9
-    if left_s > 0:
-        select.select((hurry,), (), (), left_s)
+    return left_s > 0 and bool(select.select((hurry,), (), (), left_s)[0])
+
+
+def _wait_for_port(name: str, fd: int, cause_ns: int, until_ns: int, hurry: int) -> None:
+    """While the port is lost; once it is back, as long again as after any stop."""
+    give_up_ns = cause_ns + RETURN_NS
+    lost = False
+    while _port_lost(name, fd) and time.monotonic_ns() < give_up_ns:
+        lost = True
+        if select.select((hurry,), (), (), LOOK_S)[0]:
+            return
+    if lost and time.monotonic_ns() < give_up_ns:
+        _wait(time.monotonic_ns() + until_ns - cause_ns, hurry)
+
+
+def _port_lost(name: str, fd: int) -> bool:
+    incarnation, data = segment.copy(fd, name, layout.PORT_OWNER)
+    found = copying.whole(layout.PORT_OWNER, "port", incarnation, data)
+    return bool(found) and records.unpack_port(found[-1][2])[2] == records.PORT_LOST
 
 
 def _state_directory(name: str) -> str:
@@ -105,7 +131,7 @@ def _contents(
         "cause_ns": cause_ns,
         "epoch": epoch,
         "unix_minus_monotonic_ns": unix_minus_monotonic_ns,
-        "stop": _outcome(segments, epoch, reason) if live else copying.left_stop(copies, cause_ns),
+        "stop": _outcome(copies, segments, cause) if live else copying.left_stop(copies, cause_ns),
         "layout": layout.LAYOUT_VERSION,
         "run": f"{copies[layout.SUPERVISOR][0]:016x}",
         "host": release.nodename,
@@ -125,17 +151,39 @@ def _contents(
     return f"{stamp}-{slug(reason)}", file.build(head, body)
 
 
-def _outcome(segments: dict[str, Any], epoch: int, reason: str) -> dict[str, Any] | None:
+def _outcome(copies: Copies, segments: dict[str, Any], cause: tuple[int, int, str]) -> dict[str, Any] | None:
+    """What the supervisor has told; of a stop that was written later than it knew, what the rings hold."""
+    cause_ns, epoch, reason = cause
     supervisor = segments[layout.SUPERVISOR]
     record = supervisor["latest"].get("stop")
     events = [payload for _, _, payload in supervisor["rings"]["events"]]
-    return outcome.known(record[2] if record else None, events, epoch, reason)
+    told = outcome.known(record[2] if record else None, events, epoch, reason)
+    if told and told["written_us"] is not None:
+        return told
+    seen = copying.left_stop(copies, cause_ns)
+    if told and seen:
+        told |= {"written_by": seen["written_by"], "written_us": seen["written_us"]}
+    return told or seen
 
 
 def slug(reason: str) -> str:
-    """The beginning of a reason as part of a file name."""
-    text = "".join(c if c in SLUG_CHARACTERS else "-" for c in reason.lower().split(" (")[0][:40])
-    return "-".join(filter(None, text.split("-")))[:28].strip("-") or "stop"
+    """A reason in a few whole words, as part of a file name: without who asked for it (`(..., pid 7)`), and what the
+    service itself says without the details after a colon."""
+    text, asked, _ = outcome.asked(reason)
+    what = text.split(": ")[0]
+    if not asked and " " in what:
+        text = what
+    plain = normalize("NFKD", text.lower()).replace("'", "")
+    words = "".join(c if c in SLUG_CHARACTERS else " " for c in plain if ord(c) < 0x300 or ord(c) > 0x36F).split()
+    kept = words[:1]
+    for word in words[1:]:
+        if len("-".join((*kept, word))) > SLUG_LENGTH:
+            # "hand near the wheel and a": what it leads to is not there.
+            while len(kept) > 1 and len(kept[-1]) <= 3:
+                kept.pop()
+            break
+        kept.append(word)
+    return "-".join(kept)[:SLUG_LENGTH] or "stop"
 
 
 def machine() -> dict[str, Any]:

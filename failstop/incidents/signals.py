@@ -42,6 +42,16 @@ def vibration(incident: Incident) -> tuple[Array, Array]:
     return times[full] / 1e6, worst[full]
 
 
+BREAK_MS = 100.0
+"""A board that sends 110 samples a second and none for so long was silent: no line is drawn across."""
+
+
+def broken(at_ms: Array, values: Array) -> tuple[Array, Array]:
+    """A curve with no value (NaN) wherever its samples are further apart than BREAK_MS."""
+    gaps = np.nonzero(np.diff(at_ms) > BREAK_MS)[0] + 1
+    return np.insert(at_ms, gaps, at_ms[gaps - 1]), np.insert(values, gaps, np.nan)
+
+
 def verdicts(incident: Incident) -> list[tuple[int, bool]]:
     """(when it was found, still or not) at each change of telemetry's judgement on the wheels, judged anew."""
     judge = StillJudge(float(incident.settings.get("still.std_radps", "0.0035")))

@@ -13,6 +13,7 @@ from failstop.incidents.saver import FOLDER
 from failstop.procs.telemetry.state_files import SYSTEM_BASE, state_directory
 
 LAST = "last"
+MOST_NAMED = 4
 
 
 def folders(name: str, environ: Mapping[str, str]) -> list[str]:
@@ -67,7 +68,9 @@ def load(wanted: str, name: str, environ: Mapping[str, str]) -> Incident:
     if len(meant) == 1:
         return Incident.read(meant[0]["path"])
     if meant:
-        raise IncidentError(f"incident {wanted!r} may be {', '.join(head['id'] for head in meant)}: write more of it")
+        newest = [head["id"] for head in meant[-MOST_NAMED:]]
+        more = f" and {len(meant) - len(newest)} older ones" if len(meant) > len(newest) else ""
+        raise IncidentError(f"incident {wanted!r} may be {', '.join(newest)}{more}: write more of it")
     # A damaged file is not in the list; whoever names it should be told why.
     for folder in folders(name, environ):
         path = os.path.join(folder, wanted + SUFFIX)

@@ -51,14 +51,20 @@ def tell(incident: Incident) -> list[Line]:
     return sorted(lines, key=lambda line: line.ns)
 
 
-def _cause(incident: Incident) -> Line:
+def noticed_by(incident: Incident) -> str:
+    """The process that noticed the cause; empty: not known."""
     noticed = [stop.noticed_by for stop in incident.stops if stop.ns == incident.cause_ns]
     stop = incident.head["stop"] or {}
-    by = stop.get("noticed_by") or (noticed[0] if noticed else "")
-    return Line(incident.cause_ns, CAUSE, f"{incident.reason}{f' (noticed by the {_name(by)})' if by else ''}")
+    return stop.get("noticed_by") or (noticed[0] if noticed else "")
 
 
-def _name(process: str) -> str:
+def _cause(incident: Incident) -> Line:
+    by = noticed_by(incident)
+    return Line(incident.cause_ns, CAUSE, f"{incident.reason}{f'; noticed by the {name(by)}' if by else ''}")
+
+
+def name(process: str) -> str:
+    """A process, for people."""
     return process.replace("_", " ")
 
 
@@ -88,7 +94,7 @@ def velocity(values: tuple[float, float, float]) -> str:
     if not any(values):
         return "zero"
     named = zip(("vx", "vy", "wz"), values, ("m/s", "m/s", "rad/s"), strict=True)
-    return ", ".join(f"{name} {value:+.2f} {unit}" for name, value, unit in named if value)
+    return ", ".join(f"{axis} {value:+.2f} {unit}" for axis, value, unit in named if value)
 
 
 def _near(incident: Incident, ns: int) -> bool:
@@ -166,7 +172,7 @@ def _written(first: Write, last: Write, count: int) -> str:
     if first.taken < first.length:
         short = f"; the port took {first.taken} of {first.length} bytes"
     if sort == signals.STOP_BURST:
-        text = f"STOP BURST by the {_name(first.by)}"
+        text = f"STOP BURST by the {name(first.by)}"
     elif sort == signals.MOTION:
         same = first.head == last.head
         speeds = " ".join(f"{speed:+.3f}" for speed in signals.speeds_rps(last))
@@ -207,7 +213,7 @@ def _silences(incident: Incident) -> Iterator[Line]:
         yield Line(
             silence.since_ns,
             "beat",
-            f"last beat of the {_name(silence.process)} for {'' if silence.ended else 'at least '}{lasted_ms:.0f} ms",
+            f"last beat of the {name(silence.process)} for {'' if silence.ended else 'at least '}{lasted_ms:.0f} ms",
             silence.until_ns,
         )
 
@@ -218,7 +224,7 @@ def _last_beats(incident: Incident) -> Iterator[Line]:
         return
     for process in layout.PROCESSES:
         if last_ns := incident.words(process).get("beat_ns"):
-            yield Line(last_ns, "beat", f"the last beat of the {_name(process)}")
+            yield Line(last_ns, "beat", f"the last beat of the {name(process)}")
 
 
 def _events(incident: Incident) -> Iterator[Line]:
@@ -228,7 +234,7 @@ def _events(incident: Incident) -> Iterator[Line]:
         yield Line(event.ns, event.kind, mark + event.text)
     for stop in incident.stops:
         if stop.ns != incident.cause_ns and not any(stop.reason in text for text in told):
-            yield Line(stop.ns, "cause", f"{stop.reason} (noticed by the {_name(stop.noticed_by)})")
+            yield Line(stop.ns, "cause", f"{stop.reason} (noticed by the {name(stop.noticed_by)})")
 
 
 def within(lines: list[Line], since_ns: int) -> list[Line]:

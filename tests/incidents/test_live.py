@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import psutil
 import pytest
 
 from failstop.events import EventLog
-from failstop.incidents import signals, store, story
+from failstop.incidents import pending, signals, store, story
 from failstop.incidents.incident import Incident
 from failstop.shm import box, layout
 from failstop.trial import Trial, wait_for
@@ -86,6 +87,8 @@ def test_a_stop_request_and_then_a_killed_gate(scene: Scene) -> None:
     trial.drive(1.0)
     trial.robot.estop("the test says so")
     trial.drive(0.1)
+    assert pending.wait(trial.name, scene.environ, 0.0) is not None
+    assert pending.wait(trial.name, scene.environ, SAVED_S) is None, "whoever asks for the last means this one"
     first = scene.saved()
     assert first.reason.startswith("the test says so")
     check_driven(first)
@@ -141,6 +144,27 @@ def check_driven(incident: Incident) -> None:
         assert times[-1] > incident.cause_ns + 1_500_000_000, "and after"
     assert incident.undecoded == 0
     assert any(line.what == story.CAUSE for line in story.tell(incident))
+
+
+def test_a_port_that_is_gone_for_longer_than_a_stop_is_watched(scene: Scene) -> None:
+    """Both the stop, which is written at the return, and what came of it are in the file."""
+    trial = scene.trial
+    trial.enable()
+    trial.drive(0.5)
+    trial.board.unplug()
+    scene.saver()
+    wait_for("the latch", lambda: trial.robot.state.estop == "device lost", 5.0)
+    since_s = time.monotonic()
+    wait_for("longer than a stop is watched", lambda: time.monotonic() - since_s > 3.0, 10.0)
+    assert scene.heads() == []
+    trial.board.replug()
+    incident = scene.saved()
+    stop = incident.head["stop"]
+    assert incident.reason == "device lost"
+    assert stop["written_by"] == "port owner"
+    assert 3e6 < stop["written_us"] < 12e6
+    assert stop["acknowledged_us"] > stop["written_us"]
+    assert any(event.kind == "device_back" for event in incident.events)
 
 
 def test_a_killed_supervisor_is_told_of_by_the_next_start(scene: Scene) -> None:

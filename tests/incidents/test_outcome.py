@@ -8,7 +8,7 @@ import msgpack
 import pytest
 
 from failstop.incidents import report
-from failstop.incidents.outcome import known
+from failstop.incidents.outcome import asked, known
 
 RECORD = {
     "reason": "gate died",
@@ -26,15 +26,14 @@ def event(kind: str, **fields: Any) -> bytes:
     return packed
 
 
+HEAD = {"t": 100.0, "saved": 102.2}
 TOLD = event("stop", reason="device lost", epoch=7, noticed_by="port_owner", written_by="supervisor")
 OUTCOME = event("stop_outcome", reason="device lost", epoch=7, acknowledged_us=None, observed_ms=None, wheels="unstill")
 
 
 def test_the_record_of_this_stop() -> None:
     found = known(msgpack.packb(RECORD), [], 7, "gate died")
-    assert report.proof(found) == (
-        "written by the port owner after 82 us, acknowledged after 4.4 ms, wheels still after about 0.3 s"
-    )
+    assert report.proof(found, HEAD) == ("written after 82 us, acknowledged after 4.4 ms, still after about 0.3 s")
 
 
 @pytest.mark.parametrize(("epoch", "reason"), [(8, "gate died"), (7, "device lost")])
@@ -46,7 +45,7 @@ def test_what_was_told_of_it_outlasts_the_record() -> None:
     found = known(msgpack.packb(RECORD), [TOLD, OUTCOME], 7, "device lost")
     assert found is not None
     assert found["written_us"] is None
-    assert report.proof(found) == "NOT written, wheels NOT seen still"
+    assert report.proof(found, HEAD) == "NOT written within 2.2 s, wheels NOT seen still"
 
 
 def test_events_of_an_earlier_stop_for_the_same_reason_do_not_count() -> None:
@@ -56,3 +55,18 @@ def test_events_of_an_earlier_stop_for_the_same_reason_do_not_count() -> None:
 @pytest.mark.parametrize("junk", [b"", b"\xc1", b"\x01", msgpack.packb({"kind": "stop", "fields": 3})])
 def test_junk_is_no_proof(junk: bytes) -> None:
     assert known(junk, [junk], 1, "x") is None
+
+
+@pytest.mark.parametrize(
+    ("reason", "parts"),
+    [
+        ("too near (nav, pid 12)", ("too near", "nav", "12")),
+        ("a (b) c (my, node, pid 12)", ("a (b) c", "my, node", "12")),
+        ("gate died", ("gate died", "", "")),
+        ("command from nav (pid 77) is not finite", ("command from nav (pid 77) is not finite", "", "")),
+        ("too near (nav, pid x)", ("too near (nav, pid x)", "", "")),
+        ("too near (nav, pid 12) twice", ("too near (nav, pid 12) twice", "", "")),
+    ],
+)
+def test_who_asked_for_a_stop(reason: str, parts: tuple[str, str, str]) -> None:
+    assert asked(reason) == parts

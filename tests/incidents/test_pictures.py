@@ -6,13 +6,14 @@ import sys
 from math import tau
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from failstop.incidents import export, messages, plot
+from failstop.incidents import export, messages, plot, shades, signals
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
 from failstop.shm import box
-from tests.incidents.parts import CAUSE_NS, UNIX_NS, Recorder, drive_and_die
+from tests.incidents.parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,14 @@ def test_the_svg_says_what_happened(incident: Incident, tmp_path: Path) -> None:
     with matplotlib.rc_context({"svg.fonttype": "none"}):
         plot.save(incident, str(tmp_path / "a.svg"), 5.0)
     shown = (tmp_path / "a.svg").read_text()
-    for words in ("gate died", "acknowledged after 3.1 ms", "was killed by SIGKILL", "stop bursts", "still below 3.5"):
+    for words in (
+        "gate died",
+        "acknowledged after 3.1 ms",
+        "was killed by SIGKILL",
+        "stop bursts",
+        "still below 3.5",
+        "the gate is silent",
+    ):
         assert words in shown
 
 
@@ -114,3 +122,44 @@ def test_an_export_that_fails_leaves_nothing(incident: Incident, tmp_path: Path)
     with pytest.raises(IncidentError, match="can't be written"):
         export.save(incident, str(tmp_path / "a.mcap"))
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_where_the_gate_was_silent_the_picture_says_so_and_draws_no_decision() -> None:
+    made = Recorder("gate hangs")
+    made.core.enable(7, "", at(-1000))
+    for ms in (*range(-1000, -60, 20), *range(300, 1000, 20)):
+        made.core.scan.deliver(at(ms), at(ms))
+        made.command(ms, (0.2, 0.0, 0.0))
+        made.tick(ms)
+    made.beats(2200)
+    told = [(what, begin, end) for what, begin, end in shades.spans(made.incident()) if what == shades.SILENT]
+    assert told == [(shades.SILENT, at(-80), at(300)), (shades.SILENT, at(980), at(2200))]
+
+
+def test_a_dead_gate_is_silent_however_soon_it_is_back() -> None:
+    made = Recorder()
+    for ms in (-40, -20, 0, 40, 60):
+        made.tick(ms)
+    assert [what for what, _, _ in shades.spans(made.incident())] == ["disabled"]
+    made.event(5, "died", "gate (pid 102) was killed by SIGKILL", "error", process="gate", pid=102)
+    assert shades.spans(made.incident()) == [
+        ("disabled", at(-40), at(0)),
+        (shades.SILENT, at(0), at(40)),
+        ("disabled", at(40), at(60)),
+    ]
+
+
+def test_a_curve_is_broken_where_the_board_was_silent() -> None:
+    at_ms, values = signals.broken(np.array([0.0, 9.0, 18.0, 900.0, 909.0]), np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
+    assert list(at_ms) == [0.0, 9.0, 18.0, 18.0, 900.0, 909.0]
+    assert repr(values.tolist()) == "[1.0, 2.0, 3.0, nan, 4.0, 5.0]"
+
+
+def test_a_picture_that_fails_leaves_nothing(incident: Incident, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    (tmp_path / "a.png").mkdir()
+    with pytest.raises(IncidentError, match="can't be written"):
+        plot.save(incident, str(tmp_path / "a.png"), 5.0)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+    with pytest.raises(IncidentError, match="can't be written"):
+        plot.save(incident, str(tmp_path / "nowhere" / "a.png"), 5.0)

@@ -10,13 +10,15 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgpack
 import psutil
 import pytest
 
 import failstop
+from failstop.board.interface import BOARD
 from failstop.incidents import saver, store
 from failstop.incidents.incident import Incident
-from failstop.shm import layout, segment
+from failstop.shm import box, layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
 from failstop.supervisor.blackbox import NOTHING
 from failstop.supervisor.settings import Settings
@@ -124,6 +126,38 @@ def test_a_dead_run_that_was_ready_once_is_saved_and_another_is_not(saving: Savi
     assert saving.newest().reason == "all of the service died"
 
 
+def lose_port(saving: Saving, state: int) -> None:
+    saving.port_owner.latest_writer("port").write(records.pack_port(1, time.monotonic_ns(), state, "/dev/ttyACM0"))
+
+
+def test_a_lost_port_is_waited_for_and_its_stop_is_the_one_that_was_written_at_last(saving: Saving) -> None:
+    told = {"kind": "stop", "fields": {"reason": "device lost", "epoch": 2, "written_by": None, "latency_us": None}}
+    saving.supervisor.ring_writer("events").put(msgpack.packb(told), 1)
+    lose_port(saving, records.PORT_LOST)
+    words = saving.live(reason="device lost")
+    cause_ns = int(str(words["cause_ns"]))
+    process = saving.start(hurry=saving._wait, **words)
+    wait_for("the saver to wait", lambda: asleep(process.pid), 30.0)
+    size = len(BOARD.burst)
+    saving.port_owner.ring_writer("box").put(box.pack_wire(box.BURST, BOARD.burst, size), cause_ns + 3_000_000_000)
+    lose_port(saving, records.PORT_OPEN)
+    assert process.wait(30) == 0
+    stop = saving.newest().head["stop"]
+    assert (stop["written_by"], stop["written_us"]) == ("port owner", 3e6)
+
+
+def test_a_service_that_ends_waits_for_no_port(saving: Saving) -> None:
+    lose_port(saving, records.PORT_LOST)
+    process = saving.start(hurry=saving._wait, **saving.live())
+    wait_for("the saver to wait", lambda: asleep(process.pid), 30.0)
+    os.close(saving.hurry)
+    saving.hurry = os.dup(saving.result)
+    before_s = time.monotonic()
+    assert process.wait(30) == 0
+    assert time.monotonic() - before_s < saver.RETURN_NS / 2e9
+    assert saving.newest().head["stop"] is None
+
+
 def test_a_state_directory_that_is_none_is_said_in_one_line(saving: Saving) -> None:
     saving.state.write_text("in the way")
     assert saving.save(**saving.live()) == f"[Errno 20] Not a directory: '{saving.state}/incidents'"
@@ -140,10 +174,17 @@ def test_a_segment_of_another_version_is_said_in_one_line(saving: Saving) -> Non
     ("reason", "slug"),
     [
         ("gate died", "gate-died"),
+        ("gate hangs: silent for 60 ms", "gate-hangs"),
+        ("the board is deaf: use the POWER SWITCH", "the-board-is-deaf"),
+        ("hand near (the) wheel (failstop estop, pid 7571)", "hand-near-the-wheel"),
+        ("E-STOP: it's too near (nav, pid 7)", "e-stop-its-too-near"),
+        ("a reason of very many words goes on and on", "a-reason-of-very-many-words-goes"),
+        ("hand near the wheel, and a (bracket) in it (x, pid 3)", "hand-near-the-wheel"),
         ("../../etc/passwd", "etc-passwd"),
-        ("\u00fc\u00fc", "stop"),
+        ("\u00dcbung am Ger\u00e4t", "ubung-am-gerat"),
+        ("\u505c", "stop"),
         ("", "stop"),
-        ("E-STOP: " + "x" * 100, "e-stop-" + "x" * 21),
+        ("x" * 100, "x" * 32),
     ],
 )
 def test_a_reason_as_a_file_name(reason: str, slug: str) -> None:

@@ -73,7 +73,7 @@ def test_list_and_show_for_people_and_programs(capsys: pytest.CaptureFixture[str
     assert main(["incident", "list"]) == 0
     shown = capsys.readouterr().out
     assert [line for line in shown.splitlines() if not line.startswith(" ")] == IDS
-    assert "stop written by the port owner after 212 us, acknowledged after 3.1 ms" in shown
+    assert "written after 212 us, acknowledged after 3.1 ms, still after about 0.3 s" in shown
     assert main(["incident", "list", "--json"]) == 0
     assert [row["id"] for row in json.loads(capsys.readouterr().out)] == IDS
     assert main(["incident", "show"]) == 0
@@ -98,3 +98,38 @@ def test_size_counts_too_and_the_newest_always_stays(environ: dict[str, str], tm
     assert prune(str(folder), "failstop", 50, size * 2 + size // 2) == [f"{IDS[0]}.incident"]
     assert prune(str(folder), "failstop", 50, 1) == [f"{IDS[1]}.incident"]
     assert store.load("last", "failstop", environ).id == IDS[2]
+
+
+@pytest.mark.usefixtures("environ")
+def test_a_file_is_named_for_the_incident_and_none_is_written_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("mcap_ros2.writer")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there").mkdir()
+    for action, suffix in (("plot", "png"), ("export", "mcap")):
+        name = f"{IDS[-1]}.{suffix}"
+        assert main(["incident", action]) == 0
+        assert capsys.readouterr().out.startswith(f"wrote {name}")
+        made = (tmp_path / name).read_bytes()
+        (tmp_path / name).write_text("mine")
+        assert main(["incident", action]) == 1
+        assert capsys.readouterr().err == f"failstop: {name} is there already: -f writes over it, -o FILE another\n"
+        assert (tmp_path / name).read_text() == "mine"
+        assert main(["incident", action, "last", "-f"]) == 0
+        assert (tmp_path / name).read_bytes()[:4] == made[:4]
+        assert main(["incident", action, IDS[0], "-o", "there"]) == 0
+        assert (tmp_path / "there" / f"{IDS[0]}.{suffix}").stat().st_size > 1000
+        capsys.readouterr()
+
+
+@pytest.mark.usefixtures("environ")
+def test_show_tells_what_matters_and_with_all_the_rest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["incident", "show"]) == 0
+    short = capsys.readouterr().out
+    assert main(["incident", "show", "--all"]) == 0
+    whole = capsys.readouterr().out
+    assert "Around it" not in short
+    assert "Around it" in whole
+    assert len(short.splitlines()) < 24 < len(whole.splitlines())
