@@ -5,6 +5,8 @@ Enabling motion needs all of them, and losing one disables.
 
 from __future__ import annotations
 
+from failstop.procs.gate.stamps import believed_ns
+
 
 class Interlocks:
     """When each condition was asserted last."""
@@ -17,11 +19,11 @@ class Interlocks:
         self._asserted_ns: dict[str, int] = {}
 
     def hold(self, names: list[str], t_ns: int, now_ns: int) -> None:
-        """A client says that these conditions hold; names that no setting declares mean nothing. A stamp from the
-        future counts as now."""
+        """A client says that these conditions hold; names that no setting declares mean nothing, nor does a
+        stamp from the future."""
         for name in names:
             if name in self._declared:
-                self._asserted_ns[name] = max(self._asserted_ns.get(name, 0), min(t_ns, now_ns))
+                self._asserted_ns[name] = max(self._asserted_ns.get(name, 0), believed_ns(t_ns, now_ns))
 
     def unmet(self, now_ns: int) -> str:
         """The refusal's text of the first condition that does not hold; empty when all do."""

@@ -3,6 +3,7 @@ delivers; manual ones are exempt. It blocks without latching: motion resumes by 
 
 from __future__ import annotations
 
+from failstop.procs.gate.stamps import believed_ns
 from failstop.shm.notes import Note
 
 
@@ -19,8 +20,8 @@ class ScanGate:
         """When the sensor delivered last; 0: never yet."""
 
     def deliver(self, t_ns: int, now_ns: int) -> None:
-        """The sensor delivered; a stamp from the future counts as now."""
-        self.delivered_ns = max(self.delivered_ns, min(t_ns, now_ns))
+        """The sensor delivered; a stamp from the future is no delivery."""
+        self.delivered_ns = max(self.delivered_ns, believed_ns(t_ns, now_ns))
 
     def silent(self, now_ns: int) -> bool:
         """True when software commands must not move the wheels."""

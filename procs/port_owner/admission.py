@@ -10,6 +10,9 @@ then refuses all motion until it sees a newer epoch than the one it stopped in.
     the frame's epoch is the current one              drop: a frame of a dead epoch, wherever it was queued
     the current epoch is newer than its own stop      drop
     the frame is younger than the lease               drop
+
+A frame that is dropped but for its speeds of zero, while the wheels may turn, is written as a burst: to stand still is
+never too late.
 """
 
 from __future__ import annotations

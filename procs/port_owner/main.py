@@ -274,6 +274,10 @@ class PortOwner:
         of the write: a process that was held up since it woke must not pass what was young then."""
         now_ns = monotonic_ns()
         if not self._gate_life or not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
+            if frame == BOARD.stop and self.admission.moving:
+                # Never too old: the wheels would turn on until the next refresh.
+                self.wire.burst()
+                self._stopped(monotonic_ns())
             return
         if self._pipe_rests_until_ns and self.loop.readable(self._stop_pipe):
             self._stop_request(now_ns)

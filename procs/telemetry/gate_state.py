@@ -19,7 +19,7 @@ REST = (0.0, 0.0, 0.0)
 class GateState:
     """The newest state. Before the first: motion is disabled, the wheels stand, nothing is latched."""
 
-    __slots__ = ("_found", "_reader", "_seq", "_t_ns", "enabled", "latched", "since_ns", "velocity")
+    __slots__ = ("_found", "_reader", "_seq", "_t_ns", "enabled", "epoch", "latched", "since_ns", "velocity")
 
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
@@ -28,6 +28,8 @@ class GateState:
         self._t_ns = 0
         self.enabled = False
         self.latched = False
+        self.epoch = 0
+        """Raised by every stop: a latch that came and went between two looks leaves a newer one."""
         self.velocity = REST
         """m/s forward, m/s left, rad/s counter-clockwise."""
         self.since_ns = 0
@@ -59,8 +61,8 @@ class GateState:
             found = self._found = msgpack.unpackb(payload)
             vx, vy, wz = found["body_vel"]
             velocity = float(vx), float(vy), float(wz)
-            enabled, latched = bool(found["enabled"]), found["estop"] is not None
+            enabled, latched, epoch = bool(found["enabled"]), found["estop"] is not None, int(found["epoch"])
         except (ValueError, KeyError, TypeError):
             return False
-        self.enabled, self.latched, self.velocity, self.since_ns = enabled, latched, velocity, t_ns
+        self.enabled, self.latched, self.epoch, self.velocity, self.since_ns = enabled, latched, epoch, velocity, t_ns
         return True

@@ -55,6 +55,7 @@ class Telemetry:
         self._received = port_owner.ring_reader("received")
         self._port_record = port_owner.latest_reader("port")
         self._port_seq = 0
+        self._epoch_followed = 0
         self._records = {name: own.latest_writer(name) for name in ("imu", "bias", "odometry", "battery", "pad")}
         self._command = own.latest_writer("pad_command")
         self._events = own.ring_writer("events")
@@ -139,6 +140,11 @@ class Telemetry:
         self._odometry.follow(gate.velocity, gate.since_ns or now_ns)
         self._note_gyro(self._gyro.follow(gate.moving, now_ns))
         self._charger.follow(gate.enabled, now_ns)
+        if gate.epoch != self._epoch_followed:
+            # A stop in between, perhaps latched and reset unseen: whatever the pad holds is from before it.
+            self._epoch_followed = gate.epoch
+            self._pad.follow(False, now_ns)
+            self._pad.follow(True, now_ns)
         self._pad.follow(gate.latched, now_ns)
 
     def _follow_port(self, received_ns: int) -> None:

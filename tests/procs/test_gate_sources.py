@@ -8,6 +8,7 @@ from failstop.procs.gate import kinematics
 from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.kinematics import Mecanum
 from failstop.procs.gate.sources import PAD, PAD_PRIORITY, Command
+from failstop.procs.gate.stamps import AHEAD_NS
 from failstop.supervisor.settings import Settings
 
 MS = 1_000_000
@@ -236,11 +237,25 @@ def test_losing_one_disables_and_does_not_latch() -> None:
     assert gate.blocked == "disabled", "what comes back does not enable"
 
 
-def test_a_stamp_from_the_future_counts_as_now() -> None:
+def test_a_stamp_that_is_a_little_ahead_counts_as_now() -> None:
+    """Written after the turn that reads it began."""
     gate = Gate(ARM, enabled=False)
-    gate.core.interlocks.hold(["arm"], gate.now + 10_000 * MS, gate.now)
-    gate.core.scan.deliver(gate.now + 10_000 * MS, gate.now)
+    gate.core.interlocks.hold(["arm"], gate.now + AHEAD_NS, gate.now)
+    gate.core.scan.deliver(gate.now + AHEAD_NS, gate.now)
+    assert gate.core.interlocks.unmet(gate.now) == ""
+    assert not gate.core.scan.silent(gate.now)
     gate.now += 501 * MS
+    assert gate.core.interlocks.unmet(gate.now) == "arm is not in the drive pose"
+    assert gate.core.scan.silent(gate.now)
+
+
+def test_a_stamp_from_the_future_never_holds_however_often_it_is_looked_at() -> None:
+    gate = Gate(ARM, enabled=False)
+    stamp_ns = gate.now + 10_000 * MS
+    for _ in range(100):
+        gate.core.interlocks.hold(["arm"], stamp_ns, gate.now)
+        gate.core.scan.deliver(stamp_ns, gate.now)
+        gate.now += TICK
     assert gate.core.interlocks.unmet(gate.now) == "arm is not in the drive pose"
     assert gate.core.scan.silent(gate.now)
 

@@ -10,6 +10,7 @@ import pytest
 
 from failstop.board import codec, interface, port
 from failstop.board.burst import BURST
+from failstop.board.interface import BOARD
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
 from failstop.shm import records
@@ -110,6 +111,16 @@ def test_a_late_frame_is_dropped(scene: Scene, age_ms: int) -> None:
     scene.put(age_ns=age_ms * MS)
     assert scene.turn() == b""
     assert scene.reasons() == []
+
+
+def test_to_stand_still_is_never_too_late(scene: Scene) -> None:
+    scene.drive()
+    scene.put(BOARD.stop, age_ns=75 * MS)
+    assert scene.turn() == BURST
+    assert not scene.owner.admission.moving
+    assert scene.reasons() == []
+    scene.put(SLOWER)
+    assert scene.turn() == SLOWER, "and nothing is latched by it"
 
 
 @pytest.mark.parametrize("epoch", [0, 2, 2**64 - 1])

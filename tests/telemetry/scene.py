@@ -71,7 +71,7 @@ class Scene:
         bell.make_pipe(str(directory / "stop"), 0o600)
         self._stop = bell.open_pipe(str(directory / "stop"))
         self._bells = {name: EventBell.create() for name in ("bell", "gate_bell", "supervisor_bell")}
-        self.gate: dict[str, Any] = {"enabled": False, "estop": None, "body_vel": [0.0, 0.0, 0.0]}
+        self.gate: dict[str, Any] = {"enabled": False, "estop": None, "epoch": 1, "body_vel": [0.0, 0.0, 0.0]}
         self._readers = {name: self.own.ring_reader(name) for name in ("wishes", "notes", "events")}
         self.telemetry: Telemetry
         self.start()

@@ -20,7 +20,7 @@ class Published:
         return self.entry
 
     def put(self, t_ns: int, **changed: object) -> None:
-        state = {"enabled": True, "estop": None, "blocked": None, "body_vel": [0.1, 0.0, -0.5], **changed}
+        state = {"enabled": True, "estop": None, "blocked": None, "epoch": 7, "body_vel": [0.1, 0.0, -0.5], **changed}
         self.raw(t_ns, msgpack.packb(state))
 
     def raw(self, t_ns: int, payload: bytes) -> None:

@@ -176,6 +176,28 @@ def test_a_latch_ends_drive_mode(scene: Scene) -> None:
     assert records.unpack_pad(scene.latest("pad") or b"")[6] == 0
 
 
+def test_a_latch_that_came_and_went_unseen_ends_drive_mode_too(scene: Scene) -> None:
+    scene.pad(MODE)
+    written = scene.commands()
+    scene.gate["epoch"] += 1
+    scene.pad(ly=127)
+    assert scene.commands() == written
+    assert records.unpack_pad(scene.latest("pad") or b"")[6] == 0
+
+
+def test_mode_held_since_before_a_newer_stop_resets_nothing(scene: Scene) -> None:
+    scene.gate["estop"] = "key1"
+    for _ in range(38):
+        scene.pad(MODE)
+    scene.gate["epoch"] += 1
+    for _ in range(38):
+        scene.pad(MODE)
+    assert scene.told("wishes") == []
+    for _ in range(4):
+        scene.pad(MODE)
+    assert [records.unpack_wish(wish)[0] for wish in scene.told("wishes")] == [records.WISH_RESET]
+
+
 def test_mode_held_for_2_s_while_latched_wishes_one_reset(scene: Scene) -> None:
     scene.gate["estop"] = "key1"
     for _ in range(60):
