@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 COMMANDS = {
     "run": ("run", "run the service in the foreground"),
     "sim": ("sim", "a simulated board on a pty"),
-    "demo": ("demo", "simulated board, service, a drive, and every kill with its measured stop"),
+    "demo": ("demo", "simulated robot: a drive, every kill, and its measured stop"),
     "status": ("status", "what the wheels may do and why, processes, last stop"),
     "watch": ("watch", "the same as status, live, with velocity and vibration"),
     "why": ("why", "what holds the wheels, since when, and what to do, in plain words"),
     "events": ("events", "what happened: stops, deaths, requests"),
-    "incident": ("incident", "the black box: what happened around each stop, as story, picture, MCAP"),
+    "incident": ("incident", "the black box: each stop as a story, a picture, MCAP"),
     "teleop": ("teleop", "drive with the keyboard, holding keys"),
     "enable": ("requests", "enable motion"),
     "disable": ("requests", "disable motion: the wheels stop"),
@@ -26,9 +26,9 @@ COMMANDS = {
     "drive": ("drive", "drive for a while"),
     "stop": ("stop", "write the stop to the port; needs no service running"),
     "config": ("config", "every setting with its value and origin"),
-    "doctor": ("doctor", "what on this machine keeps failstop from its promises, and the command that helps"),
-    "prove": ("prove", "the stand test: every stop path timed on a real robot, with evidence"),
-    "chaos": ("chaos", "random faults from the fault table on a simulated board, judged by it"),
+    "doctor": ("doctor", "what on this machine weakens the promises, and what helps"),
+    "prove": ("prove", "the stand test: every stop path timed on a real robot"),
+    "chaos": ("chaos", "random faults on a simulated board, judged by it"),
     "install": ("install", "make it a service of this machine, whole or not at all"),
     "uninstall": ("uninstall", "stop the service and take away what install put there"),
     "completion": ("completion", "the script that completes commands in a shell"),
@@ -42,7 +42,8 @@ GROUPS = (
 )
 """What `failstop --help` shows together; a command that is in none is shown at the end."""
 
-DESCRIPTION = """The layer that makes a robot stop: whatever dies or hangs, the wheels are told to stop.
+DESCRIPTION = """The layer that makes a robot stop.
+Whatever dies or hangs, the wheels are told to stop.
 Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name."""
 
 
@@ -77,9 +78,16 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout.write(f"failstop {VERSION}\n")
         return 0
     if words[0] not in COMMANDS:
-        sys.stderr.write(f"failstop: no command {words[0]!r}{_meant(words[0])}; `failstop --help` lists them\n")
+        _say(f"no command {words[0]!r}{_meant(words[0])}; `failstop --help` lists them")
         return 1
     return _run(words[0], words[1:])
+
+
+def _say(error: str) -> None:
+    """One line on stderr, broken at words on a terminal."""
+    from failstop.fold import PREFIX, fitted
+
+    sys.stderr.write(fitted(f"{PREFIX}{error}", 2) + "\n")
 
 
 def _meant(word: str) -> str:
@@ -95,16 +103,18 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     is shown at the end of its help."""
     import argparse
 
+    from failstop.manual.shape import EXAMPLES, Shape
+
     home, what = COMMANDS[name]
     module = __import__(f"failstop.commands.{home}", fromlist=["main"])
     parser = argparse.ArgumentParser(
         prog=f"failstop {name}",
         description=what[0].upper() + what[1:] + ".",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=Shape,
     )
     module.add_arguments(parser)
     if parser.epilog is None and (shown := examples(module, name)):
-        parser.epilog = "examples:\n" + "\n".join(f"  {line}" for line in shown)
+        parser.epilog = EXAMPLES + "\n".join(f"  {line}" for line in shown)
     return parser, module
 
 
@@ -133,7 +143,7 @@ def _run(name: str, words: list[str]) -> int:
     except Exception as error:
         if not _expected(error):
             raise
-        sys.stderr.write(f"failstop: {error}\n")
+        _say(str(error))
         return getattr(error, "exit_code", 1)
     return code
 

@@ -62,7 +62,7 @@ class EventLog:
         there are none. Raises NoService when the service has ended, and all that it told was read."""
         found = []
         while entry := self._ring.next():
-            if event := _event(entry[0], entry[2]):
+            if event := unpack(entry[0], entry[2]):
                 found.append(event)
         if not found:
             self._look()
@@ -91,8 +91,8 @@ class EventLog:
             raise NoService(f"the service {self.name!r} was started anew: read its events anew")
 
 
-def _event(seq: int, payload: bytes) -> Event | None:
-    """None for a payload that is none, as of another version."""
+def unpack(seq: int, payload: bytes) -> Event | None:
+    """An entry of the ring; None for a payload that is none, as of another version."""
     try:
         found = msgpack.unpackb(payload)
         return Event(seq, found["t"], found["ns"], found["kind"], found["level"], found["text"], found["fields"])

@@ -123,35 +123,39 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
     is broken where it must be."""
     rows: list[Line] = [[]]
     at = 0
-    for word, role in _words(line):
-        while True:
-            room = columns - at
-            if cells(word.rstrip(" ")) <= room:
-                break
-            if at > indent:
-                rows.append([(" " * indent, PLAIN)])
-                at = indent
-                continue
-            head = word[: max(1, _fitting(word, room))]
-            rows[-1].append((head, role))
+    for word in _words(line):
+        if at > indent and at + cells(plain(word).rstrip(" ")) > columns:
             rows.append([(" " * indent, PLAIN)])
-            at, word = indent, word[len(head) :]
-        rows[-1].append((word, role))
-        at += cells(word)
+            at = indent
+        for piece, role in word:
+            left = piece
+            while at + cells(left.rstrip(" ")) > columns:
+                head = left[: _fitting(left, columns - at) or int(at <= indent)]
+                rows[-1].append((head, role))
+                rows.append([(" " * indent, PLAIN)])
+                at, left = indent, left[len(head) :]
+            rows[-1].append((left, role))
+            at += cells(left)
     return [_trimmed(row) for row in rows]
 
 
-def _words(line: Line) -> Iterable[Span]:
-    """The words of a line, each with the spaces after it. A command in backquotes is one word."""
+def _words(line: Line) -> Iterable[Line]:
+    """The words of a line, each with the spaces after it: what is written without a space between, in whatever roles.
+    A command in backquotes is not broken."""
+    word: Line = []
     for text, role in line:
         if text.startswith("`"):
-            yield text, role
+            word.append((text, role))
             continue
         start = 0
         for end in range(1, len(text) + 1):
-            if end == len(text) or (text[end - 1] == " " and text[end] != " "):
-                yield text[start:end], role
-                start = end
+            if text[end - 1] == " " and (end == len(text) or text[end] != " "):
+                yield [*word, (text[start:end], role)]
+                word, start = [], end
+        if start < len(text):
+            word.append((text[start:], role))
+    if word:
+        yield word
 
 
 def _trimmed(row: Line) -> Line:

@@ -11,6 +11,7 @@ import time
 
 import msgpack
 
+from failstop.fold import PREFIX, fitted
 from failstop.shm import layout
 from failstop.shm.records import cut
 from failstop.supervisor.kinds import BY_NAME, LEVELS
@@ -33,11 +34,11 @@ ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
 
 
 def say(message: str) -> None:
-    """Write one line to stderr. A log that can't be written is no reason to stop working, nor one that nobody reads (a
-    full pipe, a terminal held by Ctrl-S): the line is dropped then."""
+    """Write one line to stderr, broken at words on a terminal. A log that can't be written is no reason to stop
+    working, nor one that nobody reads (a full pipe, a terminal held by Ctrl-S): the line is dropped then."""
     try:
         if select.select((), (2,), (), 0)[1]:
-            os.write(2, f"failstop: {message}\n".encode("utf-8", "replace"))
+            os.write(2, f"{fitted(PREFIX + message, 2)}\n".encode("utf-8", "replace"))
     except OSError:
         return
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
 EXAMPLES = """\
-failstop config                         # every value, its unit and its origin
+failstop config                         # every value, unit and origin
 failstop config --config robot.toml
 failstop config --check robot.toml
 failstop config --example > robot.toml

@@ -7,11 +7,24 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 
+from failstop import style
 from failstop.shm import layout
+from failstop.style import FAIL, OK, PLAIN, STRONG, paint
 from failstop.trial import Stopped, Trial
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.style import Span
 
 LATE_MS = 50.0
 """A stop later than this fails the demo: generous, for slow and busy machines; `make bench` has the real bars."""
+
+STEP_COLUMNS = 28
+MEANING = (
+    "Milliseconds from the kill while driving, on the board's side of the wire: arrival of the first stop frame that "
+    "the board executes, and execution of the frame that stops the last wheel (the wire's own 0.6 ms included). The "
+    "driver that failstop replaces took 130 ms. A dead supervisor is started anew by the demo, as systemd would."
+)
 
 ORDER = (layout.GATE, layout.PORT_OWNER, layout.TELEMETRY, layout.STOPPER, layout.SUPERVISOR)
 
@@ -25,16 +38,6 @@ failstop demo --rounds 5
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop demo`."""
     parser.add_argument("--rounds", type=int, default=1, help="how often each process is killed (default: 1)")
-
-
-class Paint:
-    """Colours where they are wanted: on a terminal, and NO_COLOR not set."""
-
-    def __init__(self) -> None:
-        self._on = sys.stdout.isatty() and "NO_COLOR" not in os.environ
-
-    def __call__(self, code: str, text: str) -> str:
-        return f"\x1b[{code}m{text}\x1b[0m" if self._on else text
 
 
 class Row:
@@ -59,17 +62,16 @@ class Row:
 
 def main(arguments: Namespace) -> int:
     """Run the demo; exit code 1 when any stop was missing or late, or anything moved after it."""
-    paint = Paint()
-    print(paint("1", "failstop demo") + ": a simulated motor board that keeps its last wheel speed for ever\n")
+    print(paint("failstop demo", STRONG) + ": a simulated motor board that keeps its last wheel speed for ever\n")
     _step("board and service start")
     with Trial(f"demo-{os.getpid()}") as trial:
         first = next(event for event in trial.board.events() if event.is_stop)
         _done(f"first stop frame {(first.arrival_ns - trial.service.started_ns) / 1e6:.0f} ms after exec")
         _step("enable")
         _done(trial.robot.enable())
-        _show_drive(trial, paint)
-        rows = [_kill(trial, process, paint) for _ in range(arguments.rounds) for process in ORDER]
-        _step("disable and stop the service")
+        _show_drive(trial)
+        rows = [_kill(trial, process) for _ in range(arguments.rounds) for process in ORDER]
+        _step("disable, end the service")
         trial.enable()
         _done(trial.robot.disable())
         trial.leave()
@@ -77,16 +79,16 @@ def main(arguments: Namespace) -> int:
     faults = [fault for row in rows if (fault := row.fault())]
     if code:
         faults.append(f"the service ended with exit code {code}")
-    _table(rows, paint)
+    _table(rows)
     if faults:
-        print(paint("1;31", "\nFAILED: ") + "; ".join(faults))
+        _paragraph(("FAILED: ", FAIL), ("; ".join(faults), PLAIN))
         return 1
-    print(paint("1;32", "\nEvery kill was answered by a stop, and nothing moved again before the next enable."))
+    _paragraph(("Every kill was answered by a stop, and nothing moved again before the next enable.", OK))
     return 0
 
 
 def _step(what: str) -> None:
-    sys.stdout.write(f"  {what} ".ljust(34, ".") + " ")
+    sys.stdout.write(f"  {what} ".ljust(STEP_COLUMNS, ".") + " ")
     sys.stdout.flush()
 
 
@@ -94,7 +96,12 @@ def _done(result: str) -> None:
     print(result)
 
 
-def _show_drive(trial: Trial, paint: Paint) -> None:
+def _paragraph(*spans: Span) -> None:
+    print()
+    style.show(style.wrap(list(spans), style.width(), 0))
+
+
+def _show_drive(trial: Trial) -> None:
     """Drive forward, sideways and turning, and show what the wheels do."""
     for what, velocity in (
         ("forward 0.2 m/s", (0.2, 0, 0)),
@@ -104,21 +111,21 @@ def _show_drive(trial: Trial, paint: Paint) -> None:
         _step(f"drive {what}")
         trial.drive(0.9, velocity)
         wheels = " ".join(f"{speed:+.2f}" for speed in trial.board.wheels())
-        _done(paint("36", f"wheels {wheels} rps"))
+        _done(f"wheels {wheels} rps")
         trial.drive(0.1, (0, 0, 0))
 
 
-def _kill(trial: Trial, process: str, paint: Paint) -> Row:
-    _step(f"drive, kill -9 {process}")
+def _kill(trial: Trial, process: str) -> Row:
+    _step(f"kill -9 {process}")
     trial.enable()
     pid = trial.service.pids()[process]
     # A fault at a random moment of the 20 ms tick, and fast enough that every wheel turns.
     stopped = trial.kill(process, 0.3 + time.monotonic_ns() % 20_000_000 / 1e9)
     row = Row(process, stopped, trial.recover(process, pid))
     if fault := row.fault():
-        _done(paint("1;31", fault))
+        _done(paint(fault, FAIL))
     else:
-        _done(paint("32", f"stop frame after {(stopped.stop_ns or 0) / 1e6:.2f} ms") + f", {_why(trial)}")
+        _done(paint(f"stop frame after {(stopped.stop_ns or 0) / 1e6:.2f} ms", OK) + f", {_why(trial)}")
     return row
 
 
@@ -129,20 +136,16 @@ def _why(trial: Trial) -> str:
     return f"latched: {state.estop}" if state.estop else f"blocked: {state.blocked}"
 
 
-def _table(rows: list[Row], paint: Paint) -> None:
+def _table(rows: list[Row]) -> None:
     head = f"{'killed':<12} {'first stop frame':>17} {'last wheel at zero':>19} {'motion after':>13} {'restarted':>10}"
-    print("\n" + paint("1", head))
+    print("\n" + paint(head, STRONG))
     for row in rows:
         found = row.stopped
         print(
             f"{row.process:<12} {_ms(found.stop_ns):>17} {_ms(found.still_ns):>19} {found.motion_after:>13}"
             f" {row.restart_s:>8.2f} s"
         )
-    print(
-        "\nMilliseconds from the kill, on the board's side of the wire: arrival of the first stop frame that the board"
-        "\nexecutes, and execution of the frame that stops the last wheel (the wire's own 0.6 ms included). The driver"
-        "\nthat failstop replaces took 130 ms. A dead supervisor is started anew by the demo, as systemd would."
-    )
+    _paragraph((MEANING, PLAIN))
 
 
 def _ms(ns: int | None) -> str:

@@ -7,7 +7,9 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.commands import add_name
 from failstop.errors import Refused
+from failstop.fold import fitted
 from failstop.robot import Robot
+from failstop.screen.verdict import next_step
 from failstop.screen.words import velocity
 
 EXAMPLES = """\
@@ -44,7 +46,7 @@ def main(arguments: Namespace) -> int:
             reached = robot.state.body_vel
     less = any(abs(got) < 0.98 * abs(wanted) for got, wanted in zip(reached, asked, strict=True))
     held = f", no faster than {velocity(*reached) or 'zero'} (limits and ramp)" if less else ""
-    print(f"drove for {arguments.seconds:g} s{held}; the wheels are told to stand")
+    print(fitted(f"drove for {arguments.seconds:g} s{held}; the wheels are told to stand", 1, 2))
     return 0
 
 
@@ -52,7 +54,7 @@ def _blocked(robot: Robot) -> str:
     """Why driving is pointless, with the command that helps."""
     state = robot.state
     if state.estop:
-        return f"e-stop latched ({state.estop}); next: `failstop reset`, then `failstop enable`"
+        return f"e-stop latched ({state.estop}); next: {next_step(state)}"
     if not state.enabled:
-        return "motion is disabled; next: `failstop enable`"
+        return f"motion is disabled; next: {next_step(state)}"
     return ""

@@ -7,7 +7,9 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.commands import add_name
 from failstop.errors import NoAnswer
+from failstop.fold import fitted
 from failstop.robot import Robot
+from failstop.screen.verdict import next_step
 
 EXAMPLES = """\
 failstop estop
@@ -30,7 +32,7 @@ def main(arguments: Namespace) -> int:
         while time.monotonic() < until_s:
             state = robot.state
             if state.epoch > epoch and state.estop:
-                print(f"e-stop latched ({state.estop}); next: `failstop reset`, then `failstop enable`")
+                print(fitted(f"e-stop latched ({state.estop}); next: {next_step(state)}", 1, 2))
                 return 0
             time.sleep(0.002)
     raise NoAnswer("the stop request is written, but nobody latched it within 1 s: use `failstop stop`, POWER SWITCH")

@@ -11,7 +11,8 @@ from failstop import style
 from failstop.commands import add_name
 from failstop.errors import FailstopError, NoService
 from failstop.events import Event, EventLog
-from failstop.screen import told, words
+from failstop.fold import PREFIX, fitted
+from failstop.screen import host, left, told
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -45,15 +46,23 @@ def main(arguments: Namespace) -> int:
         log = EventLog(arguments.name)
         chosen.show(log.read())
     except NoService as error:
-        raise NoService(f"{error}; what it told is in `journalctl -u {words.unit(arguments.name)} -e`") from None
+        chosen.show(_left(arguments.name))
+        journal = host.journal(arguments.name)
+        raise NoService(f"{error}{f'; what it told is in {journal}' if journal else ''}") from None
     while arguments.follow:
         try:
             chosen.show(log.read())
         except NoService as error:
-            print(f"failstop: {error}; waiting for it", file=sys.stderr, flush=True)
+            print(fitted(f"{PREFIX}{error}; waiting for it", 2), file=sys.stderr, flush=True)
             log = _again(arguments.name)
         time.sleep(POLL_S)
     return 0
+
+
+def _left(name: str) -> list[Event]:
+    """What a service told that has died and was not started again."""
+    found = left.find(name)
+    return found.events if found else []
 
 
 def _again(name: str) -> EventLog:

@@ -6,6 +6,7 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.commands import add_name
 from failstop.errors import Refused
+from failstop.fold import fitted
 from failstop.robot import Robot
 from failstop.screen.verdict import next_step
 
@@ -35,7 +36,7 @@ def main(arguments: Namespace) -> int:
     with Robot(arguments.name, client="failstop " + arguments.command) as robot:
         verbs = {"enable": robot.enable, "disable": robot.disable, "reset": robot.reset}
         try:
-            print(verbs[arguments.command]())
+            print(fitted(verbs[arguments.command](), 1, 2))
         except Refused as refused:
             state = robot.state
             if state.estop or state.waiting_for:

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = """\
-failstop run                                    # /dev/ttyACM0, default settings
+failstop run                             # /dev/ttyACM0, default settings
 failstop run --config /etc/failstop/failstop.toml
-failstop run --name left --device /dev/ttyACM1  # a second robot on this machine
+failstop run --name left --device /dev/ttyACM1  # a second robot
 """
 
 

@@ -7,6 +7,8 @@ import time
 
 from failstop import style
 from failstop.commands import add_name
+from failstop.errors import NoService
+from failstop.events import EventLog
 from failstop.screen import summary
 from failstop.state import StateReader
 
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
 EXAMPLES = """\
-failstop status                        # one screen; `failstop watch` is the same, live
+failstop status                        # one screen; live: failstop watch
 failstop status --json | jq .blocked   # for programs
 """
 
@@ -28,9 +30,14 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Print the state."""
-    state = StateReader(arguments.name).read()
+    try:
+        state = StateReader(arguments.name).read()
+    except NoService as error:
+        from failstop.screen import left
+
+        raise left.refusal(arguments.name, error) from None
     if arguments.json:
         print(json.dumps(state.as_dict(), indent=2))
         return 0
-    style.show(summary.lines(state, time.time(), style.width()))
+    style.show(summary.lines(state, time.time(), style.width(), EventLog(arguments.name).read()))
     return 0

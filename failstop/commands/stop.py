@@ -7,6 +7,7 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 
+from failstop.fold import PREFIX, fitted
 from failstop.procs.stopper import rest, tool
 from failstop.supervisor import config
 from failstop.supervisor.settings import BY_KEY, SettingError
@@ -22,7 +23,7 @@ REST_S = 1.0
 """How long killed processes may take to end: a write to a port that hangs can hold one up."""
 
 EXAMPLES = """\
-failstop stop                                # /dev/ttyACM0; says when the stop is written
+failstop stop                            # /dev/ttyACM0
 failstop stop --device /dev/ttyACM1 --wait 60
 failstop stop --config /etc/failstop/failstop.toml
 """
@@ -112,4 +113,4 @@ def _of_file(path: str) -> tuple[dict[str, float | str], dict[str, str]]:
 
 
 def _say(text: str) -> None:
-    print(f"failstop: {text}", file=sys.stderr)
+    print(fitted(PREFIX + text, 2), file=sys.stderr)

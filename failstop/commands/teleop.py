@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from failstop.state import State
 
 EXAMPLES = """\
-failstop teleop                       # keys are shown; e enables, space stops, q leaves
+failstop teleop                         # e enables, space stops, q leaves
 failstop teleop --speed 0.1 --turn 0.5  # slower at most
-failstop teleop --source teleop       # as a source of its own, of the settings' [sources]
-ssh -t robot failstop teleop          # from elsewhere
+failstop teleop --source teleop         # as one of the settings' [sources]
+ssh -t robot failstop teleop            # from elsewhere
 """
 
 SPEED_MPS = float(BY_KEY["limits.vx_mps"].default)
@@ -79,21 +79,24 @@ def _drive(terminal: Terminal, follower: Follower, pilot: Pilot) -> None:
     decoder = keys.Decoder()
     run = follower.reader
     drawn_s = 0.0
-    turned_s = time.monotonic()
+    turned_s, held_up = time.monotonic(), False
     while not (terminal.ended or pilot.leaving):
-        typed = terminal.wait(TURN_S)
-        now_s = time.monotonic()
-        late, turned_s = now_s - turned_s > LATE_S, now_s
-        state = follower.read(now_s)
+        typed = decoder.feed(terminal.wait(TURN_S))
+        state = follower.read(time.monotonic())
         if follower.reader is not run:
             raise NoService(follower.note or f"the service {pilot.robot.name!r} was started anew: begin again")
         if state is None:
             raise FailstopError(follower.note)
         if terminal.stopped:
             _pause(terminal, pilot)
-            turned_s, drawn_s = 0.0, 0.0  # what was typed meanwhile is late
+            turned_s = drawn_s = 0.0  # what was typed meanwhile is late
             continue
-        pilot.keys(decoder.feed(typed), state, now_s, late=late)
+        now_s = time.monotonic()
+        late = now_s - turned_s > LATE_S
+        # Where in a turn it was held up is not known: what is read next may have been typed meanwhile too. Ctrl-Z
+        # leaves nothing that was typed.
+        before, held_up, turned_s = held_up, late and turned_s > 0.0, now_s
+        pilot.keys(typed, state, now_s, late=late or before)
         if now_s - drawn_s >= DRAW_S:
             drawn_s = now_s
             _draw(terminal, pilot, state, now_s)

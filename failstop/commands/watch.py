@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
 EXAMPLES = """\
-failstop watch                        # q or Ctrl-C ends it; the robot is not touched
+failstop watch                        # q or Ctrl-C ends it
 ssh -t robot failstop watch           # from elsewhere
 """
 
@@ -51,4 +51,4 @@ def _draw(terminal: Terminal, follower: Follower, live: Live, now_s: float) -> N
     if state is None:
         terminal.draw(live.gone(follower.note, time.time(), terminal.columns))
     else:
-        terminal.draw(live.lines(state, now_s, time.time(), terminal.columns, terminal.rows))
+        terminal.draw(live.lines(state, now_s, time.time(), terminal.columns, terminal.rows, follower.events))

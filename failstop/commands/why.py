@@ -7,6 +7,7 @@ import time
 
 from failstop import style
 from failstop.commands import add_name
+from failstop.errors import NoService
 from failstop.events import EventLog
 from failstop.screen import paragraph, summary
 from failstop.state import StateReader
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
 EXAMPLES = """\
-failstop why                         # what holds the wheels, since when, what to do
+failstop why                           # what holds the wheels, since when
 failstop why --json | jq -r '.next[]'  # the steps alone
 """
 
@@ -32,11 +33,23 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Print the paragraph."""
-    state = StateReader(arguments.name).read()
-    found = paragraph.explain(state, EventLog(arguments.name).read(), time.time())
+    found, code = _explain(arguments.name)
     if arguments.json:
         print(json.dumps(found.as_dict(), indent=2))
-        return 0
+        return code
     columns = min(style.width(), MOST_COLUMNS)
     style.show(style.wrap(summary.commands(found.text), columns, 0))
-    return 0
+    return code
+
+
+def _explain(name: str) -> tuple[paragraph.Explanation, int]:
+    """The answer, and the exit code. Raises NoService where nothing is left of a service either."""
+    try:
+        state = StateReader(name).read()
+        return paragraph.explain(state, EventLog(name).read(), time.time()), 0
+    except NoService as error:
+        from failstop.screen import left
+
+        if found := left.find(name):
+            return paragraph.gone(found, time.time()), error.exit_code
+        raise left.refusal(name, error) from None

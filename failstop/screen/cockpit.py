@@ -19,7 +19,7 @@ KEYS = (
     ("+ -", "", "faster, slower", "q", "stop, disable, leave"),
 )
 """Two columns of keys: letters, arrows, what they do; another key, what it does."""
-REPEATS = "hold a key to drive: a tap drives 0.3 s, and driving on begins when your terminal repeats the key"
+REPEATS = "hold a key to drive: a tap drives 0.3 s, going on when the terminal repeats it"
 RELEASES = "hold a key to drive: it ends with the key's release"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from failstop.client import attach, runtime_dir
 from failstop.errors import FailstopError, NoService
+from failstop.events import Event, EventLog
 from failstop.shm import layout
 from failstop.state import StateReader
 
@@ -11,6 +12,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.state import State
 
+KEPT = 256
 CHECK_S = 0.5
 """Time between two looks whether it is still the same run."""
 
@@ -24,6 +26,9 @@ class Follower:
         self.reader: StateReader | None = StateReader(name)
         self.note = ""
         """Why there is no state now."""
+        self.events: list[Event] = []
+        """What this run has told, oldest first, the last of it."""
+        self._log = EventLog(name)
         self._check_s = 0.0
 
     def read(self, now_s: float) -> State | None:
@@ -45,6 +50,8 @@ class Follower:
             run = attach(self.name, layout.SUPERVISOR).incarnation
             if self.reader is None or self.reader.incarnation != run:
                 self.reader = StateReader(self.name)
+                self._log, self.events = EventLog(self.name), []
+            self.events = [*self.events, *self._log.read()][-KEPT:]
         except NoService:
             self._lose(f"no service named {self.name!r} is running")
         except FailstopError as error:

@@ -6,13 +6,16 @@ from collections import deque
 from math import hypot, sqrt
 
 from failstop import style
-from failstop.screen import summary, verdict, words
+from failstop.screen import host, summary, verdict, words
 from failstop.screen.sparkline import spark
 from failstop.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 from failstop.supervisor.settings import BY_KEY
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.events import Event
     from failstop.state import State
     from failstop.style import Line
 
@@ -70,11 +73,15 @@ class Live:
         self._drawn_s = -SLOW_S
         self._key: object = None
         self._gone_s = 0.0
+        self._device: str | None = None
 
-    def lines(self, state: State, mono_s: float, unix_s: float, columns: int, rows: int) -> list[Line]:
+    def lines(
+        self, state: State, mono_s: float, unix_s: float, columns: int, rows: int, events: Sequence[Event] = ()
+    ) -> list[Line]:
         """The screen for a state. `mono_s`: a monotonic clock; call it at a steady rate, as a sparkline's step is one
-        call."""
+        call. `events`: of this run, oldest first."""
         self._gone_s = 0.0
+        self._device = state.device["path"]
         vx, vy, wz = state.body_vel
         self._speed.append(hypot(vx, vy))
         self._turn.append(abs(wz))
@@ -82,7 +89,7 @@ class Live:
         key = (columns, state.blocked, state.epoch, state.waiting_for, state.device, verdict.moving(state))
         if key != self._key or mono_s - self._drawn_s >= SLOW_S:
             self._key, self._drawn_s = key, mono_s
-            self._slow = summary.lines(state, unix_s, columns)[len(self._wheels(state, columns)) :]
+            self._slow = summary.lines(state, unix_s, columns, events)[len(self._wheels(state, columns)) :]
         body = [*self._wheels(state, columns), *self._slow]
         return fit([self._title(unix_s, columns), [], *self._bars(state, columns), [], *body], rows)
 
@@ -123,16 +130,16 @@ class Live:
             self._gone_s = unix_s
             for values in (self._speed, self._turn, self._shake):
                 values.append(None)
-        unit = words.unit(self._name)
+        told = host.journal(self._name) or words.named("`failstop why`", self._name)
         rows: list[Line] = [
             self._title(unix_s, columns),
             [],
             [("NO SERVICE  ", FAIL), (note, STRONG)],
             [(f"since {words.ago(self._gone_s, unix_s)}; waiting for it to come back", PLAIN)],
             [],
-            [("if the wheels turn:  ", PLAIN), ("`failstop stop`", STRONG), (", or the POWER SWITCH", PLAIN)],
-            [("what happened:       ", PLAIN), (f"`journalctl -u {unit} -e`", STRONG)],
-            [("to start it:         ", PLAIN), (f"`sudo systemctl start {unit}`", STRONG)],
+            [("if the wheels turn:  ", PLAIN), (host.stop(self._device), STRONG), (", or the POWER SWITCH", PLAIN)],
+            [("what happened:       ", PLAIN), (told, STRONG)],
+            [("to start it:         ", PLAIN), (host.start(self._name, self._device), STRONG)],
         ]
         return [part for row in rows for part in (style.wrap(row, columns, 0) if row else [row])]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from failstop.screen import reasons, verdict, words
+from failstop.screen import history, reasons, verdict, words
 from failstop.state import State, Stop
 
 TYPE_CHECKING = False
@@ -13,7 +13,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from failstop.events import Event
+    from failstop.screen.left import Left
 
+NO_SERVICE = "no service"
+SAVED = "its black box is in memory, and is saved as an incident when it is started again"
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""
 CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop"))
@@ -80,7 +83,8 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Explanation:
     row = block(state)
     todo = verdict.steps(state)
     if row is None:
-        return Explanation(None, None, "", "", todo, _sentences(_free(state), *_troubles(state), _advice(state, "")))
+        said = _sentences(_free(state), *_troubles(state, events), _advice(state, ""))
+        return Explanation(None, None, "", "", todo, said)
     stop = state.last_stop
     since, cause = _since(state, events, now_s)
     proof, see_to = "", ""
@@ -90,8 +94,20 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Explanation:
     if stop and (state.blocked == verdict.DISABLED or stop.reason == state.estop):
         proof = _proof(stop, state, now_s)
     head = _head(state, row, "" if since is None else f" since {words.ago(since, now_s)}")
-    text = _sentences(*head, cause, proof, *_troubles(state), _advice(state, see_to), row.clears)
-    return Explanation(state.blocked, since, cause, proof, todo, text)
+    before = _before(state, events, now_s)
+    text = _sentences(*head, cause, proof, before, *_troubles(state, events), _advice(state, see_to), row.clears)
+    return Explanation(state.blocked, since, cause, proof, todo, words.named(text, state.name))
+
+
+def gone(found: Left, now_s: float) -> Explanation:
+    """The same of a service that has died: `found` is what it has left."""
+    what = f"{found.reason} (pid {found.pid}; {words.ago(found.t, now_s)}) without being told to end"
+    cause = f"no service named {found.name!r} runs: {what}"
+    doubt = "THE WHEELS MAY TURN. If they do, use the POWER SWITCH" if found.stop is None else ""
+    todo = found.steps()
+    settings = "a configuration file that it had is not known here: name it with --config" if found.by_hand() else ""
+    text = _sentences(doubt, cause, found.written(), f"what to do: {', then '.join(todo)}", settings, SAVED)
+    return Explanation(NO_SERVICE, found.t, cause, found.written(), todo, text)
 
 
 def _head(state: State, row: Block, since: str) -> tuple[str, ...]:
@@ -126,7 +142,29 @@ def _since(state: State, events: Sequence[Event], now_s: float) -> tuple[float |
         change = next((event for event in reversed(events) if event.kind in CHANGES), None)
         if change:
             return change.t, f"what was said then: {change.text.partition('; next: ')[0]}"
+    if state.blocked == verdict.NO_COMMAND and (event := history.left_off(events)):
+        return None, _left_off(event, state, now_s)
     return None, ""
+
+
+def _left_off(event: Event, state: State, now_s: float) -> str:
+    """Who drove and did not stop in order. It may have driven on since: that is not told of each time."""
+    text = f"the last that is known of a driver: {history.leaving(event)} ({words.ago(event.t, now_s)})"
+    who = event.fields.get("who")
+    if any(who == f"{client['name']} (pid {client['pid']})" for client in state.clients):
+        text += "; it is still connected, so it hangs, waits, or commands too seldom"
+    return text
+
+
+def _before(state: State, events: Sequence[Event], now_s: float) -> str:
+    """That the run before this one was not ended in order."""
+    found = history.earlier(events)
+    if found is None or state.last_stop or state.blocked != verdict.DISABLED:
+        return ""
+    return (
+        f"the service was started anew after it had ended without being told to: {found.how} "
+        f"({words.ago(found.t, now_s)}); its story: {found.show(state.name)}"
+    )
 
 
 def _proof(stop: Stop, state: State, now_s: float) -> str:
@@ -154,19 +192,19 @@ def _proof(stop: Stop, state: State, now_s: float) -> str:
     return words.joined(found)
 
 
-def _troubles(state: State) -> list[str]:
+def _troubles(state: State, events: Sequence[Event]) -> list[str]:
     """What else is wrong and keeps the wheels from moving, or may."""
     found = []
+    hung = history.exits(events)
     for name, process in state.processes.items():
         if process.state == "down":
             found.append(
-                f"{name} died too often and stays down (it was {process.last_exit or 'lost'}): "
+                f"{name} died too often and stays down (it {history.last_exit(state, name, hung)}): "
                 "only a restart of the service brings it back"
             )
         elif process.state != "running":
-            found.append(
-                f"{name} is {process.state}{f', after it was {process.last_exit}' if process.last_exit else ''}"
-            )
+            after = f", after it {history.last_exit(state, name, hung)}" if process.last_exit else ""
+            found.append(f"{name} is {process.state}{after}")
     if state.device["state"] == "open" and state.device["link"] == "unproven":
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
     elif state.waiting_for and not found and not verdict.doubt(state):

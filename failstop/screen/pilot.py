@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from failstop.state import State
 
 CLIENT = "failstop teleop"
+LATCHED = "a stop is latched: r resets it, then e enables motion"
 STEP_PERCENT = 10
 FIRST_PERCENT = 50
 FASTER = ("+", "=")
@@ -46,6 +47,8 @@ class Pilot:
         self._full = (speed_mps, speed_mps, turn_radps)
         self._command: Velocity = (0.0, 0.0, 0.0)
         self._commanded_s = 0.0
+        self._latched: str | None = None
+        """The latch as it was seen last."""
         self._rival = ""
         """Who else commands as this source."""
         self._who = f"{CLIENT} (pid {os.getpid()})"
@@ -80,6 +83,10 @@ class Pilot:
         """What is due without a key; nothing drives on that something else has stopped."""
         if not state.enabled:
             self.hold.let_go()
+        if state.estop != self._latched:
+            self._latched = state.estop
+            if state.estop:
+                self.note = (LATCHED, FAIL)
         self._send(self.hold.due(now_s), now_s)
 
     def _press(self, name: str, now_s: float) -> None:
@@ -102,7 +109,7 @@ class Pilot:
             if name == "space":
                 self.hold.let_go()
                 self.robot.estop("space key")
-                self.note = ("stop: latched. r resets it, then e enables motion", FAIL)
+                self.note = (LATCHED, FAIL)
             elif name == "e":
                 self.note = (self.robot.enable(), OK)
             elif name == "r":
@@ -121,7 +128,7 @@ class Pilot:
         if not pressed:
             return True
         if state.estop:
-            self.note = ("a stop is latched: r resets it, then e enables motion", FAIL)
+            self.note = (LATCHED, FAIL)
         elif not state.enabled:
             self.note = ("motion is disabled: e enables it", WARN)
         elif self._rival:

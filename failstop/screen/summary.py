@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from failstop import style
-from failstop.screen import verdict, words
+from failstop.screen import history, verdict, words
 from failstop.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.events import Event
+    from failstop.screen.history import Earlier
     from failstop.state import Process, State, Stop
     from failstop.style import Line
 
@@ -25,14 +29,15 @@ LINKS = {
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
 
 
-def lines(state: State, now_s: float, columns: int) -> list[Line]:
-    """The screen. `now_s`: Unix time, for ages; `columns`: the width to wrap at."""
+def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()) -> list[Line]:
+    """The screen. `now_s`: Unix time, for ages; `columns`: the width to wrap at; `events`: of this run,
+    oldest first."""
     rows = wheels(state)
-    rows += _drivers(state)
-    rows += last_stop(state, now_s)
+    rows += _drivers(state, history.left_off(events), now_s)
+    rows += last_stop(state, now_s, history.earlier(events))
     rows += [device(state), *_battery(state), *_sensors(state), *_clients(state)]
     wrapped = [part for row in rows for part in style.wrap(row, columns, LABEL)]
-    return [*wrapped, [], *processes(state), *_remarks(state, columns)]
+    return [*wrapped, [], *processes(state), *_remarks(state, columns, history.exits(events))]
 
 
 def _row(label: str, text: str, role: str = PLAIN) -> Line:
@@ -53,15 +58,22 @@ def wheels(state: State) -> list[Line]:
 def commands(text: str) -> Line:
     """A text whose commands in backquotes stand out."""
     found: Line = []
-    for number, part in enumerate(text.split("`")):
-        if part:
+    parts = text.split("`")
+    for number, part in enumerate(parts):
+        if number % 2 and number == len(parts) - 1:
+            found.append((f"`{part}", PLAIN))  # one alone, of a reason that somebody gave
+        elif part:
             found.append((f"`{part}`", STRONG) if number % 2 else (part, PLAIN))
     return found
 
 
-def _drivers(state: State) -> list[Line]:
+def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
     if not state.sources:
-        return [_row("driver", "nobody commands")]
+        found = _row("driver", "nobody commands")
+        if left_off and state.blocked == verdict.NO_COMMAND:
+            when = f" ({words.ago(left_off.t, now_s)})"
+            found += [("; ", PLAIN), (history.leaving(left_off), WARN), (when, DIM)]
+        return [found]
     rows = []
     for source in state.sources:
         drives = source["state"] == "drives"
@@ -70,11 +82,15 @@ def _drivers(state: State) -> list[Line]:
     return rows
 
 
-def last_stop(state: State, now_s: float) -> list[Line]:
-    """The last stop and its three proofs."""
+def last_stop(state: State, now_s: float, earlier: Earlier | None = None) -> list[Line]:
+    """The last stop and its three proofs. `earlier`: the run before this one, if it was not ended in order."""
     stop = state.last_stop
     if stop is None:
-        return [_row("last stop", "none since the service was started")]
+        rows = [_row("last stop", "none since the service was started")]
+        if earlier:
+            rows.append([*_row("before it", earlier.how, WARN), (f" ({words.ago(earlier.t, now_s)})", DIM)])
+            rows.append(_row("", "") + commands(earlier.show(state.name)))
+        return rows
     what = "the one that is latched" if stop.reason == state.estop else stop.reason
     head: Line = [(f"{'last stop':<{LABEL}}", DIM), (what, PLAIN), (f" ({words.ago(stop.t, now_s)})", DIM)]
     return [head, [(f"{'':<{LABEL}}", PLAIN), *proofs(stop)]]
@@ -93,7 +109,9 @@ def proofs(stop: Stop) -> Line:
     if stop.observed_ms is None:
         found.append(("not seen still", WARN))
     else:
-        found.append((words.wheels_seen(stop), OK))
+        # No shaking before the stop either: that the wheels rest now proves nothing of it.
+        seen = words.wheels_seen(stop).replace("wheels still", "still").replace("less than", "<")
+        found.append((seen, OK if stop.observed_ms else PLAIN))
     return found
 
 
@@ -142,35 +160,45 @@ def processes(state: State) -> list[Line]:
                 (name, PLAIN),
                 (f" {process.pid or '-'}", PLAIN),
                 (process.state, PLAIN if running else WARN if process.state in ("starting", "waiting") else FAIL),
-                (f" {process.age_ms:.0f} ms" if process.age_ms < 9999 else " -", WARN if late else PLAIN),
-                (f" {process.worst_ms:.0f} ms", PLAIN),
+                (
+                    f" {process.age_ms:.0f} ms" if process.pid and process.age_ms < 9999 else " -",
+                    WARN if late else PLAIN,
+                ),
+                (f" {process.worst_ms:.0f} ms" if process.pid else " -", PLAIN),
                 (f" {process.restarts}", WARN if process.restarts else PLAIN),
-                (_rights(process), PLAIN if process.realtime and process.memory_locked else WARN),
+                (_rights(process), PLAIN if _well(process) else WARN),
             ]
         )
     return style.table(rows)
 
 
+def _well(process: Process) -> bool:
+    """Nothing to say of its rights."""
+    return not process.pid or (process.realtime and process.memory_locked)
+
+
 def _rights(process: Process) -> str:
+    if not process.pid:
+        return "-"
     granted = [word for word, has in (("realtime", process.realtime), ("locked", process.memory_locked)) if has]
     return " ".join(granted) or "none"
 
 
-def _remarks(state: State, columns: int) -> list[Line]:
+def _remarks(state: State, columns: int, hung: dict[str, str]) -> list[Line]:
     """What is wrong beside the wheels, a line each."""
     found: list[Line] = []
     for name, process in state.processes.items():
         if process.state == "down":
-            found.append([(f"{name} died too often and stays down; it was {process.last_exit or 'lost'}", FAIL)])
+            how = history.last_exit(state, name, hung)
+            found.append([(f"{name} died too often and stays down; it {how}", FAIL)])
         elif process.last_exit:
-            found.append(
-                [(f"{name} was started anew {_times(process.restarts)}, last after: {process.last_exit}", WARN)]
-            )
+            how = history.last_exit(state, name, hung)
+            found.append([(f"{name} was started anew {_times(process.restarts)}; it {how}", WARN)])
     if state.age_ms > verdict.STALE_MS:
         found.append(
             [(f"the gate has said nothing for {words.span(state.age_ms / 1000)}: what is above may be old", FAIL)]
         )
-    if not all(process.realtime for process in state.processes.values()):
+    if not all(process.realtime or not process.pid for process in state.processes.values()):
         found.append(
             [("without real-time rights stops come later on a busy machine; `failstop doctor` says more", DIM)]
         )

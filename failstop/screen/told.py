@@ -6,7 +6,7 @@ import time
 
 from failstop import style
 from failstop.errors import FailstopError
-from failstop.screen import words
+from failstop.screen import summary, words
 from failstop.style import DIM, FAIL, PLAIN, WARN
 from failstop.supervisor.kinds import KINDS
 
@@ -27,7 +27,9 @@ def line(event: Event, now_s: float) -> Line:
     role = ROLES.get(event.level, PLAIN)
     millis = int(event.t % 1 * 1000)
     when = f"{words.clock(event.t, now_s)}.{millis:03d}"
-    return [(f"{when}  ", DIM), (f"{event.kind:<{KIND_COLUMNS}}  ", role), (event.text, role)]
+    # Commands in backquotes apart: they are not broken.
+    text = [(part, role) for part, _ in summary.commands(event.text)]
+    return [(f"{when}  ", DIM), (f"{event.kind:<{KIND_COLUMNS}}  ", role), *text]
 
 
 def rows(event: Event, now_s: float, columns: int | None) -> list[Line]:

@@ -1,9 +1,9 @@
-"""Verdict: in a word what the wheels do, what holds them, and the next command to type. Pure."""
+"""Verdict: in a word what the wheels do, what holds them, and the next command to type."""
 
 from __future__ import annotations
 
 from failstop import style
-from failstop.screen import words
+from failstop.screen import host, words
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -70,9 +70,9 @@ def steps(state: State) -> list[str]:
     """What to do, in order, for the wheels to move; commands in backquotes. Empty while they move."""
     drive = "`failstop drive 0.1 0 0`, or commands by your program"
     if state.blocked is None:
-        return [] if moving(state) else [drive]
+        return [] if moving(state) else [words.named(drive, state.name)]
     if down(state):
-        return [f"`sudo systemctl restart {words.unit(state.name)}`", "`failstop enable`"]
+        return [host.restart(state.name, state.device["path"]), words.named("`failstop enable`", state.name)]
     found = []
     if state.device["state"] != "open":
         found.append(f"plug the board in ({state.device['path']})")
@@ -88,18 +88,9 @@ def steps(state: State) -> list[str]:
         found.append("start the obstacle sensor and the program that calls robot.sensed()")
     elif state.blocked == NO_COMMAND:
         found.append(drive)
-    return found
-
-
-def option(state: State, count: int) -> str:
-    """What the commands need on a machine with several robots."""
-    if state.name == "failstop":
-        return ""
-    return f" ({'each ' if count > 1 else ''}with --name {state.name})"
+    return [words.named(step, state.name) for step in found]
 
 
 def next_step(state: State) -> str:
     """The steps as one line."""
-    found = steps(state)
-    commands = sum("`failstop " in step for step in found)
-    return ", then ".join(found) + (option(state, commands) if commands else "")
+    return ", then ".join(steps(state))

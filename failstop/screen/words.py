@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 
+from failstop.shm.instance import DEFAULT_NAME
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.state import Stop
@@ -45,7 +47,7 @@ def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
     if abs(vx_mps) >= NOWHERE_MPS:
         parts.append(f"{abs(vx_mps):.2f} m/s {'forward' if vx_mps > 0 else 'backward'}")
     if abs(vy_mps) >= NOWHERE_MPS:
-        parts.append(f"{abs(vy_mps):.2f} m/s to the {'left' if vy_mps > 0 else 'right'}")
+        parts.append(f"{abs(vy_mps):.2f} m/s {'left' if vy_mps > 0 else 'right'}")
     if abs(wz_radps) >= NOWHERE_MPS:
         parts.append(f"{abs(wz_radps):.2f} rad/s turning {'left' if wz_radps > 0 else 'right'}")
     return ", ".join(parts)
@@ -69,7 +71,19 @@ def wheels_seen(stop: Stop) -> str:
 
 def unit(name: str) -> str:
     """The systemd unit of a service of this name."""
-    return "failstop" if name == "failstop" else f"failstop@{name}"
+    return "failstop" if name == DEFAULT_NAME else f"failstop@{name}"
+
+
+def named(text: str, name: str) -> str:
+    """A text whose commands of failstop, in backquotes, say which service they mean, as is needed where there are
+    several."""
+    if name == DEFAULT_NAME:
+        return text
+    parts = text.split("`")
+    for number in range(1, len(parts) - 1, 2):
+        if parts[number].startswith("failstop ") and " --name " not in parts[number]:
+            parts[number] += f" --name {name}"
+    return "`".join(parts)
 
 
 def joined(parts: list[str], last: str = "and") -> str:

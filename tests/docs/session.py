@@ -151,5 +151,5 @@ def differs(shown: list[str], printed: str) -> str:
 
 def _plain(text: str) -> str:
     text = re.sub(r"\s+", " ", text).strip()
-    text = re.sub(rf" \((?:each )?with --name {SERVICE}\)", "", text)
+    text = re.sub(rf" --name {SERVICE}\b", "", text)
     return NUMBER.sub("0", text)

@@ -163,7 +163,7 @@ def _fences(text: str) -> list[re.Match[str]]:
         (["took 0.3 ms"], "took  12 ms\n", True),
         (["took 0.3 ms"], "took 300 us", True),
         (["took 0.3 ms"], "took no time", False),
-        (["next: enable"], "next: enable (with --name failstop)", True),
+        (["next: `enable`"], "next: `enable --name failstop`", True),
         (["a", "...", "b"], "a\nx\ny\nb", True),
         (["a", "..."], "a\nx", True),
         (["a"], "a\nx", False),

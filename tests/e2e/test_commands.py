@@ -22,7 +22,7 @@ def test_a_session(trial: Trial, failstop: Cli) -> None:
     assert "blocked: disabled" in failstop("status", *at).stdout
     refused = failstop("drive", "0.1", "0", "0", *at)
     assert refused.returncode == 2
-    assert "motion is disabled; next: `failstop enable`" in refused.stderr
+    assert "motion is disabled; next: `failstop enable --name" in refused.stderr
     assert failstop("enable", *at).stdout == "motion enabled\n"
     trial.board.events()
     assert failstop("drive", "0.1", "0", "0", "--for", "0.3", *at).returncode == 0
@@ -36,7 +36,7 @@ def test_a_session(trial: Trial, failstop: Cli) -> None:
     assert failstop("drive", "0.1", "0", "0", *at).returncode == 2
     screen = failstop("status", *at).stdout
     assert "blocked: estop: hand near wheel" in screen
-    assert "`failstop reset`" in screen
+    assert "`failstop reset --name" in screen
     assert "motion still disabled" in failstop("reset", *at).stdout
     assert failstop("disable", *at).stdout == "motion disabled\n"
 

@@ -267,12 +267,10 @@ def test_enable_is_refused_while_latched(seen: Seen) -> None:
     seen.trial.board.key(1, 0x01)
     wait_for("the latch", lambda: seen.trial.robot.state.estop is not None)
     reason = seen.status()["estop"]
-    refused = f"failstop: refused: e-stop latched ({reason}); next: `failstop reset`, then `failstop enable`"
+    steps = [f"`failstop {verb} --name {seen.trial.name}`" for verb in ("reset", "enable")]
+    refused = f"failstop: refused: e-stop latched ({reason}); next: {steps[0]}, then {steps[1]}"
     assert seen.refused("enable").startswith(refused)
-    assert (
-        seen.refused("drive", "0.1", "0", "0")
-        == f"failstop: refused: e-stop latched ({reason}); next: `failstop reset`, then `failstop enable`"
-    )
+    assert seen.refused("drive", "0.1", "0", "0") == refused
     assert seen.status()["blocked"] == f"estop: {reason}"
     assert not seen.trial.moving()
 
@@ -289,7 +287,7 @@ def test_enable_is_refused_without_the_interlock(seen: Seen) -> None:
 def test_drive_is_refused_while_disabled(seen: Seen) -> None:
     seen.enable()
     seen.trial.robot.disable()
-    refusal = "failstop: refused: motion is disabled; next: `failstop enable`"
+    refusal = f"failstop: refused: motion is disabled; next: `failstop enable --name {seen.trial.name}`"
     assert seen.refused("drive", "0.1", "0", "0") == refusal
     assert seen.status()["blocked"] == "disabled"
     assert not seen.trial.moving()

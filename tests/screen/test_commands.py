@@ -37,13 +37,15 @@ def latch(trial: Trial, reason: str = "hand near") -> None:
 
 
 def test_status_through_its_states(trial: Trial) -> None:
-    assert "wheels    STOPPED  blocked: disabled\nnext      `failstop enable`" in said(trial, "status")
+    head = f"wheels    STOPPED  blocked: disabled\nnext      `failstop enable --name {trial.name}`\n"
+    assert said(trial, "status").startswith(head)
     trial.enable()
     assert "blocked: cmd timeout" in said(trial, "status")
     latch(trial)
     shown = said(trial, "status")
     assert "blocked: estop: hand near (trial, pid" in shown
-    assert "`failstop reset`, then `failstop enable`" in shown
+    named = f"--name {trial.name}`"
+    assert f"`failstop reset {named}, then `failstop enable {named}" in " ".join(shown.split())
     assert "written after" in shown
     assert "link alive" in shown
     assert "\x1b" not in shown, "no colours in a pipe"
@@ -82,9 +84,10 @@ def test_why_of_a_latch(trial: Trial) -> None:
     shown = " ".join(said(trial, "why").split())
     assert f'trial (pid {os.getpid()}) asked for a stop: "hand near"' in shown
     assert "the board acknowledged it after" in shown
-    assert "then `failstop reset`, then `failstop enable`" in shown
+    steps = [f"`failstop {verb} --name {trial.name}`" for verb in ("reset", "enable")]
+    assert f"then {steps[0]}, then {steps[1]}" in shown
     found = json.loads(said(trial, "why", "--json"))
-    assert found["next"] == ["`failstop reset`", "`failstop enable`"]
+    assert found["next"] == steps
     assert found["since"] == pytest.approx(time.time(), abs=60)
 
 
@@ -128,7 +131,7 @@ def test_events_say_what_happened(trial: Trial) -> None:
 def test_events_without_a_service() -> None:
     done = run("events", "--name", "nobody-here")
     assert (done.returncode, done.stdout) == (3, "")
-    assert "`journalctl -u failstop@nobody-here -e`" in done.stderr
+    assert "journalctl" not in done.stderr, "no unit, no journal"
     assert done.stderr.count("\n") == 1
     assert (unit("failstop"), unit("left-arm")) == ("failstop", "failstop@left-arm")
 

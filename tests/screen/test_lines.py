@@ -9,7 +9,7 @@ import pytest
 from failstop import style
 from failstop.errors import FailstopError
 from failstop.events import Event
-from failstop.screen import cockpit, live, summary, told, verdict
+from failstop.screen import cockpit, host, live, summary, told, verdict, words
 from failstop.screen.painter import CLEAR, Painter
 from failstop.screen.sparkline import spark
 from failstop.supervisor.kinds import KINDS
@@ -53,7 +53,7 @@ def test_what_the_screen_says() -> None:
     for part in (
         "wheels    STOPPED  blocked: estop: hand near the left wheel (failstop estop, pid 4711)",
         "next      `failstop reset`, then `failstop enable`",
-        "written after 0.21 ms, acknowledged after 4.40 ms, wheels still after about 0.3 s",
+        "written after 0.21 ms, acknowledged after 4.40 ms, still after about 0.3 s",
         "/dev/ttyACM0 open, link alive",
         "12.00 V",
         "supervisor  4711  running  5 ms  20 ms         0  realtime locked",
@@ -88,7 +88,7 @@ def test_proofs_that_are_missing_are_seen() -> None:
 def test_restarts_and_missing_rights_are_remarked() -> None:
     again = process(restarts=2, last_exit="killed by SIGKILL", realtime=False, memory_locked=False)
     said = shown(summary.lines(state(processes={"gate": again}), NOW_S, 120))
-    assert "gate was started anew 2 times, last after: killed by SIGKILL" in said
+    assert "gate was started anew 2 times; it was killed by SIGKILL" in said
     assert "without real-time rights" in said
     assert "none" in said
 
@@ -127,11 +127,17 @@ def test_a_silent_imu_is_not_still() -> None:
     assert found.add(None) is None
 
 
-def test_a_service_that_has_gone_is_said_with_what_to_do() -> None:
+def test_a_service_that_has_gone_is_said_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host, "unit", lambda _name: "")
     found, _ = _live()
     said = shown(found.gone("no service named 'failstop' is running", NOW_S, 80))
-    for part in ("NO SERVICE", "waiting for it to come back", "`failstop stop`", "`journalctl -u failstop -e`"):
+    for part in ("NO SERVICE", "waiting for it to come back", "`failstop stop`", "`failstop run`"):
         assert part in said
+    assert "journalctl" not in said
+    monkeypatch.setattr(host, "unit", words.unit)
+    said = shown(found.gone("no service named 'failstop' is running", NOW_S, 80))
+    assert "`journalctl -u failstop -e`" in said
+    assert "`sudo systemctl start failstop`" in said
     assert "5.0 s ago" in shown(found.gone("x", NOW_S + 5, 80))
 
 
@@ -188,12 +194,16 @@ def _event(text: str = "E-STOP latched: key1", kind: str = "stop") -> Event:
 
 def test_an_event_is_a_line() -> None:
     clock = time.strftime("%H:%M:%S", time.localtime(NOW_S))
-    assert style.plain(told.line(_event(), NOW_S)) == f"{clock}.250  stop          E-STOP latched: key1"
+    kind = "stop".ljust(told.KIND_COLUMNS)
+    assert style.plain(told.line(_event(), NOW_S)) == f"{clock}.250  {kind}  E-STOP latched: key1"
     rows = told.rows(_event("word " * 40), NOW_S, 60)
     assert len(rows) > 3
     assert all(style.cells(style.plain(row)) <= 60 for row in rows)
-    assert style.plain(rows[1]).startswith(" " * 28 + "word")
+    assert style.plain(rows[1]).startswith(" " * (16 + told.KIND_COLUMNS) + "word")
     assert len(told.rows(_event("word " * 40), NOW_S, None)) == 1
+    command = "`failstop incident show 20261121`"
+    rows = told.rows(_event(f"incident 20261121 saved; next: {command}"), NOW_S, 80)
+    assert [command in style.plain(row) for row in rows] == [False, True]
 
 
 def test_every_kind_fits_its_column_and_every_level_has_a_role() -> None:
@@ -230,3 +240,8 @@ def test_since_nonsense(text: str) -> None:
 def test_the_word_is_on_the_live_screen_too() -> None:
     _, lines = _live()
     assert verdict.DRIVING in shown(lines)
+
+
+@pytest.mark.parametrize("text", ["a ` alone", "`", "two `ones` and one `", "`failstop reset`, then", ""])
+def test_no_text_is_changed_by_its_backquotes(text: str) -> None:
+    assert style.plain(summary.commands(text)) == text

@@ -9,7 +9,7 @@ import pytest
 from failstop.procs.gate import kinematics
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
-from failstop.screen import paragraph, verdict
+from failstop.screen import host, paragraph, verdict, words
 from failstop.supervisor.settings import Settings
 
 from .states import driving, latched, process, state, stop
@@ -62,17 +62,23 @@ TABLE: tuple[tuple[Any, str, list[str]], ...] = (
 
 
 @pytest.mark.parametrize(("found", "word", "steps"), TABLE)
-def test_the_word_and_the_steps(found: Any, word: str, steps: list[str]) -> None:
+def test_the_word_and_the_steps(found: Any, word: str, steps: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host, "unit", words.unit)
     assert verdict.word(found)[0] == word
     assert verdict.steps(found) == steps
 
 
-def test_commands_name_the_robot_where_there_are_several() -> None:
+def test_commands_name_the_robot_where_there_are_several(monkeypatch: pytest.MonkeyPatch) -> None:
     other = {"name": "left-arm"}
     assert verdict.next_step(latched()) == "`failstop reset`, then `failstop enable`"
-    assert verdict.next_step(latched(**other)).endswith("`failstop enable` (each with --name left-arm)")
-    assert verdict.next_step(state(**other)) == "`failstop enable` (with --name left-arm)"
+    assert verdict.next_step(latched(**other)) == (
+        "`failstop reset --name left-arm`, then `failstop enable --name left-arm`"
+    )
+    assert verdict.next_step(state(**other)) == "`failstop enable --name left-arm`"
     down = state(processes={"gate": process(state="down")}, **other)
+    monkeypatch.setattr(host, "unit", lambda _name: "")
+    assert "`failstop run --name left-arm`" in verdict.next_step(down)
+    monkeypatch.setattr(host, "unit", words.unit)
     assert "`sudo systemctl restart failstop@left-arm`" in verdict.next_step(down)
 
 

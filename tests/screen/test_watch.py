@@ -38,7 +38,7 @@ def test_it_follows_what_happens(watch: Typist, trial: Trial) -> None:
     assert "█" in watch.screen()
     trial.robot.estop("hand near")
     watch.wait("blocked: estop: hand near")
-    watch.wait("`failstop reset`")
+    watch.wait(f"`failstop reset --name {trial.name}`")
 
 
 def test_only_changed_lines_are_written(watch: Typist, trial: Trial) -> None:
@@ -97,6 +97,7 @@ def test_the_end_of_the_service_and_its_return() -> None:
         watch.wait(str(own.service.pids()[layout.PORT_OWNER]))
         own.service.kill()
         watch.wait("NO SERVICE")
+        watch.wait(f"`failstop run --name {own.name} --device {own.board.link}`")
 
 
 def test_without_a_service_or_a_terminal(trial: Trial) -> None:

@@ -1,0 +1,48 @@
+"""Host: how a service is started on this machine - by systemd where it has the unit, else by hand."""
+
+from __future__ import annotations
+
+import os
+
+from failstop.screen import words
+from failstop.shm.instance import DEFAULT_NAME
+from failstop.supervisor.settings import BY_KEY
+
+BOOTED = "/run/systemd/system"
+"""There when systemd runs the machine (sd_booted(3))."""
+FOLDERS = ("/etc/systemd/system", "/run/systemd/system", "/usr/local/lib/systemd/system", "/usr/lib/systemd/system")
+"""Where systemd finds units (systemd.unit(5))."""
+DEVICE = str(BY_KEY["device.path"].default)
+
+
+def unit(name: str) -> str:
+    """The systemd unit of a service of this name; empty where systemd does not run, or does not have it."""
+    found = words.unit(name)
+    file = f"{found.partition('@')[0]}{'@' * ('@' in found)}.service"
+    there = os.path.isdir(BOOTED) and any(os.path.exists(os.path.join(folder, file)) for folder in FOLDERS)
+    return found if there else ""
+
+
+def start(name: str, device: str | None = None) -> str:
+    """The command that starts it, in backquotes. `device`: the port that it had, where that is known."""
+    if found := unit(name):
+        return f"`sudo systemctl start {found}`"
+    named = "" if name == DEFAULT_NAME else f" --name {name}"
+    return f"`failstop run{named}{f' --device {device}' if device and device != DEVICE else ''}`"
+
+
+def restart(name: str, device: str | None = None) -> str:
+    """The step that starts one anew that runs."""
+    if found := unit(name):
+        return f"`sudo systemctl restart {found}`"
+    return f"end the service (Ctrl-C where it runs), start it again with {start(name, device)}"
+
+
+def stop(device: str | None = None) -> str:
+    """The command that writes a stop without a service, in backquotes."""
+    return f"`failstop stop{f' --device {device}' if device and device != DEVICE else ''}`"
+
+
+def journal(name: str) -> str:
+    """The command that shows what it told, in backquotes; empty where no journal has it."""
+    return f"`journalctl -u {found} -e`" if (found := unit(name)) else ""

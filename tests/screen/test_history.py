@@ -1,0 +1,97 @@
+"""What events tell that the state does not: processes that hung, drivers that left off, the run before this one."""
+
+from __future__ import annotations
+
+import time
+
+from failstop import style
+from failstop.events import Event
+from failstop.screen import history, paragraph, summary
+
+from .states import NOW_S, driving, process, state
+
+DIED = {"process": "gate", "pid": 4711, "how": "was killed by SIGKILL"}
+FENCED = {"process": "gate", "pid": 4711, "silent_ms": 60.3, "kill_us": 200.0}
+NAV = {"who": "nav (pid 42)", "source": "cmd_vel", "silent_ms": 301.0}
+BLOCKED = driving(blocked="cmd timeout", body_vel=(0.0, 0.0, 0.0), wheels_rps=(0.0,) * 4, sources=[])
+
+
+def told(kind: str, fields: dict[str, str | int | float] | None = None, t: float = NOW_S - 3, seq: int = 1) -> Event:
+    return Event(seq, t, 1, kind, "warning", f"{kind} happened", dict(fields or {}))
+
+
+def shown(state_: object, events: list[Event]) -> str:
+    return "\n".join(style.plain(line) for line in summary.lines(state_, NOW_S, 100, events))  # type: ignore[arg-type]
+
+
+def why(state_: object, events: list[Event]) -> str:
+    return paragraph.explain(state_, events, NOW_S).text  # type: ignore[arg-type]
+
+
+def test_a_process_that_was_fenced_hung() -> None:
+    dead = state(processes={"gate": process(restarts=1, last_exit="killed by SIGKILL")})
+    fenced = [told("fenced", FENCED), told("died", DIED)]
+    said = "gate was started anew once; it hung (silent for 60 ms), and was killed by the supervisor"
+    assert said in shown(dead, fenced)
+    down = state(processes={"gate": process(pid=0, state="down", last_exit="killed by SIGKILL")})
+    assert "it hung (silent for 60 ms), and was killed by the supervisor" in shown(down, fenced)
+    assert "it hung (silent for 60 ms), and was killed by the supervisor" in why(down, fenced)
+
+
+def test_a_death_after_that_one_is_a_death() -> None:
+    dead = state(processes={"gate": process(restarts=2, last_exit="killed by SIGKILL")})
+    events = [told("fenced", FENCED), told("died", DIED), told("died", {**DIED, "pid": 4712})]
+    assert "2 times; it was killed by SIGKILL" in shown(dead, events)
+    assert "2 times; it was killed by SIGKILL" in shown(dead, [told("died", DIED)])
+    crashed = state(processes={"gate": process(restarts=1, last_exit="exited with code 1")})
+    assert "once; it exited with code 1" in shown(crashed, [])
+
+
+def test_who_fell_silent_is_named_while_nobody_commands() -> None:
+    events = [told("enabled", t=NOW_S - 9), told("driver_silent", NAV)]
+    assert "nobody commands; nav (pid 42) fell silent while it drove (" in shown(BLOCKED, events)
+    assert ", 3.0 s ago)" in shown(BLOCKED, events)
+    assert "The last that is known of a driver: nav (pid 42) fell silent while it drove" in why(BLOCKED, events)
+    assert "it is still connected" in why(BLOCKED, events)
+
+
+def test_who_ended_while_it_drove_is_named() -> None:
+    events = [told("driver_gone", NAV)]
+    found = driving(blocked="cmd timeout", sources=[], clients=[])
+    assert "nav (pid 42) ended while it drove" in shown(found, events)
+    assert "nav (pid 42) ended while it drove" in why(found, events)
+    assert "connected" not in why(found, events)
+
+
+def test_a_driver_of_before_is_no_news() -> None:
+    events = [told("driver_silent", NAV), told("enabled")]
+    assert "silent" not in shown(BLOCKED, events)
+    assert "nav" not in shown(state(), [told("driver_silent", NAV)]), "disabled: no matter who drove"
+    assert "silent" not in shown(driving(), [told("driver_silent", NAV)]), "somebody drives again"
+
+
+def _incident(before_s: float, reason: str = "supervisor-died") -> tuple[Event, str]:
+    stamp = time.strftime(history.STAMP, time.localtime(NOW_S - before_s))
+    return told("incident", {"id": f"{stamp}-{reason}"}, NOW_S - 5, seq=4), f"{stamp}-{reason}"
+
+
+def test_the_run_before_this_one_is_told_of_with_its_incident() -> None:
+    saved, identity = _incident(60)
+    events = [told("ready", t=NOW_S - 8), saved]
+    assert "before it supervisor died (" in shown(state(), events)
+    assert f"`failstop incident show {identity}`" in shown(state(), events)
+    assert f"its story: `failstop incident show {identity} --name left`" in why(state(name="left"), events)
+    assert "supervisor died" in why(state(), events)
+    assert identity not in why(BLOCKED, events), "somebody has enabled motion since"
+
+
+def test_an_incident_of_this_run_is_none_of_before() -> None:
+    own, _ = _incident(8, "gate-died")
+    begun = told("ready", t=NOW_S - 8)
+    assert history.earlier([begun, told("stop", t=NOW_S - 7.4, seq=2), own]) is None
+    later, _ = _incident(3, "gate-died")
+    assert history.earlier([begun, later]) is None
+    saved, _ = _incident(60)
+    assert history.earlier([told("ready", t=NOW_S - 8, seq=300), saved]) is None, "the first events are gone"
+    assert history.earlier([begun, told("incident", {"reason": "no room"})]) is None
+    assert history.earlier([]) is None
