@@ -186,7 +186,7 @@ class BlackBox:
             return
         if not code and told.startswith("saved "):
             identity = told.removeprefix("saved ")
-            text = f"incident {identity} saved; next: `failstop incident show {identity}`"
+            text = f"incident {identity} saved; next: {self._events.command(f'incident show {identity}')}"
             self._events.tell("incident", text, {"id": identity})
         else:
             died = f"the saver was killed by signal {-code}" if code < 0 else f"the saver ended with code {code}"

@@ -13,6 +13,7 @@ import msgpack
 
 from failstop.fold import PREFIX, fitted
 from failstop.shm import layout
+from failstop.shm.instance import DEFAULT_NAME
 from failstop.shm.records import cut
 from failstop.supervisor.kinds import BY_NAME, LEVELS
 
@@ -62,6 +63,11 @@ class Events:
         given = {key: value for key, value in (fields or {}).items() if value is not None}
         now = (time.monotonic_ns(), time.time())
         self._waiting.append((*now, known.name, level if level in LEVELS else known.level, text, given))
+
+    def command(self, words: str) -> str:
+        """A command to type next, in backquotes, for this instance."""
+        name = "" if self._name == DEFAULT_NAME else f" --name {self._name}"
+        return f"`failstop {words}{name}`"
 
     def flush(self, now_ns: int = 0, *, hold: bool = False) -> None:
         """Send what was told. `hold`: a stop's bytes are not out yet; then only what has waited for long."""

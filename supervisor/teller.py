@@ -66,7 +66,8 @@ class Teller:
         if ending:
             self.events.tell("stopping", f"{cause.reason}; {wrote}", fields, level=level)
         elif standing is cause:
-            text = f"E-STOP latched: {cause.reason}; {wrote}; next: `failstop reset`, then `failstop enable`"
+            todo = f"{self.events.command('reset')}, then {self.events.command('enable')}"
+            text = f"E-STOP latched: {cause.reason}; {wrote}; next: {todo}"
             self.events.tell("stop", text, fields, level=level)
         elif self._news_of(cause):
             text = f"stopped again: {cause.reason}; {wrote}; latched is still: {standing.reason}"
@@ -75,7 +76,8 @@ class Teller:
     def ready(self, *, realtime: bool) -> None:
         """Motion could be enabled, for the first time."""
         self._told_missing = ""
-        self.events.tell("ready", f"{self._name!r} is ready: wheels stopped, motion disabled; next: `failstop enable`")
+        todo = self.events.command("enable")
+        self.events.tell("ready", f"{self._name!r} is ready: wheels stopped, motion disabled; next: {todo}")
         if not realtime:
             self.events.tell("rights", NO_REALTIME, {"what": "SCHED_FIFO"})
 
@@ -87,7 +89,7 @@ class Teller:
             return
         if missing and now_ns - self._missing_ns >= WAITED_NS:
             self._told_missing = missing
-            text = f"waiting for {missing}: motion can't be enabled; next: `failstop status`"
+            text = f"waiting for {missing}: motion can't be enabled; next: {self.events.command('status')}"
             self.events.tell("waiting", text, {"for": missing})
         elif not missing:
             self.events.tell("ready", f"{self._told_missing} is there now: motion can be enabled again")

@@ -107,7 +107,8 @@ def test_a_stop_request_and_then_a_killed_gate(scene: Scene) -> None:
     assert second.ticks[-1].ns > second.cause_ns, "the successor writes where the dead gate ended"
     ids = (first.id, second.id)
     wait_for("words on both", lambda: len(scene.told()) == 2, SAVED_S)
-    assert scene.told() == [f"incident {one} saved; next: `failstop incident show {one}`" for one in ids]
+    shown = [f"`failstop incident show {one} --name {trial.name}`" for one in ids]
+    assert scene.told() == [f"incident {one} saved; next: {todo}" for one, todo in zip(ids, shown, strict=True)]
 
 
 def test_the_death_of_the_one_who_decodes_loses_nothing_of_before(scene: Scene) -> None:
