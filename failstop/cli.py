@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 
+from failstop import standard
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from argparse import ArgumentParser
@@ -66,6 +68,7 @@ def _usage() -> str:
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
+    standard.fill()
     words = sys.argv[1:] if argv is None else argv
     if words[:1] == ["help"] and len(words) > 1:
         words = [words[1], "--help"]

@@ -8,6 +8,7 @@ import time
 
 from failstop.errors import FailstopError, NoAnswer, NoService
 from failstop.shm import bell, claim, instance, layout, records, segment
+from failstop.shm.lifeline import pid_namespace
 
 ANSWER_S = 1.0
 """How long a request may take; the gate answers within a tick."""
@@ -84,7 +85,8 @@ class Client:
         self._interlocks = self._segment.latest_writer("interlocks")
         self._reply = self._gate.latest_reader(f"reply.{self.slot}")
         self._hint = bytes([self.slot])
-        self._segment.latest_writer("hello").write(records.pack_hello(self._session, os.getpid(), who))
+        hello = records.pack_hello(self._session, os.getpid(), pid_namespace(), who)
+        self._segment.latest_writer("hello").write(hello)
         self._ring()
 
     def _claim_slot(self) -> tuple[int, segment.Segment]:

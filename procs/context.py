@@ -80,5 +80,12 @@ class Context:
         return segment.attach(self.instance, name, self.incarnation)
 
     def client_slots(self) -> list[Segment]:
-        """Every client's segment, as the service reads it."""
-        return [segment.read_client_slot(self.instance, i, self.incarnation) for i in range(layout.CLIENT_SLOTS)]
+        """Every client's segment, as the service reads it; one that is gone is out of use."""
+        return [self._client_slot(index) for index in range(layout.CLIENT_SLOTS)]
+
+    def _client_slot(self, index: int) -> Segment:
+        try:
+            return segment.read_client_slot(self.instance, index, self.incarnation)
+        except segment.AttachError:
+            # Its name was taken away, which the supervisor tells of: no reason to be without a gate.
+            return segment.no_client_slot(index, self.incarnation)

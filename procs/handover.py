@@ -22,7 +22,8 @@ class Control:
         self._socket = _socket.socket(_socket.AF_UNIX, _socket.SOCK_SEQPACKET, 0, fd)
 
     def send(self, fd: int) -> None:
-        """Send a duplicate of a descriptor. A peer that has died does not need one: its successor inherits it."""
+        """Send a duplicate of a descriptor. A peer that has died does not need one: its successor inherits it. One that
+        has no free descriptor number gets none, and the duplicate is lost."""
         packed = [(_socket.SOL_SOCKET, _socket.SCM_RIGHTS, _FD.pack(fd))]
         try:
             self._socket.sendmsg([b"port"], packed, _socket.MSG_DONTWAIT)
@@ -30,7 +31,7 @@ class Control:
             return
 
     def receive(self) -> int:
-        """Return a descriptor that was sent, or -1 when none waits or the peer is gone."""
+        """Return a descriptor that was sent, or -1 when none waits, it was lost, or the peer is gone."""
         flags = _socket.MSG_DONTWAIT | _socket.MSG_CMSG_CLOEXEC
         try:
             data, ancillary, _, _ = self._socket.recvmsg(16, _socket.CMSG_LEN(_FD.size), flags)

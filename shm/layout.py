@@ -14,7 +14,7 @@ from failstop.shm.latest import record_bytes, slot_bytes
 from failstop.shm.mutex import BLOCKS, MUTEX_BYTES, PER_BLOCK
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 3
+LAYOUT_VERSION = 4
 SUPERVISOR_BLOCK = 0
 """The block of mutexes (mutex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
@@ -131,7 +131,7 @@ SEGMENTS = (
             _word("gate_life", "port_owner"),  # whom to watch (records.life): the newest gate that was started
             _word("port_owner_life", "stopper"),  # whom to watch: the newest port owner that was started
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
-            _latest("cause", 320, "gate"),  # what the epoch was raised for: the first cause since a reset (records)
+            _latest("cause", 640, "gate"),  # what the epoch was raised for, and the first since a reset (records)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
             _latest("link", 32, "clients"),  # whether the board answers: unproven, alive or deaf (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
@@ -191,7 +191,16 @@ SEGMENTS = (
             _ring("box", box.BOARD_BYTES, box.BOARD_SLOTS, "everyone"),  # what it decoded (box.py)
         ),
     ),
-    SegmentSpec(STOPPER, STOPPER, PUBLIC, (*_beat(), _word("written_ns", "everyone"))),
+    SegmentSpec(
+        STOPPER,
+        STOPPER,
+        PUBLIC,
+        (
+            *_beat(),
+            _word("written_ns", "everyone"),  # when it last wrote a burst
+            _word("port_ns", "supervisor"),  # since when it has the port that it holds; 0: it holds none
+        ),
+    ),
     SegmentSpec(
         "lifelines",
         "every process of the service, each its own block",

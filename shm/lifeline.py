@@ -27,6 +27,14 @@ _DEMOTED = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
 _STACK_BYTES = 128 * 1024
 
 
+def pid_namespace() -> int:
+    """Which namespace this process's pid is of: in another one it is nobody's, or somebody else's. 0: not known."""
+    try:
+        return os.stat("/proc/self/ns/pid").st_ino
+    except OSError:
+        return 0
+
+
 class Lifeline:
     """Watches one process. `fd` becomes readable when the process has died; it then stays readable."""
 
@@ -47,9 +55,13 @@ class Lifeline:
 
     def dead(self) -> bool:
         """True once the process has died. One system call; never blocks."""
+        return self.fallen or self.wait(0)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until the process has ended; False: it has not within `timeout_s`."""
         poll = select.poll()
         poll.register(self.fd, select.POLLIN)
-        return self.fallen or bool(poll.poll(0))
+        return bool(poll.poll(timeout_s * 1000))
 
     def kill(self) -> None:
         """SIGKILL the process; never another one that has its pid by now."""

@@ -17,10 +17,11 @@ OTHER = 3
 
 _FRAME = struct.Struct("<QB")
 _STOP = struct.Struct("<QQQB")
+_CAUSE = struct.Struct("<QQH")
 _PORT = struct.Struct("<QQB")
 _COMMAND = struct.Struct("<QdddB16s")
 _SESSION = struct.Struct("<Q")
-_HELLO = struct.Struct("<QI")
+_HELLO = struct.Struct("<QIQ")
 _REQUEST = struct.Struct("<QQB")
 _IMU = struct.Struct("<6d")
 _PAD = struct.Struct("<HB4bB")
@@ -109,6 +110,19 @@ def unpack_stop(payload: bytes) -> tuple[int, int, int, bool, str]:
     return epoch, cause_ns, written_ns, bool(latches), text.decode("utf-8", "replace")
 
 
+def pack_cause(epoch: int, cause_ns: int, standing: str, newest: str) -> bytes:
+    """What stands: the epoch that its stop was raised to, when it was noticed, its reason; and the reason of the newest
+    epoch, for a reader that knows of a reset which ended what stands here."""
+    first = cut(standing, 280)
+    return _CAUSE.pack(epoch, cause_ns, len(first)) + first + cut(newest, 280)
+
+
+def unpack_cause(payload: bytes) -> tuple[int, int, str, str]:
+    """Return (epoch, cause_ns, standing, newest)."""
+    (epoch, cause_ns, length), texts = _head(_CAUSE, payload)
+    return epoch, cause_ns, texts[:length].decode("utf-8", "replace"), texts[length:].decode("utf-8", "replace")
+
+
 def pack_port(generation: int, since_ns: int, state: int, path: str) -> bytes:
     """The port: how often it was opened, since when it is in this state, PORT_OPEN or another, its path."""
     return _PORT.pack(generation, since_ns, state) + cut(path, 300)
@@ -154,15 +168,16 @@ def unpack_held(payload: bytes) -> tuple[int, list[str]]:
     return session, names.decode("utf-8", "replace").split("\n") if names else []
 
 
-def pack_hello(session: int, pid: int, name: str) -> bytes:
-    """Who holds a client slot: a random session number, the pid it says it has, its name."""
-    return _HELLO.pack(session, pid) + cut(name, 64)
+def pack_hello(session: int, pid: int, pid_namespace: int, name: str) -> bytes:
+    """Who holds a client slot: a random session number, the pid it says it has and in which namespace of pids
+    (lifeline.pid_namespace), its name."""
+    return _HELLO.pack(session, pid, pid_namespace) + cut(name, 64)
 
 
-def unpack_hello(payload: bytes) -> tuple[int, int, str]:
-    """Return (session, pid, name)."""
-    (session, pid), name = _head(_HELLO, payload)
-    return session, pid, name.decode("utf-8", "replace")
+def unpack_hello(payload: bytes) -> tuple[int, int, int, str]:
+    """Return (session, pid, pid_namespace, name)."""
+    (session, pid, pid_namespace), name = _head(_HELLO, payload)
+    return session, pid, pid_namespace, name.decode("utf-8", "replace")
 
 
 def pack_request(session: int, number: int, verb: int) -> bytes:

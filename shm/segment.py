@@ -104,6 +104,10 @@ class Segment:
         """Empty every record of a client's own slot, whatever its holder before left there."""
         self.view[HEADER_BYTES : self.spec.size] = bytes(self.spec.size - HEADER_BYTES)
 
+    def fileno(self) -> int:
+        """The descriptor of an unmapped segment; else -1."""
+        return self._fd
+
     def close(self) -> None:
         """Give the descriptor of an unmapped segment back; a mapping ends when its last word or reader is gone."""
         if self._fd >= 0:
@@ -203,6 +207,12 @@ def read_client_slot(instance: str, index: int, incarnation: int) -> Segment:
     and each record carries the incarnation in its CRC."""
     name = f"client.{index}"
     return Segment(BY_NAME[name], incarnation, FileView(fd := _open(instance, name, False)), None, fd)
+
+
+def no_client_slot(index: int, incarnation: int) -> Segment:
+    """In the place of a client's segment that can't be opened: nothing is ever in it."""
+    fd = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
+    return Segment(BY_NAME[f"client.{index}"], incarnation, FileView(fd), None, fd)
 
 
 def open_all(instance: str) -> dict[str, int]:

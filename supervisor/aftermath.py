@@ -6,6 +6,7 @@ The decisions are in stops.py and link.py; here are the words of shared memory t
 from __future__ import annotations
 
 import os
+import signal
 import time
 
 import msgpack
@@ -43,7 +44,8 @@ class Aftermath:
         self._generation = 0
         self._after_ns = settings.ns("still.after_s")
         self._command = settings.text("still.command")
-        self._command_pid = 0
+        self._command_pids: list[int] = []
+        """Those that have not ended, the newest last."""
         self._command_ran = False
         self._seen_pong = 0
         self.link = Link(settings.ns("link.deaf_s"))
@@ -91,9 +93,13 @@ class Aftermath:
             self._generation = generation
             self.link.opened()
             # Whoever opens a port writes the burst before it says so.
-            if self._last and not self._last.written_ns and self._written.get() > self._last.cause.t_ns:
-                self._last.written_at_last(self._written.get(), "port owner")
-                self._publish()
+            self.opened(self._written.get(), "port owner")
+
+    def opened(self, written_ns: int, by: str) -> None:
+        """A port was opened anew; the last burst of who did it was at `written_ns`."""
+        if self._last and not self._last.written_ns and written_ns > self._last.cause.t_ns:
+            self._last.written_at_last(written_ns, by)
+            self._publish()
 
     def _take_answer(self) -> None:
         word = self._pong.get()
@@ -134,26 +140,40 @@ class Aftermath:
 
     def _run_command(self) -> None:
         """Once, until the wheels have been seen still or people have reset."""
-        if not self._command or self._command_ran or self._command_pid:
+        if not self._command or self._command_ran:
             return
+        self._end_command()
         self._command_ran = True
         try:
             words = ["/bin/sh", "-c", self._command]
-            self._command_pid = os.posix_spawn(words[0], words, os.environ, setsid=True)
+            self._command_pids.append(os.posix_spawn(words[0], words, os.environ, setsid=True))
         except OSError as error:
             text = f"cannot run still.command ({self._command}): {error}"
             self._events.tell("command", text, {"state": "failed", "reason": str(error)}, level="error")
         else:
-            text = f"still.command runs (pid {self._command_pid}): {self._command}"
-            self._events.tell("command", text, {"state": "runs", "pid": self._command_pid})
+            pid = self._command_pids[-1]
+            text = f"still.command runs (pid {pid}): {self._command}"
+            self._events.tell("command", text, {"state": "runs", "pid": pid})
+
+    def _end_command(self) -> None:
+        """What an earlier stop has run, and has not ended: it hangs, and must not keep this stop from its own."""
+        for pid in self._command_pids:
+            try:
+                os.killpg(pid, signal.SIGKILL)
+                how = "killed"
+            except OSError as error:  # of another user's rights, by sudo
+                how = f"cannot be killed ({error.strerror})"
+            text = f"still.command (pid {pid}) has not ended since an earlier stop: {how}, and run anew"
+            self._events.tell("command", text, {"state": "hangs", "pid": pid}, level="error")
 
     def _reap(self) -> None:
-        if self._command_pid:
-            pid, status = os.waitpid(self._command_pid, os.WNOHANG)
-            if pid:
-                self._command_pid = 0
+        for pid in tuple(self._command_pids):
+            found, status = os.waitpid(pid, os.WNOHANG)
+            if found:
+                self._command_pids.remove(pid)
                 code = os.waitstatus_to_exitcode(status)
-                self._events.tell("command", f"still.command ended with code {code}", {"state": "ended", "code": code})
+                text = f"still.command (pid {pid}) ended with code {code}"
+                self._events.tell("command", text, {"state": "ended", "pid": pid, "code": code})
 
     def _tell(self) -> None:
         """A stop that another one follows is told of with what is known."""

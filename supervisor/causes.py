@@ -17,18 +17,30 @@ class Cause:
 
 
 class Causes:
-    """The standing cause: the first since the last reset; and the epoch that it was raised to."""
+    """The standing cause, the first since the last reset, and the epoch that was raised for it; the newest, and the
+    newest epoch."""
 
-    __slots__ = ("epoch", "standing")
+    __slots__ = ("epoch", "newest", "since", "standing")
 
     def __init__(self) -> None:
         self.standing: Cause | None = None
+        self.since = 0
+        self.newest: Cause | None = None
         self.epoch = 0
 
-    def add(self, news: list[Cause], epoch: int, reset_epoch: int) -> Cause:
-        """Causes that came together, for which the epoch is being raised to `epoch`; a reset in `reset_epoch` ended
-        what stood before. Returns the standing cause."""
-        if self.standing is None or reset_epoch >= self.epoch:
-            self.standing = min(news, key=lambda cause: cause.t_ns)
+    def settle(self, reset_epoch: int) -> None:
+        """A reset in `reset_epoch` ended what had come by then. One that was made in the epoch before the newest is
+        seen only after that was raised: then the newest stands."""
+        if self.standing and self.since <= reset_epoch:
+            self.standing = self.newest if self.epoch > reset_epoch else None
+            self.since = self.epoch
+
+    def add(self, news: list[Cause], epoch: int, reset_epoch: int) -> tuple[Cause, Cause]:
+        """Causes that came together, for which the epoch is being raised to `epoch`; `reset_epoch` as in settle().
+        Returns (the standing cause, the newest)."""
+        self.settle(reset_epoch)
+        self.newest = min(news, key=lambda cause: cause.t_ns)
         self.epoch = epoch
-        return self.standing
+        if self.standing is None:
+            self.standing, self.since = self.newest, epoch
+        return self.standing, self.newest

@@ -25,6 +25,7 @@ class Child:
     __slots__ = (
         "beat",
         "block",
+        "ended",
         "excused_ns",
         "fallen",
         "fence",
@@ -49,6 +50,8 @@ class Child:
         """The block of mutexes that it holds."""
         self.fallen = False
         """Its death is known, and answered; it is still to be buried."""
+        self.ended = False
+        """Its pidfd has said so."""
         self.life: Lifeline | None = None
         self.started_ns = 0
         self.restart_ns: int | None = None
@@ -69,7 +72,7 @@ class Child:
         self.life = Lifeline(pid)
         self.pid = pid
         self.block = block
-        self.fallen = False
+        self.fallen = self.ended = False
         self.fence = None
         self.started_ns = now_ns
         self.restart_ns = None
@@ -91,9 +94,19 @@ class Child:
             return max(self.beat.ns.get(), self.excused_ns) + self.row.deadline_ns + self.patience_ns
         return max(self.started_ns, self.excused_ns) + STARTING_NS
 
+    def kill(self, wait_s: float) -> None:
+        """End it, and collect it if it has ended within `wait_s`."""
+        if self.life:
+            self.life.kill()
+            self.life.wait(wait_s)
+            self.buried()
+
     def buried(self) -> str:
-        """Collect the dead process, whose pidfd has said so, and return how it died, in words."""
-        _, status = os.waitpid(self.pid, 0)
+        """Collect the dead process and return how it died, in words; empty: it can't be collected yet, as while a
+        debugger holds it."""
+        pid, status = os.waitpid(self.pid, os.WNOHANG)
+        if not pid:
+            return ""
         if os.WIFSIGNALED(status):
             number = os.WTERMSIG(status)
             self.last_exit = f"killed by {_SIGNALS.get(number, number)}"
@@ -103,6 +116,7 @@ class Child:
             self.life.close()
             self.life = None
         self.pid = 0
+        self.ended = False
         return self.last_exit
 
     def state(self) -> str:

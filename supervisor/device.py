@@ -10,16 +10,28 @@ if TYPE_CHECKING:
     from failstop.supervisor.events import Events
 
 
+EARLIER_NS = 20_000_000
+"""A port owner without a port turns every 5 ms."""
+
+
 class Device:
     """The port as people know it."""
 
-    __slots__ = ("_changed_ns", "_events", "_lost")
+    __slots__ = ("_absent_ns", "_changed_ns", "_events", "_lost")
 
     def __init__(self, events: Events, now_ns: int) -> None:
         """It is there."""
         self._events = events
         self._lost = False
         self._changed_ns = now_ns
+        self._absent_ns = 0
+
+    def may_be_opened(self, there: bool, beat_ns: int, now_ns: int) -> bool:
+        """True when a port owner without a port that beat last at `beat_ns` may be in the midst of opening it: not
+        while there is no device (`there`), nor when it was silent before the device was back."""
+        if not there:
+            self._absent_ns = now_ns
+        return beat_ns >= self._absent_ns - EARLIER_NS
 
     def follow(self, entry: Entry | None) -> None:
         """The port owner's record. One from before the last change says nothing new: a hang-up may be seen here

@@ -3,7 +3,9 @@ locked."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 
 from failstop.procs import rights
 from failstop.procs.child import SETTINGS_VARIABLE
@@ -20,9 +22,8 @@ from failstop.supervisor.settings import Settings
 def start(words: dict[str, str]) -> int:
     """Run the service; returns the exit code."""
     rights.name_process(SUPERVISOR_COMM)
-    lock, port = int(words["lock"]), int(words["port"])
-    for fd in (lock, port):
-        os.set_inheritable(fd, False)
+    _take_signals()
+    port = _take_descriptors(int(words["lock"]), int(words["port"]))
     notify = Notify.taken_from(os.environ, os.getpid())
     journal = Journal() if is_stderr(os.environ.pop("JOURNAL_STREAM", "")) else None
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
@@ -37,3 +38,23 @@ def start(words: dict[str, str]) -> int:
         return main.run(resources, OwnPort(port), settings, notify, journal)
     finally:
         resources.remove()
+
+
+def _take_signals() -> None:
+    """Undo what a parent may have left, which exec hands on: without SIGCHLD no child can be collected, and what is
+    blocked can't end the service. SIGHUP stays ignored where it is: whoever uses nohup wants that."""
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
+
+
+def _take_descriptors(lock: int, port: int) -> int:
+    """Close whatever else was inherited, and have small numbers for the two, which nobody inherits any more: select()
+    takes none from 1024 on. The lock stays open as long as this process lives; returns the port."""
+    with contextlib.suppress(OSError):  # without /proc they stay
+        for fd in set(map(int, os.listdir("/proc/self/fd"))) - {0, 1, 2, lock, port}:
+            with contextlib.suppress(OSError):  # the listing's own
+                os.close(fd)
+    for fd in (lock, port):
+        found = os.dup(fd)
+        os.close(fd)
+    return found

@@ -71,13 +71,14 @@ class Family:
         """Collect the processes that have died, and plan their restarts; `burst_ns`: the supervisor's last burst."""
         for child in self.children:
             if child.life and child.life.fd in ready:
-                self._bury(child, now_ns, burst_ns)
+                child.ended = True
+                self._loop.forget(child.life.fd)  # it stays readable, however long it takes to be collected
+            pid = child.pid
+            if child.ended and (death := child.buried()):
+                self._bury(child, pid, death, now_ns, burst_ns)
 
-    def _bury(self, child: Child, now_ns: int, burst_ns: int) -> None:
-        if child.life:
-            self._loop.forget(child.life.fd)
-        name, pid = child.row.name, child.pid
-        death = child.buried()
+    def _bury(self, child: Child, pid: int, death: str, now_ns: int, burst_ns: int) -> None:
+        name = child.row.name
         told: dict[str, str | int] = {"process": name, "pid": pid}
         if child.fence:
             again_ns = burst_ns if name == layout.PORT_OWNER else 0

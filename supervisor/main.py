@@ -13,19 +13,20 @@ from time import monotonic_ns
 import msgpack
 
 from failstop.procs import rights
-from failstop.procs.handover import OPENING_NS, Control
-from failstop.procs.loop import GONE, HANGUP, READ, Loop
+from failstop.procs.loop import READ, Loop
 from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import Heartbeat
+from failstop.supervisor import answer
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
 from failstop.supervisor.causes import Cause, Causes
-from failstop.supervisor.device import Device
 from failstop.supervisor.events import Events
 from failstop.supervisor.family import Family
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.herald import Herald
+from failstop.supervisor.names import Names
 from failstop.supervisor.notify import Notify
+from failstop.supervisor.sharing import Sharing
 from failstop.supervisor.table import SUPERVISOR_PRIORITY
 from failstop.supervisor.teller import Teller
 
@@ -49,6 +50,8 @@ EXCUSE_NS = 60_000_000
 ticks less than the shortest deadline."""
 HELD_UP_NS = 250_000_000
 """And one that was silent for this long stops: nobody has watched."""
+END_S = 2.0
+"""How long the end of the service waits for each process that it has killed, before the last burst goes out."""
 
 
 class Supervisor:
@@ -85,15 +88,15 @@ class Supervisor:
         self.blackbox = BlackBox(resources, settings, own, views, self._events)
         self._stopped_word = views[layout.PORT_OWNER].word("stopped_epoch")
         self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
-        self._port_state = views[layout.PORT_OWNER].latest_reader("port")
         self._news: tuple[tuple[str, RingReader], ...] = (
             (layout.PORT_OWNER, views[layout.PORT_OWNER].ring_reader("stops")),
             (layout.GATE, views[layout.GATE].ring_reader("trips")),
         )
         self._reset_word = views[layout.GATE].word("reset_epoch")
         self._bells = resources.bells
-        self._controls = {process: Control(fds[0]) for process, fds in resources.controls.items()}
         self._causes = Causes()
+        self._latched: Cause | None = None
+        """The last cause that stood: a reset may have ended it."""
         self.herald = Herald(notify or Notify(), self.family, self._causes, views)
         self.epoch = 1
         self._epoch_word.set(1)
@@ -103,18 +106,18 @@ class Supervisor:
         """Since when a stop is neither answered nor written; 0: there is none such."""
         self._table = b""
         self._was_ready = False
-        self._path = settings.text("device.path")
-        self._device = Device(self._events, monotonic_ns())
+        path = settings.text("device.path")
+        self._sharing = Sharing(port, path, resources, views, self.loop, self.family, self._events)
         self._turned_ns = monotonic_ns()
         self._burst_ns = 0
         self.ending = False
+        self.broken = False
+        """It can't go on, and ends by itself, when its stop is answered."""
+        self._names = Names(resources.named, self._events)
 
         self._bell = self._bells[layout.SUPERVISOR]
         for fd in (self._bell.fd, self._early.bell.fd):
             self.loop.watch(fd, READ)
-        for control in self._controls.values():
-            self.loop.watch(control.fd, READ)
-        self.loop.watch(port.fd, HANGUP)
 
     def end(self, _number: int, _frame: object) -> None:
         """Signal handler of SIGTERM and SIGINT: end at the next turn, which comes at once."""
@@ -141,10 +144,13 @@ class Supervisor:
             if child.life:
                 child.life.demote()
         self.family.bury(ready, now_ns, self._burst_ns)
-        self._serve_descriptors(ready)
+        self._sharing.serve(ready, now_ns)
+        self._causes.settle(self._reset_word.get())
+        self._follow_latch()
         self._follow_answer(now_ns)
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
+        self._follow_names(now_ns)
         self.family.restart_due(self._port.fd, now_ns)
         self.teller.pass_notes()
         self.family.arm()
@@ -166,14 +172,14 @@ class Supervisor:
     def _stop_alone(self, now_ns: int) -> None:
         """Nobody else says zero to the board while no port owner runs, or opens a port that comes back."""
         port_owner = self.family[layout.PORT_OWNER]
-        if now_ns - self._burst_ns < ALONE_EVERY_NS or port_owner.running():
+        opened = self._sharing.open_alone(now_ns)
+        if not opened and (port_owner.running() or now_ns - self._burst_ns < ALONE_EVERY_NS):
             return
         self._burst_ns = now_ns
-        if port_owner.state() == "down" and self._port.reopen(self._path):
-            self.loop.watch(self._port.fd, HANGUP)
-            self._pass_port_on()
-            self._device.back(self._path, now_ns)
         self._burst()
+        if opened:
+            self._sharing.opened_alone(now_ns)
+            self.aftermath.opened(self._written_word.get(), answer.BY_SUPERVISOR)
 
     def _held_up(self, now_ns: int) -> list[Cause]:
         """A stop for a supervisor that could not watch anybody; it kills nobody for a silence that it did not hear."""
@@ -184,6 +190,13 @@ class Supervisor:
         if gap_ns < HELD_UP_NS or not self._was_ready:
             return []
         return [Cause(now_ns, layout.SUPERVISOR, f"supervisor was held up for {gap_ns / 1e6:.0f} ms")]
+
+    def _follow_names(self, now_ns: int) -> None:
+        """A stop, and the end, for a service that others can't find any more."""
+        if reason := self._names.lost(now_ns):
+            self.broken = True
+            self._raise_epoch([Cause(now_ns, layout.SUPERVISOR, reason)])
+        self.ending |= self.broken and self._unanswered is None
 
     def _listening(self) -> bool:
         """True while pings are written and their answers decoded."""
@@ -208,11 +221,9 @@ class Supervisor:
     def _raise_epoch(self, causes: list[Cause]) -> None:
         """A stop: the cause first, then the epoch that refers to it, then the bells."""
         self.epoch += 1
-        standing = self._causes.add(causes, self.epoch, self._reset_word.get())
-        if standing in causes:
-            self.teller.latched(standing)
-        stop = records.pack_stop(self.epoch, standing.t_ns, standing.written_ns, True, standing.reason)
-        self._cause_record.write(stop)
+        standing, newest = self._causes.add(causes, self.epoch, self._reset_word.get())
+        record = records.pack_cause(self._causes.since, standing.t_ns, standing.reason, newest.reason)
+        self._cause_record.write(record)
         self._ready_word.set(0)
         self._epoch_word.set(self.epoch)
         self._bells[layout.PORT_OWNER].ring()
@@ -221,11 +232,20 @@ class Supervisor:
         if self._unanswered is None:
             self._unanswered = min(causes, key=lambda cause: cause.t_ns)
             self._answer_by_ns = monotonic_ns() + ANSWER_NS
+        self._follow_latch()
         for cause in causes:
             if cause is not self._unanswered:
                 self.teller.also(cause)
-        if standing in causes and not self.ending:
-            self.blackbox.latched(standing, self.epoch)
+
+    def _follow_latch(self) -> None:
+        """Another cause stands than before."""
+        standing = self._causes.standing
+        if standing is None or standing is self._latched:
+            return
+        self._latched = standing
+        self.teller.latched(standing)
+        if not self.ending:
+            self.blackbox.latched(standing, self._causes.since)
 
     def _follow_answer(self, now_ns: int) -> None:
         """The port owner answers a raised epoch with a stop. If it does not, or could not write it, the supervisor
@@ -233,56 +253,28 @@ class Supervisor:
         cause = self._unanswered
         if cause is None:
             return
-        by = "port owner"
-        written_ns = cause.written_ns
-        if self._stopped_word.get() < self.epoch:
-            port_owner = self.family[layout.PORT_OWNER]
-            if port_owner.pid and not port_owner.fallen and now_ns < self._answer_by_ns:
-                return
-            by = "supervisor"
-            written_ns = written_ns or self._burst()
-        elif not written_ns:
-            written_ns = 0 if cause.noticed_by == layout.PORT_OWNER else self._port_owner_written.get()
-            # It may have noticed the cause a little sooner; a burst from long before is none for this cause.
-            if written_ns < cause.t_ns - TICK_NS:
-                by, written_ns = "supervisor", self._burst()
+        port_owner = self.family[layout.PORT_OWNER]
+        stop = answer.answer(
+            cause,
+            answered=self._stopped_word.get() >= self.epoch,
+            may_answer=port_owner.pid != 0 and not port_owner.fallen and now_ns < self._answer_by_ns,
+            port_owner_ns=self._port_owner_written.get(),
+        )
+        if stop is None:
+            return
+        by, written_ns = stop
         self._unanswered = None
-        self._tell_stop(cause, written_ns, by)
+        self._tell_stop(cause, written_ns or self._burst(), by)
 
     def _tell_stop(self, cause: Cause, written_ns: int, by: str) -> None:
         """Publish the stop for people, and log it."""
-        standing = self._causes.standing or cause
+        standing = self._latched or cause
         self.aftermath.written(cause, written_ns, by, standing.reason, self.epoch)
         self.teller.stopped(cause, written_ns, by, standing, self.epoch, ending=self.ending)
 
-    def _serve_descriptors(self, ready: dict[int, int]) -> None:
-        """A port that has gone is let go at once; one that the port owner has opened anew is kept and passed on."""
-        if ready.get(self._port.fd, 0) & GONE or records.lost_since(self._port_state.read(), self._port.since_ns):
-            self._let_port_go()
-            self._device.lost(self._path, monotonic_ns())
-        self._device.follow(self._port_state.read())
-        if self._controls[layout.PORT_OWNER].fd in ready:
-            fd = self._controls[layout.PORT_OWNER].receive()
-            if fd >= 0:
-                self._let_port_go()
-                self._port.replace(fd)
-                self.loop.watch(fd, HANGUP)
-                self._pass_port_on()
-
-    def _pass_port_on(self) -> None:
-        """To the stopper; one that is still to be started inherits it, and one in the queue would stay open."""
-        if self.family[layout.STOPPER].pid:
-            self._controls[layout.STOPPER].send(self._port.fd)
-
-    def _let_port_go(self) -> None:
-        if self._port.fd >= 0:
-            self.loop.forget(self._port.fd)
-            self._port.replace(-1)
-            self._bells[layout.STOPPER].ring()  # it has the same to let go
-
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline is stopped for and killed; its death does the rest."""
-        self.family[layout.PORT_OWNER].patience_ns = OPENING_NS if self._port.fd < 0 else 0
+        self.family[layout.PORT_OWNER].patience_ns = self._sharing.patience_ns(now_ns)
         for child in self.children:
             if child.hangs(now_ns):
                 silent_ns = now_ns - max(child.beat.ns.get(), child.started_ns)
@@ -297,10 +289,7 @@ class Supervisor:
     def _missing(self) -> str:
         """What motion is still waiting for; empty when nothing."""
         absent = [child.row.name for child in self.children if not child.running()]
-        entry = self._port_state.read()
-        port_open = entry is not None and records.unpack_port(entry[2])[2] == records.PORT_OPEN
-        # Its own descriptor too: without it there would be no second channel.
-        if not absent and not (port_open and self._port.fd >= 0):
+        if not absent and not self._sharing.complete():
             return "the port"
         # A stop that the supervisor wrote itself is still to be answered: a port owner that was held up would cut into
         # motion of a later enable, with frames of an older one perhaps before that.
@@ -343,6 +332,8 @@ class Supervisor:
         if self._unanswered:
             return min(self._answer_by_ns, now_ns + HURRY_NS)
         waits = [child.restart_ns for child in self.children if child.restart_ns is not None]
+        if look_ns := self._sharing.next_ns(now_ns):
+            waits.append(look_ns)
         # At the moment when a heartbeat is overdue, not at a tick after it.
         waits += [overdue_ns for child in self.children if (overdue_ns := child.overdue_ns())]
         return min([now_ns + TICK_NS, *waits])
@@ -356,9 +347,7 @@ class Supervisor:
         self.herald.notify.stopping("wheels stopped; ending every process")
         self.heartbeat.state(heartbeat.STOPPING)
         for child in reversed(self.children):
-            if child.pid:
-                os.kill(child.pid, signal.SIGKILL)
-                child.buried()
+            child.kill(END_S)
         written = self._burst()
         self.teller.ended(written=written > 0)
         self._events.flush()
@@ -366,7 +355,7 @@ class Supervisor:
 
 
 def run(resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Journal | None) -> int:
-    """Run the service until SIGTERM or SIGINT; returns the exit code."""
+    """Run the service until SIGTERM or SIGINT, or until it can't go on; returns the exit code."""
     supervisor = Supervisor(resources, port, settings, notify, journal)
     signal.signal(signal.SIGTERM, supervisor.end)
     signal.signal(signal.SIGINT, supervisor.end)
@@ -379,4 +368,4 @@ def run(resources: Resources, port: OwnPort, settings: Settings, notify: Notify,
         supervisor.turn(ready)
         ready = supervisor.loop.wait(supervisor.next_ns(monotonic_ns()))
     supervisor.finish()
-    return 0
+    return int(supervisor.broken)

@@ -10,6 +10,8 @@ from failstop.board.interface import BOARD
 
 BURST = BOARD.burst
 
+REOPEN_NS = 10_000_000
+"""How often a lost port is looked for: half of the time within which a board that is back is stopped."""
 BUSY_S = 1.0
 """How long a port that a dead run's processes are just letting go of is waited for."""
 
@@ -21,12 +23,13 @@ stopper may be at the very same moment."""
 class OwnPort:
     """A duplicate of the port's descriptor; -1 while the port is gone."""
 
-    __slots__ = ("fd", "since_ns")
+    __slots__ = ("_next_ns", "fd", "since_ns")
 
     def __init__(self, fd: int) -> None:
         self.fd = fd
         self.since_ns = time.monotonic_ns()
-        """When it was taken over."""
+        """When it was taken over, or let go."""
+        self._next_ns = 0
 
     @classmethod
     def open_and_stop(cls, path: str) -> OwnPort:
@@ -56,9 +59,13 @@ class OwnPort:
                 return False
         return False
 
-    def reopen(self, path: str) -> bool:
-        """Open a port that was lost; False when it is there already or not yet."""
-        if self.fd >= 0 or (fd := port.open_if_there(path)) < 0:
+    def reopen(self, path: str, now_ns: int) -> bool:
+        """Open a port that was lost, tried every REOPEN_NS; False when it is there already or not yet."""
+        if self.fd >= 0 or now_ns < self._next_ns:
+            return False
+        self._next_ns = now_ns + REOPEN_NS
+        fd = port.open_if_there(path)
+        if fd < 0:
             return False
         self.replace(fd)
         return True

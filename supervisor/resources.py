@@ -12,6 +12,7 @@ from failstop.shm.bell import EventBell
 
 GROUP = "failstop"
 """Whoever is in this group may drive; everyone may stop."""
+SHARED_MEMORY = "shared memory "
 
 
 def client_gid() -> int:
@@ -35,14 +36,16 @@ class Resources:
         gid = gid if may_change_group else -1
         self.left = segment.open_all(name)
         """The segments of a run that was not ended in order, which are unlinked now: its black box."""
-        for spec in layout.SEGMENTS:
-            segment.create(name, spec.name, self.incarnation, gid).close()
+        self._segments = [segment.create(name, spec.name, self.incarnation, gid) for spec in layout.SEGMENTS]
         # For writing alone: whoever could read them could take away the requests of others.
         bell.make_pipe(instance.stop_path(runtime_dir), 0o622)
         bell.make_pipe(instance.bell_path(runtime_dir), 0o620, gid)
         os.close(claim.open_claims(instance.claims_path(runtime_dir), create=True, mode=0o660, gid=gid))
         self.stop_pipe = bell.open_pipe(instance.stop_path(runtime_dir))
         self.client_bell = bell.open_pipe(instance.bell_path(runtime_dir))
+        self.named = {f"{SHARED_MEMORY}{made.spec.name}": made.fileno() for made in self._segments}
+        """A descriptor of whatever others find by its name."""
+        self.named |= {"the stop pipe": self.stop_pipe, "the bell of the clients": self.client_bell}
         self.bells = {process: EventBell.create() for process in layout.PROCESSES}
         self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER)}
 
@@ -57,6 +60,8 @@ class Resources:
 
     def remove(self) -> None:
         """Take away every name; descriptors and mappings end with their processes."""
+        for made in self._segments:
+            made.close()
         segment.unlink_all(self.name)
         for path in (instance.stop_path, instance.bell_path, instance.claims_path):
             with contextlib.suppress(FileNotFoundError):

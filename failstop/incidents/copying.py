@@ -69,6 +69,21 @@ def merge(entries: list[list[Any]], earlier: list[Entry]) -> list[list[Any]]:
     return [list(entry) for entry in earlier if oldest is None or entry[0] < oldest] + entries
 
 
+def unsaved_cause(copies: Copies, start_ns: int) -> tuple[int, int, str] | None:
+    """The stop that was latched when the run ended: (cause_ns, epoch, reason). None when nothing was, or when the
+    supervisor lived on for `start_ns`, from a stop to its saver's start."""
+    found = whole(layout.SUPERVISOR, "cause", *copies[layout.SUPERVISOR])
+    if not found:
+        return None
+    try:
+        epoch, cause_ns, reason, _ = records.unpack_cause(found[-1][2])
+    except ValueError:
+        return None
+    latched = epoch > words(layout.GATE, copies[layout.GATE][1])["reset_epoch"]
+    beat_ns = words(layout.SUPERVISOR, copies[layout.SUPERVISOR][1])["beat_ns"]
+    return (cause_ns, epoch, reason) if latched and beat_ns < cause_ns + start_ns else None
+
+
 def left_cause(copies: Copies) -> tuple[int, int, str]:
     """What ended a run that was not ended in order: (cause_ns, epoch, reason), by the port owner's word where it has
     outlived the supervisor, else by the last sign of life."""

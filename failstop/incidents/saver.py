@@ -17,7 +17,7 @@ from failstop.incidents import copying, file, outcome
 from failstop.incidents.prune import prune
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import STARTING
-from failstop.supervisor.blackbox import NOTHING
+from failstop.supervisor.blackbox import NOTHING, START_NS
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -75,7 +75,11 @@ def _save(words: dict[str, str]) -> str:
         received["received"] = copying.merge(received["received"], earlier)
     if not live and segments[layout.SUPERVISOR]["words"]["beat_state"] == STARTING:
         return ""  # it never was ready: why is in the journal, and a service that can't start must not fill the folder
-    cause = (int(words["cause_ns"]), int(words["epoch"]), words["reason"]) if live else copying.left_cause(copies)
+    if live:
+        cause = int(words["cause_ns"]), int(words["epoch"]), words["reason"]
+    else:
+        # What came before the end, if no other file has it, is what people look for.
+        cause = copying.unsaved_cause(copies, START_NS) or copying.left_cause(copies)
     folder = os.path.join(_state_directory(name), FOLDER)
     path = file.write(folder, *_contents(name, cause, live, copies, segments))
     prune(folder, name, int(words["keep"]), int(words["max_mb"]) * 1_000_000)
@@ -131,7 +135,7 @@ def _contents(
         "cause_ns": cause_ns,
         "epoch": epoch,
         "unix_minus_monotonic_ns": unix_minus_monotonic_ns,
-        "stop": _outcome(copies, segments, cause) if live else copying.left_stop(copies, cause_ns),
+        "stop": _outcome(copies, segments, cause),
         "layout": layout.LAYOUT_VERSION,
         "run": f"{copies[layout.SUPERVISOR][0]:016x}",
         "host": release.nodename,

@@ -54,6 +54,11 @@ TABLE = (
         "keep it from sleeping while the robot is on (`systemctl mask sleep.target`)",
     ),
     Reason(
+        r"(?P<what>shared memory \S+|the stop pipe|the bell of the clients) was removed: restart the service",
+        "{what}, which others need to find the service, was removed while it ran",
+        "look at `failstop doctor`: logind's RemoveIPC=yes removes it when the service's user logs out",
+    ),
+    Reason(
         "device lost",
         "the board's USB connection was lost; the stop was to be written the moment that it is back",
         "look at the cable, the plug and the board's power",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from failstop.procs.gate.sources import Command
 from failstop.procs.loop import READ
 from failstop.shm import claim, layout, records
-from failstop.shm.lifeline import Lifeline
+from failstop.shm.lifeline import Lifeline, pid_namespace
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -57,12 +57,14 @@ class Slot:
         "life",
         "name",
         "pid",
+        "pid_namespace",
         "session",
     )
 
     def __init__(self, index: int, segment: Segment) -> None:
         self.index = index
         self.pid = 0
+        self.pid_namespace = 0
         self.name = ""
         self._hello = segment.latest_reader("hello")
         self._command = segment.latest_reader("command")
@@ -87,7 +89,7 @@ class Slot:
         if entry is None:
             return 0
         try:
-            session, self.pid, name = records.unpack_hello(entry[2])
+            session, self.pid, self.pid_namespace, name = records.unpack_hello(entry[2])
         except ValueError:
             return 0
         # Bounded here: the state with all names in it must fit its record, whatever clients call themselves.
@@ -152,6 +154,7 @@ class ClientTable:
         self._claims_fd = claims_fd
         self._loop = loop
         self._listener = listener
+        self._pid_namespace = pid_namespace()
         self.slots = [Slot(index, segment) for index, segment in enumerate(segments)]
         self.active: list[Slot] = []
 
@@ -182,10 +185,13 @@ class ClientTable:
                 return
 
     def _watch(self, slot: Slot) -> None:
+        """Where its pid can't be watched, the claim alone decides, once a tick."""
+        if not self._pid_namespace or slot.pid_namespace != self._pid_namespace:
+            return  # a client in a container: its number is nobody's here, or somebody else's
         try:
             slot.life = Lifeline(slot.pid)
         except (OSError, OverflowError):
-            return  # a pid of another namespace, or a lie: the claim alone decides, once a tick
+            return  # a lie, or a process that is gone already
         self._loop.watch(slot.life.fd, READ)
 
     def _stop_watching(self, slot: Slot) -> None:

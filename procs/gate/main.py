@@ -28,6 +28,7 @@ PUBLISH_NS = 80_000_000
 comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
+NO_CAUSE = (0, 0, "", "stopped by the supervisor")
 LOOK_AT_ALL_EVERY = 10
 """Ticks between two looks at slots that nobody is known to hold."""
 
@@ -83,16 +84,24 @@ class Gate:
 
     def _inherit_latch(self) -> None:
         """A successor starts latched with whatever stopped the service since the last reset."""
-        if self.epoch > 1 and self.epoch > self._reset_word.get():
-            self.core.trip(self._why(), self.epoch - 1)
+        if self.epoch > 1:
+            self._note_stop()
+            if self.epoch > self._reset_word.get():
+                self.core.trip(self._why(), self.epoch - 1)
+
+    def _note_stop(self) -> None:
+        entry = self._cause.read()
+        self._stopped_ns = entry[1] if entry else monotonic_ns()
 
     def _why(self) -> str:
-        """What the supervisor raised the epoch for."""
+        """What the supervisor raised the epoch for: the first cause since the last reset. The supervisor may have
+        raised it before it saw that reset."""
         entry = self._cause.read()
         try:
-            return records.unpack_stop(entry[2])[4] if entry else "stopped by the supervisor"
+            since, _, standing, newest = records.unpack_cause(entry[2]) if entry else NO_CAUSE
         except ValueError:
             return "stopped by the supervisor (its reason is damaged)"
+        return standing if since > self._reset_word.get() else newest
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
@@ -168,8 +177,7 @@ class Gate:
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
             self.epoch = epoch
-            entry = self._cause.read()
-            self._stopped_ns = entry[1] if entry else monotonic_ns()
+            self._note_stop()
             self.core.trip(self._why(), epoch - 1)
 
     def _follow_telemetry(self, now_ns: int) -> None:

@@ -56,6 +56,8 @@ class Stopper:
         self._control = Control(context.fd("control"))
         self._port = context.fd("port")
         self._port_since_ns = monotonic_ns()
+        self._port_word = context.own.word("port_ns")
+        self._port_word.set(self._port_since_ns if self._port >= 0 else 0)
         self._turned_ns = self._excused_ns = monotonic_ns()
         self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
@@ -200,6 +202,7 @@ class Stopper:
         self._close_port()
         self._port = fd
         self._port_since_ns = monotonic_ns()
+        self._port_word.set(self._port_since_ns)
         self.loop.watch(fd, HANGUP)
 
     def _close_port(self) -> None:
@@ -208,6 +211,7 @@ class Stopper:
             self.loop.forget(self._port)
             os.close(self._port)
             self._port = -1
+            self._port_word.set(0)
 
     def next_ns(self, now_ns: int) -> int:
         """When to turn without any news."""

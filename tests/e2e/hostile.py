@@ -269,7 +269,7 @@ def other_run(name: str) -> None:
     to_bell = bell.open_pipe_to_write(instance.bell_path(instance.find(name)))
     begun()
     while True:
-        old.latest_writer("hello").write(records.pack_hello(77, os.getpid(), "of another run"))
+        old.latest_writer("hello").write(records.pack_hello(77, os.getpid(), 0, "of another run"))
         old.latest_writer("command").write(records.pack_command(77, 0.2, 0.0, 0.0, True))
         old.latest_writer("request").write(records.pack_request(77, 1, records.DISABLE))
         bell.send(to_bell, bytes([client.slot]))

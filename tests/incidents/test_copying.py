@@ -163,6 +163,28 @@ def test_the_first_cause_is_told_but_for_what_dies_with_its_parent(
     assert (cause_ns // 1_000_000, reason) == wanted
 
 
+@pytest.mark.parametrize(
+    ("beat_ms", "reset_epoch", "wanted"),
+    [
+        (101, 0, (100_000_000, 3, "gate died")),
+        (249, 2, (100_000_000, 3, "gate died")),
+        (250, 0, None),  # its saver was started
+        (101, 3, None),
+    ],
+)
+def test_a_stop_that_the_supervisor_did_not_live_to_have_saved(
+    name: str, beat_ms: int, reset_epoch: int, wanted: tuple[int, int, str] | None
+) -> None:
+    assert copying.unsaved_cause(copies(name), 150_000_000) is None, "there was none"
+    supervisor = owned(name, layout.SUPERVISOR)
+    supervisor.word("beat_ns").set(beat_ms * 1_000_000)
+    owned(name, layout.GATE).word("reset_epoch").set(reset_epoch)
+    supervisor.latest_writer("cause").write(records.pack_cause(3, 100_000_000, "gate died", "device lost"))
+    assert copying.unsaved_cause(copies(name), 150_000_000) == wanted
+    supervisor.latest_writer("cause").write(b"short")
+    assert copying.unsaved_cause(copies(name), 150_000_000) is None
+
+
 def test_without_its_word_the_last_sign_of_life_counts(name: str) -> None:
     dead_run(name, {**dict.fromkeys(layout.PROCESSES, 1_000_000_000), layout.STOPPER: 1_150_000_000})
     owned(name, layout.STOPPER).word("written_ns").set(1_051_000_000)

@@ -126,6 +126,22 @@ def test_a_dead_run_that_was_ready_once_is_saved_and_another_is_not(saving: Savi
     assert saving.newest().reason == "all of the service died"
 
 
+def test_a_dead_run_s_file_is_of_what_came_first(saving: Saving) -> None:
+    """The supervisor died when it had latched a stop, and before it could start a saver for that."""
+    saving.supervisor.word("beat_state").set(RUNNING)
+    saving.supervisor.word("epoch").set(2)
+    saving.supervisor.word("beat_ns").set(1_001_000_000)
+    saving.supervisor.latest_writer("cause").write(records.pack_cause(2, 1_000_000_000, "gate died", "gate died"))
+    stops, wire = saving.port_owner.ring_writer("stops"), saving.port_owner.ring_writer("box")
+    wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 1_000_300_000)
+    stops.put(records.pack_stop(2, 1_002_000_000, 1_002_100_000, True, "supervisor died"))
+    assert saving.save().startswith("saved ")
+    incident = saving.newest()
+    assert (incident.reason, incident.cause_ns, incident.head["kind"]) == ("gate died", 1_000_000_000, "left")
+    assert incident.head["stop"]["written_us"] == 300.0
+    assert [stop.reason for stop in incident.stops] == ["supervisor died"]
+
+
 def lose_port(saving: Saving, state: int) -> None:
     saving.port_owner.latest_writer("port").write(records.pack_port(1, time.monotonic_ns(), state, "/dev/ttyACM0"))
 

@@ -10,6 +10,7 @@ from failstop.procs.gate.clients import ClientTable, Slot
 from failstop.procs.gate.sources import Command
 from failstop.procs.loop import Loop
 from failstop.shm import claim, layout, records, segment
+from failstop.shm.lifeline import pid_namespace
 from failstop.shm.segment import Segment
 
 INCARNATION = 0x1234_5678_9ABC
@@ -22,7 +23,14 @@ class Client:
     """A client of another process, as far as memory and claims go."""
 
     def __init__(
-        self, service: Service, index: int, session: int, *, name: str = "test", pid: int | None = None
+        self,
+        service: Service,
+        index: int,
+        session: int,
+        *,
+        name: str = "test",
+        pid: int | None = None,
+        namespace: int | None = None,
     ) -> None:
         self.index = index
         self.session = session
@@ -30,10 +38,12 @@ class Client:
         self._claims = claim.open_claims(str(service.claims))
         self.segment = segment.attach_client_slot(service.name, index, INCARNATION)
         assert claim.take(self._claims, index)
-        self.hello(session, name, os.getpid() if pid is None else pid)
+        self.hello(session, name, os.getpid() if pid is None else pid, namespace)
 
-    def hello(self, session: int, name: str, pid: int) -> None:
-        self.segment.latest_writer("hello").write(records.pack_hello(session, pid, name))
+    def hello(self, session: int, name: str, pid: int, namespace: int | None = None) -> None:
+        """`namespace`: that of the pid; None for this process's own."""
+        hello = records.pack_hello(session, pid, pid_namespace() if namespace is None else namespace, name)
+        self.segment.latest_writer("hello").write(hello)
 
     def command(self, vx: float = 0.1, *, session: int | None = None, t_ns: int = NOW) -> None:
         payload = records.pack_command(self.session if session is None else session, vx, 0.0, 0.0, False)
@@ -78,8 +88,16 @@ class Service:
         self.table = ClientTable(slots, self.claims_fd, self.loop, self)
         self.told: list[tuple[object, ...]] = []
 
-    def join(self, index: int = 0, session: int = 11, *, name: str = "test", pid: int | None = None) -> Client:
-        self.clients.append(Client(self, index, session, name=name, pid=pid))
+    def join(
+        self,
+        index: int = 0,
+        session: int = 11,
+        *,
+        name: str = "test",
+        pid: int | None = None,
+        namespace: int | None = None,
+    ) -> Client:
+        self.clients.append(Client(self, index, session, name=name, pid=pid, namespace=namespace))
         return self.clients[-1]
 
     def client_command(self, command: Command, now_ns: int) -> None:

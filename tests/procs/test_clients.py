@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.procs.gate import clients
 from failstop.shm import layout, records
 
 from .client_side import NOW, Service
@@ -233,6 +234,35 @@ def test_a_process_s_death_is_noticed_through_its_lifeline(service: Service) -> 
     service.table.life_ended(next(iter(ready)), NOW)
     assert service.told == [("gone", 11)]
     assert service.loop.wait(0) == {}, "its descriptor is no longer watched"
+
+
+@pytest.mark.parametrize("namespace", [0, 1])
+def test_the_number_of_another_namespace_is_nobody_s_here(service: Service, namespace: int) -> None:
+    """A client in a container: here another process has its number, and that one's end is none of its own."""
+    other = os.fork()
+    if other == 0:
+        os._exit(0)
+    client = service.join(pid=other, namespace=namespace)
+    service.look()
+    assert service.table.active[0].life is None
+    os.waitpid(other, 0)
+    assert service.loop.wait(0) == {}
+    client.command()
+    assert service.look() == [("command", 11, 0.1)]
+    client.leave()
+    service.table.look_at_active(NOW)
+    assert service.told[-1] == ("gone", 11), "its claim tells of its own end"
+
+
+def test_where_the_own_namespace_is_not_known_nobody_is_watched(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clients, "pid_namespace", lambda: 0)
+    service.start()
+    service.join(namespace=0)
+    service.look()
+    assert service.sessions() == [11]
+    assert service.table.active[0].life is None
 
 
 def test_a_process_s_death_counts_though_a_child_of_it_holds_the_claim(service: Service) -> None:

@@ -199,10 +199,33 @@ def test_a_port_owner_that_is_only_starting_does_not_hang(scene: Scene) -> None:
 
 def test_no_port_no_harm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(tmp_path, monkeypatch, open_port=False)
+    assert scene.own.word("port_ns").get() == 0, "and the supervisor knows of it"
     scene.die(scene.port_owner)
     assert scene.turn() == b""
     assert scene.own.word("written_ns").get() == 0
     scene.close()
+
+
+def test_it_says_since_when_it_has_the_port(scene: Scene, other: Pty) -> None:
+    assert scene.own.word("port_ns").get() == scene.clock()
+    scene.pty.unplug()
+    until(lambda: scene.stopper.loop.wait(0), "the hang-up")
+    scene.turn()
+    assert scene.own.word("port_ns").get() == 0
+    scene.control.send(other.slave)
+    scene.turn(MS)
+    assert scene.own.word("port_ns").get() == scene.clock()
+
+
+def test_a_descriptor_that_it_had_no_number_for_is_taken_when_it_is_sent_again(scene: Scene, other: Pty) -> None:
+    """The first one is lost: the message arrives without it."""
+    scene.stopper._close_port()
+    os.write(scene.control.fd, b"port")
+    scene.turn()
+    assert scene.own.word("port_ns").get() == 0
+    scene.control.send(other.slave)
+    scene.turn()
+    assert scene.own.word("port_ns").get() == scene.clock()
 
 
 def test_a_port_that_has_gone_is_let_go_at_once(scene: Scene) -> None:

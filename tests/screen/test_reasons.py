@@ -26,6 +26,8 @@ SAMPLES = (
     "supervisor was held up for 300 ms",
     "gate beats but sends nothing: 260 ms",
     "the machine was suspended for 1.2 s",
+    "shared memory gate was removed: restart the service",
+    "the stop pipe was removed: restart the service",
     "device lost",
     "port does not drain: use the POWER SWITCH",
     aftermath.DEAF_REASON,

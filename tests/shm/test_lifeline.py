@@ -5,14 +5,17 @@ from __future__ import annotations
 import _thread
 import os
 import select
+import shutil
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 
 import pytest
 
 from failstop.shm import segment
-from failstop.shm.lifeline import EarlyNews, Lifeline
+from failstop.shm.lifeline import EarlyNews, Lifeline, pid_namespace
 from failstop.shm.mutex import BLOCKS, PER_BLOCK, Mutexes
 
 from .children import NOBODY, Child, become, call, needs_root, until
@@ -122,6 +125,32 @@ def test_it_watches_the_process_and_not_the_number() -> None:
         with pytest.raises(ProcessLookupError):
             signal.pidfd_send_signal(life.fd, 0)
         life.close()
+
+
+def namespace_told(*command: str) -> int:
+    """What a Python that is started by this command finds."""
+    code = "from failstop.shm.lifeline import pid_namespace; print(pid_namespace())"
+    done = subprocess.run([*command, sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    if command and done.returncode:
+        pytest.skip(f"{command[0]} can't: {done.stderr.strip()}")
+    return int(done.stdout)
+
+
+def test_processes_of_one_namespace_find_the_same() -> None:
+    assert namespace_told() == pid_namespace() != 0
+
+
+@pytest.mark.skipif(shutil.which("unshare") is None, reason="needs unshare")
+def test_in_a_container_of_its_own_a_process_finds_another() -> None:
+    assert namespace_told("unshare", "--pid", "--fork") not in (0, pid_namespace())
+
+
+def test_without_proc_it_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(path: str) -> os.stat_result:
+        raise FileNotFoundError(path)
+
+    monkeypatch.setattr(os, "stat", missing)
+    assert pid_namespace() == 0
 
 
 def test_a_process_that_is_no_child_of_the_watcher() -> None:

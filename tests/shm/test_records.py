@@ -79,11 +79,19 @@ def test_command_keeps_what_is_no_number() -> None:
     assert str(wz) == "-0.0"
 
 
-@given(session=U64, pid=U32, name=text_strategy(64))
-def test_hello(session: int, pid: int, name: str) -> None:
-    found_session, found_pid, found = records.unpack_hello(records.pack_hello(session, pid, name))
-    assert (found_session, found_pid) == (session, pid)
-    assert is_cut(found, name, 64)
+@given(session=U64, pid=U32, namespace=U64, name=text_strategy(64))
+def test_hello(session: int, pid: int, namespace: int, name: str) -> None:
+    *fixed, found = records.unpack_hello(records.pack_hello(session, pid, namespace, name))
+    assert fixed == [session, pid, namespace]
+    assert is_cut(str(found), name, 64)
+
+
+@given(epoch=U64, cause_ns=U64, standing=text_strategy(280), newest=text_strategy(280))
+def test_cause(epoch: int, cause_ns: int, standing: str, newest: str) -> None:
+    found_epoch, found_ns, *found = records.unpack_cause(records.pack_cause(epoch, cause_ns, standing, newest))
+    assert (found_epoch, found_ns) == (epoch, cause_ns)
+    assert is_cut(found[0], standing, 280)
+    assert is_cut(found[1], newest, 280)
 
 
 @given(session=U64, number=U64, verb=U8)
@@ -132,11 +140,12 @@ LONG = ["x" * 5000, "é" * 5000, "x" + "é" * 5000, "€" * 5000, "🛑" * 5000,
 BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     "stop": (
         lambda text: records.pack_stop(TOP, TOP, TOP, True, text),
-        ["port_owner/stops", "gate/trips", "supervisor/cause"],
+        ["port_owner/stops", "gate/trips"],
     ),
+    "cause": (lambda text: records.pack_cause(TOP, TOP, text, text), ["supervisor/cause"]),
     "port": (lambda text: records.pack_port(TOP, TOP, 2, text), ["port_owner/port"]),
     "hello": (
-        lambda text: records.pack_hello(TOP, 2**32 - 1, text),
+        lambda text: records.pack_hello(TOP, 2**32 - 1, TOP, text),
         [f"client.{i}/hello" for i in range(CLIENT_SLOTS)],
     ),
     "reply": (lambda text: records.pack_reply(TOP, TOP, True, text), [f"gate/reply.{i}" for i in range(CLIENT_SLOTS)]),
@@ -175,7 +184,9 @@ def test_long_texts_are_cut_between_characters(text: str) -> None:
     for found, room in (
         (records.unpack_stop(records.pack_stop(1, 1, 1, True, text))[-1], 280),
         (records.unpack_port(records.pack_port(1, 1, 1, text))[-1], 300),
-        (records.unpack_hello(records.pack_hello(1, 1, text))[-1], 64),
+        (records.unpack_cause(records.pack_cause(1, 1, text, ""))[2], 280),
+        (records.unpack_cause(records.pack_cause(1, 1, text, text))[-1], 280),
+        (records.unpack_hello(records.pack_hello(1, 1, 1, text))[-1], 64),
         (records.unpack_reply(records.pack_reply(1, 1, True, text))[-1], 290),
     ):
         assert is_cut(str(found), text, room)
@@ -195,7 +206,8 @@ SIZES: dict[str, tuple[Callable[[bytes], Any], int, bool]] = {
     "frame": (records.unpack_frame, 9, False),
     "stop": (records.unpack_stop, 25, False),
     "port": (records.unpack_port, 17, False),
-    "hello": (records.unpack_hello, 12, False),
+    "cause": (records.unpack_cause, 18, False),
+    "hello": (records.unpack_hello, 20, False),
     "reply": (records.unpack_reply, 17, False),
     "request": (records.unpack_request, 17, True),
     "command": (records.unpack_command, 49, True),

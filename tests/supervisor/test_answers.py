@@ -96,9 +96,16 @@ class Scene:
         found: dict[str, Any] = msgpack.unpackb(entry[2])
         return {key: found[key] for key in ("reason", "written_by", "written_us")}
 
+    def cause(self) -> tuple[int, str, str]:
+        """What the gate reads: since which epoch what stands, and the newest."""
+        entry = segment.attach(self.resources.name, layout.SUPERVISOR).latest_reader("cause").read()
+        assert entry is not None
+        since, _, standing, newest = records.unpack_cause(entry[2])
+        return since, standing, newest
+
     def close(self) -> None:
         self.resources.remove()
-        for control in self.supervisor._controls.values():
+        for control in self.supervisor._sharing.controls.values():
             control.close()
         for pair in self.resources.controls.values():
             os.close(pair[1])
@@ -241,10 +248,31 @@ def test_the_first_cause_is_the_one_that_is_latched(scene: Scene) -> None:
     scene.turn(MS)
     scene.notice("the second", written_ns=scene.now_ns)
     scene.turn(MS)
-    entry = segment.attach(scene.resources.name, layout.SUPERVISOR).latest_reader("cause").read()
-    assert entry is not None
-    assert records.unpack_stop(entry[2])[4] == "the first"
+    assert scene.cause() == (2, "the first", "the second")
     assert scene.supervisor.epoch == 3, "each is a stop of its own"
+
+
+def test_a_stop_that_crosses_a_reset_is_latched(scene: Scene) -> None:
+    """The gate resets the first in epoch 2 when epoch 3 is raised already for the second, and has not seen that yet."""
+    scene.trip("the first")
+    scene.turn()
+    scene.answers(written_ns=scene.now_ns)
+    scene.turn(MS)
+    scene.notice("the second", written_ns=scene.now_ns + MS)
+    scene.turn(MS)
+    scene.gate.word("reset_epoch").set(2)
+    scene.events()
+    scene.answers()
+    scene.turn(MS)
+    assert scene.cause() == (2, "the first", "the second"), "by the older epoch the gate knows that it was reset"
+    _, stop = scene.events()
+    assert (stop["kind"], stop["fields"]["reason"]) == ("stop", "the second")
+    assert scene.told()["reason"] == "the second"
+    assert scene.supervisor.herald.latched() == "the second"
+    assert [words["reason"] for _, words in scene.supervisor.blackbox._waiting] == ["the first", "the second"]
+    scene.trip("the third")
+    scene.turn(MS)
+    assert scene.cause() == (3, "the second", "the third")
 
 
 def test_people_are_told_when_the_stop_is_out_and_not_before(scene: Scene) -> None:

@@ -79,3 +79,31 @@ def test_once_each(steps: list[Step], told: list[tuple[str, object]]) -> None:
     for step in steps:
         step(device)
     assert events.told == told
+
+
+MS = 10**6
+BEAT = T0 + S
+
+
+@pytest.mark.parametrize(
+    ("looks", "may"),
+    [
+        # (ms after its last beat, is the device there?): the last look counts.
+        ([(100, True)], True),
+        ([(10, False), (20, True), (150, True)], True),
+        ([(20, False)], True),
+        ([(21, False)], False),
+        ([(21, False), (40, True), (150, True)], False),
+        ([(500, False)], False),
+    ],
+)
+def test_silence_that_may_be_the_opening_of_the_port(looks: list[tuple[int, bool]], may: bool) -> None:
+    device = Device(Told(), T0)
+    found = [device.may_be_opened(there, BEAT, BEAT + at_ms * MS) for at_ms, there in looks]
+    assert found[-1] is may
+
+
+def test_one_that_beats_again_may_be_opening_it_again() -> None:
+    device = Device(Told(), T0)
+    assert not device.may_be_opened(False, BEAT, BEAT + S)
+    assert device.may_be_opened(True, BEAT + S, BEAT + S + 150 * MS)

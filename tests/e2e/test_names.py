@@ -1,0 +1,60 @@
+"""Names in /dev/shm that are taken away while the service runs."""
+
+from __future__ import annotations
+
+import glob
+import os
+import time
+
+from failstop.shm import instance
+from failstop.trial import Trial, judge, wait_for
+
+
+def test_a_client_slot_that_is_gone_costs_that_slot_alone(trial: Trial) -> None:
+    os.unlink(f"/dev/shm/failstop.{trial.name}.client.5")
+    wait_for("the word on it", lambda: "client.5 was removed" in trial.service.said())
+    trial.enable()
+    pid = trial.service.pids()["gate"]
+    trial.kill("gate")
+    trial.recover("gate", pid)
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.moving()
+    assert trial.service.said().count("client.5 was removed") == 1
+
+
+def test_without_its_shared_memory_it_stops_and_ends_with_an_error(trial: Trial) -> None:
+    """As logind removes it: the service manager starts a service that has ended anew, and the new run makes its own."""
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.moving()
+    trial.board.events()
+    pids = trial.service.pids()
+    removed_ns = time.monotonic_ns()
+    for path in glob.glob(f"/dev/shm/failstop.{trial.name}.*"):
+        os.unlink(path)
+    process = trial.service.process
+    assert process
+    trial.drive(2.0)
+    assert process.wait(5) == 1
+    stopped = judge(trial.board.events(), removed_ns, True)
+    assert stopped.stop_ns is not None
+    assert stopped.stop_ns < 3e9
+    assert stopped.motion_after == 0
+    wait_for("every process to be gone", lambda: not any(os.path.exists(f"/proc/{pid}") for pid in pids.values()))
+    assert "RemoveIPC" in trial.service.said()
+    assert "was removed: restart the service; stop frame written" in trial.service.said()
+    trial.leave()
+    trial.service.start()
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.moving()
+
+
+def test_without_its_stop_pipe_it_ends(trial: Trial) -> None:
+    """Nobody could ask for a stop any more."""
+    os.unlink(instance.stop_path(instance.find(trial.name)))
+    process = trial.service.process
+    assert process
+    assert process.wait(10) == 1
+    assert "the stop pipe was removed" in trial.service.said()

@@ -1,0 +1,118 @@
+"""The board comes back while a process is dead, hangs, or has no room for the port: the stop is written, and motion is
+not ready before all three have the port."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from failstop.board.sim.client import Event
+from failstop.shm import layout
+from failstop.trial import Trial, wait_for
+
+LATEST_S = 0.9
+"""Generous; what is tested for took 2 s and more."""
+
+
+def _lose_while_driving(trial: Trial) -> None:
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.moving()
+    trial.board.unplug()
+    wait_for("the loss to be seen", lambda: trial.robot.state.device["state"] == "lost")
+
+
+def _stop_at_return(trial: Trial) -> tuple[Event, float]:
+    """Plug in again; returns the first motor frame that the board executes, and the seconds to it."""
+    trial.board.events()
+    back_ns = time.monotonic_ns()
+    trial.board.replug()
+    event = trial.board.wait_for(lambda e: e.is_motor and e.arrival_ns > back_ns, 10.0)
+    return event, (event.arrival_ns - back_ns) / 1e9
+
+
+def _drives_again(trial: Trial) -> None:
+    wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
+    trial.drive(0.1)
+    assert not trial.moving()
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.moving()
+
+
+def test_while_the_port_owner_waits_for_its_restart(name: str, tmp_path: Path) -> None:
+    config = tmp_path / "late.toml"
+    config.write_text("[restart]\nbackoff_s = 2\n")
+    with Trial(name, ("--config", str(config))) as trial:
+        pid = trial.service.pids()["port_owner"]
+        trial.kill("port_owner", 0.05)
+        trial.recover("port_owner", pid)  # the first is restarted at once
+        _lose_while_driving(trial)
+        os.kill(trial.service.pids()["port_owner"], signal.SIGKILL)
+        wait_for("its death", lambda: trial.robot.state.processes["port_owner"].state == "waiting")
+        event, late_s = _stop_at_return(trial)
+        assert event.is_stop
+        assert late_s < LATEST_S
+        wait_for("the stop to be known", lambda: (stop := trial.robot.state.last_stop) and stop.written_us is not None)
+        _drives_again(trial)
+
+
+def test_while_the_port_owner_hangs(trial: Trial) -> None:
+    """Since before the return: it can't be opening the port."""
+    _lose_while_driving(trial)
+    pid = trial.service.pids()["port_owner"]
+    os.kill(pid, signal.SIGSTOP)
+    silent_s = time.monotonic()
+    wait_for("a silence that began before the return", lambda: time.monotonic() - silent_s > 0.05)
+    event, late_s = _stop_at_return(trial)
+    assert event.is_stop
+    assert late_s < LATEST_S
+    wait_for("a new port owner", lambda: trial.service.pids()["port_owner"] != pid)
+    _drives_again(trial)
+
+
+class NoNumbers:
+    """A process has no free descriptor number, for the length of a block."""
+
+    def __init__(self, pid: int) -> None:
+        self._pid = pid
+        used = set(map(int, os.listdir(f"/proc/{pid}/fd")))
+        self._lowest = next(number for number in range(len(used) + 1) if number not in used)
+        self._before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+
+    def __enter__(self) -> None:
+        resource.prlimit(self._pid, resource.RLIMIT_NOFILE, (self._lowest, self._before[1]))
+
+    def __exit__(self, *_: object) -> None:
+        resource.prlimit(self._pid, resource.RLIMIT_NOFILE, self._before)
+
+
+@pytest.mark.parametrize("process", [layout.STOPPER, layout.SUPERVISOR])
+def test_while_there_is_no_room_for_the_port(trial: Trial, process: str) -> None:
+    _lose_while_driving(trial)
+    pids = trial.service.pids()
+    with NoNumbers(pids[process]):
+        event, late_s = _stop_at_return(trial)
+        assert event.is_stop
+        assert late_s < LATEST_S
+        wait_for("the port owner to have the port", lambda: trial.robot.state.device["state"] == "open")
+        since_s = time.monotonic()
+        wait_for("some tries", lambda: time.monotonic() - since_s > 0.3)
+        assert trial.robot.state.waiting_for == "the port", "no motion without the second channel"
+    _drives_again(trial)
+    after = trial.service.pids()
+    assert {name for name in pids if pids[name] != after[name]} <= {"port_owner"}
+    # The second channel: nobody else is left to stop.
+    trial.board.events()
+    for hung in (layout.SUPERVISOR, layout.PORT_OWNER):
+        os.kill(after[hung], signal.SIGSTOP)
+    hung_ns = time.monotonic_ns()
+    trial.drive(0.6)
+    assert any(e.is_stop and e.arrival_ns > hung_ns for e in trial.board.events())
+    assert not trial.moving()
+    os.kill(after[layout.SUPERVISOR], signal.SIGCONT)

@@ -1,0 +1,144 @@
+"""still.command: run once for each stop that the wheels do not obey, whatever became of it at the stop before."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.shm import layout, segment
+from failstop.supervisor.aftermath import UNSTILL, Aftermath
+from failstop.supervisor.causes import Cause
+from failstop.supervisor.events import Events
+from failstop.supervisor.resources import Resources
+from failstop.supervisor.settings import Settings
+from failstop.trial import wait_for
+
+S = 1_000_000_000
+MS = 1_000_000
+NEVER_ENDS = "echo $$ >> {file}; while :; do sleep 120; done"
+
+
+class Scene:
+    """An Aftermath whose IMU says that the wheels turn."""
+
+    def __init__(self, directory: Path, command: str) -> None:
+        self.file = directory / "ran"
+        self.file.touch()
+        self.resources = Resources(f"still{os.getpid()}", str(directory))
+        name = self.resources.name
+        own = segment.attach(name, layout.SUPERVISOR, write=True)
+        views = {process: segment.attach(name, process) for process in layout.PROCESSES}
+        settings = Settings({"still.command": command.format(file=self.file), "still.after_s": 1.0})
+        self.texts: list[str] = []
+        events = Events(name)
+        events.tell = self._tell  # type: ignore[method-assign,assignment]
+        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings, events)
+        self.telemetry = segment.attach(name, layout.TELEMETRY, write=True)
+        self.reset_word = segment.attach(name, layout.GATE, write=True).word("reset_epoch")
+        self.now_ns = 100 * S
+        self.epoch = 1
+
+    def _tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:
+        if kind == "command":
+            self.texts.append(text)
+
+    def follow(self, elapsed_ns: int, *, still: bool = False) -> list[str]:
+        self.now_ns += elapsed_ns
+        self.telemetry.word("still_ns").set(self.now_ns if still else 0)
+        self.telemetry.word("judged_ns").set(self.now_ns)
+        return [cause.reason for cause in self.aftermath.follow(self.now_ns, listening=False)]
+
+    def stop_unheeded(self) -> None:
+        """People have reset, and a new stop is not obeyed."""
+        self.reset_word.set(self.epoch)
+        self.follow(MS)
+        self.epoch += 1
+        cause = Cause(self.now_ns, layout.GATE, f"stop {self.epoch}")
+        self.aftermath.written(cause, self.now_ns, "port owner", cause.reason, self.epoch)
+        self.follow(MS)
+        assert self.follow(S) == [UNSTILL]
+
+    def runs(self) -> list[int]:
+        return [int(word) for word in self.file.read_text().split()]
+
+    def close(self) -> None:
+        for pid in self.aftermath._command_pids:
+            os.killpg(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+        self.resources.remove()
+        for fd in (self.resources.stop_pipe, self.resources.client_bell):
+            os.close(fd)
+        for pair in self.resources.controls.values():
+            for fd in pair:
+                os.close(fd)
+
+
+@pytest.fixture
+def scene_of(tmp_path: Path) -> Iterator[Callable[[str], Scene]]:
+    made: list[Scene] = []
+
+    def make(command: str) -> Scene:
+        made.append(Scene(tmp_path, command))
+        return made[-1]
+
+    yield make
+    for scene in made:
+        scene.close()
+
+
+def test_one_that_has_not_ended_is_killed_and_run_anew(scene_of: Callable[[str], Scene]) -> None:
+    scene = scene_of(NEVER_ENDS)
+    scene.stop_unheeded()
+    wait_for("the command", lambda: len(scene.runs()) == 1)
+    first = scene.runs()[0]
+    scene.stop_unheeded()
+    wait_for("the command anew", lambda: len(scene.runs()) == 2)
+    assert f"still.command (pid {first}) has not ended since an earlier stop: killed, and run anew" in scene.texts
+
+    def collected() -> bool:
+        scene.follow(MS)
+        return f"still.command (pid {first}) ended with code -9" in scene.texts
+
+    wait_for("the first to be collected", collected)
+    assert scene.aftermath._command_pids == scene.runs()[1:]
+
+
+def test_once_for_one_stop(scene_of: Callable[[str], Scene]) -> None:
+    scene = scene_of(NEVER_ENDS)
+    scene.stop_unheeded()
+    assert scene.follow(S) == [UNSTILL], "stopped again"
+    assert len(scene.texts) == 1
+    assert "runs" in scene.texts[0]
+
+
+def test_one_that_has_ended_is_not_told_to_hang(scene_of: Callable[[str], Scene]) -> None:
+    scene = scene_of("echo $$ >> {file}")
+    for number in (1, 2):
+        scene.stop_unheeded()
+
+        def collected(number: int = number) -> bool:
+            scene.follow(MS)
+            return sum("ended with code 0" in text for text in scene.texts) == number
+
+        wait_for("its end", collected)
+    assert len(scene.texts) == 4
+
+
+def test_one_that_may_not_be_killed_keeps_no_stop_from_its_command(
+    scene_of: Callable[[str], Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = scene_of(NEVER_ENDS)
+    scene.stop_unheeded()
+
+    def refused(_pid: int, _number: int) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "killpg", refused)
+        scene.stop_unheeded()
+    wait_for("the command anew", lambda: len(scene.runs()) == 2)
+    assert any("cannot be killed" in text for text in scene.texts)

@@ -1,0 +1,47 @@
+"""Programs started with standard input, output or error closed: no file that they open takes its place."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from itertools import combinations
+from pathlib import Path
+
+import pytest
+
+CLOSE = "import os, sys; [os.close(int(n)) for n in sys.argv[1].split(',')]; os.execv(sys.argv[2], sys.argv[2:])"
+LOOK = """
+import json, os, sys
+from failstop import standard
+standard.fill()
+opened = os.open(sys.argv[1], os.O_WRONLY)
+sys.stdout.write("for nobody\\n")
+sys.stderr.write("for nobody\\n")
+sys.stdout.flush()
+three = [os.path.realpath(f"/proc/self/fd/{fd}") for fd in range(3)]
+kept = [os.get_inheritable(fd) for fd in range(3)]
+os.write(opened, json.dumps([opened, three, kept]).encode())
+"""
+CLOSED = [which for number in (1, 2, 3) for which in combinations((0, 1, 2), number)]
+
+
+def run_without(closed: tuple[int, ...], *command: str) -> int:
+    words = [sys.executable, "-c", CLOSE, ",".join(map(str, closed)), sys.executable, *command]
+    return subprocess.run(words, stdin=subprocess.PIPE, capture_output=True, timeout=60, check=False).returncode
+
+
+@pytest.mark.parametrize("closed", CLOSED, ids=str)
+def test_what_is_closed_is_dev_null_and_what_is_open_stays(closed: tuple[int, ...], tmp_path: Path) -> None:
+    report = tmp_path / "report"
+    report.touch()
+    assert run_without(closed, "-c", LOOK, str(report)) == 0
+    opened, three, inheritable = json.loads(report.read_text())
+    assert opened > 2
+    assert [fd for fd in range(3) if three[fd] == os.devnull] == list(closed)
+    assert inheritable == [True] * 3, "the supervisor, which follows by exec, has them too"
+
+
+def test_a_command_that_has_nobody_to_talk_to_still_answers_by_its_code() -> None:
+    assert run_without((1, 2), "-m", "failstop", "status", "--name", "nobody-runs-this") == 3
