@@ -231,6 +231,6 @@ def test_ticks_in_numbers() -> None:
 def test_all_of_it_is_quick() -> None:
     begun_s = time.monotonic()
     found = gather(f"none-{os.getpid()}", None, "/nowhere", quick=True, stop_test_wanted=False, system=System())
-    assert time.monotonic() - begun_s < 2.0
+    assert time.monotonic() - begun_s < 10.0
     assert found.service is None
     assert found.stop_skipped == "there is no port"

@@ -52,6 +52,7 @@ def test_no_scan_stops_and_resumes_by_itself(trial: Trial, failstop: Cli) -> Non
     trial.drive(0.3)
     assert trial.moving()
     trial.board.events()
+    trial.robot.sensed()
     seen_ns = time.monotonic_ns()
     until = time.monotonic() + 0.8
     while time.monotonic() < until:
@@ -63,7 +64,7 @@ def test_no_scan_stops_and_resumes_by_itself(trial: Trial, failstop: Cli) -> Non
     trial.robot.drive(0.2, 0.0, 0.0)
     wait_for("the block", lambda: trial.robot.state.blocked == "no scan")
     still = next(e for e in trial.board.events() if e.is_motor and not any(e.speeds))
-    assert 0.45 < (still.arrival_ns - seen_ns) / 1e9 < 0.7
+    assert 0.45 < (still.arrival_ns - seen_ns) / 1e9 < 1.0
     trial.drive(0.2)
     assert trial.moving(), "motion resumes by itself"
     assert "no scan for 0.5" in trial.service.said()
@@ -107,7 +108,7 @@ def _enabled(robot: Robot) -> bool:
     return True
 
 
-def test_a_higher_source_takes_over_and_gives_back(rules: Trial, status: Status) -> None:
+def test_a_higher_source_takes_over_and_gives_back(rules: Trial) -> None:
     wait_for("the interlock to be seen", lambda: _enabled(rules.robot))
     with Robot(rules.name, client="person") as person:
         for _ in range(15):
@@ -115,9 +116,9 @@ def test_a_higher_source_takes_over_and_gives_back(rules: Trial, status: Status)
             rules.drive(0.02)
             person.drive(-0.1, 0.0, 0.0, manual=True, source="teleop")
         assert rules.board.wheels()[0] < 0
-        state = status()
-        assert [(row["source"], row["state"]) for row in state["sources"]][:1] == [("teleop", "drives")]
-        assert state["estop"] is None
+        state = rules.robot.state
+        assert [(row["source"], row["state"]) for row in state.sources][:1] == [("teleop", "drives")]
+        assert state.estop is None
     for _ in range(20):
         rules.robot.hold("arm")
         rules.drive(0.02)

@@ -71,7 +71,7 @@ def test_a_client_that_hangs_while_driving(trial: Trial) -> None:
         event = trial.board.wait_for(
             lambda one: one.is_motor and not any(one.speeds) and one.arrival_ns > hung_ns, timeout_s=2.0
         )
-        assert 0.2 < (event.arrival_ns - hung_ns) / 1e9 < 0.4
+        assert 0.2 < (event.arrival_ns - hung_ns) / 1e9 < 1.0
         wait_for("the block reason", lambda: trial.robot.state.blocked == "cmd timeout")
         trial.drive(0.2)
         assert trial.moving(), "others may drive"

@@ -52,9 +52,9 @@ def test_mode_held_for_two_seconds_while_latched_resets(trial: Trial) -> None:
     _frames(trial, 0.1)
     trial.robot.estop("test")
     wait_for("the latch", lambda: trial.robot.state.estop is not None)
-    _frames(trial, 1.5, MODE)
+    _frames(trial, 1.0, MODE)
     assert trial.robot.state.estop is not None
-    _frames(trial, 0.8, MODE)
+    _frames(trial, 1.3, MODE)
     wait_for("the reset", lambda: trial.robot.state.estop is None)
     assert not trial.robot.state.enabled, "a reset enables nothing"
     assert "gamepad: e-stop cleared" in trial.service.said()

@@ -83,7 +83,7 @@ def test_cmd_timeout(seen: Seen) -> None:
     last_ns = time.monotonic_ns()
     seen.command_on()
     zero = seen.trial.board.wait_for(lambda event: is_zero(event) and event.arrival_ns > last_ns, 2.0)
-    assert 300e6 <= zero.arrival_ns - last_ns < 400e6
+    assert 300e6 <= zero.arrival_ns - last_ns < 1000e6
     found = seen.status()
     assert (found["enabled"], found["estop"], found["blocked"]) == (True, None, "cmd timeout")
     assert found["body_vel"] == [0.0, 0.0, 0.0]

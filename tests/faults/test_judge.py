@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from failstop.board.codec import MOTOR, STOP, motor_speeds
 from failstop.board.sim.client import Event
 from failstop.faults import report
-from failstop.faults.campaign import Outcome, draw, inject_one
+from failstop.faults.campaign import Outcome, _Injection, draw, inject_one
 from failstop.faults.judge import verdict
 from failstop.faults.scene import Scene
 from failstop.faults.table import BY_NAME, TABLE
@@ -50,6 +51,7 @@ def test_a_board_that_obeys_no_stop_is_no_error_of_the_judge() -> None:
 def test_no_stop() -> None:
     assert wrong((-10, True), (10, True)) == ["NO STOP"]
     assert wrong() == ["NO STOP"]
+    assert judge([event(0, 1.0, TURNING)], FAULT_NS, True).motion_after == 1
     assert wrong((-1, False)) == ["NO STOP"], "a stop from before the fault is none"
 
 
@@ -112,6 +114,11 @@ def test_a_row_that_does_not_hold_is_told(scene: Scene) -> None:
         (BY_NAME["kill-gate"], {"logged": "never said"}, "a line of the service"),
         (BY_NAME["board-garbles-up"], {"bar_ms": 5.0}, "NO STOP"),
         (BY_NAME["stop-request"], {"latched": "", "cleared": "by itself", "bar_ms": None}, "nothing was to stop"),
+        (BY_NAME["stop-request"], {"latched": "", "cleared": "by itself", "bar_ms": None}, "latched: nobody says so"),
+        (BY_NAME["stop-request"], {"latched": "", "cleared": "by itself", "bar_ms": None}, "the wheels stand, and"),
+        (BY_NAME["stop-request"], {"latched": "", "cleared": "by itself", "bar_ms": None}, "the wheels to turn again"),
+        (BY_NAME["board-garbles-up"], {"cleared": "enable"}, "the wheels to stand"),
+        (BY_NAME["board-garbles-up"], {"cleared": "enable"}, "blocked: disabled"),
     )
     for (fault, changes, told), index in zip(lies, itertools.count()):
         outcome = inject_one(scene, dataclasses.replace(fault, **changes), index, "lies", seen_s=0.3)  # type: ignore[arg-type]
@@ -126,3 +133,23 @@ def test_the_state_of_a_failed_scene_is_left_nowhere(scene: Scene, tmp_path: Pat
     after = scene.look_up_pids()
     assert not set(before.values()) & set(after.values())
     assert not any(Path(f"/proc/{pid}").exists() for pid in before.values())
+
+
+def alone(**scene: object) -> _Injection:
+    """An injection of nothing into a scene made of these parts."""
+    made = _Injection.__new__(_Injection)
+    made.scene = SimpleNamespace(restart=lambda: None, **scene)  # type: ignore[assignment]
+    made.fault, made.outcome = BY_NAME["service-stopped"], Outcome(BY_NAME["service-stopped"], 0)
+    return made
+
+
+def test_enabled_while_latched_is_told() -> None:
+    made = alone(driver=SimpleNamespace(robot=SimpleNamespace(enable=lambda: None)))
+    made._check_latch()
+    assert made.outcome.wrong == ["enabled while latched"]
+
+
+def test_a_service_that_ends_badly_is_told() -> None:
+    made = alone(trial=SimpleNamespace(service=SimpleNamespace(process=SimpleNamespace(wait=lambda _: 3))))
+    made._end_run()
+    assert made.outcome.wrong == ["the service ended with exit code 3"]

@@ -119,3 +119,23 @@ def test_a_disk_that_takes_no_more_leaves_nothing_behind(tmp_path: Path) -> None
     )
     assert done.stdout.strip() == "File too large"
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("killed_in", ["write_draft", "publish"])
+def test_a_writer_that_dies_on_the_way_leaves_no_file_of_that_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, killed_in: str
+) -> None:
+    class Died(BaseException):
+        pass
+
+    def half(draft: str, data: bytes) -> None:
+        Path(draft).write_bytes(data[: len(data) // 2])
+        raise Died
+
+    def die(*_: object) -> None:
+        raise Died
+
+    monkeypatch.setattr(file.durable, killed_in, half if killed_in == "write_draft" else die)
+    with pytest.raises(Died):
+        file.write(str(tmp_path), "x", file.build(HEAD, BODY))
+    assert not list(tmp_path.glob(f"*{file.SUFFIX}"))

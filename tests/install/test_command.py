@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import dataclasses
 import json
 import os
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from failstop import cli
-from failstop.install import InstallError, dialogue, tree
+from failstop.install import InstallError, dialogue, tree, unplan
 from failstop.install.machine import Machine
 from failstop.version import VERSION
 from tests.install.scene import environment, snapshot
@@ -193,3 +194,36 @@ def test_a_program_that_is_not_there_and_one_that_fails_are_named() -> None:
     with pytest.raises(InstallError, match=r"^sh -c echo why >&2; exit 3: why$"):
         machine.run(("sh", "-c", "echo why >&2; exit 3"))
     machine.run(("sh", "-c", "exit 3"), accepted=(0, 3))
+
+
+@needs_root
+@pytest.mark.parametrize("words", [("--dry-run", "--yes"), ("--dry-run",), ("--json", "--yes")])
+def test_a_dry_run_of_uninstall_changes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    assert run(tmp_path, "install", "--yes", "--device", "/dev/board") == 0
+    before = snapshot(tmp_path)
+    capsys.readouterr()
+    assert run(tmp_path, "uninstall", "--purge", *words) == 0
+    assert "/opt/failstop" in capsys.readouterr().out
+    assert snapshot(tmp_path) == before
+
+
+@needs_root
+@pytest.mark.parametrize(("answer", "code"), [("y", 0), ("", 2), ("n", 2)])
+@pytest.mark.parametrize(
+    ("restarts", "asked"), [((), "Go ahead? [y/N] "), (("x",), "The wheels stop. Go ahead? [y/N] ")]
+)
+def test_uninstall_asks_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: str, code: int, restarts: tuple[str, ...], asked: str
+) -> None:
+    assert run(tmp_path, "install", "--yes", "--device", "/dev/board") == 0
+    before = snapshot(tmp_path)
+    questions: list[str] = []
+    real = unplan.uninstall
+    monkeypatch.setattr(unplan, "uninstall", lambda *given: dataclasses.replace(real(*given), restarts=restarts))
+    monkeypatch.setattr(builtins, "input", lambda question: (questions.append(question), answer)[1])
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+    assert run(tmp_path, "uninstall") == code
+    assert questions == [asked]
+    assert (snapshot(tmp_path) == before) is (code != 0)

@@ -181,3 +181,16 @@ def test_something_that_is_no_port_is_refused(tmp_path: Path, clock: Clock, said
         tool.stop(str(path), 0.0, said.append)
     assert raised.value.kind == "not-a-tty"
     assert path.read_bytes() == b""
+
+
+def test_bytes_that_the_kernel_still_holds_are_no_stop(
+    pty: Pty, clock: Clock, said: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = [59]
+    monkeypatch.setattr(tool.port, "unsent_bytes", lambda _: held[0])
+    clock.after(0.05, lambda: held.__setitem__(0, 0))
+    tool.stop(pty.link, 0.0, said.append)
+    assert sum(clock.slept) >= 0.05
+    held[0] = 59
+    with pytest.raises(PortError, match="takes no bytes"):
+        tool.stop(pty.link, 0.0, said.append)

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.procs.handover import OPENING_NS
 from failstop.procs.stopper import main
-from failstop.procs.stopper.main import Stopper
+from failstop.procs.stopper.main import HANG_NS, Stopper
 from failstop.shm import heartbeat, layout, records
 
 from .parts import Pty, new_pty, until
@@ -287,3 +288,23 @@ def test_the_supervisor_s_closed_socket_does_not_keep_it_awake(scene: Scene) -> 
     scene.turn()
     scene.turn()
     assert scene.stopper._control.fd not in scene.stopper.loop.wait(0)
+
+
+def test_the_fence_comes_before_the_burst(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that wakes up between the two could write a frame after the burst."""
+    order: list[str] = []
+    real_fence, real_write = scene.stopper._fence, scene.stopper._write
+    monkeypatch.setattr(scene.stopper, "_fence", lambda: (order.append("fence"), real_fence()))
+    monkeypatch.setattr(scene.stopper, "_write", lambda: (order.append("burst"), real_write()))
+    scene.written(250, alive=False)
+    assert order[:2] == ["fence", "burst"]
+
+
+def test_a_port_owner_without_a_port_may_take_longer(scene: Scene) -> None:
+    scene.stopper._close_port()
+    for _ in range((OPENING_NS + HANG_NS) // (50 * MS) - 1):
+        scene.turn(50 * MS, alive=False)
+    assert scene.port_owner._alive
+    assert not scene.stopper._port_owner_hangs
+    scene.turn(50 * MS, alive=False)
+    assert scene.stopper._port_owner_hangs

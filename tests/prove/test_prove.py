@@ -7,6 +7,7 @@ import dataclasses
 import json
 import os
 import signal
+import statistics
 import subprocess
 import sys
 import time
@@ -61,7 +62,9 @@ def test_the_main_paths_on_the_simulated_board(tmp_path: Path) -> None:
     assert all(row["written_ms"] is not None and row["acknowledged_ms"] and row["board_ms"] for row in rows)
     assert all(row["rest_s"] < row["rest_bar_s"] + row["blind_s"] for row in rows)
     # The times that it takes from shared memory are those of the board.
-    assert all(abs(row["board_ms"] - row["written_ms"]) < 20 for row in rows)
+    later_ms = [row["board_ms"] - row["written_ms"] for row in rows]
+    assert min(later_ms) > -1
+    assert statistics.median(later_ms) < 20
     assert all(row["acknowledged_ms"] > row["written_ms"] for row in rows)
     assert next(row for row in rows if row["path"] == "deadman")["written_ms"] >= 299
     assert result["character"]["still"]["most"] < 0.0035 < result["character"]["spinning"]["0.2"]["least"]

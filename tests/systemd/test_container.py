@@ -104,8 +104,8 @@ def test_it_ends_with_a_killed_owner(box: Container) -> None:
         owner.kill()
     wait_for("its systemd to end", lambda: not os.path.exists(f"/proc/{pid}"))
     groups = container._hierarchy().glob(f"failstop-{owner.pid}-*")
+    # Another worker's container may take them away as well, at any time.
     left = [*groups, *Path(tempfile.gettempdir()).glob(f"{container.DIRECTORY}{owner.pid}-*")]
-    assert len(left) == 2
     with Container():
         pass
     assert not any(path.exists() for path in left)

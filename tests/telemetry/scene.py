@@ -56,7 +56,7 @@ class Scene:
     """Telemetry at work; `turn` moves the clock, publishes the gate's state and wakes it up."""
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch, **changed: object) -> None:
-        self.instance = f"t{os.getpid()}x{next(_numbers)}"
+        self.instance = f"telemetry-{os.getpid()}-{next(_numbers)}"
         self.now_ns = 50_000 * S
         monkeypatch.setattr(main, "monotonic_ns", lambda: self.now_ns)
         monkeypatch.setattr(main, "time", Wall)

@@ -1,0 +1,81 @@
+"""What a run of `failstop prove` must call wrong, without a stand: each thing alone."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from failstop.prove import table
+from failstop.prove.run import Run
+from failstop.prove.table import BY_PATH, BY_VELOCITY
+from tests.faults.test_judge import FAULT_NS, TURNING, event
+from tests.faults.test_judge import STILL as REST
+from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
+
+MS = 1_000_000
+
+
+def run(path: str = "stop-request", latch: str | None = "prove: stop request by me", **board: object) -> Run:
+    """A run whose cause was at FAULT_NS: written after 1 ms, answered after 5, wheels at rest after 0.3 s."""
+    samples = gyro((1.0, DRIVE), (0.3, DRIVE), (1.5, STILL), bias=0.0, start_ns=FAULT_NS - 1_000 * MS)
+    watch = SimpleNamespace(
+        samples=samples,
+        written=[(FAULT_NS + MS, "port_owner")],
+        zeros=[],
+        answers=[(FAULT_NS + 2 * MS, FAULT_NS + 5 * MS)],
+    )
+    events = board.get("events", [event(0, 1.0, REST)])
+    stand = SimpleNamespace(
+        board=SimpleNamespace(events=lambda: events),
+        watch=watch,
+        driver=SimpleNamespace(robot=SimpleNamespace(state=SimpleNamespace(estop=latch))),
+        service=SimpleNamespace(process=SimpleNamespace(wait=lambda _: 3)),
+    )
+    made = Run(stand, SIMULATED, BY_PATH[path], BY_VELOCITY["0.2"], None)  # type: ignore[arg-type]
+    made._cause_ns = FAULT_NS
+    return made
+
+
+def wrong(made: Run) -> list[str]:
+    made._judge()
+    return made.result.wrong
+
+
+def test_all_is_well() -> None:
+    assert wrong(run()) == []
+
+
+def test_wheels_that_did_not_turn_prove_nothing() -> None:
+    made = run()
+    made.stand.watch.samples = gyro((3.0, STILL), bias=0.0, start_ns=FAULT_NS - 1_000 * MS)
+    assert "the wheels were not seen turning before the stop" in wrong(made)
+
+
+def test_motion_after_the_stop() -> None:
+    events = [event(0, 1.0, REST), event(1, 2.0, TURNING), event(2, 3.0, REST)]
+    assert wrong(run(events=events)) == ["1 motion frames after the stop"]
+
+
+def test_a_stop_that_is_late_at_the_board() -> None:
+    bar_ms = BY_PATH["stop-request"].reaction_bar_ms(simulated=True)
+    assert wrong(run(events=[event(0, bar_ms - 0.1, REST)])) == []
+    assert wrong(run(events=[event(0, bar_ms + 0.1, REST)]))[0].startswith("at the board after")
+
+
+@pytest.mark.parametrize("latch", [None, "key1"])
+def test_another_latch(latch: str | None) -> None:
+    assert wrong(run(latch=latch)) == [f"latched: {latch}, not ^prove: stop request"]
+
+
+def test_an_acknowledgement_that_is_late() -> None:
+    made = run()
+    late_ns = FAULT_NS + round((table.ACKNOWLEDGED_MS + 2) * MS)
+    made.stand.watch.answers = [(FAULT_NS + 2 * MS, late_ns)]
+    assert wrong(made) == ["acknowledged after 1002 ms"]
+
+
+def test_a_service_that_ends_badly() -> None:
+    made = run("service-stop")
+    made._check_end()
+    assert made.result.wrong == ["the service ended with exit code 3"]

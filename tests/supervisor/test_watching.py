@@ -1,0 +1,249 @@
+"""The supervisor and processes that really die or fall silent: what it writes, kills, lets go and passes on."""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.board.burst import BURST
+from failstop.procs.handover import Control
+from failstop.procs.loop import READ
+from failstop.shm import layout, records, segment
+from failstop.shm.heartbeat import RUNNING, STARTING
+from failstop.supervisor import family as family_module
+from failstop.supervisor.children import STARTING_NS
+from failstop.supervisor.main import HELD_UP_NS
+from failstop.supervisor.port import OwnPort
+from failstop.supervisor.table import BY_NAME
+from tests.procs.parts import Pty, new_pty, until
+from tests.procs.stage import Dummy
+from tests.supervisor.test_answers import MS, Scene
+
+
+class Watching(Scene):
+    """With real processes in the roles of the children; none is ever started anew."""
+
+    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        super().__init__(directory, monkeypatch)
+        monkeypatch.setattr(family_module.Family, "start", lambda *_: None)
+        self.supervisor.family[layout.PORT_OWNER].pid = 0
+        self.dummies: list[Dummy] = []
+
+    def employ(self, name: str) -> Dummy:
+        """A process that says that it runs."""
+        dummy = Dummy()
+        self.dummies.append(dummy)
+        child = self.supervisor.family[name]
+        child.started(dummy.pid, 1 + len(self.dummies), self.now_ns)
+        child.life.armed = True  # type: ignore[union-attr]
+        self.supervisor.loop.watch(child.life.fd, READ)  # type: ignore[union-attr]
+        own = segment.attach(self.resources.name, name, write=True)
+        own.word("beat_pid").set(dummy.pid)
+        own.word("beat_state").set(RUNNING)
+        own.word("beat_ns").set(self.now_ns)
+        return dummy
+
+    def pass_time(self, elapsed_ns: int) -> bytes:
+        """A turn in which nobody beats."""
+        self.now_ns += elapsed_ns
+        self.supervisor.turn(self.supervisor.loop.wait(0))
+        try:
+            return os.read(self.master, 65536)
+        except OSError:  # nothing, or nobody has the port open any more
+            return b""
+
+    def port_open(self) -> None:
+        port = records.pack_port(1, self.now_ns, records.PORT_OPEN, "/dev/board")
+        self.port_owner.latest_writer("port").write(port)
+
+    def rung(self, process: str) -> bool:
+        fd = self.resources.bells[process].fd
+        found = bool(select.select([fd], [], [], 0)[0])
+        self.resources.bells[process].clear()
+        return found
+
+    def close(self) -> None:
+        for child in self.supervisor.children:
+            if child.life:
+                child.life.close()
+        for dummy in self.dummies:
+            dummy.kill()
+            try:
+                os.waitpid(dummy.pid, 0)
+            except ChildProcessError:
+                continue
+        super().close()
+
+
+@pytest.fixture
+def watching(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Watching]:
+    made = Watching(tmp_path, monkeypatch)
+    yield made
+    made.close()
+
+
+class Noted:
+    """A word whose setting is noted."""
+
+    def __init__(self, order: list[str], real_set: Callable[[int], None]) -> None:
+        self.order, self.real_set = order, real_set
+
+    def set(self, value: int) -> None:
+        self.order.append("epoch")
+        self.real_set(value)
+
+
+def test_the_port_owner_s_death_is_answered_first_on_its_own_descriptor(
+    watching: Watching, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order: list[str] = []
+    real_burst, real_set = watching.port.burst, watching.supervisor._epoch_word.set
+    monkeypatch.setattr(OwnPort, "burst", lambda _: (order.append("burst"), real_burst())[1])
+    monkeypatch.setattr(watching.supervisor, "_epoch_word", Noted(order, real_set))
+    watching.employ(layout.PORT_OWNER).kill()
+    until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+    watching.supervisor._burst_ns = watching.now_ns  # no zeros of its own just now
+    assert watching.pass_time(0) == BURST
+    assert order == ["burst", "epoch"], "nothing comes before the burst"
+    assert watching.word("written_ns").get() == watching.now_ns
+    assert watching.told() == {"reason": "port_owner died", "written_by": "supervisor", "written_us": 0.0}
+
+
+def test_who_is_to_answer_an_epoch_is_woken(watching: Watching) -> None:
+    watching.rung(layout.PORT_OWNER), watching.rung(layout.GATE)
+    watching.trip()
+    watching.turn()
+    assert watching.rung(layout.PORT_OWNER)
+    assert watching.rung(layout.GATE)
+
+
+@pytest.mark.parametrize("name", list(BY_NAME))
+def test_who_is_silent_for_its_deadline_is_killed_first_and_the_port_owner_answered_for(
+    watching: Watching, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order: list[str] = []
+    real_kill, real_burst = os.kill, watching.port.burst
+    dummy = watching.employ(name)
+    monkeypatch.setattr(os, "kill", lambda pid, number: (order.append("kill"), real_kill(pid, number)))
+    monkeypatch.setattr(OwnPort, "burst", lambda _: (order.append("burst"), real_burst())[1])
+    watching.supervisor._burst_ns = watching.now_ns + BY_NAME[name].deadline_ns  # no zeros of its own just now
+    watching.supervisor._turned_ns = watching.now_ns + BY_NAME[name].deadline_ns - MS  # it was not held up itself
+    watching.pass_time(BY_NAME[name].deadline_ns - 1)
+    assert order == []
+    watching.pass_time(1)
+    assert order[:2] == (["kill", "burst"] if name == layout.PORT_OWNER else ["kill"])
+    assert watching.supervisor.epoch == 2
+    until(lambda: os.waitid(os.P_PID, dummy.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG), "its end")
+
+
+def test_one_that_was_held_up_stops_and_kills_nobody(watching: Watching) -> None:
+    for name in BY_NAME:
+        watching.employ(name)
+    watching.supervisor._was_ready = True
+    watching.pass_time(HELD_UP_NS)
+    assert watching.supervisor.epoch == 2
+    cause = watching.supervisor._cause_record
+    entry = segment.attach(watching.resources.name, layout.SUPERVISOR).latest_reader("cause").read()
+    assert cause is not None
+    assert entry is not None
+    assert records.unpack_cause(entry[2])[2] == "supervisor was held up for 250 ms"
+    assert not any(child.fence for child in watching.supervisor.children)
+
+
+def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open(watching: Watching) -> None:
+    for name in BY_NAME:
+        watching.employ(name)
+    watching.port_open()
+    stopper = segment.attach(watching.resources.name, layout.STOPPER, write=True)
+    stopper.word("port_ns").set(2**62)
+    watching.answers()
+    watching.turn()
+    assert watching.word("ready").get() == 1
+    watching.supervisor.epoch = 2
+    assert watching.supervisor._missing() == "a stop being carried out", "answered for an older epoch only"
+    watching.answers()
+    assert watching.supervisor._missing() == ""
+    watching.supervisor._sharing._let_go()
+    assert watching.supervisor._missing() == "the port"
+
+
+@pytest.mark.parametrize("sign", ["record", "hang-up"])
+def test_a_port_that_has_gone_is_let_go_and_the_stopper_told(watching: Watching, sign: str) -> None:
+    fd = watching.port.fd
+    watching.rung(layout.STOPPER)
+    if sign == "record":
+        lost = records.pack_port(1, time.monotonic_ns(), records.PORT_LOST, "/dev/board")
+        watching.port_owner.latest_writer("port").write(lost)
+    else:
+        os.close(watching.master)
+        watching.master = os.open("/dev/null", os.O_RDONLY)
+        until(lambda: watching.supervisor.loop.wait(0), "the hang-up")
+    watching.pass_time(0)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(fd)
+    assert watching.port.fd == -1
+    assert watching.rung(layout.STOPPER)
+
+
+@pytest.fixture
+def other() -> Iterator[Pty]:
+    with new_pty() as made:
+        yield made
+
+
+def test_a_port_that_was_opened_anew_is_kept_and_passed_on(watching: Watching, other: Pty) -> None:
+    watching.employ(layout.STOPPER)
+    watching.employ(layout.PORT_OWNER)
+    opener, stopper = (
+        Control(os.dup(watching.resources.controls[name][1])) for name in (layout.PORT_OWNER, layout.STOPPER)
+    )
+    opener.send(other.slave)
+    watching.pass_time(0)
+    opener.close()
+    passed = stopper.receive()
+    stopper.close()
+    assert passed >= 0
+    assert os.ttyname(passed) == os.ttyname(watching.port.fd) == other.link
+    os.close(passed)
+
+
+def test_the_wait_before_a_restart_is_kept(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[int] = []
+    monkeypatch.setattr(
+        family_module.Family,
+        "start",
+        lambda _, child, fd: (started.append(watching.now_ns), setattr(child, "restart_ns", None)),
+    )
+    for _ in range(2):
+        watching.employ(layout.TELEMETRY).kill()
+        until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+        watching.pass_time(0)
+    second_ns = watching.now_ns
+    assert len(started) == 1, "the first at once, the second not yet"
+    for _ in range(20):
+        watching.pass_time(20 * MS)
+    backoff_ns = watching.supervisor.family.children[0].restarts._backoff_ns
+    assert len(started) == 2
+    assert backoff_ns <= started[1] - second_ns <= backoff_ns + 20 * MS
+
+
+def test_nobody_listens_while_telemetry_is_down(watching: Watching) -> None:
+    watching.employ(layout.PORT_OWNER)
+    watching.employ(layout.TELEMETRY)
+    assert watching.supervisor._listening()
+    watching.supervisor.family[layout.TELEMETRY].fallen = True
+    assert not watching.supervisor._listening()
+
+
+def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) -> None:
+    watching.employ(layout.TELEMETRY)
+    segment.attach(watching.resources.name, layout.TELEMETRY, write=True).word("beat_state").set(STARTING)
+    child = watching.supervisor.family[layout.TELEMETRY]
+    assert not child.hangs(watching.now_ns + STARTING_NS - 1)
+    assert child.hangs(watching.now_ns + STARTING_NS)
+    assert STARTING_NS <= 10_000 * MS
