@@ -7,26 +7,14 @@ import gc
 import os
 import pty
 import select
-import time
 import tty
-from collections.abc import Callable, Iterator
-
-import pytest
+from collections.abc import Iterator
 
 from failstop.board.codec import MOTOR
 from failstop.board.motors import Motors
 from failstop.board.receiver import Receiver
 
 DEADLINE_S = 20.0
-
-
-def until(condition: Callable[[], object], what: str) -> None:
-    """Wait for a condition; fails after the deadline."""
-    end_s = time.monotonic() + DEADLINE_S
-    while not condition():
-        if time.monotonic() > end_s:
-            pytest.fail(f"not within {DEADLINE_S} s: {what}")
-        select.select([], [], [], 0.0005)
 
 
 def open_fds() -> int:

@@ -11,9 +11,10 @@ import pytest
 
 from failstop.procs.gate import clients
 from failstop.shm import layout, records
+from tests.waiting import until
 
 from .client_side import NOW, Service
-from .parts import open_fds, until
+from .parts import open_fds
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ from failstop.board import port
 from failstop.board.burst import BURST
 from failstop.procs.port_owner import main
 from failstop.shm import layout, records
+from tests.waiting import until
 
-from .parts import until
 from .port_scene import MOTION, TICK, Kernel, Scene
 from .stage import MS, Dummy
 

@@ -13,8 +13,9 @@ from failstop.procs.handover import OPENING_NS
 from failstop.procs.stopper import main
 from failstop.procs.stopper.main import HANG_NS, Stopper
 from failstop.shm import heartbeat, layout, records
+from tests.waiting import until
 
-from .parts import Pty, new_pty, until
+from .parts import Pty, new_pty
 from .stage import MS, Dummy, Stage
 
 

@@ -13,8 +13,9 @@ from failstop.board import codec, port
 from failstop.board.burst import BURST
 from failstop.procs.port_owner import wire as wire_module
 from failstop.procs.port_owner.wire import DRAIN_NS, Wire
+from tests.waiting import until
 
-from .parts import Board, Pty, new_pty, until
+from .parts import Board, Pty, new_pty
 
 MS = 1_000_000
 T0 = 3_000 * MS

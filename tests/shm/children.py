@@ -9,7 +9,6 @@ import pickle
 import resource
 import select
 import signal
-import time
 import traceback
 from collections.abc import Callable, Iterator
 from types import TracebackType
@@ -21,15 +20,6 @@ DEADLINE_S = 20.0
 NOBODY = 65534
 
 needs_root = pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become another user")
-
-
-def until(condition: Callable[[], object], what: str) -> None:
-    """Wait for a condition; fails after the deadline."""
-    end = time.monotonic() + DEADLINE_S
-    while not condition():
-        if time.monotonic() > end:
-            pytest.fail(f"not within {DEADLINE_S} s: {what}")
-        select.select([], [], [], 0.0005)
 
 
 def become(uid: int) -> None:

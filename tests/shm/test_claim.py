@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from failstop.shm import claim
+from tests.waiting import until
 
-from .children import NOBODY, Child, call, needs_root, umask, until
+from .children import NOBODY, Child, call, needs_root, umask
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]

@@ -17,8 +17,9 @@ import pytest
 from failstop.shm import segment
 from failstop.shm.lifeline import EarlyNews, Lifeline, pid_namespace
 from failstop.shm.mutex import BLOCKS, PER_BLOCK, Mutexes
+from tests.waiting import until
 
-from .children import NOBODY, Child, become, call, needs_root, until
+from .children import NOBODY, Child, become, call, needs_root
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]

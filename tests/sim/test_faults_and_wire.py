@@ -16,8 +16,9 @@ from failstop.board import codec, decoder, port
 from failstop.board.burst import BURST
 from failstop.board.port import open_port
 from failstop.board.sim.client import Event, SimBoard, SimBoardError
+from failstop.trial import wait_for
 
-from .parts import DRIVE, FORWARD, wait_until
+from .parts import DRIVE, FORWARD
 
 MS = 1_000_000
 
@@ -107,7 +108,7 @@ def test_waiting_costs_the_board_nothing_and_ends_with_the_event(board: SimBoard
     found: list[Event] = []
     waiter = threading.Thread(target=lambda: found.append(board.wait_for(lambda event: event.is_stop, 100.0)))
     waiter.start()
-    wait_until("the waiting request", lambda: board.info()["waiting"] == 1)
+    wait_for("the waiting request", lambda: board.info()["waiting"] == 1)
     os.write(client, DRIVE)
     os.write(client, codec.STOP)
     waiter.join(20.0)
@@ -258,7 +259,7 @@ def test_not_draining_fills_the_port_and_draining_takes_it_all(board: SimBoard, 
     board.drain()
     # Any further request would make the board read.
     assert select.select([], [client], [], 10.0)[1]
-    wait_until("everything", lambda: board.info()["executed"] == sent // len(codec.PING))
+    wait_for("everything", lambda: board.info()["executed"] == sent // len(codec.PING))
     events = board.events()
     assert events[0].arrival_ns >= drained_ns
     assert events[-1].executed_ns - events[0].executed_ns >= 0.99 * sent * 10_000

@@ -25,8 +25,9 @@ from failstop.board.sim.client import SimBoard, SimBoardError
 from failstop.board.sim.control import connect
 from failstop.board.sim.options import Options
 from failstop.board.sim.process import Simulator
+from failstop.trial import wait_for
 
-from .parts import DRIVE, FORWARD, wait_until
+from .parts import DRIVE, FORWARD
 
 NOBODY = 65534
 
@@ -45,7 +46,7 @@ def test_clients_may_come_go_and_crash(board: SimBoard) -> None:
     os.waitpid(child, 0)
     board.wait_wheels(True, 5.0)
     assert sum(event.is_stop for event in board.events()) == 3, "what was written before a close still arrives"
-    wait_until("the port to be free", lambda: not board.info()["opened"])
+    wait_for("the port to be free", lambda: not board.info()["opened"])
     assert board.wheels() == pytest.approx(FORWARD)
 
 
@@ -68,9 +69,9 @@ def exclusively_claimed(descriptor: int) -> bool:
 def test_the_last_close_frees_the_port_as_on_a_real_one(board: SimBoard) -> None:
     descriptor = open_port(board.link, exclusive=True)
     assert exclusively_claimed(descriptor)
-    wait_until("unread telemetry", lambda: bool(select.select([descriptor], [], [], 1.0)[0]))
+    wait_for("unread telemetry", lambda: bool(select.select([descriptor], [], [], 1.0)[0]))
     os.close(descriptor)
-    wait_until("the port to be free", lambda: not board.info()["opened"])
+    wait_for("the port to be free", lambda: not board.info()["opened"])
     again = os.open(board.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     assert not exclusively_claimed(again)
     os.close(again)
@@ -81,13 +82,13 @@ def test_no_telemetry_is_kept_for_a_client_that_comes_later(board: SimBoard, rea
     descriptor = open_port(board.link, exclusive=False)
     if reader == "nobody":
         os.close(descriptor)
-        wait_until("the port to be free", lambda: not board.info()["opened"])
+        wait_for("the port to be free", lambda: not board.info()["opened"])
     if reader == "nobody":
         time.sleep(0.3)  # nothing to wait for: some thirty IMU frames go nowhere
     else:
-        wait_until("unread telemetry", lambda: unread_bytes(descriptor) > 20 * 29)
+        wait_for("unread telemetry", lambda: unread_bytes(descriptor) > 20 * 29)
         os.close(descriptor)
-        wait_until("the port to be free", lambda: not board.info()["opened"])
+        wait_for("the port to be free", lambda: not board.info()["opened"])
     descriptor = open_port(board.link, exclusive=False)
     assert unread_bytes(descriptor) <= 2 * 29
     os.close(descriptor)
@@ -113,7 +114,7 @@ def unprivileged_board() -> Iterator[str]:
             finally:
                 os._exit(0)
         try:
-            wait_until("the link", lambda: os.path.islink(link))
+            wait_for("the link", lambda: os.path.islink(link))
             yield link
         finally:
             os.kill(child, signal.SIGTERM)
@@ -126,7 +127,7 @@ def test_an_unprivileged_board_frees_its_port_too(unprivileged_board: str) -> No
     descriptor = open_port(unprivileged_board, exclusive=True)
     os.write(descriptor, DRIVE)
     os.close(descriptor)
-    wait_until("a port that is not claimed", lambda: not _claimed_path(unprivileged_board))
+    wait_for("a port that is not claimed", lambda: not _claimed_path(unprivileged_board))
     assert os.stat(unprivileged_board).st_uid == NOBODY
     with connect(unprivileged_board + ".ctl", 5.0) as control:
         control.send(b'{"op": "wheels"}')
@@ -195,7 +196,7 @@ def test_a_dead_boards_link_is_replaced(tmp_path: Path) -> None:
     dead.start()
     os.kill(dead.pid, signal.SIGKILL)
     with pytest.raises(SimBoardError, match=r"exit code -9"):
-        wait_until("its end", lambda: dead.wheels() is None)
+        wait_for("its end", lambda: dead.wheels() is None)
     dead.close()
     assert (tmp_path / "board").is_symlink()
     assert (tmp_path / "board.ctl").exists()
@@ -229,7 +230,7 @@ def test_ends_with_its_parent(tmp_path: Path) -> None:
         assert parent.stdout is not None
         pid = int(parent.stdout.readline())
         parent.kill()
-    wait_until("the end of the board", lambda: not os.path.exists(f"/proc/{pid}"))
+    wait_for("the end of the board", lambda: not os.path.exists(f"/proc/{pid}"))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -274,7 +275,7 @@ def test_record(tmp_path: Path) -> None:
         board.deaf(True)
         os.write(descriptor, codec.STOP)
         os.close(descriptor)
-        wait_until("the last chunk", lambda: not board.info()["opened"])
+        wait_for("the last chunk", lambda: not board.info()["opened"])
         pid = board.pid
     lines = [json.loads(line) for line in record.read_text().splitlines()]
     assert [line["kind"] for line in lines] == ["chunk", "frame", "fault", "chunk"]

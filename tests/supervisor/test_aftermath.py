@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from failstop.shm import layout, records, segment
-from tests.procs.parts import until
 from tests.supervisor.test_answers import MS, Scene
+from tests.waiting import until
 
 
 class Watched(Scene):

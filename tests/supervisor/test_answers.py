@@ -187,13 +187,7 @@ def test_without_a_port_owner_the_burst_is_written_at_once(scene: Scene) -> None
 
 def test_a_full_port_is_said_to_be_not_written(scene: Scene) -> None:
     scene.supervisor.family[layout.PORT_OWNER].pid = 0
-    refused = 0
-    while refused < 20:
-        try:
-            os.write(scene.port.fd, bytes(1))
-            refused = 0
-        except BlockingIOError:
-            refused += 1
+    fill(scene.port.fd)
     scene.trip()
     scene.supervisor.turn({})
     assert scene.told()["written_us"] is None

@@ -20,9 +20,10 @@ from failstop.supervisor.children import STARTING_NS
 from failstop.supervisor.main import HELD_UP_NS
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.table import BY_NAME
-from tests.procs.parts import Pty, new_pty, until
+from tests.procs.parts import Pty, new_pty
 from tests.procs.stage import Dummy
 from tests.supervisor.test_answers import MS, Scene
+from tests.waiting import until
 
 
 class Watching(Scene):

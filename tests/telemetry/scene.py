@@ -6,10 +6,7 @@ from __future__ import annotations
 
 import itertools
 import os
-import select
 import struct
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +22,7 @@ from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.notes import Note
 from failstop.shm.segment import Segment
 from failstop.supervisor.settings import Settings
+from tests.waiting import until
 
 MS = 1_000_000
 S = 1_000 * MS
@@ -33,15 +31,6 @@ DEADLINE_S = 20.0
 NOON = 1_773_662_400.0
 """2026-03-16 12:00:00 UTC."""
 _numbers = itertools.count()
-
-
-def until(condition: Callable[[], object], what: str) -> None:
-    """Wait for a condition; fails after the deadline."""
-    end_s = time.monotonic() + DEADLINE_S
-    while not condition():
-        if time.monotonic() > end_s:
-            pytest.fail(f"not within {DEADLINE_S} s: {what}")
-        select.select([], [], [], 0.0005)
 
 
 class Wall:

@@ -12,8 +12,9 @@ import pytest
 from failstop.board import codec, framing
 from failstop.procs.telemetry import tones
 from failstop.shm import records
+from tests.waiting import until
 
-from .scene import MS, Scene, until
+from .scene import MS, Scene
 
 MODE = 0x2000
 X = 0x0100

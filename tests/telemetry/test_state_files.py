@@ -10,8 +10,7 @@ import pytest
 
 from failstop.procs.telemetry import state_files
 from failstop.procs.telemetry.state_files import StateFiles, append_line, state_directory, write_whole
-
-from .scene import until
+from tests.waiting import until
 
 HEADER = "a,b\n"
 

@@ -1,0 +1,20 @@
+"""Waiting for a condition instead of for a time."""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Callable
+
+import pytest
+
+DEADLINE_S = 20.0
+
+
+def until(condition: Callable[[], object], what: str) -> None:
+    """Wait for a condition; fails after the deadline."""
+    end_s = time.monotonic() + DEADLINE_S
+    while not condition():
+        if time.monotonic() > end_s:
+            pytest.fail(f"not within {DEADLINE_S} s: {what}")
+        select.select([], [], [], 0.0005)
