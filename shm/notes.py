@@ -8,6 +8,7 @@ from __future__ import annotations
 import msgpack
 
 from failstop.shm.layout import NOTE_BYTES
+from failstop.shm.packing import pack
 from failstop.shm.records import cut
 
 TYPE_CHECKING = False
@@ -40,10 +41,10 @@ class Note:
                 key: cut(value, most).decode() if isinstance(value, str) else value
                 for key, value in self.fields.items()
             }
-            data: bytes = msgpack.packb((self.kind, self.level, text, fields))
+            data = pack((self.kind, self.level, text, fields))
             if len(data) <= NOTE_BYTES:
                 return data
-        return msgpack.packb((self.kind, self.level, text, {}))  # type: ignore[no-any-return]
+        return pack((self.kind, self.level, text, {}))
 
     @classmethod
     def unpack(cls, payload: bytes) -> Note:

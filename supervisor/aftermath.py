@@ -9,9 +9,8 @@ import os
 import signal
 import time
 
-import msgpack
-
 from failstop.shm import layout, records
+from failstop.shm.packing import pack
 from failstop.supervisor.causes import Cause
 from failstop.supervisor.link import ALIVE, DEAF, Link
 from failstop.supervisor.stops import LastStop
@@ -198,4 +197,4 @@ class Aftermath:
 
     def _publish(self) -> None:
         if self._last:
-            self._record.write(msgpack.packb(self._last.as_record()))
+            self._record.write(pack(self._last.as_record()))

@@ -9,10 +9,8 @@ import os
 import select
 import time
 
-import msgpack
-
 from failstop.fold import PREFIX, fitted
-from failstop.shm import layout
+from failstop.shm import layout, packing
 from failstop.shm.instance import DEFAULT_NAME
 from failstop.shm.records import cut
 from failstop.supervisor.kinds import BY_NAME, LEVELS
@@ -107,8 +105,8 @@ def pack(t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dic
         told["fields"] = {
             key: cut(value, value_bytes).decode() if isinstance(value, str) else value for key, value in fields.items()
         }
-        data: bytes = msgpack.packb(told)
+        data = packing.pack(told)
         if len(data) <= ROOM:
             return data
     told["fields"] = {}
-    return msgpack.packb(told)  # type: ignore[no-any-return]
+    return packing.pack(told)

@@ -10,12 +10,11 @@ import os
 import signal
 from time import monotonic_ns
 
-import msgpack
-
 from failstop.procs import rights
 from failstop.procs.loop import READ, Loop
 from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import Heartbeat
+from failstop.shm.packing import pack
 from failstop.supervisor import answer
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
@@ -299,7 +298,7 @@ class Supervisor:
     def _publish(self, now_ns: int) -> None:
         """The process table and the ready word, when they change, and the service manager's part."""
         missing = self._missing()
-        table = msgpack.packb(
+        table = pack(
             {
                 "waiting_for": missing or None,
                 "processes": {

@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from time import monotonic_ns
 
-import msgpack
-
 from failstop.board.interface import BOARD
 from failstop.procs.gate import kinematics
 from failstop.procs.gate.clients import ClientTable, seen
@@ -17,6 +15,7 @@ from failstop.procs.loop import READ, Loop
 from failstop.shm import bell, box, instance, layout, records
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.notes import Note
+from failstop.shm.packing import pack
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -278,7 +277,7 @@ class Gate:
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0
-        state = msgpack.packb(
+        state = pack(
             {
                 "enabled": core.enabled,
                 "estop": core.latch,

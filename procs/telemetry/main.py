@@ -7,8 +7,6 @@ import os
 import time
 from time import monotonic_ns
 
-import msgpack
-
 from failstop.board import decoder, framing
 from failstop.procs.loop import READ, Loop
 from failstop.procs.telemetry import charger, imu, state_files
@@ -25,6 +23,7 @@ from failstop.procs.telemetry.tones import Tones
 from failstop.procs.telemetry.trips import Trips
 from failstop.shm import bell, box, records
 from failstop.shm.notes import Note
+from failstop.shm.packing import pack
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -245,14 +244,14 @@ class Telemetry:
             self._records["pad"].write(records.pack_pad(*sample, self._pad.mode), t_ns)
             self._box.put(box.pack_pad(sample, self._pad.mode), t_ns)
             if news.reason:
-                self._events.put(msgpack.packb({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
+                self._events.put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
                 text = f"{news.reason}; last frames: {self._pad.recent()}"
                 self._note("pad", text, {"reason": news.reason})
 
     def _on_key(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.key(data):
             self._request_stop(self._trips.key(*sample))
-            self._events.put(msgpack.packb({"kind": "key", "key": sample[0], "event": sample[1]}), t_ns)
+            self._events.put(pack({"kind": "key", "key": sample[0], "event": sample[1]}), t_ns)
 
 
 def run(context: Context) -> int:
