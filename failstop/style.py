@@ -131,6 +131,7 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
             left = piece
             while at + cells(left.rstrip(" ")) > columns:
                 head = left[: _fitting(left, columns - at) or int(at <= indent)]
+                head = head[: head.rfind(" ") + 1] or head  # a command that is longer than a line
                 rows[-1].append((head, role))
                 rows.append([(" " * indent, PLAIN)])
                 at, left = indent, left[len(head) :]

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop import style
 from failstop.fold import columns, fitted, fold
 from failstop.supervisor.events import say
 
@@ -93,3 +94,9 @@ def test_an_error_of_a_command_is_broken_at_words() -> None:
         os.close(theirs)
     assert shown.count("\n") == 2
     assert "`failstop run --name nobody-here`" in shown
+
+
+def test_a_command_that_is_longer_than_a_line_breaks_between_its_words() -> None:
+    command = "`failstop incident show 20261121-134036-gate-died --name pix`"
+    rows = style.wrap([("saved; next: ", style.PLAIN), (command, style.STRONG)], 60, 10)
+    assert [style.plain(row).strip() for row in rows] == ["saved; next:", command[:49], "--name pix`"]
