@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import struct
 
+from failstop.shm.blocks import DISABLED, NO_COMMAND, NO_SCAN
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
@@ -32,9 +34,9 @@ WIRE_BYTES = 40
 BOARD_BYTES = 40
 BEATS_BYTES = 48
 
-BLOCKS = ("driving", "estop", "disabled", "cmd timeout", "no scan")
+BLOCKS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN)
 """The gate's decision: its index is in the record."""
-_BLOCK = {"": 0, "disabled": 2, "cmd timeout": 3, "no scan": 4}
+_BLOCK = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4}
 ENABLED = 1
 MANUAL = 2
 DRIVES = 4

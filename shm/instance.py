@@ -32,6 +32,11 @@ def check_name(name: str) -> str:
     return name
 
 
+def option(name: str) -> str:
+    """What a command of failstop needs to mean this instance: " --name NAME", and nothing for the default one."""
+    return "" if name == DEFAULT_NAME else f" --name {name}"
+
+
 def _candidates() -> list[str]:
     places = ["/run/failstop"]
     if session := os.environ.get("XDG_RUNTIME_DIR"):

@@ -10,8 +10,7 @@ import select
 import time
 
 from failstop.fold import PREFIX, fitted
-from failstop.shm import layout, packing
-from failstop.shm.instance import DEFAULT_NAME
+from failstop.shm import instance, layout, packing
 from failstop.shm.records import cut
 from failstop.supervisor.kinds import BY_NAME, LEVELS
 
@@ -64,8 +63,7 @@ class Events:
 
     def command(self, words: str) -> str:
         """A command to type next, in backquotes, for this instance."""
-        name = "" if self._name == DEFAULT_NAME else f" --name {self._name}"
-        return f"`failstop {words}{name}`"
+        return f"`failstop {words}{instance.option(self._name)}`"
 
     def flush(self, now_ns: int = 0, *, hold: bool = False) -> None:
         """Send what was told. `hold`: a stop's bytes are not out yet; then only what has waited for long."""

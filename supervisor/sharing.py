@@ -78,10 +78,11 @@ class Sharing:
 
     def serve(self, ready: dict[int, int], now_ns: int) -> None:
         """A port that has gone is let go at once; one that the port owner has opened anew is kept and passed on."""
-        if ready.get(self._port.fd, 0) & GONE or records.lost_since(self._record.read(), self._port.since_ns):
+        entry = self._record.read()
+        if ready.get(self._port.fd, 0) & GONE or records.lost_since(entry, self._port.since_ns):
             self._let_go()
             self._device.lost(self._path, monotonic_ns())
-        self._device.follow(self._record.read())
+        self._device.follow(entry)
         if self.controls[layout.PORT_OWNER].fd in ready:
             fd = self.controls[layout.PORT_OWNER].receive()
             if fd >= 0:

@@ -12,7 +12,7 @@ from failstop.commands import add_name
 from failstop.incidents import pending, store
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
-from failstop.shm.instance import DEFAULT_NAME
+from failstop.shm.instance import option
 
 EXAMPLES = """\
 failstop incident list
@@ -104,9 +104,8 @@ def _meant(arguments: Namespace) -> Incident:
 
 def _same(arguments: Namespace) -> str:
     """The words that mean the same incident again."""
-    words = [] if arguments.id == store.LAST else [arguments.id]
-    words += ["--name", arguments.name] if arguments.name != DEFAULT_NAME else []
-    return "".join(f" {shlex.quote(word)}" for word in words)
+    identity = "" if arguments.id == store.LAST else f" {shlex.quote(arguments.id)}"
+    return identity + option(arguments.name)
 
 
 def _output(arguments: Namespace, identity: str) -> str:

@@ -9,10 +9,11 @@ import sys
 from failstop.errors import Refused
 from failstop.install import InstallError, dialogue, look, parts, plan, tree
 from failstop.install.do import Doer
-from failstop.install.layout import DEFAULT_NAME, PREFIX, unit_of
+from failstop.install.layout import PREFIX, unit_of
 from failstop.install.machine import READY_S, Machine
 from failstop.install.steps import Plan
 from failstop.shm import instance
+from failstop.shm.instance import DEFAULT_NAME, option
 from failstop.supervisor.settings import BY_KEY
 
 TYPE_CHECKING = False
@@ -139,8 +140,7 @@ def _done(wish: plan.Wish, environment: tree.Environment | None) -> str:
         return f"done{f'; {needs} is still to come there' if missing else ''}"
     user = os.environ.get("SUDO_USER", "USER")
     started = f"{unit_of(wish.name)} runs" if wish.start else f"done; systemctl start {unit_of(wish.name)} starts it"
-    name = "" if wish.name == DEFAULT_NAME else f" --name {wish.name}"
     return (
-        f"{started}. Next: failstop status{name}\n"
+        f"{started}. Next: failstop status{option(wish.name)}\n"
         f"Who is to drive has to be in the group failstop: sudo usermod -aG failstop {user} (and a new login)"
     )

@@ -17,9 +17,9 @@ from failstop.board.sim.client import SimBoard, SimBoardError
 from failstop.commands import add_name
 from failstop.doctor import port_facts
 from failstop.doctor.gather import settings_of
-from failstop.doctor.service_facts import unit_name
 from failstop.doctor.system import System
 from failstop.errors import FailstopError, NoService, Refused
+from failstop.install.layout import unit_of
 from failstop.procs.telemetry.state_files import state_directory
 from failstop.prove import report, table
 from failstop.prove.character import Unfit, characterize
@@ -154,7 +154,7 @@ def _check_free(name: str, device: str) -> None:
         served = Robot(name).state.device["path"]
         # A simulated board is nobody else's. On a robot the service may be between two openings of this very port.
         if not (node and node.pseudo and served and os.path.realpath(served) != node.resolved):
-            end = f"sudo systemctl stop {unit_name(name)}"
+            end = f"sudo systemctl stop {unit_of(name)}"
             raise Refused(f"the service {name!r} runs, and this test kills what it runs: {end}")
     if node is None:
         return  # the run says it, with the devices that are there

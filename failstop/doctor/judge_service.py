@@ -6,8 +6,9 @@ import shlex
 
 from failstop.doctor.facts import Facts, again
 from failstop.doctor.finding import Finding, fail, ok, skip, warn
-from failstop.doctor.service_facts import client_version, unit_name
-from failstop.shm.instance import DEFAULT_NAME
+from failstop.doctor.service_facts import client_version
+from failstop.install.layout import unit_of
+from failstop.shm.instance import option
 
 FIRST_REGULAR_UID = 1000
 """logind spares system users (below this, as Debian and Ubuntu count)."""
@@ -41,16 +42,15 @@ def _not_running(facts: Facts) -> list[Finding]:
     others = [name for name in facts.memory.living if name != facts.name]
     if others:
         text += f" (there is {', '.join(others[:SHOWN])}{' and more' if len(others) > SHOWN else ''})"
-    name = unit_name(facts.name)
+    name = unit_of(facts.name)
     if facts.unit and facts.unit.load == "loaded":
         if facts.unit.active == "inactive":
             return warn(text, f"sudo systemctl start {name}")
         return warn(text, f"journalctl -eu {name}", f"{name} is {facts.unit.active}: see unit")
     if facts.node is None:
         return warn(text, "", "first see to the port")
-    name = "" if facts.name == DEFAULT_NAME else f" --name {facts.name}"
     config = f" --config {shlex.quote(facts.settings_file)}" if facts.settings_file else ""
-    return warn(text, f"failstop run{name}{config} --device {shlex.quote(facts.device)}")
+    return warn(text, f"failstop run{option(facts.name)}{config} --device {shlex.quote(facts.device)}")
 
 
 def settings(facts: Facts) -> list[Finding]:
@@ -86,7 +86,7 @@ def unit(facts: Facts) -> list[Finding]:
     if not facts.systemd:
         return skip("systemd does not run here: nobody starts the service at boot or after a death")
     found = facts.unit
-    name = unit_name(facts.name)
+    name = unit_of(facts.name)
     if found is None:
         return warn("systemd does not answer this user", f"sudo {again(facts)}")
     if found.load == "not-found":

@@ -8,8 +8,8 @@ import subprocess
 from failstop.doctor.facts import Process, RemoveIpc, Service, Unit
 from failstop.doctor.system import System, user_name
 from failstop.errors import FailstopError, NoService
+from failstop.install.layout import unit_of
 from failstop.shm import layout, segment, slot
-from failstop.shm.instance import DEFAULT_NAME
 from failstop.state import State, StateReader
 from failstop.version import VERSION
 
@@ -73,14 +73,9 @@ def client_version() -> str:
     return VERSION
 
 
-def unit_name(name: str) -> str:
-    """The unit of an instance."""
-    return "failstop.service" if name == DEFAULT_NAME else f"failstop@{name}.service"
-
-
 def unit(name: str) -> Unit | None:
     """What systemd says of the unit; None when it does not answer."""
-    which = unit_name(name)
+    which = unit_of(name)
     try:
         done = subprocess.run(
             ["systemctl", "show", which, "--property", ",".join((*PROPERTIES, *NUMBERS))],

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from failstop.incidents import signals
 from failstop.incidents.incident import Incident
 from failstop.incidents.palette import FAINT, GRID, PAPER
-from failstop.shm import layout
+from failstop.shm import blocks, layout
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,9 +23,9 @@ HATCH: dict[str, Any] = {"facecolor": "#eef0f3", "edgecolor": "#d3d9df", "hatch"
 SHADES: dict[str, tuple[str, dict[str, Any]]] = {
     DRIVING: ("the wheels may turn", {"facecolor": PAPER, "edgecolor": GRID}),
     "estop": ("a stop is latched", {"facecolor": "#fdeaea", "linewidth": 0}),
-    "disabled": ("motion is disabled", {"facecolor": "#eceff3", "linewidth": 0}),
-    "cmd timeout": ("no command", {"facecolor": "#fff3d1", "linewidth": 0}),
-    "no scan": ("no obstacle sensor", {"facecolor": "#e3effa", "linewidth": 0}),
+    blocks.DISABLED: ("motion is disabled", {"facecolor": "#eceff3", "linewidth": 0}),
+    blocks.NO_COMMAND: ("no command", {"facecolor": "#fff3d1", "linewidth": 0}),
+    blocks.NO_SCAN: ("no obstacle sensor", {"facecolor": "#e3effa", "linewidth": 0}),
     SILENT: ("the gate is silent", HATCH),
 }
 """By what the gate says: words for the legend, and how it is drawn."""

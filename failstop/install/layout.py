@@ -9,6 +9,7 @@ import os
 from typing import Any
 
 from failstop.install import InstallError
+from failstop.shm.instance import DEFAULT_NAME
 
 PREFIX = "/opt/failstop"
 MANIFEST_NAME = "install.json"
@@ -36,7 +37,6 @@ ACCOUNT_FILES = tuple(
     for name in ("passwd", "passwd-", "group", "group-", "shadow", "shadow-", "gshadow", "gshadow-", ".pwd.lock")
 )
 CATALOG_DATABASE = "/var/lib/systemd/catalog/database"
-DEFAULT_NAME = "failstop"
 
 
 def unit_of(name: str) -> str:

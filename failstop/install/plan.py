@@ -11,7 +11,6 @@ from failstop.install.layout import (
     CATALOG_DATABASE,
     COMMAND_LINK,
     COMPLETIONS,
-    DEFAULT_NAME,
     MANIFEST,
     MANUAL,
     PREFIX,
@@ -27,6 +26,7 @@ from failstop.install.layout import (
 )
 from failstop.install.parts import SERVICE, TEMPLATE, UNIT_COMMAND, Parts, accounts, wanted_by
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
+from failstop.shm.instance import DEFAULT_NAME
 
 OWN_COMMAND = f"{PREFIX}/bin/failstop"
 MASK = "/dev/null"

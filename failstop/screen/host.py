@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from failstop.screen import words
-from failstop.shm.instance import DEFAULT_NAME
+from failstop.shm import instance
 from failstop.supervisor.settings import BY_KEY
 
 BOOTED = "/run/systemd/system"
@@ -27,8 +27,7 @@ def start(name: str, device: str | None = None) -> str:
     """The command that starts it, in backquotes. `device`: the port that it had, where that is known."""
     if found := unit(name):
         return f"`sudo systemctl start {found}`"
-    named = "" if name == DEFAULT_NAME else f" --name {name}"
-    return f"`failstop run{named}{f' --device {device}' if device and device != DEVICE else ''}`"
+    return f"`failstop run{instance.option(name)}{f' --device {device}' if device and device != DEVICE else ''}`"
 
 
 def restart(name: str, device: str | None = None) -> str:

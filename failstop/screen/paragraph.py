@@ -6,6 +6,7 @@ import dataclasses
 from typing import Any
 
 from failstop.screen import history, reasons, verdict, words
+from failstop.shm import blocks
 from failstop.state import State, Stop
 
 TYPE_CHECKING = False
@@ -32,20 +33,20 @@ class Block:
 
 
 BLOCKS = {
-    verdict.LATCHED: Block(
+    blocks.LATCHED: Block(
         "a stop is latched, and it stays until somebody resets it",
         "a reset clears the latch alone; motion needs to be enabled after it",
     ),
-    verdict.DISABLED: Block(
+    blocks.DISABLED: Block(
         "motion is disabled, as it is after every start, every stop and every reset",
         "enabling it is a decision of a person or a program, and is never made by itself",
     ),
-    verdict.NO_COMMAND: Block(
+    blocks.NO_COMMAND: Block(
         "motion is enabled, but nobody commands: no source has a command that is younger than its timeout (0.3 s "
         "unless the settings say otherwise)",
         "the next command moves them",
     ),
-    verdict.NO_SCAN: Block(
+    blocks.NO_SCAN: Block(
         "motion is enabled, but the obstacle sensor is silent; without it only a person may drive (teleop, gamepad)",
         "motion resumes by itself, from zero, when the sensor delivers again",
     ),
@@ -74,7 +75,7 @@ def block(state: State) -> Block | None:
     """The row of what blocks now; None when nothing does."""
     if state.blocked is None:
         return None
-    kind = verdict.LATCHED if state.blocked.startswith(verdict.LATCHED) else state.blocked
+    kind = blocks.LATCHED if state.blocked.startswith(blocks.LATCHED) else state.blocked
     return BLOCKS.get(kind) or Block(f"the gate blocks them: {state.blocked}", "")
 
 
@@ -91,7 +92,7 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Explanation:
     if state.estop:
         told, see_to = reasons.explain(state.estop)
         cause = f"it was latched because {told}"
-    if stop and (state.blocked == verdict.DISABLED or stop.reason == state.estop):
+    if stop and (state.blocked == blocks.DISABLED or stop.reason == state.estop):
         proof = _proof(stop, state, now_s)
     head = _head(state, row, "" if since is None else f" since {words.ago(since, now_s)}")
     before = _before(state, events, now_s)
@@ -134,15 +135,15 @@ def _since(state: State, events: Sequence[Event], now_s: float) -> tuple[float |
     stop = state.last_stop
     if state.estop:
         return (stop.t if stop and stop.reason == state.estop else None), ""
-    if state.blocked == verdict.NO_SCAN:
+    if state.blocked == blocks.NO_SCAN:
         if state.scan_age_s is None:
             return None, "it has not delivered once since the service was started"
         return None, f"it delivered last {words.span(state.scan_age_s)} ago"
-    if state.blocked == verdict.DISABLED:
+    if state.blocked == blocks.DISABLED:
         change = next((event for event in reversed(events) if event.kind in CHANGES), None)
         if change:
             return change.t, f"what was said then: {change.text.partition('; next: ')[0]}"
-    if state.blocked == verdict.NO_COMMAND and (event := history.left_off(events)):
+    if state.blocked == blocks.NO_COMMAND and (event := history.left_off(events)):
         return None, _left_off(event, state, now_s)
     return None, ""
 
@@ -159,7 +160,7 @@ def _left_off(event: Event, state: State, now_s: float) -> str:
 def _before(state: State, events: Sequence[Event], now_s: float) -> str:
     """That the run before this one was not ended in order."""
     found = history.earlier(events)
-    if found is None or state.last_stop or state.blocked != verdict.DISABLED:
+    if found is None or state.last_stop or state.blocked != blocks.DISABLED:
         return ""
     return (
         f"the service was started anew after it had ended without being told to: {found.how} "

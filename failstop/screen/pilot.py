@@ -6,9 +6,9 @@ import os
 import signal
 
 from failstop.errors import FailstopError, NoService
-from failstop.screen import verdict
 from failstop.screen.hold import AXES, COMMAND_S, Hold
 from failstop.screen.keys import EVENTS, FOCUS_OUT, PRESS, RELEASE
+from failstop.shm import blocks
 from failstop.style import FAIL, OK, PLAIN, WARN
 
 TYPE_CHECKING = False
@@ -134,7 +134,7 @@ class Pilot:
         elif self._rival:
             self.note = (f"{self._rival} drives as {self.source}: end it, or use --source with another one", WARN)
         else:
-            if self.note[1] in (WARN, FAIL) and state.blocked in (None, verdict.NO_COMMAND):
+            if self.note[1] in (WARN, FAIL) and state.blocked in (None, blocks.NO_COMMAND):
                 self.note = ("", PLAIN)
             return True
         self.hold.let_go()

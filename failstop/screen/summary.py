@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from failstop import style
 from failstop.screen import history, verdict, words
+from failstop.shm import blocks
 from failstop.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 
 TYPE_CHECKING = False
@@ -70,7 +71,7 @@ def commands(text: str) -> Line:
 def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
     if not state.sources:
         found = _row("driver", "nobody commands")
-        if left_off and state.blocked == verdict.NO_COMMAND:
+        if left_off and state.blocked == blocks.NO_COMMAND:
             when = f" ({words.ago(left_off.t, now_s)})"
             found += [("; ", PLAIN), (history.leaving(left_off), WARN), (when, DIM)]
         return [found]
@@ -139,7 +140,7 @@ def _sensors(state: State) -> list[Line]:
     age_s = state.scan_age_s
     scan = "obstacle sensor " + ("never delivered" if age_s is None else f"delivered {words.span(age_s)} ago")
     pad = f", gamepad {state.pad_mode}" if state.pad_mode else ""
-    return [_row("sensor", scan + pad, WARN if state.blocked == verdict.NO_SCAN else PLAIN)]
+    return [_row("sensor", scan + pad, WARN if state.blocked == blocks.NO_SCAN else PLAIN)]
 
 
 def _clients(state: State) -> list[Line]:

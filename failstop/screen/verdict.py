@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from failstop import style
 from failstop.screen import host, words
+from failstop.shm import blocks
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -18,13 +19,6 @@ MAY_TURN = "MAY TURN"
 """A stop that is not known to reach the wheels is none: nobody must rely on it."""
 STALE_MS = 500.0
 """A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
-
-LATCHED = "estop: "
-DISABLED = "disabled"
-NO_COMMAND = "cmd timeout"
-NO_SCAN = "no scan"
-KINDS = (LATCHED, DISABLED, NO_COMMAND, NO_SCAN)
-"""Every block reason of the gate; the first is followed by the latch's reason."""
 
 
 def moving(state: State) -> bool:
@@ -84,9 +78,9 @@ def steps(state: State) -> list[str]:
         found.append("`failstop reset`")
     if not state.enabled:
         found.append("`failstop enable`")
-    elif state.blocked == NO_SCAN:
+    elif state.blocked == blocks.NO_SCAN:
         found.append("start the obstacle sensor and the program that calls robot.sensed()")
-    elif state.blocked == NO_COMMAND:
+    elif state.blocked == blocks.NO_COMMAND:
         found.append(drive)
     return [words.named(step, state.name) for step in found]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from failstop.shm.instance import DEFAULT_NAME
+from failstop.shm.instance import DEFAULT_NAME, option
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -77,12 +77,10 @@ def unit(name: str) -> str:
 def named(text: str, name: str) -> str:
     """A text whose commands of failstop, in backquotes, say which service they mean, as is needed where there are
     several."""
-    if name == DEFAULT_NAME:
-        return text
     parts = text.split("`")
     for number in range(1, len(parts) - 1, 2):
         if parts[number].startswith("failstop ") and " --name " not in parts[number]:
-            parts[number] += f" --name {name}"
+            parts[number] += option(name)
     return "`".join(parts)
 
 

@@ -17,6 +17,7 @@ from failstop.procs.gate import remarks
 from failstop.procs.gate.interlocks import Interlocks
 from failstop.procs.gate.scan import ScanGate
 from failstop.procs.gate.sources import Command, Sources
+from failstop.shm.blocks import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
 from failstop.shm.notes import Note
 
 TYPE_CHECKING = False
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
     Speeds = tuple[float, float, float, float]
 
-NO_COMMAND = "cmd timeout"
-NO_SCAN = "no scan"
 STILL = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
 MOST_UNKNOWN = 64
@@ -66,9 +65,9 @@ class GateCore:
     def blocked(self, now_ns: int) -> str:
         """Why the wheels may not turn; an empty text when they may."""
         if self.latch is not None:
-            return f"estop: {self.latch}"
+            return f"{LATCHED}{self.latch}"
         if not self.enabled:
-            return "disabled"
+            return DISABLED
         driving = self.sources.driving(now_ns)
         if driving is None:
             return NO_COMMAND

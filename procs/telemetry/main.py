@@ -140,10 +140,8 @@ class Telemetry:
         self._note_gyro(self._gyro.follow(gate.moving, now_ns))
         self._charger.follow(gate.enabled, now_ns)
         if gate.epoch != self._epoch_followed:
-            # A stop in between, perhaps latched and reset unseen: whatever the pad holds is from before it.
             self._epoch_followed = gate.epoch
-            self._pad.follow(False, now_ns)
-            self._pad.follow(True, now_ns)
+            self._pad.stopped(now_ns)
         self._pad.follow(gate.latched, now_ns)
 
     def _follow_port(self, received_ns: int) -> None:

@@ -102,10 +102,13 @@ class Pad:
         """Whether a stop is latched, by whomever. A latch drops the pad to locked."""
         if not latched:
             self._latched_ns = None
-            return
+        elif self._latched_ns is None:
+            self.stopped(now_ns)
+
+    def stopped(self, now_ns: int) -> None:
+        """There was a stop, perhaps latched and reset unseen: whatever the pad holds is from before it."""
         self.mode = LOCKED
-        if self._latched_ns is None:
-            self._latched_ns = now_ns
+        self._latched_ns = now_ns
 
     def take(self, sample: tuple[int, int, int, int, int, int], raw: bytes, t_ns: int) -> PadNews:
         """One frame: (buttons, hat, lx, ly, rx, ry), and its bytes as they came."""

@@ -16,6 +16,7 @@ from failstop.doctor import leftovers, machine_facts, port_facts, service_facts,
 from failstop.doctor.facts import Idle, RemoveIpc, Unit
 from failstop.doctor.gather import gather
 from failstop.doctor.system import System
+from failstop.install.layout import unit_of
 from failstop.shm import layout, segment
 from failstop.trial import Trial
 
@@ -110,8 +111,8 @@ def test_what_systemctl_says() -> None:
     expected = Unit("failstop.service", "loaded", "failed", "failed", "enabled", "watchdog", "failstop", True, 0, 4)
     assert service_facts.parse_unit("failstop.service", text) == expected
     assert service_facts.parse_unit("x.service", "LoadState=not-found\n").user == "root"
-    assert service_facts.unit_name("failstop") == "failstop.service"
-    assert service_facts.unit_name("left") == "failstop@left.service"
+    assert unit_of("failstop") == "failstop.service"
+    assert unit_of("left") == "failstop@left.service"
 
 
 SYSTEMCTL = """#!/bin/sh

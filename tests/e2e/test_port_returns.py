@@ -11,38 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board.sim.client import Event
 from failstop.shm import layout
 from failstop.trial import Trial, wait_for
 
+from .returns import drives_only_when_enabled, lose_while_driving, stop_at_return
+
 LATEST_S = 0.9
 """Generous; what is tested for took 2 s and more."""
-
-
-def _lose_while_driving(trial: Trial) -> None:
-    trial.enable()
-    trial.drive(0.2)
-    assert trial.moving()
-    trial.board.unplug()
-    wait_for("the loss to be seen", lambda: trial.robot.state.device["state"] == "lost")
-
-
-def _stop_at_return(trial: Trial) -> tuple[Event, float]:
-    """Plug in again; returns the first motor frame that the board executes, and the seconds to it."""
-    trial.board.events()
-    back_ns = time.monotonic_ns()
-    trial.board.replug()
-    event = trial.board.wait_for(lambda e: e.is_motor and e.arrival_ns > back_ns, 10.0)
-    return event, (event.arrival_ns - back_ns) / 1e9
-
-
-def _drives_again(trial: Trial) -> None:
-    wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
-    trial.drive(0.1)
-    assert not trial.moving()
-    trial.enable()
-    trial.drive(0.2)
-    assert trial.moving()
 
 
 def test_while_the_port_owner_waits_for_its_restart(name: str, tmp_path: Path) -> None:
@@ -52,28 +27,28 @@ def test_while_the_port_owner_waits_for_its_restart(name: str, tmp_path: Path) -
         pid = trial.service.pids()["port_owner"]
         trial.kill("port_owner", 0.05)
         trial.recover("port_owner", pid)  # the first is restarted at once
-        _lose_while_driving(trial)
+        lose_while_driving(trial)
         os.kill(trial.service.pids()["port_owner"], signal.SIGKILL)
         wait_for("its death", lambda: trial.robot.state.processes["port_owner"].state == "waiting")
-        event, late_s = _stop_at_return(trial)
+        event, late_s = stop_at_return(trial)
         assert event.is_stop
         assert late_s < LATEST_S
         wait_for("the stop to be known", lambda: (stop := trial.robot.state.last_stop) and stop.written_us is not None)
-        _drives_again(trial)
+        drives_only_when_enabled(trial)
 
 
 def test_while_the_port_owner_hangs(trial: Trial) -> None:
     """Since before the return: it can't be opening the port."""
-    _lose_while_driving(trial)
+    lose_while_driving(trial)
     pid = trial.service.pids()["port_owner"]
     os.kill(pid, signal.SIGSTOP)
     silent_s = time.monotonic()
     wait_for("a silence that began before the return", lambda: time.monotonic() - silent_s > 0.05)
-    event, late_s = _stop_at_return(trial)
+    event, late_s = stop_at_return(trial)
     assert event.is_stop
     assert late_s < LATEST_S
     wait_for("a new port owner", lambda: trial.service.pids()["port_owner"] != pid)
-    _drives_again(trial)
+    drives_only_when_enabled(trial)
 
 
 class NoNumbers:
@@ -94,17 +69,17 @@ class NoNumbers:
 
 @pytest.mark.parametrize("process", [layout.STOPPER, layout.SUPERVISOR])
 def test_while_there_is_no_room_for_the_port(trial: Trial, process: str) -> None:
-    _lose_while_driving(trial)
+    lose_while_driving(trial)
     pids = trial.service.pids()
     with NoNumbers(pids[process]):
-        event, late_s = _stop_at_return(trial)
+        event, late_s = stop_at_return(trial)
         assert event.is_stop
         assert late_s < LATEST_S
         wait_for("the port owner to have the port", lambda: trial.robot.state.device["state"] == "open")
         since_s = time.monotonic()
         wait_for("some tries", lambda: time.monotonic() - since_s > 0.3)
         assert trial.robot.state.waiting_for == "the port", "no motion without the second channel"
-    _drives_again(trial)
+    drives_only_when_enabled(trial)
     after = trial.service.pids()
     assert {name for name in pids if pids[name] != after[name]} <= {"port_owner"}
     # The second channel: nobody else is left to stop.

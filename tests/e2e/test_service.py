@@ -14,6 +14,8 @@ from failstop.client import attach
 from failstop.shm import layout
 from failstop.trial import Trial, judge, wait_for
 
+from .returns import drives_only_when_enabled, lose_while_driving, stop_at_return
+
 
 def test_first_bytes_are_the_burst_and_early(trial: Trial) -> None:
     motor = [event for event in trial.board.events() if event.is_motor]
@@ -78,23 +80,13 @@ def test_processes_hold_no_descriptors_they_do_not_need(trial: Trial) -> None:
 
 
 def test_lost_and_returned_port(trial: Trial) -> None:
-    trial.enable()
-    trial.drive(0.2)
-    trial.board.unplug()
-    wait_for("the loss to be seen", lambda: trial.robot.state.device["state"] == "lost")
+    lose_while_driving(trial)
     wait_for("the latch", lambda: trial.robot.state.estop == "device lost")
     wait_for("everyone to let the port go", lambda: not _holders(trial))
-    trial.board.events()
-    back_ns = time.monotonic_ns()
-    trial.board.replug()
-    event = trial.board.wait_for(lambda e: e.is_motor and e.arrival_ns > back_ns, 3.0)
+    event, seconds = stop_at_return(trial)
     assert event.is_stop
-    wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
-    trial.drive(0.1)
-    assert not trial.moving()
-    trial.enable()
-    trial.drive(0.2)
-    assert trial.moving()
+    assert seconds < 3.0
+    drives_only_when_enabled(trial)
     # The duplicates of the new port are good for a stop too.
     trial.board.events()
     pid = trial.service.pids()["port_owner"]

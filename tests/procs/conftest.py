@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import pytest
 
 from .gate_bench import Gate
+from .gate_scene import Scene
 
 
 @pytest.fixture
@@ -20,3 +24,11 @@ def driving(gate: Gate) -> Gate:
     gate.drive((0.2, 0.0, 0.0), 40)
     assert gate.core.velocity == (0.2, 0.0, 0.0)
     return gate
+
+
+@pytest.fixture
+def gate_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+    """The process at work, not only its core."""
+    made = Scene(tmp_path, monkeypatch)
+    yield made
+    made.close()

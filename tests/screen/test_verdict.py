@@ -10,6 +10,7 @@ from failstop.procs.gate import kinematics
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
 from failstop.screen import host, paragraph, verdict, words
+from failstop.shm import blocks
 from failstop.supervisor.settings import Settings
 
 from .states import driving, latched, process, state, stop
@@ -103,7 +104,7 @@ def test_every_block_reason_of_the_gate_has_its_row() -> None:
     assert found.pop("nothing") == ""
     for reason in found.values():
         assert paragraph.block(state(blocked=reason)) in paragraph.BLOCKS.values(), reason
-    assert len(set(found.values())) == len(paragraph.BLOCKS) == len(verdict.KINDS)
+    assert len(set(found.values())) == len(paragraph.BLOCKS) == len(blocks.KINDS)
 
 
 def test_a_stop_that_was_not_written_at_first_is_doubted_only_while_the_port_is_gone() -> None:
