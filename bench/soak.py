@@ -6,28 +6,24 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import ctypes
 import dataclasses
 import json
 import os
 import random
-import resource
-import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 import psutil
 
-from bench import stats, ticks
+from bench import conditions, stalls, stats, ticks
 from failstop.board.sim.client import Event
 from failstop.client import attach
 from failstop.errors import FailstopError
 from failstop.machine import facts
-from failstop.shm import layout
+from failstop.shm import layout, records
 from failstop.shm.latest import LatestReader
 from failstop.supervisor.settings import Settings
 from failstop.trial import Trial, wait_for
@@ -44,22 +40,11 @@ WARM_S = 60.0
 LEAST_S = 60.0
 """A slope over less than this says nothing."""
 RECOVER_S = 10.0
-_PR_CAPBSET_DROP = 24
-_CAP_SYS_NICE = 23
-
-HOG = "while True: pass"
-CHURN = "while True:\n    block = bytearray(64 << 20)\n    block[::4096] = bytes(len(block) // 4096)\n    del block"
-WRITE = """
-import os, sys
-with open(sys.argv[1], "wb", buffering=0) as file:
-    block = os.urandom(1 << 20)
-    while True:
-        for _ in range(256):
-            file.write(block)
-        os.fsync(file.fileno())
-        file.truncate(0)
-        file.seek(0)
-"""
+LOOK_BACK_NS = 300_000_000
+"""The cause of a stop lies at most this far back: the longest of the deadlines, and some."""
+EXPLAINS_MS = 30.0
+"""A stall of half the shortest deadline, beside a tick of a third of it and work that it held up, is a process that is
+silent for too long."""
 
 
 # The drive.
@@ -74,6 +59,8 @@ class Soak:
     events: list[Event] = dataclasses.field(default_factory=list)
     stops: list[tuple[float, str]] = dataclasses.field(default_factory=list)
     """Stops that nobody asked for: seconds since the start, the reason."""
+    caused_ns: list[int] = dataclasses.field(default_factory=list)
+    """Of each of them: when its cause was noticed (CLOCK_MONOTONIC)."""
     memory: list[dict[str, tuple[float, float]]] = dataclasses.field(default_factory=list)
     """Of each process: what _memory_mb() says."""
     sampled_s: list[float] = dataclasses.field(default_factory=list)
@@ -91,6 +78,7 @@ class Driver:
         self._trial = trial
         self._chance = random.Random(seed)
         self._epoch = attach(trial.name, layout.SUPERVISOR).word("epoch")
+        self._cause: LatestReader = attach(trial.name, layout.SUPERVISOR).latest_reader("cause")
         self._imu: LatestReader = attach(trial.name, layout.TELEMETRY).latest_reader("imu")
         self._known_epoch = 0
         self._start_s = 0.0
@@ -152,6 +140,8 @@ class Driver:
         t_s = time.monotonic() - self._start_s
         wait_for("the gate to latch", lambda: robot.state.estop is not None, RECOVER_S)
         self.soak.stops.append((round(t_s, 3), robot.state.estop or ""))
+        entry = self._cause.read()
+        self.soak.caused_ns.append(records.unpack_cause(entry[2])[1] if entry else time.monotonic_ns())
         wait_for("a motion enable after a false stop", self._enabled, RECOVER_S)
         self._known_epoch = self._epoch.get()
 
@@ -202,34 +192,6 @@ def _memory_mb(pid: int) -> tuple[float, float]:
             if words[0] in found:
                 found[words[0]] = int(words[1]) * 1024 / 1e6
     return found["Pss:"], found["Pss_Anon:"]
-
-
-# What is beside it, and what is taken from it.
-
-
-@contextlib.contextmanager
-def load(directory: str) -> Iterator[None]:
-    """A busy machine: a hog for each core and one more, one that takes and returns memory, one that writes to disk."""
-    with tempfile.NamedTemporaryFile(dir=directory) as file:
-        programs = [[HOG]] * ((os.cpu_count() or 1) + 1) + [[CHURN], [WRITE, file.name]]
-        running = [subprocess.Popen([sys.executable, "-c", *words]) for words in programs]
-        try:
-            yield
-        finally:
-            for process in running:
-                process.kill()
-            for process in running:
-                process.wait()
-
-
-def renounce_realtime() -> None:
-    """From here on nothing that this process starts may have SCHED_FIFO, root or not. For good. Raises OSError."""
-    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
-    if os.geteuid() == 0:
-        libc = ctypes.CDLL(None, use_errno=True)
-        if libc.prctl(_PR_CAPBSET_DROP, _CAP_SYS_NICE, 0, 0, 0):
-            number = ctypes.get_errno()
-            raise OSError(number, f"CAP_SYS_NICE can't be dropped: {os.strerror(number)}")
 
 
 # The table.
@@ -292,8 +254,38 @@ def stop_row(soak: Soak, realtime: bool) -> stats.Row:
     return stats.Row("stops that nobody asked for", result, "0" if realtime else "-", met, numbers)
 
 
-def rows(soak: Soak, *, loaded: bool, realtime: bool) -> list[stats.Row]:
-    """The table."""
+def explained(soak: Soak, control: stalls.Control) -> list[float]:
+    """Of each stop that nobody asked for: the longest stall of the control in the time that its cause took, in ms."""
+    return [control.longest_ms(ns - LOOK_BACK_NS, ns) for ns in soak.caused_ns]
+
+
+def stall_rows(soak: Soak, control: stalls.Control) -> list[stats.Row]:
+    """What the machine withheld from a bare loop above all of the service, and the stops that this does not explain."""
+    by_core = []
+    for core in sorted({one.core for one in control.stalls}):
+        found = [one for one in control.stalls if one.core == core]
+        over = sum(one.ms >= EXPLAINS_MS for one in found)
+        longest = max(one.ms for one in found)
+        by_core.append(f"core {core}: {len(found)}, {over} over {EXPLAINS_MS:g} ms, longest {longest:.1f} ms")
+    result = "; ".join(by_core) or "none"
+    kept = {"stalls": [dataclasses.astuple(one) for one in control.stalls]}
+    beside = explained(soak, control)
+    alone = [stop for stop, ms in zip(soak.stops, beside, strict=True) if ms < EXPLAINS_MS]
+    numbers = {"found": len(alone), "of": len(beside), "stops": alone, "stall_ms": beside}
+    return [
+        stats.Row(f"stalls over {stalls.LONG_NS / 1e6:g} ms of the control", result, "-", None, kept),
+        stats.Row(
+            f"stops that nobody asked for, and no stall over {EXPLAINS_MS:g} ms explains",
+            f"{len(alone)} of {len(beside)}",
+            "0",
+            not alone,
+            numbers,
+        ),
+    ]
+
+
+def rows(soak: Soak, *, loaded: bool, realtime: bool, control: stalls.Control | None = None) -> list[stats.Row]:
+    """The table; `control`: the loops that ran beside a service with real-time rights."""
     share = ", ".join(f"{name} {value:.1f}" for name, value in soak.cpu_percent.items())
     total = sum(soak.cpu_percent.values())
     worst = ", ".join(f"{name} {value:.1f}" for name, value in soak.worst_ms.items())
@@ -306,6 +298,7 @@ def rows(soak: Soak, *, loaded: bool, realtime: bool) -> list[stats.Row]:
         *memory_rows(soak),
         stats.Row("processor", f"{total:.1f} % of a core  ({share})", "-", None, dict(soak.cpu_percent)),
         stop_row(soak, realtime),
+        *(stall_rows(soak, control) if control else []),
         stats.Row("pauses over 0.3 s of the bench's own commands", f"{pauses}", "-", None, numbers),
     ]
 
@@ -326,11 +319,12 @@ def main() -> int:
         stack.callback(trial.close)
         trial.board.start()  # the judge keeps its rights
         if arguments.no_realtime:
-            renounce_realtime()
+            conditions.renounce_realtime()
         trial.service.start()
         realtime = all(process.realtime for process in trial.robot.state.processes.values())
         if arguments.load:
-            stack.enter_context(load(directory))
+            stack.enter_context(conditions.load(directory))
+        control = stack.enter_context(stalls.control()) if realtime else None
         soak = Driver(trial, arguments.seed).drive(arguments.minutes * 60, _progress)
     _progress("")
     machine = {
@@ -338,7 +332,7 @@ def main() -> int:
         "realtime": realtime,
         "load": arguments.load,
     }
-    table = rows(soak, loaded=arguments.load, realtime=realtime)
+    table = rows(soak, loaded=arguments.load, realtime=realtime, control=control)
     print(", ".join(f"{key} {value}" for key, value in machine.items()), "\n")
     for row in table:
         verdict = {True: "met", False: "MISSED", None: ""}[row.met]
