@@ -50,6 +50,19 @@ def test_a_campaign_can_be_repeated_from_any_fault_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root has the capability to go without")
+def test_a_permission_that_comes_late(tmp_path: Path) -> None:
+    """Its row is nothing for a process that passes every permission, as root's do: so for root without that."""
+    out = tmp_path / "chaos.json"
+    command = [sys.executable, "-m", "failstop", "chaos", "--only", "usb-drop-permission", "--each", "3"]
+    without = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search"]
+    done = subprocess.run([*without, *command, "--json", str(out)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    row = json.loads(out.read_text())["rows"][0]
+    assert (row["count"], row["missed"], row["motion_after"], row["wrong"]) == (3, 0, 0, 0)
+
+
+@pytest.mark.slow
 def test_settings_of_the_user(tmp_path: Path) -> None:
     config = tmp_path / "mine.toml"
     config.write_text("[gate]\ncommand_timeout_s = 0.2\n")
