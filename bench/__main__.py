@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import json
 import os
 import sys
 import time
 
-from bench import cost, hangs, kills, latency, oneway, peers, service
+from bench import cost, hangs, kills, latency, oneway, peers, report, service
+from bench.report import progress
 from bench.stats import Row
-from failstop.machine import facts
 from failstop.trial import Trial
 
 OPTIONS_TOML = "[restart]\ndeaths = 100000\nbackoff_s = 0.001\n"
@@ -39,47 +37,22 @@ def main() -> int:
     start_s = time.monotonic()
     with Trial(options=("--config", config)) as trial:
         realtime = all(process.realtime for process in trial.robot.state.processes.values())
-        rows += cost.measure(trial, arguments.seconds, _progress)
-        rows.append(latency.stop_requests(trial, arguments.samples, arguments.seed, _progress))
-        rows.append(latency.first_commands(trial, arguments.samples, arguments.seed, _progress))
-        rows.append(latency.direction_changes(trial, arguments.samples, arguments.seed, _progress))
-        rows.append(latency.command_timeouts(trial, max(3, arguments.samples // 4), arguments.seed, _progress))
-        rows += kills.measure(trial, arguments.kills, arguments.seed, _progress)
-        rows += hangs.measure(trial, arguments.hangs, arguments.seed, _progress)
-        rows.append(hangs.replugs(trial, arguments.kills // 2, arguments.seed, _progress))
-        rows.append(latency.starts(trial, max(3, arguments.samples // 10), _progress))
+        rows += cost.measure(trial, arguments.seconds, progress)
+        rows.append(latency.stop_requests(trial, arguments.samples, arguments.seed, progress))
+        rows.append(latency.first_commands(trial, arguments.samples, arguments.seed, progress))
+        rows.append(latency.direction_changes(trial, arguments.samples, arguments.seed, progress))
+        rows.append(latency.command_timeouts(trial, max(3, arguments.samples // 4), arguments.seed, progress))
+        rows += kills.measure(trial, arguments.kills, arguments.seed, progress)
+        rows += hangs.measure(trial, arguments.hangs, arguments.seed, progress)
+        rows.append(hangs.replugs(trial, arguments.kills // 2, arguments.seed, progress))
+        rows.append(latency.starts(trial, max(3, arguments.samples // 10), progress))
     with kills.heavy(), Trial(options=("--config", config)) as trial:
-        rows += kills.measure(trial, arguments.kills // 4, arguments.seed, _progress, ballast_mb=kills.BALLAST_MB)
-    rows += service.measure(arguments.unit_kills, arguments.seed, _progress)
-    rows += peers.measure(arguments.peer_kills, arguments.seed, _progress)
-    rows += oneway.measure(arguments.messages, _progress)
-    _progress("")
-    machine = {
-        **facts(),
-        "realtime": realtime,
-        "took_s": round(time.monotonic() - start_s),
-    }
-    _print(rows, machine)
-    with open(arguments.out, "w", encoding="utf-8") as file:
-        json.dump({"machine": machine, "rows": [dataclasses.asdict(row) for row in rows]}, file, indent=2)
-    return 1 if any(row.met is False for row in rows) else 0
-
-
-def _progress(text: str) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r\x1b[K{text}")
-        sys.stderr.flush()
-
-
-def _print(rows: list[Row], machine: dict[str, object]) -> None:
-    print(", ".join(f"{key} {value}" for key, value in machine.items()), "\n")
-    for row in rows:
-        verdict = {True: "met", False: "MISSED", None: ""}[row.met]
-        print(
-            f"{row.measure}\n    {row.result}\n    bar: {row.bar}  {verdict}"
-            if row.bar != "-"
-            else f"{row.measure}\n    {row.result}"
-        )
+        rows += kills.measure(trial, arguments.kills // 4, arguments.seed, progress, ballast_mb=kills.BALLAST_MB)
+    rows += service.measure(arguments.unit_kills, arguments.seed, progress)
+    rows += peers.measure(arguments.peer_kills, arguments.seed, progress)
+    rows += oneway.measure(arguments.messages, progress)
+    machine = {"realtime": realtime, "took_s": round(time.monotonic() - start_s)}
+    return report.end(rows, arguments.out, machine)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from bench import stats
 from failstop.shm import layout
 from failstop.supervisor.settings import Settings
 from failstop.supervisor.table import BY_NAME
-from failstop.trial import Trial, judge, wait_for
+from failstop.trial import Stopped, Trial, judge, wait_for
 
 MARGIN_MS = 10.0
 AFTERMATH_S = 0.15
@@ -29,9 +29,8 @@ def deadlines_ms() -> dict[str, float]:
 def measure(trial: Trial, count: int, seed: int, progress: Callable[[str], None]) -> list[stats.Row]:
     """Hang each process `count` times; the rows say how long the board waited for the stop."""
     chance = random.Random(seed)
-    rows, missed, moved = [], 0, 0
+    found: dict[str, list[Stopped]] = {process: [] for process in deadlines_ms()}
     for process, deadline_ms in deadlines_ms().items():
-        times = []
         for turn in range(count):
             progress(f"hangs of {process}, {turn + 1} of {count}")
             trial.enable()
@@ -45,17 +44,24 @@ def measure(trial: Trial, count: int, seed: int, progress: Callable[[str], None]
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGCONT)  # a process that was fenced is gone
             trial.drive(AFTERMATH_S)
-            stopped = judge(trial.board.events(), hung_ns, was_moving)
-            missed += stopped.stop_ns is None or not was_moving
-            moved += stopped.motion_after
-            times += [stopped.stop_ns] if stopped.stop_ns is not None else []
+            found[process].append(judge(trial.board.events(), hung_ns, was_moving))
             wait_for("the service to be whole again", trial.service.ready)
-        rows.append(_row(process, deadline_ms, times))
-    total = count * len(rows)
+    return _rows(found)
+
+
+def _rows(found: dict[str, list[Stopped]]) -> list[stats.Row]:
+    deadlines = deadlines_ms()
+    rows = []
+    for process, row in found.items():
+        times = [stopped.stop_ns for stopped in row if stopped.stop_ns is not None]
+        rows.append(_row(process, deadlines[process], times))
+    every = [stopped for row in found.values() for stopped in row]
+    missed = sum(stopped.stop_ns is None or not stopped.was_moving for stopped in every)
+    moved = sum(stopped.motion_after for stopped in every)
     return [
         *rows,
-        stats.count("stops missed after a hang", missed, total),
-        stats.count("motion frames after it, the hung process continued", moved, total),
+        stats.count("stops missed after a hang", missed, len(every)),
+        stats.count("motion frames after it, the hung process continued", moved, len(every)),
     ]
 
 

@@ -22,7 +22,7 @@ from types import TracebackType
 
 import numpy as np
 
-from bench import stats
+from bench import report, stats
 from bench.oneway_pair import COUNT_BYTES, MISSING, READY
 from bench.oneway_peer import CHANNELS, FLOOR, OURS
 from bench.peer import ROOT
@@ -196,10 +196,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.oneway", description=__doc__)
     parser.add_argument("--messages", type=int, default=3000, help="through each channel (default: 3000)")
     arguments = parser.parse_args()
-    rows = measure(arguments.messages, lambda text: None)
-    for row in rows:
-        print(f"{row.measure}\n    {row.result}" + ("" if row.met is None else f"\n    bar: {row.bar}, met: {row.met}"))
-    return 1 if any(row.met is False for row in rows) else 0
+    rows = measure(arguments.messages, report.progress)
+    return report.end(rows)
 
 
 if __name__ == "__main__":

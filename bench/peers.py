@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable
 
-from bench import stats
+from bench import report, stats
 from bench.peer import ExitHandler, Peer, PeerMissing
 from bench.peer_supervisord import BusySupervisord, Supervisord
 from bench.peer_systemd import Systemd
@@ -139,10 +139,8 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=20, help="of each process (default: 20)")
     parser.add_argument("--seed", type=int, default=1, help="of the random moments")
     arguments = parser.parse_args()
-    rows = measure(arguments.kills, arguments.seed, lambda text: None)
-    for row in rows:
-        print(f"{row.measure}\n    {row.result}" + ("" if row.met is None else f"\n    bar: {row.bar}, met: {row.met}"))
-    return 1 if any(row.met is False for row in rows) else 0
+    rows = measure(arguments.kills, arguments.seed, report.progress)
+    return report.end(rows)
 
 
 if __name__ == "__main__":

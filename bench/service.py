@@ -7,19 +7,15 @@ stop tool is started by it, and its timers may be late by a quarter of a second.
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import json
-import os
 import random
 import signal
 import sys
 from collections.abc import Callable
 from typing import NamedTuple
 
-from bench import stats
+from bench import report, stats
 from bench.container import ContainerMissing
 from bench.service_scene import HARDY, UNIT, Scene
-from failstop.machine import facts
 from failstop.trial import Stopped, wait_for
 
 WATCHDOG_MS = 1000.0
@@ -127,14 +123,8 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="of the random moments")
     parser.add_argument("--json", metavar="FILE", help="write the rows there too")
     arguments = parser.parse_args()
-    rows = measure(arguments.kills, arguments.seed, lambda text: None)
-    for row in rows:
-        print(f"{row.measure}\n    {row.result}" + ("" if row.met is None else f"\n    bar: {row.bar}, met: {row.met}"))
-    if arguments.json:
-        os.makedirs(os.path.dirname(arguments.json) or ".", exist_ok=True)
-        with open(arguments.json, "w", encoding="utf-8") as file:
-            json.dump({"machine": facts(), "rows": [dataclasses.asdict(row) for row in rows]}, file, indent=2)
-    return 1 if any(row.met is False for row in rows) else 0
+    rows = measure(arguments.kills, arguments.seed, report.progress)
+    return report.end(rows, arguments.json)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
-import json
 import os
 import random
 import sys
@@ -18,11 +17,10 @@ from itertools import pairwise
 import numpy as np
 import psutil
 
-from bench import conditions, stalls, stats, ticks
+from bench import conditions, report, stalls, stats, ticks
 from failstop.board.sim.client import Event
 from failstop.client import attach
 from failstop.errors import FailstopError
-from failstop.machine import facts
 from failstop.shm import layout, records
 from failstop.shm.latest import LatestReader
 from failstop.supervisor.settings import Settings
@@ -325,29 +323,11 @@ def main() -> int:
         if arguments.load:
             stack.enter_context(conditions.load(directory))
         control = stack.enter_context(stalls.control()) if realtime else None
-        soak = Driver(trial, arguments.seed).drive(arguments.minutes * 60, _progress)
-    _progress("")
-    machine = {
-        **facts(),
-        "realtime": realtime,
-        "load": arguments.load,
-    }
+        soak = Driver(trial, arguments.seed).drive(arguments.minutes * 60, report.progress)
     table = rows(soak, loaded=arguments.load, realtime=realtime, control=control)
-    print(", ".join(f"{key} {value}" for key, value in machine.items()), "\n")
-    for row in table:
-        verdict = {True: "met", False: "MISSED", None: ""}[row.met]
-        print(f"{row.measure}\n    {row.result}" + (f"\n    bar: {row.bar}  {verdict}" if row.bar != "-" else ""))
     memory = [{"t_s": t_s, **one} for t_s, one in zip(soak.sampled_s, soak.memory, strict=True)]
-    found = {"machine": machine, "rows": [dataclasses.asdict(row) for row in table], "memory_mb": memory}
-    with open(arguments.out, "w", encoding="utf-8") as file:
-        json.dump(found, file, indent=2)
-    return 1 if any(row.met is False for row in table) else 0
-
-
-def _progress(text: str) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r\x1b[K{text}")
-        sys.stderr.flush()
+    machine = {"realtime": realtime, "load": arguments.load}
+    return report.end(table, arguments.out, machine, memory_mb=memory)
 
 
 if __name__ == "__main__":

@@ -42,10 +42,11 @@ class Stall:
 
 
 class Control:
-    """The loops of a soak; `stalls` is there when it has ended."""
+    """The loops of a soak, by their pids; `stalls` is there when they have ended."""
 
-    def __init__(self) -> None:
-        self.stalls: list[Stall] = []
+    def __init__(self, stalls: list[Stall] | None = None) -> None:
+        self.stalls = stalls or []
+        self.pids: list[int] = []
 
     def longest_ms(self, begin_ns: int, end_ns: int) -> float:
         """The longest stall of any core that touches this time; 0: none."""
@@ -66,6 +67,7 @@ def control() -> Iterator[Control]:
             assert process.stdout
             if process.stdout.readline() != "ready\n":
                 raise PermissionError("the control may not have SCHED_FIFO: run it as root, or raise RLIMIT_RTPRIO")
+        found.pids = [process.pid for process in running]
         yield found
     finally:
         for process in running:
@@ -86,7 +88,7 @@ def stolen_ms(core: int) -> float:
 
 
 def _watch(core: int) -> list[tuple[int, int, int, float]]:
-    """Until SIGTERM."""
+    """From the word "ready" on standard output until SIGTERM."""
     ended: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
     found = []
@@ -94,6 +96,7 @@ def _watch(core: int) -> list[tuple[int, int, int, float]]:
     gc.disable()
     period_ns = int(EVERY_S * 1e9)
     before_ns = time.monotonic_ns()
+    print("ready", flush=True)
     while not ended:
         time.sleep(EVERY_S)
         now_ns = time.monotonic_ns()
@@ -111,7 +114,6 @@ def main() -> int:
     os.sched_setaffinity(0, {core})
     if not rights.take_rights(PRIORITY):
         return 1
-    print("ready", flush=True)
     print(json.dumps(_watch(core)))
     return 0
 

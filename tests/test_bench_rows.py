@@ -1,6 +1,10 @@
 """The bench's judges: each bar is missed by what misses it, and by nothing at all having been measured."""
 
+import json
+import os
+import signal
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -8,9 +12,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from bench import __main__ as bench_main
-from bench import hangs, kills, soak, stats
-from failstop.trial import Stopped
+from bench import hangs, kills, latency, report, soak, stalls, stats
+from bench.stalls import Control, Stall
+from failstop.trial import Stopped, wait_for
 
+Capture = pytest.CaptureFixture[str]
 MS = 1_000_000
 GOOD = Stopped(0, MS, MS, MS, 0, True)
 
@@ -67,4 +73,73 @@ def test_the_soak_s_bars() -> None:
         times_s = [60.0 + 20 * n for n in range(5)]
         memory = [{"gate": (9 + growth_mb * n, 5 + growth_mb * n)} for n in range(5)]
         assert soak.memory_rows(soak.Soak(memory=memory, sampled_s=times_s))[1].met is met
-    assert bench_main is not None
+
+
+@pytest.mark.parametrize(
+    ("bad", "missed"),
+    [
+        (Stopped(0, None, None, None, 0, True), "stops missed after a hang"),
+        (Stopped(0, MS, MS, MS, 1, True), "motion frames after it, the hung process continued"),
+        (Stopped(0, MS, MS, MS, 0, False), "stops missed after a hang"),
+    ],
+)
+def test_a_bad_hang_misses_its_row(bad: Stopped, missed: str) -> None:
+    rows = hangs._rows({"gate": [GOOD, bad]})
+    assert [row.measure for row in rows if row.met is False] == [missed]
+    assert not [row for row in hangs._rows({"gate": [GOOD]}) if row.met is False]
+
+
+@pytest.mark.parametrize(
+    ("samples_ms", "met"), [([300, 320], True), ([299, 310], False), ([300, 321], False), ([], False)]
+)
+def test_a_deadman_that_is_too_soon_or_too_late_misses_its_row(samples_ms: list[int], met: bool) -> None:
+    assert latency._timeout_row([ms * MS for ms in samples_ms]).met is met
+
+
+def test_the_control_tells_what_the_machine_did_from_what_the_service_did() -> None:
+    found = soak.Soak(seconds=60.0, stops=[(1.0, "gate hangs"), (2.0, "gate hangs")], caused_ns=[1000 * MS, 2000 * MS])
+    stood = Control([Stall(0, 920 * MS, 990 * MS, 70.0), Stall(1, 1990 * MS, 1996 * MS, 0.0)])
+    _, explained = soak.stall_rows(found, stood)
+    assert (explained.met, explained.numbers["stops"]) == (False, [(2.0, "gate hangs")]), "6 ms are no reason"
+    assert explained.numbers["stall_ms"] == [70.0, 6.0]
+    assert soak.stall_rows(soak.Soak(seconds=60.0), stood)[1].met is True
+    assert soak.stop_row(found, realtime=True).met is False, "explained or not"
+
+
+@pytest.mark.parametrize(
+    ("begin_ms", "end_ms", "longest_ms"), [(0, 919, 0), (0, 920, 70), (950, 960, 70), (991, 999, 0)]
+)
+def test_the_longest_stall_of_a_time(begin_ms: int, end_ms: int, longest_ms: float) -> None:
+    stood = Control([Stall(0, 920 * MS, 990 * MS, 70.0), Stall(1, 920 * MS, 926 * MS, 0.0)])
+    assert stood.longest_ms(begin_ms * MS, end_ms * MS) == longest_ms
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="real-time scheduling is root's")
+def test_a_control_that_is_held_up_says_so() -> None:
+    """By what no process can resist: SIGSTOP. A core that nobody withholds has no stall of that length."""
+    with stalls.control() as control:
+        loops = control.pids
+        begin_ns = time.monotonic_ns()
+        os.kill(loops[0], signal.SIGSTOP)
+        held_ns = time.monotonic_ns() + 60 * MS
+        wait_for("a while", lambda: time.monotonic_ns() > held_ns)
+        os.kill(loops[0], signal.SIGCONT)
+        end_ns = time.monotonic_ns()
+    assert control.longest_ms(begin_ns, end_ns) >= 55
+    assert {one.core for one in control.stalls if one.ms >= 55} == {min(os.sched_getaffinity(0))}
+
+
+@pytest.mark.parametrize(("met", "code"), [(True, 0), (None, 0), (False, 1)])
+def test_a_missed_bar_is_the_exit_code(met: bool | None, code: int, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "there" / "rows.json"
+    rows = [stats.Row("a measure", "its result", "-" if met is None else "its bar", met, {})]
+    assert report.end(rows, str(out), {"load": True}, other=[1]) == code
+    said = capsys.readouterr().out
+    assert "a measure\n    its result" in said
+    assert ("MISSED" in said) == (met is False)
+    written = json.loads(out.read_text())
+    assert (written["machine"]["load"], written["other"], written["rows"][0]["met"]) == (True, [1], met)
+
+
+def test_the_bench_is_there_without_its_peers() -> None:
+    assert bench_main.main
