@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from failstop.doctor import stop_test
 from failstop.errors import FailstopError
 from failstop.robot import Robot
+from failstop.state import Stop
 from failstop.supervisor.port import OwnPort
 from failstop.trial import Trial
 from tests.procs.parts import new_pty
+from tests.screen.states import stop
 
 
 def test_a_latch_that_the_test_could_not_clear_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -30,3 +35,34 @@ def test_a_duplicate_that_writes_nothing_says_so(monkeypatch: pytest.MonkeyPatch
         assert stop_test._on_duplicate(own, pty.link)
         monkeypatch.setattr(OwnPort, "burst", lambda _: False)
         assert not stop_test._on_duplicate(own, pty.link)
+
+
+class Told:
+    """A service that has not published its first stop yet when it is asked for the first time."""
+
+    def __init__(self, stops: list[Stop | None]) -> None:
+        self._stops = stops
+
+    def __enter__(self) -> Told:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert len(self._stops) == 1, "it is asked until the answer is there, and not after"
+
+    @property
+    def state(self) -> Any:
+        return SimpleNamespace(last_stop=self._stops.pop(0) if len(self._stops) > 1 else self._stops[0])
+
+    def estop(self, reason: str) -> None:
+        pass
+
+    def reset(self) -> None:
+        pass
+
+
+def test_the_answer_is_waited_for_from_before_the_stop_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours = dataclasses.replace(stop(stop_test.REASON), written_us=300.0, acknowledged_us=None)
+    stops = [None, stop("another's"), ours, dataclasses.replace(ours, acknowledged_us=1500.0)]
+    monkeypatch.setattr(stop_test, "Robot", lambda *_, **__: Told(stops))
+    (found,) = stop_test.by_service("any")
+    assert (found.written, found.answered_ms, found.problem) == (True, 1.5, "")

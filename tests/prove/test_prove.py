@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,9 +22,12 @@ from failstop.commands.prove import _check_free
 from failstop.doctor import port_facts
 from failstop.doctor.system import System
 from failstop.errors import Refused
+from failstop.prove import run
 from failstop.prove.run import Result, Run
 from failstop.prove.stand import Stand
+from failstop.prove.strike import strike
 from failstop.prove.table import BY_PATH, BY_VELOCITY
+from failstop.robot import Robot
 from failstop.trial import Trial, wait_for
 from tests.prove.noise import SIMULATED
 
@@ -290,3 +294,18 @@ def command_lines() -> list[str]:
         with contextlib.suppress(OSError):
             found.append(Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " "))
     return found
+
+
+@pytest.mark.slow
+def test_a_sensor_that_does_not_move_the_wheels_again_fails_its_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def strike_for_good(*given: Any) -> int:
+        monkeypatch.setattr(Robot, "sensed", lambda _: None)
+        return strike(*given)
+
+    monkeypatch.setattr(run, "strike", strike_for_good)
+    with on_stand(tmp_path) as stand:
+        result = one(stand, "scan")
+    assert result.verdict == "FAIL"
+    assert result.wrong == ["the sensor is back, and the wheels do not turn again"]

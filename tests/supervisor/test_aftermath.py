@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import msgpack
 import pytest
 
 from failstop.shm import layout, records, segment
@@ -34,6 +36,13 @@ class Watched(Scene):
             self.telemetry.word("judged_ns").set(self.now_ns)
             self.turn(50 * MS)
             self.answers(written_ns=self.now_ns)
+
+    def proofs(self) -> dict[str, Any]:
+        """All that is told of the stop."""
+        entry = self.stop_record.read()
+        assert entry is not None
+        found: dict[str, Any] = msgpack.unpackb(entry[2])
+        return found
 
     def reset(self) -> None:
         self.gate.word("reset_epoch").set(self.supervisor.epoch)
@@ -84,3 +93,45 @@ def test_a_port_that_was_opened_anew_may_be_another_board(scene: Watched) -> Non
     port.write(records.pack_port(2, scene.now_ns, records.PORT_OPEN, "/dev/board"))
     scene.turn(2 * MS)
     assert scene.link.read()[2] == b"unproven"  # type: ignore[index]
+
+
+def test_an_answer_whose_question_was_asked_anew_meanwhile_proves_nothing(scene: Watched) -> None:
+    """The words of the questions are used in turn: a late answer must not be taken for one to the newest."""
+    scene.stop("the first")
+    asked = scene.port_owner.word("ping_0")
+    pong = scene.telemetry.word("pong")
+    asked.set(scene.now_ns + 2 * MS)
+    pong.set(records.pong(scene.now_ns + MS, 0))
+    scene.turn(3 * MS)
+    assert scene.link.read()[2] == b"unproven"  # type: ignore[index]
+    assert scene.proofs()["acknowledged_us"] is None
+    pong.set(records.pong(scene.now_ns + MS, 0))
+    scene.turn(2 * MS)
+    assert scene.link.read()[2] == b"alive"  # type: ignore[index]
+    assert scene.proofs()["acknowledged_us"] > 0
+
+
+class Rewritten:
+    """A word that telemetry writes just while the supervisor looks: its first reading is of before."""
+
+    def __init__(self, before_ns: int, after_ns: int) -> None:
+        self._values = [before_ns]
+        self._after_ns = after_ns
+
+    def get(self) -> int:
+        return self._values.pop() if self._values else self._after_ns
+
+
+def test_a_verdict_that_is_given_anew_meanwhile_is_looked_at_the_next_time(
+    scene: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its two words may be of different moments: still of before, judged of now."""
+    scene.stop("the first")
+    scene.shake(0.1)
+    scene.telemetry.word("still_ns").set(scene.now_ns)
+    judged = Rewritten(scene.now_ns, scene.now_ns + MS)
+    monkeypatch.setattr(scene.supervisor.aftermath, "_judged", judged)
+    scene.turn(MS)
+    assert scene.proofs()["observed_ms"] is None
+    scene.turn(MS)
+    assert scene.proofs()["observed_ms"] is not None
