@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,12 +16,12 @@ from failstop.board.sim.client import SimBoard
 from failstop.commands.doctor import ARROW, screen
 from failstop.doctor.finding import SKIP, WARN, Finding
 from failstop.trial import Trial, wait_for
+from tests.commands import failstop
 
 
 def doctor(*words: str) -> tuple[int, dict[str, list[dict[str, Any]]]]:
     """Exit code, and the findings by check."""
-    command = [sys.executable, "-m", "failstop", "doctor", "--quick", "--json", *words]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    done = failstop("doctor", "--quick", "--json", *words)
     assert done.stderr == ""
     result = json.loads(done.stdout)
     found: dict[str, list[dict[str, Any]]] = {}
@@ -128,8 +126,7 @@ def test_the_stop_test_keeps_off_a_robot_that_drives_and_a_latch_that_means_some
 
 
 def test_for_people(board: SimBoard, name: str) -> None:
-    command = [sys.executable, "-m", "failstop", "doctor", "--quick", "--device", board.link, "--name", name]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    done = failstop("doctor", "--quick", "--device", board.link, "--name", name)
     assert "ok    stop path" in done.stdout
     assert f"no service named '{name}' runs" in done.stdout
     assert done.stdout.splitlines()[-1].endswith(" fine")

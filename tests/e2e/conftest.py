@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -38,14 +36,3 @@ def hardy_trial(name: str, tmp_path: Path) -> Iterator[Trial]:
     config.write_text(MANY_DEATHS)
     with Trial(name, ("--config", str(config))) as running:
         yield running
-
-
-@pytest.fixture
-def failstop() -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run the command line as a user does."""
-
-    def run(*words: str, timeout: float = 20.0) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "failstop", *words]
-        return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
-
-    return run

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import Callable
 from typing import Any
 
 from failstop import Refused
 from failstop.board.sim.client import Event
 from failstop.trial import Trial, judge, wait_for
+from tests.commands import FAILSTOP
 
 FORWARD = (0.2, 0.0, 0.0)
 LATEST_MS = 100.0
@@ -27,7 +27,7 @@ class Seen:
     def command(self, *words: str, each: Callable[[], None] = lambda: None) -> tuple[int, str, str]:
         """Run `failstop ...`, calling `each` every 20 ms meanwhile; (exit code, what it printed, its errors)."""
         process = subprocess.Popen(
-            [sys.executable, "-m", "failstop", *words, "--name", self.trial.name],
+            [*FAILSTOP, *words, "--name", self.trial.name],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

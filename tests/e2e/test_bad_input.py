@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import posix_ipc
@@ -21,8 +20,7 @@ from failstop.cli import main
 from failstop.client import Client
 from failstop.shm import instance, layout, segment, slot
 from failstop.trial import Trial
-
-Cli = Callable[..., "subprocess.CompletedProcess[str]"]
+from tests.commands import failstop
 
 
 def _one_line(result: subprocess.CompletedProcess[str]) -> str:
@@ -31,14 +29,14 @@ def _one_line(result: subprocess.CompletedProcess[str]) -> str:
     return result.stderr.strip()
 
 
-def test_no_device(failstop: Cli, name: str) -> None:
+def test_no_device(name: str) -> None:
     result = failstop("run", "--name", name, "--device", "/dev/ttyNONE")
     assert result.returncode == 1
     assert _one_line(result).startswith("failstop: no device /dev/ttyNONE: plug the board in")
     assert failstop("status", "--name", name).returncode == 3
 
 
-def test_not_a_tty(failstop: Cli, name: str, tmp_path: Path) -> None:
+def test_not_a_tty(name: str, tmp_path: Path) -> None:
     plain = tmp_path / "plain"
     plain.write_bytes(b"untouched")
     result = failstop("run", "--name", name, "--device", str(plain))
@@ -77,7 +75,7 @@ def test_no_permission(name: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert device in said
 
 
-def test_name_already_running(trial: Trial, failstop: Cli) -> None:
+def test_name_already_running(trial: Trial) -> None:
     trial.enable()
     trial.drive(0.1)
     result = failstop("run", "--name", trial.name, "--device", trial.link)
@@ -90,7 +88,7 @@ def test_name_already_running(trial: Trial, failstop: Cli) -> None:
     assert trial.moving(), "a refused second run must not stop the first"
 
 
-def test_stale_shared_memory_of_a_dead_run(name: str, failstop: Cli) -> None:
+def test_stale_shared_memory_of_a_dead_run(name: str) -> None:
     incarnation = 4711
     for spec in layout.SEGMENTS:
         segment.create(name, spec.name, incarnation).close()
@@ -102,9 +100,7 @@ def test_stale_shared_memory_of_a_dead_run(name: str, failstop: Cli) -> None:
         assert trial.moving()
 
 
-def test_name_already_running_in_another_runtime_directory(
-    trial: Trial, failstop: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_name_already_running_in_another_runtime_directory(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
     Path(instance.lock_path(instance.find(trial.name))).unlink()
     result = failstop("run", "--name", trial.name, "--device", trial.link)
     assert result.returncode == 1
@@ -132,13 +128,13 @@ def test_nothing_is_left_behind(name: str) -> None:
         assert {found.name for found in runtime.iterdir()} <= {"lock"}
 
 
-def test_client_of_another_version(trial: Trial, failstop: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_client_of_another_version(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(segment, "LAYOUT_HASH", 12345)
     with pytest.raises(FailstopError, match=r"is of failstop .*, this program is .* with another layout: use the serv"):
         Robot(trial.name)
 
 
-def test_header_of_another_version_and_exit_code(name: str, failstop: Cli) -> None:
+def test_header_of_another_version_and_exit_code(name: str) -> None:
     with Trial(name) as trial:
         memory = posix_ipc.SharedMemory(segment.shm_name(name, layout.SUPERVISOR))
         raw = os.pread(memory.fd, layout.HEADER_BYTES, 0)
@@ -157,7 +153,7 @@ def test_header_of_another_version_and_exit_code(name: str, failstop: Cli) -> No
         trial.enable()
 
 
-def test_full_client_table(trial: Trial, failstop: Cli) -> None:
+def test_full_client_table(trial: Trial) -> None:
     trial.leave()
     clients = [Client(trial.name, f"filler {i}") for i in range(layout.CLIENT_SLOTS)]
     result = failstop("enable", "--name", trial.name)
@@ -171,7 +167,7 @@ def test_full_client_table(trial: Trial, failstop: Cli) -> None:
     assert failstop("reset", "--name", trial.name).returncode == 0
 
 
-def test_no_service(failstop: Cli, name: str) -> None:
+def test_no_service(name: str) -> None:
     for words in (["status"], ["enable"], ["disable"], ["reset"], ["estop"], ["drive", "0", "0", "0"]):
         result = failstop(*words, "--name", name)
         assert result.returncode == 3
@@ -180,7 +176,7 @@ def test_no_service(failstop: Cli, name: str) -> None:
         Robot(name)
 
 
-def test_bad_names_settings_and_files(failstop: Cli, name: str, tmp_path: Path) -> None:
+def test_bad_names_settings_and_files(name: str, tmp_path: Path) -> None:
     bad = tmp_path / "bad.toml"
     cases = (
         (["run", "--name", "no/slash"], "use 1 to 32 of a-z"),

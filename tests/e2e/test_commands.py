@@ -5,19 +5,16 @@ from __future__ import annotations
 import json
 import os
 import pty
-import subprocess
 import tty
-from collections.abc import Callable
 from pathlib import Path
 
 from failstop.board.burst import BURST
 from failstop.cli import COMMANDS
 from failstop.trial import Trial
+from tests.commands import failstop
 
-Cli = Callable[..., "subprocess.CompletedProcess[str]"]
 
-
-def test_a_session(trial: Trial, failstop: Cli) -> None:
+def test_a_session(trial: Trial) -> None:
     at = ("--name", trial.name)
     assert "blocked: disabled" in failstop("status", *at).stdout
     refused = failstop("drive", "0.1", "0", "0", *at)
@@ -41,7 +38,7 @@ def test_a_session(trial: Trial, failstop: Cli) -> None:
     assert failstop("disable", *at).stdout == "motion disabled\n"
 
 
-def test_status_json_has_what_is_promised(trial: Trial, failstop: Cli) -> None:
+def test_status_json_has_what_is_promised(trial: Trial) -> None:
     trial.enable()
     trial.drive(0.1)
     trial.board.events()
@@ -70,7 +67,7 @@ def test_status_json_has_what_is_promised(trial: Trial, failstop: Cli) -> None:
     assert state["clients"][0]["name"] == "trial"
 
 
-def test_status_is_quick(trial: Trial, failstop: Cli) -> None:
+def test_status_is_quick(trial: Trial) -> None:
     import time
 
     times = []
@@ -81,7 +78,7 @@ def test_status_is_quick(trial: Trial, failstop: Cli) -> None:
     assert min(times) < 0.5
 
 
-def test_help_names_every_command(failstop: Cli) -> None:
+def test_help_names_every_command() -> None:
     text = failstop("--help").stdout
     for command in COMMANDS:
         assert f"  {command} " in text
@@ -90,7 +87,7 @@ def test_help_names_every_command(failstop: Cli) -> None:
         assert f"failstop {command}" in shown.stdout
 
 
-def test_stop_tool(failstop: Cli, tmp_path: Path) -> None:
+def test_stop_tool(tmp_path: Path) -> None:
     master, slave = pty.openpty()
     tty.setraw(slave)
     device = tmp_path / "board"
@@ -105,13 +102,13 @@ def test_stop_tool(failstop: Cli, tmp_path: Path) -> None:
     assert "no device" in gone.stderr
 
 
-def test_stop_tool_beside_a_running_service(trial: Trial, failstop: Cli) -> None:
+def test_stop_tool_beside_a_running_service(trial: Trial) -> None:
     trial.board.events()
     assert failstop("stop", "--device", trial.link).returncode == 0
     assert sum(event.is_stop for event in trial.board.events()) >= 4
 
 
-def test_config_lists_every_setting(failstop: Cli) -> None:
+def test_config_lists_every_setting() -> None:
     from failstop.supervisor.settings import DECLARED
 
     text = failstop("config").stdout

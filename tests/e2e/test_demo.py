@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
-from collections.abc import Callable
 
 from failstop.shm import layout
+from tests.commands import failstop
 
 
-def test_demo(failstop: Callable[..., subprocess.CompletedProcess[str]]) -> None:
+def test_demo() -> None:
     start_s = time.monotonic()
     result = failstop("demo", timeout=60)
     assert result.returncode == 0, result.stdout + result.stderr

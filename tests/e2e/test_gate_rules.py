@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,8 +12,8 @@ import pytest
 
 from failstop import Refused, Robot
 from failstop.trial import Trial, wait_for
+from tests.commands import failstop
 
-Cli = Callable[..., "subprocess.CompletedProcess[str]"]
 Status = Callable[[], dict[str, Any]]
 
 CONFIG = """
@@ -39,7 +38,7 @@ def rules(name: str, tmp_path: Path) -> Iterator[Trial]:
 
 
 @pytest.fixture
-def status(rules: Trial, failstop: Cli) -> Status:
+def status(rules: Trial) -> Status:
     def read() -> dict[str, Any]:
         found: dict[str, Any] = json.loads(failstop("status", "--json", "--name", rules.name).stdout)
         return found
@@ -47,7 +46,7 @@ def status(rules: Trial, failstop: Cli) -> Status:
     return read
 
 
-def test_no_scan_stops_and_resumes_by_itself(trial: Trial, failstop: Cli) -> None:
+def test_no_scan_stops_and_resumes_by_itself(trial: Trial) -> None:
     trial.enable()
     trial.drive(0.3)
     assert trial.moving()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pty
-import subprocess
 import time
 import tty
 from collections.abc import Callable, Iterator
@@ -16,8 +15,8 @@ from failstop import cli
 from failstop.board.burst import BURST
 from failstop.commands import stop
 from failstop.procs.stopper import rest, tool
+from tests.commands import failstop
 
-Cli = Callable[..., "subprocess.CompletedProcess[str]"]
 Waits = list[tuple[str, float]]
 
 
@@ -189,7 +188,7 @@ def test_the_setting_is_declared_once() -> None:
     assert stop.DEFAULTS == {"device.path": "/dev/ttyACM0", "stop.wait_s": 30.0}
 
 
-def test_the_burst_goes_to_the_port_of_the_file(board: tuple[str, int], file: Path, failstop: Cli) -> None:
+def test_the_burst_goes_to_the_port_of_the_file(board: tuple[str, int], file: Path) -> None:
     link, master = board
     file.write_text(f'[device]\npath = "{link}"\n')
     result = failstop("stop", "--config", str(file))
@@ -197,7 +196,7 @@ def test_the_burst_goes_to_the_port_of_the_file(board: tuple[str, int], file: Pa
     assert os.read(master, 4096) == BURST
 
 
-def test_after_the_wait_exit_code_1_and_a_clear_message(tmp_path: Path, file: Path, failstop: Cli) -> None:
+def test_after_the_wait_exit_code_1_and_a_clear_message(tmp_path: Path, file: Path) -> None:
     """It warned after 1 s, once."""
     missing = tmp_path / "board"
     file.write_text(f'[device]\npath = "{missing}"\n[stop]\nwait_s = 1.3\n')

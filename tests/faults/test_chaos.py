@@ -6,20 +6,19 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
 from subprocess import PIPE
 
 import pytest
 
 from failstop.faults.table import BY_NAME
+from tests.commands import FAILSTOP, failstop
 
 SECONDS = 120 if os.environ.get("CI") == "true" else 40
 
 
 def chaos(*words: str, timeout: float = 20.0) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "failstop", "chaos", *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
+    return failstop("chaos", *words, timeout=timeout)
 
 
 @pytest.mark.slow
@@ -54,7 +53,7 @@ def test_a_campaign_can_be_repeated_from_any_fault_on(tmp_path: Path) -> None:
 def test_a_permission_that_comes_late(tmp_path: Path) -> None:
     """Its row is nothing for a process that passes every permission, as root's do: so for root without that."""
     out = tmp_path / "chaos.json"
-    command = [sys.executable, "-m", "failstop", "chaos", "--only", "usb-drop-permission", "--each", "3"]
+    command = [*FAILSTOP, "chaos", "--only", "usb-drop-permission", "--each", "3"]
     without = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search"]
     done = subprocess.run([*without, *command, "--json", str(out)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -75,7 +74,7 @@ def test_settings_of_the_user(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_campaign_tells_what_it_has(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "failstop", "chaos", "--only", "kill-gate", "--seconds", "60"]
+    command = [*FAILSTOP, "chaos", "--only", "kill-gate", "--seconds", "60"]
     with subprocess.Popen(command, stdout=PIPE, stderr=PIPE, text=True, start_new_session=True) as process:
         assert process.stderr is not None
         assert process.stderr.readline().endswith(" 1 rows\n")

@@ -9,7 +9,6 @@ import os
 import signal
 import statistics
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -29,6 +28,7 @@ from failstop.prove.strike import strike
 from failstop.prove.table import BY_PATH, BY_VELOCITY
 from failstop.robot import Robot
 from failstop.trial import Trial, wait_for
+from tests.commands import FAILSTOP, failstop
 from tests.prove.noise import SIMULATED
 
 WORD = "spin\n"
@@ -36,8 +36,7 @@ LIMIT_S = 90
 
 
 def prove(*words: str, said: str = "") -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "failstop", "prove", *words]
-    return subprocess.run(command, input=said, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    return failstop("prove", *words, said=said, timeout=LIMIT_S)
 
 
 @contextlib.contextmanager
@@ -230,7 +229,7 @@ def test_an_interruption_stops_the_wheels_first(
     board: SimBoard, tmp_path: Path, send: Callable[[int, int], None], number: int
 ) -> None:
     """A terminal's signals go to the service too."""
-    command = [sys.executable, "-m", "failstop", "prove", "--device", board.link, "--out", str(tmp_path / "evidence")]
+    command = [*FAILSTOP, "prove", "--device", board.link, "--out", str(tmp_path / "evidence")]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, start_new_session=True) as process:
         assert process.stdin is not None
@@ -253,7 +252,7 @@ def test_an_interruption_stops_the_wheels_first(
 
 @pytest.mark.slow
 def test_a_test_that_is_killed_takes_its_service_along(board: SimBoard) -> None:
-    command = [sys.executable, "-m", "failstop", "prove", "--device", board.link]
+    command = [*FAILSTOP, "prove", "--device", board.link]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
         process.stdin.write(WORD)  # type: ignore[union-attr]
         process.stdin.flush()  # type: ignore[union-attr]

@@ -13,19 +13,15 @@ import pytest
 
 from failstop.screen.words import unit
 from failstop.trial import Trial, wait_for
+from tests.commands import FAILSTOP, failstop
 
 from .typist import Typist
 
 QUICK_S = 0.15
 
 
-def run(*words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "failstop", *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
-
-
 def said(trial: Trial, *words: str) -> str:
-    done = run(*words, "--name", trial.name)
+    done = failstop(*words, "--name", trial.name)
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout
 
@@ -53,7 +49,7 @@ def test_status_through_its_states(trial: Trial) -> None:
 
 
 def test_colours_on_a_terminal_only_and_not_with_no_color(trial: Trial) -> None:
-    words = [sys.executable, "-m", "failstop", "status", "--name", trial.name]
+    words = [*FAILSTOP, "status", "--name", trial.name]
     with Typist(words) as coloured, Typist(words, environ={"NO_COLOR": "1"}) as plain:
         assert (coloured.end(), plain.end()) == (0, 0)
         assert "\x1b[38;5;166mSTOPPED" in coloured.raw
@@ -102,9 +98,7 @@ def test_why_knows_who_disabled_and_when(trial: Trial) -> None:
 def test_why_while_driving(trial: Trial) -> None:
     trial.enable()
     found: list[str] = []
-    process = subprocess.Popen(
-        [sys.executable, "-m", "failstop", "why", "--name", trial.name], stdout=subprocess.PIPE, text=True
-    )
+    process = subprocess.Popen([*FAILSTOP, "why", "--name", trial.name], stdout=subprocess.PIPE, text=True)
     while process.poll() is None:
         trial.drive(0.05)
     found.append(process.communicate()[0])
@@ -124,12 +118,12 @@ def test_events_say_what_happened(trial: Trial) -> None:
     assert start_s - 1 < found[-1]["t"] < time.time() + 1
     assert set(found[-1]) == {"seq", "t", "ns", "kind", "level", "text", "fields"}
     assert said(trial, "events", "--since", "0s") == ""
-    assert run("events", "--kind", "nonsense", "--name", trial.name).returncode == 1
-    assert run("events", "--since", "nonsense", "--name", trial.name).returncode == 1
+    assert failstop("events", "--kind", "nonsense", "--name", trial.name).returncode == 1
+    assert failstop("events", "--since", "nonsense", "--name", trial.name).returncode == 1
 
 
 def test_events_without_a_service() -> None:
-    done = run("events", "--name", "nobody-here")
+    done = failstop("events", "--name", "nobody-here")
     assert (done.returncode, done.stdout) == (3, "")
     assert "journalctl" not in done.stderr, "no unit, no journal"
     assert done.stderr.count("\n") == 1

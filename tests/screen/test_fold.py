@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from failstop import style
 from failstop.fold import columns, fitted, fold
 from failstop.supervisor.events import say
+from tests.commands import FAILSTOP
 
 LINE = (
     "failstop: E-STOP latched: hand near the wheel (failstop estop, pid 9269); stop frame written by the port owner "
@@ -86,7 +87,7 @@ def test_the_service_s_lines(capfd: pytest.CaptureFixture[str]) -> None:
 def test_an_error_of_a_command_is_broken_at_words() -> None:
     ours, theirs = _terminal(70)
     try:
-        command = [sys.executable, "-m", "failstop", "status", "--name", "nobody-here"]
+        command = [*FAILSTOP, "status", "--name", "nobody-here"]
         assert subprocess.run(command, stderr=theirs, timeout=20, check=False).returncode == 3
         shown = os.read(ours, 4096).decode().replace("\r\n", "\n")
     finally:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import pytest
 from failstop.errors import NoService
 from failstop.screen import host, left, words
 from failstop.trial import Trial, wait_for
+from tests.commands import failstop
 
 SECONDS = 20
 
@@ -25,8 +25,7 @@ def trial() -> Iterator[Trial]:
 
 
 def run(trial: Trial, *words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "failstop", *words, "--name", trial.name]
-    return subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=False)
+    return failstop(*words, "--name", trial.name, timeout=SECONDS)
 
 
 def said(text: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 
@@ -13,6 +12,7 @@ import pytest
 
 from failstop.shm import layout
 from failstop.trial import Trial, wait_for
+from tests.commands import FAILSTOP
 
 from .typist import Typist
 
@@ -104,7 +104,7 @@ def test_without_a_service_or_a_terminal(trial: Trial) -> None:
     with Typist.failstop("watch", "--name", "nobody-here") as watch:
         assert watch.end() == 3
         assert "\x1b[?1049h" not in watch.raw
-    command = [sys.executable, "-m", "failstop", "watch", "--name", trial.name]
+    command = [*FAILSTOP, "watch", "--name", trial.name]
     done = subprocess.run(command, capture_output=True, text=True, timeout=20, stdin=subprocess.DEVNULL)
     assert done.returncode == 1
     assert "needs a terminal" in done.stderr

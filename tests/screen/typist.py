@@ -10,10 +10,11 @@ import select
 import signal
 import struct
 import subprocess
-import sys
 import termios
 import time
 from types import TracebackType
+
+from tests.commands import FAILSTOP
 
 WAIT_S = 15.0
 _SEQUENCE = re.compile(r"\x1b\[([0-9;?<>]*)([A-Za-z])|\x1b[=>]")
@@ -37,7 +38,7 @@ class Typist:
     @classmethod
     def failstop(cls, *words: str, columns: int = 80, rows: int = 24) -> Typist:
         """`failstop WORDS` in a terminal."""
-        return cls([sys.executable, "-m", "failstop", *words], columns, rows)
+        return cls([*FAILSTOP, *words], columns, rows)
 
     def __enter__(self) -> Typist:
         self.master, slave = os.openpty()
