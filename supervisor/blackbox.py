@@ -10,7 +10,7 @@ import os
 import select
 from time import monotonic_ns
 
-from failstop.shm import box, layout, records, segment
+from failstop.shm import box, layout, records
 from failstop.supervisor.starter import environment, script_command, spawn
 
 TYPE_CHECKING = False
@@ -78,7 +78,7 @@ class BlackBox:
         self, resources: Resources, settings: Settings, own: Segment, views: dict[str, Segment], events: Events
     ) -> None:
         self._events = events
-        self._name = resources.name
+        self._readable = resources.readable
         self._on = settings.on("incidents.save")
         self._words = {
             "name": resources.name,
@@ -145,14 +145,7 @@ class BlackBox:
 
     def _save_live(self) -> None:
         _, words = self._waiting.pop(0)
-        fds = segment.open_all(self._name)
-        try:
-            if len(fds) == len(layout.PROCESSES):
-                self._start(words, fds, of_dead_run=False)
-            else:
-                self._not_saved(f"shared memory is gone ({words['reason']}); next: restart the service")
-        finally:
-            self._close(fds.values())
+        self._start(words, self._readable, of_dead_run=False)
 
     def _start(self, words: dict[str, str], fds: dict[str, int], *, of_dead_run: bool) -> None:
         """Start a saver. A machine that is out of descriptors or processes has none, and that is all."""

@@ -37,6 +37,8 @@ class Resources:
         self.left = segment.open_all(name)
         """The segments of a run that was not ended in order, which are unlinked now: its black box."""
         self._segments = [segment.create(name, spec.name, self.incarnation, gid) for spec in layout.SEGMENTS]
+        self.readable = segment.open_all(name)
+        """Of the processes' segments, for the black box: they can be copied whatever becomes of their names."""
         # For writing alone: whoever could read them could take away the requests of others.
         bell.make_pipe(instance.stop_path(runtime_dir), 0o622)
         bell.make_pipe(instance.bell_path(runtime_dir), 0o620, gid)
@@ -62,6 +64,8 @@ class Resources:
         """Take away every name; descriptors and mappings end with their processes."""
         for made in self._segments:
             made.close()
+        while self.readable:
+            os.close(self.readable.popitem()[1])
         segment.unlink_all(self.name)
         for path in (instance.stop_path, instance.bell_path, instance.claims_path):
             with contextlib.suppress(FileNotFoundError):

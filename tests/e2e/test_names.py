@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
+import re
 import time
 
 from failstop.shm import instance
@@ -44,6 +45,7 @@ def test_without_its_shared_memory_it_stops_and_ends_with_an_error(trial: Trial)
     wait_for("every process to be gone", lambda: not any(os.path.exists(f"/proc/{pid}") for pid in pids.values()))
     assert "RemoveIPC" in trial.service.said()
     assert "was removed: restart the service; stop frame written" in trial.service.said()
+    assert re.search("incident .* saved", trial.service.said()), "names or not, its black box is there"
     trial.leave()
     trial.service.start()
     trial.enable()
