@@ -1,0 +1,199 @@
+"""Segments whose file a client has truncated or unlinked: a reader takes a record that was written or
+none, and never falls."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import random
+import signal
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import pytest
+
+from failstop.shm import segment
+from failstop.shm.layout import BY_NAME
+from failstop.shm.segment import AttachError, Segment
+from failstop.shm.views import FileView
+
+from .children import Child
+from .memory import genuine, payload_of, time_of
+
+if TYPE_CHECKING:
+    pass
+
+from .written import CLIENT_NAMES, RUN, Written, path_of
+
+
+@pytest.mark.parametrize("of", CLIENT_NAMES)
+def test_truncated_to_every_kind_of_size(name: str, of: str) -> None:
+    dice = random.Random(of)
+    written = Written(name, of, dice)
+    try:
+        resident = written.readers()
+        sizes = [
+            0,
+            1,
+            23,
+            24,
+            127,
+            128,
+            129,
+            written.spec.size - 1,
+            *(dice.randrange(written.spec.size) for _ in range(60)),
+        ]
+        for size in sizes:
+            os.ftruncate(written.fd, size)
+            written.read_all(resident)
+            written.read_all(written.readers())
+            with pytest.raises(AttachError, match=r"damaged|whole header|wrong size"):
+                segment.attach_client_slot(name, int(of[-1]), RUN)
+            if dice.random() < 0.5:  # grown again: zeros where its bytes were
+                os.ftruncate(written.fd, written.spec.size)
+                written.read_all(resident)
+            written.restore()
+        os.ftruncate(written.fd, written.spec.size * 4)
+        written.read_all(written.readers())
+        assert written.seen > 0
+    finally:
+        written.close()
+
+
+def test_a_copy_of_a_truncated_file_is_short() -> None:
+    fd = os.memfd_create("cut")
+    view = FileView(fd)
+    view[0:8] = b"12345678"
+    assert view[0:8] == b"12345678"
+    assert view[4:100] == b"5678"
+    os.ftruncate(fd, 3)
+    assert view[0:8] == b"123"
+    assert view[3:8] == b""
+    os.close(fd)
+
+
+def test_a_client_that_writes_to_its_truncated_segment_is_read_again(name: str) -> None:
+    segment.create(name, "client.2", RUN).close()
+    own = segment.attach_client_slot(name, 2, RUN)
+    seen = segment.read_client_slot(name, 2, RUN)
+    writer, reader = own.latest_writer("command"), seen.latest_reader("command")
+    writer.write(b"before", 1)
+    os.truncate(path_of(name, "client.2"), 0)
+    assert reader.read() is None
+    seq = writer.write(b"after", 2)
+    assert reader.read() == (seq, 2, b"after")
+    own.close()
+    seen.close()
+
+
+def reading_child(name: str, of: str, attach: Callable[[], Segment]) -> Child:
+    """A child that reads a client's records until told to end; returns how many values and how many Nones it got."""
+
+    def work(send: Callable[[object], None], wait: Callable[[], None]) -> tuple[int, int]:
+        seen = attach()
+        readers = [seen.latest_reader(record) for record in seen.spec.records]
+        for reader in readers:  # before the truncating starts
+            reader.read()
+        send("reading")
+        values = nones = 0
+        end = time.monotonic() + 1.0
+        limit = time.monotonic() + 20
+        while time.monotonic() < end or (not (values and nones) and time.monotonic() < limit):
+            for reader in readers:
+                entry = reader.read()
+                if entry is None:
+                    nones += 1
+                    continue
+                assert genuine(entry)
+                values += 1
+        return values, nones
+
+    return Child(work)
+
+
+def truncate_all_the_while(name: str, of: str, child: Child) -> None:
+    """Truncate, regrow, scribble and write, until the reader has ended."""
+    dice = random.Random(1)
+    size = BY_NAME[of].size
+    own = segment.attach_client_slot(name, int(of[-1]), RUN)
+    with open(path_of(name, of), "rb") as file:
+        image = file.read()
+    writers = [own.latest_writer(record) for record in own.spec.records]
+    fd = os.open(path_of(name, of), os.O_RDWR)
+    watch = os.pidfd_open(child.pid)
+    try:
+        seq = 0
+        limit = time.monotonic() + 30
+        while time.monotonic() < limit and os.waitid(os.P_PIDFD, watch, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+            seq += 1
+            for writer in writers:
+                writer.write(payload_of(writer._seq + 1, 40), time_of(writer._seq + 1))
+            if dice.random() < 0.3:
+                os.ftruncate(fd, dice.choice([0, 0, size, dice.randrange(size)]))
+            if dice.random() < 0.3:
+                os.pwrite(fd, dice.randbytes(100), dice.randrange(size))
+            if dice.random() < 0.1:
+                os.ftruncate(fd, size)
+                os.pwrite(fd, image[:128], 0)
+    finally:
+        os.close(watch)
+        os.close(fd)
+        own.close()
+
+
+def test_a_truncating_client_costs_the_reader_no_sigbus(name: str) -> None:
+    segment.create(name, "client.0", RUN).close()
+    with reading_child(name, "client.0", lambda: segment.read_client_slot(name, 0, RUN)) as child:
+        assert child.receive() == "reading"
+        truncate_all_the_while(name, "client.0", child)
+        values, nones = child.result()
+        assert child.wait() == 0
+    assert values > 0
+    assert nones > 0
+
+
+def test_control_a_mapped_reader_dies_of_sigbus(name: str) -> None:
+    """The harness can fail: the same through a mapping kills the reader."""
+    segment.create(name, "client.0", RUN).close()
+
+    def attach_mapped() -> Segment:
+        with open(path_of(name, "client.0"), "rb") as file:
+            mapped = mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ)
+        return Segment(BY_NAME["client.0"], RUN, mapped, mapped, -1)
+
+    with pytest.raises(TypeError, match="is written by clients"):
+        segment.attach(name, "client.0", RUN)
+    with reading_child(name, "client.0", attach_mapped) as child:
+        assert child.receive() == "reading"
+        truncate_all_the_while(name, "client.0", child)
+        assert child.wait() == -signal.SIGBUS
+
+
+def test_an_unlinked_client_segment_is_read_on(name: str) -> None:
+    """Its holder and the service have it open; only who comes later finds nothing."""
+    segment.create(name, "client.3", RUN).close()
+    own = segment.attach_client_slot(name, 3, RUN)
+    seen = segment.read_client_slot(name, 3, RUN)
+    writer, reader = own.latest_writer("command"), seen.latest_reader("command")
+    writer.write(b"one", 1)
+    os.unlink(path_of(name, "client.3"))
+    assert reader.read() == (1, 1, b"one")
+    writer.write(b"two", 2)
+    assert reader.read() == (2, 2, b"two")
+    for attach in (segment.attach_client_slot, segment.read_client_slot):
+        with pytest.raises(AttachError) as refused:
+            attach(name, 3, RUN)
+        assert refused.value.kind == "absent"
+    own.close()
+    seen.close()
+
+
+def test_unlinked_service_segments_are_read_on(name: str) -> None:
+    segment.create(name, "gate", RUN).close()
+    own, seen = segment.attach(name, "gate", RUN, write=True), segment.attach(name, "gate", RUN)
+    segment.unlink_all(name)
+    own.ring_writer("frames").put(b"frame", 1)
+    assert seen.ring_reader("frames", from_oldest=True).next() == (1, 1, b"frame")
+    own.word("beat_ns").set(77)
+    assert seen.word("beat_ns").get() == 77
