@@ -23,7 +23,7 @@ COMMANDS = {
     "teleop": ("teleop", "drive with the keyboard, holding keys"),
     "enable": ("requests", "enable motion"),
     "disable": ("requests", "disable motion: the wheels stop"),
-    "reset": ("requests", "clear a latched stop; motion stays disabled"),
+    "reset": ("requests", "clear a latched stop; enables nothing"),
     "estop": ("estop", "latched stop, for every local user"),
     "drive": ("drive", "drive for a while"),
     "stop": ("stop", "write the stop to the port; needs no service running"),
@@ -46,7 +46,8 @@ GROUPS = (
 
 DESCRIPTION = """The layer that makes a robot stop.
 Whatever dies or hangs, the wheels are told to stop.
-Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name."""
+Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name, 128 and
+the signal's number when a signal ended it (130: Ctrl-C; run and sim: 0)."""
 
 
 def groups() -> list[tuple[str, list[str]]]:

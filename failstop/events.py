@@ -36,7 +36,8 @@ class Event:
     level: str
     """info, notice, warning, error or critical."""
     text: str
-    """One line for people, the same as in the journal; cut at 280 bytes."""
+    """One line for people, the same as in the journal; cut at 280 bytes, or at 200 or 120 where its fields need
+    the room."""
     fields: dict[str, str | int | float]
 
 

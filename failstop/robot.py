@@ -53,7 +53,8 @@ class Robot:
         return text
 
     def enable(self) -> str:
-        """Enable motion. Raises Refused with the reason: latched, or not ready."""
+        """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked
+        before the last stop."""
         return self._ask(records.ENABLE)
 
     def disable(self) -> str:
@@ -61,12 +62,14 @@ class Robot:
         return self._ask(records.DISABLE)
 
     def reset(self) -> str:
-        """Clear the latched stop; motion stays disabled until enable(). Raises Refused."""
+        """Clear the latched stop; motion stays disabled until enable(). With nothing latched it changes nothing. Raises
+        Refused."""
         return self._ask(records.RESET)
 
     def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> None:
-        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for the command timeout (0.3 s),
-        so repeat it. Values past the limits are clamped; whether anything moves, and why not, is in `state.blocked`.
+        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
+        s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped; whether
+        anything moves, and why not, is in `state.blocked`.
 
         A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
         Raises ValueError for a value that is not finite, NoService when the service has gone.

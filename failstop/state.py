@@ -44,7 +44,7 @@ class Process:
     last_exit: str | None
     """How its predecessor died."""
     worst_ms: float
-    """The longest turn of its loop since its start."""
+    """The longest time between two turns of its loop since its start."""
     realtime: bool
     memory_locked: bool
 

@@ -1,4 +1,5 @@
-"""The black box: the payloads of the rings `box`, in which each process keeps about its last minute.
+"""The black box: the payloads of the rings `box`, in which each process but the stopper keeps about its last
+minute.
 
 One ring in each writer's own segment, so it outlives its writer, and whoever looks at it disturbs nobody. A put is one
 slot of private bytes and one slice assignment. On the stop path it comes after the bytes of the stop.

@@ -152,8 +152,8 @@ KINDS = (
         ("process", "pid", "silent_ms", "kill_us"),
         "@FAILSTOP_PROCESS@ hung and was fenced",
         "It was silent for @FAILSTOP_SILENT_MS@ ms, so it was killed: what it still wanted to write can't happen.\n"
-        "The times are from the notice to the kill, the stop on the supervisor's own descriptor, the process gone,\n"
-        "and the stop after that.\n"
+        "The times are from the notice to the kill and to the end of the process; for the port owner also to the\n"
+        "stops on the supervisor's own descriptor, one after the kill and one after the end.\n"
         "Next: was the machine overloaded or frozen? failstop doctor --name @FAILSTOP_NAME@ looks for real-time rights",
     ),
     Kind(

@@ -75,8 +75,23 @@ LAYOUTS = ("mecanum", "differential")
 DECLARED = (
     Setting("device.path", "/dev/ttyACM0", "", None, None, "the motor board's port"),
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
-    Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "a command older than this moves nothing (the deadman)"),
-    Setting("gate.refresh_s", 0.2, "s", 0.02, 1.0, "a motor frame goes out at least this often while enabled"),
+    Setting(
+        "gate.command_timeout_s",
+        0.3,
+        "s",
+        0.05,
+        2.0,
+        "a command of the gamepad, or of a source without a timeout of its own, that is older than this moves nothing "
+        "(the deadman)",
+    ),
+    Setting(
+        "gate.refresh_s",
+        0.2,
+        "s",
+        0.02,
+        1.0,
+        "while enabled, a motor frame goes out this long after the last one, or one gate.period_s later",
+    ),
     Setting("gate.lease_s", 0.06, "s", 0.04, 1.0, "gate or supervisor silent for this long: the port owner stops"),
     Setting("limits.vx_mps", 0.2, "m/s", 0.01, 3.0, "fastest forward and backward"),
     Setting("limits.vy_mps", 0.2, "m/s", 0.01, 3.0, "fastest sideways"),

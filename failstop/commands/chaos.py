@@ -1,4 +1,5 @@
-"""`failstop chaos`: random faults from the table while driving random velocities, judged by the simulated board."""
+"""`failstop chaos`: random faults from the table while driving random velocities, judged by the simulated board (on a
+stand, by the real board's answers and its IMU: on_stand.py)."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 
 from failstop.board.sim.client import SimBoardError
-from failstop.errors import FailstopError, Refused
+from failstop.errors import FailstopError
 from failstop.faults import campaign, report
 from failstop.faults.fault import Fault
 from failstop.faults.scene import Scene
@@ -24,6 +25,7 @@ failstop chaos                          # a minute of random faults
 failstop chaos --list
 failstop chaos --each 5 --only 'kill-*'
 failstop chaos --count 100 --seed 7 --json chaos.json
+failstop chaos --device /dev/ttyACM0 --on-the-stand --wheels-are-free
 """
 
 SECONDS = 60.0
@@ -52,7 +54,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--json", metavar="FILE", help="write the result there")
     add("--markdown", action="store_true", help="print the result as docs/faults.md")
     add("--from", dest="source", metavar="FILE", help="with --markdown: of this result (--json), without a run")
-    add("--device", metavar="PATH", help="a real board; needs both consents below")
+    add(
+        "--device",
+        metavar="PATH",
+        help="a real board on a stand, judged by its IMU; needs both consents",
+    )
     add("--on-the-stand", action="store_true", help="consent: the robot stands on a stand")
     add("--wheels-are-free", action="store_true", help="consent: nobody and nothing is near the wheels")
 
@@ -60,7 +66,12 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the campaign; exit code 1 when anything was not as the table says."""
     if arguments.device is not None:
-        raise Refused(_real_board(arguments))
+        from failstop.commands import on_stand
+
+        if arguments.list:
+            on_stand.list_paths(arguments.only)
+            return 0
+        return on_stand.run(arguments, _seed(arguments), SECONDS)
     rows = _rows(arguments.only)
     if arguments.list:
         for fault in rows:
@@ -106,8 +117,12 @@ def _read(path: str) -> dict[str, object]:
     return found
 
 
+def _seed(arguments: Namespace) -> int:
+    return arguments.seed if arguments.seed is not None else time.time_ns() % SEEDS
+
+
 def _run(arguments: Namespace, rows: tuple[Fault, ...]) -> report.Tally:
-    seed = arguments.seed if arguments.seed is not None else time.time_ns() % SEEDS
+    seed = _seed(arguments)
     tally = report.Tally(rows, seed)
     live = sys.stderr.isatty()
     interrupted: list[bool] = []
@@ -145,21 +160,3 @@ def _outcomes(
         return campaign.campaign(scene, rows, tally.seed, lambda injected: injected >= arguments.count, arguments.first)
     until_s = tally.begun_s + (arguments.seconds or SECONDS)
     return campaign.campaign(scene, rows, tally.seed, lambda _: time.monotonic() >= until_s, arguments.first)
-
-
-def _real_board(arguments: Namespace) -> str:
-    """Why a real board is refused."""
-    missing = [
-        word
-        for word, given in (
-            ("--on-the-stand", arguments.on_the_stand),
-            ("--wheels-are-free", arguments.wheels_are_free),
-        )
-        if not given
-    ]
-    if missing:
-        return f"{arguments.device} moves real wheels: put the robot on a stand, then say {' '.join(missing)}"
-    return (
-        f"{arguments.device}: on a real board nothing on its side of the wire can judge: a campaign needs a tap on the "
-        "board's receive line that gives the bytes with their times; without --device it runs on the simulated board"
-    )

@@ -82,7 +82,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     other.add_argument(
         "--example",
         action="store_true",
-        help="a TOML file with every setting, its default commented out, and what it means",
+        help="a TOML file with every setting and what it means, all but device.path commented out",
     )
     other.add_argument("--markdown", action="store_true", help="the table of docs/configuration.md")
 
@@ -165,8 +165,8 @@ def _json(found: list[tuple[str, float | str, Setting, str]]) -> str:
 
 
 def example() -> str:
-    """A complete configuration: every default, commented out so that it does not outlive the version it is of; what is
-    only a sample is commented out as well."""
+    """A complete configuration: every default, all but ALWAYS_SET commented out so that they do not outlive the version
+    they are of; what is only a sample is commented out as well."""
     parts = [HEAD]
     for group, what in GROUPS.items():
         declared = [(key, setting.default) for key, setting in BY_KEY.items() if key.partition(".")[0] == group]
@@ -215,7 +215,7 @@ def markdown() -> str:
         "the part before the dot; `failstop run --config FILE` reads it once and refuses what is unknown, out of range",
         "or contradictory, naming the key, the value and what is allowed. `failstop config` prints every value with",
         "its origin, `failstop config --check FILE` checks a file, `failstop config --example` writes one with every",
-        "setting in it, commented out.",
+        "setting in it, all but `device.path` commented out.",
     ]
     for group, what in GROUPS.items():
         found = [(setting.key, setting) for setting in DECLARED if setting.key.partition(".")[0] == group]

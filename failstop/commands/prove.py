@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import signal
+import random
 import sys
 import tempfile
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator
-from types import FrameType
 
 from failstop import style
-from failstop.board.sim.client import SimBoard, SimBoardError
+from failstop.board.sim.client import SimBoard
 from failstop.commands import add_name
-from failstop.doctor import port_facts
 from failstop.doctor.gather import settings_of
 from failstop.doctor.system import System
-from failstop.errors import FailstopError, NoService, Refused
-from failstop.install.layout import unit_of
+from failstop.errors import FailstopError, Refused
 from failstop.procs.telemetry.state_files import state_directory
 from failstop.prove import report, table
-from failstop.prove.character import Unfit, characterize
 from failstop.prove.report import Evidence
-from failstop.prove.run import Character, Run
+from failstop.prove.session import check_free, interruptible, session
 from failstop.prove.stand import Stand
-from failstop.prove.strike import Ask
 from failstop.prove.table import BY_PATH, BY_VELOCITY, Path, Velocity
-from failstop.robot import Robot
 from failstop.supervisor import config
-from failstop.trial import TrialError
 
 EXAMPLES = """\
 failstop prove --sim --quick            # on a simulated board, half a minute
@@ -39,10 +30,8 @@ failstop prove --only deadman,stop-request --at 0.2 --out /tmp/evidence
 """
 
 WORD = "spin"
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PROVE_FOLDER = "prove"
 RUN_S = 3.5
-RUNAWAY = "the wheels were not seen to come to rest: if they turn, use the POWER SWITCH"
 SAFETY = """\
 THIS TURNS THE WHEELS, at {fastest}, and kills the programs that stop them: {count} runs, {minutes:.0f} min.
 
@@ -72,65 +61,28 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the stand test; exit code 1 when anything failed or was left out, 2 without consent."""
     plan = _plan(arguments)
-    with _interruptible(), tempfile.TemporaryDirectory(prefix="failstop-prove-") as folder:
+    velocities = list(dict.fromkeys(velocity for _, velocity in plan))
+    say = (lambda _: None) if arguments.json else _print
+
+    def taken(device: str, user: dict[str, object], board: SimBoard | None) -> Evidence:
+        ask = _print if arguments.pad else None
+        stand = Stand(device, user, folder, board)
+        runs = ((path, velocity, random.Random()) for path, velocity in plan)
+        return session(runs, velocities, stand, quick=arguments.quick, say=say, ask=ask)
+
+    with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-prove-") as folder:
         if arguments.sim:
             link = os.path.join(folder, "board")
             with SimBoard(link) as board:
-                evidence = prove(arguments, plan, link, config.read(arguments.config), folder, board)
+                evidence = taken(link, config.read(arguments.config), board)
         else:
             path, settings = settings_of(arguments.name, arguments.config, System())
             device = arguments.device or settings.text("device.path")
-            _check_free(arguments.name, device)
+            check_free(arguments.name, device)
             _ask_consent(device, plan)
-            evidence = prove(arguments, plan, device, config.read(path), folder, None)
+            evidence = taken(device, config.read(path), None)
     _show(arguments, evidence)
-    return 0 if evidence.passed else 130 if evidence.ended == "interrupted" else 1
-
-
-def prove(
-    arguments: Namespace,
-    plan: list[tuple[Path, Velocity]],
-    device: str,
-    user: dict[str, object],
-    folder: str,
-    board: SimBoard | None,
-) -> Evidence:
-    """Characterize the robot and run the plan, printing rows as they come. Ends at the first wheel that turns on."""
-    say = (lambda _: None) if arguments.json else _print
-    evidence = Evidence(device, board is not None, False)
-    ask: Ask | None = _print if arguments.pad else None
-    stand = Stand(device, user, folder, board)
-    try:
-        with stand:
-            with Robot(stand.name) as robot:
-                evidence.realtime = all(process.realtime for process in robot.state.processes.values())
-            say("\n".join(report.head_lines(evidence)) + "\n")
-            evidence.character = _characterize(stand, plan, quick=arguments.quick)
-            say("\n".join([*report.character_lines(evidence.character), "", report.HEAD]))
-            for path, velocity in plan:
-                result = Run(stand, evidence.character, path, velocity, ask).take()
-                evidence.results.append(result)
-                say(report.row(result, style.paint))
-                if result.runaway:
-                    evidence.ended = RUNAWAY
-                    _alarm(RUNAWAY)
-                    break
-    except KeyboardInterrupt:
-        evidence.ended = "interrupted"
-    except (TrialError, SimBoardError, FailstopError) as error:
-        evidence.ended = str(error)
-    if stand.unsafe and not board:
-        evidence.ended = f"{evidence.ended}; {stand.unsafe}: use the POWER SWITCH".lstrip("; ")
-    return evidence
-
-
-def _characterize(stand: Stand, plan: list[tuple[Path, Velocity]], *, quick: bool) -> Character:
-    velocities = list(dict.fromkeys(velocity for _, velocity in plan))
-    try:
-        return characterize(stand, velocities, quick=quick)
-    except Unfit as error:
-        _alarm(str(error))
-        raise
+    return 0 if evidence.passed else 130 if evidence.ended == report.INTERRUPTED else 1
 
 
 def _plan(arguments: Namespace) -> list[tuple[Path, Velocity]]:
@@ -147,23 +99,6 @@ def _plan(arguments: Namespace) -> list[tuple[Path, Velocity]]:
     return table.plan(quick=arguments.quick, only=chosen[0], at=chosen[1])
 
 
-def _check_free(name: str, device: str) -> None:
-    """Nobody else drives this board. Raises Refused with the command that ends whoever does."""
-    node = port_facts.node(device, System())
-    with contextlib.suppress(NoService):
-        served = Robot(name).state.device["path"]
-        # A simulated board is nobody else's. On a robot the service may be between two openings of this very port.
-        if not (node and node.pseudo and served and os.path.realpath(served) != node.resolved):
-            end = f"sudo systemctl stop {unit_of(name)}"
-            raise Refused(f"the service {name!r} runs, and this test kills what it runs: {end}")
-    if node is None:
-        return  # the run says it, with the devices that are there
-    holders, _ = port_facts.holders(node.resolved, set(), System())
-    for holder in holders:
-        end = f"sudo systemctl stop {holder.unit}" if holder.unit else f"kill {holder.pid}"
-        raise Refused(f"{holder.name} (pid {holder.pid}) has {device} open: {end}")
-
-
 def _ask_consent(device: str, plan: list[tuple[Path, Velocity]]) -> None:
     fastest = " and ".join(dict.fromkeys(velocity.words for _, velocity in plan))
     print(f"{device}:", file=sys.stderr)
@@ -172,26 +107,6 @@ def _ask_consent(device: str, plan: list[tuple[Path, Velocity]]) -> None:
     sys.stderr.flush()
     if sys.stdin.readline().strip() != WORD:
         raise Refused("no consent: nothing was moved")
-
-
-@contextlib.contextmanager
-def _interruptible() -> Iterator[None]:
-    """A lost terminal and a kill end it as Ctrl-C does: by way of wheels at rest."""
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in SIGNALS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _alarm(text: str) -> None:
-    """At once, before anything is wound up."""
-    print(style.paint(f"\a{text}", style.FAIL), file=sys.stderr, flush=True)
 
 
 def _print(text: str) -> None:

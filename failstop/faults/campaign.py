@@ -23,6 +23,8 @@ BEFORE_S = (0.02, 0.12)
 """How long the wheels turn before the fault: a random moment of the 20 ms tick."""
 AFTER_RESET_S = 0.03
 SEEN_S = 3.0
+ENDS = {"service-stopped": 0, "names-removed": 1}
+"""The exit code of a service that ends by itself, by the row's injector."""
 STORY_BEFORE = 5
 STORY_AFTER = 20
 
@@ -164,9 +166,9 @@ class _Injection:
 
     def _end_run(self) -> None:
         service = self.scene.trial.service
-        if "service-stopped" in self.fault.injector and service.process:
+        if self.fault.injector in ENDS and service.process:
             code = service.process.wait(SEEN_S)
-            if code:
+            if code != ENDS[self.fault.injector]:
                 self.outcome.wrong.append(f"the service ended with exit code {code}")
         self.scene.restart()
 

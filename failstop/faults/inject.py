@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import signal
 import time
 from collections.abc import Callable
 
 from failstop.faults import ptrace
-from failstop.faults.fault import CONTINUE, HANG, KILL, SPIN, Fault
+from failstop.faults.fault import SPIN, Fault
 from failstop.faults.scene import Scene
+from failstop.faults.steps import Steps
 
-SIGNALS = {KILL: signal.SIGKILL, HANG: signal.SIGSTOP}
-APART_S = 0.005
-STOPPED_ON_S = (0.04, 0.14)
-"""How long the hung stay stopped after the stop is due: less than it takes to fence them."""
 TROUBLE_S = 0.2
 ASKED = "asked meanwhile"
 
@@ -69,48 +63,30 @@ class AskedMeanwhile(Injector):
 
 
 class Processes(Injector):
-    """What the row's steps say, together or within 5 ms; what is continued was stopped for longer."""
+    """What the row's steps say."""
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault)
         self._pids: dict[str, int] = {}
-        self._order: list[tuple[str, str]] = list(fault.steps)
+        self._steps: Steps | None = None
 
     def unfit(self) -> str:
         return ptrace.unfit() if self.fault.struck(SPIN) else ""
 
     def prepare(self, scene: Scene) -> None:
         self._pids = scene.look_up_pids()
-        scene.chance.shuffle(self._order)
-        self._order.sort(key=lambda step: step[0] == CONTINUE)
+        self._steps = Steps(self.fault, scene.chance)
 
     def strike(self, scene: Scene) -> int:
-        spread_s = scene.chance.choice((0.0, APART_S)) / max(1, len(self._order) - 1)
-        fault_ns = time.monotonic_ns()
-        for number, (action, process) in enumerate(self._order):
-            if action == CONTINUE and self._order[number - 1][0] != CONTINUE:
-                scene.driver.run((self.fault.bar_ms or 0.0) / 1000 + scene.chance.uniform(*STOPPED_ON_S))
-            elif number and spread_s:
-                time.sleep(scene.chance.uniform(0.0, spread_s))
-            self._do(action, self._pids[process])
+        assert self._steps
+        fault_ns = self._steps.take(self._pids, scene.driver.run)
         if self.fault.stop_tool:
             scene.start_stop_tool()
         return fault_ns
 
-    def _do(self, action: str, pid: int) -> None:
-        if action == SPIN:
-            ptrace.spin(pid)
-        elif action == CONTINUE:
-            # It may have been fenced.
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGCONT)
-        else:
-            os.kill(pid, SIGNALS[action])
-
     def heal(self, scene: Scene) -> None:
-        for process in self.fault.struck(HANG):
-            if process in self._pids:
-                self._do(CONTINUE, self._pids[process])
+        if self._steps:
+            self._steps.undo(self._pids)
 
 
 Registry = dict[str, Callable[[Fault], Injector]]

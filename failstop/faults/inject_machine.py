@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import itertools
 import os
 import resource
@@ -167,6 +168,19 @@ class Frozen(Injector):
         return thawed_ns
 
 
+class NamesRemoved(Injector):
+    """As logind does when the service's user logs out. Whoever has a segment attached goes on with it."""
+
+    def prepare(self, scene: Scene) -> None:
+        scene.look_up_pids()
+
+    def strike(self, scene: Scene) -> int:
+        now_ns = time.monotonic_ns()
+        for path in glob.glob(f"/dev/shm/failstop.{scene.trial.name}.*"):
+            os.unlink(path)
+        return now_ns
+
+
 class Suspended(Injector):
     """rtcwake puts the machine to sleep for three seconds."""
 
@@ -214,6 +228,7 @@ INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "no-descriptors-kill": NoDescriptorsKill,
     "no-memory": NoMemory,
     "no-disk": NoDisk,
+    "names-removed": NamesRemoved,
     "frozen": Frozen,
     "suspended": Suspended,
     "clock-stepped": ClockStepped,

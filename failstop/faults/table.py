@@ -184,6 +184,11 @@ SURROUNDINGS = (
     _asked("no-memory", MACHINE, "no process may have more memory", "no-memory"),
     _asked("no-disk", MACHINE, "no space for the state files", "no-disk", "can't be written: .*No space"),
     Fault(
+        "names-removed", MACHINE, "the names in /dev/shm are gone, as by logind's RemoveIPC=yes",
+        "port owner; the supervisor looks once a second", "", NEW_RUN, "was removed: restart the service; stop frame",
+        1020.0, "names-removed", aftermath_s=1.2, weight=1,
+    ),
+    Fault(
         "frozen", TIME, "every process frozen for 0.3 s and thawed together", "the first to wake",
         "hangs|silent|frozen|slept|held up", RESET, "E-STOP latched: ", 65.0, "frozen", counted_from=THAWED, weight=1,
     ),

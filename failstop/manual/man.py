@@ -8,17 +8,22 @@ from failstop.version import VERSION
 DESCRIPTION = (
     "failstop is the layer between everything that wants to drive a robot and a motor board that keeps its last wheel "
     "speed for ever. Whatever part of it dies or hangs, the wheels are told to stop, and nothing moves them again "
-    "until somebody enables motion anew. A client that dies stops them too; one that falls silent, 0.3 s later.",
+    "until somebody enables motion anew. A client that dies stops them too; one that falls silent, when its last "
+    "command is older than its source's timeout (0.3 s unless the settings say otherwise).",
     "It is a stop by software and no emergency stop in the sense of ISO 13850: keep a power switch in reach.",
-    "A service, \x01failstop run\x02, owns the board's port. The other commands talk to the service of the same name; "
-    "\x01failstop stop\x02, \x01failstop sim\x02 and \x01failstop config\x02 need none.",
+    "A service, \x01failstop run\x02, owns the board's port. The commands enable, disable, reset, drive, teleop, "
+    "estop, status, watch, why and events talk to the service of the same name; the others need none.",
 )
 
 EXITS = (
     ("0", "Done."),
     ("1", "An error; one line says what happened and what to do."),
-    ("2", "Refused by the service, with its reason."),
+    ("2", "Refused, by the service or by the command itself, with the reason."),
     ("3", "No service of that name runs."),
+    (
+        "128 and the signal's number",
+        "A signal ended it, as 130: Ctrl-C. run and sim take SIGTERM and Ctrl-C as an order to end, and end with 0.",
+    ),
 )
 
 FILES = (

@@ -19,11 +19,10 @@ CAN_NOT = (
     "Proved is what was done here: this robot, this battery, wheels in the air, each path so many times. Wheels on the "
     "ground take longer to stop. A software stop needs a board that obeys; the power switch needs nobody."
 )
+INTERRUPTED = "interrupted"
 ROLES = {"PASS": style.OK, "FAIL": style.FAIL, "SKIP": style.WARN}
-HEAD = (
-    f"{'stop path':<20} {'velocity':<10} {'written, ms':>18} {'acknowledged, ms':>18} {'at rest, s':>16} "
-    f"{'board, ms':>10}  result"
-)
+NAME = 20
+"""Columns for the name of a path; some rows of the fault table are longer."""
 
 
 @dataclasses.dataclass
@@ -33,6 +32,8 @@ class Evidence:
     device: str
     simulated: bool
     realtime: bool
+    tool: str = "prove"
+    """The command."""
     character: Character | None = None
     results: list[Result] = dataclasses.field(default_factory=list)
     ended: str = ""
@@ -94,7 +95,15 @@ def _record(result: Result) -> dict[str, Any]:
     }
 
 
-def row(result: Result, paint: Callable[[str, str], str] = _plain) -> str:
+def head(width: int = NAME) -> str:
+    """Above the rows; `width`: of the paths' names."""
+    return (
+        f"{'stop path':<{width}} {'velocity':<10} {'written, ms':>18} {'acknowledged, ms':>18} {'at rest, s':>16} "
+        f"{'board, ms':>10}  result"
+    )
+
+
+def row(result: Result, paint: Callable[[str, str], str] = _plain, width: int = NAME) -> str:
     """One line of the table, the verdict painted."""
     bar_ms = result.path.reaction_bar_ms(simulated=result.simulated)
     written = _cell(result.written_ms, ".2f", f"{bar_ms:.0f}")
@@ -105,8 +114,9 @@ def row(result: Result, paint: Callable[[str, str], str] = _plain) -> str:
     notes = [f"blind for {result.blind_s:.2f} s"] if result.blind_s and result.rest_s is not None else []
     notes += [f"turning again {result.back_s:.1f} s after the return"] if result.back_s is not None else []
     note = f" ({'; '.join(notes)})" if notes else ""
+    name = f"{result.path.name:<{width}}"
     return (
-        f"{result.path.name:<20} {result.velocity.words:<10} {written:>18} {acknowledged:>18} {rest:>16} {board:>10}"
+        f"{name} {result.velocity.words:<10} {written:>18} {acknowledged:>18} {rest:>16} {board:>10}"
         f"  {paint(result.verdict, ROLES[result.verdict])}{why}{note}"
     )
 
@@ -144,7 +154,7 @@ def head_lines(evidence: Evidence) -> list[str]:
     what = "SIMULATED board" if evidence.simulated else "board"
     rights = "real-time priority" if evidence.realtime else "WITHOUT real-time priority"
     return [
-        f"failstop prove {machine['version']}, {when}: {what} at {evidence.device}",
+        f"failstop {evidence.tool} {machine['version']}, {when}: {what} at {evidence.device}",
         f"{machine['machine']}, {machine['cores']} cores, kernel {machine['kernel']}, Python {machine['python']}",
         rights,
     ]
@@ -162,7 +172,7 @@ def last_lines(evidence: Evidence) -> list[str]:
 def text(evidence: Evidence) -> str:
     """The whole report."""
     character = ["", *character_lines(evidence.character)] if evidence.character else []
-    rows = ["", HEAD, *map(row, evidence.results)] if evidence.results else []
+    rows = ["", head(), *map(row, evidence.results)] if evidence.results else []
     return "\n".join([*head_lines(evidence), *character, *rows, "", *last_lines(evidence)]) + "\n"
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import random
 import re
 import signal
 import time
 
 from failstop.errors import FailstopError
 from failstop.faults.scene import is_ours
+from failstop.faults.steps import Steps
 from failstop.prove import shake, table
 from failstop.prove.shake import Noise, Sample, Verdict
 from failstop.prove.stand import Stand
@@ -75,13 +77,23 @@ class Result:
 class Run:
     """From enable to a whole service with nothing enabled."""
 
-    def __init__(self, stand: Stand, character: Character, path: Path, velocity: Velocity, ask: Ask | None) -> None:
+    def __init__(
+        self,
+        stand: Stand,
+        character: Character,
+        path: Path,
+        velocity: Velocity,
+        ask: Ask | None,
+        chance: random.Random,
+    ) -> None:
+        """`chance`: for what is left to it in a path of kind FAULT."""
         self.stand = stand
         self.character = character
         self.path = path
         self.velocity = velocity
         self.ask = ask
         self.result = Result(path, velocity, stand.board is not None)
+        self._steps = Steps(path.fault, chance) if path.fault else None
         self._pids: dict[str, int] = {}
         self._cause_ns = 0
         self._rest_seen_ns = 0
@@ -96,7 +108,7 @@ class Run:
         try:
             self._spin()
             try:
-                self._cause_ns = strike(self.path, self.stand, self._pids, self.ask)
+                self._cause_ns = strike(self.path, self.stand, self._pids, self.ask, self._steps)
                 self._verdict = Verdict(self.character.limit_radps, self._cause_ns)
                 self.stand.run(MOST_S, self._settled)
                 self._judge()
@@ -251,6 +263,8 @@ class Run:
             stand.bury()
             stand.start()
             return
+        if self._steps:
+            self._steps.undo(self._pids)
         if path.kind == table.HANG and is_ours(self._pids[path.process]):
             os.kill(self._pids[path.process], signal.SIGCONT)
         stand.driver.until("the service to be whole again", stand.whole, WHOLE_S)

@@ -34,12 +34,14 @@ SIM_FREE_S = 0.5
 """A simulated board may have ended with the same Ctrl-C."""
 OVERRIDES: dict[str, object] = {
     "restart.deaths": 100_000,
+    "restart.window_s": 1.0,
     "restart.backoff_s": 0.001,
     "battery.log": "off",
     "battery.directory": "",
     "scan.gate": "on",
 }
-"""Over the user's settings: so many deaths are no crash loop here, and the scan gate is one of the stop paths."""
+"""Over the user's settings: so many deaths are no crash loop here, no restart waits for the deaths of earlier runs, and
+the scan gate is one of the stop paths."""
 
 
 class StandService(Service):

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 
 from failstop.client import send_stop
+from failstop.faults.steps import Steps
 from failstop.prove import table
 from failstop.prove.stand import Stand
 from failstop.prove.table import Path
@@ -24,9 +25,12 @@ class Skipped(Exception):
     """The path can't be taken here; says why."""
 
 
-def strike(path: Path, stand: Stand, pids: dict[str, int], ask: Ask | None) -> int:
-    """Bring it about while the wheels turn. `ask`: None when there is nobody to do anything. Raises Skipped."""
+def strike(path: Path, stand: Stand, pids: dict[str, int], ask: Ask | None, steps: Steps | None = None) -> int:
+    """Bring it about while the wheels turn. `ask`: None when there is nobody to do anything; `steps`: those of a path
+    of kind FAULT. Raises Skipped."""
     driver = stand.driver
+    if steps:
+        return steps.take(pids, stand.run)
     if path.kind == table.DEADMAN:
         driver.commands = False
         return driver.commanded_ns

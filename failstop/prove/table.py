@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+from failstop.faults.fault import Fault
 from failstop.faults.table import BY_NAME
 from failstop.shm.layout import GATE, PORT_OWNER, PROCESSES, STOPPER, SUPERVISOR, TELEMETRY
 
@@ -39,6 +40,8 @@ PAD = "pad"
 KILL = "kill"
 HANG = "hang"
 END = "end"
+FAULT = "fault"
+"""A row of the fault table, step by step."""
 DISABLE_MS = 5.0
 
 KILLED_S = (0.55, 0.55, 0.55)
@@ -78,6 +81,8 @@ class Path:
     """The gate stops with a zero frame of its own instead of a burst."""
     ends: bool = False
     """No service is left."""
+    fault: Fault | None = None
+    """The row, of a path of kind FAULT."""
 
     def reaction_bar_ms(self, *, simulated: bool) -> float:
         """The written stop may take this long."""
@@ -88,6 +93,12 @@ class Path:
         if measured := MEASURED_S.get(self.kind):
             return measured[VELOCITIES.index(velocity)] + RESOLUTION_S
         return self.reaction_ms / 1000 + velocity.coast_s + RESOLUTION_S
+
+
+def of_fault(row: Fault) -> Path:
+    """The path of a row that the service survives, and in which only processes are struck."""
+    assert row.bar_ms is not None
+    return Path(row.name, FAULT, row.cause, row.bar_ms, latched=row.latched, fault=row)
 
 
 def _bar(row: str) -> float:

@@ -38,7 +38,7 @@ BLOCKS = {
         "a reset clears the latch alone; motion needs to be enabled after it",
     ),
     blocks.DISABLED: Block(
-        "motion is disabled, as it is after every start, every stop and every reset",
+        "motion is disabled, as it is after every start and every latched stop",
         "enabling it is a decision of a person or a program, and is never made by itself",
     ),
     blocks.NO_COMMAND: Block(

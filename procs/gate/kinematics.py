@@ -106,13 +106,16 @@ class Differential(_Wheels):
 
 
 def from_settings(settings: Settings) -> Mecanum | Differential:
-    """The kinematics that wheels.layout names, with the sizes, signs and ids of [wheels]."""
+    """The kinematics that wheels.layout names, with the sizes, signs and ids of [wheels]. Raises ValueError."""
     signs = _whole(settings, "sign")
     ids = _whole(settings, "id")
     diameter_m, track_m = settings["wheels.diameter_m"], settings["wheels.track_m"]
-    if settings.text("wheels.layout") == "differential":
+    layout = settings.text("wheels.layout")
+    if layout == "mecanum":
+        return Mecanum(diameter_m, settings["wheels.wheelbase_m"], track_m, signs, ids)
+    if layout == "differential":
         return Differential(diameter_m, track_m, signs, ids)
-    return Mecanum(diameter_m, settings["wheels.wheelbase_m"], track_m, signs, ids)
+    raise ValueError(f"wheels.layout = {layout!r}: it has no kinematics")
 
 
 def _whole(settings: Settings, what: str) -> tuple[int, int, int, int]:

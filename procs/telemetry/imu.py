@@ -55,8 +55,8 @@ def radps(x_dps: float, y_dps: float, z_dps: float) -> Vector:
 class GyroBias:
     """The gyro's bias: a calibration at the start, and then it follows the readings while the robot rests.
 
-    calibrating -> calibrated   still for the whole time: the mean of the samples is the bias
-                -> uncorrected  moved, or told to: a warning, and the bias stays what it was (zero at the first start)
+    calibrating -> calibrated  still for the whole time: the mean of the samples is the bias
+                -> kept        moved, or told to: a warning, and the bias stays what it was (zero at the first start)
 
     Tracking goes on averaging where the calibration ended, until that is as long as the time constant; from then on it
     follows with the time constant. A heading at rest for 8 minutes, bias constant, strayed by 0.17 degrees at the most
@@ -180,7 +180,7 @@ class GyroBias:
 
     def _not_stationary(self, why: str) -> str:
         self._samples = None
-        kept = "the bias found before is kept" if self.calibrated else "rates are not corrected"
+        kept = "the bias found before is kept" if self.calibrated else "the bias stays zero until tracking moves it"
         return f"{NOT_STATIONARY} ({why}): {kept}; next: leave it standing, restart the service"
 
     def _track(self, rate_radps: Vector, t_ns: int, gap_ns: int) -> None:

@@ -109,7 +109,7 @@ def test_a_page_from_a_result(tmp_path: Path) -> None:
         (("--markdown", "--from", "/nowhere"), 1, "/nowhere is no result of a campaign"),
         (("--device", "/dev/ttyACM0"), 2, "say --on-the-stand --wheels-are-free"),
         (("--device", "/dev/ttyACM0", "--on-the-stand"), 2, "say --wheels-are-free"),
-        (("--device", "/dev/ttyACM0", "--on-the-stand", "--wheels-are-free"), 2, "needs a tap"),
+        (("--device", "/dev/ttyNONE", "--on-the-stand", "--wheels-are-free"), 1, "no device /dev/ttyNONE"),
     ],
 )
 def test_what_is_refused(words: tuple[str, ...], code: int, told: str) -> None:

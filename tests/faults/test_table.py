@@ -37,6 +37,7 @@ DESIGN = {
     "the sensor and the interlocks": ("scan-silent", "interlock-lost"),
     "the service is stopped": ("service-stopped",),
     "no processor time": ("no-processor",),
+    "names of shared memory taken away": ("names-removed",),
 }
 """What the design says must be noticed, and the rows for it."""
 

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import json
 import os
+import random
 import signal
 import statistics
 import subprocess
@@ -17,12 +18,12 @@ from typing import Any
 import pytest
 
 from failstop.board.sim.client import SimBoard
-from failstop.commands.prove import _check_free
 from failstop.doctor import port_facts
 from failstop.doctor.system import System
 from failstop.errors import Refused
 from failstop.prove import run
 from failstop.prove.run import Result, Run
+from failstop.prove.session import check_free
 from failstop.prove.stand import Stand
 from failstop.prove.strike import strike
 from failstop.prove.table import BY_PATH, BY_VELOCITY
@@ -46,7 +47,7 @@ def on_stand(tmp_path: Path, **settings: object) -> Iterator[Stand]:
 
 
 def one(stand: Stand, path: str, velocity: str = "0.2") -> Result:
-    return Run(stand, SIMULATED, BY_PATH[path], BY_VELOCITY[velocity], None).take()
+    return Run(stand, SIMULATED, BY_PATH[path], BY_VELOCITY[velocity], None, random.Random()).take()
 
 
 @pytest.fixture
@@ -211,7 +212,7 @@ def test_a_service_on_another_board_does_not_hinder_a_simulated_one(
         real = dataclasses.replace(port_facts.node(board.link, System()), pseudo=False)  # type: ignore[type-var]
         monkeypatch.setattr(port_facts, "node", lambda *_: real)
         with pytest.raises(Refused, match=f"the service '{name}' runs"):
-            _check_free(name, board.link)
+            check_free(name, board.link)
 
 
 def test_words_that_are_in_no_table() -> None:

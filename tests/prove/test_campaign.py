@@ -1,0 +1,103 @@
+"""`failstop chaos --device`: random stop paths on a stand, judged by the board's answers and its IMU."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+from pathlib import Path
+
+import pytest
+
+from failstop.board.sim.client import SimBoard
+from failstop.faults.fault import CONTINUE, HANG, KILL
+from failstop.faults.steps import Steps
+from failstop.faults.table import BY_NAME
+from failstop.prove import campaign
+from failstop.prove.run import Result
+from failstop.prove.table import BY_PATH, BY_VELOCITY, of_fault
+from tests.commands import failstop
+
+CONSENT = ("--on-the-stand", "--wheels-are-free")
+PIDS = {"supervisor": 1, "port_owner": 2, "gate": 3, "telemetry": 4, "stopper": 5}
+
+
+def test_every_path_of_prove_but_the_person_s_and_every_row_that_the_service_survives() -> None:
+    found = campaign.paths()
+    assert set(BY_PATH) - set(found) == {"pad"}
+    rows = [BY_NAME[name] for name in found if name not in BY_PATH]
+    assert {"kill-gate+stopper", "kill-gate-hang-stopper", "hang-gate-continued", "kill-port_owner+gate+telemetry"} <= {
+        row.name for row in rows
+    }
+    for row in rows:
+        assert row.survives
+        assert row.steps
+        assert not row.stop_tool
+        assert found[row.name].reaction_ms == row.bar_ms
+        assert found[row.name].latched == row.latched
+
+
+def test_a_seed_says_every_draw_from_any_index_on() -> None:
+    chosen = list(campaign.paths().values())
+    drawn = [(p.name, v.name, c.random()) for p, v, c in campaign.draws(chosen, 7, lambda made: made >= 20)]
+    again = [(p.name, v.name, c.random()) for p, v, c in campaign.draws(chosen, 7, lambda made: made >= 5, 15)]
+    assert drawn[15:] == again
+    assert len({name for name, _, _ in drawn}) > 10
+    assert len({name for _, name, _ in drawn}) == len(BY_VELOCITY)
+
+
+@pytest.mark.parametrize("name", ["kill-gate-hang-stopper", "hang-gate-continued", "kill-port_owner+gate"])
+def test_steps_are_taken_as_the_row_says(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    row, taken, waited = BY_NAME[name], list[tuple[int, int]](), list[float]()
+    monkeypatch.setattr(os, "kill", lambda pid, number: taken.append((pid, int(number))))
+    Steps(row, random.Random(3)).take(PIDS, waited.append)
+    numbers = {KILL: 9, HANG: 19, CONTINUE: 18}
+    assert sorted(taken) == sorted((PIDS[process], numbers[action]) for action, process in row.steps)
+    if CONTINUE in {action for action, _ in row.steps}:
+        assert taken[-1][1] == 18
+        assert row.bar_ms
+        assert waited[0] > row.bar_ms / 1000, "the stop is due before it wakes up"
+
+
+def test_the_table_counts_and_spreads() -> None:
+    path, velocity = of_fault(BY_NAME["kill-gate+stopper"]), BY_VELOCITY["turn"]
+    results = [Result(path, velocity, False, acknowledged_ms=ms, rest_s=ms / 100) for ms in (10.0, 30.0, 20.0)]
+    results.append(Result(path, velocity, False, wrong=["NO STOP written"]))
+    (line,) = campaign.table_lines(results)[1:]
+    assert line.split() == ["kill-gate+stopper", "4", "1", "20", "/", "30", "0.20", "/", "0.30"]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_a_campaign_on_a_board_whose_frames_nobody_sees(tmp_path: Path) -> None:
+    only = ("--only", "kill-gate+stopper,kill-telemetry-hang-gate,stop-request", "--each", "1", "--seed", "4")
+    out = tmp_path / "stand.json"
+    with SimBoard(tmp_path / "board") as board:
+        done = failstop("chaos", "--device", board.link, *CONSENT, *only, "--json", str(out), timeout=100)
+        assert not any(board.wheels())
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "THIS TURNS THE WHEELS" in done.stderr
+    assert "3 passed, 0 failed" in done.stdout
+    result = json.loads(out.read_text())
+    assert (result["seed"], result["passed"], result["simulated"]) == (4, True, False)
+    assert {row["path"] for row in result["rows"]} == {"kill-gate+stopper", "kill-telemetry-hang-gate", "stop-request"}
+    assert all(row["acknowledged_ms"] and row["rest_s"] and not row["samples"] for row in result["rows"])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_a_board_that_does_not_stop_fails_and_ends_the_campaign(tmp_path: Path) -> None:
+    with SimBoard(tmp_path / "board") as board:
+        only = ("--only", "kill-gate+stopper", "--count", "9")
+        board.refuse_stop(True)
+        done = failstop("chaos", "--device", board.link, *CONSENT, *only, timeout=100)
+    assert done.returncode == 1
+    assert "POWER SWITCH" in done.stderr
+    assert "ENDED EARLY" in done.stdout
+
+
+def test_the_list_on_a_stand() -> None:
+    done = failstop("chaos", "--device", "/dev/any", "--list", "--only", "kill-gate*")
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[0].startswith("kill-gate ")
+    assert not any(line.startswith("client-") for line in done.stdout.splitlines())
