@@ -12,7 +12,7 @@ from failstop.client import attach, runtime_dir
 from failstop.errors import FailstopError
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
-from failstop.shm import heartbeat, layout, records
+from failstop.shm import blocks, heartbeat, layout, records
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +112,9 @@ class StateReader:
         self._table = views[layout.SUPERVISOR].latest_reader("processes")
         self._stop = views[layout.SUPERVISOR].latest_reader("stop")
         self._link = views[layout.SUPERVISOR].latest_reader("link")
+        self._cause = views[layout.SUPERVISOR].latest_reader("cause")
         self._gate = views[layout.GATE].latest_reader("state")
+        self._reset_epoch = views[layout.GATE].word("reset_epoch")
         self._port = views[layout.PORT_OWNER].latest_reader("port")
         self._imu = views[layout.TELEMETRY].latest_reader("imu")
         self._battery = views[layout.TELEMETRY].latest_reader("battery")
@@ -127,7 +129,7 @@ class StateReader:
             raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
         now_ns = time.monotonic_ns()
         battery = records.unpack_battery(found[2]) if (found := self._battery.read()) else None
-        decided: dict[str, Any] = msgpack.unpackb(gate[2])
+        decided = self._decided(gate[2])
         known: dict[str, Any] = msgpack.unpackb(table[2])
         return State(
             name=self.name,
@@ -152,6 +154,24 @@ class StateReader:
             plugged=records.PLUGGED[battery[1] if battery else 0],
             age_ms=max(0, now_ns - gate[1]) / 1e6,
         )
+
+    def _decided(self, payload: bytes) -> dict[str, Any]:
+        """What the gate has published. A stop that it has not followed yet, because it hangs or has just died, is in
+        force all the same: the port owner admits nothing of an older epoch, and the gate's successor starts latched."""
+        decided: dict[str, Any] = msgpack.unpackb(payload)
+        if self._epoch.get() > decided["epoch"]:
+            entry = self._cause.read()
+            reason = decided["estop"] or records.raised_for(entry[2] if entry else None, self._reset_epoch.get())
+            decided |= {
+                "enabled": False,
+                "estop": reason,
+                "blocked": f"{blocks.LATCHED}{reason}",
+                "body_vel": (0.0, 0.0, 0.0),
+                "wheels_rps": (0.0, 0.0, 0.0, 0.0),
+                "sources": [],
+                "clients": [{**client, "driving": False} for client in decided["clients"]],
+            }
+        return decided
 
     def _device(self) -> dict[str, Any]:
         entry, link = self._port.read(), self._link.read()

@@ -123,6 +123,18 @@ def unpack_cause(payload: bytes) -> tuple[int, int, str, str]:
     return epoch, cause_ns, texts[:length].decode("utf-8", "replace"), texts[length:].decode("utf-8", "replace")
 
 
+def raised_for(payload: bytes | None, reset_epoch: int) -> str:
+    """Why the supervisor raised the epoch, of its record: the first cause since the last reset, which was in
+    `reset_epoch`. It may have raised it before it saw that reset."""
+    if payload is None:
+        return "stopped by the supervisor"
+    try:
+        since, _, standing, newest = unpack_cause(payload)
+    except ValueError:
+        return "stopped by the supervisor (its reason is damaged)"
+    return standing if since > reset_epoch else newest
+
+
 def pack_port(generation: int, since_ns: int, state: int, path: str) -> bytes:
     """The port: how often it was opened, since when it is in this state, PORT_OPEN or another, its path."""
     return _PORT.pack(generation, since_ns, state) + cut(path, 300)

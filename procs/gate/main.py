@@ -27,7 +27,6 @@ PUBLISH_NS = 80_000_000
 comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
-NO_CAUSE = (0, 0, "", "stopped by the supervisor")
 LOOK_AT_ALL_EVERY = 10
 """Ticks between two looks at slots that nobody is known to hold."""
 
@@ -93,14 +92,8 @@ class Gate:
         self._stopped_ns = entry[1] if entry else monotonic_ns()
 
     def _why(self) -> str:
-        """What the supervisor raised the epoch for: the first cause since the last reset. The supervisor may have
-        raised it before it saw that reset."""
         entry = self._cause.read()
-        try:
-            since, _, standing, newest = records.unpack_cause(entry[2]) if entry else NO_CAUSE
-        except ValueError:
-            return "stopped by the supervisor (its reason is damaged)"
-        return standing if since > self._reset_word.get() else newest
+        return records.raised_for(entry[2] if entry else None, self._reset_word.get())
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""

@@ -1,0 +1,66 @@
+"""What people are told while the gate is dead or hangs: what it published last says that the robot drives."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.trial import Trial, wait_for
+from tests.commands import failstop
+
+
+@pytest.fixture
+def late(name: str, tmp_path: Path) -> Iterator[Trial]:
+    """A service that drives, and whose gate would be restarted after two seconds."""
+    config = tmp_path / "late.toml"
+    config.write_text("[restart]\nbackoff_s = 2\n")
+    with Trial(name, ("--config", str(config))) as trial:
+        pid = trial.service.pids()["gate"]
+        trial.kill("gate", 0.05)
+        trial.recover("gate", pid)  # the first is restarted at once
+        trial.enable()
+        trial.drive(0.2)
+        assert trial.moving()
+        assert trial.robot.state.body_vel[0] > 0
+        yield trial
+
+
+def test_a_dead_gate_drives_nothing(late: Trial) -> None:
+    os.kill(late.service.pids()["gate"], signal.SIGKILL)
+    wait_for("the stop to be told", lambda: late.robot.state.estop == "gate died")
+    state = late.robot.state
+    assert state.processes["gate"].state == "waiting"
+    assert (state.enabled, state.blocked) == (False, "estop: gate died")
+    assert not any((*state.body_vel, *state.wheels_rps))
+    assert state.sources == []
+    assert [client["driving"] for client in state.clients] == [False]
+    said = failstop("status", "--name", late.name).stdout
+    assert "STOPPED" in said
+    assert "DRIVING" not in said
+    assert "a stop is latched" in " ".join(failstop("why", "--name", late.name).stdout.split())
+    wait_for("its successor", lambda: late.robot.state.waiting_for is None)
+    assert late.robot.state.estop == "gate died", "its successor says the same"
+
+
+def test_a_gate_that_hangs_drives_nothing(late: Trial) -> None:
+    gate = late.service.pids()["gate"]
+    os.kill(gate, signal.SIGSTOP)
+    wait_for("the stop to be told", lambda: (late.robot.state.estop or "").startswith("gate hangs"))
+    state = late.robot.state
+    assert not state.enabled
+    assert not any(state.body_vel)
+    late.recover("gate", gate)
+    assert (late.robot.state.estop or "").startswith("gate hangs")
+
+
+def test_a_reset_ends_the_story_of_the_supervisor(late: Trial) -> None:
+    """The latch is not made up from a cause that was reset."""
+    late.robot.estop("once")
+    wait_for("the latch", lambda: late.robot.state.estop is not None)
+    late.robot.reset()
+    assert late.robot.state.estop is None
+    assert late.robot.state.blocked == "disabled"
