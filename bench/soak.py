@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import os
 import random
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -40,6 +41,7 @@ LEAST_S = 60.0
 RECOVER_S = 10.0
 LOOK_BACK_NS = 300_000_000
 """The cause of a stop lies at most this far back: the longest of the deadlines, and some."""
+SILENCE = "hangs|silent|held up"
 EXPLAINS_MS = 30.0
 """A stall of half the shortest deadline, beside a tick of a third of it and work that it held up, is a process that is
 silent for too long."""
@@ -253,12 +255,17 @@ def stop_row(soak: Soak, realtime: bool) -> stats.Row:
 
 
 def explained(soak: Soak, control: stalls.Control) -> list[float]:
-    """Of each stop that nobody asked for: the longest stall of the control in the time that its cause took, in ms."""
-    return [control.longest_ms(ns - LOOK_BACK_NS, ns) for ns in soak.caused_ns]
+    """Of each stop that nobody asked for: the longest stall of the control in the time that its cause took, in ms. It
+    explains nothing but silence."""
+    return [
+        control.longest_ms(ns - LOOK_BACK_NS, ns) if re.search(SILENCE, reason) else 0.0
+        for (_, reason), ns in zip(soak.stops, soak.caused_ns, strict=True)
+    ]
 
 
 def stall_rows(soak: Soak, control: stalls.Control) -> list[stats.Row]:
     """What the machine withheld from a bare loop above all of the service, and the stops that this does not explain."""
+    within_s = sum(one.ms / 1e3 + LOOK_BACK_NS / 1e9 for one in control.stalls if one.ms >= EXPLAINS_MS)
     by_core = []
     for core in sorted({one.core for one in control.stalls}):
         found = [one for one in control.stalls if one.core == core]
@@ -274,7 +281,7 @@ def stall_rows(soak: Soak, control: stalls.Control) -> list[stats.Row]:
         stats.Row(f"stalls over {stalls.LONG_NS / 1e6:g} ms of the control", result, "-", None, kept),
         stats.Row(
             f"stops that nobody asked for, and no stall over {EXPLAINS_MS:g} ms explains",
-            f"{len(alone)} of {len(beside)}",
+            f"{len(alone)} of {len(beside)}  (within reach of such a stall: {within_s / soak.seconds:.2%} of the time)",
             "0",
             not alone,
             numbers,

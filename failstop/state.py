@@ -96,6 +96,8 @@ class State:
 
 
 HANGING_MS = 500.0
+SILENT = "the supervisor is silent"
+"""Told as the latch's reason while nobody else can tell one: its lease has run out long since."""
 
 
 class StateReader:
@@ -124,12 +126,13 @@ class StateReader:
 
     def read(self) -> State:
         """A snapshot now. Raises FailstopError while the service has not published one yet."""
+        epoch = self._epoch.get()  # before the gate's record: a newer one is then no sign of a stop
         gate, table = self._gate.read(), self._table.read()
         if gate is None or table is None:
             raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
         now_ns = time.monotonic_ns()
         battery = records.unpack_battery(found[2]) if (found := self._battery.read()) else None
-        decided = self._decided(gate[2])
+        decided = self._decided(gate[2], epoch, now_ns)
         known: dict[str, Any] = msgpack.unpackb(table[2])
         return State(
             name=self.name,
@@ -138,7 +141,7 @@ class StateReader:
             blocked=decided["blocked"],
             body_vel=tuple(decided["body_vel"]),
             wheels_rps=tuple(decided["wheels_rps"]),
-            epoch=self._epoch.get(),
+            epoch=epoch,
             waiting_for=known["waiting_for"],
             device=self._device(),
             processes=self._processes(known["processes"], now_ns),
@@ -155,13 +158,18 @@ class StateReader:
             age_ms=max(0, now_ns - gate[1]) / 1e6,
         )
 
-    def _decided(self, payload: bytes) -> dict[str, Any]:
+    def _decided(self, payload: bytes, epoch: int, now_ns: int) -> dict[str, Any]:
         """What the gate has published. A stop that it has not followed yet, because it hangs or has just died, is in
-        force all the same: the port owner admits nothing of an older epoch, and the gate's successor starts latched."""
+        force all the same: the port owner admits nothing of an older epoch, and the gate's successor starts latched.
+        The same holds for a gate that says on what it said before the supervisor fell silent."""
         decided: dict[str, Any] = msgpack.unpackb(payload)
-        if self._epoch.get() > decided["epoch"]:
+        reason = decided["estop"]
+        if not reason and epoch > decided["epoch"]:
             entry = self._cause.read()
-            reason = decided["estop"] or records.raised_for(entry[2] if entry else None, self._reset_epoch.get())
+            reason = records.raised_for(entry[2] if entry else None, self._reset_epoch.get())
+        if not reason and decided["enabled"] and self._beats[layout.SUPERVISOR].age_ns(now_ns) > HANGING_MS * 1e6:
+            reason = SILENT
+        if reason and reason != decided["estop"]:
             decided |= {
                 "enabled": False,
                 "estop": reason,

@@ -39,6 +39,8 @@ class Resources:
         self._segments = [segment.create(name, spec.name, self.incarnation, gid) for spec in layout.SEGMENTS]
         self.readable = segment.open_all(name)
         """Of the processes' segments, for the black box: they can be copied whatever becomes of their names."""
+        if missing := [process for process in layout.PROCESSES if process not in self.readable]:
+            raise segment.AttachError("absent", f"shared memory {missing[0]} was there and can't be opened: try again")
         # For writing alone: whoever could read them could take away the requests of others.
         bell.make_pipe(instance.stop_path(runtime_dir), 0o622)
         bell.make_pipe(instance.bell_path(runtime_dir), 0o620, gid)

@@ -65,6 +65,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Run the campaign; exit code 1 when anything was not as the table says."""
+    _check(arguments)
     if arguments.device is not None:
         from failstop.commands import on_stand
 
@@ -94,6 +95,22 @@ def main(arguments: Namespace) -> int:
     if len(tally.stories) > STORIES:
         print(f"\nand {len(tally.stories) - STORIES} more; --json has them all", file=sys.stderr)
     return 130 if tally.interrupted else 1 if tally.stories else 0
+
+
+def _check(arguments: Namespace) -> None:
+    """Before anything moves. Raises FailstopError."""
+    for word in ("seconds", "count", "each"):
+        value = getattr(arguments, word)
+        if value is not None and value <= 0:
+            raise FailstopError(f"--{word} {value:g}: more than 0 is expected")
+    if arguments.each is not None and arguments.first:
+        raise FailstopError("--first goes with --count and --seconds: --each takes every row from its first on")
+    if arguments.json:
+        try:
+            with open(arguments.json, "a", encoding="utf-8"):
+                pass
+        except OSError as error:
+            raise FailstopError(f"--json {arguments.json}: {error.strerror}") from None
 
 
 def _rows(only: str | None) -> tuple[Fault, ...]:

@@ -11,6 +11,8 @@ import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 
+from failstop.doctor import leftovers
+from failstop.doctor.facts import User
 from failstop.doctor.gather import settings_of
 from failstop.doctor.system import System
 from failstop.errors import FailstopError, Refused
@@ -36,10 +38,12 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
     if not os.path.exists(device):
         raise FailstopError(f"no device {device}: plug the board in, or name another")
     path, _ = settings_of(DEFAULT_NAME, arguments.config, System())
-    check_free(DEFAULT_NAME, device)
+    _, living = leftovers.look(User("", os.geteuid(), frozenset()), System())
+    for name in dict.fromkeys((DEFAULT_NAME, *living)):
+        check_free(name, device)
     sys.stderr.write(WARNING.format(device=device))
     print(f"seed {seed}, {len(chosen)} stop paths", file=sys.stderr, flush=True)
-    with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-chaos-") as folder:
+    with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-chaos-", ignore_cleanup_errors=True) as folder:
         stand = Stand(device, config.read(path), folder)
         width = max(len(path.name) for path in chosen)
         draws = _draws(arguments, chosen, seed, default_s)
@@ -48,7 +52,7 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
     if arguments.json:
         with open(arguments.json, "w", encoding="utf-8") as file:
             json.dump({"seed": seed, **evidence.as_dict()}, file, indent=1)
-    print(f"the same again: --seed {seed}", file=sys.stderr)
+    print(f"the same again: the same options and --seed {seed}", file=sys.stderr)
     return 0 if evidence.passed else 130 if evidence.ended == report.INTERRUPTED else 1
 
 
@@ -86,7 +90,8 @@ def _draws(arguments: Namespace, chosen: list[Path], seed: int, default_s: float
         return ((path, *campaign.draw([path], index, seed)[1:]) for index, path in enumerate(plan))
     if arguments.count is not None:
         return campaign.draws(chosen, seed, lambda made: made >= arguments.count, arguments.first)
-    return campaign.draws(chosen, seed, _after(arguments.seconds or default_s), arguments.first)
+    seconds = default_s if arguments.seconds is None else arguments.seconds
+    return campaign.draws(chosen, seed, _after(seconds), arguments.first)
 
 
 def _after(seconds: float) -> Callable[[int], bool]:

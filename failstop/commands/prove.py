@@ -70,7 +70,7 @@ def main(arguments: Namespace) -> int:
         runs = ((path, velocity, random.Random()) for path, velocity in plan)
         return session(runs, velocities, stand, quick=arguments.quick, say=say, ask=ask)
 
-    with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-prove-") as folder:
+    with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-prove-", ignore_cleanup_errors=True) as folder:
         if arguments.sim:
             link = os.path.join(folder, "board")
             with SimBoard(link) as board:

@@ -36,7 +36,7 @@ def _open_beside(scene: Scene) -> int:
 def _passes_every_permission() -> bool:
     with tempfile.NamedTemporaryFile() as file:
         os.chmod(file.name, 0)
-        return os.access(file.name, os.R_OK, effective_ids=True)
+        return os.access(file.name, os.R_OK | os.W_OK, effective_ids=True)
 
 
 class UsbDrop(Injector):

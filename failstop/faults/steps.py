@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import random
 import signal
@@ -11,6 +12,7 @@ from collections.abc import Callable
 
 from failstop.faults import ptrace
 from failstop.faults.fault import CONTINUE, HANG, KILL, SPIN, Fault
+from failstop.faults.scene import is_ours
 
 SIGNALS = {KILL: signal.SIGKILL, HANG: signal.SIGSTOP}
 APART_S = 0.005
@@ -43,11 +45,13 @@ class Steps:
     def undo(self, pids: dict[str, int]) -> None:
         """Continue what is still stopped."""
         for process in self._fault.struck(HANG):
-            if process in pids:
+            if process in pids and is_ours(pids[process]):
                 _do(CONTINUE, pids[process])
 
 
 def _do(action: str, pid: int) -> None:
+    if pid <= 0:  # it has just died by itself; to a signal, 0 is everybody here
+        raise ProcessLookupError(errno.ESRCH, "the process is not running")
     if action == SPIN:
         ptrace.spin(pid)
     elif action == CONTINUE:

@@ -7,6 +7,7 @@ import os
 import random
 import re
 import signal
+import subprocess
 import time
 
 from failstop.errors import FailstopError
@@ -64,6 +65,8 @@ class Result:
     skipped: str = ""
     runaway: bool = False
     """The wheels did not come to rest."""
+    over: str = ""
+    """Why no other run can follow; empty: one can."""
     wrong: list[str] = dataclasses.field(default_factory=list)
     samples: list[Sample] = dataclasses.field(default_factory=list)
     """Around the cause; the times count from it, ns."""
@@ -121,7 +124,26 @@ class Run:
                 self._recover()
         except (TrialError, FailstopError, OSError) as error:
             result.wrong.append(f"{type(error).__name__}: {error}")
+            self._start_over()
         return result
+
+    def _start_over(self) -> None:
+        """After what says nothing of the wheels: stop them by every means, look, and only then begin anew."""
+        stand, result = self.stand, self.result
+        stand.driver.commands = False
+        if problem := stand.safe():
+            result.wrong.append(problem)
+        stand.watch.forget()
+        verdict = Verdict(self.character.limit_radps, time.monotonic_ns())
+        seen = stand.watch.take_port() and stand.run(MOST_S, lambda: verdict.still(stand.watch.samples))
+        if not seen:
+            result.wrong.append("the wheels were not seen at rest after that")
+            result.runaway = True
+            return
+        try:
+            stand.start()
+        except (TrialError, FailstopError, OSError) as error:
+            result.over = f"the service could not be started again: {error}"
 
     def _spin(self) -> None:
         stand = self.stand
@@ -272,7 +294,11 @@ class Run:
 
     def _check_end(self) -> None:
         if self.path.kind == table.END and self.stand.service.process:
-            code = self.stand.service.process.wait(WHOLE_S)
+            try:
+                code = self.stand.service.process.wait(WHOLE_S)
+            except subprocess.TimeoutExpired:
+                self.result.wrong.append(f"the service did not end within {WHOLE_S:g} s")
+                return
             if code:
                 self.result.wrong.append(f"the service ended with exit code {code}")
 

@@ -67,9 +67,12 @@ def session(
                     evidence.ended = RUNAWAY
                     _alarm(RUNAWAY)
                     break
+                if result.over:
+                    evidence.ended = result.over
+                    break
     except KeyboardInterrupt:
         evidence.ended = report.INTERRUPTED
-    except (TrialError, SimBoardError, FailstopError) as error:
+    except (TrialError, SimBoardError, FailstopError, OSError) as error:
         evidence.ended = str(error)
     if stand.unsafe and not stand.board:
         evidence.ended = f"{evidence.ended}; {stand.unsafe}: use the POWER SWITCH".lstrip("; ")

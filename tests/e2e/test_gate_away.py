@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.state import SILENT
 from failstop.trial import Trial, wait_for
 from tests.commands import failstop
 
@@ -51,6 +52,8 @@ def test_a_gate_that_hangs_drives_nothing(late: Trial) -> None:
     os.kill(gate, signal.SIGSTOP)
     wait_for("the stop to be told", lambda: (late.robot.state.estop or "").startswith("gate hangs"))
     state = late.robot.state
+    row = state.processes["gate"]
+    assert row.state != "running" or row.pid == gate, "nobody has taken over yet"
     assert not state.enabled
     assert not any(state.body_vel)
     late.recover("gate", gate)
@@ -64,3 +67,17 @@ def test_a_reset_ends_the_story_of_the_supervisor(late: Trial) -> None:
     late.robot.reset()
     assert late.robot.state.estop is None
     assert late.robot.state.blocked == "disabled"
+
+
+def test_a_service_without_its_supervisor_drives_nothing(trial: Trial) -> None:
+    """Nobody is left to tell why: the next run will."""
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.robot.state.enabled
+    pid = trial.service.pids()["supervisor"]
+    trial.kill("supervisor", 0.05)
+    wait_for("the end of motion to be told", lambda: not trial.robot.state.enabled)
+    state = trial.robot.state
+    assert (state.estop, state.blocked) == (SILENT, f"estop: {SILENT}")
+    assert not any((*state.body_vel, *state.wheels_rps))
+    trial.recover("supervisor", pid)

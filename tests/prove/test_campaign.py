@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import random
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -14,9 +16,11 @@ from failstop.faults.fault import CONTINUE, HANG, KILL
 from failstop.faults.steps import Steps
 from failstop.faults.table import BY_NAME
 from failstop.prove import campaign
-from failstop.prove.run import Result
+from failstop.prove.run import Result, Run
+from failstop.prove.stand import Stand
 from failstop.prove.table import BY_PATH, BY_VELOCITY, of_fault
-from tests.commands import failstop
+from tests.commands import FAILSTOP, failstop
+from tests.prove.noise import SIMULATED
 
 CONSENT = ("--on-the-stand", "--wheels-are-free")
 PIDS = {"supervisor": 1, "port_owner": 2, "gate": 3, "telemetry": 4, "stopper": 5}
@@ -87,17 +91,48 @@ def test_a_campaign_on_a_board_whose_frames_nobody_sees(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_a_board_that_does_not_stop_fails_and_ends_the_campaign(tmp_path: Path) -> None:
+    only = ("--only", "kill-gate+stopper", "--count", "9")
     with SimBoard(tmp_path / "board") as board:
-        only = ("--only", "kill-gate+stopper", "--count", "9")
-        board.refuse_stop(True)
-        done = failstop("chaos", "--device", board.link, *CONSENT, *only, timeout=100)
-    assert done.returncode == 1
-    assert "POWER SWITCH" in done.stderr
-    assert "ENDED EARLY" in done.stdout
+        command = [*FAILSTOP, "chaos", "--device", board.link, *CONSENT, *only]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            assert process.stdout
+            said = list(itertools.takewhile(lambda line: "PASS" not in line, process.stdout))
+            board.refuse_stop(True)
+            rest, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert not any("FAIL" in line for line in said), "the first run was good"
+    assert "POWER SWITCH" in errors
+    assert "THE WHEELS DID NOT COME TO REST" in rest
+    assert "ENDED EARLY" in rest
+    assert "1 failed" in rest, "no run after that one"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stops", [True, False])
+def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stops: bool
+) -> None:
+    """An error in the midst of it says nothing of the wheels."""
+
+    def fail(self: Steps, *_: object) -> int:
+        raise OSError("nobody is there")
+
+    monkeypatch.setattr(Steps, "take", fail)
+    path, velocity = of_fault(BY_NAME["kill-gate+stopper"]), BY_VELOCITY["0.2"]
+    with SimBoard(tmp_path / "board") as board, Stand(board.link, {}, str(tmp_path)) as stand:
+        board.refuse_stop(not stops)
+        result = Run(stand, SIMULATED, path, velocity, None, random.Random(1)).take()
+        assert "OSError: nobody is there" in result.wrong
+        assert result.runaway is not stops
+        assert any(board.wheels()) is not stops
+        if stops:
+            assert stand.whole(), "the next run finds a service"
+        board.refuse_stop(False)
 
 
 def test_the_list_on_a_stand() -> None:
-    done = failstop("chaos", "--device", "/dev/any", "--list", "--only", "kill-gate*")
+    done = failstop("chaos", "--device", "/dev/any", "--list")
     assert done.returncode == 0
-    assert done.stdout.splitlines()[0].startswith("kill-gate ")
-    assert not any(line.startswith("client-") for line in done.stdout.splitlines())
+    listed = [line.split()[0] for line in done.stdout.splitlines()]
+    assert listed == list(campaign.paths())
+    assert not any(name.startswith(("client-", "usb-")) for name in listed)
