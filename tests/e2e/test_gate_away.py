@@ -33,8 +33,8 @@ def late(name: str, tmp_path: Path) -> Iterator[Trial]:
 def test_a_dead_gate_drives_nothing(late: Trial) -> None:
     os.kill(late.service.pids()["gate"], signal.SIGKILL)
     wait_for("the stop to be told", lambda: late.robot.state.estop == "gate died")
+    wait_for("its burial", lambda: late.robot.state.processes["gate"].state == "waiting")
     state = late.robot.state
-    assert state.processes["gate"].state == "waiting"
     assert (state.enabled, state.blocked) == (False, "estop: gate died")
     assert not any((*state.body_vel, *state.wheels_rps))
     assert state.sources == []

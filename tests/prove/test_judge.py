@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from types import SimpleNamespace
 
 import pytest
@@ -32,7 +33,7 @@ def run(path: str = "stop-request", latch: str | None = "prove: stop request by 
         driver=SimpleNamespace(robot=SimpleNamespace(state=SimpleNamespace(estop=latch))),
         service=SimpleNamespace(process=SimpleNamespace(wait=lambda _: 3)),
     )
-    made = Run(stand, SIMULATED, BY_PATH[path], BY_VELOCITY["0.2"], None)  # type: ignore[arg-type]
+    made = Run(stand, SIMULATED, BY_PATH[path], BY_VELOCITY["0.2"], None, random.Random(1))  # type: ignore[arg-type]
     made._cause_ns = FAULT_NS
     return made
 
