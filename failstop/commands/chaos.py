@@ -3,7 +3,6 @@ stand, by the real board's answers and its IMU: on_stand.py)."""
 
 from __future__ import annotations
 
-import fnmatch
 import json
 import os
 import signal
@@ -13,11 +12,12 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 
 from failstop.board.sim.client import SimBoardError
+from failstop.commands import check_json, matching
 from failstop.errors import FailstopError
 from failstop.faults import campaign, report
 from failstop.faults.fault import Fault
 from failstop.faults.scene import Scene
-from failstop.faults.table import BY_NAME, TABLE
+from failstop.faults.table import BY_NAME
 from failstop.trial import TrialError
 
 EXAMPLES = """\
@@ -54,11 +54,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--json", metavar="FILE", help="write the result there")
     add("--markdown", action="store_true", help="print the result as docs/faults.md")
     add("--from", dest="source", metavar="FILE", help="with --markdown: of this result (--json), without a run")
-    add(
-        "--device",
-        metavar="PATH",
-        help="a real board on a stand, judged by its IMU; needs both consents",
-    )
+    add("--device", metavar="PATH", help="a real board on a stand, judged by its IMU; needs both consents")
     add("--on-the-stand", action="store_true", help="consent: the robot stands on a stand")
     add("--wheels-are-free", action="store_true", help="consent: nobody and nothing is near the wheels")
 
@@ -83,6 +79,7 @@ def main(arguments: Namespace) -> int:
             raise FailstopError("--from is for --markdown")
         print(report.markdown(_read(arguments.source)), end="")
         return 0
+    check_json(arguments.json)
     tally = _run(arguments, rows)
     result = tally.as_dict()
     if arguments.json:
@@ -105,24 +102,10 @@ def _check(arguments: Namespace) -> None:
             raise FailstopError(f"--{word} {value:g}: more than 0 is expected")
     if arguments.each is not None and arguments.first:
         raise FailstopError("--first goes with --count and --seconds: --each takes every row from its first on")
-    if arguments.json:
-        try:
-            with open(arguments.json, "a", encoding="utf-8"):
-                pass
-        except OSError as error:
-            raise FailstopError(f"--json {arguments.json}: {error.strerror}") from None
 
 
 def _rows(only: str | None) -> tuple[Fault, ...]:
-    if only is None:
-        return TABLE
-    found = []
-    for pattern in only.split(","):
-        names = fnmatch.filter(BY_NAME, pattern)
-        if not names:
-            raise FailstopError(f"no row {pattern!r} in the fault table; `failstop chaos --list` has them")
-        found += names
-    return tuple(fault for fault in TABLE if fault.name in found)
+    return tuple(matching(only, BY_NAME, "no row {} in the fault table; `failstop chaos --list` has them"))
 
 
 def _read(path: str) -> dict[str, object]:

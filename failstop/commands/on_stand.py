@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import json
 import os
 import sys
@@ -11,6 +10,7 @@ import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 
+from failstop.commands import check_json, matching
 from failstop.doctor import leftovers
 from failstop.doctor.facts import User
 from failstop.doctor.gather import settings_of
@@ -39,21 +39,21 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
         raise FailstopError(f"no device {device}: plug the board in, or name another")
     path, _ = settings_of(DEFAULT_NAME, arguments.config, System())
     _, living = leftovers.look(User("", os.geteuid(), frozenset()), System())
-    for name in dict.fromkeys((DEFAULT_NAME, *living)):
-        check_free(name, device)
+    check_free(device, DEFAULT_NAME, *living)
+    check_json(arguments.json)
     sys.stderr.write(WARNING.format(device=device))
     print(f"seed {seed}, {len(chosen)} stop paths", file=sys.stderr, flush=True)
     with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-chaos-", ignore_cleanup_errors=True) as folder:
         stand = Stand(device, config.read(path), folder)
         width = max(len(path.name) for path in chosen)
         draws = _draws(arguments, chosen, seed, default_s)
-        evidence = session(draws, VELOCITIES, stand, say=_say, tool="chaos", keep_all=False, width=width)
+        evidence = session(draws, VELOCITIES, stand, say=report.say, tool="chaos", keep_all=False, width=width)
     print("\n" + "\n".join([*campaign.table_lines(evidence.results), "", *report.last_lines(evidence)]), flush=True)
     if arguments.json:
         with open(arguments.json, "w", encoding="utf-8") as file:
             json.dump({"seed": seed, **evidence.as_dict()}, file, indent=1)
     print(f"the same again: the same options and --seed {seed}", file=sys.stderr)
-    return 0 if evidence.passed else 130 if evidence.ended == report.INTERRUPTED else 1
+    return evidence.exit_code
 
 
 def _check(arguments: Namespace, device: str) -> None:
@@ -66,16 +66,8 @@ def _check(arguments: Namespace, device: str) -> None:
 
 
 def _chosen(only: str | None) -> list[Path]:
-    known = campaign.paths()
-    if only is None:
-        return list(known.values())
-    found = []
-    for pattern in only.split(","):
-        names = fnmatch.filter(known, pattern)
-        if not names:
-            raise FailstopError(f"no stop path {pattern!r} on a stand; `failstop chaos --device PATH --list` has them")
-        found += names
-    return [path for name, path in known.items() if name in found]
+    missing = "no stop path {} on a stand; `failstop chaos --device PATH --list` has them"
+    return matching(only, campaign.paths(), missing)
 
 
 def list_paths(only: str | None) -> None:
@@ -104,7 +96,3 @@ def _after(seconds: float) -> Callable[[int], bool]:
         return made > 0 and time.monotonic() >= until_s
 
     return over
-
-
-def _say(text: str) -> None:
-    print(text, flush=True)

@@ -62,10 +62,10 @@ def main(arguments: Namespace) -> int:
     """Run the stand test; exit code 1 when anything failed or was left out, 2 without consent."""
     plan = _plan(arguments)
     velocities = list(dict.fromkeys(velocity for _, velocity in plan))
-    say = (lambda _: None) if arguments.json else _print
+    say = (lambda _: None) if arguments.json else report.say
 
     def taken(device: str, user: dict[str, object], board: SimBoard | None) -> Evidence:
-        ask = _print if arguments.pad else None
+        ask = report.say if arguments.pad else None
         stand = Stand(device, user, folder, board)
         runs = ((path, velocity, random.Random()) for path, velocity in plan)
         return session(runs, velocities, stand, quick=arguments.quick, say=say, ask=ask)
@@ -78,11 +78,11 @@ def main(arguments: Namespace) -> int:
         else:
             path, settings = settings_of(arguments.name, arguments.config, System())
             device = arguments.device or settings.text("device.path")
-            check_free(arguments.name, device)
+            check_free(device, arguments.name)
             _ask_consent(device, plan)
             evidence = taken(device, config.read(path), None)
     _show(arguments, evidence)
-    return 0 if evidence.passed else 130 if evidence.ended == report.INTERRUPTED else 1
+    return evidence.exit_code
 
 
 def _plan(arguments: Namespace) -> list[tuple[Path, Velocity]]:
@@ -107,10 +107,6 @@ def _ask_consent(device: str, plan: list[tuple[Path, Velocity]]) -> None:
     sys.stderr.flush()
     if sys.stdin.readline().strip() != WORD:
         raise Refused("no consent: nothing was moved")
-
-
-def _print(text: str) -> None:
-    print(text, flush=True)
 
 
 def _show(arguments: Namespace, evidence: Evidence) -> None:

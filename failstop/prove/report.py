@@ -32,13 +32,18 @@ class Evidence:
     device: str
     simulated: bool
     realtime: bool
-    tool: str = "prove"
-    """The command."""
     character: Character | None = None
     results: list[Result] = dataclasses.field(default_factory=list)
     ended: str = ""
     """Why it ended before its end; empty: it did not."""
     begun_unix_s: float = dataclasses.field(default_factory=time.time)
+    tool: str = "prove"
+    """The command."""
+
+    @property
+    def exit_code(self) -> int:
+        """Of the command."""
+        return 0 if self.passed else 130 if self.ended == INTERRUPTED else 1
 
     @property
     def passed(self) -> bool:
@@ -68,6 +73,11 @@ class Evidence:
             "character": dataclasses.asdict(self.character) if self.character else None,
             "rows": [_record(result) for result in self.results],
         }
+
+
+def say(text: str) -> None:
+    """As it comes, into a pipe too."""
+    print(text, flush=True)
 
 
 def _plain(text: str, _role: str) -> str:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import random
 import re
-import signal
 import subprocess
 import time
 
 from failstop.errors import FailstopError
-from failstop.faults.scene import is_ours
 from failstop.faults.steps import Steps
 from failstop.prove import shake, table
 from failstop.prove.shake import Noise, Sample, Verdict
@@ -89,7 +86,7 @@ class Run:
         ask: Ask | None,
         chance: random.Random,
     ) -> None:
-        """`chance`: for what is left to it in a path of kind FAULT."""
+        """`chance`: for what is left to it in a row of the fault table."""
         self.stand = stand
         self.character = character
         self.path = path
@@ -111,7 +108,7 @@ class Run:
         try:
             self._spin()
             try:
-                self._cause_ns = strike(self.path, self.stand, self._pids, self.ask, self._steps)
+                self._cause_ns = self._strike()
                 self._verdict = Verdict(self.character.limit_radps, self._cause_ns)
                 self.stand.run(MOST_S, self._settled)
                 self._judge()
@@ -126,6 +123,11 @@ class Run:
             result.wrong.append(f"{type(error).__name__}: {error}")
             self._start_over()
         return result
+
+    def _strike(self) -> int:
+        if self._steps:
+            return self._steps.take(self._pids, self.stand.run)
+        return strike(self.path, self.stand, self.ask)
 
     def _start_over(self) -> None:
         """After what says nothing of the wheels: stop them by every means, look, and only then begin anew."""
@@ -287,8 +289,6 @@ class Run:
             return
         if self._steps:
             self._steps.undo(self._pids)
-        if path.kind == table.HANG and is_ours(self._pids[path.process]):
-            os.kill(self._pids[path.process], signal.SIGCONT)
         stand.driver.until("the service to be whole again", stand.whole, WHOLE_S)
         stand.driver.robot.disable()
 

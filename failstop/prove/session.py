@@ -49,7 +49,7 @@ def session(
     """Characterize the robot at `velocities` and make the runs, saying rows as they come. Ends at the first wheel that
     turns on. `stand` is entered here; `tool`: which command this is; `keep_all`: the IMU's samples of the
     runs that passed, too; `width`: of the paths' names."""
-    evidence = Evidence(stand.device, stand.board is not None, False, tool)
+    evidence = Evidence(stand.device, stand.board is not None, False, tool=tool)
     try:
         with stand:
             with Robot(stand.name) as robot:
@@ -87,15 +87,17 @@ def _characterize(stand: Stand, velocities: Sequence[Velocity], *, quick: bool) 
         raise
 
 
-def check_free(name: str, device: str) -> None:
-    """Nobody else drives this board. Raises Refused with the command that ends whoever does."""
+def check_free(device: str, *names: str) -> None:
+    """Nobody else drives this board, a service of one of these names least of all. Raises Refused with the command that
+    ends whoever does."""
     node = port_facts.node(device, System())
-    with contextlib.suppress(NoService):
-        served = Robot(name).state.device["path"]
-        # A simulated board is nobody else's. On a robot the service may be between two openings of this very port.
-        if not (node and node.pseudo and served and os.path.realpath(served) != node.resolved):
-            end = f"sudo systemctl stop {unit_of(name)}"
-            raise Refused(f"the service {name!r} runs, and this test kills what it runs: {end}")
+    for name in names:
+        with contextlib.suppress(NoService):
+            served = Robot(name).state.device["path"]
+            # A simulated board is nobody else's. On a robot the service may be between two openings of this very port.
+            if not (node and node.pseudo and served and os.path.realpath(served) != node.resolved):
+                end = f"sudo systemctl stop {unit_of(name)}"
+                raise Refused(f"the service {name!r} runs, and this test kills what it runs: {end}")
     if node is None:
         return  # the run says it, with the devices that are there
     holders, _ = port_facts.holders(node.resolved, set(), System())

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import time
 from collections.abc import Callable
 
 from failstop.client import send_stop
-from failstop.faults.steps import Steps
 from failstop.prove import table
 from failstop.prove.stand import Stand
 from failstop.prove.table import Path
@@ -25,12 +22,10 @@ class Skipped(Exception):
     """The path can't be taken here; says why."""
 
 
-def strike(path: Path, stand: Stand, pids: dict[str, int], ask: Ask | None, steps: Steps | None = None) -> int:
-    """Bring it about while the wheels turn. `ask`: None when there is nobody to do anything; `steps`: those of a path
-    of kind FAULT. Raises Skipped."""
+def strike(path: Path, stand: Stand, ask: Ask | None) -> int:
+    """Bring about what is not done to processes, while the wheels turn. `ask`: None when there is nobody to do
+    anything. Raises Skipped."""
     driver = stand.driver
-    if steps:
-        return steps.take(pids, stand.run)
     if path.kind == table.DEADMAN:
         driver.commands = False
         return driver.commanded_ns
@@ -39,11 +34,6 @@ def strike(path: Path, stand: Stand, pids: dict[str, int], ask: Ask | None, step
         return driver.sensed_ns
     if path.kind == table.PAD:
         return _press(stand, ask)
-    if path.kind in (table.KILL, table.HANG):
-        number = signal.SIGKILL if path.kind == table.KILL else signal.SIGSTOP
-        now_ns = time.monotonic_ns()
-        os.kill(pids[path.process], number)
-        return now_ns
     now_ns = time.monotonic_ns()
     if path.kind == table.REQUEST:
         send_stop(stand.name, "prove: stop request")

@@ -41,7 +41,7 @@ KILL = "kill"
 HANG = "hang"
 END = "end"
 FAULT = "fault"
-"""A row of the fault table, step by step."""
+"""Any other row of the fault table about processes."""
 DISABLE_MS = 5.0
 
 KILLED_S = (0.55, 0.55, 0.55)
@@ -82,7 +82,7 @@ class Path:
     ends: bool = False
     """No service is left."""
     fault: Fault | None = None
-    """The row, of a path of kind FAULT."""
+    """The row whose steps bring it about; None: it is not done to processes."""
 
     def reaction_bar_ms(self, *, simulated: bool) -> float:
         """The written stop may take this long."""
@@ -112,7 +112,7 @@ def _struck(kind: str, process: str) -> Path:
     words = f"{process} killed (SIGKILL)" if kind == KILL else f"{process} hangs (SIGSTOP)"
     ends = kind == KILL and process == SUPERVISOR
     latched = row.latched if row.survives else ""
-    return Path(row.name, kind, words, _bar(row.name), process, latched, ends=ends)
+    return Path(row.name, kind, words, _bar(row.name), process, latched, ends=ends, fault=row)
 
 
 PATHS = (

@@ -13,16 +13,13 @@ from failstop.state import SILENT
 from failstop.trial import Trial, wait_for
 from tests.commands import failstop
 
+from .returns import restarted_late
+
 
 @pytest.fixture
 def late(name: str, tmp_path: Path) -> Iterator[Trial]:
     """A service that drives, and whose gate would be restarted after two seconds."""
-    config = tmp_path / "late.toml"
-    config.write_text("[restart]\nbackoff_s = 2\n")
-    with Trial(name, ("--config", str(config))) as trial:
-        pid = trial.service.pids()["gate"]
-        trial.kill("gate", 0.05)
-        trial.recover("gate", pid)  # the first is restarted at once
+    with restarted_late(name, tmp_path, "gate") as trial:
         trial.enable()
         trial.drive(0.2)
         assert trial.moving()

@@ -14,19 +14,14 @@ import pytest
 from failstop.shm import layout
 from failstop.trial import Trial, wait_for
 
-from .returns import drives_only_when_enabled, lose_while_driving, stop_at_return
+from .returns import drives_only_when_enabled, lose_while_driving, restarted_late, stop_at_return
 
 LATEST_S = 0.9
 """Generous; what is tested for took 2 s and more."""
 
 
 def test_while_the_port_owner_waits_for_its_restart(name: str, tmp_path: Path) -> None:
-    config = tmp_path / "late.toml"
-    config.write_text("[restart]\nbackoff_s = 2\n")
-    with Trial(name, ("--config", str(config))) as trial:
-        pid = trial.service.pids()["port_owner"]
-        trial.kill("port_owner", 0.05)
-        trial.recover("port_owner", pid)  # the first is restarted at once
+    with restarted_late(name, tmp_path, "port_owner") as trial:
         lose_while_driving(trial)
         os.kill(trial.service.pids()["port_owner"], signal.SIGKILL)
         wait_for("its death", lambda: trial.robot.state.processes["port_owner"].state == "waiting")

@@ -212,7 +212,7 @@ def test_a_service_on_another_board_does_not_hinder_a_simulated_one(
         real = dataclasses.replace(port_facts.node(board.link, System()), pseudo=False)  # type: ignore[type-var]
         monkeypatch.setattr(port_facts, "node", lambda *_: real)
         with pytest.raises(Refused, match=f"the service '{name}' runs"):
-            check_free(name, board.link)
+            check_free(board.link, name)
 
 
 def test_words_that_are_in_no_table() -> None:

@@ -70,14 +70,14 @@ def test_rows_say_what_was_measured_and_what_is_wrong() -> None:
 def test_all_of_it_passes_only_if_nothing_failed_and_something_was_tried(
     results: list[Result], ended: str, passed: bool
 ) -> None:
-    evidence = Evidence("/dev/board", False, True, "prove", SIMULATED, results, ended)
+    evidence = Evidence("/dev/board", False, True, SIMULATED, results, ended)
     assert evidence.passed is passed
     assert evidence.as_dict()["passed"] is passed
     assert f"\n{'PASS' if passed else 'FAIL'}\n" in report.text(evidence)
 
 
 def test_evidence_is_kept_in_a_dated_folder(tmp_path: object) -> None:
-    evidence = Evidence("/dev/board", False, True, "prove", SIMULATED, [result(samples=gyro((1.0, 0.002)))])
+    evidence = Evidence("/dev/board", False, True, SIMULATED, [result(samples=gyro((1.0, 0.002)))])
     evidence.begun_unix_s = 0.0
     paths = report.save(evidence, str(tmp_path))
     assert [path.removeprefix(f"{tmp_path}/") for path in paths][:2] == [
