@@ -73,6 +73,6 @@ class OwnPort:
     def replace(self, fd: int) -> None:
         """Let the old descriptor go and keep another; -1 for none."""
         if self.fd >= 0:
-            os.close(self.fd)
+            port.close_port(self.fd)
         self.fd = fd
         self.since_ns = time.monotonic_ns()

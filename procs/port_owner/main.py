@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 TICK_NS = 20_000_000
 RECEIVED_CHUNK = 512
 OTHER_BACKLOG = 128
-"""Unsent bytes behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
+"""Bytes under way behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
 PING_BACKLOG = 2 * len(BOARD.burst)
-"""Unsent bytes behind which a ping may queue: it follows a stop at once, to be handled right after it."""
+"""Bytes under way behind which a ping may queue: it follows a stop at once, to be handled right after it."""
 MOTION_BACKLOG = max((len(ping) for ping in BOARD.pings), default=0)
 """A ping (70 us of wire) is no backlog that motion has to stay behind."""
 PIPE_REST_NS = 20_000_000
