@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import time
 
 from failstop.board import port
@@ -14,6 +15,8 @@ REOPEN_NS = 10_000_000
 """How often a lost port is looked for: half of the time within which a board that is back is stopped."""
 BUSY_S = 1.0
 """How long a port that a dead run's processes are just letting go of is waited for."""
+UDEV_S = 2.0
+"""How long udev may take, at boot, to give a device that is there to its users."""
 
 TRIES = 3
 """A non-blocking write is refused not only for want of room but also while another process is in its own write, as the
@@ -34,12 +37,14 @@ class OwnPort:
     @classmethod
     def open_and_stop(cls, path: str) -> OwnPort:
         """Open the port and write the burst: the first bytes of a run. Raises port.PortError."""
-        until_s = time.monotonic() + BUSY_S
+        start_s = time.monotonic()
         while True:
+            # Looked at before it is opened: its rights may come between a refusal and a look.
+            patience_s = {"busy": BUSY_S, "permission": UDEV_S if _is_new(path) else 0.0}
             try:
                 own = cls(port.open_port(path, exclusive=True))
             except port.PortError as error:
-                if error.kind != "busy" or time.monotonic() > until_s:
+                if time.monotonic() - start_s > patience_s.get(error.kind, 0.0):
                     raise
                 time.sleep(0.005)
             else:
@@ -76,3 +81,12 @@ class OwnPort:
             port.close_port(self.fd)
         self.fd = fd
         self.since_ns = time.monotonic_ns()
+
+
+def _is_new(path: str) -> bool:
+    """True while a device is as the kernel has made it: udev is still to give it to its users."""
+    try:
+        node = os.stat(path)
+    except OSError:
+        return False
+    return (node.st_uid, node.st_gid, stat.S_IMODE(node.st_mode)) == (0, 0, 0o600)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
-import grp
 import os
-import pwd
 import re
 import select
 import signal
@@ -19,7 +17,7 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,12 +26,9 @@ from serial.tools import list_ports
 
 from failstop.board import discovery, port
 from failstop.board.port import PortError, open_port
+from tests.unprivileged import unprivileged
 
-NOBODY = 65534
 TIOCGEXCL = 0x80045440
-
-# Children without privileges may not be able to read the interpreter's files: what the message needs is loaded here.
-LOADED = (grp, pwd)
 
 
 @pytest.fixture
@@ -51,27 +46,6 @@ def read_exactly(descriptor: int, size: int) -> bytes:
         assert select.select([descriptor], [], [], 10.0)[0], f"{len(data)} of {size} bytes within 10 s"
         data += os.read(descriptor, size - len(data))
     return data
-
-
-def unprivileged(work: Callable[[], str]) -> str:
-    """What `work` returns in a child process without privileges."""
-    reader, writer = os.pipe()
-    child = os.fork()
-    if child == 0:
-        try:
-            os.close(reader)
-            if os.geteuid() == 0:
-                os.setgroups([])
-                os.setresgid(NOBODY, NOBODY, NOBODY)
-                os.setresuid(NOBODY, NOBODY, NOBODY)
-            os.write(writer, work().encode())
-        finally:
-            os._exit(0)
-    os.close(writer)
-    with os.fdopen(reader) as pipe:
-        said = pipe.read()
-    os.waitpid(child, 0)
-    return said
 
 
 def refusal(path: str) -> str:
