@@ -18,6 +18,10 @@ BUSY_S = 1.0
 UDEV_S = 2.0
 """How long udev may take, at boot, to give a device that is there to its users."""
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.finder import Finder
+
 TRIES = 3
 """A non-blocking write is refused not only for want of room but also while another process is in its own write, as the
 stopper may be at the very same moment."""
@@ -64,12 +68,12 @@ class OwnPort:
                 return False
         return False
 
-    def reopen(self, path: str, now_ns: int) -> bool:
+    def reopen(self, finder: Finder, now_ns: int) -> bool:
         """Open a port that was lost, tried every REOPEN_NS; False when it is there already or not yet."""
         if self.fd >= 0 or now_ns < self._next_ns:
             return False
         self._next_ns = now_ns + REOPEN_NS
-        fd = port.open_if_there(path)
+        fd = finder.open(now_ns)
         if fd < 0:
             return False
         self.replace(fd)
