@@ -33,15 +33,16 @@ def attach(name: str, which: str) -> segment.Segment:
         raise kind(str(error)) from None
 
 
-def send_stop(name: str, reason: str) -> None:
-    """Ask for a latched stop: every local user may. Raises NoService, FailstopError."""
+def send_stop(name: str, reason: str, who: str = "") -> None:
+    """Ask for a latched stop: every local user may. The service tells of it as `stop request: REASON (WHO, pid N)`, a
+    reason of more than records.ASKED_BYTES cut. Never blocks. Raises NoService, FailstopError."""
     path = instance.stop_path(runtime_dir(name))
     try:
         fd = bell.open_pipe_to_write(path)
     except OSError as error:
         raise NoService(f"the stop pipe {path} can't be opened ({error.strerror}): use `failstop stop`") from None
     try:
-        bell.send(fd, reason.encode("utf-8", "replace")[:400] + b"\n")
+        bell.send(fd, records.asking(reason, who, os.getpid()))
     except OSError as error:
         raise NoService(f"the stop pipe {path} can't be written ({error.strerror}): use `failstop stop`") from None
     finally:

@@ -93,8 +93,10 @@ class Robot:
 
     def estop(self, reason: str = "") -> None:
         """Latched protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
-        Motion stays off until reset() and enable(). Anyone may; raises NoService when nothing is there to stop."""
-        send_stop(self.name, f"{reason or 'stop request'} ({self.client_name}, pid {os.getpid()})")
+        Motion stays off until reset() and enable(). Anyone may; raises NoService when nothing is there to stop. The
+        latch's reason is `stop request: REASON (CLIENT, pid N)`; of a reason of more than 180 bytes the rest is left
+        out."""
+        send_stop(self.name, reason, self.client_name)
 
     @property
     def state(self) -> State:

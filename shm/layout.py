@@ -185,6 +185,7 @@ SEGMENTS = (
             _latest("odometry", 64, "its successor, clients"),  # records
             _latest("pad", 32, "clients"),  # records: the last frame, the mode
             _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
+            _ring("trips", 64, 8, "port_owner"),  # the reason of each button and key that stops, in order (UTF-8)
             _ring("wishes", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _ring("events", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)

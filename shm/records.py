@@ -14,6 +14,12 @@ STOP = 2
 """Frame kind: write the stop burst now (latched or not); the text is the reason."""
 OTHER = 3
 """Frame kind: a frame that is not motion (buzzer, servos, LEDs), in order."""
+REQUESTED = "stop request"
+"""The reason of every stop that was asked for through the stop pipe begins with it, and no other: whatever is typed
+into the pipe can't pose as a cause that the service has noticed itself."""
+ASKED_BYTES = 180
+"""Of the words in which a client asks for a stop, in UTF-8: with who asks they fit a record."""
+WHO_BYTES = 64
 
 _FRAME = struct.Struct("<QB")
 _STOP = struct.Struct("<QQQB")
@@ -69,6 +75,21 @@ def unpack_pong(word: int) -> tuple[int, int]:
 def printable(text: str) -> str:
     """A text of somebody else's, safe to show: what cannot be printed becomes a question mark."""
     return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def requested(text: str) -> str:
+    """The reason of a stop that was asked for with this text in the stop pipe: why, or ` (WHO, pid N)` alone, or
+    nothing."""
+    return f"{REQUESTED}{': ' if text and not text.startswith(' ') else ''}{printable(text)}"
+
+
+def asking(words: str, who: str = "", pid: int = 0) -> bytes:
+    """The line for the stop pipe: why, in words that are cut to ASKED_BYTES, and who asks."""
+    text = " ".join(words.split())
+    kept = cut(text, ASKED_BYTES)
+    if len(kept) < len(text.encode("utf-8", "replace")):
+        kept = cut(text, ASKED_BYTES - 4) + b" ..."
+    return kept + (b" (%s, pid %d)" % (cut(who, WHO_BYTES), pid) if who else b"") + b"\n"
 
 
 def cut(text: str, room: int) -> bytes:

@@ -65,7 +65,7 @@ PROCESSES = (
         priority=20,
         deadline_ns=500 * MS,
         outlives_supervisor=False,
-        descriptors=("stop", "bell", "gate_bell", "supervisor_bell"),
+        descriptors=("bell", "port_owner_bell", "gate_bell", "supervisor_bell"),
     ),
 )
 

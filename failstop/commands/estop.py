@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from argparse import ArgumentParser, Namespace
 
@@ -10,6 +11,7 @@ from failstop.errors import NoAnswer
 from failstop.fold import fitted
 from failstop.robot import Robot
 from failstop.screen.verdict import next_step
+from failstop.shm.records import ASKED_BYTES
 
 EXAMPLES = """\
 failstop estop
@@ -28,6 +30,8 @@ def main(arguments: Namespace) -> int:
     with Robot(arguments.name, client="failstop estop") as robot:
         epoch = robot.state.epoch
         robot.estop(" ".join(arguments.reason))
+        if len(" ".join(arguments.reason).encode("utf-8", "replace")) > ASKED_BYTES:
+            sys.stderr.write(f"failstop: the reason is cut to {ASKED_BYTES} bytes\n")
         until_s = time.monotonic() + 1.0
         while time.monotonic() < until_s:
             state = robot.state

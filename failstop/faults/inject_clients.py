@@ -162,12 +162,14 @@ class ClientNan(SecondClient):
 class StopRequest(Injector):
     """From a process without rights."""
 
+    words = "nobody says so"
+
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault)
         self._nobody: Nobody | None = None
 
     def prepare(self, scene: Scene) -> None:
-        self._nobody = Nobody(scene.name, "nobody says so")
+        self._nobody = Nobody(scene.name, self.words)
 
     def strike(self, scene: Scene) -> int:
         assert self._nobody
@@ -176,6 +178,12 @@ class StopRequest(Injector):
     def heal(self, scene: Scene) -> None:
         if self._nobody:
             self._nobody.end()
+
+
+class StopRequestPosing(StopRequest):
+    """In the words that the service has for a cause of its own."""
+
+    words = "gate died"
 
 
 class StopPipe(Injector):
@@ -321,6 +329,7 @@ INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "pad-silent": PadSilent,
     "service-stopped": ServiceStopped,
     "stop-request": StopRequest,
+    "stop-request-posing": StopRequestPosing,
     "stop-pipe-garbage": StopPipeGarbage,
     "stop-pipe-flood": StopPipeFlood,
     "pad-button": PadButton,

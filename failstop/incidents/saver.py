@@ -173,9 +173,9 @@ def _outcome(copies: Copies, segments: dict[str, Any], cause: tuple[int, int, st
 def slug(reason: str) -> str:
     """A reason in a few whole words, as part of a file name: without who asked for it (`(..., pid 7)`), and what the
     service itself says without the details after a colon."""
-    text, asked, _ = outcome.asked(reason)
+    text, _, _ = outcome.asked(reason)
     what = text.split(": ")[0]
-    if not asked and " " in what:
+    if not text.startswith(records.REQUESTED) and " " in what:
         text = what
     plain = normalize("NFKD", text.lower()).replace("'", "")
     words = "".join(c if c in SLUG_CHARACTERS else " " for c in plain if ord(c) < 0x300 or ord(c) > 0x36F).split()

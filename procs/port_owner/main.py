@@ -43,6 +43,7 @@ class PortOwner:
         own = context.own
         supervisor = context.segment("supervisor")
         gate = context.segment("gate")
+        telemetry = context.segment("telemetry")
         self.heartbeat = context.heartbeat
         self.loop = Loop()
         self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
@@ -55,6 +56,7 @@ class PortOwner:
         self._supervisor_beat = supervisor.word("beat_ns")
         self._gate_heart = HeartbeatReader(gate)
         self._frames = gate.ring_reader("frames")
+        self._trips = telemetry.ring_reader("trips")
         self._stopped_word = own.word("stopped_epoch")
         self._written_word = own.word("written_ns")
         self._ping_words = [own.word(f"ping_{index}") for index in range(layout.PINGS)]
@@ -98,6 +100,8 @@ class PortOwner:
             self._stop_request(now_ns)
         elif now_ns >= self._pipe_rests_until_ns:
             self._wake_pipe()
+        while trip := self._trips.next():
+            self.stop(trip[1], trip[2].decode("utf-8", "replace"))
         if self._gate_life and self._gate_life.down(ready):
             self._gate_died(now_ns)
         if not self._leave_ns and self._supervisor_life.down(ready):
@@ -156,7 +160,7 @@ class PortOwner:
         self.wire.burst()
         written_ns = monotonic_ns()
         text = bell.take(self._stop_pipe).split(b"\n", 1)[0].decode("utf-8", "replace")
-        self._own_stop(now_ns, written_ns, records.printable(text) or "stop request")
+        self._own_stop(now_ns, written_ns, records.requested(text))
         if not self._pipe_rests_until_ns:
             self.loop.forget(self._stop_pipe)
         self._pipe_rests_until_ns = now_ns + PIPE_REST_NS

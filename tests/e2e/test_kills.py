@@ -66,7 +66,7 @@ def test_first_cause_is_kept_over_a_gate_restart(trial: Trial) -> None:
     pid = trial.service.pids()["gate"]
     trial.kill("gate")
     trial.recover("gate", pid)
-    assert (trial.robot.state.estop or "").startswith("the first")
+    assert (trial.robot.state.estop or "").startswith("stop request: the first")
 
 
 def test_after_too_many_deaths_it_stays_down_and_stopped(trial: Trial) -> None:

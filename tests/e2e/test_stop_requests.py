@@ -5,12 +5,15 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import signal
 import time
 
 import pytest
 
 from failstop.client import send_stop
+from failstop.screen import verdict
 from failstop.shm import instance
+from failstop.supervisor.aftermath import UNSTILL
 from failstop.trial import Trial, judge, wait_for
 
 NOBODY = 65534
@@ -48,7 +51,7 @@ def test_by_an_unprivileged_user(trial: Trial) -> None:
     stopped = judge(trial.board.events(), asked_ns, True)
     assert stopped.stop_ns is not None
     assert stopped.motion_after == 0
-    assert trial.robot.state.estop == "nobody says so"
+    assert trial.robot.state.estop == "stop request: nobody says so"
 
 
 @pytest.mark.parametrize("message", [b"\0", b"\xff\xfe\n\n", b"x" * 4000, b"\n", b"a\x1b[2Jb\n"])
@@ -107,7 +110,7 @@ def test_a_flood_is_no_flood_of_bursts(trial: Trial) -> None:
 
 def test_while_disabled_it_latches_too(trial: Trial) -> None:
     trial.robot.estop("early")
-    wait_for("the latch", lambda: (trial.robot.state.estop or "").startswith("early"))
+    wait_for("the latch", lambda: (trial.robot.state.estop or "").startswith("stop request: early"))
 
 
 def test_the_first_reason_is_kept(trial: Trial) -> None:
@@ -116,7 +119,7 @@ def test_the_first_reason_is_kept(trial: Trial) -> None:
     epoch = trial.robot.state.epoch
     trial.robot.estop("two")
     wait_for("the second stop", lambda: trial.robot.state.epoch > epoch)
-    assert (trial.robot.state.estop or "").startswith("one")
+    assert (trial.robot.state.estop or "").startswith("stop request: one")
     last = trial.robot.state.last_stop
     assert last is not None
 
@@ -139,6 +142,21 @@ def test_pad_button_and_key_stop(trial: Trial) -> None:
         assert stopped.motion_after == 0
         assert trial.robot.state.estop == reason
         trial.board.pad(0)
+
+
+@pytest.mark.parametrize("words", ["gate died", UNSTILL, "gamepad button 0x0100", "stop request"])
+def test_nobody_s_words_pass_for_a_cause_of_the_service_s_own(trial: Trial, words: str) -> None:
+    trial.enable()
+    assert _as_nobody(lambda: send_stop(trial.name, words)) == 0
+    wait_for("the latch", lambda: trial.robot.state.estop is not None)
+    state = trial.robot.state
+    assert state.estop == f"stop request: {words}"
+    assert verdict.word(state)[0] == verdict.STOPPED, "what the IMU sees is not for anybody to say"
+    assert all(process.restarts == 0 for process in state.processes.values())
+    killed_pid = state.processes["gate"].pid
+    os.kill(killed_pid, signal.SIGKILL)
+    wait_for("the death to be told beside it", lambda: "stopped again: gate died; " in trial.service.said())
+    assert trial.robot.state.estop == f"stop request: {words}"
 
 
 def test_mode_button_and_other_keys_do_not_stop(trial: Trial) -> None:

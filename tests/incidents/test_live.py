@@ -90,7 +90,7 @@ def test_a_stop_request_and_then_a_killed_gate(scene: Scene) -> None:
     assert pending.wait(trial.name, scene.environ, 0.0) is not None
     assert pending.wait(trial.name, scene.environ, SAVED_S) is None, "whoever asks for the last means this one"
     first = scene.saved()
-    assert first.reason.startswith("the test says so")
+    assert first.reason.startswith("stop request: the test says so")
     check_driven(first)
     assert first.head["stop"]["acknowledged_us"] > 0
     assert next(event.kind for event in first.events if event.ns > first.cause_ns) == "stop"
@@ -195,7 +195,7 @@ def test_a_supervisor_that_dies_while_a_stop_is_being_saved(scene: Scene) -> Non
     scene.saver()
     trial.leave()
     trial.service.kill()
-    assert scene.saved().reason.startswith("and then it got worse")
+    assert scene.saved().reason.startswith("stop request: and then it got worse")
     trial.service.start()
     wait_for("the second", lambda: len(scene.heads()) == 2, SAVED_S)
     assert {str(head["kind"]) for head in scene.heads()} == {"stop", "left"}
@@ -225,7 +225,7 @@ def test_a_stop_just_before_the_end_of_the_service_is_saved(scene: Scene) -> Non
     trial.leave()
     assert trial.service.end() == 0
     incident = scene.saved()
-    assert incident.reason.startswith("the last word")
+    assert incident.reason.startswith("stop request: the last word")
     trial.service.start()
     assert len(scene.heads()) == 1, "an orderly end leaves nothing to save"
 
@@ -253,7 +253,7 @@ def test_a_killed_saver_and_a_folder_that_is_none(scene: Scene) -> None:
     scene.folder().unlink()
     shutil.move(scene.folder().with_suffix(".away"), scene.folder())
     trial.robot.estop("third")
-    assert scene.saved().reason.startswith("third")
+    assert scene.saved().reason.startswith("stop request: third")
     assert not half.exists()
     assert trial.robot.state.estop is not None
 
@@ -273,7 +273,7 @@ def test_a_full_disk(scene: Scene) -> None:
         assert "No space left on device" in scene.told()[0]
         assert list(scene.folder().iterdir()) == [], "neither half a file nor a draft"
         state = trial.robot.state
-        assert (state.estop or "").startswith("into a full disk")
+        assert (state.estop or "").startswith("stop request: into a full disk")
         trial.enable()
         trial.drive(0.2)
         assert trial.moving()
@@ -288,7 +288,7 @@ def test_as_many_as_the_settings_allow_and_none_when_switched_off(tmp_path: Path
             scene.trial.robot.estop(f"number {number}")
             wait_for("a word on it", lambda number=number: len(scene.told()) == number + 1, SAVED_S)  # type: ignore[misc]
             scene.trial.robot.reset()
-        assert [str(head["reason"])[:8] for head in scene.heads()] == ["number 1"]
+        assert [str(head["reason"])[:22] for head in scene.heads()] == ["stop request: number 1"]
     with started(tmp_path, '[incidents]\nsave = "off"\n') as scene:
         scene.trial.robot.estop("nobody writes this down")
         wait_for("the outcome", lambda: outcome_told(scene.trial.name), SAVED_S)

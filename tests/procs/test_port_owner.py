@@ -13,7 +13,7 @@ from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
-from failstop.shm import records
+from failstop.shm import layout, records
 
 from .port_scene import MOTION, SLOWER, TICK, Scene
 from .stage import MS
@@ -172,7 +172,7 @@ def test_its_own_stop_refuses_motion_until_a_newer_epoch(scene: Scene) -> None:
     scene.ask_to_stop(b"red button\n")
     scene.put()
     assert scene.turn() == BURST
-    assert scene.causes() == [(1, scene.clock(), "red button")]
+    assert scene.causes() == [(1, scene.clock(), "stop request: red button")]
     scene.put()
     assert scene.turn() == b""
     scene.raise_epoch(2)
@@ -263,12 +263,14 @@ def test_held_up_between_waking_and_writing_it_writes_nothing_old(scene: Scene) 
 @pytest.mark.parametrize(
     ("message", "reason"),
     [
-        (b"obstacle\n", "obstacle"),
-        (b"first\nsecond\n", "first"),
+        (b"obstacle\n", "stop request: obstacle"),
+        (b"first\nsecond\n", "stop request: first"),
         (b"\n", "stop request"),
-        (b"\0", "?"),
-        (b"\xff\xfe\x1b[31m", "\ufffd\ufffd?[31m"),
-        (b"no end of line", "no end of line"),
+        (b" (nav, pid 3)\n", "stop request (nav, pid 3)"),
+        (b"gate died\n", "stop request: gate died"),
+        (b"\0", "stop request: ?"),
+        (b"\xff\xfe\x1b[31m", "stop request: \ufffd\ufffd?[31m"),
+        (b"no end of line", "stop request: no end of line"),
     ],
 )
 def test_any_bytes_are_a_stop(scene: Scene, message: bytes, reason: str) -> None:
@@ -298,7 +300,7 @@ def test_a_flood_of_requests_is_no_flood_of_bursts(scene: Scene) -> None:
         scene.ask_to_stop(b"again\n")
         bursts += scene.turn(MS).count(BURST)
     assert 5 <= bursts <= 12
-    assert set(scene.reasons()) == {"first", "again"}
+    assert set(scene.reasons()) == {"stop request: first", "stop request: again"}
     assert scene.owner.next_ns(scene.clock()) > scene.clock()
 
 
@@ -310,7 +312,7 @@ def test_a_request_within_a_flood_stops_before_any_motion(scene: Scene) -> None:
     scene.ask_to_stop(b"second\n")
     scene.put(epoch=2)
     assert scene.turn(MS) == BURST
-    assert scene.reasons() == ["first", "second"]
+    assert scene.reasons() == ["stop request: first", "stop request: second"]
 
 
 def test_a_request_soon_after_motion_began_anew_is_not_put_off(scene: Scene) -> None:
@@ -322,7 +324,28 @@ def test_a_request_soon_after_motion_began_anew_is_not_put_off(scene: Scene) -> 
     assert scene.turn(MS) == MOTION
     scene.ask_to_stop(b"second\n")
     assert scene.turn(MS) == BURST
-    assert scene.reasons() == ["first", "second"]
+    assert scene.reasons() == ["stop request: first", "stop request: second"]
+
+
+# Buttons and keys, which telemetry has seen.
+
+
+def test_what_telemetry_has_seen_stops_before_any_motion_under_its_own_name(scene: Scene) -> None:
+    scene.drive()
+    trips = scene.owned(layout.TELEMETRY).ring_writer("trips")
+    trips.put(b"gamepad button 0x0100")
+    scene.put()
+    assert scene.turn() == BURST
+    assert scene.reasons() == ["gamepad button 0x0100"]
+    scene.put()
+    assert scene.turn() == b"", "until the supervisor has raised the epoch"
+
+
+def test_nobody_else_can_press_a_button(scene: Scene) -> None:
+    scene.drive()
+    scene.ask_to_stop(b"gamepad button 0x0100\n")
+    assert scene.turn() == BURST
+    assert scene.reasons() == ["stop request: gamepad button 0x0100"]
 
 
 # While stopped.

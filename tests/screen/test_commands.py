@@ -39,7 +39,7 @@ def test_status_through_its_states(trial: Trial) -> None:
     assert "blocked: cmd timeout" in said(trial, "status")
     latch(trial)
     shown = said(trial, "status")
-    assert "blocked: estop: hand near (trial, pid" in shown
+    assert "blocked: estop: stop request: hand near (trial, pid" in shown
     named = f"--name {trial.name}`"
     assert f"`failstop reset {named}, then `failstop enable {named}" in " ".join(shown.split())
     assert "written after" in shown
@@ -114,7 +114,7 @@ def test_events_say_what_happened(trial: Trial) -> None:
     assert any(" enabled " in row for row in rows)
     found = [json.loads(row) for row in said(trial, "events", "--json", "--kind", "stop").splitlines()]
     assert {row["kind"] for row in found} == {"stop"}
-    assert found[-1]["fields"]["reason"].startswith("for the record")
+    assert found[-1]["fields"]["reason"].startswith("stop request: for the record")
     assert start_s - 1 < found[-1]["t"] < time.time() + 1
     assert set(found[-1]) == {"seq", "t", "ns", "kind", "level", "text", "fields"}
     assert said(trial, "events", "--since", "0s") == ""

@@ -24,7 +24,7 @@ def text(found: paragraph.Explanation) -> str:
 
 
 def test_a_latch() -> None:
-    found = paragraph.explain(latched("hand near (failstop estop, pid 4711)"), [], NOW_S)
+    found = paragraph.explain(latched("stop request: hand near (failstop estop, pid 4711)"), [], NOW_S)
     said = text(found)
     for part in (
         f"The wheels stand since {words.clock(NOW_S - 12, NOW_S)}, 12 s ago: a stop is latched",
@@ -35,7 +35,7 @@ def test_a_latch() -> None:
         "A reset clears the latch alone",
     ):
         assert part in said
-    assert (found.blocked, found.since) == ("estop: hand near (failstop estop, pid 4711)", NOW_S - 12)
+    assert (found.blocked, found.since) == ("estop: stop request: hand near (failstop estop, pid 4711)", NOW_S - 12)
     assert found.next == ["`failstop reset`", "`failstop enable`"]
 
 

@@ -37,7 +37,7 @@ def test_it_follows_what_happens(watch: Typist, trial: Trial) -> None:
     trial.drive(0.8, each=watch.peek)
     assert "█" in watch.screen()
     trial.robot.estop("hand near")
-    watch.wait("blocked: estop: hand near")
+    watch.wait("blocked: estop: stop request: hand near")
     watch.wait(f"`failstop reset --name {trial.name}`")
 
 
