@@ -20,6 +20,8 @@ into the pipe can't pose as a cause that the service has noticed itself."""
 ASKED_BYTES = 180
 """Of the words in which a client asks for a stop, in UTF-8: with who asks they fit a record."""
 WHO_BYTES = 64
+LEFT_OUT = b" ..."
+"""What such words end with where they were cut."""
 
 _FRAME = struct.Struct("<QB")
 _STOP = struct.Struct("<QQQB")
@@ -85,11 +87,11 @@ def requested(text: str) -> str:
 
 def asking(words: str, who: str = "", pid: int = 0) -> bytes:
     """The line for the stop pipe: why, in words that are cut to ASKED_BYTES, and who asks."""
-    text = " ".join(words.split())
+    text, name = (" ".join(given.split()) for given in (words, who))
     kept = cut(text, ASKED_BYTES)
     if len(kept) < len(text.encode("utf-8", "replace")):
-        kept = cut(text, ASKED_BYTES - 4) + b" ..."
-    return kept + (b" (%s, pid %d)" % (cut(who, WHO_BYTES), pid) if who else b"") + b"\n"
+        kept = cut(text, ASKED_BYTES - len(LEFT_OUT)) + LEFT_OUT
+    return kept + (b" (%s, pid %d)" % (cut(name, WHO_BYTES), pid) if name else b"") + b"\n"
 
 
 def cut(text: str, room: int) -> bytes:

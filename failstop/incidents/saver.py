@@ -48,8 +48,18 @@ def main(words: dict[str, str]) -> int:
         text, code = f"saved {identity}" if identity else NOTHING, 0
     except (OSError, segment.AttachError, file.IncidentError) as error:
         text, code = f"{error}", 1
-    os.write(int(words["result"]), text.encode("utf-8", "replace")[:2000])
+    _tell(int(words["result"]), text)
     return code
+
+
+def _tell(result: int, text: str) -> None:
+    """The supervisor; where it has died meanwhile, whoever reads its stderr."""
+    try:
+        os.write(result, text.encode("utf-8", "replace")[:2000])
+    except OSError:
+        from failstop.supervisor.events import say
+
+        say(f"the supervisor is gone; its saver says: {text}")
 
 
 def _save(words: dict[str, str]) -> str:

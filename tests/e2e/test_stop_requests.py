@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import signal
 import time
 
@@ -13,8 +14,10 @@ import pytest
 from failstop.client import send_stop
 from failstop.screen import verdict
 from failstop.shm import instance
+from failstop.shm.records import ASKED_BYTES
 from failstop.supervisor.aftermath import UNSTILL
 from failstop.trial import Trial, judge, wait_for
+from tests.commands import failstop
 
 NOBODY = 65534
 
@@ -155,8 +158,24 @@ def test_nobody_s_words_pass_for_a_cause_of_the_service_s_own(trial: Trial, word
     assert all(process.restarts == 0 for process in state.processes.values())
     killed_pid = state.processes["gate"].pid
     os.kill(killed_pid, signal.SIGKILL)
-    wait_for("the death to be told beside it", lambda: "stopped again: gate died; " in trial.service.said())
+    beside = re.compile("^failstop: (stopped again|also): gate died\\b", re.M)
+    wait_for("the death to be told beside it", lambda: beside.search(trial.service.said()) is not None)
     assert trial.robot.state.estop == f"stop request: {words}"
+
+
+@pytest.mark.parametrize("letter", ["x", "\u20ac"])
+def test_a_reason_of_5000_characters_is_cut_and_said_to_be(trial: Trial, letter: str) -> None:
+    result = failstop("estop", "--name", trial.name, 5000 * letter)
+    assert (result.returncode, result.stdout.count("\n")) == (0, 1)
+    assert result.stderr == f"failstop: the reason is cut to {ASKED_BYTES} bytes\n"
+    latch = trial.robot.state.estop or ""
+    assert re.fullmatch(rf"stop request: {letter}+ \.\.\. \(failstop estop, pid \d+\)", latch)
+    assert latch in result.stdout
+    trial.robot.reset()
+    trial.robot.estop(5000 * letter)
+    wait_for("the latch", lambda: trial.robot.state.estop is not None)
+    assert re.fullmatch(rf"stop request: {letter}+ \.\.\. \(trial, pid \d+\)", trial.robot.state.estop or "")
+    assert all(len(line) < 1000 for line in trial.service.said().splitlines())
 
 
 def test_mode_button_and_other_keys_do_not_stop(trial: Trial) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import select
 import struct
 from collections.abc import Callable
 from typing import Any
@@ -243,6 +244,30 @@ def test_any_bytes_are_unpacked_or_a_value_error(kind: str, payload: bytes) -> N
             unpack(payload)
     else:
         unpack(payload)
+
+
+@given(words=st.text(max_size=400), who=st.text(max_size=100), pid=st.integers(1, 2**22))
+def test_a_request_is_one_line_that_a_pipe_takes_whole_and_a_record_holds(words: str, who: str, pid: int) -> None:
+    line = records.asking(words, who, pid)
+    assert line.endswith(b"\n")
+    assert line.count(b"\n") == 1
+    assert len(line) < select.PIPE_BUF
+    told = records.requested(line[:-1].decode())
+    assert records.unpack_stop(records.pack_stop(1, 2, 3, True, told))[4] == told, "nothing is cut any more"
+    assert told.startswith(records.REQUESTED)
+    assert told.endswith(f", pid {pid})") == bool(who.split())
+
+
+@pytest.mark.parametrize("letter", ["x", "\u00e9", "\u20ac", "\U0001f916"])
+@pytest.mark.parametrize("shift", range(4))
+def test_of_a_reason_that_is_too_long_whole_characters_are_left_and_that_is_seen(letter: str, shift: int) -> None:
+    words = "y" * shift + 5000 * letter
+    text = records.asking(words, "nav", 7).decode()
+    kept, left_out, who = text.partition(" ...")
+    assert (left_out, who) == (" ...", " (nav, pid 7)\n")
+    assert words.startswith(kept)
+    assert records.ASKED_BYTES - 8 < len((kept + left_out).encode()) <= records.ASKED_BYTES
+    assert records.asking(kept).decode() == f"{kept}\n", "what fits is left as it is"
 
 
 def test_payloads_are_little_endian_without_padding() -> None:
