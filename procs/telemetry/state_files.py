@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 SYSTEM_BASE = "/var/lib/failstop"
 STACK_BYTES = 256 * 1024
 """The thread's: all memory is locked as it is touched, and counts against the limit even before."""
+MOST_READ = 4096
+"""Bytes of a file that is read: each holds a line."""
 MOST_WAITING = 100
 """Jobs that a disk may leave waiting; at a line every 10 s that is a quarter of an hour."""
 
@@ -42,7 +44,7 @@ def state_directory(instance: str, environ: Mapping[str, str], configured: str =
 def append_line(path: str, header: str, line: str) -> None:
     """Append a whole line; a new file starts with the header. Raises OSError, and then the file is as it was."""
     os.makedirs(os.path.dirname(path), exist_ok=True)
-    fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    fd = durable.open_own(path, os.O_RDWR | os.O_APPEND | os.O_CREAT)
     try:
         size = os.fstat(fd).st_size
         # What a power cut has left of a line gets its end, so that it spoils no other.
@@ -81,8 +83,11 @@ class StateFiles:
     def read(self, what: str, name: str) -> str:
         """A file's text; empty when there is none. At the start only: it does not go through the thread."""
         try:
-            with open(os.path.join(self.folder, name), encoding="utf-8", errors="replace") as file:
-                return file.read(4096)
+            fd = durable.open_own(os.path.join(self.folder, name))
+            try:
+                return os.read(fd, MOST_READ).decode("utf-8", "replace")
+            finally:
+                os.close(fd)
         except FileNotFoundError:
             return ""
         except OSError as error:
