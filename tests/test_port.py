@@ -116,6 +116,20 @@ def test_hupcl_is_cleared_when_it_was_set(pty: tuple[int, str]) -> None:
     os.close(slave)
 
 
+def test_output_that_somebody_has_stopped_goes_on(pty: tuple[int, str]) -> None:
+    master, path = pty
+    stop = "import sys, termios; termios.tcflow(sys.stdin.fileno(), termios.TCOOFF)"
+    with open(path, "rb", buffering=0) as held:
+        subprocess.run([sys.executable, "-c", stop], stdin=held, timeout=20, check=True)
+        with pytest.raises(BlockingIOError):
+            os.write(other := os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK), b"kept back")
+        os.close(other)
+    descriptor = open_port(path, exclusive=True)
+    os.write(descriptor, b"stop")
+    assert read_exactly(master, 4) == b"stop"
+    os.close(descriptor)
+
+
 def test_descriptor_flags(pty: tuple[int, str]) -> None:
     descriptor = open_port(pty[1], exclusive=False)
     assert fcntl.fcntl(descriptor, fcntl.F_GETFD) & fcntl.FD_CLOEXEC

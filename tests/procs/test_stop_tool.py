@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import termios
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -73,6 +74,14 @@ def test_writes_the_burst_and_says_how_long_it_took(pty: Pty, clock: Clock, said
 
 def test_the_burst_stops_a_board_in_the_middle_of_a_frame(pty: Pty, clock: Clock, said: list[str]) -> None:
     os.write(pty.slave, MOTION + MOTION[:15])
+    tool.stop(pty.link, 0.0, said.append)
+    board = Board()
+    board.feed(pty.read())
+    assert board.motors.stopped
+
+
+def test_a_port_that_somebody_has_stopped_is_started_again(pty: Pty, clock: Clock, said: list[str]) -> None:
+    termios.tcflow(pty.slave, termios.TCOOFF)
     tool.stop(pty.link, 0.0, said.append)
     board = Board()
     board.feed(pty.read())
