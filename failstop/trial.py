@@ -46,11 +46,11 @@ MOST_SAID = 2000
 
 
 class Service:
-    """A `failstop run` of its own; stderr is kept in a file."""
+    """A `failstop run` of its own; stderr is kept in a file, what it keeps itself (incidents, logs) in `state`."""
 
-    def __init__(self, name: str, device: str, state_home: str, options: tuple[str, ...] = ()) -> None:
+    def __init__(self, name: str, device: str, state: str, options: tuple[str, ...] = ()) -> None:
         self.name = name
-        self._environment = {**os.environ, "XDG_STATE_HOME": state_home}
+        self._environment = {**os.environ, "STATE_DIRECTORY": state}
         self._log = tempfile.NamedTemporaryFile("w+", prefix=f"{name}-", suffix=".log")  # noqa: SIM115
         self._command = [sys.executable, "-m", "failstop", "run", "--name", name, "--device", device, *options]
         self.started_ns = 0
@@ -168,8 +168,10 @@ class Trial:
         self.name = name or f"trial-{os.getpid()}"
         self._directory = tempfile.TemporaryDirectory(prefix="failstop-", ignore_cleanup_errors=True)
         self.link = os.path.join(self._directory.name, "board")
+        self.state = os.path.join(self._directory.name, "state")
+        """The state directory of the service: nothing of a trial goes to the machine's own."""
         self.board = SimBoard(self.link, imu_hz=imu_hz)
-        self.service = Service(self.name, self.link, self._directory.name, options)
+        self.service = Service(self.name, self.link, self.state, options)
         self._robot: Robot | None = None
         self.fault_s = 0.0
         self._running_again_s: float | None = None

@@ -7,7 +7,7 @@ import os
 import stat
 import time
 
-from failstop.shm import claim
+from failstop.shm import claim, root
 
 DEFAULT_NAME = "failstop"
 _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
@@ -38,7 +38,7 @@ def option(name: str) -> str:
 
 
 def _candidates() -> list[str]:
-    places = ["/run/failstop"]
+    places = [root.at("/run/failstop")]
     if session := os.environ.get("XDG_RUNTIME_DIR"):
         places.append(os.path.join(session, "failstop"))
     places.append(f"/tmp/failstop-{os.getuid()}")

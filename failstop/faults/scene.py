@@ -16,7 +16,6 @@ from failstop.board.sim.client import SimBoard
 from failstop.client import send_stop
 from failstop.errors import FailstopError
 from failstop.faults.driving import INTERLOCK, Driver
-from failstop.procs.telemetry.state_files import state_directory
 from failstop.shm.layout import SUPERVISOR
 from failstop.supervisor.config import read
 from failstop.trial import Trial, TrialError
@@ -108,8 +107,7 @@ class Scene:
 
     def battery_logs(self) -> list[str]:
         """The file that the battery's voltage goes to, today's and tomorrow's."""
-        environment = {**os.environ, "XDG_STATE_HOME": os.path.dirname(self.trial.link)}
-        folder = state_directory(self.name, environment)
+        folder = self.trial.state
         os.makedirs(folder, exist_ok=True)
         days = (time.strftime("%Y-%m-%d", time.gmtime(time.time() + after_s)) for after_s in (0, DAY_S))
         return [os.path.join(folder, f"battery-{day}.csv") for day in days]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from failstop.manual.grammar import Argument, Command
+from failstop.shm import root
 from failstop.version import VERSION
 
 DESCRIPTION = (
@@ -38,6 +39,7 @@ FILES = (
 ENVIRONMENT = (
     ("NO_COLOR", "Set: no colours on a terminal."),
     ("XDG_RUNTIME_DIR", "The runtime directory is below it where /run/failstop can't be used, else below /tmp."),
+    (root.VARIABLE, "The root of /run/failstop, /var/lib/failstop and /etc/failstop, for a run apart from these."),
     ("STATE_DIRECTORY", "The state directory, as systemd sets it for a service."),
     (
         "XDG_STATE_HOME",

@@ -45,11 +45,7 @@ the scan gate is one of the stop paths."""
 
 
 class StandService(Service):
-    """Its files, incidents among them, go to the stand's folder; when the stand test is killed, it ends in order."""
-
-    def __init__(self, name: str, device: str, folder: str, options: tuple[str, ...]) -> None:
-        super().__init__(name, device, folder, options)
-        self._environment["STATE_DIRECTORY"] = folder
+    """When the stand test is killed, it ends in order."""
 
     def exec(self) -> None:
         """As Service.exec, bound to this process."""

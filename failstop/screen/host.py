@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from failstop.screen import words
-from failstop.shm import instance
+from failstop.shm import instance, root
 from failstop.supervisor.settings import BY_KEY
 
 BOOTED = "/run/systemd/system"
@@ -19,7 +19,8 @@ def unit(name: str) -> str:
     """The systemd unit of a service of this name; empty where systemd does not run, or does not have it."""
     found = words.unit(name)
     file = f"{found.partition('@')[0]}{'@' * ('@' in found)}.service"
-    there = os.path.isdir(BOOTED) and any(os.path.exists(os.path.join(folder, file)) for folder in FOLDERS)
+    folders = [root.at(folder) for folder in FOLDERS]
+    there = os.path.isdir(root.at(BOOTED)) and any(os.path.exists(os.path.join(folder, file)) for folder in folders)
     return found if there else ""
 
 

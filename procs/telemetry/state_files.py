@@ -11,6 +11,7 @@ from _queue import SimpleQueue
 from errno import ENOSPC
 
 from failstop.procs import durable
+from failstop.shm import root
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -34,8 +35,9 @@ def state_directory(instance: str, environ: Mapping[str, str], configured: str =
         return configured
     if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:
         return given
-    system = os.path.join(SYSTEM_BASE, instance)
-    if os.access(system if os.path.exists(system) else SYSTEM_BASE, os.W_OK | os.X_OK):
+    base = root.at(SYSTEM_BASE)
+    system = os.path.join(base, instance)
+    if os.access(system if os.path.exists(system) else base, os.W_OK | os.X_OK):
         return system
     home = environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
     return os.path.join(home, "failstop", instance)

@@ -29,9 +29,9 @@ SAVED_S = 20.0
 class Scene:
     """A trial, its incidents, and what the service tells of them."""
 
-    def __init__(self, trial: Trial, home: Path) -> None:
+    def __init__(self, trial: Trial) -> None:
         self.trial = trial
-        self.environ = {"XDG_STATE_HOME": str(home)}
+        self.environ = {"STATE_DIRECTORY": trial.state}
 
     def heads(self) -> list[dict[str, object]]:
         found, problems = store.heads(self.trial.name, self.environ)
@@ -48,7 +48,7 @@ class Scene:
         return [event.text for event in EventLog(self.trial.name).read() if event.kind == "incident"]
 
     def folder(self) -> Path:
-        return Path(self.environ["XDG_STATE_HOME"]) / "failstop" / self.trial.name / "incidents"
+        return Path(self.trial.state) / "incidents"
 
     def saver(self) -> psutil.Process:
         """The saver, as soon as it runs."""
@@ -66,9 +66,7 @@ class Scene:
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    """The state directory is the test's own, whatever this machine has in /var/lib."""
-    monkeypatch.setenv("STATE_DIRECTORY", "")
+def scene(tmp_path: Path) -> Iterator[Scene]:
     with started(tmp_path) as made:
         yield made
 
@@ -78,7 +76,7 @@ def started(tmp_path: Path, settings: str = "") -> Iterator[Scene]:
     config = tmp_path / "robot.toml"
     config.write_text(settings)
     with Trial(f"box-{os.getpid()}-{next(_numbers)}", ("--config", str(config))) as trial:
-        yield Scene(trial, Path(trial.service._environment["XDG_STATE_HOME"]))
+        yield Scene(trial)
 
 
 def test_a_stop_request_and_then_a_killed_gate(scene: Scene) -> None:

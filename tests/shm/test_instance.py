@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.shm import bell, instance
+from failstop.shm import bell, instance, root
 from failstop.shm.instance import InstanceError, NoService
 
 from .children import NOBODY, Child, call, needs_root, umask
@@ -80,6 +80,9 @@ def test_a_good_name_is_one_plain_path_component(name: str) -> None:
 
 def test_the_order_of_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     private = f"/tmp/failstop-{os.getuid()}"
+    monkeypatch.setenv(root.VARIABLE, "/srv/apart")
+    assert instance._candidates() == ["/srv/apart/run/failstop", private]
+    monkeypatch.delenv(root.VARIABLE)
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/77")
     assert instance._candidates() == ["/run/failstop", "/run/user/77/failstop", private]
     monkeypatch.setenv("XDG_RUNTIME_DIR", "")

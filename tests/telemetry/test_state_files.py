@@ -11,6 +11,7 @@ import pytest
 
 from failstop.procs.telemetry import state_files
 from failstop.procs.telemetry.state_files import StateFiles, append_line, state_directory, write_whole
+from failstop.shm import root
 from tests.waiting import until
 
 HEADER = "a,b\n"
@@ -28,8 +29,9 @@ def files(tmp_path: Path) -> Iterator[StateFiles]:
 @pytest.fixture
 def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """In place of /var/lib/failstop."""
-    monkeypatch.setattr(state_files, "SYSTEM_BASE", str(tmp_path / "var"))
-    return tmp_path / "var"
+    monkeypatch.setenv(root.VARIABLE, str(tmp_path))
+    (tmp_path / "var" / "lib").mkdir(parents=True)
+    return tmp_path / "var" / "lib" / "failstop"
 
 
 def test_what_is_configured_comes_first(base: Path) -> None:

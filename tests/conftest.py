@@ -1,0 +1,32 @@
+"""What is every test's own, whatever is installed or runs on the machine; nothing of it is read, nothing left there."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.shm import root
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_places() -> Iterator[None]:
+    """The directories of state, runtime and settings, for this process and for all that it starts; gone afterwards.
+
+    Below /var/tmp, because every user must be able to reach a stop pipe, and what lies below /tmp is private.
+    """
+    base = Path(tempfile.mkdtemp(prefix=f"failstop-tests-{os.getpid()}-", dir="/var/tmp"))
+    for place in (base, base / "run"):
+        place.mkdir(exist_ok=True)
+        place.chmod(0o755)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(root.VARIABLE, str(base))
+        patch.setenv("XDG_STATE_HOME", str(base / "home"))
+        for variable in ("STATE_DIRECTORY", "XDG_RUNTIME_DIR"):
+            patch.delenv(variable, raising=False)
+        yield
+    shutil.rmtree(base, ignore_errors=True)
