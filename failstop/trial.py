@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
 import os
 import shutil
 import signal
@@ -14,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import TracebackType
 
 from failstop.board.sim.client import Event, SimBoard
@@ -39,6 +40,15 @@ def wait_for(what: str, check: Callable[[], bool], timeout_s: float = READY_S) -
         if time.monotonic() > until_s:
             raise TrialError(f"waited {timeout_s:g} s for {what}")
         time.sleep(0.002)
+
+
+def write_settings(path: str, values: Mapping[str, object]) -> None:
+    """A settings file of these values by whole key. Raises OSError."""
+    with open(path, "w", encoding="utf-8") as file:
+        for key, value in values.items():
+            # A table that a file left empty can't be given twice: what is set in it makes it. JSON's values are TOML's.
+            if value != {} or not any(other.startswith(f"{key}.") for other in values):
+                file.write(f"{key} = {json.dumps(value)}\n")
 
 
 MOST_SAID = 2000

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import random
 import signal
@@ -18,7 +17,7 @@ from failstop.errors import FailstopError
 from failstop.faults.driving import INTERLOCK, Driver
 from failstop.shm.layout import SUPERVISOR
 from failstop.supervisor.config import read
-from failstop.trial import Trial, TrialError
+from failstop.trial import Trial, TrialError, write_settings
 
 SETTINGS: dict[str, object] = {
     "restart.deaths": 100_000,
@@ -44,9 +43,7 @@ class Scene:
         """The board's word just before the fault."""
         self._folder = tempfile.TemporaryDirectory(prefix="failstop-chaos-")
         self._config = os.path.join(self._folder.name, "chaos.toml")
-        with open(self._config, "w", encoding="utf-8") as file:
-            # JSON's numbers and strings are TOML's too.
-            file.writelines(f"{key} = {json.dumps(value)}\n" for key, value in {**read(config), **SETTINGS}.items())
+        write_settings(self._config, {**read(config), **SETTINGS})
         self.trial = self._new_trial()
         self.driver = Driver(name)
         self._pids: dict[str, int] = {}
