@@ -145,6 +145,11 @@ def _run(name: str, words: list[str]) -> int:
     except BrokenPipeError:
         return 1
     except Exception as error:
+        from failstop.procs.limits import lack
+
+        if lacking := lack(error):
+            _say(lacking)
+            return 1
         if not _expected(error):
             raise
         _say(str(error))
@@ -159,5 +164,6 @@ def _expected(error: Exception) -> bool:
     from failstop.shm.instance import InstanceError
     from failstop.shm.segment import AttachError
     from failstop.supervisor.settings import SettingError
+    from failstop.trial import TrialError
 
-    return isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError))
+    return isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError, TrialError))

@@ -72,7 +72,9 @@ class Service:
         try:
             wait_for(f"service {self.name} to be ready", self.ready)
         except TrialError as error:
-            raise TrialError(f"{error}; it said: {self.said()[-MOST_SAID:]}") from None
+            if self.process is None or self.process.poll() is not None:
+                raise
+            raise TrialError(f"{error}; it said: {self.said()[-MOST_SAID:].strip()}") from None
 
     def exec(self) -> None:
         """Exec the service; `started_ns` is just before."""
@@ -84,7 +86,7 @@ class Service:
     def ready(self) -> bool:
         """True when every process beats and the port is open. Raises TrialError when the service has ended."""
         if self.process is None or self.process.poll() is not None:
-            raise TrialError(f"the service ended: {self.said()[-MOST_SAID:]}")
+            raise TrialError(f"the service ended: {self.said()[-MOST_SAID:].strip()}")
         try:
             with Robot(self.name) as robot:
                 state = robot.state

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 
 
 class AttachError(Exception):
-    """A segment was refused; the message says why and what to do. `kind`: absent, permission, damaged or version."""
+    """A segment was refused; the message says why and what to do. `kind`: absent, permission, damaged, version, or
+    descriptors (this process has none left)."""
 
     def __init__(self, kind: str, message: str) -> None:
         super().__init__(message)
@@ -263,7 +264,8 @@ def _open(instance: str, name: str, write: bool) -> int:
         ) from None
     except OSError as error:
         raise AttachError(
-            "damaged", f"shared memory {name} of {instance!r} can't be opened ({error.strerror}): restart the service"
+            "descriptors" if error.errno == errno.EMFILE else "damaged",
+            f"shared memory {name} of {instance!r} can't be opened ({error.strerror}): restart the service",
         ) from None
 
 

@@ -7,7 +7,7 @@ import contextlib
 import os
 import signal
 
-from failstop.procs import rights
+from failstop.procs import limits, rights
 from failstop.procs.child import SETTINGS_VARIABLE
 from failstop.shm.segment import SUPERVISOR_COMM, AttachError
 from failstop.supervisor import main
@@ -28,6 +28,7 @@ def start(words: dict[str, str]) -> int:
     journal = Journal() if is_stderr(os.environ.pop("JOURNAL_STREAM", "")) else None
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
     try:
+        limits.take_descriptors()
         resources = Resources(words["name"], words["dir"])
     except (AttachError, OSError) as error:
         events = Events(words["name"], journal=journal)
