@@ -24,10 +24,36 @@ def runtime_dir(name: str) -> str:
         raise FailstopError(str(error)) from None
 
 
-def attach(name: str, which: str) -> segment.Segment:
-    """A service segment, for reading. Raises NoService, FailstopError."""
+def run(name: str) -> tuple[str, int]:
+    """What the segments of the running service are named after, and the uid they belong to. Raises NoService,
+    FailstopError."""
+    directory = runtime_dir(name)
     try:
-        return segment.attach(name, which)
+        incarnation, owner = instance.run(directory)
+    except instance.NoService as error:
+        raise NoService(str(error)) from None
+    except instance.InstanceError as error:
+        raise FailstopError(str(error)) from None
+    return segment.memory(name, incarnation), owner
+
+
+def last_run(name: str) -> tuple[str, int]:
+    """The same of a service that may have ended and left its segments, if it was this user's. Raises NoService,
+    FailstopError."""
+    try:
+        return run(name)
+    except NoService:
+        if dead := segment.dead_runs(name):
+            return dead[-1], os.geteuid()
+        raise
+
+
+def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segment.Segment:
+    """A service segment, for reading; of the run that was `found`, or else of the one that is there. Raises NoService,
+    FailstopError."""
+    memory, owner = found or run(name)
+    try:
+        return segment.attach(memory, which, owner=owner)
     except segment.AttachError as error:
         kind = NoService if error.kind == "absent" else FailstopError
         raise kind(str(error)) from None
@@ -59,7 +85,8 @@ class Client:
         self._session = int.from_bytes(os.urandom(8), "little") | 1
         self._number = 0
         self._pid = os.getpid()
-        self._gate = attach(name, layout.GATE)
+        self._memory, self._owner = found = run(name)
+        self._gate = attach(name, layout.GATE, found)
         self._claims = -1
         self._bell = -1
         try:
@@ -95,9 +122,9 @@ class Client:
         for index in range(layout.CLIENT_SLOTS):
             if claim.take(self._claims, index):
                 try:
-                    found = segment.attach_client_slot(self.name, index, self._gate.incarnation)
+                    found = segment.attach_client_slot(self._memory, index, self._gate.incarnation, owner=self._owner)
                 except segment.AttachError as error:
-                    if error.kind not in ("damaged", "absent"):
+                    if error.kind not in ("damaged", "absent", "owner"):
                         raise
                     claim.drop(self._claims, index)
                     damaged += 1

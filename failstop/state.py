@@ -8,7 +8,7 @@ from typing import Any
 
 import msgpack
 
-from failstop.client import attach, runtime_dir
+from failstop.client import attach, run
 from failstop.errors import FailstopError
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
@@ -105,9 +105,9 @@ class StateReader:
 
     def __init__(self, name: str) -> None:
         """Raises NoService, FailstopError."""
-        runtime_dir(name)
         self.name = name
-        views = {which: attach(name, which) for which in layout.PROCESSES}
+        found = run(name)
+        views = {which: attach(name, which, found) for which in layout.PROCESSES}
         self.incarnation = views[layout.SUPERVISOR].incarnation
         self._beats = {which: heartbeat.HeartbeatReader(view) for which, view in views.items()}
         self._epoch = views[layout.SUPERVISOR].word("epoch")

@@ -134,8 +134,8 @@ class Service:
                 self.end()
         finally:
             self._log.close()
-            with contextlib.suppress(segment.AttachError):
-                segment.unlink_all(self.name)
+            for run in segment.dead_runs(self.name):
+                segment.unlink_all(run)
             for path in instance.places(self.name):
                 shutil.rmtree(path, ignore_errors=True)
 

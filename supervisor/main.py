@@ -67,14 +67,14 @@ class Supervisor:
         self._resources = resources
         self._port = port
         self.loop = Loop()
-        name, run = resources.name, resources.incarnation
-        own = segment.attach(name, layout.SUPERVISOR, run, write=True)
-        views = {process: segment.attach(name, process, run) for process in layout.PROCESSES}
+        name, memory, run = resources.name, resources.memory, resources.incarnation
+        own = segment.attach(memory, layout.SUPERVISOR, run, write=True)
+        views = {process: segment.attach(memory, process, run) for process in layout.PROCESSES}
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
         self.heartbeat = Heartbeat(own, os.getpid(), self._granted, monotonic_ns())
         self._epoch_word = own.word("epoch")
         self._ready_word = own.word("ready")
-        mutexes = segment.attach(name, "lifelines", run, write=True).mutexes("mutexes")
+        mutexes = segment.attach(memory, "lifelines", run, write=True).mutexes("mutexes")
         self._events = Events(name, own.ring_writer("events"), journal)
         self.teller = Teller(name, self._events, views)
         self.family = Family(resources, settings, self.loop, own, views, mutexes, self._events)

@@ -10,7 +10,7 @@ import signal
 import time
 from collections.abc import Callable
 
-from failstop.client import Client
+from failstop.client import Client, run
 from failstop.faults.crowd import ChildDriver, Nobody
 from failstop.faults.fault import Fault
 from failstop.faults.inject import Injector
@@ -86,7 +86,7 @@ class SlotDamaged(OtherDrives):
     def strike(self, scene: Scene) -> int:
         commanded_ns = self.hang()
         assert self.child
-        self._path = "/dev/shm" + segment.shm_name(scene.name, f"client.{self.child.slot}")
+        self._path = segment.path_of(run(scene.name)[0], f"client.{self.child.slot}")
         with open(self._path, "rb") as file:
             self._whole = file.read()
         self.during(scene)
@@ -119,7 +119,7 @@ class SlotUnlinked(SlotDamaged):
 
     def strike(self, scene: Scene) -> int:
         assert self.child
-        self._path = "/dev/shm" + segment.shm_name(scene.name, f"client.{self.child.slot}")
+        self._path = segment.path_of(run(scene.name)[0], f"client.{self.child.slot}")
         now_ns = time.monotonic_ns()
         os.rename(self._path, self._path + AWAY)
         return now_ns

@@ -12,7 +12,7 @@ from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.remarks import Budget, of_request
 from failstop.procs.gate.sources import PAD, Command
 from failstop.procs.loop import READ, Loop
-from failstop.shm import bell, box, instance, layout, records
+from failstop.shm import bell, box, instance, layout, place, records
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.notes import Note
 from failstop.shm.packing import pack
@@ -62,7 +62,7 @@ class Gate:
         self.supervisor_bell = context.bell("supervisor_bell")
         self._bell = context.bell("bell")
         self._client_bell = context.fd("client_bell")
-        claims_fd = os.open(instance.claims_path(context.runtime_dir), os.O_RDONLY | os.O_CLOEXEC)
+        claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
         telemetry = context.segment("telemetry")
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = seen(self._pad_command)

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable
 
 from failstop import FailstopError, Robot
-from failstop.client import Client, attach, send_stop
+from failstop.client import Client, attach, run, send_stop
 from failstop.shm import bell, claim, instance, latest, layout, records, segment, slot, views
 
 NOBODY = 65534
@@ -47,7 +47,7 @@ def rest() -> None:
 
 def slot_file(name: str, index: int) -> int:
     """A slot's memory, by the right that the group has."""
-    return os.open("/dev/shm" + segment.shm_name(name, f"client.{index}"), os.O_RDWR | os.O_CLOEXEC)
+    return os.open(segment.path_of(run(name)[0], f"client.{index}"), os.O_RDWR | os.O_CLOEXEC)
 
 
 def drive(name: str, source: str, vx: str) -> None:

@@ -19,7 +19,7 @@ import pytest
 from failstop import FailstopError, NoService, Robot
 from failstop.board.burst import BURST
 from failstop.cli import main
-from failstop.client import Client
+from failstop.client import Client, run
 from failstop.procs import limits
 from failstop.shm import instance, layout, segment, slot
 from failstop.supervisor.blackbox import MOST_SAVERS
@@ -151,7 +151,7 @@ def test_no_permission(name: str, capfd: pytest.CaptureFixture[str]) -> None:
             os._exit(code)
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 1
     said = capfd.readouterr().err
-    shutil.rmtree("/tmp/failstop-65534", ignore_errors=True)
+    shutil.rmtree("/dev/shm/failstop-65534", ignore_errors=True)
     os.close(master)
     os.close(slave)
     assert "permission" in said
@@ -174,7 +174,7 @@ def test_name_already_running(trial: Trial) -> None:
 def test_stale_shared_memory_of_a_dead_run(name: str) -> None:
     incarnation = 4711
     for spec in layout.SEGMENTS:
-        segment.create(name, spec.name, incarnation).close()
+        segment.create(segment.memory(name, incarnation), spec.name, incarnation).close()
     with Trial(name) as trial:
         assert trial.robot.state.enabled is False
         assert trial.robot._reader.incarnation != incarnation
@@ -195,7 +195,7 @@ def test_name_already_running_in_another_runtime_directory(trial: Trial, monkeyp
 
 def test_damaged_client_slot_is_passed_over(trial: Trial) -> None:
     trial.leave()
-    slot_file = Path("/dev/shm" + segment.shm_name(trial.name, "client.0"))
+    slot_file = Path(segment.path_of(run(trial.name)[0], "client.0"))
     os.truncate(slot_file, 10)
     trial.enable()
     trial.drive(0.1)
@@ -219,7 +219,7 @@ def test_client_of_another_version(trial: Trial, monkeypatch: pytest.MonkeyPatch
 
 def test_header_of_another_version_and_exit_code(name: str) -> None:
     with Trial(name) as trial:
-        memory = posix_ipc.SharedMemory(segment.shm_name(name, layout.SUPERVISOR))
+        memory = posix_ipc.SharedMemory(segment.shm_name(run(name)[0], layout.SUPERVISOR))
         raw = os.pread(memory.fd, layout.HEADER_BYTES, 0)
         entry = slot.check(raw, slot.seed("header", 0))
         assert entry is not None

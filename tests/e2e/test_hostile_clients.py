@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from failstop import FailstopError, Robot
-from failstop.client import Client
+from failstop.client import Client, run
 from failstop.shm import claim, instance, layout, segment
 from failstop.trial import Trial, wait_for
 
@@ -233,7 +233,7 @@ def test_nothing_can_be_removed_or_replaced_by_the_group(trial: Trial) -> None:
         assert int(client.says()) > len(layout.SEGMENTS) + 3
         done = set(client.says().split(", "))
     # Its own slots' memory and the claims' content are the group's to write; neither can hurt.
-    assert done <= {f"truncate failstop.{trial.name}.client.{i}" for i in range(layout.CLIENT_SLOTS)} | {
+    assert done <= {f"truncate failstop.{run(trial.name)[0]}.client.{i}" for i in range(layout.CLIENT_SLOTS)} | {
         "truncate claims"
     }
     assert sorted(os.listdir(instance.find(trial.name))) == before
@@ -258,7 +258,7 @@ def test_names_removed_by_the_service_s_own_user(trial: Trial) -> None:
 def test_a_slot_s_name_removed_by_the_service_s_own_user(trial: Trial) -> None:
     trial.enable()
     trial.drive(0.1)
-    os.unlink("/dev/shm" + segment.shm_name(trial.name, "client.1"))
+    os.unlink(segment.path_of(run(trial.name)[0], "client.1"))
     later = Client(trial.name, "later")
     assert later.slot == 2, "the slot is passed over"
     later.close()

@@ -19,8 +19,8 @@ class Watched(Scene):
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)
-        self.telemetry = segment.attach(self.resources.name, layout.TELEMETRY, write=True)
-        self.link = segment.attach(self.resources.name, layout.SUPERVISOR).latest_reader("link")
+        self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
+        self.link = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("link")
 
     def stop(self, reason: str) -> None:
         """The gate trips, and the port owner answers."""

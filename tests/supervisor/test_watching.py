@@ -43,7 +43,7 @@ class Watching(Scene):
         child.started(dummy.pid, 1 + len(self.dummies), self.now_ns)
         child.life.armed = True  # type: ignore[union-attr]
         self.supervisor.loop.watch(child.life.fd, READ)  # type: ignore[union-attr]
-        own = segment.attach(self.resources.name, name, write=True)
+        own = segment.attach(self.resources.memory, name, write=True)
         own.word("beat_pid").set(dummy.pid)
         own.word("beat_state").set(RUNNING)
         own.word("beat_ns").set(self.now_ns)
@@ -149,7 +149,7 @@ def test_one_that_was_held_up_stops_and_kills_nobody(watching: Watching) -> None
     watching.pass_time(HELD_UP_NS)
     assert watching.supervisor.epoch == 2
     cause = watching.supervisor._cause_record
-    entry = segment.attach(watching.resources.name, layout.SUPERVISOR).latest_reader("cause").read()
+    entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader("cause").read()
     assert cause is not None
     assert entry is not None
     assert records.unpack_cause(entry[2])[2] == "supervisor was held up for 250 ms"
@@ -160,7 +160,7 @@ def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open(watching
     for name in BY_NAME:
         watching.employ(name)
     watching.port_open()
-    stopper = segment.attach(watching.resources.name, layout.STOPPER, write=True)
+    stopper = segment.attach(watching.resources.memory, layout.STOPPER, write=True)
     stopper.word("port_ns").set(2**62)
     watching.answers()
     watching.turn()
@@ -243,7 +243,7 @@ def test_nobody_listens_while_telemetry_is_down(watching: Watching) -> None:
 
 def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) -> None:
     watching.employ(layout.TELEMETRY)
-    segment.attach(watching.resources.name, layout.TELEMETRY, write=True).word("beat_state").set(STARTING)
+    segment.attach(watching.resources.memory, layout.TELEMETRY, write=True).word("beat_state").set(STARTING)
     child = watching.supervisor.family[layout.TELEMETRY]
     assert not child.hangs(watching.now_ns + STARTING_NS - 1)
     assert child.hangs(watching.now_ns + STARTING_NS)

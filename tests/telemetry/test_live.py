@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from failstop.board.codec import BUZZER
+from failstop.client import attach
 from failstop.procs.telemetry import tones
 from failstop.shm import records
 from failstop.shm.layout import TELEMETRY
-from failstop.shm.segment import attach
 from failstop.trial import Trial, wait_for
 
 MODE = 0x2000
