@@ -29,7 +29,6 @@ class Child:
         "excused_ns",
         "fallen",
         "fence",
-        "gone_ns",
         "last_exit",
         "life",
         "patience_ns",
@@ -58,8 +57,6 @@ class Child:
         """When it is to be started again; None: it runs, or stays down."""
         self.fence: Fence | None = None
         """It was killed for hanging: when and how."""
-        self.gone_ns = 0
-        """When its death was noticed."""
         self.excused_ns = 0
         """Silence before this is not its own."""
         self.patience_ns = 0

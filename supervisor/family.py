@@ -67,23 +67,21 @@ class Family:
         """Those whose death this wake-up, or the early news before it, tells; each once."""
         return [child for child in self.children if child.life and not child.fallen and child.life.down(ready)]
 
-    def bury(self, ready: dict[int, int], now_ns: int, burst_ns: int) -> None:
-        """Collect the processes that have died, and plan their restarts; `burst_ns`: the supervisor's last burst."""
+    def bury(self, ready: dict[int, int], now_ns: int) -> None:
+        """Collect the processes that have died, and plan their restarts."""
         for child in self.children:
             if child.life and child.life.fd in ready:
                 child.ended = True
                 self._loop.forget(child.life.fd)  # it stays readable, however long it takes to be collected
             pid = child.pid
             if child.ended and (death := child.buried()):
-                self._bury(child, pid, death, now_ns, burst_ns)
+                self._bury(child, pid, death, now_ns)
 
-    def _bury(self, child: Child, pid: int, death: str, now_ns: int, burst_ns: int) -> None:
+    def _bury(self, child: Child, pid: int, death: str, now_ns: int) -> None:
         name = child.row.name
         told: dict[str, str | int] = {"process": name, "pid": pid}
         if child.fence:
-            again_ns = burst_ns if name == layout.PORT_OWNER else 0
-            times = child.fence.fields(child.gone_ns, again_ns)
-            self._events.tell("fenced", child.fence.story(name, child.gone_ns, again_ns), {**told, **times})
+            self._events.tell("fenced", child.fence.story(name), {**told, **child.fence.fields()})
         how = f"was {death}" if death.startswith("killed") else death
         self._events.tell("died", f"{name} (pid {pid}) {how}", {**told, "how": how})
         wait_ns = child.restarts.died(now_ns)

@@ -108,7 +108,8 @@ class Supervisor:
         path = settings.text("device.path")
         self._sharing = Sharing(port, path, resources, views, self.loop, self.family, self._events)
         self._turned_ns = monotonic_ns()
-        self._burst_ns = 0
+        self._tried_ns = 0
+        """When it last tried to write a burst; when it last wrote one is `written_ns` of shared memory."""
         self.ending = False
         self.broken = False
         """It can't go on, and ends by itself, when its stop is answered."""
@@ -127,9 +128,11 @@ class Supervisor:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
         fallen = self.family.fallen(ready)
-        written_ns = self._burst() if any(child.row.name == layout.PORT_OWNER for child in fallen) else 0
+        port_owner = self.family[layout.PORT_OWNER]
+        written_ns = self._burst() if port_owner in fallen else 0
         for child in fallen:
-            child.gone_ns = now_ns
+            if child.fence:
+                child.fence.gone(now_ns, written_ns if child is port_owner else 0)
         for rung in (self._bell, self._early.bell):
             if rung.fd in ready:
                 rung.clear()
@@ -142,7 +145,7 @@ class Supervisor:
         for child in fallen:
             if child.life:
                 child.life.demote()
-        self.family.bury(ready, now_ns, self._burst_ns)
+        self.family.bury(ready, now_ns)
         self._sharing.serve(ready, now_ns)
         self._causes.settle(self._reset_word.get())
         self._follow_latch()
@@ -160,21 +163,21 @@ class Supervisor:
 
     def _burst(self) -> int:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
-        if not self._port.burst():
+        written = self._port.burst()
+        self._tried_ns = monotonic_ns()
+        if not written:
             return 0
-        self._burst_ns = monotonic_ns()
         self._owed_ns = 0
-        self._written_word.set(self._burst_ns)
-        self.blackbox.wrote(self._burst_ns)
-        return self._burst_ns
+        self._written_word.set(self._tried_ns)
+        self.blackbox.wrote(self._tried_ns)
+        return self._tried_ns
 
     def _stop_alone(self, now_ns: int) -> None:
         """Nobody else says zero to the board while no port owner runs, or opens a port that comes back."""
         port_owner = self.family[layout.PORT_OWNER]
         opened = self._sharing.open_alone(now_ns)
-        if not opened and (port_owner.running() or now_ns - self._burst_ns < ALONE_EVERY_NS):
+        if not opened and (port_owner.running() or now_ns - self._tried_ns < ALONE_EVERY_NS):
             return
-        self._burst_ns = now_ns
         self._burst()
         if opened:
             self._sharing.opened_alone(now_ns)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -73,11 +75,8 @@ class Watching(Scene):
             if child.life:
                 child.life.close()
         for dummy in self.dummies:
-            dummy.kill()
-            try:
-                os.waitpid(dummy.pid, 0)
-            except ChildProcessError:
-                continue
+            with contextlib.suppress(ChildProcessError, ProcessLookupError):  # the supervisor has collected it
+                dummy.close()
         super().close()
 
 
@@ -108,7 +107,7 @@ def test_the_port_owner_s_death_is_answered_first_on_its_own_descriptor(
     monkeypatch.setattr(watching.supervisor, "_epoch_word", Noted(order, real_set))
     watching.employ(layout.PORT_OWNER).kill()
     until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
-    watching.supervisor._burst_ns = watching.now_ns  # no zeros of its own just now
+    watching.supervisor._tried_ns = watching.now_ns  # no zeros of its own just now
     assert watching.pass_time(0) == BURST
     assert order == ["burst", "epoch"], "nothing comes before the burst"
     assert watching.word("written_ns").get() == watching.now_ns
@@ -132,7 +131,7 @@ def test_who_is_silent_for_its_deadline_is_killed_first_and_the_port_owner_answe
     dummy = watching.employ(name)
     monkeypatch.setattr(os, "kill", lambda pid, number: (order.append("kill"), real_kill(pid, number)))
     monkeypatch.setattr(OwnPort, "burst", lambda _: (order.append("burst"), real_burst())[1])
-    watching.supervisor._burst_ns = watching.now_ns + BY_NAME[name].deadline_ns  # no zeros of its own just now
+    watching.supervisor._tried_ns = watching.now_ns + BY_NAME[name].deadline_ns  # no zeros of its own just now
     watching.supervisor._turned_ns = watching.now_ns + BY_NAME[name].deadline_ns - MS  # it was not held up itself
     watching.pass_time(BY_NAME[name].deadline_ns - 1)
     assert order == []
@@ -140,6 +139,66 @@ def test_who_is_silent_for_its_deadline_is_killed_first_and_the_port_owner_answe
     assert order[:2] == (["kill", "burst"] if name == layout.PORT_OWNER else ["kill"])
     assert watching.supervisor.epoch == 2
     until(lambda: os.waitid(os.P_PID, dummy.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG), "its end")
+
+
+def fence(watching: Watching, name: str) -> None:
+    """A process hangs, is killed for it, and the news of its death is there."""
+    watching.employ(name)
+    watching.supervisor._turned_ns = watching.now_ns + BY_NAME[name].deadline_ns - MS  # it was not held up itself
+    watching.pass_time(BY_NAME[name].deadline_ns)
+    until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+    watching.events()
+
+
+def fenced(watching: Watching) -> dict[str, Any]:
+    """What was told of it."""
+    (found,) = (event for event in watching.events() if event["kind"] == "fenced")
+    return found
+
+
+def test_a_fenced_port_owner_is_stopped_for_again_when_it_is_gone_before_anything_else(
+    watching: Watching, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What it had begun to write as it was killed may have come after the first burst."""
+    fence(watching, layout.PORT_OWNER)
+    order: list[str] = []
+    real_burst, real_set = watching.port.burst, watching.supervisor._epoch_word.set
+    monkeypatch.setattr(OwnPort, "burst", lambda _: (order.append("burst"), real_burst())[1])
+    monkeypatch.setattr(watching.supervisor, "_epoch_word", Noted(order, real_set))
+    assert watching.pass_time(MS) == BURST
+    assert order == ["burst", "epoch"]
+    told = fenced(watching)
+    assert told["text"] == (
+        "port_owner was fenced: killed after 0.0 ms, stop written after 0.0 ms, "
+        "gone after 1.0 ms, stop again after 1.0 ms"
+    )
+    assert (told["fields"]["gone_us"], told["fields"]["again_us"]) == (1000.0, 1000.0)
+
+
+def test_a_stop_that_nobody_wrote_is_not_told_of(watching: Watching) -> None:
+    """The first burst after the fence was written, the second could not be, and zeros that were only tried are none."""
+    fence(watching, layout.PORT_OWNER)
+    watching.port.replace(-1)
+    assert watching.pass_time(MS) == b""
+    assert fenced(watching)["text"] == (
+        "port_owner was fenced: killed after 0.0 ms, stop written after 0.0 ms, gone after 1.0 ms"
+    )
+
+
+def test_of_another_that_was_fenced_no_stop_is_told_though_one_was_written_since(watching: Watching) -> None:
+    fence(watching, layout.GATE)
+    watching.supervisor._burst()
+    watching.pass_time(MS)
+    assert fenced(watching)["text"] == "gate was fenced: killed after 0.0 ms, gone after 1.0 ms"
+
+
+def test_while_no_port_owner_runs_the_stop_is_written_five_times_a_second(watching: Watching) -> None:
+    watching.employ(layout.PORT_OWNER).kill()
+    until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+    assert watching.pass_time(0) == BURST
+    written = [watching.pass_time(20 * MS).count(BURST) for _ in range(100)]
+    assert sum(written) == 10
+    assert set(written) == {0, 1}
 
 
 def test_one_that_was_held_up_stops_and_kills_nobody(watching: Watching) -> None:
