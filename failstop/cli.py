@@ -24,9 +24,9 @@ COMMANDS = {
     "enable": ("requests", "enable motion"),
     "disable": ("requests", "disable motion: the wheels stop"),
     "reset": ("requests", "clear a latched stop; enables nothing"),
-    "estop": ("estop", "latched stop, for every local user"),
+    "stop": ("stop", "stop now: by the running service, else on the port itself"),
+    "estop": ("stop", "the same as stop"),
     "drive": ("drive", "drive for a while"),
-    "stop": ("stop", "write the stop to the port; needs no service running"),
     "config": ("config", "every setting with its value and origin"),
     "doctor": ("doctor", "what on this machine weakens the promises, and what helps"),
     "prove": ("prove", "the stand test: every stop path timed on a real robot"),
@@ -37,10 +37,10 @@ COMMANDS = {
 }
 
 GROUPS = (
-    ("drive", ("enable", "disable", "drive", "teleop", "estop", "reset")),
+    ("drive", ("enable", "disable", "drive", "teleop", "stop", "estop", "reset")),
     ("look", ("status", "watch", "why", "events", "incident")),
     ("check", ("demo", "doctor", "prove", "chaos", "config")),
-    ("service", ("run", "stop", "sim", "install", "uninstall", "completion")),
+    ("service", ("run", "sim", "install", "uninstall", "completion")),
 )
 """What `failstop --help` shows together; a command that is in none is shown at the end."""
 
@@ -70,7 +70,21 @@ def _usage() -> str:
 def main(argv: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     standard.fill()
-    words = sys.argv[1:] if argv is None else argv
+    standard.watch()
+    try:
+        code = _main(sys.argv[1:] if argv is None else argv)
+    except OSError:
+        if (lost := standard.lost()) is None:
+            raise
+        code = 1
+    else:
+        lost = standard.lost()
+    if lost and not isinstance(lost, BrokenPipeError):
+        standard.say(f"standard output takes no more ({lost.strerror}): what is missing there was not written")
+    return code or int(lost is not None)
+
+
+def _main(words: list[str]) -> int:
     if words[:1] == ["help"] and len(words) > 1:
         words = [words[1], "--help"]
     if not words or words[0] in ("-h", "--help", "help"):
@@ -82,16 +96,9 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout.write(f"failstop {VERSION}\n")
         return 0
     if words[0] not in COMMANDS:
-        _say(f"no command {words[0]!r}{_meant(words[0])}; `failstop --help` lists them")
+        standard.say(f"no command {words[0]!r}{_meant(words[0])}; `failstop --help` lists them")
         return 1
     return _run(words[0], words[1:])
-
-
-def _say(error: str) -> None:
-    """One line on stderr, broken at words on a terminal."""
-    from failstop.fold import PREFIX, fitted
-
-    sys.stderr.write(fitted(f"{PREFIX}{error}", 2) + "\n")
 
 
 def _meant(word: str) -> str:
@@ -152,7 +159,7 @@ def _run(name: str, words: list[str]) -> int:
             return 1
         if not _expected(error):
             raise
-        _say(str(error))
+        standard.say(str(error))
         return getattr(error, "exit_code", 1)
     return code
 

@@ -280,3 +280,23 @@ def find(name: str) -> str:
 def no_service(name: str, doubts: str = "") -> NoService:
     """The refusal to whoever asks for a service that does not run. `doubts`: what was found and is not believed."""
     return NoService(f"no service named {name!r} is running: start it with `failstop run --name {name}`{doubts}")
+
+
+def listens(name: str) -> bool:
+    """True while a service of this name takes stop requests; never of what can't be a name."""
+    try:
+        find(name)
+    except (InstanceError, NoService):
+        return False
+    return True
+
+
+def listening() -> list[str]:
+    """The names of all services that take stop requests, as far as this user sees them."""
+    found: set[str] = set()
+    for base in _candidates():
+        try:
+            found.update(filter(listens, os.listdir(base)))
+        except OSError:
+            continue
+    return sorted(found)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 
 from failstop.procs import durable
+from failstop.shm import root
 from failstop.supervisor.settings import SettingError, Settings, shortened, shown
 
 MOST_BYTES = 65536
@@ -12,8 +13,14 @@ MOST_BYTES = 65536
 LONGEST_LINE = 1000
 LONGEST_KEY = 80
 """Twice the longest there is."""
+FOLDER = "/etc/failstop"
 MODE_BUTTON = "pad.mode_button"
 BITS = tuple(1 << bit for bit in range(16))
+
+
+def installed(name: str) -> str:
+    """The file of an instance that was installed on this machine."""
+    return root.at(f"{FOLDER}/{name}.toml")
 
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> Settings:

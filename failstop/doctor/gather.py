@@ -9,12 +9,10 @@ from failstop.doctor import machine_facts, paste, port_facts, service_facts, sto
 from failstop.doctor.facts import NAMED, Facts, Holder, Node, Service, StopTest, Unit, User
 from failstop.doctor.system import System
 from failstop.errors import FailstopError
-from failstop.shm import root
-from failstop.shm.instance import DEFAULT_NAME, check_name
+from failstop.shm.instance import check_name
 from failstop.supervisor import config
 from failstop.supervisor.settings import SettingError, Settings
 
-CONFIG_FOLDER = "/etc/failstop"
 ACCOUNT = "failstop"
 BOARD_USB = f"{BOARD_VID:04x}:{BOARD_PID:04x}"
 
@@ -70,7 +68,7 @@ def gather(
 
 def settings_of(name: str, path: str | None, system: System) -> tuple[str | None, Settings]:
     """The file that was named, else the installed one, else the defaults. Raises SettingError."""
-    installed = system.path(root.at(f"{CONFIG_FOLDER}/{'failstop' if name == DEFAULT_NAME else name}.toml"))
+    installed = system.path(config.installed(name))
     if path is None and os.access(installed, os.R_OK):
         path = installed
     return path, config.load(path)

@@ -64,7 +64,7 @@ def _on_duplicate(own: OwnPort, _path: str) -> bool:
 def _with_tool(own: OwnPort, path: str) -> bool:
     # It opens the port as ExecStopPost does, when the service has let it go.
     release_exclusive(own.fd)
-    tool.stop(path, 0.0, lambda _: None)
+    tool.stop(path, lambda _: 0.0, lambda _: None)
     return True
 
 

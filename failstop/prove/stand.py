@@ -172,7 +172,7 @@ class Stand:
             self.service.kill()
         self._kill_rest()
         try:
-            tool.stop(self.device, SIM_FREE_S if self.board else FREE_S, lambda _: None)
+            tool.stop(self.device, lambda _: SIM_FREE_S if self.board else FREE_S, lambda _: None)
         except PortError as error:
             return f"the last stop could not be written: {error}"
         return ""

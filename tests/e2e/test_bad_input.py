@@ -251,7 +251,7 @@ def test_full_client_table(trial: Trial) -> None:
 
 
 def test_no_service(name: str) -> None:
-    for words in (["status"], ["enable"], ["disable"], ["reset"], ["estop"], ["drive", "0", "0", "0"]):
+    for words in (["status"], ["enable"], ["disable"], ["reset"], ["drive", "0", "0", "0"]):
         result = failstop(*words, "--name", name)
         assert result.returncode == 3
         assert "start it with `failstop run" in _one_line(result)

@@ -93,7 +93,7 @@ def test_stop_tool(tmp_path: Path) -> None:
     device = tmp_path / "board"
     os.symlink(os.ttyname(slave), device)
     result = failstop("stop", "--device", str(device))
-    assert result.stdout == "stop frame sent (after 0.0 s)\n"
+    assert result.stdout == f"stop frame sent (after 0.0 s), directly to {device}\n"
     assert os.read(master, 4096) == BURST
     os.close(master)
     os.close(slave)
