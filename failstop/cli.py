@@ -155,7 +155,7 @@ def _run(name: str, words: list[str]) -> int:
         from failstop.procs.limits import lack
 
         if lacking := lack(error):
-            _say(lacking)
+            standard.say(lacking)
             return 1
         if not _expected(error):
             raise
