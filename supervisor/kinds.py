@@ -316,6 +316,16 @@ KINDS = (
         "Next: did what it switches do its work? Its own output is in the journal too",
     ),
     Kind(
+        "left_out",
+        "notice",
+        "8a1febefb5a44a38a98feb2f2d38c465",
+        ("of", "count"),
+        "@FAILSTOP_COUNT@ events of the kind @FAILSTOP_OF@ were left out",
+        "At most 64 KiB a minute are told of each kind, and 8 KiB of the stop requests of everybody while a stop is\n"
+        "latched; what is more is counted. Every stop was written all the same.\n"
+        "Next: journalctl FAILSTOP_EVENT=@FAILSTOP_OF@ FAILSTOP_NAME=@FAILSTOP_NAME@",
+    ),
+    Kind(
         "note",
         "info",
         "52bb8f68c7914cb6b272bc07f6b0b35c",

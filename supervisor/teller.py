@@ -38,11 +38,13 @@ class Teller:
         self._said = {cause.reason}
 
     def _news_of(self, cause: Cause) -> bool:
-        """True when this reason was not told of since the latch; several processes notice the same."""
+        """True when this reason was not told of since the latch; several processes notice the same. Of more reasons
+        than are remembered the older may be told of again."""
         if cause.reason in self._said:
             return False
-        if len(self._said) < MOST_SAID:
-            self._said.add(cause.reason)
+        if len(self._said) >= MOST_SAID:
+            self._said.clear()
+        self._said.add(cause.reason)
         return True
 
     def also(self, cause: Cause) -> None:

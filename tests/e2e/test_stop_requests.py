@@ -16,10 +16,12 @@ from failstop.screen import verdict
 from failstop.shm import instance
 from failstop.shm.records import ASKED_BYTES
 from failstop.supervisor.aftermath import UNSTILL
+from failstop.supervisor.allowance import ASKED_BYTES as ASKED_ROOM
 from failstop.trial import Trial, judge, wait_for
 from tests.commands import failstop
 
 NOBODY = 65534
+FLOOD_S = 4.0
 
 
 def _as_nobody(action: object) -> int:
@@ -161,6 +163,28 @@ def test_nobody_s_words_pass_for_a_cause_of_the_service_s_own(trial: Trial, word
     beside = re.compile("^failstop: (stopped again|also): gate died\\b", re.M)
     wait_for("the death to be told beside it", lambda: beside.search(trial.service.said()) is not None)
     assert trial.robot.state.estop == f"stop request: {words}"
+
+
+def test_a_thousand_reasons_at_full_speed_do_not_fill_the_log(trial: Trial) -> None:
+    trial.robot.estop("the first")
+    wait_for("the latch", lambda: "E-STOP latched: " in trial.service.said())
+    before = trial.service.written()
+    fd = os.open(_stop_pipe(trial), os.O_WRONLY | os.O_NONBLOCK)
+    until_s = time.monotonic() + FLOOD_S
+    reasons = 0
+    while reasons < 1000 or time.monotonic() < until_s:
+        with contextlib.suppress(BlockingIOError):
+            os.write(fd, f"reason {reasons} {'x' * 150}\n".encode())
+            reasons += 1
+    os.close(fd)
+    assert trial.service.written() - before < 2 * ASKED_ROOM + 2000
+    trial.kill("gate")
+    wait_for("what is no request to be told", lambda: "gate died; " in trial.service.said(before))
+    assert trial.service.end() == 0
+    said = trial.service.said()
+    assert "E-STOP latched: stop request: the first (trial, pid" in said
+    assert re.search(r"^failstop: \d+ stop requests while a stop was latched were left out: ", said, re.M)
+    assert trial.service.written() - before < 2 * ASKED_ROOM + 10_000
 
 
 @pytest.mark.parametrize("letter", ["x", "\u20ac"])

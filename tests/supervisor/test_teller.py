@@ -9,8 +9,9 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.shm import layout, segment
+from failstop.supervisor.causes import Cause
 from failstop.supervisor.events import Events
-from failstop.supervisor.teller import WAITED_NS, Teller
+from failstop.supervisor.teller import MOST_SAID, WAITED_NS, Teller
 
 T0 = 10**12
 
@@ -43,6 +44,19 @@ def events() -> Told:
 @pytest.fixture
 def teller(name: str, events: Told) -> Teller:
     return Teller(name, events, {process: segment.attach(name, process) for process in (layout.GATE, layout.TELEMETRY)})
+
+
+def test_a_thousand_reasons_of_somebody_s_are_not_all_remembered_and_hide_no_death(
+    teller: Teller, events: Told
+) -> None:
+    teller.latched(Cause(T0, layout.PORT_OWNER, "key1"))
+    for number in range(1000):
+        teller.also(Cause(T0, layout.PORT_OWNER, f"stop request: {number}"))
+        assert len(teller._said) <= MOST_SAID
+    before = len(events.kinds)
+    teller.also(Cause(T0, layout.PORT_OWNER, "gate died"))
+    teller.also(Cause(T0, layout.SUPERVISOR, "gate died"))
+    assert len(events.kinds) == before + 1
 
 
 def test_a_short_wait_is_not_told_of(teller: Teller, events: Told) -> None:
