@@ -48,9 +48,8 @@ def base_directory(path: str) -> int:
     """Open the directory that runtime directories are made in. Raises OSError, Untrusted among them."""
     fd = os.open(path, _DIRECTORY)
     try:
-        above, found = os.stat("..", dir_fd=fd), os.fstat(fd)
-        by_root = not above.st_uid and not above.st_mode & _BY_OTHERS
-        _check(path, found, {0, os.geteuid(), found.st_uid if by_root else 0}, found.st_mode & stat.S_ISVTX)
+        found = os.fstat(fd)
+        _check(path, found, _given_by(os.stat("..", dir_fd=fd), found), found.st_mode & stat.S_ISVTX)
     except BaseException:
         os.close(fd)
         raise
@@ -61,11 +60,18 @@ def inner_directory(base: int, name: str, path: str) -> int:
     """Open the directory `name` of one that base_directory() has opened; `path` is what people call it."""
     fd = os.open(name, _DIRECTORY, dir_fd=base)
     try:
-        _check(path, os.fstat(fd), {0, os.geteuid(), os.fstat(base).st_uid})
+        above, found = os.fstat(base), os.fstat(fd)
+        _check(path, found, {above.st_uid} | _given_by(above, found))
     except BaseException:
         os.close(fd)
         raise
     return fd
+
+
+def _given_by(above: os.stat_result, found: os.stat_result) -> set[int]:
+    """Who may own what was `found` in a directory: root, this user, and whoever root alone can have given it to."""
+    by_root = not above.st_uid and not above.st_mode & _BY_OTHERS
+    return {0, os.geteuid(), found.st_uid if by_root else 0}
 
 
 def _check(path: str, found: os.stat_result, owners: set[int], sticky: int = 0) -> None:
