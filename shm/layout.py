@@ -135,6 +135,7 @@ SEGMENTS = (
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
             _latest("link", 32, "clients"),  # whether the board answers: unproven, alive or deaf (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
+            _latest("rules", 512, "clients"),  # what clients need of the settings (msgpack), written once
             _ring("events", 512, 256, "clients"),  # what people are told (msgpack, supervisor/events.py)
             _ring("box", box.BEATS_BYTES, box.BEATS_SLOTS, "everyone"),  # beat ages, its own bursts (box.py)
         ),

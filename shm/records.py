@@ -39,6 +39,11 @@ _ODOMETRY = struct.Struct("<8d")
 _PAD_COMMAND = struct.Struct("<3d")
 _WISH = struct.Struct("<B")
 
+NOBODY = 0
+"""No client's session. In a whole hello: who held the slot has left it in order."""
+SOURCE_BYTES = 16
+HELD_BYTES = 200
+
 PORT_CLOSED = 0
 PORT_OPEN = 1
 PORT_LOST = 2
@@ -97,6 +102,13 @@ def asking(words: str, who: str = "", pid: int = 0) -> bytes:
 def cut(text: str, room: int) -> bytes:
     """UTF-8 of at most `room` bytes, cut between characters."""
     return text.encode("utf-8", "replace")[:room].decode("utf-8", "ignore").encode()
+
+
+def _whole(text: str, room: int) -> bytes:
+    data = text.encode("utf-8", "replace")
+    if len(data) > room:
+        raise ValueError(f"{text!r} is longer than {room} bytes")
+    return data
 
 
 def _head(form: struct.Struct, payload: bytes) -> tuple[tuple[int, ...], bytes]:
@@ -180,8 +192,9 @@ def lost_since(entry: tuple[int, int, bytes] | None, opened_ns: int) -> bool:
 def pack_command(
     session: int, vx_mps: float, vy_mps: float, wz_radps: float, manual: bool, source: str = "cmd_vel"
 ) -> bytes:
-    """A velocity command of the client session that wrote it: x forward, y left, wz counter-clockwise."""
-    return _COMMAND.pack(session, vx_mps, vy_mps, wz_radps, manual, cut(source, 16))
+    """A velocity command of the client session that wrote it: x forward, y left, wz counter-clockwise. Raises
+    ValueError for a source that does not fit: cut, it could be another one."""
+    return _COMMAND.pack(session, vx_mps, vy_mps, wz_radps, manual, _whole(source, SOURCE_BYTES))
 
 
 def unpack_command(payload: bytes) -> tuple[int, float, float, float, bool, str]:
@@ -193,8 +206,9 @@ def unpack_command(payload: bytes) -> tuple[int, float, float, float, bool, str]
 
 
 def pack_held(session: int, names: list[str]) -> bytes:
-    """What a client session asserts now: names of interlocks, or none for "the sensor delivered"."""
-    return _SESSION.pack(session) + cut("\n".join(names), 200)
+    """What a client session asserts now: names of interlocks, or none for "the sensor delivered". Raises ValueError
+    for names that do not fit."""
+    return _SESSION.pack(session) + _whole("\n".join(names), HELD_BYTES)
 
 
 def unpack_held(payload: bytes) -> tuple[int, list[str]]:
@@ -205,7 +219,7 @@ def unpack_held(payload: bytes) -> tuple[int, list[str]]:
 
 def pack_hello(session: int, pid: int, pid_namespace: int, name: str) -> bytes:
     """Who holds a client slot: a random session number, the pid it says it has and in which namespace of pids
-    (lifeline.pid_namespace), its name."""
+    (lifeline.pid_namespace), its name. NOBODY as the session is a goodbye."""
     return _HELLO.pack(session, pid, pid_namespace) + cut(name, 64)
 
 

@@ -124,9 +124,11 @@ class Segment:
 
     def close(self) -> None:
         """Give the descriptor of an unmapped segment back; a mapping ends when its last word or reader is gone."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
+        fd, self._fd = self._fd, -1
+        if isinstance(self.view, FileView):
+            self.view.fd = -1  # the number may soon be another file's, which a writer of this view must not reach
+        if fd >= 0:
+            os.close(fd)
 
 
 def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:

@@ -198,8 +198,9 @@ KINDS = (
         "b3b319d319c74c748c77923638d33b72",
         ("who", "source"),
         "Commands of @FAILSTOP_WHO@ are ignored",
-        "It commands as a source that the settings do not name: @FAILSTOP_SOURCE@.\n"
-        "Next: correct the program, or declare the source under [sources] and restart the service",
+        "It commands as a source that is no client's: @FAILSTOP_SOURCE@. The settings do not name it, or it is the\n"
+        "board's gamepad, which no program may stand in for.\n"
+        "Next: correct the program, or declare a source under [sources] and restart the service",
     ),
     Kind(
         "driver_silent",
@@ -217,9 +218,18 @@ KINDS = (
         "5c69d278e12541c884ee76082770b8f7",
         ("who", "source"),
         "@FAILSTOP_WHO@ has gone while it drove",
-        "It ended, crashed or was killed without a last command of zero, so the wheels were told zero at once.\n"
+        "It crashed or was killed, or ended without a word, so the wheels were told zero at once.\n"
         "Nothing is latched: they turn again as soon as somebody commands.\n"
         "Next: that program's own log; coredumpctl list, where it crashed",
+    ),
+    Kind(
+        "driver_ended",
+        "info",
+        "92de198a2b114a578f729782376c96f8",
+        ("who", "source"),
+        "@FAILSTOP_WHO@ ended its command",
+        "The program that drove ended in order, or a person let go of the key: the wheels were told zero. Nothing is\n"
+        "wrong, and nothing is latched.",
     ),
     Kind(
         "device_lost",

@@ -14,6 +14,7 @@ from failstop.procs import rights
 from failstop.procs.loop import READ, Loop
 from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import Heartbeat
+from failstop.shm.lifeline import pid_namespace
 from failstop.shm.packing import pack
 from failstop.supervisor import answer
 from failstop.supervisor.aftermath import Aftermath
@@ -72,6 +73,7 @@ class Supervisor:
         views = {process: segment.attach(memory, process, run) for process in layout.PROCESSES}
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
         self.heartbeat = Heartbeat(own, os.getpid(), self._granted, monotonic_ns())
+        own.latest_writer("rules").write(pack(_rules(settings)))
         self._epoch_word = own.word("epoch")
         self._ready_word = own.word("ready")
         mutexes = segment.attach(memory, "lifelines", run, write=True).mutexes("mutexes")
@@ -354,6 +356,16 @@ class Supervisor:
         self.teller.ended(written=written > 0)
         self._events.flush()
         self.blackbox.finish()
+
+
+def _rules(settings: Settings) -> dict[str, object]:
+    """What clients need of the settings, and where the supervisor's pid is its own."""
+    return {
+        "sources": list(settings.sources()),
+        "interlocks": list(settings.interlocks()),
+        "lease_ns": settings.ns("gate.lease_s"),
+        "pid_namespace": pid_namespace(),
+    }
 
 
 def run(resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Journal | None) -> int:

@@ -56,6 +56,7 @@ class Slot:
         "index",
         "life",
         "name",
+        "parted",
         "pid",
         "pid_namespace",
         "session",
@@ -66,6 +67,8 @@ class Slot:
         self.pid = 0
         self.pid_namespace = 0
         self.name = ""
+        self.parted = False
+        """Who left the slot last said goodbye."""
         self._hello = segment.latest_reader("hello")
         self._command = segment.latest_reader("command")
         self._request = segment.latest_reader("request")
@@ -95,6 +98,14 @@ class Slot:
         # Bounded here: the state with all names in it must fit its record, whatever clients call themselves.
         self.name = records.cut(records.printable(name), NAME_BYTES).decode()
         return session
+
+    def goodbye(self) -> bool:
+        """True when who held the slot has left it in order; False for a death, and for damage."""
+        entry = self._hello.read()
+        try:
+            return entry is not None and records.unpack_hello(entry[2])[0] == records.NOBODY
+        except ValueError:
+            return False
 
     def join(self, session: int) -> None:
         """A session holds the slot now; a new one counts its records anew."""
@@ -212,6 +223,8 @@ class ClientTable:
             slot.join(session)
             self.active.append(slot)
             self._watch(slot)
+        elif not session:
+            return  # a claim alone is nobody yet, whatever else lies in the slot
         self._listener.client_holds(slot, now_ns)
         if request := slot.new_request():
             self._listener.client_request(slot, *request, now_ns)
@@ -222,5 +235,6 @@ class ClientTable:
         if slot.session:
             self.active.remove(slot)
             self._stop_watching(slot)
+            slot.parted = slot.goodbye()
             self._listener.client_gone(slot, now_ns)
             slot.ended, slot.session = slot.session, 0

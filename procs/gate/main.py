@@ -10,7 +10,7 @@ from failstop.procs.gate import kinematics
 from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.remarks import Budget, of_request
-from failstop.procs.gate.sources import PAD, Command
+from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
 from failstop.procs.loop import READ, Loop
 from failstop.shm import bell, box, instance, layout, place, records
 from failstop.shm.heartbeat import HeartbeatReader
@@ -178,7 +178,7 @@ class Gate:
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
             velocity = records.unpack_pad_command(payload)
-            self.client_command(Command(0, PAD, t_ns, velocity, manual=True, source=PAD), now_ns)
+            self.client_command(Command(PAD_SESSION, PAD, t_ns, velocity, manual=True, source=PAD), now_ns)
         while wish := self._wishes.next():
             kind, frame = records.unpack_wish(wish[2])
             if kind == records.WISH_RESET:
@@ -261,8 +261,8 @@ class Gate:
                 self.core.notes.append(Note("note", f"and {unsaid} more requests, too many to tell of each"))
 
     def client_gone(self, slot: Slot, now_ns: int) -> None:
-        """Its claim is gone: if it was the one that drives, the wheels stand at once."""
-        if self.core.client_gone(slot.session, now_ns):
+        """It has left, or its claim is gone: if it was the one that drives, the wheels stand at once."""
+        if self.core.client_gone(slot.session, now_ns, parted=slot.parted):
             self._step(now_ns)
 
     def _publish(self, now_ns: int) -> None:

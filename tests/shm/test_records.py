@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 
 from failstop.shm import records
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS
+from failstop.shm.packing import pack
 from failstop.shm.slot import HEADER_BYTES, build
+from failstop.supervisor.settings import LONGEST_NAME, MOST_OF_A_FAMILY
 
 U64 = st.integers(0, 2**64 - 1)
 U32 = st.integers(0, 2**32 - 1)
@@ -151,11 +153,11 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     ),
     "reply": (lambda text: records.pack_reply(TOP, TOP, True, text), [f"gate/reply.{i}" for i in range(CLIENT_SLOTS)]),
     "held": (
-        lambda text: records.pack_held(TOP, [text, text]),
+        lambda text: records.pack_held(TOP, ["x" * records.HELD_BYTES]),
         [f"client.{i}/interlocks" for i in range(CLIENT_SLOTS)],
     ),
     "command": (
-        lambda text: records.pack_command(TOP, 1e308, 1e308, 1e308, True, text),
+        lambda text: records.pack_command(TOP, 1e308, 1e308, 1e308, True, "x" * records.SOURCE_BYTES),
         [f"client.{i}/command" for i in range(CLIENT_SLOTS)],
     ),
     "request": (lambda text: records.pack_request(TOP, TOP, 255), [f"client.{i}/request" for i in range(CLIENT_SLOTS)]),
@@ -178,6 +180,23 @@ def test_the_biggest_payload_fits_every_record_it_is_put_in(kind: str) -> None:
         room = capacity(place)
         for text in LONG:
             assert len(build(1, 1, pack(text), 0, room)) <= HEADER_BYTES + room
+
+
+@pytest.mark.parametrize("text", [*LONG, "x" * (records.HELD_BYTES + 1), "\u20ac" * 67])
+def test_names_that_something_depends_on_are_refused_and_not_cut(text: str) -> None:
+    with pytest.raises(ValueError, match="is longer than 16 bytes"):
+        records.pack_command(1, 0.0, 0.0, 0.0, False, text)
+    with pytest.raises(ValueError, match="is longer than 200 bytes"):
+        records.pack_held(1, [text[:5], text])
+
+
+def test_every_name_that_the_settings_allow_fits() -> None:
+    longest = [f"{number}".rjust(LONGEST_NAME, "x") for number in range(MOST_OF_A_FAMILY)]
+    assert records.unpack_held(records.pack_held(1, longest))[1] == longest
+    for name in longest:
+        assert records.unpack_command(records.pack_command(1, 0.0, 0.0, 0.0, True, name))[-1] == name
+    rules = {"sources": longest, "interlocks": longest, "lease_ns": TOP, "pid_namespace": TOP}
+    assert len(pack(rules)) <= capacity("supervisor/rules")
 
 
 @pytest.mark.parametrize("text", LONG)
