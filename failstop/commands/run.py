@@ -5,6 +5,7 @@ from __future__ import annotations
 from failstop.board.port import PortError
 from failstop.commands import add_name
 from failstop.errors import FailstopError
+from failstop.procs import limits
 from failstop.shm import instance
 from failstop.supervisor import config, starter
 from failstop.supervisor.port import OwnPort
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
 
 
 DEVICE = "device.path"
-DESCRIPTORS = 128
-"""More than any process of the service has open at one time."""
 REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError, ImportError)
 """What can keep the service from starting; ImportError where no file can be opened any more."""
 
@@ -82,7 +81,7 @@ def _stop(device: str, name: str) -> tuple[OwnPort | None, PortError | None]:
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
     """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
-    _make_room()
+    limits.take_descriptors()
     given = {DEVICE: arguments.device} if arguments.device else {}
     settings = config.checked({**(config.read(arguments.config) if read is None else read), **given})
     instance.check_name(arguments.name)
@@ -93,23 +92,12 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
     starter.become_supervisor(arguments.name, runtime_dir, settings, instance.lock(runtime_dir), port.fd)
 
 
-def _make_room() -> None:
-    """See that the service may open the files that it needs. Raises FailstopError."""
-    import resource
-
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if 0 <= hard < DESCRIPTORS:
-        raise FailstopError(f"the service needs {DESCRIPTORS} open files and may have {hard}: see `ulimit -n`")
-    if 0 <= soft < DESCRIPTORS:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (DESCRIPTORS, hard))
-
-
 def _why(error: Exception) -> str:
     """The reason of a refusal. Its port is closed, so that there is a descriptor again for what was missing."""
     if isinstance(error, (OSError, ImportError)):
         try:
-            _make_room()
-        except FailstopError as short:
+            limits.take_descriptors()
+        except OSError as short:
             return str(short)
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror

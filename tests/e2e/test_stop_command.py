@@ -19,7 +19,7 @@ from failstop.board.burst import BURST
 from failstop.board.port import PortError
 from failstop.commands import stop
 from failstop.procs.stopper import rest, tool
-from failstop.shm import instance
+from failstop.shm import instance, root
 from failstop.supervisor import config
 from tests.commands import FAILSTOP, failstop
 
@@ -47,9 +47,10 @@ def file(tmp_path: Path) -> Path:
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """As on a machine where no service runs and none is installed; the folder for installed files."""
     monkeypatch.setattr(instance, "_candidates", lambda: [str(tmp_path / "run")])
-    monkeypatch.setattr(config, "FOLDER", str(tmp_path / "etc"))
-    (tmp_path / "etc").mkdir()
-    return tmp_path / "etc"
+    monkeypatch.setenv(root.VARIABLE, str(tmp_path))
+    folder = Path(f"{tmp_path}{config.FOLDER}")
+    folder.mkdir(parents=True)
+    return folder
 
 
 @pytest.fixture

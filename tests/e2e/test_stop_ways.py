@@ -18,6 +18,7 @@ from pathlib import Path
 import posix_ipc
 import pytest
 
+from failstop import client
 from failstop.board.burst import BURST
 from failstop.shm import layout, segment, slot
 from failstop.trial import Trial, judge, wait_for
@@ -52,9 +53,10 @@ def written(master: int) -> bytes:
 def another_layout(name: str) -> Iterator[None]:
     """The service's memory as one of another version has it."""
     before: list[tuple[posix_ipc.SharedMemory, bytes]] = []
+    run, _ = client.run(name)
     try:
         for process in layout.PROCESSES:
-            memory = posix_ipc.SharedMemory(segment.shm_name(name, process))
+            memory = posix_ipc.SharedMemory(segment.shm_name(run, process))
             raw = os.pread(memory.fd, layout.HEADER_BYTES, 0)
             before.append((memory, raw))
             entry = slot.check(raw, slot.seed("header", 0))
@@ -91,7 +93,7 @@ def test_by_the_service_that_runs(trial: Trial, command: str) -> None:
     asked_ns = time.monotonic_ns()
     result = failstop(command, "hand", "near", "wheel", "--name", trial.name)
     assert (result.returncode, result.stderr) == (0, "")
-    assert result.stdout.startswith(f"e-stop latched (hand near wheel (failstop {command}, pid ")
+    assert result.stdout.startswith(f"e-stop latched (stop request: hand near wheel (failstop {command}, pid ")
     assert f"by the service '{trial.name}'; next: `failstop reset --name {trial.name}`" in result.stdout
     trial.drive(0.2)
     stopped = judge(trial.board.events(), asked_ns, True)
@@ -103,7 +105,7 @@ def test_a_latched_stop_is_asked_for_again(trial: Trial) -> None:
     assert failstop("stop", "one", "--name", trial.name).returncode == 0
     trial.board.events()
     again = failstop("stop", "two", "--name", trial.name)
-    assert "e-stop latched (one (failstop stop" in again.stdout, "the first cause is the one to look for"
+    assert "e-stop latched (stop request: one (failstop stop" in again.stdout, "the first cause is the one to look for"
     assert again.returncode == 0
     assert any(event.is_stop for event in trial.board.events())
 
@@ -159,7 +161,7 @@ def test_a_service_of_another_layout_is_stopped_by_its_pipe(trial: Trial) -> Non
     assert result.returncode == 0
     assert result.stdout.startswith(f"the service '{trial.name}' has written the stop; whether it is latched can't be")
     assert "with another layout" in result.stderr
-    assert (trial.robot.state.estop or "").startswith("even so (failstop estop")
+    assert (trial.robot.state.estop or "").startswith("stop request: even so (failstop estop")
 
 
 def test_a_port_that_is_gone_is_told_with_the_latch(trial: Trial) -> None:

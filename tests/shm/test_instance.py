@@ -94,6 +94,7 @@ def test_the_order_of_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_root_has_no_place_that_others_could_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(root.VARIABLE, raising=False)
     monkeypatch.setattr(os, "getuid", lambda: 0)
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
     assert instance._candidates() == ["/run/failstop", "/run/user/0/failstop"]
