@@ -364,9 +364,12 @@ KINDS = (
         "stopped",
         "notice",
         "a9c157b26c984105a437043f1ba39f09",
-        (),
+        ("link",),
         "@FAILSTOP_NAME@ has ended",
-        "Nothing watches the robot from here on. If the second stop could NOT be written, look at the wheels.\n"
+        "Nothing watches the robot from here on. acknowledged: the board answered a ping that was sent after the\n"
+        "first of the two stops (FAILSTOP_ACKNOWLEDGED_US from that). If it had answered before and did NOT\n"
+        "acknowledge this one, or if the second could NOT be written, the exit code is 1: look at the wheels.\n"
+        "unproven: it has not answered since its port was opened, so whether it hears is not known.\n"
         "Next: failstop stop writes a stop without any service; systemctl start starts the service",
     ),
 )

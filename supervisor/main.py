@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import signal
-from time import monotonic_ns
+from time import monotonic_ns, sleep
 
 from failstop.procs import rights
 from failstop.procs.loop import READ, Loop
@@ -24,6 +24,7 @@ from failstop.supervisor.events import Events
 from failstop.supervisor.family import Family
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.herald import Herald
+from failstop.supervisor.link import UNPROVEN
 from failstop.supervisor.names import Names
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.sharing import Sharing
@@ -50,6 +51,9 @@ EXCUSE_NS = 60_000_000
 ticks less than the shortest deadline."""
 HELD_UP_NS = 250_000_000
 """And one that was silent for this long stops: nobody has watched."""
+HEAR_NS = 300_000_000
+"""How long the end of the service waits for the board's answer to its stop; an answer takes a few milliseconds, and its
+ping may be 50 ms away (pings.py)."""
 END_S = 2.0
 """How long the end of the service waits for each process that it has killed, before the last burst goes out."""
 
@@ -103,6 +107,8 @@ class Supervisor:
         self._epoch_word.set(1)
         self._unanswered: Cause | None = None
         self._answer_by_ns = 0
+        self._stop_ns = 0
+        """When the last stop that was answered was written; 0: it could not be."""
         self._owed_ns = 0
         """Since when a stop is neither answered nor written; 0: there is none such."""
         self._table = b""
@@ -268,7 +274,8 @@ class Supervisor:
             return
         by, written_ns = stop
         self._unanswered = None
-        self._tell_stop(cause, written_ns or self._burst(), by)
+        self._stop_ns = written_ns or self._burst()
+        self._tell_stop(cause, self._stop_ns, by)
 
     def _tell_stop(self, cause: Cause, written_ns: int, by: str) -> None:
         """Publish the stop for people, and log it."""
@@ -342,20 +349,36 @@ class Supervisor:
         waits += [overdue_ns for child in self.children if (overdue_ns := child.overdue_ns())]
         return min([now_ns + TICK_NS, *waits])
 
-    def finish(self) -> None:
-        """End in order: stop through the port owner, end every process, stop again on the own descriptor."""
+    def finish(self) -> bool:
+        """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
+        the own descriptor. False when a stop could not be written, or a board that had answered before did not."""
         self._raise_epoch([Cause(monotonic_ns(), layout.SUPERVISOR, "service is stopping")])
         while self._unanswered:
             self.loop.wait(monotonic_ns() + HURRY_NS)
             self._follow_answer(monotonic_ns())
-        self.herald.notify.stopping("wheels stopped; ending every process")
+        heard_ns = self._hear()
+        link = self.aftermath.link.state
+        self.herald.notify.stopping("the stop is written; ending every process")
         self.heartbeat.state(heartbeat.STOPPING)
         for child in reversed(self.children):
             child.kill(END_S)
         written = self._burst()
-        self.teller.ended(written=written > 0)
+        self.teller.ended(heard_ns, link, written=written > 0)
         self._events.flush()
         self.blackbox.finish()
+        return written > 0 and (heard_ns > 0 or link == UNPROVEN)
+
+    def _hear(self) -> int:
+        """Wait until the board has answered a ping from after the last stop, and return how long after it that was in
+        ns; 0: it has not, within HEAR_NS. Those who ask and listen must live for it."""
+        until_ns = monotonic_ns() + HEAR_NS
+        while self._stop_ns and self._listening() and (now_ns := monotonic_ns()) < until_ns:
+            self.aftermath.follow(now_ns, listening=True)
+            if heard_ns := self.aftermath.heard_ns(self._stop_ns):
+                return heard_ns - self._stop_ns
+            self.heartbeat.beat(now_ns, self.epoch)
+            sleep(HURRY_NS / 1e9)
+        return 0
 
 
 def _rules(settings: Settings) -> dict[str, object]:
@@ -381,5 +404,5 @@ def run(resources: Resources, port: OwnPort, settings: Settings, notify: Notify,
     while not supervisor.ending:
         supervisor.turn(ready)
         ready = supervisor.loop.wait(supervisor.next_ns(monotonic_ns()))
-    supervisor.finish()
-    return int(supervisor.broken)
+    well = supervisor.finish()
+    return int(supervisor.broken or not well)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from failstop.shm import layout
 from failstop.shm.notes import Note
+from failstop.supervisor.link import UNPROVEN
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -107,7 +108,15 @@ class Teller:
                     continue  # a damaged one: nothing depends on it
                 self.events.tell(note.kind, note.text, {"process": process, **note.fields}, level=note.level)
 
-    def ended(self, *, written: bool) -> None:
-        """The service has ended; `written`: the second stop could be written."""
+    def ended(self, heard_ns: int, link: str, *, written: bool) -> None:
+        """The service has ended. `heard_ns`: how long after the first stop the board acknowledged it, 0 for not; `link`
+        as of link.py; `written`: the second stop could be written."""
         told = "the stop was written twice" if written else "the second stop could NOT be written"
-        self.events.tell("stopped", f"stopped; {told}", level="" if written else "critical")
+        fields = {"link": link, "acknowledged_us": round(heard_ns / 1e3, 1) if heard_ns else None}
+        if heard_ns:
+            heard, level = f"acknowledged by the board after {heard_ns / 1e6:.1f} ms", ""
+        elif link == UNPROVEN:
+            heard, level = "whether the board hears is not known (link unproven)", "warning"
+        else:
+            heard, level = f"NOT acknowledged by the board (link {link}); wheels that turn: POWER SWITCH", "critical"
+        self.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if written else "critical")

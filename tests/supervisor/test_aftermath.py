@@ -84,6 +84,16 @@ def test_wheels_that_do_not_rest_are_stopped_for_again_and_the_command_runs_once
     assert scene.supervisor.epoch == epoch, "a reset ends the question"
 
 
+def test_an_answer_acknowledges_what_was_written_before_its_ping(scene: Watched) -> None:
+    sent_ns = scene.now_ns
+    scene.port_owner.word("ping_0").set(sent_ns)
+    scene.telemetry.word("pong").set(records.pong(sent_ns + MS, 0))
+    scene.turn(2 * MS)
+    heard_ns = scene.supervisor.aftermath.heard_ns
+    assert heard_ns(sent_ns) == heard_ns(sent_ns - MS) == sent_ns + MS
+    assert heard_ns(sent_ns + 1) == 0
+
+
 def test_a_port_that_was_opened_anew_may_be_another_board(scene: Watched) -> None:
     scene.port_owner.word("ping_0").set(scene.now_ns)
     scene.telemetry.word("pong").set(records.pong(scene.now_ns + MS, 0))

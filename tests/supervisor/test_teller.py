@@ -22,9 +22,11 @@ class Told(Events):
     def __init__(self) -> None:
         super().__init__("x")
         self.kinds: list[str] = []
+        self.lines: list[tuple[str, str]] = []
 
     def tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:
         self.kinds.append(kind)
+        self.lines.append((level, text))
 
 
 @pytest.fixture
@@ -57,6 +59,28 @@ def test_a_thousand_reasons_of_somebody_s_are_not_all_remembered_and_hide_no_dea
     teller.also(Cause(T0, layout.PORT_OWNER, "gate died"))
     teller.also(Cause(T0, layout.SUPERVISOR, "gate died"))
     assert len(events.kinds) == before + 1
+
+
+TWICE = "stopped; the stop was written twice, "
+ONCE = "stopped; the second stop could NOT be written, "
+DEAF = "NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITCH"
+
+
+@pytest.mark.parametrize(
+    ("heard_ns", "link", "written", "level", "text"),
+    [
+        (3_140_000, "alive", True, "", f"{TWICE}acknowledged by the board after 3.1 ms"),
+        (0, "unproven", True, "warning", f"{TWICE}whether the board hears is not known (link unproven)"),
+        (0, "deaf", True, "critical", TWICE + DEAF),
+        (3_140_000, "alive", False, "critical", f"{ONCE}acknowledged by the board after 3.1 ms"),
+        (0, "deaf", False, "critical", ONCE + DEAF),
+    ],
+)
+def test_the_end_is_told_with_what_is_known_of_the_stop(
+    teller: Teller, events: Told, heard_ns: int, link: str, written: bool, level: str, text: str
+) -> None:
+    teller.ended(heard_ns, link, written=written)
+    assert events.lines == [(level, text)]
 
 
 def test_a_short_wait_is_not_told_of(teller: Teller, events: Told) -> None:
