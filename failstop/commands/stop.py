@@ -13,7 +13,7 @@ from failstop.board.port import PortError
 from failstop.commands import add_name
 from failstop.errors import FailstopError
 from failstop.procs.stopper import rest, tool
-from failstop.shm import instance, records
+from failstop.shm import instance
 from failstop.supervisor import config
 from failstop.supervisor.settings import BY_KEY, SettingError
 
@@ -85,6 +85,7 @@ def _by_service(arguments: Namespace, port: Port) -> bool:
         return False
     # For a service alone: the stop tool, where nothing runs, need not wait for all that these import.
     from failstop import ask
+    from failstop.shm import records
 
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     for name in names:
