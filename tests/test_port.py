@@ -202,6 +202,42 @@ def test_exclusive_is_the_terminals_own_and_can_be_released(pty: tuple[int, str]
     os.close(shared)
 
 
+def let_everybody_open(descriptor: int) -> None:
+    """As root may, whom TIOCEXCL does not hold up."""
+    fcntl.ioctl(descriptor, termios.TIOCNXCL)
+
+
+def test_a_second_service_is_kept_out_by_the_lock_where_the_claim_does_not_hold(pty: tuple[int, str]) -> None:
+    first = open_port(pty[1], exclusive=True)
+    let_everybody_open(first)
+    settings = termios.tcgetattr(first)
+    settings[2] |= termios.HUPCL
+    termios.tcsetattr(first, termios.TCSANOW, settings)
+    with pytest.raises(PortError) as caught:
+        open_port(pty[1], exclusive=True)
+    assert (caught.value.kind, caught.value.errno) == ("busy", errno.EBUSY)
+    assert str(caught.value) == f"{pty[1]} is held by another process (flock): stop it first"
+    assert not claimed(first), "a refusal leaves no claim, which would outlive it"
+    assert termios.tcgetattr(first) == settings, "nor anything else"
+    assert port.open_if_there(pty[1]) == -1
+    os.close(open_port(pty[1], exclusive=False))
+    os.close(first)
+    os.close(open_port(pty[1], exclusive=True))
+
+
+def test_the_lock_is_held_by_every_duplicate_and_let_go_with_the_claim(pty: tuple[int, str]) -> None:
+    first = open_port(pty[1], exclusive=True)
+    handed = os.dup(first)
+    os.close(first)
+    let_everybody_open(handed)
+    with pytest.raises(PortError, match="flock"):
+        open_port(pty[1], exclusive=True)
+    port.release_exclusive(handed)
+    second = open_port(pty[1], exclusive=True)
+    os.close(second)
+    os.close(handed)
+
+
 def test_busy_names_the_claim(pty: tuple[int, str]) -> None:
     os.chmod(pty[1], 0o666)
     descriptor = open_port(pty[1], exclusive=True)

@@ -213,6 +213,32 @@ def test_something_that_is_no_port_is_refused(tmp_path: Path, clock: Clock, said
     assert path.read_bytes() == b""
 
 
+@pytest.mark.parametrize("cut", [1, 31, 32, 58, 59, 300, 396])
+def test_a_burst_that_is_taken_in_pieces_is_written_to_its_end(
+    pty: Pty, clock: Clock, said: list[str], monkeypatch: pytest.MonkeyPatch, cut: int
+) -> None:
+    """As a driver with a small buffer takes it: the first piece, nothing, then a few bytes at a time."""
+    rooms = [cut, 0, *[8] * len(BURST)]
+    write = os.write
+
+    def taken(fd: int, data: bytes) -> int:
+        room = rooms.pop(0)
+        if not room:
+            raise BlockingIOError
+        return write(fd, data[:room])
+
+    os.write(pty.slave, MOTION[:15])
+    monkeypatch.setattr(tool.os, "write", taken)
+    tool.stop(pty.link, 0.0, said.append)
+    monkeypatch.undo()
+    stream = pty.read()
+    assert stream == MOTION[:15] + BURST
+    board = Board()
+    board.feed(stream)
+    assert board.motors.stopped
+    assert len(BURST) - len(rooms) == -(-(len(BURST) - cut) // 8), "once each byte is out nothing more is written"
+
+
 def test_bytes_that_the_kernel_still_holds_are_no_stop(
     pty: Pty, clock: Clock, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
