@@ -120,9 +120,9 @@ def test_zero_frames_go_out_at_5_hz_whatever_blocks(seen: Seen, blocked: str) ->
     elif blocked != "cmd timeout":
         seen.trial.robot.estop("a test")
     wait_for("the block", lambda: (seen.trial.robot.state.blocked or "").startswith(blocked))
-    since_ns = time.monotonic_ns()
     assert seen.status()["blocked"].startswith(blocked)
     seen.trial.board.events()
+    since_ns = time.monotonic_ns()
     seen.trial.board.wait_for(lambda event: is_zero(event) and event.arrival_ns > since_ns + 800_000_000, 3.0)
     motor = [event for event in seen.trial.board.events() if event.is_motor]
     assert all(map(is_zero, motor))
