@@ -67,6 +67,9 @@ class State:
     """What is not up yet; motion can't be enabled until it is."""
     device: dict[str, Any]
     processes: dict[str, Process]
+    starved: dict[str, Any] | None
+    """How often a process was not run past its deadline, without a stop or a kill for it, since motion was disabled:
+    times, longest_ms and process (which it was then); None: never."""
     clients: list[dict[str, Any]]
     sources: list[dict[str, Any]]
     """Who drives and who waits, highest priority first."""
@@ -145,6 +148,7 @@ class StateReader:
             waiting_for=known["waiting_for"],
             device=self._device(),
             processes=self._processes(known["processes"], now_ns),
+            starved=known["starved"],
             clients=decided["clients"],
             sources=decided["sources"],
             scan_age_s=max(0, now_ns - decided["scan_ns"]) / 1e9 if decided["scan_ns"] else None,

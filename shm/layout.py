@@ -98,6 +98,7 @@ def _beat() -> tuple[Record, ...]:
         _word("beat_loops", "everyone"),  # turns since its start
         _word("beat_worst_ns", "everyone"),  # longest time between two turns
         _word("beat_pid", "everyone"),
+        _word("beat_cpu_ns", "everyone"),  # processor time that it had used at that turn
         _word("beat_epoch", "everyone"),  # the epoch it saw last
         _word("beat_state", "everyone"),  # heartbeat.STARTING, RUNNING, STOPPING
         _word("beat_rights", "everyone"),  # heartbeat.REALTIME | MEMORY_LOCKED
@@ -148,6 +149,8 @@ SEGMENTS = (
             *_beat(),
             _word("stopped_epoch", "supervisor, stopper"),  # the newest epoch that it has answered with a stop
             _word("written_ns", "everyone"),  # when it last wrote a burst
+            # 1 from before the first motion frame is written until a whole burst is: what it may have told the wheels.
+            _word("moving", "supervisor, stopper"),
             # When the ping of each index was last written; pings take the indices in turn (records.pong).
             *(_word(f"ping_{i}", "supervisor") for i in range(PINGS)),
             _latest("port", 320, "supervisor, stopper, clients"),  # its state and path (records)

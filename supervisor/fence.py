@@ -8,9 +8,13 @@ class Fence:
     owner, or not at all), its end noticed, and the stop written again for that (0: as before), CLOCK_MONOTONIC; and how
     long it had been silent. All in ns."""
 
-    __slots__ = ("_again_ns", "_burst_ns", "_gone_ns", "_noticed_ns", "_silent_ns", "kill_ns")
+    __slots__ = ("_again_ns", "_burst_ns", "_gone_ns", "_noticed_ns", "_silent_ns", "kill_ns", "was_starved")
 
-    def __init__(self, noticed_ns: int, kill_ns: int, burst_ns: int, silent_ns: int = 0) -> None:
+    def __init__(
+        self, noticed_ns: int, kill_ns: int, burst_ns: int, silent_ns: int = 0, *, was_starved: bool = False
+    ) -> None:
+        self.was_starved = was_starved
+        """The machine did not run it: no fault of its own."""
         self._noticed_ns = noticed_ns
         self.kill_ns = kill_ns
         self._burst_ns = burst_ns

@@ -122,10 +122,12 @@ KINDS = (
         "critical",
         "d425ec3582c843a999835f153362effe",
         ("process",),
-        "@FAILSTOP_PROCESS@ stays down",
+        "@FAILSTOP_PROCESS@ is down",
         "It died too often (settings restart.deaths, restart.window_s). The wheels are told to stop and the status is\n"
-        "served, but motion can't be enabled any more.\n"
-        "Next: journalctl FAILSTOP_EVENT=died FAILSTOP_PROCESS=@FAILSTOP_PROCESS@; then restart the service",
+        "served, but motion can't be enabled before a reset, which starts the process anew. The gate, which hears\n"
+        "resets, is started anew after a minute.\n"
+        "Next: journalctl FAILSTOP_EVENT=died FAILSTOP_PROCESS=@FAILSTOP_PROCESS@; see to the cause; then\n"
+        "failstop reset --name @FAILSTOP_NAME@",
     ),
     Kind(
         "start_failed",
@@ -155,6 +157,19 @@ KINDS = (
         "The times are from the notice to the kill and to the end of the process; for the port owner also to the\n"
         "stops on the supervisor's own descriptor, one after the kill and one after the end.\n"
         "Next: was the machine overloaded or frozen? failstop doctor --name @FAILSTOP_NAME@ looks for real-time rights",
+    ),
+    Kind(
+        "starved",
+        "warning",
+        "3823733a664c4c1aa730d19d41555c76",
+        ("process", "silent_ms", "times"),
+        "The machine did not run @FAILSTOP_PROCESS@",
+        "It was silent for @FAILSTOP_SILENT_MS@ ms, beyond its deadline, while it wanted to run: other programs had\n"
+        "the processor, or its memory was on the disk. Nothing was stopped for it and no process was ended, since\n"
+        "motion was disabled, or a stop was latched for it already. It is told of every ten seconds at most; so far\n"
+        "it has happened @FAILSTOP_TIMES@ times.\n"
+        "Next: give the service real-time rights (failstop doctor --name @FAILSTOP_NAME@ has the command), or see\n"
+        "what else the machine does",
     ),
     Kind(
         "enabled",
@@ -266,8 +281,9 @@ KINDS = (
         "a56c088a927e4d8f9106a8df85dec9c6",
         ("what",),
         "Missing rights: @FAILSTOP_WHAT@",
-        "On a busy machine stops come later, and some for no cause.\n"
-        "Next: the unit's LimitRTPRIO=40 and LimitMEMLOCK=infinity give them; failstop doctor looks for them",
+        "On a busy machine stops come later, and some for no cause. The entry's own text has the command that gives\n"
+        "them, as the unit's LimitRTPRIO=40 and LimitMEMLOCK=infinity do.\n"
+        "Next: failstop doctor --name @FAILSTOP_NAME@",
     ),
     Kind(
         "pad",

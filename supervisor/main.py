@@ -10,13 +10,13 @@ import os
 import signal
 from time import monotonic_ns, sleep
 
-from failstop.procs import rights
+from failstop.procs import rights, starved
 from failstop.procs.loop import READ, Loop
 from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import pid_namespace
 from failstop.shm.packing import pack
-from failstop.supervisor import answer
+from failstop.supervisor import answer, grant, silence
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
 from failstop.supervisor.causes import Cause, Causes
@@ -28,6 +28,7 @@ from failstop.supervisor.link import UNPROVEN
 from failstop.supervisor.names import Names
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.sharing import Sharing
+from failstop.supervisor.silence import Silence
 from failstop.supervisor.table import SUPERVISOR_PRIORITY
 from failstop.supervisor.teller import Teller
 
@@ -82,7 +83,10 @@ class Supervisor:
         self._ready_word = own.word("ready")
         mutexes = segment.attach(memory, "lifelines", run, write=True).mutexes("mutexes")
         self._events = Events(name, own.ring_writer("events"), journal)
-        self.teller = Teller(name, self._events, views)
+        realtime = bool(self._granted & heartbeat.REALTIME)
+        advice = grant.advice(realtime=realtime, managed=notify is not None and notify.active)
+        self.teller = Teller(name, self._events, views, advice)
+        self._silence = Silence(views, resources.bells, self._events, advice)
         self.family = Family(resources, settings, self.loop, own, views, mutexes, self._events)
         self.children = self.family.children
         self._early = self.family.early
@@ -153,11 +157,13 @@ class Supervisor:
         for child in fallen:
             if child.life:
                 child.life.demote()
-        self.family.bury(ready, now_ns)
+        self.family.bury(ready, now_ns, self.epoch)
         self._sharing.serve(ready, now_ns)
         self._causes.settle(self._reset_word.get())
+        self.family.recall(self._reset_word.get(), now_ns)
         self._follow_latch()
         self._follow_answer(now_ns)
+        self._silence.follow(self.children, now_ns)
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
         self._follow_names(now_ns)
@@ -192,12 +198,16 @@ class Supervisor:
             self.aftermath.opened(self._written_word.get(), answer.BY_SUPERVISOR)
 
     def _held_up(self, now_ns: int) -> list[Cause]:
-        """A stop for a supervisor that could not watch anybody; it kills nobody for a silence that it did not hear."""
+        """A stop for a supervisor that could not watch anybody, while motion is enabled; it kills nobody for a silence
+        that it did not hear."""
         gap_ns, self._turned_ns = now_ns - self._turned_ns, now_ns
         if gap_ns >= EXCUSE_NS:
             for child in self.children:
                 child.excused_ns = now_ns
         if gap_ns < HELD_UP_NS or not self._was_ready:
+            return []
+        if not self._silence.motion(self.epoch):
+            self._silence.over(layout.SUPERVISOR, gap_ns, now_ns)
             return []
         return [Cause(now_ns, layout.SUPERVISOR, f"supervisor was held up for {gap_ns / 1e6:.0f} ms")]
 
@@ -210,7 +220,7 @@ class Supervisor:
 
     def _listening(self) -> bool:
         """True while pings are written and their answers decoded."""
-        asks, hears = self.family[layout.PORT_OWNER].running(), self.family[layout.TELEMETRY].running()
+        asks, hears = self.family[layout.PORT_OWNER].well(), self.family[layout.TELEMETRY].well()
         return self._port.fd >= 0 and asks and hears
 
     def _collect(self, fallen: list[Child], now_ns: int, burst_ns: int) -> list[Cause]:
@@ -284,22 +294,37 @@ class Supervisor:
         self.teller.stopped(cause, written_ns, by, standing, self.epoch, ending=self.ending)
 
     def _fence_hangs(self, now_ns: int) -> None:
-        """A process that has not beaten within its deadline is stopped for and killed; its death does the rest."""
+        """A process that has not beaten within its deadline."""
         self.family[layout.PORT_OWNER].patience_ns = self._sharing.patience_ns(now_ns)
         for child in self.children:
             if child.hangs(now_ns):
-                silent_ns = now_ns - max(child.beat.ns.get(), child.started_ns)
-                # Killed before the burst: a port owner that wakes up between the two could write one frame more.
-                os.kill(child.pid, signal.SIGKILL)
-                kill_ns = monotonic_ns()
-                written_ns = self._burst() if child.row.name == layout.PORT_OWNER else 0
-                reason = f"{child.row.name} hangs: {silent_ns / 1e6:.0f} ms silent"
-                self._raise_epoch([Cause(now_ns, layout.SUPERVISOR, reason, written_ns)])
-                child.fence = Fence(now_ns, kill_ns, written_ns, silent_ns)
+                is_starved = self._silence.starved(child)
+                if child.hangs(now_ns):  # else it has just beaten
+                    self._answer_silence(child, now_ns, is_starved=is_starved)
+
+    def _answer_silence(self, child: Child, now_ns: int, *, is_starved: bool) -> None:
+        """The table of silence.py. Who hangs is stopped for and killed; its death does the rest."""
+        name = child.row.name
+        silent_ns = now_ns - child.heard_ns()
+        reason = f"{name} hangs: {silent_ns / 1e6:.0f} ms silent{silence.SUFFIX if is_starved else ''}"
+        cause = Cause(now_ns, layout.SUPERVISOR, reason)
+        motion = self._silence.motion(self.epoch)
+        spared = is_starved and silent_ns < child.allowed_ns() + starved.LONGEST_NS
+        if spared and not (motion and name == layout.PORT_OWNER):
+            child.spare(now_ns)
+            if motion:
+                self._raise_epoch([cause])
+            return
+        # Killed before the burst: a port owner that wakes up between the two could write one frame more.
+        os.kill(child.pid, signal.SIGKILL)
+        kill_ns = monotonic_ns()
+        cause.written_ns = self._burst() if name == layout.PORT_OWNER else 0
+        self._raise_epoch([cause])
+        child.fence = Fence(now_ns, kill_ns, cause.written_ns, silent_ns, was_starved=is_starved)
 
     def _missing(self) -> str:
         """What motion is still waiting for; empty when nothing."""
-        absent = [child.row.name for child in self.children if not child.running()]
+        absent = [child.row.name for child in self.children if not child.well()]
         if not absent and not self._sharing.complete():
             return "the port"
         # A stop that the supervisor wrote itself is still to be answered: a port owner that was held up would cut into
@@ -313,6 +338,7 @@ class Supervisor:
         table = pack(
             {
                 "waiting_for": missing or None,
+                "starved": self._silence.as_record(),
                 "processes": {
                     child.row.name: {
                         "pid": child.pid,

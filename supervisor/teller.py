@@ -15,17 +15,16 @@ if TYPE_CHECKING:
 MOST_SAID = 64
 WAITED_NS = 2_000_000_000
 """What motion waits for is told of after this long: a restart takes a fraction of it."""
-NO_REALTIME = (
-    "no real-time rights (SCHED_FIFO): on a busy machine stops come later, and some for no cause; "
-    "next: run it as root or with RLIMIT_RTPRIO of at least 40"
-)
+NO_REALTIME = "no real-time rights (SCHED_FIFO): on a busy machine stops come later, and some for no cause"
 
 
 class Teller:
     """What was told since the latch, and the remarks of the processes."""
 
-    def __init__(self, name: str, events: Events, views: dict[str, Segment]) -> None:
+    def __init__(self, name: str, events: Events, views: dict[str, Segment], advice: str) -> None:
+        """`advice`: what to do about missing rights."""
         self._name = name
+        self._advice = advice
         self.events = events
         self._notes = [(process, views[process].ring_reader("notes")) for process in (layout.GATE, layout.TELEMETRY)]
         self._said: set[str] = set()
@@ -82,7 +81,7 @@ class Teller:
         todo = self.events.command("enable")
         self.events.tell("ready", f"{self._name!r} is ready: wheels stopped, motion disabled; next: {todo}")
         if not realtime:
-            self.events.tell("rights", NO_REALTIME, {"what": "SCHED_FIFO"})
+            self.events.tell("rights", f"{NO_REALTIME}; {self._advice}", {"what": "SCHED_FIFO"})
 
     def missing(self, missing: str, now_ns: int) -> None:
         """Once a turn: what motion waits for; told of when it stays away, and when it has come after all."""

@@ -10,8 +10,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from failstop.shm import root
+
+# A loaded machine is no failure: the time limits are pytest's.
+settings.register_profile("failstop", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("failstop")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -73,6 +73,8 @@ class Rights:
     """CAP_IPC_LOCK: locked memory whatever the limit."""
     realtime_granted: bool
     """The kernel did give SCHED_FIFO when asked."""
+    container: bool = False
+    """It runs in one."""
     runtime_us: int | None = None
     """kernel.sched_rt_runtime_us: of each second, what real-time processes may use; -1: no limit, 0: none."""
 
@@ -135,6 +137,8 @@ class Service:
     same_layout: bool
     problem: str = ""
     """Why its state can't be read, in one line."""
+    starved: str = ""
+    """How often the machine did not run it, in words."""
     user: str = ""
     device: str = ""
     device_state: str = ""

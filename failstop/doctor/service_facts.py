@@ -10,6 +10,7 @@ from failstop.doctor.facts import Process, RemoveIpc, Service, Unit
 from failstop.doctor.system import System, user_name
 from failstop.errors import FailstopError, NoService
 from failstop.install.layout import unit_of
+from failstop.screen import words
 from failstop.shm import instance, layout, segment, slot
 from failstop.state import State, StateReader
 from failstop.version import VERSION
@@ -57,6 +58,7 @@ def _running(state: State, version: str, system: System) -> Service:
         enabled=state.enabled,
         latched=state.estop or "",
         waiting_for=state.waiting_for or "",
+        starved=words.starved(state.starved),
         processes=tuple(
             Process(which, row.pid, row.realtime, row.memory_locked) for which, row in state.processes.items()
         ),

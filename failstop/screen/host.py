@@ -31,13 +31,6 @@ def start(name: str, device: str | None = None) -> str:
     return f"`failstop run{instance.option(name)}{f' --device {device}' if device and device != DEVICE else ''}`"
 
 
-def restart(name: str, device: str | None = None) -> str:
-    """The step that starts one anew that runs."""
-    if found := unit(name):
-        return f"`sudo systemctl restart {found}`"
-    return f"end the service (Ctrl-C where it runs), start it again with {start(name, device)}"
-
-
 def stop(device: str | None = None) -> str:
     """The command that writes a stop without a service, in backquotes."""
     return f"`failstop stop{f' --device {device}' if device and device != DEVICE else ''}`"

@@ -40,6 +40,11 @@ TABLE = (
         _BUSY,
     ),
     Reason(
+        f"{_PROCESS} hangs: (?P<ms>\\d+) ms silent \\(the machine is starved\\)",
+        "the machine was busy with other things and did not run the process {process}, which {role}, for {ms} ms",
+        "give the service real-time rights (`failstop doctor` has the command), or the machine less to do",
+    ),
+    Reason(
         r"supervisor was held up for (?P<ms>\d+) ms",
         "the supervisor could not run for {ms} ms, so nobody watched the others",
         _BUSY,

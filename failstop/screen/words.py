@@ -8,6 +8,8 @@ from failstop.shm.instance import DEFAULT_NAME, option
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from failstop.state import Stop
 
 DAY_S = 86400.0
@@ -67,6 +69,14 @@ def wheels_seen(stop: Stop) -> str:
 
     assert stop.observed_ms is not None
     return stops.wheels_seen(stop.observed_ms / 1000)
+
+
+def starved(found: dict[str, Any] | None) -> str:
+    """How often the machine did not run a process past its deadline, as a clause; empty for never."""
+    if not found:
+        return ""
+    times = "once" if found["times"] == 1 else f"{found['times']} times"
+    return f"the machine starved the service {times}, at worst {found['process']} for {found['longest_ms']} ms"
 
 
 def unit(name: str) -> str:

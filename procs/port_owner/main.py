@@ -59,6 +59,7 @@ class PortOwner:
         self._trips = telemetry.ring_reader("trips")
         self._stopped_word = own.word("stopped_epoch")
         self._written_word = own.word("written_ns")
+        self._moving_word = own.word("moving")
         self._ping_words = [own.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._port_record = own.latest_writer("port")
         self._stops = own.ring_writer("stops")
@@ -149,6 +150,7 @@ class PortOwner:
         if self.wire.lost or self.wire.unsent:
             return 0
         self._written_word.set(written_ns)
+        self._moving_word.set(0)
         return written_ns
 
     def _stop_request(self, now_ns: int) -> None:
@@ -287,8 +289,20 @@ class PortOwner:
             self._stop_request(now_ns)
         elif fault := self._lapsed(now_ns) or self.admission.frame_fault(frame):
             self.stop(now_ns, fault)
-        elif self._epoch_word.get() != frame_epoch:
+        else:
+            self._write_motion(frame, frame_epoch, frame_ns)
+
+    def _write_motion(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
+        """Says that it moves before it looks at epoch and time once more: whoever reads that nothing moves, having
+        raised the epoch or not, knows that no frame is about to be written that would not be good then. So one that is
+        starved here, for however long, may live."""
+        self._moving_word.set(1)
+        now_ns = monotonic_ns()
+        if self._epoch_word.get() != frame_epoch:
             self._follow_epoch(now_ns)
+        elif not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
+            self.wire.burst()
+            self._stopped(monotonic_ns())
         elif self._check_suspend(now_ns):
             return
         elif self.wire.frame(frame, backlog=MOTION_BACKLOG):

@@ -15,7 +15,7 @@ from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
 from failstop.shm import layout, records
 
-from .port_scene import MOTION, SLOWER, TICK, Scene
+from .port_scene import MOTION, SLOWER, TICK, Kernel, Scene
 from .stage import MS
 
 TOO_FAST = codec.motor_speeds((50.0, 0.0, 0.0, 0.0), 60.0)
@@ -231,6 +231,65 @@ def test_the_epoch_is_looked_at_again_just_before_the_write(scene: Scene, monkey
     monkeypatch.setattr(interface.RosController, "check_motion", staticmethod(raised_meanwhile))
     scene.put()
     assert scene.turn() == BURST
+
+
+def test_it_says_that_it_moves_before_it_looks_at_the_epoch_for_the_last_time(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever raises the epoch and then reads that nothing moves may take it that nothing will."""
+    scene.turn()
+    assert scene.word("moving") == 0, "the first burst has been written"
+    order: list[str] = []
+    real_get, real_frame = scene.owner._epoch_word.get, wire_module.Wire.frame
+
+    class Epoch:
+        def get(self) -> int:
+            order.append(f"epoch, moving {scene.word('moving')}")
+            return real_get()
+
+    monkeypatch.setattr(scene.owner, "_epoch_word", Epoch())
+
+    def frame(wire: wire_module.Wire, data: bytes, backlog: int = 0) -> bool:
+        order.append("write")
+        return real_frame(wire, data, backlog)
+
+    monkeypatch.setattr(wire_module.Wire, "frame", frame)
+    scene.put()
+    assert scene.turn() == MOTION
+    assert order[order.index("write") - 1] == "epoch, moving 1"
+    assert scene.word("moving") == 1
+    scene.raise_epoch(2)
+    assert scene.turn() == BURST
+    assert scene.word("moving") == 0
+
+
+def test_held_up_between_saying_that_it_moves_and_before_it_writes_nothing_old(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The machine may starve it for seconds there, and nobody kills it for that."""
+    scene.turn()
+
+    class Held:
+        def set(self, value: int) -> None:
+            scene.clock.now_ns += 60 * MS * value
+
+    monkeypatch.setattr(scene.owner, "_moving_word", Held())
+    scene.put()
+    assert scene.turn() == BURST
+    assert not scene.owner.admission.moving
+
+
+def test_a_burst_that_was_not_taken_whole_leaves_it_moving(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene.drive()
+    kernel = Kernel(monkeypatch)
+    kernel.room = 100
+    scene.raise_epoch(2)
+    scene.turn()
+    assert scene.word("moving") == 1
+    kernel.room = None
+    scene.raise_epoch(3)
+    scene.turn()
+    assert scene.word("moving") == 0
 
 
 class Slow:

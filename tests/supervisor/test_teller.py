@@ -45,7 +45,9 @@ def events() -> Told:
 
 @pytest.fixture
 def teller(name: str, events: Told) -> Teller:
-    return Teller(name, events, {process: segment.attach(name, process) for process in (layout.GATE, layout.TELEMETRY)})
+    return Teller(
+        name, events, {process: segment.attach(name, process) for process in (layout.GATE, layout.TELEMETRY)}, ""
+    )
 
 
 def test_a_thousand_reasons_of_somebody_s_are_not_all_remembered_and_hide_no_death(

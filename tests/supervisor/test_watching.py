@@ -13,12 +13,15 @@ from typing import Any
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.procs import starved
 from failstop.procs.handover import Control
 from failstop.procs.loop import READ
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
+from failstop.shm.packing import pack
 from failstop.supervisor import family as family_module
 from failstop.supervisor.children import STARTING_NS
+from failstop.supervisor.family import GATE_AGAIN_NS
 from failstop.supervisor.main import HELD_UP_NS
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.table import BY_NAME
@@ -36,6 +39,7 @@ class Watching(Scene):
         monkeypatch.setattr(family_module.Family, "start", lambda *_: None)
         self.supervisor.family[layout.PORT_OWNER].pid = 0
         self.dummies: list[Dummy] = []
+        self.beats = {name: segment.attach(self.resources.memory, name, write=True).word("beat_ns") for name in BY_NAME}
 
     def employ(self, name: str) -> Dummy:
         """A process that says that it runs."""
@@ -60,9 +64,25 @@ class Watching(Scene):
         except OSError:  # nothing, or nobody has the port open any more
             return b""
 
+    def enabled(self, epoch: int = 1) -> None:
+        """The gate has enabled motion."""
+        self.gate.latest_writer("state").write(pack({"enabled": True, "epoch": epoch}))
+
     def port_open(self) -> None:
         port = records.pack_port(1, self.now_ns, records.PORT_OPEN, "/dev/board")
         self.port_owner.latest_writer("port").write(port)
+
+    def beat_but(self, name: str) -> None:
+        """A tick in which everybody else beats."""
+        for other, beat in self.beats.items():
+            if other != name:
+                beat.set(self.now_ns + 10 * MS)
+        self.pass_time(10 * MS)
+
+    def starved(self) -> list[tuple[str, int, int]]:
+        """What people were told of the machine since the last call."""
+        found = [event["fields"] for event in self.events() if event["kind"] == "starved"]
+        return [(fields["process"], fields["silent_ms"], fields["times"]) for fields in found]
 
     def rung(self, process: str) -> bool:
         fd = self.resources.bells[process].fd
@@ -201,10 +221,11 @@ def test_while_no_port_owner_runs_the_stop_is_written_five_times_a_second(watchi
     assert set(written) == {0, 1}
 
 
-def test_one_that_was_held_up_stops_and_kills_nobody(watching: Watching) -> None:
+def test_one_that_was_held_up_stops_motion_and_kills_nobody(watching: Watching) -> None:
     for name in BY_NAME:
         watching.employ(name)
     watching.supervisor._was_ready = True
+    watching.enabled()
     watching.pass_time(HELD_UP_NS)
     assert watching.supervisor.epoch == 2
     cause = watching.supervisor._cause_record
@@ -213,6 +234,152 @@ def test_one_that_was_held_up_stops_and_kills_nobody(watching: Watching) -> None
     assert entry is not None
     assert records.unpack_cause(entry[2])[2] == "supervisor was held up for 250 ms"
     assert not any(child.fence for child in watching.supervisor.children)
+
+
+def test_one_that_was_held_up_while_nothing_could_move_only_tells(watching: Watching) -> None:
+    for name in BY_NAME:
+        watching.employ(name)
+    watching.supervisor._was_ready = True
+    watching.enabled(epoch=7)  # long ago: another stop has ended it
+    watching.pass_time(HELD_UP_NS)
+    assert watching.supervisor.epoch == 1
+    assert watching.starved() == [("supervisor", 250, 1)]
+    assert not any(child.fence for child in watching.supervisor.children)
+
+
+SPARED = [name for name in BY_NAME if name != layout.PORT_OWNER]
+
+
+@pytest.fixture
+def starving(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> Watching:
+    """Every process runs, and whoever is silent is starved."""
+    for name in BY_NAME:
+        watching.employ(name)
+    watching.supervisor._was_ready = True
+    monkeypatch.setattr(starved, "look", lambda *_: True)
+    return watching
+
+
+def test_who_is_starved_while_motion_is_disabled_is_left_alone_until_it_beats(starving: Watching) -> None:
+    supervisor = starving.supervisor
+    starving.port_open()
+    segment.attach(starving.resources.memory, layout.STOPPER, write=True).word("port_ns").set(2**62)
+    starving.answers()
+    for _ in range(40):
+        starving.pass_time(20 * MS)
+    assert (supervisor.epoch, starving.word("ready").get()) == (1, 0)
+    assert not any(child.fence for child in supervisor.children)
+    assert supervisor._missing() == ", ".join(BY_NAME)
+    assert not supervisor._listening(), "nobody hears the board"
+    for beat in starving.beats.values():
+        beat.set(starving.now_ns)
+    starving.pass_time(0)
+    assert supervisor._missing() == ""
+    assert starving.starved() == [("port_owner", 800, 1)], "one for all of ten seconds"
+    assert supervisor._silence.as_record() == {"times": 4, "longest_ms": 800, "process": "port_owner"}
+
+
+@pytest.mark.parametrize("name", SPARED)
+def test_who_is_starved_while_motion_is_enabled_is_stopped_for_once_and_left_alone(
+    starving: Watching, name: str
+) -> None:
+    starving.enabled()
+    child = starving.supervisor.family[name]
+    while starving.supervisor.epoch == 1:
+        starving.beat_but(name)
+    _, standing, _ = starving.cause()
+    assert standing == f"{name} hangs: {child.row.deadline_ns // MS} ms silent (the machine is starved)"
+    for _ in range(80):
+        starving.beat_but(name)
+    assert starving.supervisor.epoch == 2, "it is disabled now"
+    assert not child.fence
+
+
+@pytest.mark.parametrize("sign", ["enabled", "moving"])
+def test_a_starved_port_owner_is_fenced_while_it_may_move(starving: Watching, sign: str) -> None:
+    if sign == "enabled":
+        starving.enabled()
+    else:
+        starving.port_owner.word("moving").set(1)
+    port_owner = starving.supervisor.family[layout.PORT_OWNER]
+    for _ in range(10):
+        starving.beat_but(layout.PORT_OWNER)
+    assert port_owner.fence
+    assert "burst_us" in port_owner.fence.fields()
+    _, standing, _ = starving.cause()
+    assert standing == "port_owner hangs: 100 ms silent (the machine is starved)"
+
+
+def test_nobody_is_spared_for_ever_and_none_is_down_for_it(starving: Watching) -> None:
+    family = starving.supervisor.family
+    for _ in range(6):
+        starving.employ(layout.TELEMETRY)
+        family[layout.TELEMETRY].restart_ns = None
+        turns = 0
+        while not family[layout.TELEMETRY].fence:
+            starving.beat_but(layout.TELEMETRY)
+            turns += 1
+        deadline_ns = BY_NAME[layout.TELEMETRY].deadline_ns
+        assert starved.LONGEST_NS <= turns * 10 * MS - deadline_ns <= starved.LONGEST_NS + deadline_ns
+        until(lambda: starving.supervisor.loop.wait(0), "the news of its death")
+        starving.pass_time(0)
+        assert family[layout.TELEMETRY].state() == "waiting"
+
+
+def test_who_has_just_beaten_after_all_is_left_alone(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> None:
+    watching.employ(layout.GATE)
+    monkeypatch.setattr(starved, "look", lambda *_: watching.gate.word("beat_ns").set(watching.now_ns))
+    for _ in range(30):
+        watching.pass_time(20 * MS)
+    assert (watching.supervisor.epoch, watching.supervisor._silence.times) == (1, 0)
+
+
+def die_too_often(watching: Watching, name: str) -> None:
+    child = watching.supervisor.family[name]
+    while child.state() != "down":
+        child.restart_ns = None
+        watching.employ(name).kill()
+        until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+        watching.pass_time(0)
+
+
+@pytest.mark.parametrize("name", SPARED)
+def test_a_reset_starts_one_anew_that_is_down(watching: Watching, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[str] = []
+    die_too_often(watching, name)
+    child = watching.supervisor.family[name]
+    down_in = watching.supervisor.epoch
+    monkeypatch.setattr(
+        family_module.Family, "start", lambda _, found, fd: (started.append(name), setattr(found, "restart_ns", None))
+    )
+    watching.gate.word("reset_epoch").set(down_in - 1)
+    for _ in range(10):
+        watching.pass_time(20 * MS)
+    assert (started, child.state()) == ([], "down"), "a reset from before it was down is not for it"
+    watching.gate.word("reset_epoch").set(down_in)
+    watching.pass_time(20 * MS)
+    assert started == [name]
+    watching.employ(name).kill()
+    until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+    watching.pass_time(0)
+    assert child.state() == "waiting", "its deaths from before the reset are forgotten"
+
+
+def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(
+    watching: Watching, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[int] = []
+    die_too_often(watching, layout.GATE)
+    down_ns = watching.now_ns
+    monkeypatch.setattr(
+        family_module.Family,
+        "start",
+        lambda _, child, fd: (started.append(watching.now_ns), setattr(child, "restart_ns", None)),
+    )
+    while not started and watching.now_ns < down_ns + 2 * GATE_AGAIN_NS:
+        assert watching.supervisor.family[layout.GATE].state() == "down"
+        watching.pass_time(200 * MS)
+    assert started == [down_ns + GATE_AGAIN_NS]
 
 
 def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open(watching: Watching) -> None:
