@@ -9,6 +9,7 @@ CONTAINER = "start the container with `--cap-add SYS_NICE --cap-add IPC_LOCK --u
 SHELL = "`sudo prlimit --pid $$ --rtprio=40 --memlock=unlimited` in the same shell, then start it again"
 GRANTED = "it has real-time rights, so look at what else has, and at the host of a virtual machine (`failstop doctor`)"
 CONTAINER_FILES = ("/.dockerenv", "/run/.dockerenv", "/run/.containerenv", "/run/systemd/container")
+CONTROL_GROUP = "/proc/self/cgroup"
 CONTAINER_VARIABLE = "container"
 """Set for the first process of a container by podman, lxc and systemd-nspawn, and inherited where nobody clears it."""
 
@@ -31,7 +32,7 @@ def advice(*, realtime: bool, managed: bool) -> str:
 def own_unit() -> str:
     """The systemd unit of this process, by its control group; in words where that does not say."""
     try:
-        with open("/proc/self/cgroup", encoding="utf-8") as file:
+        with open(CONTROL_GROUP, encoding="utf-8") as file:
             groups = [line.rstrip().rpartition("/")[2] for line in file]
     except OSError:
         groups = []

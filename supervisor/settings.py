@@ -170,7 +170,7 @@ DECLARED = (
     Setting("incidents.save", "on", "", None, None, "keep the black box in a file after each latched stop", SWITCH),
     Setting("incidents.keep", 50, "", 1, 10000, "so many of these files; the oldest go first"),
     Setting("incidents.max_mb", 100, "MB", 1, 100000, "and no more than this together; the newest stays in any case"),
-    Setting("restart.deaths", 5, "", 1, 100000, "after this many deaths within the window, stay stopped"),
+    Setting("restart.deaths", 5, "", 1, 100000, "after this many deaths within the window, down until a reset"),
     Setting("restart.window_s", 60.0, "s", 1.0, 3600.0, "the window in which deaths are counted"),
     Setting("restart.backoff_s", 0.1, "s", 0.001, 2.0, "wait before the second restart in the window; then doubled"),
 )

@@ -73,6 +73,8 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("unit", facts(unit=but(UNIT, main_pid=4711)), WARN, "4711"),
     ("unit", facts(unit=but(UNIT, enabled="disabled")), WARN, "not started at boot"),
     ("realtime", facts(service=but(SERVICE, processes=UNRIGHTED)), WARN, "supervisor, port_owner"),
+    ("realtime", facts(service=but(SERVICE, processes=UNRIGHTED, starved="starved once")), WARN, "starved once; the"),
+    ("realtime", facts(service=but(SERVICE, starved="starved once")), WARN, "starved once, in spite of"),
     ("realtime", facts(service=None, rights=POOR), WARN, "no real-time priority"),
     ("realtime", facts(service=None, rights=but(POOR, realtime_limit=40)), WARN, "container"),
     ("realtime", facts(service=None, rights=but(RIGHTS, runtime_us=0)), FAIL, "no time at all"),
@@ -226,3 +228,11 @@ def test_the_worst_of_all() -> None:
     assert all(
         set(record) == {"check", "level", "text", "fix", "advice"} and record["level"] in LEVELS for record in records
     )
+
+
+def test_rights_are_granted_by_who_starts_the_service() -> None:
+    for container, remedy in ((False, "prlimit --pid $$ --rtprio=40"), (True, "--cap-add SYS_NICE")):
+        given = facts(service=None, rights=but(POOR, container=container))
+        (found,) = [finding for name, finding in examine(given) if name == "realtime"]
+        assert remedy in found.advice
+        assert bool(found.fix) is not container

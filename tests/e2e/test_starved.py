@@ -91,9 +91,8 @@ def test_while_driving_a_starved_port_owner_is_fenced_as_ever(trial: Trial) -> N
     trial.drive(0.3)
     pid = trial.service.pids()[PORT_OWNER]
     with Starved(pid):
-        wait_for("the wheels to stand", lambda: (trial.drive(0.02), not trial.moving())[1])
-        wait_for("another port owner", lambda: trial.drive(0.02) or trial.service.pids()[PORT_OWNER] != pid)
-    wait_for("the service to be ready", trial.service.ready)
+        wait_for("a latched stop", lambda: trial.drive(0.02) or trial.robot.state.estop is not None)
+    wait_for("another port owner", lambda: trial.service.ready() and trial.service.pids()[PORT_OWNER] != pid)
     assert not trial.moving()
     assert "E-STOP latched: port_owner hangs: " in trial.service.said()
     assert "port_owner was fenced" in trial.service.said()
