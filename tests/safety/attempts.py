@@ -28,8 +28,8 @@ from failstop.trial import Trial, TrialError
 from tests.safety.table import MEMBER, SERVICE, STRANGER
 from tests.shm.children import NOBODY, Child
 
-VICTIM = 61_236
-"""A user that no one is."""
+VICTIM = 61_000 + os.getpid() % 4000
+"""A user that no one is, another one in each process of the tests."""
 WITHIN_S = 5.0
 _CAPABILITIES_3 = 0x20080522
 

@@ -12,7 +12,7 @@ from failstop.trial import Trial, wait_for
 from tests.safety import page
 from tests.safety.attempts import ATTEMPTS, Scene
 from tests.safety.table import TABLE, USERS, Row
-from tests.shm.children import needs_root
+from tests.shm.children import needs_root, reachable
 
 ROOT = Path(__file__).parents[2]
 
@@ -38,8 +38,7 @@ def trial(running: Trial) -> Trial:
 @pytest.mark.parametrize("user", USERS)
 @pytest.mark.parametrize("row", [row for row in TABLE if row.attempt in ATTEMPTS], ids=lambda row: row.attempt)
 def test_row(trial: Trial, tmp_path: Path, row: Row, user: str) -> None:
-    for parent in (tmp_path, tmp_path.parent, tmp_path.parent.parent):
-        parent.chmod(0o755)
+    reachable(tmp_path)
     assert ATTEMPTS[row.attempt](Scene(trial, user, tmp_path)) is (user in row.can)
 
 

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from failstop.shm import bell, instance, root
 from failstop.shm.instance import InstanceError, NoService
 
-from .children import NOBODY, Child, call, needs_root, umask
+from .children import NOBODY, Child, call, needs_root, reachable, umask
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]
-STRANGER = 61_234
-"""A user that no one is, so that its directories are this test's alone."""
+STRANGER = 61_000 + os.getpid() % 4000
+"""A user that no one is, and of this process alone, so that its directories are this test's."""
 
 
 @pytest.fixture
@@ -193,8 +193,7 @@ def test_a_trap_in_the_shared_place_is_refused(private: str, tmp_path: Path, par
     """It is everyone's: what is there already may have been put there to be trusted."""
     target = tmp_path / "target"
     target.mkdir()
-    for parent in (tmp_path, tmp_path.parent, tmp_path.parent.parent):
-        parent.chmod(0o755)
+    reachable(tmp_path)
     if trap == "link to own":
         os.chown(target, STRANGER, STRANGER)
     else:

@@ -12,7 +12,7 @@ import pytest
 from failstop.shm import bell, claim, instance, place
 from failstop.shm.place import Untrusted
 
-from .children import NOBODY, call, needs_root
+from .children import NOBODY, call, needs_root, reachable
 
 OTHER = 61_235
 
@@ -20,8 +20,7 @@ OTHER = 61_235
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A runtime directory of root's that everybody can reach, with a FIFO and a claims file in it."""
-    for parent in (tmp_path, tmp_path.parent, tmp_path.parent.parent):
-        parent.chmod(0o755)
+    reachable(tmp_path)
     made = tmp_path / "failstop" / "robot"
     made.mkdir(parents=True)
     bell.make_pipe(str(made / "stop"), 0o622)
