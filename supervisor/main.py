@@ -50,6 +50,8 @@ ALONE_EVERY_NS = 200_000_000
 EXCUSE_NS = 60_000_000
 """A supervisor that itself was silent for this long judges nobody by it: the whole service may have been frozen. Two
 ticks less than the shortest deadline."""
+LATE_NS = 150_000_000
+"""Who beats ten times a second, and was silent for this long, was held up."""
 HELD_UP_NS = 250_000_000
 """And one that was silent for this long stops: nobody has watched."""
 HEAR_NS = 300_000_000
@@ -119,7 +121,7 @@ class Supervisor:
         self._was_ready = False
         path = settings.text("device.path")
         self._sharing = Sharing(port, path, resources, views, self.loop, self.family, self._events)
-        self._turned_ns = monotonic_ns()
+        self._turned_ns = self._watched_ns = monotonic_ns()
         self._tried_ns = 0
         """When it last tried to write a burst; when it last wrote one is `written_ns` of shared memory."""
         self.ending = False
@@ -152,7 +154,7 @@ class Supervisor:
         causes += self._held_up(now_ns)
         if causes:
             self._raise_epoch(causes)
-        if seen := self.aftermath.follow(now_ns, listening=self._listening()):
+        if seen := self.aftermath.follow(now_ns, listening=self._listening(now_ns)):
             self._raise_epoch(seen)
         for child in fallen:
             if child.life:
@@ -200,7 +202,8 @@ class Supervisor:
     def _held_up(self, now_ns: int) -> list[Cause]:
         """A stop for a supervisor that could not watch anybody, while motion is enabled; it kills nobody for a silence
         that it did not hear."""
-        gap_ns, self._turned_ns = now_ns - self._turned_ns, now_ns
+        self._watched_ns, self._turned_ns = self._turned_ns, now_ns
+        gap_ns = now_ns - self._watched_ns
         if gap_ns >= EXCUSE_NS:
             for child in self.children:
                 child.excused_ns = now_ns
@@ -218,10 +221,14 @@ class Supervisor:
             self._raise_epoch([Cause(now_ns, layout.SUPERVISOR, reason)])
         self.ending |= self.broken and self._unanswered is None
 
-    def _listening(self) -> bool:
-        """True while pings are written and their answers decoded."""
-        asks, hears = self.family[layout.PORT_OWNER].well(), self.family[layout.TELEMETRY].well()
-        return self._port.fd >= 0 and asks and hears
+    def _listening(self, now_ns: int) -> bool:
+        """True while pings are written and their answers decoded: what nobody could hear makes no board deaf."""
+        asks, hears = self.family[layout.PORT_OWNER], self.family[layout.TELEMETRY]
+        if self._port.fd < 0 or not asks.well() or not hears.well():
+            return False
+        # Who was held up comes late to an answer. While motion is enabled that is no excuse.
+        heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
+        return now_ns - heard_ns < LATE_NS or self._silence.motion(self.epoch)
 
     def _collect(self, fallen: list[Child], now_ns: int, burst_ns: int) -> list[Cause]:
         """Every cause that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's

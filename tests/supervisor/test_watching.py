@@ -22,7 +22,7 @@ from failstop.shm.packing import pack
 from failstop.supervisor import family as family_module
 from failstop.supervisor.children import STARTING_NS
 from failstop.supervisor.family import GATE_AGAIN_NS
-from failstop.supervisor.main import HELD_UP_NS
+from failstop.supervisor.main import HELD_UP_NS, LATE_NS
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.table import BY_NAME
 from tests.procs.parts import Pty, new_pty
@@ -270,7 +270,7 @@ def test_who_is_starved_while_motion_is_disabled_is_left_alone_until_it_beats(st
     assert (supervisor.epoch, starving.word("ready").get()) == (1, 0)
     assert not any(child.fence for child in supervisor.children)
     assert supervisor._missing() == ", ".join(BY_NAME)
-    assert not supervisor._listening(), "nobody hears the board"
+    assert not supervisor._listening(starving.now_ns), "nobody hears the board"
     for beat in starving.beats.values():
         beat.set(starving.now_ns)
     starving.pass_time(0)
@@ -462,9 +462,23 @@ def test_the_wait_before_a_restart_is_kept(watching: Watching, monkeypatch: pyte
 def test_nobody_listens_while_telemetry_is_down(watching: Watching) -> None:
     watching.employ(layout.PORT_OWNER)
     watching.employ(layout.TELEMETRY)
-    assert watching.supervisor._listening()
+    assert watching.supervisor._listening(watching.now_ns)
     watching.supervisor.family[layout.TELEMETRY].fallen = True
-    assert not watching.supervisor._listening()
+    assert not watching.supervisor._listening(watching.now_ns)
+
+
+@pytest.mark.parametrize("held_up", [layout.PORT_OWNER, layout.TELEMETRY, layout.SUPERVISOR])
+def test_who_was_held_up_did_not_listen_unless_something_may_move(watching: Watching, held_up: str) -> None:
+    supervisor = watching.supervisor
+    for name in (layout.PORT_OWNER, layout.TELEMETRY):
+        watching.employ(name)
+        watching.beats[name].set(watching.now_ns - LATE_NS * (name == held_up))
+        supervisor.family[name].started_ns = 0
+    supervisor._watched_ns = watching.now_ns - LATE_NS * (held_up == layout.SUPERVISOR)
+    assert not supervisor._listening(watching.now_ns)
+    assert supervisor._listening(watching.now_ns - 1)
+    watching.enabled()
+    assert supervisor._listening(watching.now_ns)
 
 
 def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) -> None:
