@@ -405,7 +405,7 @@ class Supervisor:
         """Wait until the board has answered a ping from after the last stop, and return how long after it that was in
         ns; 0: it has not, within HEAR_NS. Those who ask and listen must live for it."""
         until_ns = monotonic_ns() + HEAR_NS
-        while self._stop_ns and self._listening() and (now_ns := monotonic_ns()) < until_ns:
+        while self._stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening(now_ns):
             self.aftermath.follow(now_ns, listening=True)
             if heard_ns := self.aftermath.heard_ns(self._stop_ns):
                 return heard_ns - self._stop_ns

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop import style
-from failstop.screen import words
+from failstop.screen import host, words
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
 
@@ -71,6 +71,8 @@ def steps(state: State) -> list[str]:
     drive = "`failstop drive 0.1 0 0`, or commands by your program"
     if state.blocked is None:
         return [] if moving(state) else [words.named(drive, state.name)]
+    if any(process.state == "dead" for process in state.processes.values()):
+        return [host.start(state.name, state.device["path"]), words.named("`failstop enable`", state.name)]
     found = []
     if state.device["state"] != "open":
         found.append(f"plug the board in ({state.device['path']})")

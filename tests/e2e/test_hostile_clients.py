@@ -324,6 +324,18 @@ def test_a_flood_of_commands_of_an_unknown_source_does_not_flood_the_log(trial: 
     assert 0 < trial.service.said().count("no source 'nowhere'") < 50
 
 
+def test_nobody_drives_in_the_gamepad_s_place(trial: Trial) -> None:
+    """It is above every source: whoever could stand in for it would have the wheels at once."""
+    trial.enable()
+    with hostile(trial, "as_the_gamepad") as impostor:
+        impostor.says()
+        trial.drive(0.6, (-0.1, 0.0, 0.0))
+        assert trial.moving()
+        assert trial.robot.state.sources[0]["source"] == "cmd_vel"
+    assert not any(event.is_motor and event.speeds[0] > 0 for event in trial.board.events())
+    assert "the source 'gamepad' is the board's gamepad alone" in trial.service.said()
+
+
 # Hoarding.
 
 

@@ -175,8 +175,7 @@ def test_ctrl_c_is_a_signal_in_both_languages(pilot: Typist, trial: Trial) -> No
 def test_a_terminal_that_goes_away(pilot: Typist, trial: Trial) -> None:
     """The window is closed, the connection is gone: SIGHUP, and every write fails."""
     typed_ns = drive(pilot, trial)
-    os.close(pilot.slave)
-    os.close(pilot.master)
+    pilot.hang_up()
     stopped_in_time(trial, typed_ns)
     pilot.process.wait(15)
     assert not trial.robot.state.enabled
