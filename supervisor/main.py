@@ -409,6 +409,7 @@ class Supervisor:
             self.aftermath.follow(now_ns, listening=True)
             if heard_ns := self.aftermath.heard_ns(self._stop_ns):
                 return heard_ns - self._stop_ns
+            self._watched_ns = now_ns
             self.heartbeat.beat(now_ns, self.epoch)
             sleep(HURRY_NS / 1e9)
         return 0
