@@ -15,7 +15,7 @@ from failstop.faults.crowd import ChildDriver, Nobody
 from failstop.faults.fault import Fault
 from failstop.faults.inject import Injector
 from failstop.faults.scene import Scene
-from failstop.procs.gate.sources import DEFAULT
+from failstop.procs.gate.sources import DEFAULT, PAD
 from failstop.shm import instance, segment
 
 CLAIM_SEEN_S = 0.06
@@ -134,6 +134,7 @@ class SecondClient(Injector):
     """Another client publishes on the same source: whatever `velocity` says."""
 
     velocity = (0.1, 0.0, 0.0)
+    source = DEFAULT
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault)
@@ -145,7 +146,7 @@ class SecondClient(Injector):
     def strike(self, scene: Scene) -> int:
         assert self._client
         now_ns = time.monotonic_ns()
-        self._client.command(*self.velocity, manual=False, source=DEFAULT)
+        self._client.command(*self.velocity, manual=False, source=self.source)
         return now_ns
 
     def heal(self, scene: Scene) -> None:
@@ -157,6 +158,13 @@ class ClientNan(SecondClient):
     """The library refuses such a command, so this one goes past it."""
 
     velocity = (0.0, math.nan, 0.0)
+
+
+class ClientAsGamepad(SecondClient):
+    """The gamepad goes before every source: whoever could stand in for it would have the wheels."""
+
+    velocity = (0.0, 0.0, 0.0)
+    source = PAD
 
 
 class StopRequest(Injector):
@@ -323,6 +331,7 @@ INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "client-hung": ClientHung,
     "client-nan": ClientNan,
     "client-second": SecondClient,
+    "client-gamepad": ClientAsGamepad,
     "slot-scribbled": SlotScribbled,
     "slot-truncated": SlotTruncated,
     "slot-unlinked": SlotUnlinked,

@@ -82,6 +82,11 @@ CLIENTS = (
         "^multiple cmd_vel publishers", RESET, "E-STOP latched: multiple cmd_vel publishers", 5.0, "client-second",
     ),
     Fault(
+        "client-gamepad", CLIENT, "a client commands zero as the gamepad", "nobody",
+        "", ITSELF, "the source 'gamepad' is the board's gamepad alone", None, "client-gamepad",
+        aftermath_s=0.4, weight=1,
+    ),
+    Fault(
         "slot-scribbled", MEMORY, "the driving client's slot is overwritten", "gate (its session is gone)",
         "", ITSELF, "", 50.0, "slot-scribbled", counted_from="its last command", aftermath_s=0.45, weight=1,
     ),

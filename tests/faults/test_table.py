@@ -36,7 +36,7 @@ DESIGN = {
         *("stop-request", "stop-request-posing", "stop-pipe-garbage", "stop-pipe-flood"),
         *("pad-button", "board-key"),
     ),
-    "clients that misbehave": ("client-nan", "client-second"),
+    "clients that misbehave": ("client-nan", "client-second", "client-gamepad"),
     "the sensor and the interlocks": ("scan-silent", "interlock-lost"),
     "the service is stopped": ("service-stopped",),
     "no processor time": ("no-processor",),

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.board.sim.client import Event
+from failstop.events import EventLog
 from failstop.screen.hold import COMMAND_S, ENDS_S
 from failstop.trial import Trial, wait_for
 
@@ -98,6 +99,9 @@ def test_a_tap_is_a_nudge(pilot: Typist, trial: Trial) -> None:
     typed_ns = pilot.type(b"\x1b[A")
     trial.board.wait_for(lambda event: event.is_motion, 5.0)
     stopped_in_time(trial, typed_ns)
+    own = f"failstop teleop (pid {pilot.process.pid})"
+    told = [event for event in EventLog(trial.name).read() if event.fields.get("who") == own]
+    assert [event.text.partition(":")[0] for event in told if event.kind.startswith("driver")] == [f"{own} let go"]
 
 
 @pytest.mark.parametrize(
