@@ -15,6 +15,7 @@ from failstop.client import Client, gone, runtime_dir, send_stop
 from failstop.errors import FailstopError, NoAnswer, NoService, Refused
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.run import Run
+from failstop.samples import Sample, SampleReader
 from failstop.shm import records
 from failstop.shm.instance import DEFAULT_NAME
 from failstop.state import State, StateReader
@@ -49,6 +50,7 @@ class Robot:
         self._closed = False
         self._run: Run | None = None
         self._state_reader: StateReader | None = None
+        self._samples: SampleReader | None = None
         self._connected: Client | None = None
         _made.add(self)
         runtime_dir(name)
@@ -209,6 +211,23 @@ class Robot:
         NoService once the last of its processes has ended, FailstopError while it starts."""
         with self._lock:
             return self._reader.read()
+
+    @property
+    def settings(self) -> dict[str, float | str]:
+        """Every setting that the service was started with, by its whole key (`failstop config` lists them). Raises
+        FailstopError."""
+        with self._lock:
+            return self._reader.settings()
+
+    def samples(self) -> list[Sample]:
+        """What the board reported since the last call, each sample once with its time: ImuSample, BatterySample,
+        PadSample, OdometrySample of failstop.samples. The first call begins it, and the first of a new run begins anew.
+        Raises NoService, FailstopError."""
+        with self._lock:
+            run = self._current()
+            if self._samples is None or self._samples.run is not run:
+                self._samples = SampleReader(self.name, run)
+            return self._samples.read()
 
 
 _made: weakref.WeakSet[Robot] = weakref.WeakSet()

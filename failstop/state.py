@@ -123,6 +123,7 @@ class StateReader:
         self._beats = {which: heartbeat.HeartbeatReader(view) for which, view in views.items()}
         self._epoch = views[layout.SUPERVISOR].word("epoch")
         self._table = views[layout.SUPERVISOR].latest_reader("processes")
+        self._settings = views[layout.SUPERVISOR].latest_reader("settings")
         self._stop = views[layout.SUPERVISOR].latest_reader("stop")
         self._link = views[layout.SUPERVISOR].latest_reader("link")
         self._cause = views[layout.SUPERVISOR].latest_reader("cause")
@@ -173,6 +174,14 @@ class StateReader:
             plugged=records.PLUGGED[battery[1] if battery else 0],
             age_ms=max(0, now_ns - gate[1]) / 1e6,
         )
+
+    def settings(self) -> dict[str, float | str]:
+        """Every setting that the service was started with, by its whole key. Raises FailstopError while it starts."""
+        entry = self._settings.read()
+        if entry is None:
+            raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
+        found: dict[str, float | str] = msgpack.unpackb(entry[2])
+        return found
 
     def _decided(self, payload: bytes, epoch: int, now_ns: int, *, dead: bool) -> dict[str, Any]:
         """What the gate has published. A stop that it has not followed yet, because it hangs or has just died, is in

@@ -137,6 +137,7 @@ SEGMENTS = (
             _latest("link", 32, "clients"),  # whether the board answers: unproven, alive or deaf (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
             _latest("rules", 512, "clients"),  # what clients need of the settings (msgpack), written once
+            _latest("settings", 16384, "clients"),  # every setting of this run by its whole key (msgpack)
             _ring("events", 512, 256, "clients"),  # what people are told (msgpack, supervisor/events.py)
             _ring("box", box.BEATS_BYTES, box.BEATS_SLOTS, "everyone"),  # beat ages, its own bursts (box.py)
         ),

@@ -96,6 +96,7 @@ class Supervisor:
         self._cause_record = own.latest_writer("cause")
         self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings, self._events)
         self._table_record = own.latest_writer("processes")
+        own.latest_writer("settings").write(pack(settings.flat()))
         self.blackbox = BlackBox(resources, settings, own, views, self._events)
         self._stopped_word = views[layout.PORT_OWNER].word("stopped_epoch")
         self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
