@@ -39,13 +39,22 @@ class Robot:
     Not thread-safe otherwise: one Robot a thread.
     """
 
-    def __init__(self, name: str = DEFAULT_NAME, *, client: str | None = None, reconnect: bool = True) -> None:
-        """`client` is what others see of this program; by default its file name. Raises NoService when no service runs,
-        FailstopError for a name that can't be one. What else keeps this program from driving or from reading the state,
-        such as a service of another version, is raised by those calls: it keeps nobody from estop()."""
+    def __init__(
+        self,
+        name: str = DEFAULT_NAME,
+        *,
+        client: str | None = None,
+        reconnect: bool = True,
+        answer_s: float = ANSWER_S,
+    ) -> None:
+        """`client` is what others see of this program; by default its file name. `answer_s`: how long the gate may take
+        to answer a request. Raises NoService when no service runs, FailstopError for a name that can't be one. What
+        else keeps this program from driving or from reading the state, such as a service of another version, is raised
+        by those calls: it keeps nobody from estop()."""
         self.name = name
         self.client_name = client or os.path.basename(sys.argv[0]) or "python"
         self._reconnect = reconnect
+        self._answer_s = answer_s
         self._lock = threading.RLock()  # a signal's handler may call what it has interrupted
         self._closed = False
         self._run: Run | None = None
@@ -127,14 +136,15 @@ class Robot:
             run = self._current()
             client = self._slot(run)
             asked = client.ask(verb)
-        until_s = time.monotonic() + ANSWER_S
+        until_s = time.monotonic() + self._answer_s
         while (answer := client.answer(asked)) is None:
             with self._lock:
                 self._check_open()
                 if run.over():
                     raise gone(self.name)
             if time.monotonic() > until_s:
-                raise NoAnswer(f"the gate of {self.name!r} did not answer within {ANSWER_S:g} s: see `failstop status`")
+                text = f"the gate of {self.name!r} did not answer within {self._answer_s:g} s: see `failstop status`"
+                raise NoAnswer(text)
             time.sleep(POLL_S)
         done, text = answer
         if not done:
@@ -190,6 +200,13 @@ class Robot:
             run = self._current()
             run.check_interlocks(interlocks)
             self._slot(run).hold(list(interlocks))
+
+    def say(self, sees: str, wrong: str = "") -> None:
+        """Tell people in a line what this program sees, and what is wrong, if anything is: `status`, `why`, `doctor`
+        and the events show it under the program's name, the newest words only. At most 190 bytes each; say it again
+        every few seconds, as old words are shown with their age."""
+        with self._lock:
+            self._client().say(sees, wrong)
 
     def estop(self, reason: str = "") -> None:
         """Latched protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).

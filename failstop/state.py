@@ -73,6 +73,8 @@ class State:
     """How often a process was not run past its deadline, without a stop or a kill for it, since motion was disabled:
     times, longest_ms and process (which it was then); None: never."""
     clients: list[dict[str, Any]]
+    """slot, name, pid, driving; and of one that says something of itself (Robot.say): sees, wrong, said_s (how long
+    ago)."""
     sources: list[dict[str, Any]]
     """Who drives and who waits, highest priority first."""
     scan_age_s: float | None
@@ -128,6 +130,7 @@ class StateReader:
         self._link = views[layout.SUPERVISOR].latest_reader("link")
         self._cause = views[layout.SUPERVISOR].latest_reader("cause")
         self._gate = views[layout.GATE].latest_reader("state")
+        self._said = views[layout.GATE].latest_reader("said")
         self._reset_epoch = views[layout.GATE].word("reset_epoch")
         self._port = views[layout.PORT_OWNER].latest_reader("port")
         self._stops = views[layout.PORT_OWNER].ring_reader("stops", from_oldest=True)
@@ -162,7 +165,7 @@ class StateReader:
             device=self._device(),
             processes=self._processes(known["processes"], now_ns, dead=dead),
             starved=known["starved"],
-            clients=decided["clients"],
+            clients=self._clients(decided["clients"], now_ns),
             sources=decided["sources"],
             scan_age_s=max(0, now_ns - decided["scan_ns"]) / 1e9 if decided["scan_ns"] else None,
             last_stop=self._last_stop(),
@@ -217,6 +220,14 @@ class StateReader:
             if stopped_in > self._stopped[0]:
                 self._stopped = stopped_in, reason
         return self._stopped[1] if self._stopped[0] >= epoch else ""
+
+    def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> list[dict[str, Any]]:
+        entry = self._said.read()
+        for slot, t_ns, sees, wrong in msgpack.unpackb(entry[2]) if entry else ():
+            for client in clients:
+                if client["slot"] == slot:
+                    client.update(sees=sees, wrong=wrong, said_s=max(0, now_ns - t_ns) / 1e9)
+        return clients
 
     def _device(self) -> dict[str, Any]:
         entry, link = self._port.read(), self._link.read()

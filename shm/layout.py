@@ -116,6 +116,7 @@ def _client(index: int) -> SegmentSpec:
             _latest("sensed", 64, "gate"),  # its time is that of the obstacle sensor's last delivery
             _latest("interlocks", 224, "gate"),  # the conditions that this client says hold, at its time
             _latest("request", 320, "gate"),
+            _latest("said", 400, "gate"),  # in a line, what the client sees and what is wrong (records)
         ),
     )
 
@@ -171,6 +172,7 @@ SEGMENTS = (
             _ring("trips", 320, 32, "supervisor"),  # every latch that it made itself, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _latest("state", 4096, "telemetry, clients"),  # msgpack
+            _latest("said", 4096, "clients"),  # what clients say of themselves (msgpack, procs/gate/said.py)
             *(_latest(f"reply.{i}", 320, "the client of that slot") for i in range(CLIENT_SLOTS)),
             _ring("box", box.GATE_BYTES, box.GATE_SLOTS, "everyone"),  # every tick's command and decision (box.py)
         ),

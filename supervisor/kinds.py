@@ -218,6 +218,15 @@ KINDS = (
         "Next: correct the program, or declare a source under [sources] and restart the service",
     ),
     Kind(
+        "said",
+        "info",
+        "7d3f0b6e9c1a4f52a8e45b0c6d2f9137",
+        ("who", "sees", "wrong"),
+        "@FAILSTOP_WHO@ says of itself",
+        "A client's own words, shown as they are: what it sees, and what is wrong by its account.\n"
+        "Next: failstop why --name @FAILSTOP_NAME@ shows what holds the wheels, with the newest words of each client",
+    ),
+    Kind(
         "driver_silent",
         "warning",
         "c551b8c00bd64343874e0bef0e460f9d",

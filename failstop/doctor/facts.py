@@ -146,6 +146,8 @@ class Service:
     enabled: bool = False
     latched: str = ""
     waiting_for: str = ""
+    said: tuple[tuple[str, str, str], ...] = ()
+    """Who, what it sees, what is wrong: by a client's own account."""
     processes: tuple[Process, ...] = ()
 
 

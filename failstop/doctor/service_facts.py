@@ -59,6 +59,7 @@ def _running(state: State, version: str, system: System) -> Service:
         latched=state.estop or "",
         waiting_for=state.waiting_for or "",
         starved=words.starved(state.starved),
+        said=tuple(words.said(state)),
         processes=tuple(
             Process(which, row.pid, row.realtime, row.memory_locked) for which, row in state.processes.items()
         ),

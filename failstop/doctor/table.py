@@ -27,6 +27,7 @@ CHECKS = (
     Check("grabbers", judge_port.grabbers),
     Check("settings", judge_service.settings),
     Check("service", judge_service.running),
+    Check("clients", judge_service.clients),
     Check("version", judge_service.version),
     Check("unit", judge_service.unit),
     Check("realtime", judge_machine.realtime),

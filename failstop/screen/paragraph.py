@@ -213,6 +213,17 @@ def _troubles(state: State, events: Sequence[Event]) -> list[str]:
         found.append(f"{starved} (`failstop doctor` has the command that gives it real-time rights)")
     if state.age_ms > verdict.STALE_MS:
         found.append(f"the gate has said nothing for {words.span(state.age_ms / 1000)}, so this may be old")
+    return found + _said(state)
+
+
+def _said(state: State) -> list[str]:
+    """What is wrong by a client's own account; and what it sees, where the wheels wait for its kind."""
+    found = []
+    for who, sees, wrong in words.said(state):
+        if wrong:
+            found.append(f"the client {who} says: {wrong}")
+        elif state.blocked in (blocks.NO_SCAN, blocks.NO_COMMAND):
+            found.append(f"the client {who} says: {sees}")
     return found
 
 

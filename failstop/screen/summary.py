@@ -145,7 +145,17 @@ def _sensors(state: State) -> list[Line]:
 
 def _clients(state: State) -> list[Line]:
     names = [f"{client['name']} (pid {client['pid']})" for client in state.clients]
-    return [_row("clients", ", ".join(names))] if names else []
+    return [_row("clients", ", ".join(names)), *_said(state)] if names else []
+
+
+def _said(state: State) -> list[Line]:
+    """What clients say of themselves, a row each."""
+    rows = []
+    for who, sees, wrong in words.said(state):
+        rows.append(_row("says", f"{who}: {sees}"))
+        if wrong:
+            rows.append(_row("wrong", f"{who}: {wrong}", WARN))
+    return rows
 
 
 def processes(state: State) -> list[Line]:

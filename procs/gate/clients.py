@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 
 NAME_BYTES = 64
+SAID_BYTES = 190
 
 
 def seen(reader: LatestReader) -> int:
@@ -50,6 +51,7 @@ class Slot:
         "_interlocks",
         "_request",
         "_request_seq",
+        "_said",
         "_sensed",
         "_session_seen",
         "ended",
@@ -74,6 +76,7 @@ class Slot:
         self._request = segment.latest_reader("request")
         self._sensed = segment.latest_reader("sensed")
         self._interlocks = segment.latest_reader("interlocks")
+        self._said = segment.latest_reader("said")
         self._command_seq = seen(self._command)
         self._request_seq = seen(self._request)
         self._session_seen = self.greet()
@@ -144,6 +147,21 @@ class Slot:
         except ValueError:
             return 0, []
         return (entry[1], names) if session == self.session else (0, [])
+
+    def said(self) -> tuple[int, str, str] | None:
+        """What this session said last, for people: when, what it sees, what is wrong; None: nothing yet."""
+        entry = self._said.read()
+        if entry is None:
+            return None
+        try:
+            session, *texts = records.unpack_said(entry[2])
+        except ValueError:
+            return None
+        if session != self.session:
+            return None
+        # Bounded here, as the name is; what cannot be printed would take three bytes for one in the record.
+        sees, wrong = (records.cut(records.printable(text), SAID_BYTES).decode() for text in texts)
+        return entry[1], sees, wrong
 
     def new_request(self) -> tuple[int, int, int] | None:
         """The request (number, verb, when it was made), when it is new, whole and of this session."""

@@ -10,6 +10,7 @@ from failstop.procs.gate import kinematics
 from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.remarks import Budget, of_request
+from failstop.procs.gate.said import Said
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
 from failstop.procs.loop import READ, Loop
 from failstop.shm import bell, box, instance, layout, place, records
@@ -28,7 +29,7 @@ comes a little early leaves it to the next one: 120 ms at every other time (meas
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
 LOOK_AT_ALL_EVERY = 10
-"""Ticks between two looks at slots that nobody is known to hold."""
+"""Ticks between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
 
 
 class Gate:
@@ -45,6 +46,7 @@ class Gate:
         now_ns = monotonic_ns()
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
         self._budget = Budget(now_ns)
+        self._said = Said(now_ns)
 
         self._epoch_word = supervisor.word("epoch")
         self._ready_word = supervisor.word("ready")
@@ -56,6 +58,7 @@ class Gate:
         self._trips = own.ring_writer("trips")
         self._notes = own.ring_writer("notes")
         self._state = own.latest_writer("state")
+        self._said_record = own.latest_writer("said")
         self._box = box.GateBox(own.ring_writer("box"))
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._port_owner_bell = context.bell("port_owner_bell")
@@ -138,6 +141,7 @@ class Gate:
             self.clients.look_at_active(now_ns)
         else:
             self.clients.look_at_all(now_ns)
+            self._follow_said(now_ns)
         if self.core.check_interlocks(now_ns):
             self._write_stop("an interlock was lost")
         self._check_supervisor(now_ns)
@@ -149,6 +153,13 @@ class Gate:
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
             self.trip(f"supervisor hangs: silent for {silent_ns / 1e6:.0f} ms", now_ns)
+
+    def _follow_said(self, now_ns: int) -> None:
+        """What clients say of themselves, passed on unjudged."""
+        rows = [(slot.session, slot.index, slot.who(), *said) for slot in self.clients.active if (said := slot.said())]
+        if (notes := self._said.follow(rows, now_ns)) is not None:
+            self.core.notes += notes
+            self._said_record.write(pack(self._said.table()), now_ns)
 
     def _tell(self) -> None:
         """Pass on what people are told."""

@@ -56,6 +56,7 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("service", facts(service=but(SERVICE, link="deaf")), FAIL, "does not answer"),
     ("service", facts(service=but(SERVICE, link="unproven")), WARN, "not answered"),
     ("service", facts(service=but(SERVICE, waiting_for="the port")), WARN, "waits for the port"),
+    ("clients", facts(service=but(SERVICE, said=(("ros2", "no scan", "/a and /b drive"),))), WARN, "/a and /b drive"),
     ("unit", facts(unit=None, systemd=False), SKIP, "systemd does not run"),
     ("version", facts(service=but(SERVICE, problem="is of failstop 0.0.9")), FAIL, "0.0.9"),
     ("version", facts(service=but(SERVICE, version="0.0.9")), WARN, "0.0.9"),
