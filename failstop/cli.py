@@ -33,6 +33,7 @@ COMMANDS = {
     "chaos": ("chaos", "random faults on a simulated board, judged by it"),
     "install": ("install", "make it a service of this machine, whole or not at all"),
     "uninstall": ("uninstall", "stop the service and take away what install put there"),
+    "ros2": ("ros2", "the bridge to ROS 2: its nodes drive through the service"),
     "completion": ("completion", "the script that completes commands in a shell"),
 }
 
@@ -40,7 +41,7 @@ GROUPS = (
     ("drive", ("enable", "disable", "drive", "teleop", "stop", "estop", "reset")),
     ("look", ("status", "watch", "why", "events", "incident")),
     ("check", ("demo", "doctor", "prove", "chaos", "config")),
-    ("service", ("run", "sim", "install", "uninstall", "completion")),
+    ("service", ("run", "sim", "ros2", "install", "uninstall", "completion")),
 )
 """What `failstop --help` shows together; a command that is in none is shown at the end."""
 

@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 from failstop.client import attach
 from failstop.errors import NoService
+from failstop.procs.telemetry.imu import RATE_VARIANCE
+from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.run import Run
 from failstop.shm import box, layout, records
 from failstop.shm.instance import DEFAULT_NAME
@@ -24,6 +26,8 @@ class ImuSample(NamedTuple):
     t_ns: int
     acceleration_mps2: tuple[float, ...]
     rate_radps: tuple[float, ...]
+    rate_variance: float = RATE_VARIANCE
+    """Of each axis, in (rad/s)2."""
 
 
 class BatterySample(NamedTuple):
@@ -59,6 +63,8 @@ class OdometrySample(NamedTuple):
     wz_radps: float
     twist_std_mps: float
     twist_std_radps: float
+    pose_variance: float = POSE_VARIANCE
+    """m2 and rad2: not to be trusted."""
 
 
 class SampleReader:
