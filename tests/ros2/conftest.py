@@ -18,13 +18,26 @@ def ros(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return Ros(request.param, tmp_path_factory.mktemp("ros"))
 
 
-@pytest.fixture
-def name() -> str:
+def _name() -> str:
     return f"ros2-{os.getpid()}-{next(_numbers)}"
 
 
 @pytest.fixture
-def scene(ros: Ros, name: str) -> Iterator[Scene]:
-    """A service and a bridge that nobody has done anything with."""
-    with Scene(ros, name) as made:
+def name() -> str:
+    return _name()
+
+
+@pytest.fixture(scope="module")
+def stage(ros: Ros, request: pytest.FixtureRequest) -> Iterator[Scene]:
+    """A service and a bridge for all cases of a module, which may name options of the one (BRIDGE) and settings of the
+    other (SETTINGS)."""
+    words = getattr(request.module, "BRIDGE", ())
+    with Scene(ros, _name(), *words, settings=getattr(request.module, "SETTINGS", "")) as made:
         yield made
+
+
+@pytest.fixture
+def scene(stage: Scene) -> Scene:
+    """The module's, as at its start."""
+    stage.fresh()
+    return stage

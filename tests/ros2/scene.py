@@ -244,7 +244,8 @@ class Scene:
         return self.nodes[-1]
 
     def state(self, wanted: Any = lambda state: True) -> dict[str, Any]:
-        """~/state, once it is as wanted."""
+        """~/state from now on, once it is as wanted."""
+        self.eyes.take(f"{NODE}/state")
         found = self.eyes.next(f"{NODE}/state", lambda message: wanted(json.loads(message["data"])))
         state: dict[str, Any] = json.loads(found["data"])
         return state
@@ -279,6 +280,15 @@ class Scene:
 
     def standing(self) -> None:
         self.trial.board.wait_wheels(moving=False, timeout_s=DEADLINE_S)
+
+    def fresh(self) -> None:
+        """As at the start: nobody commands, nothing is latched, motion is disabled."""
+        for node in [node for node in self.nodes if node is not self.eyes]:
+            self.leave(node)
+        self.state(lambda state: not state["publishers"])
+        self.trial.robot.reset()
+        self.trial.robot.disable()
+        self.state(lambda state: state["blocked"] == "disabled")
 
     def leave(self, node: Node) -> None:
         """End a node in order."""

@@ -36,7 +36,7 @@ class Wire:
         self.services: list[dict] = []
         self.handlers: dict[int, object] = {}
         """What takes a packet, by the number of its subscription, service or client."""
-        self._known: dict[str, tuple[tuple[int, int], dict]] = {}
+        self._known: dict[str, tuple[tuple[int, int, int], dict]] = {}
         self._touched_s = 0.0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._out = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -76,7 +76,7 @@ class Wire:
                 continue
             with contextlib.suppress(FileNotFoundError, ValueError):
                 seen = entry.stat()
-                key = (seen.st_ino, seen.st_size)
+                key = (seen.st_ino, seen.st_size, seen.st_mtime_ns)
                 if self._known.get(name, (None,))[0] != key:
                     with open(entry.path) as file:
                         self._known[name] = (key, json.load(file))
