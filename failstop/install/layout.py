@@ -48,7 +48,7 @@ def unit_of(name: str) -> str:
 
 def unit_file(unit: str) -> str:
     """The file that a unit comes from."""
-    return f"{UNITS}/failstop.service" if unit == "failstop.service" else f"{UNITS}/failstop@.service"
+    return f"{UNITS}/failstop@.service" if "@" in unit else f"{UNITS}/{unit}"
 
 
 def parents(path: str) -> list[str]:
