@@ -124,6 +124,14 @@ def test_state_and_emergency_stop_come_ten_times_a_second(scene: Scene) -> None:
     scene.eyes.hear(f"{NODE}/state", "std_msgs/msg/String")
 
 
+def test_typed_status(scene: Scene) -> None:
+    if f"{NODE}/status" not in scene.eyes.ask("graph")["topics"]:
+        pytest.skip("failstop_msgs is not built here")
+    message = heard(scene, f"{NODE}/status", "failstop_msgs/msg/Status", 3)[-1][2]
+    assert (message["enabled"], message["latched"], message["blocked"]) == (False, False, "disabled")
+    assert message["link"] == "alive"
+
+
 def test_diagnostics(scene: Scene) -> None:
     found = heard(scene, "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 3)[-1][2]
     rows = {row["name"].partition(": ")[2]: row for row in found["status"]}

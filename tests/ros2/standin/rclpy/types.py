@@ -48,6 +48,9 @@ rcl_interfaces/msg/SetParametersResult: bool successful, string reason
 rcl_interfaces/msg/ParameterValue: int type, bool bool_value, int integer_value, float double_value, \
 string string_value, float[] double_array_value, string[] string_array_value
 rcl_interfaces/msg/Parameter: string name, rcl_interfaces/msg/ParameterValue value
+failstop_msgs/msg/Status: builtin_interfaces/msg/Time stamp, bool enabled, string blocked, bool latched, \
+string estop, string driver, float state_age_s, float scan_age_s, string link, string last_stop, \
+float last_stop_written_s, float last_stop_acknowledged_s, float last_stop_observed_s
 std_srvs/srv/SetBool: bool data -> bool success, string message
 std_srvs/srv/Trigger: -> bool success, string message
 rcl_interfaces/srv/GetParameters: string[] names -> rcl_interfaces/msg/ParameterValue[] values
