@@ -148,6 +148,8 @@ class Service:
     waiting_for: str = ""
     said: tuple[tuple[str, str, str], ...] = ()
     """Who, what it sees, what is wrong: by a client's own account."""
+    bridge: int = 0
+    """The pid that the bridge to ROS 2 says it has; 0: it is not connected."""
     processes: tuple[Process, ...] = ()
 
 
@@ -219,6 +221,18 @@ class StopTest:
 
 
 @dataclasses.dataclass(frozen=True)
+class Ros2:
+    """What is seen of ROS 2."""
+
+    users: tuple[str, ...] = ()
+    """Who has files of Fast DDS in /dev/shm."""
+    pid: int = 0
+    """The bridge's; 0: none is connected."""
+    user: str = ""
+    udp_only: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
 class Facts:
     """Everything. The defaults are for what was not looked at."""
 
@@ -250,6 +264,7 @@ class Facts:
     systemd: bool = False
     unit: Unit | None = None
     remove_ipc: RemoveIpc | None = None
+    ros2: Ros2 = Ros2()
     ticks: tuple[Ticks, ...] = ()
     stops: tuple[StopTest, ...] = ()
     stop_skipped: str = ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from failstop.board.discovery import BOARD_PID, BOARD_VID
-from failstop.doctor import machine_facts, paste, port_facts, service_facts, stop_test, ticks
+from failstop.doctor import machine_facts, paste, port_facts, ros2_facts, service_facts, stop_test, ticks
 from failstop.doctor.facts import NAMED, Facts, Holder, Node, Service, StopTest, Unit, User
 from failstop.doctor.system import System
 from failstop.errors import FailstopError
@@ -57,6 +57,7 @@ def gather(
         systemd=systemd,
         unit=unit,
         remove_ipc=service_facts.remove_ipc(system) if systemd else None,
+        ros2=ros2_facts.ros2(service, system),
         ticks=() if quick else ticks.measure(),
         stops=stops,
         stop_skipped=skipped,

@@ -15,6 +15,8 @@ from failstop.shm import instance, layout, segment, slot
 from failstop.state import State, StateReader
 from failstop.version import VERSION
 
+BRIDGE = "ros2"
+"""The name of the bridge to ROS 2 among the clients."""
 SYSTEMCTL_S = 1.0
 PROPERTIES = ("LoadState", "ActiveState", "SubState", "UnitFileState", "Result", "User", "NeedDaemonReload")
 NUMBERS = ("MainPID", "NRestarts")
@@ -60,6 +62,7 @@ def _running(state: State, version: str, system: System) -> Service:
         waiting_for=state.waiting_for or "",
         starved=words.starved(state.starved),
         said=tuple(words.said(state)),
+        bridge=next((client["pid"] for client in state.clients if client["name"] == BRIDGE), 0),
         processes=tuple(
             Process(which, row.pid, row.realtime, row.memory_locked) for which, row in state.processes.items()
         ),

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from failstop.doctor import judge_port, paste
-from failstop.doctor.facts import NAMED, Facts, Holder, Idle, Leftover, RemoveIpc, StopTest, Ticks
+from failstop.doctor.facts import NAMED, Facts, Holder, Idle, Leftover, RemoveIpc, Ros2, StopTest, Ticks
 from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, worst
 from failstop.doctor.table import CHECKS, as_records, examine
 from tests.doctor.parts import (
@@ -57,6 +57,8 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("service", facts(service=but(SERVICE, link="unproven")), WARN, "not answered"),
     ("service", facts(service=but(SERVICE, waiting_for="the port")), WARN, "waits for the port"),
     ("clients", facts(service=but(SERVICE, said=(("ros2", "no scan", "/a and /b drive"),))), WARN, "/a and /b drive"),
+    ("ROS 2", facts(ros2=Ros2(("anna",))), SKIP, "nodes of anna run here"),
+    ("ROS 2", facts(ros2=Ros2(("anna", "bob"), 7, "bob")), WARN, "Fast DDS of anna is here"),
     ("unit", facts(unit=None, systemd=False), SKIP, "systemd does not run"),
     ("version", facts(service=but(SERVICE, problem="is of failstop 0.0.9")), FAIL, "0.0.9"),
     ("version", facts(service=but(SERVICE, version="0.0.9")), WARN, "0.0.9"),
