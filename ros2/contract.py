@@ -27,7 +27,7 @@ class Qos(NamedTuple):
 
 PLAIN = Qos(10)
 SENSOR = Qos(5, reliable=False)
-LASTING = Qos(1, transient_local=True)
+LASTING = Qos(10, transient_local=True)
 
 
 class Topic(NamedTuple):

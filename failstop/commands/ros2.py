@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\
 . /opt/ros/humble/setup.sh; failstop ros2
-failstop ros2 --ros-args -r cmd_vel:=/base/cmd_vel -p allowed_publishers:=[/twist_mux]
-failstop ros2 --udp-only                 # for nodes of other users on this machine
+failstop ros2 --ros-args -r cmd_vel:=/base/cmd_vel -p cmd_vel_type:=stamped
+failstop ros2 --udp-only             # for nodes of other users
 """
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")

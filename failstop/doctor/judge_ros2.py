@@ -12,9 +12,7 @@ def bridge(facts: Facts) -> list[Finding]:
     if not found.pid:
         if not found.users:
             return ok("no ROS 2 node runs here")
-        text = (
-            f"ROS 2 nodes of {', '.join(found.users)} run here (or have left their files), and no bridge is connected"
-        )
+        text = f"ROS 2 nodes of {', '.join(found.users)} run here (or have left files), and no bridge is connected"
         return skip(text, "sudo failstop install --ros2-user NAME", "NAME: the user of the robot's nodes")
     where = f"the bridge is connected (pid {found.pid}, user {found.user})"
     others = [user for user in found.users if user != found.user]

@@ -12,7 +12,7 @@ from tests.screen import states
 
 RELIABLE_10 = Qos(10, reliable=True, transient_local=False)
 SENSOR_DATA = Qos(5, reliable=False, transient_local=False)
-TRANSIENT_LOCAL = Qos(1, reliable=True, transient_local=True)
+TRANSIENT_LOCAL = Qos(10, reliable=True, transient_local=True)
 
 TOPICS_IN = {
     "cmd_vel": ("geometry_msgs/msg/Twist", RELIABLE_10),
