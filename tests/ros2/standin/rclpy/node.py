@@ -229,7 +229,8 @@ class Node:
             return f"{self.full_name}{name[1:]}"
         return name if name.startswith("/") else f"{self._namespace.rstrip('/')}/{name}"
 
-    def create_publisher(self, kind: type, topic: str, qos: QoSProfile) -> Publisher:
+    def create_publisher(self, kind: type, topic: str, qos: QoSProfile | int) -> Publisher:
+        qos = QoSProfile(depth=qos) if isinstance(qos, int) else qos
         return Publisher(self, kind, self._resolved(topic), qos)
 
     def create_subscription(
