@@ -10,6 +10,7 @@ import contextlib
 import json
 import os
 import re
+import time
 
 SHM = "/dev/shm"
 PATTERN = re.compile(r"(?:sem\.)?fastrtps_[0-9A-Za-z_]+")
@@ -44,6 +45,11 @@ def born(pid: int) -> str:
             return file.read().rpartition(")")[2].split()[19]
     except (OSError, IndexError):
         return ""
+
+
+def age_s() -> float:
+    """How long ago this process was started."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - int(born(os.getpid()) or 0) / os.sysconf("SC_CLK_TCK")
 
 
 def note_path(name: str, folder: str = SHM) -> str:

@@ -9,7 +9,7 @@ from time import monotonic_ns
 from typing import Any
 
 from failstop.errors import FailstopError
-from failstop.ros2 import contract, diagnostics, messages, report
+from failstop.ros2 import contract, diagnostics, leftovers, messages, report
 from failstop.ros2.contract import OUTWARD, STATUS, TF, Topic
 from failstop.ros2.fill import fill, type_of
 from failstop.ros2.link import Link
@@ -23,6 +23,7 @@ PERIOD_S = 0.008
 STATE_NS = 20_000_000
 REPORT_NS = 100_000_000
 SLOW_NS = 1_000_000_000
+SUPERVISOR = "supervisor"
 SIGNS = tuple(f"wheels.sign_{number}" for number in (1, 2, 3, 4))
 
 
@@ -47,6 +48,7 @@ class Outward:
         self._offset_ns = 0
         self._state_ns = self._report_ns = self._slow_ns = 0
         self._stopped: bool | None = None
+        self._begun = False
         self._told: list[diagnostics.Status] = []
         self._covariances: dict[str, Any] = {}
         self._battery: tuple[int, str] | None = None
@@ -144,9 +146,9 @@ class Outward:
     def _state(self) -> State | None:
         try:
             state = self._link.state()
-            if self._shared.settings is None or self._shared.state is None:
+            if (run := state.processes[SUPERVISOR].pid) != self._shared.run:
                 self._shared.settings = self._link.call(lambda robot: robot.settings)
-                self._shared.run += 1
+                self._shared.run = run
             self._shared.state = state
             return state
         except FailstopError as error:
@@ -167,6 +169,9 @@ class Outward:
             report.as_json(state, shared.publishers, shared.wrong) if state else report.without_service(shared.problem)
         )
         self._publish(contract.STATE, {"data": json.dumps(found)})
+        if not self._begun:
+            self._begun = True
+            self._node.get_logger().info(f"first state {leftovers.age_s():.2f} s after the start")
         self._publish(contract.JOINT_STATES, self._wheels.fields(ros_ns))
         if state and STATUS.name in self._publishers:
             self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **report.status(state)})

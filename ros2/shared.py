@@ -18,7 +18,7 @@ class Shared:
     settings: Settings | None = None
     """Of the run that is there; None: not known yet."""
     run: int = 0
-    """Counts the runs of the service that were seen."""
+    """Which run of the service that is: the pid of its supervisor; 0: none was seen yet."""
     publishers: tuple[str, ...] = ()
     sees: tuple[str, ...] = ()
     wrong: tuple[str, ...] = ()
