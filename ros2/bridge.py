@@ -37,8 +37,8 @@ class Bridge:
         self._mirrored = 0
         self._own = False
         own = self._declare()
-        self._outward = Outward(self._node, _profile, self._links[0], self._shared, own)
         self._inward = Inward(self._node, _profile, self._links[1], self._shared, own)
+        self._outward = Outward(self._node, _profile, self._links[0], self._shared, self._inward.graph, own)
 
     def _declare(self) -> dict[str, Any]:
         """Declare every parameter; returns the bridge's own."""

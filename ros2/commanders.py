@@ -31,6 +31,24 @@ class Publisher(NamedTuple):
     reliable: bool = True
 
 
+class HeldUp:
+    """Whether the thread that takes messages was held up until a moment ago: what it then finds waited in a queue."""
+
+    def __init__(self) -> None:
+        self._turned_ns = 0
+        self._old_until_ns = 0
+
+    def turn(self, now_ns: int) -> None:
+        """Every time that it does something; 20 times a second at least."""
+        if self._turned_ns and now_ns - self._turned_ns > FRESH_NS:
+            self._old_until_ns = now_ns + FRESH_NS
+        self._turned_ns = now_ns
+
+    def old(self, now_ns: int) -> bool:
+        """Whether what arrives now may be old."""
+        return now_ns < self._old_until_ns
+
+
 class Commanders:
     """The publishers of cmd_vel as last seen."""
 
@@ -44,7 +62,6 @@ class Commanders:
         self._looked_ns = 0
         self._nameless_ns: int | None = None
         self._asked_ns = 0
-        self._old_until_ns = 0
 
     def wants_look(self, count: int, now_ns: int) -> bool:
         """Whether who publishes is to be looked up now, the number being `count`."""
@@ -59,14 +76,8 @@ class Commanders:
 
     def counted(self, count: int, now_ns: int) -> None:
         """How many publish, by the graph, a moment ago."""
-        if self._counted_ns and now_ns - self._counted_ns > FRESH_NS:
-            self._old_until_ns = now_ns + FRESH_NS
         self.count = count
         self._counted_ns = now_ns
-
-    def old(self, now_ns: int) -> bool:
-        """Whether what arrives now may have waited in a queue: the bridge was held up until a moment ago."""
-        return now_ns < self._old_until_ns
 
     def _nameless(self) -> bool:
         return any(not publisher.node for publisher in self.publishers)

@@ -10,14 +10,15 @@ from typing import Any
 from failstop.errors import FailstopError, NoAnswer, Refused
 from failstop.robot import Robot
 from failstop.ros2 import mirrors, report, words
-from failstop.ros2.commanders import Commanders, Publisher, wrong_ends
+from failstop.ros2.commanders import Commanders, HeldUp, wrong_ends
 from failstop.ros2.contract import CLIENT, CMD_VEL, COMMAND_TYPES, ESTOP, SCAN, SERVICES, STAMPED, Topic
 from failstop.ros2.fill import type_of
+from failstop.ros2.graph import Graph, latch
 from failstop.ros2.link import Link
 from failstop.ros2.scan import ScanWatch
 from failstop.ros2.shared import Shared
 
-WATCH_S = 0.02
+WATCH_S = 0.05
 SAY_NS = 1_000_000_000
 LOOK_NS = 500_000_000
 STOP_NS = 1_000_000_000
@@ -45,6 +46,7 @@ class Inward:
         now_ns = monotonic_ns()
         self._accepted = COMMAND_TYPES[settings["cmd_vel_type"]]
         self._commanders = Commanders(self._accepted, settings["allowed_publishers"])
+        self._held_up = HeldUp()
         self._scan = ScanWatch(0.5)
         self._timeout_s = 0.3
         self._run = 0
@@ -61,7 +63,7 @@ class Inward:
         self._subscription = self._subscribe(CMD_VEL, self._command, self._type)
         self._scan_topic = self._subscribe(SCAN, self._scanned, raw=True).topic_name
         self._estop_topic = self._subscribe(ESTOP, self._estop).topic_name
-        self._topic: str = self._subscription.topic_name
+        self.graph = Graph(node, self._subscription.topic_name, self._commanders, shared)
         for service, answer in zip(SERVICES, (self._enable, self._reset, self._stop), strict=True):
             node.create_service(type_of(service.type), service.name, answer)
         node.create_timer(WATCH_S, self._watch)
@@ -78,40 +80,26 @@ class Inward:
             self._node.get_logger().warning(line)
 
     def _latch(self, cause: str) -> None:
-        """A latched stop, by the stop pipe."""
-        try:
-            self._link.call(lambda robot: robot.estop(cause))
-            self._node.get_logger().error(f"E-STOP latched: {cause}")
-        except FailstopError as error:
-            self._node.get_logger().error(f"{cause}, and there is nothing to stop: {error}")
+        latch(self._node, self._link, cause)
 
     # Who commands.
 
-    def _look(self, topic: str) -> list[Publisher]:
-        return [_publisher(found) for found in self._node.get_publishers_info_by_topic(topic)]
-
-    def _ask_graph(self, now_ns: int) -> None:
-        """Who publishes now; a second one, or a stranger, is a stop."""
-        commanders = self._commanders
-        count = self._node.count_publishers(self._topic)
-        if commanders.wants_look(count, now_ns):
-            commanders.look(self._look(self._topic), now_ns)
-        commanders.counted(count, now_ns)
-        cause = commanders.cause(now_ns)
-        state = self._shared.state
-        if commanders.due(cause, state is not None and state.estop is not None, now_ns):
-            self._latch(cause)
+    def _turn(self) -> int:
+        """Every callback begins so; returns the time."""
+        now_ns = monotonic_ns()
+        self._held_up.turn(now_ns)
+        return now_ns
 
     def _watch(self) -> None:
-        """50 times a second: silent publishers, the interlock, and now and then the rest."""
-        now_ns = monotonic_ns()
-        self._ask_graph(now_ns)
+        """20 times a second: the interlock, and now and then the rest. A bridge whose executor hangs says nothing."""
+        now_ns = self._turn()
         self._follow_service()
         if now_ns - self._looked_ns >= LOOK_NS:
             self._looked_ns = now_ns
-            self._scan.look(self._look(self._scan_topic))
-            self._wrong_estop = wrong_ends(ESTOP.name, self._look(self._estop_topic), (ESTOP.type,), reliable=True)
-            self._follow_type()
+            self._scan.look(self.graph.publishers(self._scan_topic))
+            publishers = self.graph.publishers(self._estop_topic)
+            self._wrong_estop = wrong_ends(ESTOP.name, publishers, (ESTOP.type,), reliable=True)
+        self._follow_type()
         try:
             if self._asserts and self._commanders.holds(now_ns):
                 self._link.call(lambda robot: robot.hold(CLIENT))
@@ -157,8 +145,8 @@ class Inward:
     # Topics.
 
     def _command(self, message: Any) -> None:
-        now_ns = monotonic_ns()
-        self._ask_graph(now_ns)
+        now_ns = self._turn()
+        self.graph.ask(self._link, now_ns)
         twist = message.twist if self._type == STAMPED else message
         velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
         if not all(map(isfinite, velocity)):
@@ -169,7 +157,7 @@ class Inward:
             return
         if any(velocity):
             self._moving_ns, self._velocity = now_ns, velocity
-        if not self._commanders.passes() or self._commanders.old(now_ns):
+        if not self._commanders.passes() or self._held_up.old(now_ns):
             return
         try:
             self._link.call(lambda robot: robot.drive(*velocity))
@@ -185,8 +173,8 @@ class Inward:
         return f"cmd_vel is refused: its stamp is {age_s:.3f} s old (most: {self._timeout_s:g} s); do the clocks agree?"
 
     def _scanned(self, _message: bytes) -> None:
-        now_ns = monotonic_ns()
-        if self._commanders.old(now_ns):
+        now_ns = self._turn()
+        if self._held_up.old(now_ns):
             return
         self._scan.heard(now_ns)
         try:
@@ -210,7 +198,7 @@ class Inward:
 
     def _ask_reset(self) -> str:
         now_ns = monotonic_ns()
-        self._ask_graph(now_ns)
+        self.graph.ask(self._link, now_ns)
         if cause := self._commanders.cause(now_ns):
             raise Refused(cause)
         if now_ns - self._moving_ns < self._timeout_s * 1e9:
@@ -244,14 +232,3 @@ class Inward:
         response.success = True
         response.message = said or report.proof(before, self._shared.state, final=True)
         return response
-
-
-def _publisher(found: Any) -> Publisher:
-    """An endpoint of the graph."""
-    name = found.node_name
-    node = "" if not name or name.startswith("_NODE_NAME_UNKNOWN_") else f"{found.node_namespace.rstrip('/')}/{name}"
-    # 2: best effort; a publisher of unknown quality is given the benefit of the doubt.
-    return Publisher(node, found.topic_type, int(found.qos_profile.reliability) != 2)
-
-
-__all__ = ["Inward"]

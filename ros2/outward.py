@@ -1,5 +1,8 @@
-"""Outward: a thread that publishes what the service reports. It wakes up on its own, beside the executor: to build a
-wait set costs an executor of rclpy more than a message does."""
+"""Outward: a thread that publishes what the service reports, and watches for publishers that are silent.
+
+It wakes up on its own, beside the executor: to build a wait set costs an executor of rclpy more than a message (0.8 ms
+a callback, 0.02 ms to publish, measured).
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ from failstop.errors import FailstopError
 from failstop.ros2 import contract, diagnostics, leftovers, messages, report
 from failstop.ros2.contract import OUTWARD, STATUS, TF, Topic
 from failstop.ros2.fill import fill, type_of
+from failstop.ros2.graph import Graph
 from failstop.ros2.link import Link
 from failstop.ros2.scan import ScanLog
 from failstop.ros2.shared import Shared
@@ -30,9 +34,10 @@ SIGNS = tuple(f"wheels.sign_{number}" for number in (1, 2, 3, 4))
 class Outward:
     """The publishers, and what was published last."""
 
-    def __init__(self, node: Any, qos: Any, link: Link, shared: Shared, settings: dict[str, Any]) -> None:
+    def __init__(self, node: Any, qos: Any, link: Link, shared: Shared, graph: Graph, settings: dict[str, Any]) -> None:
         """`qos` makes a profile of a contract.Qos; `settings`: the bridge's own parameters."""
         self._node = node
+        self._graph = graph
         self._link = link
         self._shared = shared
         self._frames = (settings["odom_frame_id"], settings["base_frame_id"])
@@ -96,7 +101,8 @@ class Outward:
         except FailstopError as error:
             self._lost(error)
         if now_ns - self._state_ns >= STATE_NS:
-            self._state_ns = now_ns
+            self._state_ns = max(self._state_ns + STATE_NS, now_ns - STATE_NS // 2)
+            self._graph.ask(self._link, now_ns)
             self._follow(now_ns)
 
     def _publish(self, topic: Topic, fields: dict[str, Any]) -> None:

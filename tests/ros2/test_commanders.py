@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from failstop.ros2.commanders import AGAIN_NS, FRESH_NS, NAMELESS_NS, STOP_AGAIN_NS, Commanders, Publisher
+from failstop.ros2.commanders import AGAIN_NS, FRESH_NS, NAMELESS_NS, STOP_AGAIN_NS, Commanders, HeldUp, Publisher
 from failstop.ros2.contract import COMMAND_TYPES, STAMPED, TWIST
 
 BOTH = COMMAND_TYPES["auto"]
@@ -106,14 +106,19 @@ def test_a_nameless_one_waits_for_its_name() -> None:
 
 
 def test_what_waited_while_the_bridge_was_held_up_is_old() -> None:
-    commanders = seen(Commanders(BOTH), S)
-    assert not commanders.old(S), "the first look is no wait"
-    now_ns = S + FRESH_NS
-    assert not seen(commanders, now_ns, NAV).old(now_ns)
+    held_up = HeldUp()
+    now_ns = S
+    held_up.turn(now_ns)
+    assert not held_up.old(now_ns), "the first turn is no wait"
+    now_ns += FRESH_NS
+    held_up.turn(now_ns)
+    assert not held_up.old(now_ns)
     now_ns += FRESH_NS + 1
-    assert seen(commanders, now_ns, NAV).old(now_ns)
-    assert seen(commanders, now_ns + FRESH_NS - 1, NAV).old(now_ns + FRESH_NS - 1)
-    assert not commanders.old(now_ns + FRESH_NS)
+    held_up.turn(now_ns)
+    assert held_up.old(now_ns)
+    held_up.turn(now_ns + FRESH_NS - 1)
+    assert held_up.old(now_ns + FRESH_NS - 1)
+    assert not held_up.old(now_ns + FRESH_NS)
 
 
 @pytest.mark.parametrize(
