@@ -63,7 +63,7 @@ class Outward:
     def _make(self, topic: Topic, qos: Any) -> None:
         try:
             kind = type_of(topic.type)
-        except (ImportError, AttributeError):
+        except FailstopError:
             if topic is not STATUS:
                 raise
             return  # failstop_msgs is not built here

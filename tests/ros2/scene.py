@@ -31,6 +31,8 @@ BOOL = "std_msgs/msg/Bool"
 FORWARD = {"linear": {"x": 0.2}}
 SENSOR = {"reliable": False, "depth": 5}
 DEADLINE_S = 20.0
+OVERLAY = "FAILSTOP_ROS_OVERLAY"
+"""A setup file of further ROS packages, to source after ROS's own."""
 _domains = itertools.count(os.getpid() % 40 + 1)
 
 
@@ -61,7 +63,8 @@ def _real(folder: Path) -> dict[str, str]:
     setups = sorted(glob.glob("/opt/ros/*/setup.sh"))
     if not setups:
         pytest.skip("there is no ROS 2 on this machine (no /opt/ros/*/setup.sh)")
-    script = f'. "{setups[-1]}" && env -0'
+    overlay = os.environ.get(OVERLAY, "/dev/null")
+    script = f'. "{setups[-1]}" && . "{overlay}" && env -0'
     done = subprocess.run(["sh", "-c", script], capture_output=True, text=True, timeout=30, check=False)
     environment = {line.split("=", 1)[0]: line.split("=", 1)[1] for line in done.stdout.split("\0") if "=" in line}
     home = tempfile.mkdtemp(prefix="ros-home-", dir=folder)
@@ -246,7 +249,10 @@ class Scene:
     def state(self, wanted: Any = lambda state: True) -> dict[str, Any]:
         """~/state from now on, once it is as wanted."""
         self.eyes.take(f"{NODE}/state")
-        found = self.eyes.next(f"{NODE}/state", lambda message: wanted(json.loads(message["data"])))
+        try:
+            found = self.eyes.next(f"{NODE}/state", lambda message: wanted(json.loads(message["data"])))
+        except pytest.fail.Exception as error:
+            pytest.fail(f"{error}; the bridge ({self.bridge.process.poll()}) said: {self.bridge.said()[-2000:]}")
         state: dict[str, Any] = json.loads(found["data"])
         return state
 

@@ -56,6 +56,7 @@ class Talker:
         self.heard: dict = {}
         self.subscriptions: dict = {}
         self.clients: dict = {}
+        self.executor = SingleThreadedExecutor()
         self.asked: queue.Queue = queue.Queue()
         threading.Thread(target=self._read, daemon=True).start()
 
@@ -65,11 +66,10 @@ class Talker:
         self.asked.put({"do": "quit"})
 
     def run(self) -> None:
-        executor = SingleThreadedExecutor()
-        executor.add_node(self.node)
+        self.executor.add_node(self.node)
         answer({"ready": True})
         while True:
-            executor.spin_once(timeout_sec=0.002)
+            self.executor.spin_once(timeout_sec=0.002)
             self._repeat()
             while not self.asked.empty():
                 asked = self.asked.get()
@@ -141,7 +141,8 @@ class Talker:
             return {"error": "no service"}
         future = client.call_async(build(kind.Request(), fields))
         begun_s = time.monotonic()
-        rclpy.spin_until_future_complete(self.node, future, timeout_sec=timeout_s)
+        while not future.done() and time.monotonic() - begun_s < timeout_s:
+            self.executor.spin_once(timeout_sec=0.01)
         if not future.done():
             return {"error": "no answer"}
         return {"took_s": time.monotonic() - begun_s, **plain(future.result())}

@@ -5,8 +5,6 @@ The same cases run against the real rclpy where there is one; what holds here an
 
 from __future__ import annotations
 
-import time
-
 from rclpy import types  # noqa: F401  (first: it makes the message packages)
 from rclpy.node import Arguments, Node
 from rclpy.wire import Wire
@@ -38,9 +36,3 @@ shutdown = try_shutdown
 def create_node(name: str) -> Node:
     assert _wire is not None
     return Node(name, arguments=_arguments, wire=_wire)
-
-
-def spin_until_future_complete(node: Node, future: object, *, timeout_sec: float) -> None:
-    until_s = time.monotonic() + timeout_sec
-    while not future.done() and time.monotonic() < until_s:
-        time.sleep(0.001)
