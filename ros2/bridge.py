@@ -28,6 +28,8 @@ class Bridge:
 
     def __init__(self, rclpy: Any, name: str) -> None:
         """`rclpy`: initialised. Raises FailstopError for parameters that make no sense."""
+        from rclpy.callback_groups import ReentrantCallbackGroup
+
         self._rclpy = rclpy
         self._node = rclpy.create_node(NODE)
         self._shared = Shared()
@@ -37,7 +39,7 @@ class Bridge:
         self._mirrored = 0
         self._own = False
         own = self._declare()
-        self._inward = Inward(self._node, _profile, self._links[1], self._shared, own)
+        self._inward = Inward(self._node, _profile, ReentrantCallbackGroup, self._links[1], self._shared, own)
         self._outward = Outward(self._node, _profile, self._links[0], self._shared, self._inward.graph, own)
 
     def _declare(self) -> dict[str, Any]:

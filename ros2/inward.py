@@ -37,8 +37,9 @@ class Turn:
 class Inward:
     """The subscriptions and services."""
 
-    def __init__(self, node: Any, qos: Any, link: Link, shared: Shared, settings: dict[str, Any]) -> None:
-        """`qos` makes a profile of a contract.Qos; `settings`: the bridge's own parameters."""
+    def __init__(self, node: Any, qos: Any, group: Any, link: Link, shared: Shared, settings: dict[str, Any]) -> None:
+        """`qos` makes a profile of a contract.Qos, `group` a callback group; `settings`: the bridge's own
+        parameters."""
         self._node = node
         self._qos = qos
         self._link = link
@@ -65,7 +66,8 @@ class Inward:
         self._estop_topic = self._subscribe(ESTOP, self._estop).topic_name
         self.graph = Graph(node, self._subscription.topic_name, self._commanders, shared)
         for service, answer in zip(SERVICES, (self._enable, self._reset, self._stop), strict=True):
-            node.create_service(type_of(service.type), service.name, answer)
+            # Of groups of their own: all others wait while a callback of the node's group has not come to its end.
+            node.create_service(type_of(service.type), service.name, answer, callback_group=group())
         node.create_timer(WATCH_S, self._watch)
 
     def _subscribe(self, topic: Topic, act: Any, kind: str = "", *, raw: bool = False) -> Any:

@@ -25,6 +25,7 @@ from failstop.state import State
 PERIOD_S = 0.008
 """IMU samples come every 9 ms."""
 STATE_NS = 20_000_000
+LEAST_NS = 1000
 REPORT_NS = 100_000_000
 SLOW_NS = 1_000_000_000
 SUPERVISOR = "supervisor"
@@ -50,7 +51,7 @@ class Outward:
         self._constants()
         self._wheels = messages.Wheels()
         self._scan_log = ScanLog(monotonic_ns())
-        self._offset_ns = 0
+        self._offset_ns = self._imu_ns = 0
         self._state_ns = self._report_ns = self._slow_ns = 0
         self._stopped: bool | None = None
         self._begun = False
@@ -110,7 +111,9 @@ class Outward:
 
     def _sample(self, sample: object) -> None:
         if isinstance(sample, ImuSample):
-            self._publish(contract.IMU, messages.imu(sample, sample.t_ns + self._offset_ns))
+            # What the port had in one piece has one time, and a filter divides by the time between two samples.
+            self._imu_ns = max(sample.t_ns + self._offset_ns, self._imu_ns + LEAST_NS)
+            self._publish(contract.IMU, messages.imu(sample, self._imu_ns))
         elif isinstance(sample, OdometrySample):
             self._odometry(sample)
         elif isinstance(sample, PadSample):

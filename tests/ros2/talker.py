@@ -150,9 +150,10 @@ class Talker:
     def get_parameters(self, node: str, names: list[str]) -> dict:
         return self.call(f"{node}/get_parameters", "rcl_interfaces/srv/GetParameters", {"names": names})
 
-    def set_parameter(self, node: str, name: str, value: float) -> dict:
+    def set_parameter(self, node: str, name: str, value: float | str) -> dict:
         message = type_of("rcl_interfaces/msg/Parameter")()
-        message.name, message.value.type, message.value.double_value = name, 3, value
+        message.name, message.value.type = name, 4 if isinstance(value, str) else 3
+        setattr(message.value, "string_value" if isinstance(value, str) else "double_value", value)
         return self.call(f"{node}/set_parameters", "rcl_interfaces/srv/SetParameters", {"parameters": [message]})
 
     def graph(self) -> dict:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
 from typing import Any
@@ -42,7 +41,6 @@ def test_imu(scene: Scene) -> None:
     times = stamps(found)
     assert times == sorted(set(times))
     assert rate(times) == pytest.approx(110, rel=0.05), "every sample"
-    assert max(later - sooner for sooner, later in itertools.pairwise(times)) < 0.1
     assert all(-0.02 < came - stamp < 1.0 for (_, came, _), stamp in zip(found, times, strict=True))
     message = found[-1][2]
     assert message["header"]["frame_id"] == "imu_link"

@@ -19,6 +19,9 @@ PACKAGES = Path(__file__).resolve().parents[2] / "ros2" / "packages"
 def test_manifest(name: str) -> None:
     root = ElementTree.parse(PACKAGES / name / "package.xml").getroot()
     assert (root.findtext("name"), root.findtext("version")) == (name, VERSION)
+    maintainer = root.find("maintainer")
+    assert maintainer is not None
+    assert re.fullmatch(r"[-\w.]+@[-\w]+\.\w+", maintainer.get("email", "")), "catkin_pkg refuses it otherwise"
 
 
 def test_setup_is_of_this_version() -> None:

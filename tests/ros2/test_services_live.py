@@ -84,16 +84,16 @@ def test_parameters_show_the_settings(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "says"),
+    ("name", "value", "says"),
     [
-        ("max_linear", "change limits.vx_mps and limits.vy_mps in failstop's TOML file"),
-        ("scan_timeout", "change scan.timeout_s and scan.gate in failstop's TOML file"),
-        ("gyro_noise_rad_s", "read-only"),
-        ("cmd_vel_type", "read once, at the start of the bridge"),
+        ("max_linear", 0.7, "change limits.vx_mps and limits.vy_mps in failstop's TOML file"),
+        ("scan_timeout", 0.7, "change scan.timeout_s and scan.gate in failstop's TOML file"),
+        ("gyro_noise_rad_s", 0.7, "read-only"),
+        ("cmd_vel_type", "twist", "read once, at the start of the bridge"),
     ],
 )
-def test_a_parameter_is_not_set_and_says_what_to_change(scene: Scene, name: str, says: str) -> None:
-    results = scene.eyes.ask("set_parameter", node=NODE, name=name, value=0.7)["results"]
+def test_a_parameter_is_not_set_and_says_what_to_change(scene: Scene, name: str, value: float | str, says: str) -> None:
+    results = scene.eyes.ask("set_parameter", node=NODE, name=name, value=value)["results"]
     assert [result["successful"] for result in results] == [False]
     assert says in results[0]["reason"]
     test_parameters_show_the_settings(scene)

@@ -16,7 +16,7 @@ setup(
     install_requires=["setuptools"],
     zip_safe=True,
     maintainer="failstop developers",
-    maintainer_email="root@localhost",
+    maintainer_email="failstop@example.org",
     description="The bridge from ROS 2 to failstop, the layer that makes a robot stop, and its launch file.",
     license="MIT",
     entry_points={"console_scripts": [f"bridge = {NAME}.bridge:main"]},

@@ -46,6 +46,10 @@ class SingleThreadedExecutor:
 
     def _found(self) -> list:
         now_s = time.monotonic()
+        if any(service.alone for service, _, _ in self._tasks):
+            # The node's own group is mutually exclusive: nothing else runs before that callback's end, not even what
+            # would wake this executor up.
+            return []
         found = [lambda task=task: self._go_on(*task) for task in self._tasks]
         self._tasks = []
         for node in self._nodes:

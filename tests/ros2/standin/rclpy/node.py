@@ -244,8 +244,9 @@ class Node:
         self.wire.subscriptions.remove(subscription.row)
         self.wire.tell()
 
-    def create_service(self, kind: type, name: str, callback: object) -> Service:
+    def create_service(self, kind: type, name: str, callback: object, *, callback_group: object = None) -> Service:
         self.services.append(Service(self, kind, self._resolved(name), callback))
+        self.services[-1].alone = callback_group is None
         return self.services[-1]
 
     def create_client(self, kind: type, name: str) -> Client:
@@ -300,6 +301,8 @@ class Node:
             result = SetParametersResult(successful=True)
             if parameter.name not in self._parameters:
                 result = SetParametersResult(successful=False, reason=f"{parameter.name} is not declared")
+            elif parameter.name not in self._free and parameter.type_ != self._parameters[parameter.name].type_:
+                result = SetParametersResult(successful=False, reason="Wrong parameter type")
             for callback in self._callbacks:
                 if result.successful:
                     result = callback([parameter])
