@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from failstop.ros2.contract import CLIENT
+from failstop.shm.records import REQUESTED
 
 TOPIC_CAUSE = "estop topic"
 SERVICE_CAUSE = "stop service"
@@ -13,13 +14,13 @@ ENABLED = "enabled"
 DISABLED = "disabled"
 HELD = "wheels held: no LiDAR scan for {:.1f} s while commanded"
 RELEASED = "LiDAR scan back: wheels released"
-_OWN = re.compile(rf" \({re.escape(CLIENT)}, pid \d+\)")
+_OWN = re.compile(rf"{REQUESTED}: (.*) \({re.escape(CLIENT)}, pid \d+\)")
 NOTHING_LATCHED = "no e-stop is latched"
 
 
 def plain(text: str) -> str:
-    """A reason without the bridge's own name and number behind it."""
-    return _OWN.sub("", text)
+    """A reason of the bridge's own without what the service adds to every request."""
+    return _OWN.sub(r"\1", text)
 
 
 def refused(text: str) -> str:

@@ -117,7 +117,7 @@ def test_words_of_the_driver_before() -> None:
     assert words.refused("e-stop latched (key1)") == "refused: e-stop latched (key1)"
     assert words.refused("arm is not in the drive pose") == "refused: arm is not in the drive pose"
     assert words.reset("no e-stop is latched") == "e-stop cleared (was: None); motion still disabled"
-    done = "e-stop cleared (was: estop topic (ros2, pid 77)); motion still disabled"
+    done = "e-stop cleared (was: stop request: estop topic (ros2, pid 77)); motion still disabled"
     assert words.reset(done) == "e-stop cleared (was: estop topic); motion still disabled"
     assert words.TOPIC_CAUSE == "estop topic"
     assert words.NO_ANSWER == "no answer from the gate in 0.5 s: wheels stopped"

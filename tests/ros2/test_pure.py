@@ -99,7 +99,7 @@ def test_wheels_turn_as_far_as_they_were_told() -> None:
 
 def test_state_values() -> None:
     bias = {"bias_radps": [0.01, 0.0, -0.01], "tracking": True, "calibrated": True}
-    given = states.latched("estop topic (ros2, pid 9)", scan_age_s=0.12345, gyro_bias=bias, plugged="plugged")
+    given = states.latched("stop request: estop topic (ros2, pid 9)", scan_age_s=0.12345, gyro_bias=bias, plugged="plugged")
     found = report.as_json(given, ["/nav"], ["a", "b"])
     assert found["estop"] == "estop topic"
     assert found["blocked"] == "estop: estop topic"
@@ -152,8 +152,8 @@ def test_the_proof_of_a_stop_grows() -> None:
 
 
 def test_own_name_and_number_are_left_out_of_reasons() -> None:
-    assert words.plain("estop topic (ros2, pid 12)") == "estop topic"
-    assert words.plain("estop: estop topic (ros2, pid 12)") == "estop: estop topic"
+    assert words.plain("stop request: estop topic (ros2, pid 12)") == "estop topic"
+    assert words.plain("estop: stop request: estop topic (ros2, pid 12)") == "estop: estop topic"
     assert words.plain("hand near wheel (failstop estop, pid 12)") == "hand near wheel (failstop estop, pid 12)"
 
 
