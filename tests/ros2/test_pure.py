@@ -99,7 +99,9 @@ def test_wheels_turn_as_far_as_they_were_told() -> None:
 
 def test_state_values() -> None:
     bias = {"bias_radps": [0.01, 0.0, -0.01], "tracking": True, "calibrated": True}
-    given = states.latched("stop request: estop topic (ros2, pid 9)", scan_age_s=0.12345, gyro_bias=bias, plugged="plugged")
+    given = states.latched(
+        "stop request: estop topic (ros2, pid 9)", scan_age_s=0.12345, gyro_bias=bias, plugged="plugged"
+    )
     found = report.as_json(given, ["/nav"], ["a", "b"])
     assert found["estop"] == "estop topic"
     assert found["blocked"] == "estop: estop topic"
