@@ -46,6 +46,7 @@ class Node:
             env=environment(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
             text=True,
             bufsize=1,
         )
@@ -61,13 +62,17 @@ class Node:
         self.process.stdin.write(f"{text}\n")
         return self._line()
 
-    def end(self, number: int = signal.SIGTERM) -> None:
-        """It leaves the graph in order only by SIGTERM."""
-        self.process.send_signal(number)
-        self.process.wait()
+    def kill(self) -> None:
+        """It stays in the graph for a while."""
+        self.process.kill()
+        self.end()
+
+    def end(self) -> None:
+        """The end of its input ends it in order."""
         for pipe in (self.process.stdin, self.process.stdout):
             if pipe:
                 pipe.close()
+        self.process.wait()
 
 
 class Scene:
@@ -165,7 +170,7 @@ def seconds(scene: Scene, count: int, seed: int) -> list[stats.Row]:
             latched += 1
             time.sleep(chance.uniform(0.0, 0.1))
             if turn % DEATH_EVERY == DEATH_EVERY - 1:
-                rival.end(signal.SIGKILL)
+                rival.kill()
                 rival = Node("rival")
             else:
                 rival.ask("leave")

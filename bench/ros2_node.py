@@ -99,6 +99,9 @@ def main() -> None:
     print("ready", flush=True)
     for line in sys.stdin:
         print(node.do(line.split()), flush=True)
+    node.every_s = dict.fromkeys(node.every_s, 0.0)
+    node.node.destroy_node()
+    rclpy.try_shutdown()
 
 
 if __name__ == "__main__":
