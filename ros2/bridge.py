@@ -105,6 +105,10 @@ class Bridge:
 
         executor = SingleThreadedExecutor()
         executor.add_node(self._node)
+        if hasattr(executor, "_guard"):
+            # After each callback it wakes up whoever else may wait, itself here, builds another wait set, and finds
+            # nothing: half of its time. One thread alone spins.
+            executor._guard.trigger = lambda: None
         self._outward.start()
         try:
             while not self._shared.ending and self._rclpy.ok():

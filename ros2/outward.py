@@ -22,9 +22,12 @@ from failstop.ros2.shared import Shared
 from failstop.samples import BatterySample, ImuSample, OdometrySample, PadSample
 from failstop.state import State
 
-PERIOD_S = 0.008
+PERIOD_S = 0.009
 """IMU samples come every 9 ms."""
-STATE_NS = 20_000_000
+WATCH_NS = 20_000_000
+STATE_NS = 50_000_000
+CLOCK_NS = 100_000_000
+"""How often the time of ROS is compared with this machine's: it may be a simulator's, or be set."""
 LEAST_NS = 1000
 REPORT_NS = 100_000_000
 SLOW_NS = 1_000_000_000
@@ -52,6 +55,7 @@ class Outward:
         self._wheels = messages.Wheels()
         self._scan_log = ScanLog(monotonic_ns())
         self._offset_ns = self._imu_ns = 0
+        self._watch_ns = self._clock_ns = 0
         self._state_ns = self._report_ns = self._slow_ns = 0
         self._stopped: bool | None = None
         self._begun = False
@@ -95,15 +99,19 @@ class Outward:
 
     def turn(self, now_ns: int) -> None:
         """One wake-up."""
-        self._offset_ns = self._node.get_clock().now().nanoseconds - monotonic_ns()
+        if now_ns - self._clock_ns >= CLOCK_NS:
+            self._clock_ns = now_ns
+            self._offset_ns = self._node.get_clock().now().nanoseconds - monotonic_ns()
         try:
             for sample in self._link.call(lambda robot: robot.samples()):
                 self._sample(sample)
         except FailstopError as error:
             self._lost(error)
+        if now_ns - self._watch_ns >= WATCH_NS:
+            self._watch_ns = max(self._watch_ns + WATCH_NS, now_ns - WATCH_NS // 2)
+            self._graph.ask(self._link, now_ns)
         if now_ns - self._state_ns >= STATE_NS:
             self._state_ns = max(self._state_ns + STATE_NS, now_ns - STATE_NS // 2)
-            self._graph.ask(self._link, now_ns)
             self._follow(now_ns)
 
     def _publish(self, topic: Topic, fields: dict[str, Any]) -> None:
