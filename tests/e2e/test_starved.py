@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.faults.starve import Starved
+from failstop.faults.starve import SHARP, Starved
 from failstop.shm.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
 from failstop.supervisor.table import BY_NAME
 from failstop.trial import Trial, wait_for
@@ -28,8 +28,12 @@ os.execv(sys.argv[1], sys.argv[1:])
 """Run by root, this takes away what an ordinary user does not have."""
 
 
-LONG_MS = 700.0
-"""Longer than every deadline, shorter than anybody's patience."""
+MORE_MS = 100.0
+"""Beyond the deadline; far less than anybody's patience."""
+
+
+def long_ms(process: str) -> float:
+    return BY_NAME[process].deadline_ns / 1e6 + MORE_MS
 
 
 def silent_ms(trial: Trial, process: str, pid: int) -> float:
@@ -38,11 +42,11 @@ def silent_ms(trial: Trial, process: str, pid: int) -> float:
     return found.age_ms if found.pid == pid else float("inf")
 
 
-def starve(trial: Trial, process: str) -> None:
-    """Until it has been silent for so long, or is another one; then it may run, until it is heard."""
+def starve(trial: Trial, process: str, nice: int = SHARP) -> None:
+    """Until it has been silent for long, or is another one; then it may run again."""
     pid = trial.service.pids()[process]
-    with Starved(pid):
-        wait_for(f"{process} to be silent for {LONG_MS} ms", lambda: silent_ms(trial, process, pid) >= LONG_MS)
+    with Starved(pid, nice):
+        wait_for(f"{process} to be silent", lambda: silent_ms(trial, process, pid) >= long_ms(process))
     wait_for("the service to be ready", trial.service.ready)
 
 
@@ -54,13 +58,13 @@ def test_while_idle_it_is_left_alone_and_that_is_told(trial: Trial, process: str
     assert trial.service.pids() == before, trial.service.said()
     assert (state.estop, state.epoch) == (None, 1), "nothing was stopped either"
     assert state.starved is not None
-    assert state.starved["longest_ms"] >= LONG_MS
+    assert state.starved["longest_ms"] >= long_ms(process)
     assert "the machine starves the service: " in trial.service.said()
     for command in ("status", "why", "doctor --quick"):
         shown = failstop(*command.split(), "--name", trial.name).stdout
         assert "the machine starved the service " in " ".join(shown.lower().split()), command
     if all(found.realtime for found in state.processes.values()):  # else others may have been starved for longer
-        assert state.starved == {"times": 1, "longest_ms": state.starved["longest_ms"], "process": process}
+        assert state.starved["process"] == process
 
 
 @pytest.mark.parametrize("process", [GATE, TELEMETRY, STOPPER])
@@ -69,11 +73,12 @@ def test_while_driving_the_wheels_are_stopped_and_nobody_is_killed(trial: Trial,
     trial.drive(0.3)
     assert trial.moving()
     before = trial.service.pids()
-    with Starved(before[process]):
+    with Starved(before[process], SHARP):
         wait_for("the wheels to stand", lambda: (trial.drive(0.02), not trial.moving())[1])
         trial.board.events()
         wait_for(
-            f"{process}'s deadline", lambda: trial.drive(0.02) or silent_ms(trial, process, before[process]) > LONG_MS
+            f"{process}'s deadline",
+            lambda: trial.drive(0.02) or silent_ms(trial, process, before[process]) > long_ms(process),
         )
     wait_for("the service to be ready", trial.service.ready)
     assert not any(event.is_motion for event in trial.board.events())
@@ -90,7 +95,7 @@ def test_while_driving_a_starved_port_owner_is_fenced_as_ever(trial: Trial) -> N
     trial.enable()
     trial.drive(0.3)
     pid = trial.service.pids()[PORT_OWNER]
-    with Starved(pid):
+    with Starved(pid, SHARP):
         wait_for("a latched stop", lambda: trial.drive(0.02) or trial.robot.state.estop is not None)
     wait_for("another port owner", lambda: trial.service.ready() and trial.service.pids()[PORT_OWNER] != pid)
     assert not trial.moving()
@@ -111,8 +116,8 @@ def ordinary(name: str) -> Iterator[Trial]:
 def test_a_service_without_rights_says_how_to_get_them_and_outlives_its_starving(ordinary: Trial) -> None:
     assert re.search(r"no real-time rights .*; give it real-time rights: .*rtprio=40", ordinary.service.said())
     before = ordinary.service.pids()
-    for process in BY_NAME:
-        starve(ordinary, process)
+    for process in (PORT_OWNER, TELEMETRY):
+        starve(ordinary, process, 0)  # gently: nobody else of it has rights either
     assert ordinary.service.pids() == before, ordinary.service.said()
     assert ordinary.robot.state.estop is None
     assert "give it real-time rights" in ordinary.service.said().partition("the machine starves the service")[2]

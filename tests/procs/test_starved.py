@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from failstop.faults.crowd import Helper, spin_for_ever
-from failstop.faults.starve import Starved
+from failstop.faults.starve import SHARP, Starved
 from failstop.procs import starved
 from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
@@ -135,7 +135,7 @@ def test_an_endless_loop_hangs_once_it_has_run_for_half_its_deadline(own: Segmen
 def test_one_that_others_keep_from_running_is_starved(own: Segment, end: contextlib.ExitStack) -> None:
     process = helper(end, lambda: (os.setsid(), spin_for_ever())[1])
     until(lambda: os.getsid(process.pid) == process.pid, "a session of its own")
-    end.enter_context(Starved(process.pid))
+    end.enter_context(Starved(process.pid, SHARP))
     own.word("beat_cpu_ns").set(ran_ns(process.pid) + 20 * MS)
     assert look(own, process.pid) == (True, False)
 
