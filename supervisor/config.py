@@ -18,9 +18,14 @@ MODE_BUTTON = "pad.mode_button"
 BITS = tuple(1 << bit for bit in range(16))
 
 
+def file_of(name: str) -> str:
+    """The file of an instance in an installed system."""
+    return f"{FOLDER}/{name}.toml"
+
+
 def installed(name: str) -> str:
     """The file of an instance that was installed on this machine."""
-    return root.at(f"{FOLDER}/{name}.toml")
+    return root.at(file_of(name))
 
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> Settings:

@@ -29,7 +29,7 @@ COMPLETIONS = {
 """Where each shell looks by itself."""
 COMMAND_LINK = "/usr/local/bin/failstop"
 CONFIGURATION = config.FOLDER
-configuration_of = config.installed
+configuration_of = config.file_of
 STATE = "/var/lib/failstop"
 RUNTIME = "/run/failstop"
 PACKAGE_UNIT = "/usr/lib/systemd/system/failstop.service"
