@@ -18,6 +18,8 @@ from tests.commands import failstop
 
 ORDINARY = """
 import ctypes, os, resource, sys
+
+pytestmark = pytest.mark.alone
 CAP_IPC_LOCK, CAP_SYS_NICE, PR_CAPBSET_DROP = 14, 23, 24
 for capability in (CAP_IPC_LOCK, CAP_SYS_NICE):
     ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, capability)

@@ -21,6 +21,8 @@ from tests.waiting import until
 
 from .stage import MS, Dummy
 
+pytestmark = pytest.mark.alone
+
 DEADLINE_NS = 100 * MS
 
 
