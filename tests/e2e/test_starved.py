@@ -16,10 +16,10 @@ from failstop.supervisor.table import BY_NAME
 from failstop.trial import Trial, wait_for
 from tests.commands import failstop
 
+pytestmark = pytest.mark.alone
+
 ORDINARY = """
 import ctypes, os, resource, sys
-
-pytestmark = pytest.mark.alone
 CAP_IPC_LOCK, CAP_SYS_NICE, PR_CAPBSET_DROP = 14, 23, 24
 for capability in (CAP_IPC_LOCK, CAP_SYS_NICE):
     ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, capability)
