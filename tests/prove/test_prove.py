@@ -33,7 +33,7 @@ from tests.commands import FAILSTOP, failstop
 from tests.prove.noise import SIMULATED
 
 WORD = "spin\n"
-LIMIT_S = 90
+LIMIT_S = 240
 
 
 def prove(*words: str, said: str = "") -> subprocess.CompletedProcess[str]:

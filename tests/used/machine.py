@@ -19,8 +19,8 @@ from failstop.robot import Robot
 from failstop.shm.instance import DEFAULT_NAME
 from failstop.trial import Service, wait_for
 
-OVERLAID = ("/etc", "/var/lib", "/var/tmp")
-EMPTIED = ("/run", "/dev/shm")
+OVERLAID = ("/etc", "/var/lib")
+EMPTIED = ("/run", "/dev/shm", "/var/tmp")
 ACCOUNT = {
     "passwd": "failstop:x:979:979::/var/lib/failstop:/usr/sbin/nologin\n",
     "group": "failstop:x:979:\n",
@@ -32,7 +32,7 @@ STATE = Path("/var/lib/failstop/failstop")
 """Where systemd has the service of the default name keep its files."""
 SAVED_S = 30.0
 LEFT = ("failstop.left.gate", "failstop.left.supervisor")
-WATCHED = ("/etc", "/run", "/dev/shm", "/var/lib/failstop", "/var/tmp", str(Path("~/.local/state").expanduser()))
+WATCHED = ("/etc", "/run", "/dev/shm", "/var/lib/failstop", "/var/tmp")
 
 
 def main(base: Path, words: list[str]) -> int:
@@ -41,7 +41,7 @@ def main(base: Path, words: list[str]) -> int:
     for name, line in ACCOUNT.items():
         with open(f"/etc/{name}", "a", encoding="utf-8") as file:
             file.write(line)
-    (base / "home").mkdir()
+    os.environ["HOME"] = str(base / "home")
     SETTINGS.parent.mkdir(exist_ok=True)
     SETTINGS.write_text(f'[device]\npath = "{base}/board"\n[limits]\n[restart]\n[battery]\nlog = "off"\n')
     for unit in ("failstop.service", "failstop@.service"):
@@ -54,9 +54,10 @@ def main(base: Path, words: list[str]) -> int:
         service.start()
         try:
             _live(service)
-            before = _listing()
+            watched = (*WATCHED, os.environ["HOME"])
+            before = _listing(watched)
             code = subprocess.run(words, check=False).returncode
-            changed = sorted(before ^ _listing())
+            changed = sorted(before ^ _listing(watched))
             with Robot() as robot:
                 same = service.ready() and robot.state.estop == "used"
         finally:
@@ -97,10 +98,10 @@ def _live(service: Service) -> None:
         assert robot.state.estop == "used"
 
 
-def _listing() -> set[str]:
-    """Every path below WATCHED."""
+def _listing(watched: tuple[str, ...]) -> set[str]:
+    """Every path below these."""
     found = set()
-    for top in WATCHED:
+    for top in watched:
         for folder, folders, names in os.walk(top):
             found.update(os.path.join(folder, name) for name in [*folders, *names])
     return found
