@@ -260,7 +260,9 @@ class Container:
 
     def entering(self, *words: str) -> list[str]:
         """The command line, out here, of a command inside, as root and in no unit."""
-        return ["nsenter", "-t", str(self.pid), "-m", "-u", "-i", "-n", "-p", "-C", "env", "--chdir=/", *words]
+        # Where this process keeps what is its own means nothing in there.
+        inside = ("env", "--chdir=/", "--ignore-environment", "LANG=C.UTF-8", f"PATH={SHELL_PATH}")
+        return ["nsenter", "-t", str(self.pid), "-m", "-u", "-i", "-n", "-p", "-C", *inside, *words]
 
     def run(self, *words: str, check: bool = True, timeout_s: float = TIMEOUT_S) -> subprocess.CompletedProcess[str]:
         """Run a command inside. Raises TrialError with what it said when it fails, unless not `check`."""
@@ -270,7 +272,6 @@ class Container:
             capture_output=True,
             text=True,
             timeout=timeout_s,
-            env={"PATH": SHELL_PATH, "LANG": "C.UTF-8"},
             check=False,
         )
         if check and done.returncode:
