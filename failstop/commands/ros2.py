@@ -45,8 +45,9 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the bridge; raises FailstopError where there is no rclpy."""
     if arguments.udp_only:
-        profile = str(udp_profile())
-        os.environ.update(dict.fromkeys(PROFILES, profile))
+        # ROS's own variable for it would bring the shared memory back.
+        localhost = os.environ.pop("ROS_LOCALHOST_ONLY", "0") == "1"
+        os.environ.update(dict.fromkeys(PROFILES, str(udp_profile(localhost))))
     find_rclpy()
     from failstop.ros2 import bridge
 
@@ -54,11 +55,11 @@ def main(arguments: Namespace) -> int:
     return bridge.main(arguments.name, words)
 
 
-def udp_profile() -> Path:
-    """The Fast DDS profile with UDP as the only transport."""
+def udp_profile(localhost: bool) -> Path:
+    """The Fast DDS profile with UDP as the only transport, on the loopback interface alone or on all."""
     import failstop
 
-    return Path(failstop.__file__).resolve().parent / "ros2" / "udp_only.xml"
+    return Path(failstop.__file__).resolve().parent / "ros2" / f"udp_only{'_localhost' if localhost else ''}.xml"
 
 
 def find_rclpy() -> None:

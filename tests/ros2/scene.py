@@ -80,11 +80,18 @@ def _real(folder: Path) -> dict[str, str]:
 class Node:
     """A talker of a name of its own."""
 
-    def __init__(self, ros: Ros, name: str, *words: str) -> None:
+    def __init__(
+        self,
+        ros: Ros,
+        name: str,
+        *words: str,
+        interpreter: tuple[str, ...] = (sys.executable,),
+        environment: dict[str, str] | None = None,
+    ) -> None:
         self.name = name
         self.process = subprocess.Popen(
-            [sys.executable, str(HERE / "talker.py"), name, *words],
-            env=ros.environment,
+            [*interpreter, str(HERE / "talker.py"), name, *words],
+            env={**ros.environment, **(environment or {})},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -53,6 +53,7 @@ class Talker:
         self.publishers: dict = {}
         self.kinds: dict = {}
         self.repeats: dict = {}
+        self.count: dict = {}
         self.heard: dict = {}
         self.subscriptions: dict = {}
         self.clients: dict = {}
@@ -106,12 +107,16 @@ class Talker:
             now_ns = self.node.get_clock().now().nanoseconds
             message.header.stamp.sec, message.header.stamp.nanosec = now_ns // 10**9, now_ns % 10**9
         publisher.publish(message)
+        self.count[topic] = self.count.get(topic, 0) + 1
         return {"t_ns": time.monotonic_ns()}
 
     def repeat(self, topic: str, fields: dict, hz: float, stamp: bool = False) -> dict:
         due_s = time.monotonic()
         self.repeats[topic] = {"topic": topic, "fields": fields, "every_s": 1 / hz, "due_s": due_s, "stamp": stamp}
         return {}
+
+    def sent(self, topic: str) -> dict:
+        return {"count": self.count.get(topic, 0)}
 
     def rest(self, topic: str) -> dict:
         self.repeats.pop(topic, None)
