@@ -22,7 +22,7 @@ from failstop.board.codec import motor_speeds
 from failstop.board.port import open_port
 from failstop.board.sim.client import SimBoard
 from failstop.client import run
-from failstop.commands.run import DESCRIPTORS
+from failstop.procs.limits import DESCRIPTORS
 from failstop.shm import instance
 from failstop.trial import Trial
 from tests.commands import FAILSTOP
