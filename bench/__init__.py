@@ -1,1 +1,5 @@
 """The measurements behind docs/measured.md: `make bench`, or `python -m bench --help`."""
+
+
+class BenchError(Exception):
+    """What keeps a measurement from being made; one line, with the remedy."""

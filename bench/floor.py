@@ -1,28 +1,31 @@
 """The floors: what a kill costs with nothing around it.
 
-An idle bare Python process is killed; another one, blocked on its pidfd, writes 59 bytes (the burst up to its first
-stop frame) to the simulated board's pty. Both run under SCHED_FIFO where the service does, and the same board takes the
-time. The same with a robust mutex instead of the pidfd: the victim holds it, the watcher blocks on it.
+The floor of the kill rows is a C program (floor.c): an idle process that holds a robust mutex is killed, another one,
+blocked on it, writes 59 bytes (the burst up to its first stop frame) to the simulated board's pty. Both run under
+SCHED_FIFO with their memory locked, and the same board takes the time. Beside it, to compare with: a bare Python
+process killed, another one blocked on its pidfd.
 """
 
 from __future__ import annotations
 
 import contextlib
-import mmap
 import os
 import select
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from types import TracebackType
 
+from bench import BenchError
 from failstop.board.burst import BURST, FIRST_STOP_END
 from failstop.board.sim.client import SimBoard
-from failstop.shm.mutex import BLOCKS, MUTEX_BYTES, PER_BLOCK, Mutexes
 
 PRIORITY = 30
+ASLEEP_S = 0.02
+"""After so long the victim and its watcher are both asleep."""
 _REALTIME = f"""
 import os
 try:
@@ -34,43 +37,45 @@ os.write(1, b"x")
 _IDLE = _REALTIME + "import time\ntime.sleep(1e6)\n"
 
 
-_HOLD = """
-import mmap, os, sys
-sys.path[:] = {path!r}
-from failstop.shm.mutex import BLOCKS, MUTEX_BYTES, PER_BLOCK, Mutexes
-memory = mmap.mmap(os.open({file!r}, os.O_RDWR), BLOCKS * PER_BLOCK * MUTEX_BYTES)
-mutexes = Mutexes(memory, 0)
-mutexes.hold(0)
-"""
-_BALLAST = "ballast = b'x' * ({mb} << 20)\n"
+class Floor:
+    """The C program, compiled and at work; a context manager."""
 
+    def __init__(self, board: SimBoard) -> None:
+        """Raises BenchError without a C compiler."""
+        compiler = shutil.which("cc") or shutil.which("gcc")
+        if not compiler:
+            raise BenchError("no C compiler for the floor of the kills: apt install gcc libc6-dev")
+        self._board = board
+        with tempfile.TemporaryDirectory(prefix="failstop-floor-") as directory:
+            program = os.path.join(directory, "floor")
+            source = os.path.join(os.path.dirname(__file__), "floor.c")
+            subprocess.run([compiler, "-O2", "-Wall", "-pthread", "-o", program, source], check=True)
+            words = [program, board.link, str(PRIORITY), BURST[:FIRST_STOP_END].hex()]
+            self._process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            self.sample()  # the file is needed until it has started
 
-def _watch_mutex(file: str, link: str, ready_fd: int) -> None:
-    """The watcher that blocks on the victim's mutex, in a child of its own."""
-    port = os.open(link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    data = BURST[:FIRST_STOP_END]
-    mutexes = _mutexes(file)
-    with contextlib.suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    os.write(ready_fd, b"x")
-    mutexes.wait_for_death(0, 0)
-    os.write(port, data)
+    def __enter__(self) -> Floor:
+        return self
 
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        with self._process as process:
+            assert process.stdin is not None
+            process.stdin.close()
 
-def _mutexes(file: str) -> Mutexes:
-    size = BLOCKS * PER_BLOCK * MUTEX_BYTES
-    with open(file, "r+b") as opened:
-        opened.truncate(size)
-        return Mutexes(mmap.mmap(opened.fileno(), size), 0)
-
-
-def mutex_sample(board: SimBoard, ballast_mb: int = 0) -> int:
-    """One kill of a process that holds a robust mutex, of `ballast_mb` MB more than it needs; returns ns from the kill
-    to the arrival of the last of the 59 bytes."""
-    with tempfile.NamedTemporaryFile(dir="/dev/shm", prefix="failstop-floor-") as file:
-        _mutexes(file.name).prepare(0)
-        program = _BALLAST.format(mb=ballast_mb) + _HOLD.format(path=sys.path, file=file.name) + _IDLE
-        return _killed(board, program, lambda _pid, tell: _watch_mutex(file.name, board.link, tell))
+    def sample(self) -> int:
+        """One kill; returns ns from the kill to the arrival of the last of the 59 bytes."""
+        stdin, stdout = self._process.stdin, self._process.stdout
+        assert stdin is not None
+        assert stdout is not None
+        stdin.write(b"\n")
+        stdin.flush()
+        victim = int(stdout.readline())
+        self._board.events()
+        time.sleep(ASLEEP_S)
+        killed_ns = time.monotonic_ns()
+        os.kill(victim, signal.SIGKILL)
+        event = self._board.wait_for(lambda event: event.is_stop and event.arrival_ns >= killed_ns, 5.0)
+        return event.arrival_ns - killed_ns
 
 
 def _watch(pid: int, link: str, ready_fd: int) -> None:
@@ -87,13 +92,9 @@ def _watch(pid: int, link: str, ready_fd: int) -> None:
     os.write(port, data)
 
 
-def sample(board: SimBoard) -> int:
-    """One kill; returns ns from the kill to the arrival of the last of the 59 bytes."""
-    return _killed(board, _IDLE, lambda pid, tell: _watch(pid, board.link, tell))
-
-
-def _killed(board: SimBoard, program: str, watch: Callable[[int, int], None]) -> int:
-    command = [sys.executable, "-I", "-S", "-c", program]
+def pidfd_sample(board: SimBoard) -> int:
+    """One kill of a bare Python process that another one watches; returns ns as Floor.sample()."""
+    command = [sys.executable, "-I", "-S", "-c", _IDLE]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as victim:
         assert victim.stdout is not None
         victim.stdout.read(1)
@@ -101,15 +102,14 @@ def _killed(board: SimBoard, program: str, watch: Callable[[int, int], None]) ->
         watcher = os.fork()
         if watcher == 0:
             try:
-                watch(victim.pid, tell)
+                _watch(victim.pid, board.link, tell)
             finally:
                 os._exit(0)
         os.read(ready, 1)
         os.close(ready)
         os.close(tell)
         board.events()
-        # The victim and the watcher must both be asleep.
-        time.sleep(0.02)
+        time.sleep(ASLEEP_S)
         killed_ns = time.monotonic_ns()
         os.kill(victim.pid, signal.SIGKILL)
         event = board.wait_for(lambda event: event.is_stop and event.arrival_ns >= killed_ns, 5.0)

@@ -46,46 +46,44 @@ def heavy() -> Iterator[None]:
 def measure(
     trial: Trial, kills: int, seed: int, progress: Callable[[str], None], *, ballast_mb: int = 0
 ) -> list[stats.Row]:
-    """Kill each process `kills` times, floor samples beside each round; returns the rows. `ballast_mb`: what the
-    trial's processes were given, so that the floor's victim is given it too."""
+    """Kill each process `kills` times, floor samples beside each round; returns the rows. `ballast_mb`: what each of
+    the trial's processes was given."""
     chance = random.Random(seed)
+    pidfds: list[int] = []
     floors: list[int] = []
-    mutex_floors: list[int] = []
     found: dict[str, list[Stopped]] = {process: [] for process in layout.PROCESSES}
-    with SimBoard(trial.link + "-floor", imu_hz=0) as bare:
+    with SimBoard(trial.link + "-floor", imu_hz=0) as bare, floor.Floor(bare) as least:
         for turn in range(kills):
             progress(f"kills, round {turn + 1} of {kills}")
             if not ballast_mb:
-                floors.append(floor.sample(bare))
-            mutex_floors.append(floor.mutex_sample(bare, ballast_mb))
+                pidfds.append(floor.pidfd_sample(bare))
             for process in layout.PROCESSES:
+                floors.append(least.sample())
                 trial.enable()
                 pid = trial.service.pids()[process]
                 found[process].append(trial.kill(process, chance.uniform(0.1, 0.2)))
                 trial.recover(process, pid)
-    return _rows(floors, mutex_floors, found, f", of {ballast_mb} MB" if ballast_mb else "")
+    return _rows(pidfds, floors, found, f", of {ballast_mb} MB" if ballast_mb else "")
 
 
-def _rows(floors: list[int], mutex_floors: list[int], found: dict[str, list[Stopped]], what: str) -> list[stats.Row]:
-    floor_ms, _, _ = stats.percentiles(mutex_floors)
+def _rows(pidfds: list[int], floors: list[int], found: dict[str, list[Stopped]], what: str) -> list[stats.Row]:
+    least = stats.percentiles(floors)
     rows = []
-    if floors:
-        rows.append(stats.timing("idle Python process killed -> pidfd -> 59 bytes", floors, p50_ms=None, p99_ms=None))
-    mutex = f"floor: idle Python process{what} killed -> robust mutex -> 59 bytes"
-    rows.append(stats.timing(mutex, mutex_floors, p50_ms=None, p99_ms=None))
+    if pidfds:
+        rows.append(stats.timing("idle Python process killed -> pidfd -> 59 bytes", pidfds, p50_ms=None, p99_ms=None))
+    measure = f"floor{what and ' beside those'}{what}: idle C process killed -> robust mutex -> 59 bytes"
+    rows.append(stats.timing(measure, floors, p50_ms=None, p99_ms=None))
     every = [stopped for row in found.values() for stopped in row]
     for process, row in found.items():
         times = [stopped.stop_ns for stopped in row if stopped.stop_ns is not None]
-        rows.append(
-            stats.timing(f"kill {process}{what} -> stop frame", times, p50_ms=1.3, p99_ms=2.0, floor_ms=floor_ms),
-        )
+        rows.append(stats.over_floor(f"kill {process}{what} -> stop frame", times, least, p50=1.5, p99=2.0))
     missed = sum(stopped.stop_ns is None for stopped in every)
     rows.append(stats.count(f"stops missed{what}", missed, len(every)))
     moved = sum(stopped.motion_after for stopped in every)
     rows.append(stats.count(f"motion frames after the stop{what}", moved, len(every)))
     resting = sum(not stopped.was_moving for stopped in every)
     rows.append(stats.count(f"kills that found the wheels at rest{what}", resting, len(every)))
-    if floors:
+    if pidfds:
         wire = [s.executed_ns - s.stop_ns for s in every if s.executed_ns is not None and s.stop_ns is not None]
         added = f"the wire, added to each ({WIRE_MS} ms when it is idle)"
         rows.append(stats.timing(added, wire, p50_ms=None, p99_ms=None))

@@ -8,6 +8,9 @@ nobody out who does not ask. Finding a port, where that cost does not matter, is
 
 from __future__ import annotations
 
+# The C module under `signal`, which costs an import of enum.
+import _signal
+import contextlib
 import errno
 import fcntl
 import os
@@ -26,7 +29,12 @@ _ZERO = _INT.pack(0)
 _DTR = _INT.pack(termios.TIOCM_DTR)
 _RTS = _INT.pack(termios.TIOCM_RTS)
 
+CLOSE_S = 0.02
+"""How long a close may wait for bytes to drain."""
+
 _FLAGS = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
+_SPEED = termios.B1000000
+_OTHER_SPEED = termios.B500000
 _CFLAG = termios.CS8 | termios.CREAD | termios.CLOCAL
 _CFLAG_MASK = _CFLAG | termios.CSIZE | termios.CSTOPB | termios.PARENB | termios.HUPCL | termios.CRTSCTS
 
@@ -57,7 +65,9 @@ def open_port(path: str, *, exclusive: bool) -> int:
 
     A read with nothing to read raises BlockingIOError; a read of no bytes is a hang-up. With `exclusive`, further
     opens by unprivileged processes fail until every duplicate of the descriptor is closed or release_exclusive() is
-    called. Nothing but a character device is ever opened, and nothing is written. Raises PortError.
+    called. Unless a service has the port, the driver is made to tell the board's USB chip the speed, whatever it thinks
+    that the chip knows: after a bus reset (a sleep of the machine, for one) the chip has forgotten it. Nothing but a
+    character device is ever opened, and nothing is written. Raises PortError.
     """
     _check_kind(path)
     try:
@@ -91,9 +101,40 @@ def open_if_there(path: str) -> int:
 
 
 def unsent_bytes(descriptor: int) -> int:
-    """Bytes written to the port that the kernel has not passed on yet (TIOCOUTQ); on a pty always 0. Raises OSError."""
+    """What was written to the port and the kernel has not passed on yet (TIOCOUTQ), in the driver's unit: bytes, or
+    1280 for each write under way (cdc_acm); on a pty always 0. Raises OSError."""
     answer: tuple[int] = _INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))
     return answer[0]
+
+
+def close_port(descriptor: int, within_s: float = CLOSE_S) -> None:
+    """Close the port's descriptor; never raises. In the main thread it takes `within_s` at most, also where the port
+    does not drain.
+
+    The last close of a terminal waits for its unsent bytes (30 s on cdc_acm), and every open waits behind it. A signal
+    ends the wait; a process that just exits waits it out, since the exiting take no signals any more.
+    """
+    try:
+        before = _signal.signal(_signal.SIGALRM, _interrupt)
+    except ValueError:  # another thread than the main one
+        _close(descriptor)
+        return
+    # Repeated: the first may come before the close has begun to wait.
+    timer = _signal.setitimer(_signal.ITIMER_REAL, within_s, within_s)
+    try:
+        _close(descriptor)
+    finally:
+        _signal.setitimer(_signal.ITIMER_REAL, *timer)
+        _signal.signal(_signal.SIGALRM, before)
+
+
+def _interrupt(_number: int, _frame: object) -> None:
+    """That the signal has come is all that is wanted of it."""
+
+
+def _close(descriptor: int) -> None:
+    with contextlib.suppress(OSError):
+        os.close(descriptor)
 
 
 def release_exclusive(descriptor: int) -> None:
@@ -115,13 +156,20 @@ def _check_kind(path: str) -> None:
 def _prepare(path: str, descriptor: int, exclusive: bool) -> None:
     # What stat() saw may have been replaced before open(); only a terminal answers this.
     before = termios.tcgetattr(descriptor)
+    alone = True
     if exclusive:
         # Root passes TIOCEXCL; another service of root's asks for this lock too. All duplicates share it. First, since
         # TIOCEXCL would outlive a refusal: it stays until the last descriptor of the terminal is closed.
         _lock(path, descriptor)
         # Before all other changes, so that nobody else gets in while the port is being set up.
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
-    _set_raw(path, descriptor, before)
+    else:
+        alone = _is_alone(descriptor)
+    if alone:
+        # cdc_acm sends the line coding only when it differs from the one that it sent last.
+        _set_raw(descriptor, before, _OTHER_SPEED)
+    _set_raw(descriptor, before, _SPEED)
+    _check_raw(path, descriptor)
     # What somebody has stopped (TCOOFF), or what a ^S had while the terminal still took it for one, would keep every
     # byte to itself. It costs 0.5 us on a pty, and waits for nothing.
     termios.tcflow(descriptor, termios.TCOON)
@@ -138,17 +186,29 @@ def _lock(path: str, descriptor: int) -> None:
         raise PortError("busy", f"{path} is held by another process (flock): stop it first", errno.EBUSY) from None
 
 
-def _set_raw(path: str, descriptor: int, before: list[Any]) -> None:
+def _is_alone(descriptor: int) -> bool:
+    """True when no service has the port: its frames must not go out at another speed."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    fcntl.flock(descriptor, fcntl.LOCK_UN)
+    return True
+
+
+def _set_raw(descriptor: int, before: list[Any], speed: int) -> None:
     cc = list(before[6])
     # VMIN 1: with 0 a read would return no bytes both when there is nothing to read and after a hang-up.
     cc[termios.VMIN], cc[termios.VTIME] = 1, 0
     cflag = before[2] & ~_CFLAG_MASK | _CFLAG
     # Not TCSADRAIN or TCSAFLUSH: both wait for output to drain, which hangs on CDC-ACM.
-    speed = termios.B1000000
     termios.tcsetattr(descriptor, termios.TCSANOW, [0, 0, cflag, 0, speed, speed, cc])
-    # tcsetattr succeeds when any one of the changes could be made.
+
+
+def _check_raw(path: str, descriptor: int) -> None:
+    """tcsetattr succeeds when any one of the changes could be made. Raises PortError."""
     after = termios.tcgetattr(descriptor)
-    took = after[:2] == [0, 0] and after[2] & _CFLAG_MASK == _CFLAG and after[3:6] == [0, speed, speed]
+    took = after[:2] == [0, 0] and after[2] & _CFLAG_MASK == _CFLAG and after[3:6] == [0, _SPEED, _SPEED]
     if not took or after[6][termios.VMIN] != 1:
         raise PortError("io", f"{path} does not take raw mode at 1000000 baud: is it the board? see --device")
 

@@ -27,7 +27,7 @@ def start(words: dict[str, str]) -> int:
     """Run the service; returns the exit code."""
     rights.name_process(SUPERVISOR_COMM)
     _take_signals()
-    port = _take_descriptors(int(words["lock"]), int(words["port"]))
+    port = OwnPort(_take_descriptors(int(words["lock"]), int(words["port"])))
     notify = Notify.taken_from(os.environ, os.getpid())
     journal = Journal() if is_stderr(os.environ.pop("JOURNAL_STREAM", "")) else None
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
@@ -38,12 +38,14 @@ def start(words: dict[str, str]) -> int:
         events = Events(words["name"], journal=journal)
         events.tell("not_started", str(error), {"reason": str(error)})
         events.flush()
-        OwnPort(port).drain()
+        port.drain()
+        port.replace(-1)
         return 1
     try:
-        return main.run(resources, OwnPort(port), settings, notify, journal)
+        return main.run(resources, port, settings, notify, journal)
     finally:
         resources.remove()
+        port.replace(-1)  # an exit would wait for a port that does not drain
 
 
 def _take_signals() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import time
 
 from failstop.board import port
@@ -12,6 +13,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from failstop.board.finder import Finder
+
 BURST = BOARD.burst
 
 REOPEN_NS = 10_000_000
@@ -20,6 +23,8 @@ BUSY_S = 1.0
 """How long a port that a dead run's processes are just letting go of is waited for."""
 DRAIN_S = 0.1
 """The burst takes 4 ms on the wire."""
+UDEV_S = 2.0
+"""How long udev may take, at boot, to give a device that is there to its users."""
 
 TRIES = 3
 """A non-blocking write is refused not only for want of room but also while another process is in its own write, as the
@@ -43,14 +48,17 @@ class OwnPort:
     def open_and_stop(cls, path: str, held: Callable[[], None] = lambda: None) -> OwnPort:
         """Open the port and write the burst: the first bytes of a run. While another process holds the port, `held` is
         called, and may raise. Raises port.PortError."""
-        until_s = time.monotonic() + BUSY_S
+        start_s = time.monotonic()
         while True:
+            # Looked at before it is opened: its rights may come between a refusal and a look.
+            patience_s = {"busy": BUSY_S, "permission": UDEV_S if _is_new(path) else 0.0}
             try:
                 own = cls(port.open_port(path, exclusive=True))
             except port.PortError as error:
-                if error.kind != "busy" or time.monotonic() > until_s:
+                if time.monotonic() - start_s > patience_s.get(error.kind, 0.0):
                     raise
-                held()
+                if error.kind == "busy":
+                    held()
                 time.sleep(0.005)
             else:
                 own.stopped = own.burst()
@@ -82,12 +90,12 @@ class OwnPort:
             return False
         return True
 
-    def reopen(self, path: str, now_ns: int) -> bool:
+    def reopen(self, finder: Finder, now_ns: int) -> bool:
         """Open a port that was lost, tried every REOPEN_NS; False when it is there already or not yet."""
         if self.fd >= 0 or now_ns < self._next_ns:
             return False
         self._next_ns = now_ns + REOPEN_NS
-        fd = port.open_if_there(path)
+        fd = finder.open(now_ns)
         if fd < 0:
             return False
         self.replace(fd)
@@ -96,6 +104,15 @@ class OwnPort:
     def replace(self, fd: int) -> None:
         """Let the old descriptor go and keep another; -1 for none."""
         if self.fd >= 0:
-            os.close(self.fd)
+            port.close_port(self.fd)
         self.fd = fd
         self.since_ns = time.monotonic_ns()
+
+
+def _is_new(path: str) -> bool:
+    """True while a device is as the kernel has made it: udev is still to give it to its users."""
+    try:
+        node = os.stat(path)
+    except OSError:
+        return False
+    return (node.st_uid, node.st_gid, stat.S_IMODE(node.st_mode)) == (0, 0, 0o600)

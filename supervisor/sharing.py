@@ -10,6 +10,7 @@ import os
 import signal
 from time import monotonic_ns
 
+from failstop.board.finder import Finder
 from failstop.procs.handover import OPENING_NS, Control
 from failstop.procs.loop import GONE, HANGUP, READ
 from failstop.shm import layout, records
@@ -39,8 +40,8 @@ class Sharing:
         "_bell",
         "_device",
         "_events",
+        "_finder",
         "_loop",
-        "_path",
         "_port",
         "_port_owner",
         "_record",
@@ -60,9 +61,10 @@ class Sharing:
         family: Family,
         events: Events,
     ) -> None:
-        """`path`: where a lost port is looked for."""
+        """`path`: where a lost port is looked for first."""
         self._port = port
-        self._path = path
+        self._finder = Finder(path)
+        self._finder.learn(port.fd)
         self._loop = loop
         self._events = events
         self._device = Device(events, monotonic_ns())
@@ -81,13 +83,14 @@ class Sharing:
         entry = self._record.read()
         if ready.get(self._port.fd, 0) & GONE or records.lost_since(entry, self._port.since_ns):
             self._let_go()
-            self._device.lost(self._path, monotonic_ns())
+            self._device.lost(self._finder.at, monotonic_ns())
         self._device.follow(entry)
         if self.controls[layout.PORT_OWNER].fd in ready:
             fd = self.controls[layout.PORT_OWNER].receive()
             if fd >= 0:
                 self._let_go()
                 self._port.replace(fd)
+                self._finder.learn(fd)
                 self._loop.watch(fd, HANGUP)
                 self._share(now_ns)
         self._make_up(now_ns)
@@ -148,19 +151,19 @@ class Sharing:
         """What the port owner is given beyond its deadline: the time to open a port that is back."""
         if self._port.fd >= 0:
             return 0
-        there = os.access(self._path, os.R_OK | os.W_OK)
+        there = self._finder.there()
         return OPENING_NS if self._device.may_be_opened(there, self._port_owner.beat.ns.get(), now_ns) else 0
 
     def open_alone(self, now_ns: int) -> bool:
         """Open a port that is back and that nobody else would open; True when that was now. A port owner that lives may
         just be opening it, and could not have one that is open here."""
-        return not self._port_owner.pid and self._port.reopen(self._path, now_ns)
+        return not self._port_owner.pid and self._port.reopen(self._finder, now_ns)
 
     def opened_alone(self, now_ns: int) -> None:
         """What follows the burst on it."""
         self._loop.watch(self._port.fd, HANGUP)
         self._share(now_ns)
-        self._device.back(self._path, now_ns)
+        self._device.back(self._finder.at, now_ns)
 
     def next_ns(self, now_ns: int) -> int | None:
         """When to look for a lost port again; None: that is not for the supervisor to do."""

@@ -29,14 +29,21 @@ GOOD = Stopped(0, MS, MS, MS, 0, True)
         ([1, 1], {"p50_ms": 2.0, "p99_ms": None}, True),
         ([3, 3], {"p50_ms": 2.0, "p99_ms": None}, False),
         ([1, 9], {"p50_ms": None, "p99_ms": 5.0}, False),
-        ([2, 2], {"p50_ms": 1.3, "p99_ms": None, "floor_ms": 1.0}, False),
-        ([2, 2], {"p50_ms": 1.3, "p99_ms": None, "floor_ms": 2.0}, True),
         ([], {"p50_ms": 2.0, "p99_ms": 5.0}, False),
         ([9], {"p50_ms": None, "p99_ms": None}, None),
     ],
 )
 def test_times(samples_ms: list[int], bars: dict[str, float | None], met: bool | None) -> None:
     assert stats.timing("x", [ms * MS for ms in samples_ms], **bars).met is met
+
+
+@pytest.mark.parametrize(
+    ("floor_ms", "met"),
+    [((1.0, 1.0, 9.0), True), ((0.9, 1.0, 9.0), False), ((1.0, 0.9, 9.0), False), ((9.0, 9.0, 9.0), True)],
+)
+def test_times_as_multiples_of_a_floor(floor_ms: tuple[float, float, float], met: bool) -> None:
+    row = stats.over_floor("x", [int(1.5 * MS)] * 49 + [int(2.0 * MS)] * 51, floor_ms, p50=2.0, p99=2.0)
+    assert row.met is met
 
 
 def test_counts_and_limits() -> None:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
-import grp
 import os
-import pwd
 import re
 import select
+import signal
 import socket
 import stat
 import struct
 import subprocess
 import sys
 import termios
-from collections.abc import Callable, Iterator
+import threading
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,12 +26,9 @@ from serial.tools import list_ports
 
 from failstop.board import discovery, port
 from failstop.board.port import PortError, open_port
+from tests.unprivileged import unprivileged
 
-NOBODY = 65534
 TIOCGEXCL = 0x80045440
-
-# Children without privileges may not be able to read the interpreter's files: what the message needs is loaded here.
-LOADED = (grp, pwd)
 
 
 @pytest.fixture
@@ -47,27 +46,6 @@ def read_exactly(descriptor: int, size: int) -> bytes:
         assert select.select([descriptor], [], [], 10.0)[0], f"{len(data)} of {size} bytes within 10 s"
         data += os.read(descriptor, size - len(data))
     return data
-
-
-def unprivileged(work: Callable[[], str]) -> str:
-    """What `work` returns in a child process without privileges."""
-    reader, writer = os.pipe()
-    child = os.fork()
-    if child == 0:
-        try:
-            os.close(reader)
-            if os.geteuid() == 0:
-                os.setgroups([])
-                os.setresgid(NOBODY, NOBODY, NOBODY)
-                os.setresuid(NOBODY, NOBODY, NOBODY)
-            os.write(writer, work().encode())
-        finally:
-            os._exit(0)
-    os.close(writer)
-    with os.fdopen(reader) as pipe:
-        said = pipe.read()
-    os.waitpid(child, 0)
-    return said
 
 
 def refusal(path: str) -> str:
@@ -409,3 +387,90 @@ def test_candidates_puts_the_board_first(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_candidates_really_lists() -> None:
     for path, description in discovery.candidates():
         assert stat.S_ISCHR(os.stat(path).st_mode), description
+
+
+# The speed is told anew, and a close does not wait.
+
+
+def speeds_told(monkeypatch: pytest.MonkeyPatch, path: str, *, exclusive: bool) -> list[int]:
+    """The output speeds that one opening has set, in order."""
+    told: list[int] = []
+    real = termios.tcsetattr
+
+    def watched(descriptor: int, when: int, attributes: list[int]) -> None:
+        told.append(attributes[5])
+        real(descriptor, when, attributes)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(termios, "tcsetattr", watched)
+        os.close(open_port(path, exclusive=exclusive))
+    return told
+
+
+@pytest.mark.parametrize("exclusive", [True, False])
+def test_the_speed_is_set_to_another_and_back_although_it_is_set_already(
+    pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch, exclusive: bool
+) -> None:
+    """cdc_acm sends a line coding only when it differs from the last one, and a chip that was reset has lost it."""
+    for _ in range(2):
+        told = speeds_told(monkeypatch, pty[1], exclusive=exclusive)
+        assert told[-1] == termios.B1000000
+        assert any(speed != termios.B1000000 for speed in told[:-1])
+
+
+def test_beside_a_service_that_has_the_port_no_other_speed_is_ever_set(
+    pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = open_port(pty[1], exclusive=True)
+    if os.geteuid():
+        port.fcntl.ioctl(service, termios.TIOCNXCL)
+    assert set(speeds_told(monkeypatch, pty[1], exclusive=False)) == {termios.B1000000}
+    os.close(service)
+
+
+def stuck_socket() -> tuple[int, socket.socket]:
+    """A descriptor whose close waits, as a port's that does not drain: TCP with a full buffer, an hour of linger and a
+    peer that does not read; and the peer."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        sender = socket.create_connection(server.getsockname())
+        peer, _ = server.accept()
+    sender.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 3600))
+    sender.setblocking(False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            sender.send(bytes(65536))
+    sender.setblocking(True)
+    return sender.detach(), peer
+
+
+def test_a_close_that_would_wait_for_an_hour_is_cut_short_and_the_timer_is_given_back() -> None:
+    handler = signal.getsignal(signal.SIGALRM)
+    descriptor, peer = stuck_socket()
+    others = signal.setitimer(signal.ITIMER_REAL, 1000.0, 7.0)
+    started_s = time.monotonic()
+    port.close_port(descriptor)
+    took_s = time.monotonic() - started_s
+    left_s, every_s = signal.setitimer(signal.ITIMER_REAL, *others)
+    assert took_s < 5.0
+    assert 900.0 < left_s <= 1000.0
+    assert every_s == 7.0
+    assert signal.getsignal(signal.SIGALRM) == handler
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(descriptor)
+    peer.close()
+
+
+def test_closing_what_is_closed_already_is_fine() -> None:
+    reader, writer = os.pipe()
+    os.close(writer)
+    port.close_port(reader)
+    port.close_port(reader)
+
+
+def test_closing_in_another_thread_closes(pty: tuple[int, str]) -> None:
+    descriptor = open_port(pty[1], exclusive=True)
+    thread = threading.Thread(target=port.close_port, args=(descriptor,))
+    thread.start()
+    thread.join(10.0)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(descriptor)

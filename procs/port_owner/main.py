@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from time import monotonic_ns
 
+from failstop.board.finder import Finder
 from failstop.board.interface import BOARD
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, READ, WRITE, Loop
 from failstop.procs.port_owner import repeats
 from failstop.procs.port_owner.admission import Admission
 from failstop.procs.port_owner.pings import Pings
-from failstop.procs.port_owner.reopen import Reopener
 from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell, heartbeat, layout, records
@@ -27,12 +27,14 @@ if TYPE_CHECKING:
 TICK_NS = 20_000_000
 RECEIVED_CHUNK = 512
 OTHER_BACKLOG = 128
-"""Unsent bytes behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
+"""Bytes under way behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
 PING_BACKLOG = 2 * len(BOARD.burst)
-"""Unsent bytes behind which a ping may queue: it follows a stop at once, to be handled right after it."""
+"""Bytes under way behind which a ping may queue: it follows a stop at once, to be handled right after it."""
 MOTION_BACKLOG = max((len(ping) for ping in BOARD.pings), default=0)
 """A ping (70 us of wire) is no backlog that motion has to stay behind."""
 PIPE_REST_NS = 20_000_000
+REOPEN_NS = 5_000_000
+"""How often a lost port is looked for."""
 
 
 class PortOwner:
@@ -83,11 +85,15 @@ class PortOwner:
         self.epoch = self._epoch_word.get()
 
         self.wire = Wire(context.fd("port"))
-        self.reopener = Reopener(settings.text("device.path"))
+        self._finder = Finder(settings.text("device.path"))
+        self._opened = 1
+        """How many ports this process has had."""
         self._control = Control(context.fd("control"))
         self.wire.burst()
         self._stopped(monotonic_ns())
         self._stopped_word.set(self.epoch)
+        if self.wire.fd >= 0:
+            self._finder.learn(self.wire.fd)
         self.wire.keep(own.ring_writer("box"))
         self._publish_port(monotonic_ns())
 
@@ -328,8 +334,9 @@ class PortOwner:
                 wire.lost = True
             if wire.lost:
                 self._port_lost(now_ns)
-        elif (fd := self.reopener.try_open(now_ns)) >= 0:
+        elif (fd := self._finder.open(now_ns)) >= 0:
             wire.adopt(fd)
+            self._opened += 1
             self._control.send(fd)
             self._stopped(monotonic_ns())
             self._publish_port(now_ns)
@@ -351,7 +358,7 @@ class PortOwner:
 
     def _publish_port(self, now_ns: int) -> None:
         state = records.PORT_LOST if self.wire.lost else records.PORT_OPEN
-        self._port_record.write(records.pack_port(self.reopener.opened, now_ns, state, self.reopener.path))
+        self._port_record.write(records.pack_port(self._opened, now_ns, state, self._finder.at))
         self._supervisor_bell.ring()
 
     def _repeat(self, now_ns: int) -> None:
@@ -375,7 +382,7 @@ class PortOwner:
     def next_ns(self, now_ns: int) -> int:
         """When to turn without any news."""
         if self.wire.lost:
-            return now_ns + self.reopener.EVERY_NS
+            return now_ns + REOPEN_NS
         times = [now_ns + TICK_NS, self.pings.next_ns(), self.repeats.next_ns(moving=self.admission.moving)]
         if self._pipe_rests_until_ns:
             times.append(self._pipe_rests_until_ns)

@@ -22,7 +22,7 @@ DRAIN_NS = 100_000_000
 class Wire:
     """The open port. `lost` turns true when the device has gone; nothing is written from then on."""
 
-    __slots__ = ("_box", "_held_since_ns", "_refused", "fd", "lost", "unsent")
+    __slots__ = ("_box", "_handed", "_held_since_ns", "_refused", "fd", "lost", "unsent")
 
     def __init__(self, fd: int) -> None:
         self._box: RingWriter | None = None
@@ -30,6 +30,8 @@ class Wire:
         self.lost = fd < 0
         self.unsent = b""
         """What the kernel did not take yet; only ever the rest of a burst or of one frame."""
+        self._handed = 0
+        """Bytes handed to the kernel since it last held none."""
         self._held_since_ns = 0
         self._refused = False
         """The last write was not taken at all."""
@@ -44,15 +46,20 @@ class Wire:
             self.lost = True
             return len(data)
         self._refused = False
+        self._handed += taken
         return taken
 
-    def _held(self) -> int:
-        """Bytes that the kernel holds; a port that can't say has gone."""
+    def _holds(self) -> bool:
+        """True while the kernel holds bytes, of whoever; a port that can't say has gone. How many is not asked: their
+        unit is the driver's."""
         try:
-            return port.unsent_bytes(self.fd)
+            held = port.unsent_bytes(self.fd) > 0
         except OSError:
             self.lost = True
-            return 0
+            held = False
+        if not held:
+            self._handed = 0
+        return held
 
     def burst(self) -> None:
         """Write the stop burst, now. The rest of a cut frame is dropped for it, since the burst heals any cut; the rest
@@ -76,9 +83,9 @@ class Wire:
             self._box.put(box.pack_wire(kind, data, taken))
 
     def frame(self, data: bytes, backlog: int = 0) -> bool:
-        """Write one frame. False, with nothing of it written or kept, when the kernel holds more than `backlog` unsent
-        bytes or takes none: what is kept for later would be late."""
-        if self.lost or self.unsent or self._held() > backlog:
+        """Write one frame. False, with nothing of it written or kept, when the kernel holds bytes and was handed more
+        than `backlog` of them here, or takes none: what is kept for later would be late."""
+        if self.lost or self.unsent or (self._holds() and max(self._handed, 1) > backlog):
             self._note(box.FRAME, data, 0)
             return False
         taken = self._write(data)
@@ -99,7 +106,7 @@ class Wire:
         """True when bytes have been held back for DRAIN_NS; asked once a tick."""
         if self._refused and not self.lost and self._has_room():
             self._refused = False  # somebody else was in a write of theirs
-        if self.lost or not (self.unsent or self._refused or self._held()):
+        if self.lost or not (self.unsent or self._refused or self._holds()):
             self._held_since_ns = 0
             return False
         if not self._held_since_ns:
@@ -126,14 +133,14 @@ class Wire:
         self.fd = fd
         self.lost = False
         self.unsent = b""
-        self._held_since_ns = 0
+        self._handed = self._held_since_ns = 0
         self._refused = False
         self.burst()
 
     def close(self) -> None:
         """Let the port go at once: a descriptor kept open over a USB drop renumbers the device."""
         if self.fd >= 0:
-            os.close(self.fd)
+            port.close_port(self.fd)
             self.fd = -1
         self.lost = True
         self.unsent = b""

@@ -15,6 +15,7 @@ import os
 from time import monotonic_ns
 
 from failstop.board.interface import BOARD
+from failstop.board.port import close_port
 from failstop.procs import starved
 from failstop.procs.handover import OPENING_NS, Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
@@ -95,7 +96,7 @@ class Stopper:
             if rung.fd in ready:
                 rung.clear()
         if ready.get(self._port, 0) & GONE or records.lost_since(self._port_record.read(), self._port_since_ns):
-            self._close_port()
+            self.close_port()
         if self._control.fd in ready:
             self._adopt_port()
         if not self._orphaned_ns:
@@ -132,7 +133,7 @@ class Stopper:
         except BlockingIOError:
             return
         except OSError:
-            self._close_port()
+            self.close_port()
 
     def _write_due(self, now_ns: int) -> None:
         """The burst after the port owner's first go, and the repeats of an earlier burst."""
@@ -214,17 +215,17 @@ class Stopper:
             if self._orphaned_ns:
                 self.loop.forget(self._control.fd)
             return
-        self._close_port()
+        self.close_port()
         self._port = fd
         self._port_since_ns = monotonic_ns()
         self._port_word.set(self._port_since_ns)
         self.loop.watch(fd, HANGUP)
 
-    def _close_port(self) -> None:
+    def close_port(self) -> None:
         """At a hang-up everyone closes at once: a descriptor kept open over a USB drop renumbers the device."""
         if self._port >= 0:
             self.loop.forget(self._port)
-            os.close(self._port)
+            close_port(self._port)
             self._port = -1
             self._port_word.set(0)
 
@@ -243,5 +244,6 @@ def run(context: Context) -> int:
     ready: dict[int, int] = {}
     while stopper.turn(ready):
         ready = stopper.loop.wait(stopper.next_ns(monotonic_ns()))
+    stopper.close_port()  # an exit would wait for a port that does not drain
     context.heartbeat.state(heartbeat.STOPPING)
     return 0

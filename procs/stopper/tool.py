@@ -61,4 +61,4 @@ def _write(path: str) -> None:
     except OSError as error:
         raise PortError("io", f"{path} went away while writing ({error.strerror})", error.errno or 0) from None
     finally:
-        os.close(fd)
+        port.close_port(fd)

@@ -84,6 +84,8 @@ def test_a_ping_that_the_port_does_not_take_is_not_counted(scene: Scene, monkeyp
     asked = list(scene.asked)
     words = [scene.word(f"ping_{index}") for index in range(layout.PINGS)]
     monkeypatch.setattr(port, "unsent_bytes", lambda fd: 5000)
+    for _ in range(3):
+        scene.owner.wire.burst()
     scene.turn(PERIOD)
     assert scene.asked == asked
     assert [scene.word(f"ping_{index}") for index in range(layout.PINGS)] == words

@@ -51,7 +51,7 @@ class Scene(Stage):
         self._views[layout.PORT_OWNER].word("written_ns").set(self.clock())
 
     def close(self) -> None:
-        self.stopper._close_port()
+        self.stopper.close_port()
         self.stopper._control.close()
         super().close()
 
@@ -222,7 +222,7 @@ def test_it_says_since_when_it_has_the_port(scene: Scene, other: Pty) -> None:
 
 def test_a_descriptor_that_it_had_no_number_for_is_taken_when_it_is_sent_again(scene: Scene, other: Pty) -> None:
     """The first one is lost: the message arrives without it."""
-    scene.stopper._close_port()
+    scene.stopper.close_port()
     os.write(scene.control.fd, b"port")
     scene.turn()
     assert scene.own.word("port_ns").get() == 0
@@ -303,7 +303,7 @@ def test_the_fence_comes_before_the_burst(scene: Scene, monkeypatch: pytest.Monk
 
 
 def test_a_port_owner_without_a_port_may_take_longer(scene: Scene) -> None:
-    scene.stopper._close_port()
+    scene.stopper.close_port()
     for _ in range((OPENING_NS + HANG_NS) // (50 * MS) - 1):
         scene.turn(50 * MS, alive=False)
     assert scene.port_owner._alive

@@ -11,7 +11,9 @@ import pytest
 
 from failstop.board import codec, port
 from failstop.board.burst import BURST
+from failstop.board.interface import BOARD
 from failstop.procs.port_owner import wire as wire_module
+from failstop.procs.port_owner.main import MOTION_BACKLOG, PING_BACKLOG
 from failstop.procs.port_owner.wire import DRAIN_NS, Wire
 from tests.waiting import until
 
@@ -263,11 +265,41 @@ def test_a_stop_is_added_to_any_backlog(pty: Pty, wire: Wire, held: Held) -> Non
     assert pty.read() == BURST
 
 
-@pytest.mark.parametrize(("unsent", "taken"), [(0, True), (128, True), (129, False)])
-def test_other_frames_may_queue_behind_a_little(pty: Pty, wire: Wire, held: Held, unsent: int, taken: bool) -> None:
-    held.bytes = unsent
+URB = 1280
+"""What cdc_acm counts for each write under way, whatever its length."""
+
+
+@pytest.mark.parametrize("unit", [1, URB])
+@pytest.mark.parametrize(("handed", "taken"), [(1, True), (128, True), (129, False)])
+def test_other_frames_may_queue_behind_a_little_in_whatever_unit_the_driver_counts(
+    pty: Pty, wire: Wire, held: Held, unit: int, handed: int, taken: bool
+) -> None:
+    assert wire.frame(bytes(handed))
+    pty.read()
+    held.bytes = unit
     assert wire.frame(OTHER, backlog=128) is taken
     assert pty.read() == (OTHER if taken else b"")
+
+
+def test_what_the_port_has_drained_is_no_backlog(pty: Pty, wire: Wire, held: Held) -> None:
+    assert wire.frame(bytes(129))
+    assert wire.frame(bytes(1)), "the kernel holds nothing"
+    held.bytes = URB
+    assert wire.frame(OTHER, backlog=128)
+
+
+def test_a_ping_follows_a_burst_that_is_still_under_way_and_motion_does_not(pty: Pty, wire: Wire, held: Held) -> None:
+    wire.burst()
+    held.bytes = URB
+    assert not wire.frame(MOTION, backlog=MOTION_BACKLOG)
+    assert wire.frame(BOARD.pings[0], backlog=PING_BACKLOG)
+    assert pty.read() == BURST + BOARD.pings[0]
+
+
+def test_motion_follows_a_ping_that_is_still_under_way(pty: Pty, wire: Wire, held: Held) -> None:
+    assert wire.frame(BOARD.pings[0])
+    held.bytes = URB
+    assert wire.frame(MOTION, backlog=MOTION_BACKLOG)
 
 
 # A port that does not drain.

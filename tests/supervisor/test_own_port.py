@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import threading
 
 import pytest
 
+from failstop.board import port
 from failstop.board.burst import BURST
 from failstop.supervisor.port import OwnPort
 from tests.procs.parts import new_pty
+from tests.unprivileged import unprivileged
 
 
 def test_the_first_bytes_of_a_run_are_a_burst() -> None:
@@ -48,3 +51,48 @@ def test_the_old_descriptor_is_closed() -> None:
         with pytest.raises(OSError, match="Bad file descriptor"):
             os.fstat(fd)
         own.replace(-1)
+
+
+def opened_by_nobody(path: str, tried: int) -> str:
+    """Open as nobody; `tried` is a pipe's end that is closed when it was refused for the first time."""
+    real = port.open_port
+
+    def watched(name: str, *, exclusive: bool) -> int:
+        try:
+            return real(name, exclusive=exclusive)
+        finally:
+            os.write(tried, b".")
+
+    port.open_port = watched
+    try:
+        OwnPort.open_and_stop(path)
+    except port.PortError as error:
+        return error.kind
+    return "opened"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="gives a device away as udev does: only root")
+def test_at_boot_a_device_that_udev_is_still_to_give_away_is_waited_for() -> None:
+    with new_pty() as pty:
+        os.chown(pty.link, 0, 0)
+        os.chmod(pty.link, 0o600)
+        reader, tried = os.pipe()
+        udev = threading.Thread(target=lambda: os.read(reader, 1) and os.chmod(pty.link, 0o666))
+        udev.start()
+        assert unprivileged(lambda: opened_by_nobody(pty.link, tried)) == "opened"
+        udev.join()
+        assert pty.read() == BURST
+        os.close(reader)
+        os.close(tried)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="takes a device away from nobody: only root")
+def test_a_device_that_udev_has_given_to_others_is_refused_at_the_first_try() -> None:
+    with new_pty() as pty:
+        os.chown(pty.link, 0, 1)
+        os.chmod(pty.link, 0o660)
+        reader, tried = os.pipe()
+        assert unprivileged(lambda: opened_by_nobody(pty.link, tried)) == "permission"
+        assert os.read(reader, 100) == b"."
+        os.close(reader)
+        os.close(tried)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.board.finder import Finder
 from failstop.procs.handover import OPENING_NS, Control
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
@@ -32,7 +33,7 @@ class Three(Scene):
         monkeypatch.setattr(os, "kill", lambda pid, number: self.killed.append(pid))
         self.path = directory / "board"
         self.sharing = self.supervisor._sharing
-        self.sharing._path = str(self.path)
+        self.sharing._finder = Finder(str(self.path))
         self.port.since_ns = self.now_ns
         self.stopper = segment.attach(self.resources.memory, layout.STOPPER, write=True)
         self.supervisor.family[layout.STOPPER].pid = NOBODY
@@ -212,5 +213,5 @@ def test_patience_is_for_an_opening_alone(three: Three) -> None:
 
 def test_the_settings_name_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(tmp_path, monkeypatch)
-    assert scene.supervisor._sharing._path == Settings().text("device.path")
+    assert scene.supervisor._sharing._finder.at == Settings().text("device.path")
     scene.close()
