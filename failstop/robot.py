@@ -104,9 +104,10 @@ class Robot:
         """The run that is there now. When it is over, and its last processes are ending, its state can still be read.
         Raises NoService, FailstopError."""
         self._check_open()
-        if self._run is None or self._run.over():
-            self._run = self._renewed()
-        return self._run
+        run = self._run
+        if run is None or run.over():
+            run = self._run = self._renewed()
+        return run
 
     def _renewed(self) -> Run:
         self._leave()
@@ -121,7 +122,11 @@ class Robot:
             if run.over():
                 raise gone(self.name)
             self._connected = Client(self.name, self.client_name)
-        return self._connected
+        connected = self._connected
+        if self._closed:  # by a signal's handler, while this went on
+            self._leave()
+        self._check_open()
+        return connected
 
     def _client(self) -> Client:
         return self._slot(self._current())

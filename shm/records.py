@@ -219,14 +219,14 @@ def unpack_held(payload: bytes) -> tuple[int, list[str]]:
 
 def pack_said(session: int, sees: str, wrong: str) -> bytes:
     """What a client session says in a line: what it sees, and what is wrong, which may be nothing."""
-    return _SESSION.pack(session) + cut(sees, 190).replace(b"\n", b" ") + b"\n" + cut(wrong, 190)
+    return _SESSION.pack(session) + cut(sees, 190).replace(b"\n", b" ") + b"\n" + cut(wrong, 190).replace(b"\n", b" ")
 
 
 def unpack_said(payload: bytes) -> tuple[int, str, str]:
     """Return (session, sees, wrong)."""
     (session,), text = _head(_SESSION, payload)
     sees, _, wrong = text.decode("utf-8", "replace").partition("\n")
-    return session, sees, wrong
+    return session, sees, wrong.replace("\n", " ")
 
 
 def pack_hello(session: int, pid: int, pid_namespace: int, name: str) -> bytes:

@@ -13,6 +13,7 @@ import pytest
 
 from failstop import FailstopError, NoService, Robot, State, run
 from failstop.client import attach
+from failstop.client import run as run_of
 from failstop.shm import instance, layout, segment, slot
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
@@ -54,9 +55,9 @@ def unwatched(monkeypatch: pytest.MonkeyPatch) -> None:
 # Another version.
 
 
-def other_layout(name: str, which: str) -> None:
+def other_layout(memory: str, which: str) -> None:
     """Change the head of a segment to that of another version."""
-    with open(f"/dev/shm{segment.shm_name(name, which)}", "r+b", buffering=0) as file:
+    with open(segment.path_of(memory, which), "r+b", buffering=0) as file:
         entry = slot.check(file.read(layout.HEADER_BYTES), segment._HEADER_SEED)
         assert entry
         magic, _, *rest = segment._HEADER.unpack(entry[2])
@@ -68,8 +69,9 @@ def other_layout(name: str, which: str) -> None:
 def test_a_service_of_another_version_can_be_stopped_and_only_that(trial: Trial) -> None:
     latch = attach(trial.name, layout.SUPERVISOR).word("epoch")
     epoch = latch.get()
+    memory, _ = run_of(trial.name)
     for which in layout.PROCESSES:
-        other_layout(trial.name, which)
+        other_layout(memory, which)
     with Robot(trial.name) as robot:
         for call in CALLS.values():
             with pytest.raises(FailstopError, match="with another layout: use the service's own version"):
@@ -82,7 +84,7 @@ def test_a_service_of_another_version_can_be_stopped_and_only_that(trial: Trial)
 
 
 def test_without_its_shared_memory_a_service_can_be_stopped(trial: Trial) -> None:
-    path = "/dev/shm" + segment.shm_name(trial.name, layout.SUPERVISOR)
+    path = segment.path_of(run_of(trial.name)[0], layout.SUPERVISOR)
     os.rename(path, path + "-away")
     robot = Robot(trial.name)
     trial.board.events()
@@ -215,7 +217,7 @@ def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) ->
         trial.board.wait_wheels(moving=True, timeout_s=2.0)
         index = next(one["slot"] for one in trial.robot.state.clients if one["name"] == "threads")
         robot.close()
-        path = f"/dev/shm{segment.shm_name(trial.name, f'client.{index}')}"
+        path = segment.path_of(run_of(trial.name)[0], f"client.{index}")
         spec = layout.BY_NAME[f"client.{index}"]
         with open(path, "rb") as file:
             data = file.read()

@@ -82,6 +82,15 @@ def test_command_keeps_what_is_no_number() -> None:
     assert str(wz) == "-0.0"
 
 
+@given(session=U64, sees=text_strategy(190), wrong=text_strategy(190))
+def test_said(session: int, sees: str, wrong: str) -> None:
+    found_session, *found = records.unpack_said(records.pack_said(session, sees, wrong))
+    assert found_session == session
+    for told, text in zip(found, (sees, wrong), strict=True):
+        assert "\n" not in told, "each is a line"
+        assert is_cut(told, text.replace("\n", " "), 190)
+
+
 @given(session=U64, pid=U32, namespace=U64, name=text_strategy(64))
 def test_hello(session: int, pid: int, namespace: int, name: str) -> None:
     *fixed, found = records.unpack_hello(records.pack_hello(session, pid, namespace, name))
@@ -160,6 +169,10 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
         lambda text: records.pack_command(TOP, 1e308, 1e308, 1e308, True, "x" * records.SOURCE_BYTES),
         [f"client.{i}/command" for i in range(CLIENT_SLOTS)],
     ),
+    "said": (
+        lambda text: records.pack_said(TOP, text, text),
+        [f"client.{i}/said" for i in range(CLIENT_SLOTS)],
+    ),
     "request": (lambda text: records.pack_request(TOP, TOP, 255), [f"client.{i}/request" for i in range(CLIENT_SLOTS)]),
     "imu": (lambda text: records.pack_imu((1e308,) * 3, (1e308,) * 3), ["telemetry/imu"]),
     "battery": (lambda text: records.pack_battery(2**32 - 1, 2), ["telemetry/battery"]),
@@ -232,6 +245,7 @@ SIZES: dict[str, tuple[Callable[[bytes], Any], int, bool]] = {
     "request": (records.unpack_request, 17, True),
     "command": (records.unpack_command, 49, True),
     "held": (records.unpack_held, 8, False),
+    "said": (records.unpack_said, 8, False),
     "imu": (records.unpack_imu, 48, True),
     "battery": (records.unpack_battery, 5, True),
     "bias": (records.unpack_bias, 26, True),
