@@ -34,9 +34,11 @@ chaos: $(VENV)/.installed
 model:
 	model/check
 
+# All, or some: make mutants ROOMS="shm burst" (tests/mutation/rooms.py).
+ROOMS ?=
 mutants: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check 'mutmut<3'
-	tests/mutation/run $(BIN)/python
+	tests/mutation/run $(BIN)/python $(ROOMS)
 
 deb: $(VENV)/.installed
 	@$(BIN)/python packaging/deb/build.py

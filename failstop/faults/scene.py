@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 
 from failstop.board.sim.client import SimBoard
 from failstop.client import send_stop
@@ -29,7 +28,6 @@ SETTINGS: dict[str, object] = {
 }
 """Of a campaign, over the user's: so many deaths are no crash loop here."""
 GONE_S = 5.0
-DAY_S = 86_400
 
 
 class Scene:
@@ -101,13 +99,6 @@ class Scene:
         """The pid of each process now; remembered for the end."""
         self._pids = {name: process.pid for name, process in self.driver.robot.state.processes.items()}
         return self._pids
-
-    def battery_logs(self) -> list[str]:
-        """The file that the battery's voltage goes to, today's and tomorrow's."""
-        folder = self.trial.state
-        os.makedirs(folder, exist_ok=True)
-        days = (time.strftime("%Y-%m-%d", time.gmtime(time.time() + after_s)) for after_s in (0, DAY_S))
-        return [os.path.join(folder, f"battery-{day}.csv") for day in days]
 
     def ask(self, reason: str) -> None:
         """A stop request."""

@@ -193,7 +193,7 @@ SURROUNDINGS = (
         "^gate died", RESET, "E-STOP latched: gate died", 10.0, "no-descriptors-kill", weight=1,
     ),
     _asked("no-memory", MACHINE, "no process may have more memory", "no-memory"),
-    _asked("no-disk", MACHINE, "no space for the state files", "no-disk", "can't be written: .*No space"),
+    _asked("no-disk", MACHINE, "the state files can't grow", "no-disk", "can't be written: .*File too large"),
     Fault(
         "names-removed", MACHINE, "the names in /dev/shm are gone, as by logind's RemoveIPC=yes",
         "port owner; the supervisor looks once a second", "", NEW_RUN, "was removed: restart the service; stop frame",
