@@ -68,7 +68,7 @@ def test_from_the_start_to_a_stop_and_back(trial: Trial, listener: Listener) -> 
     trial.robot.estop("hand near wheel")
     wait_for("the second stop", lambda: len(listener.of("stop")) == 2)
     stop = listener.of("stop")[1]
-    assert str(stop.fields["reason"]).startswith("hand near wheel (trial")
+    assert str(stop.fields["reason"]).startswith("stop request: hand near wheel (trial")
     assert stop.fields["noticed_by"] == "port_owner"
     assert stop.fields["written_by"] == "port owner"
     assert 0 < float(stop.fields["latency_us"]) < 50_000

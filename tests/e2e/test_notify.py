@@ -66,7 +66,7 @@ def test_ready_status_watchdog_and_end(manager: Manager, name: str) -> None:
         trial.drive(0.3)
         wait_for("who drives", lambda: manager.status().startswith("motion enabled; cmd_vel drives: "))
         trial.robot.estop("hand near wheel")
-        wait_for("the latch", lambda: manager.status().startswith("stop latched: hand near wheel"))
+        wait_for("the latch", lambda: manager.status().startswith("stop latched: stop request: hand near wheel"))
         trial.robot.reset()
         wait_for("the reset", lambda: manager.status() == "ready, motion disabled")
         for pid in trial.service.pids().values():

@@ -240,7 +240,8 @@ def test_the_death_of_the_supervisor(seen: Seen) -> None:
     wait_for("the last process to end", lambda: not any(map(instance.running, instance.places(seen.trial.name))), 5.0)
     code, out, err = seen.command("status", "--json")
     assert (code, out) == (3, "")
-    assert "start it with `failstop run" in err
+    assert "supervisor died" in err
+    assert "next: `failstop run" in err
     seen.trial.recover(layout.SUPERVISOR, pid_of(before, layout.SUPERVISOR))
     found = seen.status()
     assert (found["enabled"], found["blocked"]) == (False, "disabled")

@@ -58,7 +58,7 @@ def test_reset_is_refused_while_somebody_commands_motion(scene: Scene) -> None:
     found = ("", "")
     while not str(found[1]).startswith("e-stop cleared"):
         found = scene.eyes.call("reset_estop")
-    assert found[1].startswith("e-stop cleared (was: hand near wheel (")
+    assert found[1].startswith("e-stop cleared (was: stop request: hand near wheel (")
     assert found[1].endswith("; motion still disabled")
 
 

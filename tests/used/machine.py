@@ -59,7 +59,7 @@ def main(base: Path, words: list[str]) -> int:
             code = subprocess.run(words, check=False).returncode
             changed = sorted(before ^ _listing(watched))
             with Robot() as robot:
-                same = service.ready() and robot.state.estop == "used"
+                same = service.ready() and robot.state.estop == "stop request: used"
         finally:
             service.end()
     if changed or not same:
@@ -95,7 +95,7 @@ def _live(service: Service) -> None:
     for day in ("20200101", "20990101"):
         shutil.copy(one, folder / f"{day}-000000-{DEFAULT_NAME}.incident")
     with Robot() as robot:
-        assert robot.state.estop == "used"
+        assert robot.state.estop == "stop request: used"
 
 
 def _listing(watched: tuple[str, ...]) -> set[str]:
