@@ -27,8 +27,8 @@ def read_until(robot: Robot, wanted: type, count: int) -> list[Sample]:
 
 def test_every_imu_sample_comes_once_and_in_order(trial: Trial) -> None:
     robot = trial.robot
-    robot.samples()  # the first call begins
     ring = attach(trial.name, layout.TELEMETRY).ring_reader("box")
+    robot.samples()  # the first call begins
     times = [sample.t_ns for sample in read_until(robot, ImuSample, 100) if isinstance(sample, ImuSample)]
     written = [entry[1] for entry in iter(ring.next, None) if box.unpack_board(entry[2])[0] == box.IMU]
     assert times == sorted(set(times))

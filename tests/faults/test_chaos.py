@@ -13,9 +13,10 @@ from subprocess import PIPE
 import pytest
 
 from failstop.faults.table import BY_NAME
+from tests.amounts import amount
 from tests.commands import FAILSTOP, failstop
 
-SECONDS = 120 if os.environ.get("CI") == "true" else 40
+SECONDS = amount(30, 120)
 
 
 def chaos(*words: str, timeout: float = 60.0) -> subprocess.CompletedProcess[str]:

@@ -55,7 +55,7 @@ def test_who_says_ever_new_things_is_told_of_now_and_then() -> None:
     ("sees", "wrong", "read"),
     [
         ("all well", "", ("all well", "")),
-        ("two\nlines", "also\ntwo", ("two lines", "also?two")),
+        ("two\nlines", "also\ntwo", ("two lines", "also two")),
         ("\x1b[31mred", "", ("?[31mred", "")),
         ("ä" * 500, "", ("ä" * 95, "")),
     ],

@@ -16,7 +16,7 @@ from tests.commands import FAILSTOP
 
 from .typist import Typist
 
-CPU_S = 20.0
+CPU_S = 5.0
 MOST_CPU = 0.01
 """Of one core, as the robot has better things to do; measured here 0.0065."""
 BUSY = 2.0
