@@ -19,6 +19,12 @@ settings.register_profile("failstop", deadline=None, suppress_health_check=[Heal
 settings.load_profile("failstop")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests first: a worker that gets one of them last is waited for by all others."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _interruptible() -> None:
     """A shell's background job ignores Ctrl-C, and would hand that on to every command that a test interrupts."""

@@ -216,8 +216,7 @@ def test_a_slot_s_memory_of_another_size(trial: Trial, size: int) -> None:
             assert latched(trial).startswith("multiple cmd_vel publishers: "), "it is a client like any other"
         else:
             wait_for("the gate to see it", lambda: len(trial.robot.state.clients) == 1)
-            trial.drive(0.1)  # the wait may have taken longer than a command holds
-            assert trial.moving()
+            wait_for("the wheels to turn", lambda: trial.drive(0.02) or trial.moving())
     drives_again(trial)
     later = Client(trial.name, "later")
     assert later.slot == (1 if size > 1000 else 2), "the damaged slot is passed over"

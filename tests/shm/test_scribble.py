@@ -15,7 +15,7 @@ from tests.amounts import amount
 
 from .written import NAMES, Written, path_of
 
-ROUNDS = amount(300, 1500)
+ROUNDS = amount(120, 1500)
 
 
 @pytest.mark.parametrize("of", NAMES)
