@@ -18,6 +18,7 @@ from rclpy import types
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.parameter import Parameter, value_of
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.wire import SERVICE_S
 
 _numbers = itertools.count(1)
 
@@ -114,7 +115,7 @@ class Service:
         node.wire.tell()
 
     def send_response(self, response: object, header: tuple) -> None:
-        self._wire.send(header[0], (header[1], (header[2], types.to_plain(response))))
+        self._wire.send(header[0], (header[1], (header[2], types.to_plain(response))), SERVICE_S)
 
 
 class Future:
@@ -156,7 +157,7 @@ class Client:
         self._pending[asked] = future
         for name, row in self._servers():
             header = (self._node.wire.name, self._number, asked)
-            self._node.wire.send(name, (row["number"], (header, types.to_plain(request))))
+            self._node.wire.send(name, (row["number"], (header, types.to_plain(request))), SERVICE_S)
         return future
 
     def _answered(self, packet: tuple) -> None:

@@ -20,6 +20,8 @@ TOUCH_S = 0.1
 MOST_BYTES = 1 << 20
 SEND_S = 0.02
 """How long a process that does not read, such as a stopped one, holds a sender up."""
+SERVICE_S = 5.0
+"""What is asked and answered is not lost for want of room, as a message may be."""
 _numbers = itertools.count()
 
 
@@ -85,10 +87,17 @@ class Wire:
                     found[name] = ends
         return found
 
-    def send(self, to: str, packet: tuple) -> None:
-        """To one process; one that is dead or full gets nothing."""
+    def send(self, to: str, packet: tuple, within_s: float = 0.0) -> None:
+        """To one process; one that is dead, or full for so long, gets nothing."""
+        until_s = time.monotonic() + within_s
         with contextlib.suppress(OSError):
-            self._out.sendto(pickle.dumps(packet), os.path.join(self.folder, f"{to}.sock"))
+            while True:
+                try:
+                    self._out.sendto(pickle.dumps(packet), os.path.join(self.folder, f"{to}.sock"))
+                    return
+                except TimeoutError:
+                    if time.monotonic() > until_s:
+                        return
 
     def _receive(self) -> None:
         while True:
