@@ -5,15 +5,21 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test lint bench soak chaos model mutants deb clean
+.PHONY: demo test campaigns lint bench soak chaos model mutants deb clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
 
-# Two at a time: most of them wait. JOBS=0 is one after the other, in one process.
-JOBS ?= 2
+# Three at a time: most of them wait. JOBS=0 is one after the other, in one process.
+JOBS ?= 3
 test: $(VENV)/.dev lint
-	$(BIN)/pytest --numprocesses $(JOBS) --dist loadfile
+	$(BIN)/pytest --numprocesses $(JOBS) --dist loadfile -m 'not alone'
+	$(BIN)/pytest --numprocesses 0 -m alone
+
+# Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults.
+campaigns: $(VENV)/.dev
+	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses 0 tests/shm/test_torn.py tests/shm/test_scribble.py \
+	  tests/faults/test_chaos.py
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -33,9 +39,11 @@ chaos: $(VENV)/.installed
 model:
 	model/check
 
+# All, or some: make mutants ROOMS="shm burst" (tests/mutation/rooms.py).
+ROOMS ?=
 mutants: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check 'mutmut<3'
-	tests/mutation/run $(BIN)/python
+	tests/mutation/run $(BIN)/python $(ROOMS)
 
 deb: $(VENV)/.installed
 	@$(BIN)/python packaging/deb/build.py

@@ -25,6 +25,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
+from failstop.install import layout
 from failstop.trial import TrialError, wait_for
 
 SYSTEMD = "/lib/systemd/systemd"
@@ -52,7 +53,21 @@ WANTED = {
     "sockets.target": ("systemd-journald.socket", "systemd-journald-dev-log.socket"),
 }
 
-BOOT = """
+INSTALLED = (
+    *(layout.PREFIX, layout.CONFIGURATION, layout.STATE, layout.SYSUSERS, layout.UDEV, layout.CATALOG),
+    *(layout.MANUAL, layout.COMMAND_LINK, *layout.COMPLETIONS.values()),
+)
+ANEW = f"""
+[ ! -e "$root/var/lib/dpkg/info/failstop.list" ] || chroot "$root" dpkg --purge failstop
+for path in {" ".join(INSTALLED)}; do
+  rm -rf "$root$path"
+done
+userdel --force --prefix "$root" failstop 2>/dev/null || :
+groupdel --prefix "$root" failstop 2>/dev/null || :
+"""
+"""Takes away what the machine has of failstop: what is tried in there is what was put there."""
+BOOT = (
+    """
 set -eu
 base=$1 root=$1/root vendor=$2 systemd=$3
 mount --make-rprivate /
@@ -94,6 +109,9 @@ done
 mkdir -p "$root/etc/systemd/journald.conf.d"
 printf '[Journal]\\nStorage=volatile\\n' > "$root/etc/systemd/journald.conf.d/container.conf"
 : > "$root/etc/fstab"
+"""
+    + ANEW
+    + """
 while read -r source target mode; do
   if [ -d "$source" ]; then
     mkdir -p "$root$target"
@@ -114,6 +132,7 @@ mount --make-rshared /
 sh -eu /run/setup
 exec env -i container=failstop LANG=C.UTF-8 PATH="$PATH" "$systemd" --system --unit=multi-user.target --show-status=no
 """
+)
 
 
 class ContainerMissing(Exception):
@@ -241,7 +260,9 @@ class Container:
 
     def entering(self, *words: str) -> list[str]:
         """The command line, out here, of a command inside, as root and in no unit."""
-        return ["nsenter", "-t", str(self.pid), "-m", "-u", "-i", "-n", "-p", "-C", "env", "--chdir=/", *words]
+        # Where this process keeps what is its own means nothing in there.
+        inside = ("env", "--chdir=/", "--ignore-environment", "LANG=C.UTF-8", f"PATH={SHELL_PATH}")
+        return ["nsenter", "-t", str(self.pid), "-m", "-u", "-i", "-n", "-p", "-C", *inside, *words]
 
     def run(self, *words: str, check: bool = True, timeout_s: float = TIMEOUT_S) -> subprocess.CompletedProcess[str]:
         """Run a command inside. Raises TrialError with what it said when it fails, unless not `check`."""
@@ -251,7 +272,6 @@ class Container:
             capture_output=True,
             text=True,
             timeout=timeout_s,
-            env={"PATH": SHELL_PATH, "LANG": "C.UTF-8"},
             check=False,
         )
         if check and done.returncode:

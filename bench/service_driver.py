@@ -24,13 +24,14 @@ def main(name: str) -> int:
     robot: Robot | None = None
     while True:
         if select.select((sys.stdin,), (), (), EVERY_S)[0]:
-            if not sys.stdin.readline():
-                return 0
+            told = sys.stdin.readline()
             if robot:
                 # Of an earlier run, perhaps: its slot is nobody's any more.
                 with contextlib.suppress(FailstopError, OSError):
                     robot.close()
                 robot = None
+            if not told:
+                return 0
             try:
                 robot = _enabled(name)
                 answer = "done"

@@ -58,6 +58,11 @@ _LISTS = {
 _PWM_ID_AT = {0x03: 3, 0x05: 1, 0x07: 1, 0x09: 1}
 
 
+FILLED = 31
+"""Bytes of data that the burst's first zeros complete; only lists of bus servos may be longer."""
+LONGEST_MS = 30_000
+
+
 def _milliseconds(field: str, value: int) -> int:
     return integer(field, value, 0, 65_535)
 
@@ -65,7 +70,7 @@ def _milliseconds(field: str, value: int) -> int:
 def _moves(
     moves: Sequence[tuple[int, int]], duration_ms: int, most: int, ids: int, target: tuple[str, int, int]
 ) -> bytes:
-    data = b"\x01" + _U16.pack(integer("duration_ms", duration_ms, 0, 30_000))
+    data = b"\x01" + _U16.pack(integer("duration_ms", duration_ms, 0, LONGEST_MS))
     data += bytes((counted("moves", moves, 1, most),))
     for move in moves:
         group("move", move, 2)
@@ -75,19 +80,31 @@ def _moves(
     return data
 
 
+def _timed(data: bytes, duration_ms: int) -> bytes:
+    """A PWM servo's frame that moves in as many milliseconds, or in one or two more or less: one whose CRC is zero
+    where it may be cut would be completed by the stop burst's zeros, and executed for the servo 0."""
+    step = 1 if duration_ms < LONGEST_MS // 2 else -1
+    for duration in range(duration_ms, duration_ms + 256 * step, step):
+        made = data[:1] + _U16.pack(duration) + data[3:]
+        if not _zeros_complete(PWM_SERVO, made):
+            break
+    return frame(PWM_SERVO, made)
+
+
 def _pwm_id(servo: int) -> int:
     return integer("servo id", servo, 1, PWM_SERVOS)
 
 
 def pwm_servo_move(pulses: Sequence[tuple[int, int]], duration_ms: int) -> bytes:
     """Move PWM servos: (id 1 to 4, pulse 500 to 2500 us) each, within duration_ms (0 to 30000)."""
-    return frame(PWM_SERVO, _moves(pulses, duration_ms, PWM_SERVOS, PWM_SERVOS, ("pulse_us", 500, 2500)))
+    return _timed(_moves(pulses, duration_ms, PWM_SERVOS, PWM_SERVOS, ("pulse_us", 500, 2500)), duration_ms)
 
 
 def pwm_servo_move_one(servo: int, pulse_us: int, duration_ms: int) -> bytes:
     """Move one PWM servo (id 1 to 4) to pulse_us (500 to 2500) within duration_ms (0 to 30000)."""
-    data = b"\x03" + _U16.pack(integer("duration_ms", duration_ms, 0, 30_000))
-    return frame(PWM_SERVO, data + _ID_U16.pack(_pwm_id(servo), integer("pulse_us", pulse_us, 500, 2500)))
+    data = b"\x03" + _U16.pack(integer("duration_ms", duration_ms, 0, LONGEST_MS))
+    data += _ID_U16.pack(_pwm_id(servo), integer("pulse_us", pulse_us, 500, 2500))
+    return _timed(data, duration_ms)
 
 
 def pwm_servo_read(servo: int) -> bytes:
@@ -202,7 +219,8 @@ def check_aux(frame: bytes) -> str:
 
     Accepted is exactly one frame of a function in AUX_FUNCS, of the right length and CRC, without the start of a
     motor frame anywhere in it, and with nothing in it that makes the firmware's handler reach outside its tables
-    (which could change a wheel's set point as well as anything). Never raises on bytes.
+    (which could change a wheel's set point as well as anything), whole or cut and completed by the stop burst. Never
+    raises on bytes.
     """
     size = len(frame)
     if size < 5 or frame[:2] != HEAD:
@@ -218,7 +236,21 @@ def check_aux(frame: bytes) -> str:
         return "bad crc"
     if MOTOR_HEAD in frame:
         return "the start of a motor frame inside"
-    return _reaches_outside(func, frame[4:-1])
+    data = frame[4:-1]
+    if len(data) > FILLED and func != BUS_SERVO:
+        return f"{len(data)} bytes of data, limit {FILLED}"
+    return _reaches_outside(func, data) or _zeros_complete(func, data)
+
+
+def _zeros_complete(func: int, data: bytes) -> str:
+    """What is wrong with the frame that zeros make of this one where it was cut, as the burst's do where the CRC so far
+    is zero; "" when nothing is."""
+    crc = crc8((func, len(data)))
+    for end in range(len(data)):
+        if not crc and (fault := _reaches_outside(func, data[:end].ljust(len(data), b"\0"))):
+            return f"{fault} if cut after {end} bytes of data"
+        crc = crc8(data[end : end + 1], crc)
+    return ""
 
 
 def _reaches_outside(func: int, data: bytes) -> str:

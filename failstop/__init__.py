@@ -10,11 +10,22 @@ from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.errors import FailstopError, NoAnswer, NoService, Refused
+    from failstop.errors import FailstopError, NoAnswer, NoService, Refused, Undeclared
     from failstop.robot import Robot
     from failstop.state import Process, State, Stop
 
-__all__ = ["FailstopError", "NoAnswer", "NoService", "Process", "Refused", "Robot", "State", "Stop", "__version__"]
+__all__ = [
+    "FailstopError",
+    "NoAnswer",
+    "NoService",
+    "Process",
+    "Refused",
+    "Robot",
+    "State",
+    "Stop",
+    "Undeclared",
+    "__version__",
+]
 
 _HOMES = {
     "FailstopError": "errors",
@@ -25,6 +36,7 @@ _HOMES = {
     "Robot": "robot",
     "State": "state",
     "Stop": "state",
+    "Undeclared": "errors",
 }
 
 

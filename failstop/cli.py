@@ -24,23 +24,24 @@ COMMANDS = {
     "enable": ("requests", "enable motion"),
     "disable": ("requests", "disable motion: the wheels stop"),
     "reset": ("requests", "clear a latched stop; enables nothing"),
-    "estop": ("estop", "latched stop, for every local user"),
+    "stop": ("stop", "stop now: by the running service, else on the port itself"),
+    "estop": ("stop", "the same as stop"),
     "drive": ("drive", "drive for a while"),
-    "stop": ("stop", "write the stop to the port; needs no service running"),
     "config": ("config", "every setting with its value and origin"),
     "doctor": ("doctor", "what on this machine weakens the promises, and what helps"),
     "prove": ("prove", "the stand test: every stop path timed on a real robot"),
     "chaos": ("chaos", "random faults on a simulated board, judged by it"),
     "install": ("install", "make it a service of this machine, whole or not at all"),
     "uninstall": ("uninstall", "stop the service and take away what install put there"),
+    "ros2": ("ros2", "the bridge to ROS 2: its nodes drive through the service"),
     "completion": ("completion", "the script that completes commands in a shell"),
 }
 
 GROUPS = (
-    ("drive", ("enable", "disable", "drive", "teleop", "estop", "reset")),
+    ("drive", ("enable", "disable", "drive", "teleop", "stop", "estop", "reset")),
     ("look", ("status", "watch", "why", "events", "incident")),
     ("check", ("demo", "doctor", "prove", "chaos", "config")),
-    ("service", ("run", "stop", "sim", "install", "uninstall", "completion")),
+    ("service", ("run", "sim", "ros2", "install", "uninstall", "completion")),
 )
 """What `failstop --help` shows together; a command that is in none is shown at the end."""
 
@@ -70,7 +71,21 @@ def _usage() -> str:
 def main(argv: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     standard.fill()
-    words = sys.argv[1:] if argv is None else argv
+    standard.watch()
+    try:
+        code = _main(sys.argv[1:] if argv is None else argv)
+    except OSError:
+        if (lost := standard.lost()) is None:
+            raise
+        code = 1
+    else:
+        lost = standard.lost()
+    if lost and not isinstance(lost, BrokenPipeError):
+        standard.say(f"standard output takes no more ({lost.strerror}): what is missing there was not written")
+    return code or int(lost is not None)
+
+
+def _main(words: list[str]) -> int:
     if words[:1] == ["help"] and len(words) > 1:
         words = [words[1], "--help"]
     if not words or words[0] in ("-h", "--help", "help"):
@@ -82,16 +97,9 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout.write(f"failstop {VERSION}\n")
         return 0
     if words[0] not in COMMANDS:
-        _say(f"no command {words[0]!r}{_meant(words[0])}; `failstop --help` lists them")
+        standard.say(f"no command {words[0]!r}{_meant(words[0])}; `failstop --help` lists them")
         return 1
     return _run(words[0], words[1:])
-
-
-def _say(error: str) -> None:
-    """One line on stderr, broken at words on a terminal."""
-    from failstop.fold import PREFIX, fitted
-
-    sys.stderr.write(fitted(f"{PREFIX}{error}", 2) + "\n")
 
 
 def _meant(word: str) -> str:
@@ -145,9 +153,14 @@ def _run(name: str, words: list[str]) -> int:
     except BrokenPipeError:
         return 1
     except Exception as error:
+        from failstop.procs.limits import lack
+
+        if lacking := lack(error):
+            standard.say(lacking)
+            return 1
         if not _expected(error):
             raise
-        _say(str(error))
+        standard.say(str(error))
         return getattr(error, "exit_code", 1)
     return code
 
@@ -159,5 +172,6 @@ def _expected(error: Exception) -> bool:
     from failstop.shm.instance import InstanceError
     from failstop.shm.segment import AttachError
     from failstop.supervisor.settings import SettingError
+    from failstop.trial import TrialError
 
-    return isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError))
+    return isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError, TrialError))

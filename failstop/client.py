@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
-import time
+import weakref
 
-from failstop.errors import FailstopError, NoAnswer, NoService
+from failstop.errors import FailstopError, NoService
 from failstop.shm import bell, claim, instance, layout, records, segment
 from failstop.shm.lifeline import pid_namespace
-
-ANSWER_S = 1.0
-"""How long a request may take; the gate answers within a tick."""
 
 
 def runtime_dir(name: str) -> str:
@@ -24,81 +21,147 @@ def runtime_dir(name: str) -> str:
         raise FailstopError(str(error)) from None
 
 
-def attach(name: str, which: str) -> segment.Segment:
-    """A service segment, for reading. Raises NoService, FailstopError."""
+def run(name: str) -> tuple[str, int]:
+    """What the segments of the running service are named after, and the uid they belong to. Raises NoService,
+    FailstopError."""
+    directory = runtime_dir(name)
     try:
-        return segment.attach(name, which)
+        incarnation, owner = instance.run(directory)
+    except instance.NoService as error:
+        raise NoService(str(error)) from None
+    except instance.InstanceError as error:
+        raise FailstopError(str(error)) from None
+    return segment.memory(name, incarnation), owner
+
+
+def last_run(name: str) -> tuple[str, int]:
+    """The same of a service that may have ended and left its segments, if it was this user's. Raises NoService,
+    FailstopError."""
+    try:
+        return run(name)
+    except NoService:
+        if dead := segment.dead_runs(name):
+            return dead[-1], os.geteuid()
+        raise
+
+
+def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segment.Segment:
+    """A service segment, for reading; of the run that was `found`, or else of the one that is there. Raises NoService,
+    FailstopError."""
+    memory, owner = found or run(name)
+    try:
+        return segment.attach(memory, which, owner=owner)
     except segment.AttachError as error:
         kind = NoService if error.kind == "absent" else FailstopError
         raise kind(str(error)) from None
 
 
-def send_stop(name: str, reason: str) -> None:
-    """Ask for a latched stop: every local user may. Raises NoService, FailstopError."""
+def send_stop(name: str, reason: str, who: str = "") -> None:
+    """Ask for a latched stop: every local user may. The service tells of it as `stop request: REASON (WHO, pid N)`, a
+    reason of more than records.ASKED_BYTES cut. Never blocks. Raises NoService, FailstopError."""
     path = instance.stop_path(runtime_dir(name))
     try:
         fd = bell.open_pipe_to_write(path)
     except OSError as error:
         raise NoService(f"the stop pipe {path} can't be opened ({error.strerror}): use `failstop stop`") from None
     try:
-        bell.send(fd, reason.encode("utf-8", "replace")[:400] + b"\n")
+        bell.send(fd, records.asking(reason, who, os.getpid()))
     except OSError as error:
         raise NoService(f"the stop pipe {path} can't be written ({error.strerror}): use `failstop stop`") from None
     finally:
         os.close(fd)
 
 
+def gone(name: str) -> NoService:
+    """The error of every call to a service that was there before."""
+    return NoService(f"the service {name!r} has gone: start it with `failstop run{instance.option(name)}`")
+
+
+class _Held:
+    """What a client holds of a service, given back once: by close(), or when nobody has the client any more."""
+
+    def __init__(self) -> None:
+        self.claims = -1
+        self.bell = -1
+        self.slot = -1
+        self.segment: segment.Segment | None = None
+        self._pid = os.getpid()
+
+    def give_back(self, farewell: bytes = b"") -> None:
+        """A command that lies in the slot stops counting at once. `farewell`: a hello that is a goodbye; without one
+        the gate takes it for a death. A process that was forked from the holder touches nothing in the slot."""
+        if self.segment:
+            if os.getpid() == self._pid:
+                # Another process may have the claim before the gate has seen it free.
+                with contextlib.suppress(OSError, ValueError):
+                    self.segment.wipe()
+                    if farewell:
+                        self.segment.latest_writer("hello").write(farewell)
+                    bell.send(self.bell, bytes([self.slot]))
+            self.segment.close()
+            self.segment = None
+        for fd in (self.claims, self.bell):
+            if fd >= 0:
+                os.close(fd)
+        self.claims = self.bell = -1
+
+
 class Client:
-    """A claimed client slot. The claim ends with close(), or with the process."""
+    """A claimed client slot. The claim ends with close(), when nobody refers to this any more, or with the process."""
 
     def __init__(self, name: str, who: str) -> None:
         """Raises NoService, FailstopError (no permission, another version, all slots taken)."""
         self.name = name
+        self.who = who
         directory = runtime_dir(name)
         self._session = int.from_bytes(os.urandom(8), "little") | 1
         self._number = 0
-        self._pid = os.getpid()
-        self._gate = attach(name, layout.GATE)
-        self._claims = -1
-        self._bell = -1
+        self._memory, self._owner = found = run(name)
+        self._gate = attach(name, layout.GATE, found)
+        self._held = _Held()
+        self._drop = weakref.finalize(self, self._held.give_back)
         try:
-            self._claims = claim.open_claims(instance.claims_path(directory))
-            self._bell = bell.open_pipe_to_write(instance.bell_path(directory))
+            self._held.claims = claim.open_claims(instance.claims_path(directory))
+            self._bell = self._held.bell = bell.open_pipe_to_write(instance.bell_path(directory))
             self.slot, self._segment = self._claim_slot()
         except PermissionError:
-            self.close()
+            self._drop()
             raise FailstopError(
                 f"this user may stop {name!r} but not drive it: join the group `failstop`, or run as the service's user"
             ) from None
         except segment.AttachError as error:
-            self.close()
+            self._drop()
             raise FailstopError(str(error)) from None
         except OSError as error:
-            self.close()
+            self._drop()
             raise NoService(f"the service {name!r} is going away ({error.strerror}): try again") from None
         except FailstopError:
-            self.close()
+            self._drop()
             raise
+        self._held.slot, self._held.segment = self.slot, self._segment
         self._commands = self._segment.latest_writer("command")
         self._requests = self._segment.latest_writer("request")
         self._sensed = self._segment.latest_writer("sensed")
         self._interlocks = self._segment.latest_writer("interlocks")
+        self._said = self._segment.latest_writer("said")
         self._reply = self._gate.latest_reader(f"reply.{self.slot}")
         self._hint = bytes([self.slot])
-        hello = records.pack_hello(self._session, os.getpid(), pid_namespace(), who)
-        self._segment.latest_writer("hello").write(hello)
+        self._segment.latest_writer("hello").write(self._hello(self._session))
         self._ring()
+
+    def _hello(self, session: int) -> bytes:
+        return records.pack_hello(session, os.getpid(), pid_namespace(), self.who)
 
     def _claim_slot(self) -> tuple[int, segment.Segment]:
         damaged = 0
         for index in range(layout.CLIENT_SLOTS):
-            if claim.take(self._claims, index):
+            if claim.take(self._held.claims, index):
                 try:
-                    found = segment.attach_client_slot(self.name, index, self._gate.incarnation)
+                    found = segment.attach_client_slot(self._memory, index, self._gate.incarnation, owner=self._owner)
                 except segment.AttachError as error:
-                    if error.kind not in ("damaged", "absent"):
+                    if error.kind not in ("damaged", "absent", "owner"):
                         raise
-                    claim.drop(self._claims, index)
+                    claim.drop(self._held.claims, index)
                     damaged += 1
                     continue
                 found.wipe()
@@ -113,10 +176,11 @@ class Client:
         try:
             bell.send(self._bell, self._hint)
         except BrokenPipeError:
-            raise NoService(f"the service {self.name!r} has gone: start it with `failstop run`") from None
+            raise gone(self.name) from None
 
     def command(self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str) -> None:
-        """Hand a velocity command to the gate; returns at once. Raises NoService."""
+        """Hand a velocity command to the gate; returns at once. Raises NoService, and ValueError for a source that is
+        too long."""
         self._commands.write(records.pack_command(self._session, vx_mps, vy_mps, wz_radps, manual, source))
         self._ring()
 
@@ -128,32 +192,26 @@ class Client:
         """Say that these interlocks hold now, and no others by this client; the gate sees it at its next tick."""
         self._interlocks.write(records.pack_held(self._session, names))
 
-    def request(self, verb: int) -> tuple[bool, str]:
-        """Ask and wait for the answer: (done, text). Raises NoAnswer, NoService."""
+    def say(self, sees: str, wrong: str) -> None:
+        """Say in a line what this program sees, and what is wrong; the gate passes it on within 0.2 s."""
+        self._said.write(records.pack_said(self._session, sees, wrong))
+
+    def ask(self, verb: int) -> int:
+        """Make a request; returns its number, for answer(). Raises NoService."""
         self._number += 1
         self._requests.write(records.pack_request(self._session, self._number, verb))
         self._ring()
-        until_s = time.monotonic() + ANSWER_S
-        while time.monotonic() < until_s:
-            if (entry := self._reply.read()) is not None:
-                session, number, done, text = records.unpack_reply(entry[2])
-                if (session, number) == (self._session, self._number):
-                    return done, text
-            time.sleep(0.0003)
-        if not instance.running(runtime_dir(self.name)):
-            raise NoService(f"the service {self.name!r} has gone: start it with `failstop run`")
-        raise NoAnswer(f"the gate of {self.name!r} did not answer within {ANSWER_S:g} s: see `failstop status`")
+        return self._number
 
-    def close(self) -> None:
-        """Give the slot back; a command of this client stops counting at once."""
-        if self._claims >= 0 and hasattr(self, "_segment") and os.getpid() == self._pid:
-            # A goodbye: another process may have the claim before the gate has seen it free.
-            with contextlib.suppress(OSError, ValueError, NoService):
-                self._segment.wipe()
-                self._ring()
-        for fd in (self._claims, self._bell):
-            if fd >= 0:
-                os.close(fd)
-        self._claims = self._bell = -1
-        if hasattr(self, "_segment"):
-            self._segment.close()
+    def answer(self, asked: int) -> tuple[bool, str] | None:
+        """The gate's answer to a request, (done, text); None while there is none."""
+        if (entry := self._reply.read()) is not None:
+            session, number, done, text = records.unpack_reply(entry[2])
+            if (session, number) == (self._session, asked):
+                return done, text
+        return None
+
+    def close(self, *, in_order: bool = True) -> None:
+        """Give the slot back; a command of this client stops counting at once. `in_order`: with a goodbye, so that
+        people are not told of a death."""
+        self._held.give_back(self._hello(records.NOBODY) if in_order else b"")

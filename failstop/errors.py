@@ -24,5 +24,9 @@ class NoService(FailstopError):
     exit_code = 3
 
 
+class Undeclared(FailstopError, ValueError):
+    """A source or an interlock that the service's settings do not name, or that is not a client's to use."""
+
+
 class NoAnswer(FailstopError):
     """The service runs but did not answer in time."""

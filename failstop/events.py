@@ -46,7 +46,6 @@ class EventLog:
 
     def __init__(self, name: str = DEFAULT_NAME) -> None:
         """Raises NoService, FailstopError."""
-        runtime_dir(name)
         self.name = name
         segment = attach(name, layout.SUPERVISOR)
         self._incarnation = segment.incarnation

@@ -1,4 +1,4 @@
-"""Standard input, output and error: made to be there, for a program that was started without them.
+"""Standard input, output and error: made to be there, for a program that was started without them, and in nobody's way.
 
 A descriptor from 0 to 2 that is closed is the number that the next open() returns. Were that the board's port, every
 line for people would go to the board.
@@ -6,8 +6,14 @@ line for people would go to the board.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
+from io import BufferedWriter, FileIO, TextIOWrapper
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
 
 
 def fill() -> None:
@@ -21,3 +27,69 @@ def fill() -> None:
                 setattr(sys, name, os.fdopen(number, "w", closefd=False))
     except OSError:
         return  # no /dev/null, or no descriptor: no reason not to stop
+
+
+def say(text: str) -> None:
+    """One line on stderr, broken at words on a terminal. Never raises: that people can't be told (a full disk, a
+    terminal that has gone) is no reason not to do what they asked for."""
+    from failstop.fold import PREFIX, fitted
+
+    with contextlib.suppress(OSError, ValueError):
+        sys.stderr.write(fitted(f"{PREFIX}{text}", 2) + "\n")
+        sys.stderr.flush()
+
+
+def tell(text: str) -> None:
+    """One line on stdout, of something that was done; on stderr if stdout does not take it. Never raises."""
+    from failstop.fold import fitted
+
+    try:
+        sys.stdout.write(fitted(text, 1, 2) + "\n")
+        sys.stdout.flush()
+    except (OSError, ValueError):
+        lost()
+        say(text)
+
+
+def watch() -> None:
+    """Have stdout remember that something could not be written: in the midst of a command that looks like an error of
+    anything else."""
+    buffer = getattr(sys.stdout, "buffer", None)
+    raw = getattr(buffer, "raw", buffer)  # python -u has no buffer between
+    if type(raw) is FileIO and raw.fileno() == 1:
+        sys.stdout = TextIOWrapper(
+            BufferedWriter(Output(1, "w", closefd=False)),
+            encoding=sys.stdout.encoding,
+            errors=sys.stdout.errors,
+            line_buffering=bool(sys.stdout.line_buffering) or raw is buffer,
+        )
+
+
+class Output(FileIO):
+    """Descriptor 1, and the first error in writing to it."""
+
+    error: OSError | None = None
+
+    def write(self, data: Any, /) -> Any:
+        """As it does; the error is kept."""
+        try:
+            return super().write(data)
+        except OSError as error:
+            self.error = self.error or error
+            raise
+
+
+def lost() -> OSError | None:
+    """Write what stdout still holds; returns why something could not be written since it was watched. It is let go
+    then: the interpreter would try again at its end, and tell of it in its own words."""
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
+    if not isinstance(raw, Output) or not raw.error:
+        return None
+    error, raw.error = raw.error, None
+    with contextlib.suppress(OSError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.close(nowhere)
+    return error

@@ -8,11 +8,13 @@ from typing import Any
 
 import msgpack
 
-from failstop.client import attach, runtime_dir
+from failstop.client import attach
 from failstop.errors import FailstopError
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
+from failstop.run import Run
 from failstop.shm import blocks, heartbeat, layout, records
+from failstop.supervisor.table import BY_NAME
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +39,7 @@ class Process:
 
     pid: int
     state: str
-    """starting, running, hanging, waiting (to be restarted), down, or stopping."""
+    """starting, running, hanging, waiting (to be restarted), down, stopping, or dead (with the supervisor)."""
     age_ms: float
     """Since its last heartbeat."""
     restarts: int
@@ -67,7 +69,12 @@ class State:
     """What is not up yet; motion can't be enabled until it is."""
     device: dict[str, Any]
     processes: dict[str, Process]
+    starved: dict[str, Any] | None
+    """How often a process was not run past its deadline, without a stop or a kill for it, since motion was disabled:
+    times, longest_ms and process (which it was then); None: never."""
     clients: list[dict[str, Any]]
+    """slot, name, pid, driving; and of one that says something of itself (Robot.say): sees, wrong, said_s (how long
+    ago)."""
     sources: list[dict[str, Any]]
     """Who drives and who waits, highest priority first."""
     scan_age_s: float | None
@@ -97,27 +104,38 @@ class State:
 
 HANGING_MS = 500.0
 SILENT = "the supervisor is silent"
-"""Told as the latch's reason while nobody else can tell one: its lease has run out long since."""
+"""Told as the latch's reason while nobody else can tell one: its lease has run out."""
+DIED = "supervisor died"
+"""Likewise: the kernel says so. The words of whoever stops for it."""
 
 
 class StateReader:
     """Reads snapshots of one run of a service; reads only, and needs no client slot."""
 
-    def __init__(self, name: str) -> None:
-        """Raises NoService, FailstopError."""
-        runtime_dir(name)
+    def __init__(self, name: str, run: Run | None = None) -> None:
+        """`run`: the run of this name that is there now, where the caller has it. Raises NoService, FailstopError."""
+        self.run = run or Run(name)
         self.name = name
-        views = {which: attach(name, which) for which in layout.PROCESSES}
-        self.incarnation = views[layout.SUPERVISOR].incarnation
+        self.incarnation = self.run.incarnation
+        others = (which for which in layout.PROCESSES if which != layout.SUPERVISOR)
+        views = {
+            layout.SUPERVISOR: self.run.supervisor,
+            **{which: attach(name, which, self.run.found) for which in others},
+        }
         self._beats = {which: heartbeat.HeartbeatReader(view) for which, view in views.items()}
         self._epoch = views[layout.SUPERVISOR].word("epoch")
         self._table = views[layout.SUPERVISOR].latest_reader("processes")
+        self._settings = views[layout.SUPERVISOR].latest_reader("settings")
         self._stop = views[layout.SUPERVISOR].latest_reader("stop")
         self._link = views[layout.SUPERVISOR].latest_reader("link")
         self._cause = views[layout.SUPERVISOR].latest_reader("cause")
         self._gate = views[layout.GATE].latest_reader("state")
+        self._said = views[layout.GATE].latest_reader("said")
         self._reset_epoch = views[layout.GATE].word("reset_epoch")
         self._port = views[layout.PORT_OWNER].latest_reader("port")
+        self._stops = views[layout.PORT_OWNER].ring_reader("stops", from_oldest=True)
+        self._stopped = (0, "")
+        """The newest epoch in which the port owner stopped by itself, and its first reason there."""
         self._imu = views[layout.TELEMETRY].latest_reader("imu")
         self._battery = views[layout.TELEMETRY].latest_reader("battery")
         self._bias = views[layout.TELEMETRY].latest_reader("bias")
@@ -126,13 +144,14 @@ class StateReader:
 
     def read(self) -> State:
         """A snapshot now. Raises FailstopError while the service has not published one yet."""
+        dead = self.run.dead()
         epoch = self._epoch.get()  # before the gate's record: a newer one is then no sign of a stop
         gate, table = self._gate.read(), self._table.read()
         if gate is None or table is None:
             raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
         now_ns = time.monotonic_ns()
         battery = records.unpack_battery(found[2]) if (found := self._battery.read()) else None
-        decided = self._decided(gate[2], epoch, now_ns)
+        decided = self._decided(gate[2], epoch, now_ns, dead=dead)
         known: dict[str, Any] = msgpack.unpackb(table[2])
         return State(
             name=self.name,
@@ -144,8 +163,9 @@ class StateReader:
             epoch=epoch,
             waiting_for=known["waiting_for"],
             device=self._device(),
-            processes=self._processes(known["processes"], now_ns),
-            clients=decided["clients"],
+            processes=self._processes(known["processes"], now_ns, dead=dead),
+            starved=known["starved"],
+            clients=self._clients(decided["clients"], now_ns),
             sources=decided["sources"],
             scan_age_s=max(0, now_ns - decided["scan_ns"]) / 1e9 if decided["scan_ns"] else None,
             last_stop=self._last_stop(),
@@ -158,16 +178,27 @@ class StateReader:
             age_ms=max(0, now_ns - gate[1]) / 1e6,
         )
 
-    def _decided(self, payload: bytes, epoch: int, now_ns: int) -> dict[str, Any]:
+    def settings(self) -> dict[str, float | str]:
+        """Every setting that the service was started with, by its whole key. Raises FailstopError while it starts."""
+        entry = self._settings.read()
+        if entry is None:
+            raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
+        found: dict[str, float | str] = msgpack.unpackb(entry[2])
+        return found
+
+    def _decided(self, payload: bytes, epoch: int, now_ns: int, *, dead: bool) -> dict[str, Any]:
         """What the gate has published. A stop that it has not followed yet, because it hangs or has just died, is in
-        force all the same: the port owner admits nothing of an older epoch, and the gate's successor starts latched.
-        The same holds for a gate that says on what it said before the supervisor fell silent."""
+        force all the same: the port owner admits nothing of an older epoch, nor of the one in which it stopped by
+        itself, and the gate's successor starts latched. The same holds for a gate that says on what it said before the
+        supervisor died or fell silent."""
         decided: dict[str, Any] = msgpack.unpackb(payload)
         reason = decided["estop"]
         if not reason and epoch > decided["epoch"]:
             entry = self._cause.read()
             reason = records.raised_for(entry[2] if entry else None, self._reset_epoch.get())
-        if not reason and decided["enabled"] and self._beats[layout.SUPERVISOR].age_ns(now_ns) > HANGING_MS * 1e6:
+        # Its death comes before what the port owner has noticed of it: the gate dies with it.
+        reason = reason or (DIED if dead else self._own_stop(epoch))
+        if not reason and decided["enabled"] and self.run.silent(now_ns):
             reason = SILENT
         if reason and reason != decided["estop"]:
             decided |= {
@@ -181,6 +212,23 @@ class StateReader:
             }
         return decided
 
+    def _own_stop(self, epoch: int) -> str:
+        """Why the port owner stopped by itself in this epoch, which the supervisor has not answered yet; else empty.
+        The first cause wins."""
+        while entry := self._stops.next():
+            stopped_in, _, _, _, reason = records.unpack_stop(entry[2])
+            if stopped_in > self._stopped[0]:
+                self._stopped = stopped_in, reason
+        return self._stopped[1] if self._stopped[0] >= epoch else ""
+
+    def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> list[dict[str, Any]]:
+        entry = self._said.read()
+        for slot, t_ns, sees, wrong in msgpack.unpackb(entry[2]) if entry else ():
+            for client in clients:
+                if client["slot"] == slot:
+                    client.update(sees=sees, wrong=wrong, said_s=max(0, now_ns - t_ns) / 1e9)
+        return clients
+
     def _device(self) -> dict[str, Any]:
         entry, link = self._port.read(), self._link.read()
         proof = link[2].decode("ascii", "replace") if link else "unproven"
@@ -189,8 +237,13 @@ class StateReader:
         _, _, state, path = records.unpack_port(entry[2])
         return {"path": path, "state": records.PORT_STATES[state], "link": proof}
 
-    def _processes(self, table: dict[str, Any], now_ns: int) -> dict[str, Process]:
+    def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
+        """`dead`: the supervisor, which keeps the table, has died; two of the others have with it."""
         rows = {layout.SUPERVISOR: {"pid": self._beats[layout.SUPERVISOR].pid.get(), "restarts": 0}, **table}
+        if dead:
+            left = (name for name in table if BY_NAME[name].outlives_supervisor)
+            states = dict.fromkeys(rows, "dead") | dict.fromkeys(left, "stopping")
+            rows = {name: {**row, "state": states[name]} for name, row in rows.items()}
         return {name: self._process(name, row, now_ns) for name, row in rows.items()}
 
     def _process(self, name: str, row: dict[str, Any], now_ns: int) -> Process:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
 import os
 import shutil
 import signal
@@ -14,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import TracebackType
 
 from failstop.board.sim.client import Event, SimBoard
@@ -41,16 +42,25 @@ def wait_for(what: str, check: Callable[[], bool], timeout_s: float = READY_S) -
         time.sleep(0.002)
 
 
+def write_settings(path: str, values: Mapping[str, object]) -> None:
+    """A settings file of these values by whole key. Raises OSError."""
+    with open(path, "w", encoding="utf-8") as file:
+        for key, value in values.items():
+            # A table that a file left empty can't be given twice: what is set in it makes it. JSON's values are TOML's.
+            if value != {} or not any(other.startswith(f"{key}.") for other in values):
+                file.write(f"{key} = {json.dumps(value)}\n")
+
+
 MOST_SAID = 2000
 """Characters of its log in an error."""
 
 
 class Service:
-    """A `failstop run` of its own; stderr is kept in a file."""
+    """A `failstop run` of its own; stderr is kept in a file, what it keeps itself (incidents, logs) in `state`."""
 
-    def __init__(self, name: str, device: str, state_home: str, options: tuple[str, ...] = ()) -> None:
+    def __init__(self, name: str, device: str, state: str, options: tuple[str, ...] = ()) -> None:
         self.name = name
-        self._environment = {**os.environ, "XDG_STATE_HOME": state_home}
+        self._environment = {**os.environ, "STATE_DIRECTORY": state}
         self._log = tempfile.NamedTemporaryFile("w+", prefix=f"{name}-", suffix=".log")  # noqa: SIM115
         self._command = [sys.executable, "-m", "failstop", "run", "--name", name, "--device", device, *options]
         self.started_ns = 0
@@ -62,7 +72,9 @@ class Service:
         try:
             wait_for(f"service {self.name} to be ready", self.ready)
         except TrialError as error:
-            raise TrialError(f"{error}; it said: {self.said()[-MOST_SAID:]}") from None
+            if self.process is None or self.process.poll() is not None:
+                raise
+            raise TrialError(f"{error}; it said: {self.said()[-MOST_SAID:].strip()}") from None
 
     def exec(self) -> None:
         """Exec the service; `started_ns` is just before."""
@@ -74,7 +86,7 @@ class Service:
     def ready(self) -> bool:
         """True when every process beats and the port is open. Raises TrialError when the service has ended."""
         if self.process is None or self.process.poll() is not None:
-            raise TrialError(f"the service ended: {self.said()[-MOST_SAID:]}")
+            raise TrialError(f"the service ended: {self.said()[-MOST_SAID:].strip()}")
         try:
             with Robot(self.name) as robot:
                 state = robot.state
@@ -122,8 +134,8 @@ class Service:
                 self.end()
         finally:
             self._log.close()
-            with contextlib.suppress(segment.AttachError):
-                segment.unlink_all(self.name)
+            for run in segment.dead_runs(self.name):
+                segment.unlink_all(run)
             for path in instance.places(self.name):
                 shutil.rmtree(path, ignore_errors=True)
 
@@ -168,8 +180,10 @@ class Trial:
         self.name = name or f"trial-{os.getpid()}"
         self._directory = tempfile.TemporaryDirectory(prefix="failstop-", ignore_cleanup_errors=True)
         self.link = os.path.join(self._directory.name, "board")
+        self.state = os.path.join(self._directory.name, "state")
+        """The state directory of the service: nothing of a trial goes to the machine's own."""
         self.board = SimBoard(self.link, imu_hz=imu_hz)
-        self.service = Service(self.name, self.link, self._directory.name, options)
+        self.service = Service(self.name, self.link, self.state, options)
         self._robot: Robot | None = None
         self.fault_s = 0.0
         self._running_again_s: float | None = None

@@ -32,6 +32,7 @@ class Context:
         "heartbeat",
         "incarnation",
         "instance",
+        "memory",
         "own",
         "parent",
         "process",
@@ -43,6 +44,7 @@ class Context:
         self.process = process
         self.instance = words.pop("name")
         self.incarnation = int(words.pop("run"), 16)
+        self.memory = segment.memory(self.instance, self.incarnation)
         self.runtime_dir = words.pop("dir")
         self.parent = int(words.pop("parent"))
         block = int(words.pop("block"))
@@ -55,8 +57,8 @@ class Context:
             rights.die_with_parent(self.parent)
         granted = rights.take_rights(priority)
         self.settings = Settings.from_lines(os.environ.get(SETTINGS_VARIABLE, ""))
-        self.own = segment.attach(self.instance, process, self.incarnation, write=True)
-        mutexes = segment.attach(self.instance, "lifelines", self.incarnation, write=True).mutexes("mutexes")
+        self.own = segment.attach(self.memory, process, self.incarnation, write=True)
+        mutexes = segment.attach(self.memory, "lifelines", self.incarnation, write=True).mutexes("mutexes")
         mutexes.hold(block)
         self.early = EarlyNews(mutexes)
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, monotonic_ns())
@@ -77,7 +79,7 @@ class Context:
 
     def segment(self, name: str) -> Segment:
         """Another process's segment, read-only."""
-        return segment.attach(self.instance, name, self.incarnation)
+        return segment.attach(self.memory, name, self.incarnation)
 
     def client_slots(self) -> list[Segment]:
         """Every client's segment, as the service reads it; one that is gone is out of use."""
@@ -85,7 +87,7 @@ class Context:
 
     def _client_slot(self, index: int) -> Segment:
         try:
-            return segment.read_client_slot(self.instance, index, self.incarnation)
+            return segment.read_client_slot(self.memory, index, self.incarnation)
         except segment.AttachError:
             # Its name was taken away, which the supervisor tells of: no reason to be without a gate.
             return segment.no_client_slot(index, self.incarnation)

@@ -1,10 +1,59 @@
-"""Durable: files that are whole and on the disk, or not there. A draft is written and synced, then it gets its name."""
+"""Durable: files that are whole and on the disk, or not there, and that are what they seem to be. A draft is written
+and synced, then it gets its name; a file that is read or added to is a regular one, and nobody waits for its other end.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
-from errno import ENOSPC
+import stat
+from errno import EINVAL, ENOSPC, EPERM
+
+KINDS = {
+    stat.S_IFLNK: "a link",
+    stat.S_IFIFO: "a FIFO",
+    stat.S_IFDIR: "a directory",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def open_regular(path: str, flags: int = os.O_RDONLY) -> int:
+    """Open a file that must be a regular one, through links too. Returns at once, where the open of a pipe would wait
+    for its other end. Raises OSError."""
+    # Looked at before it is opened: the open of a device does something, such as to raise a port's modem lines.
+    with contextlib.suppress(FileNotFoundError):
+        _check_regular(os.lstat(path) if flags & os.O_NOFOLLOW else os.stat(path), path)
+    fd = os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC, 0o644)
+    try:
+        _check_regular(os.fstat(fd), path)
+    except OSError:
+        os.close(fd)
+        raise
+    return fd
+
+
+def open_own(path: str, flags: int = os.O_RDONLY) -> int:
+    """Open a file that the service keeps: a regular one, by its only name and not through a link, of this user or of
+    its folder's owner. Raises OSError."""
+    fd = open_regular(path, flags | os.O_NOFOLLOW)
+    try:
+        found = os.fstat(fd)
+        owners = (os.geteuid(), os.stat(os.path.dirname(path) or ".").st_uid)
+        # Whoever runs this may be more than the folder's owner: a second name may be that of anybody's file.
+        if found.st_nlink > 1 or found.st_uid not in owners:
+            raise OSError(EPERM, "a file of somebody else's, or with another name: move it away", path)
+    except OSError:
+        os.close(fd)
+        raise
+    return fd
+
+
+def _check_regular(found: os.stat_result, path: str) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        what = KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+        raise OSError(EINVAL, f"{what}, not a regular file", path)
 
 
 def write_draft(draft: str, data: bytes) -> None:
@@ -37,7 +86,7 @@ def publish(draft: str, path: str) -> None:
         _drop(draft)
         raise
     # Without this, a power cut can still undo the rename.
-    fd = os.open(os.path.dirname(path), os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    fd = os.open(os.path.dirname(path) or ".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         os.fsync(fd)
     finally:

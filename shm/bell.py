@@ -10,6 +10,8 @@ import contextlib
 import errno
 import os
 
+from failstop.shm import place
+
 _ONE = (1).to_bytes(8, "little")
 
 
@@ -43,23 +45,29 @@ class EventBell:
 
 
 def make_pipe(path: str, mode: int, gid: int = -1) -> None:
-    """Make a FIFO with exactly this mode, in place of whatever a dead run left there."""
-    with contextlib.suppress(FileNotFoundError):
-        os.unlink(path)
-    os.mkfifo(path, 0o600)
-    if gid >= 0:
-        os.chown(path, -1, gid)
-    os.chmod(path, mode)
+    """Make a FIFO with exactly this mode, in place of whatever a dead run left there. Raises OSError."""
+    above, name = os.path.split(path)
+    where = place.directory(above)
+    try:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(name, dir_fd=where)
+        os.mkfifo(name, 0o600, dir_fd=where)
+        if gid >= 0:
+            os.chown(name, -1, gid, dir_fd=where)
+        os.chmod(name, mode, dir_fd=where)
+    finally:
+        os.close(where)
 
 
 def open_pipe(path: str) -> int:
     """The service's end, opened for both so that it never sees an end of file when the last client leaves."""
-    return os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+    return place.opened(path, os.O_RDWR, pipe=True)
 
 
 def open_pipe_to_write(path: str) -> int:
-    """A client's end. Raises FileNotFoundError or OSError(ENXIO) when no service has it open, PermissionError."""
-    return os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    """A client's end. Raises FileNotFoundError or OSError(ENXIO) when no service has it open, PermissionError,
+    place.Untrusted."""
+    return place.opened(path, os.O_WRONLY, pipe=True)
 
 
 def send(fd: int, message: bytes) -> bool:
@@ -75,9 +83,14 @@ def send(fd: int, message: bytes) -> bool:
     return True
 
 
-def take(fd: int, limit: int = 65536) -> bytes:
-    """Everything that waits in a pipe, up to `limit` bytes; empty when nothing does."""
+def take(fd: int) -> bytes:
+    """Everything that waits in a pipe, up to MOST_BYTES; empty when nothing does. Into memory that is there already: a
+    machine without any left must not keep the reader of a stop request from living on."""
     try:
-        return os.read(fd, limit)
+        return bytes(memoryview(_taken)[: os.readv(fd, (_taken,))])
     except BlockingIOError:
         return b""
+
+
+MOST_BYTES = 65536
+_taken = bytearray(MOST_BYTES)

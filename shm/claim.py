@@ -11,6 +11,8 @@ import fcntl
 import os
 import struct
 
+from failstop.shm import place
+
 _FLOCK = struct.Struct("hhqqi4x")  # l_type, l_whence, l_start, l_len, l_pid on every 64-bit Linux
 
 # In fcntl from Python 3.9 where libc has them; the numbers are the kernel's, the same on every architecture here.
@@ -19,8 +21,8 @@ F_OFD_SETLK = 37
 
 
 def open_claims(path: str, *, create: bool = False, mode: int = 0o660, gid: int = -1) -> int:
-    """Open a claim file; the service creates it. Raises OSError."""
-    fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT if create else 0), 0o600)
+    """Open a claim file; the service creates it. Raises OSError, place.Untrusted among them."""
+    fd = place.opened(path, os.O_RDWR | (os.O_CREAT if create else 0))
     if create:
         if gid >= 0:
             os.fchown(fd, -1, gid)
@@ -42,7 +44,9 @@ def drop(fd: int, index: int) -> None:
     fcntl.fcntl(fd, F_OFD_SETLK, _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, index, 1, 0))
 
 
-def held(fd: int, index: int) -> bool:
-    """True when somebody else holds byte `index`. A read-only descriptor will do."""
-    answer = fcntl.fcntl(fd, F_OFD_GETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, index, 1, 0))
+def held(fd: int, index: int, *, by_writer: bool = False) -> bool:
+    """True when somebody else holds byte `index`; `by_writer`: somebody who may write the file, as every claim takes.
+    A read-only descriptor will do."""
+    asked = fcntl.F_RDLCK if by_writer else fcntl.F_WRLCK
+    answer = fcntl.fcntl(fd, F_OFD_GETLK, _FLOCK.pack(asked, os.SEEK_SET, index, 1, 0))
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

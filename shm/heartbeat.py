@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from time import monotonic_ns
+from time import monotonic_ns, process_time_ns
 
 STARTING = 1
 RUNNING = 2
@@ -20,10 +20,11 @@ if TYPE_CHECKING:
 class Heartbeat:
     """The writing side. Only the segment's own process beats; a successor starts anew."""
 
-    __slots__ = ("_epoch", "_last_ns", "_loops", "_loops_word", "_ns", "_state", "_worst", "_worst_ns")
+    __slots__ = ("_cpu_ns", "_epoch", "_last_ns", "_loops", "_loops_word", "_ns", "_state", "_worst", "_worst_ns")
 
     def __init__(self, own: Segment, pid: int, rights: int, now_ns: int) -> None:
         self._ns = own.word("beat_ns")
+        self._cpu_ns = own.word("beat_cpu_ns")
         self._loops_word = own.word("beat_loops")
         self._worst = own.word("beat_worst_ns")
         self._epoch = own.word("beat_epoch")
@@ -35,6 +36,7 @@ class Heartbeat:
             word.set(0)
         self._state.set(STARTING)
         own.word("beat_rights").set(rights)
+        self._cpu_ns.set(process_time_ns())
         own.word("beat_pid").set(pid)
         self._ns.set(now_ns)
 
@@ -48,10 +50,12 @@ class Heartbeat:
         self._loops += 1
         self._loops_word.set(self._loops)
         self._epoch.set(epoch)
+        self._cpu_ns.set(process_time_ns())
         self._ns.set(now_ns)
 
     def state(self, state: int) -> None:
         """Publish STARTING, RUNNING or STOPPING. A start that took long was no silence."""
+        self._cpu_ns.set(process_time_ns())
         self._ns.set(monotonic_ns())
         self._state.set(state)
 
@@ -59,10 +63,11 @@ class Heartbeat:
 class HeartbeatReader:
     """The watching side of one process's heartbeat."""
 
-    __slots__ = ("epoch", "loops", "ns", "pid", "rights", "state", "worst_ns")
+    __slots__ = ("cpu_ns", "epoch", "loops", "ns", "pid", "rights", "state", "worst_ns")
 
     def __init__(self, segment: Segment) -> None:
         self.ns = segment.word("beat_ns")
+        self.cpu_ns = segment.word("beat_cpu_ns")
         self.loops = segment.word("beat_loops")
         self.worst_ns = segment.word("beat_worst_ns")
         self.pid = segment.word("beat_pid")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
-import stat
 import time
 
-from failstop.shm import claim
+from failstop.shm import claim, place, root
 
 DEFAULT_NAME = "failstop"
 _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
@@ -15,6 +15,9 @@ _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 
 LETTING_GO_S = 0.5
 """How long a lock whose owner has died is waited for."""
+SHARED = "/dev/shm/failstop"
+_NOT_FOR_US = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOTDIR)
+"""Why a place is another user's, or not there: the next one is tried."""
 
 
 class InstanceError(Exception):
@@ -38,11 +41,12 @@ def option(name: str) -> str:
 
 
 def _candidates() -> list[str]:
-    places = ["/run/failstop"]
-    if session := os.environ.get("XDG_RUNTIME_DIR"):
-        places.append(os.path.join(session, "failstop"))
-    places.append(f"/tmp/failstop-{os.getuid()}")
-    return places
+    user = os.getuid()
+    session = os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{user}"
+    found = [root.at("/run/failstop"), os.path.join(session, "failstop")]
+    # Whoever has no session, in a container for one, has nothing that is private. Others may be there first, and be in
+    # the way then; never root's.
+    return [*found, f"{SHARED}-{user}"] if user else found
 
 
 def places(name: str) -> list[str]:
@@ -51,30 +55,55 @@ def places(name: str) -> list[str]:
 
 
 def make_runtime_dir(name: str) -> str:
-    """Make, or take over, the runtime directory of an instance and return its path. Raises InstanceError."""
+    """Make, or take over, the runtime directory of an instance and return its path. Raises InstanceError.
+
+    It is the first that this user may make; one that can't be made for another reason is told, not passed over:
+    clients would look there first.
+    """
     check_name(name)
+    doubts = ""
     for base in _candidates():
-        private = base.startswith("/tmp/")
-        path = os.path.join(base, name)
         try:
-            for part in (base, path):
-                _make_dir(part, 0o700 if private else 0o755)
-        except OSError:
-            continue
-        if os.access(path, os.W_OK | os.X_OK):
-            return path
-    raise InstanceError(f"no runtime directory for {name!r}: none of {', '.join(_candidates())} can be written")
+            if _made(base, name, 0o700 if base.startswith(SHARED) else 0o755):
+                return os.path.join(base, name)
+        except place.Untrusted as error:
+            doubts += f"; {error.strerror}"
+            if not os.geteuid():
+                break
+        except OSError as error:
+            if error.errno not in _NOT_FOR_US:
+                doubts += f"; {os.path.join(base, name)}: {error.strerror}"
+                break
+    raise InstanceError(
+        f"no runtime directory for {name!r} in {', '.join(_candidates())}"
+        f"{doubts or '; none can be written: set XDG_RUNTIME_DIR to a directory that is yours alone'}"
+    )
 
 
-def _make_dir(path: str, mode: int) -> None:
-    """Make one directory with this mode, or accept one that is there and is no trap of another user."""
+def _made(base: str, name: str, mode: int) -> bool:
+    """Make both directories; False where another user keeps this one from it. Raises OSError."""
+    before = os.umask(0)
     try:
-        os.mkdir(path, mode)
-        os.chmod(path, mode)
-    except FileExistsError:
-        found = os.lstat(path)
-        if not stat.S_ISDIR(found.st_mode) or (path.startswith("/tmp/") and found.st_uid != os.getuid()):
-            raise NotADirectoryError(errno.ENOTDIR, "not a directory of this user", path) from None
+        with contextlib.suppress(FileExistsError):
+            os.mkdir(base, mode)
+        above = place.base_directory(base)
+        try:
+            with contextlib.suppress(FileExistsError):
+                os.mkdir(name, mode, dir_fd=above)
+            found = place.inner_directory(above, name, os.path.join(base, name))
+        finally:
+            os.close(above)
+    finally:
+        os.umask(before)
+    try:
+        owner = os.fstat(found).st_uid
+    finally:
+        os.close(found)
+    if owner != os.geteuid() and not os.geteuid():
+        # What root made there its owner could neither use nor remove.
+        path, whose = os.path.join(base, name), place.user(owner)
+        raise place.Untrusted(path, f"belongs to {whose}: start it as that user, or choose another --name")
+    return owner == os.geteuid()
 
 
 def lock_path(runtime_dir: str) -> str:
@@ -97,21 +126,127 @@ def bell_path(runtime_dir: str) -> str:
     return os.path.join(runtime_dir, "bell")
 
 
-def lock(runtime_dir: str) -> int:
-    """Become the service of this directory; returns the descriptor to keep open. Raises InstanceError when one runs."""
-    # Private: a lock that others could open, they could hold.
-    fd = claim.open_claims(lock_path(runtime_dir), create=True, mode=0o600)
-    until_s = time.monotonic() + LETTING_GO_S
-    while not claim.take(fd, 0):
-        pid = os.pread(fd, 32, 0).decode("ascii", "replace").strip()
-        # A process that a supervisor was just starting when it died has the lock too, until its exec.
-        if time.monotonic() > until_s or os.path.exists(f"/proc/{pid or 'unknown'}"):
+def run_path(runtime_dir: str) -> str:
+    """The file that says which run's shared memory is the service's: its incarnation, 16 hexadecimal digits."""
+    return os.path.join(runtime_dir, "run")
+
+
+def _draft_path(runtime_dir: str) -> str:
+    return f"{run_path(runtime_dir)}.new"
+
+
+def publish(runtime_dir: str, incarnation: int) -> int:
+    """Say which run serves this directory; returns the descriptor of the file that says so. Raises OSError."""
+    draft, path = _draft_path(runtime_dir), run_path(runtime_dir)
+    above = place.directory(runtime_dir)
+    fd = -1
+    try:
+        fd = place.opened(draft, os.O_RDWR | os.O_CREAT)
+        os.ftruncate(fd, 0)
+        os.pwrite(fd, f"{incarnation:016x}\n".encode(), 0)
+        os.fchmod(fd, 0o644)
+        os.rename(os.path.basename(draft), os.path.basename(path), src_dir_fd=above, dst_dir_fd=above)
+    except BaseException:
+        if fd >= 0:
             os.close(fd)
-            raise already_running(os.path.basename(runtime_dir), pid or "unknown")
-        time.sleep(0.002)
-    os.ftruncate(fd, 0)
-    os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
+        raise
+    finally:
+        os.close(above)
     return fd
+
+
+def clear(runtime_dir: str) -> None:
+    """Take away what a run has put into its directory, all but the lock; as far as it is there."""
+    try:
+        where = place.directory(runtime_dir)
+    except OSError:
+        return
+    for path in (stop_path, bell_path, claims_path, run_path, _draft_path):
+        with contextlib.suppress(OSError):
+            os.unlink(os.path.basename(path(runtime_dir)), dir_fd=where)
+    os.close(where)
+
+
+def run(runtime_dir: str) -> tuple[int, int]:
+    """Of the service of this directory: (incarnation, uid of its owner). Raises NoService, InstanceError."""
+    try:
+        fd = place.opened(run_path(runtime_dir), os.O_RDONLY)
+    except place.Untrusted as error:
+        raise InstanceError(str(error.strerror)) from None
+    except OSError:
+        raise no_service(os.path.basename(runtime_dir)) from None
+    try:
+        return int(os.pread(fd, 16, 0), 16), os.fstat(fd).st_uid
+    except ValueError:
+        raise no_service(os.path.basename(runtime_dir)) from None
+    finally:
+        os.close(fd)
+
+
+def lock(runtime_dir: str) -> int:
+    """Become the service of this directory; returns the descriptor to keep open. Raises InstanceError when one runs, or
+    the lock can't be written."""
+    path = lock_path(runtime_dir)
+    try:
+        # Private: a lock that others could open, they could hold.
+        fd = claim.open_claims(path, create=True, mode=0o600)
+    except OSError as error:
+        raise InstanceError(f"the lock {path} can't be made: {error.strerror}") from None
+    try:
+        until_s = time.monotonic() + LETTING_GO_S
+        while not claim.take(fd, 0):
+            pid = _pid(fd)
+            # A process that a supervisor was just starting when it died has the lock too, until its exec.
+            if time.monotonic() > until_s or os.path.exists(f"/proc/{pid}"):
+                raise already_running(os.path.basename(runtime_dir), pid)
+            time.sleep(0.002)
+        os.ftruncate(fd, 0)
+        os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
+    except OSError as error:
+        os.close(fd)
+        raise InstanceError(f"the lock {path} can't be written: {error.strerror}") from None
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
+def _pid(fd: int) -> str:
+    """Of the lock's holder, as it has written it there."""
+    return os.pread(fd, 32, 0).decode("ascii", "replace").strip() or "unknown"
+
+
+def refuse_locked(name: str) -> None:
+    """Raises InstanceError while a living process has the lock of a service of this name."""
+    for path in places(name):
+        if pid := holder(path):
+            raise already_running(name, pid)
+
+
+def refuse_listening(name: str, but: str = "") -> None:
+    """Raises InstanceError while a service of this name listens, in another directory than `but`."""
+    for path in places(name):
+        if path != but and _listens(path):
+            raise already_running(name, "unknown")
+
+
+def holder(runtime_dir: str) -> str:
+    """Pid of the living process that holds the lock; empty when there is none, or it is another user's."""
+    try:
+        fd = claim.open_claims(lock_path(runtime_dir))
+    except OSError:
+        return ""
+    try:
+        return pid if claim.held(fd, 0) and os.path.exists(f"/proc/{(pid := _pid(fd))}") else ""
+    finally:
+        os.close(fd)
+
+
+def _listens(runtime_dir: str) -> bool:
+    try:
+        return running(runtime_dir)
+    except place.Untrusted:
+        return False
 
 
 def already_running(name: str, pid: int | str) -> InstanceError:
@@ -120,9 +255,11 @@ def already_running(name: str, pid: int | str) -> InstanceError:
 
 
 def running(runtime_dir: str) -> bool:
-    """True while a service of this directory listens for stop requests."""
+    """True while a service of this directory listens for stop requests. Raises place.Untrusted."""
     try:
-        os.close(os.open(stop_path(runtime_dir), os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC))
+        os.close(place.opened(stop_path(runtime_dir), os.O_WRONLY, pipe=True))
+    except place.Untrusted:
+        raise
     except OSError:
         return False
     return True
@@ -130,7 +267,36 @@ def running(runtime_dir: str) -> bool:
 
 def find(name: str) -> str:
     """Return the runtime directory of the running service of this name. Raises NoService, InstanceError."""
+    doubts = []
     for path in places(name):
-        if running(path):
-            return path
-    raise NoService(f"no service named {name!r} is running: start it with `failstop run --name {name}`")
+        try:
+            if running(path):
+                return path
+        except place.Untrusted as error:
+            doubts.append(f"; {error.strerror}")
+    raise no_service(name, "".join(doubts))
+
+
+def no_service(name: str, doubts: str = "") -> NoService:
+    """The refusal to whoever asks for a service that does not run. `doubts`: what was found and is not believed."""
+    return NoService(f"no service named {name!r} is running: start it with `failstop run --name {name}`{doubts}")
+
+
+def listens(name: str) -> bool:
+    """True while a service of this name takes stop requests; never of what can't be a name."""
+    try:
+        find(name)
+    except (InstanceError, NoService):
+        return False
+    return True
+
+
+def listening() -> list[str]:
+    """The names of all services that take stop requests, as far as this user sees them."""
+    found: set[str] = set()
+    for base in _candidates():
+        try:
+            found.update(filter(listens, os.listdir(base)))
+        except OSError:
+            continue
+    return sorted(found)

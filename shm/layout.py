@@ -98,6 +98,7 @@ def _beat() -> tuple[Record, ...]:
         _word("beat_loops", "everyone"),  # turns since its start
         _word("beat_worst_ns", "everyone"),  # longest time between two turns
         _word("beat_pid", "everyone"),
+        _word("beat_cpu_ns", "everyone"),  # processor time that it had used at that turn
         _word("beat_epoch", "everyone"),  # the epoch it saw last
         _word("beat_state", "everyone"),  # heartbeat.STARTING, RUNNING, STOPPING
         _word("beat_rights", "everyone"),  # heartbeat.REALTIME | MEMORY_LOCKED
@@ -115,6 +116,7 @@ def _client(index: int) -> SegmentSpec:
             _latest("sensed", 64, "gate"),  # its time is that of the obstacle sensor's last delivery
             _latest("interlocks", 224, "gate"),  # the conditions that this client says hold, at its time
             _latest("request", 320, "gate"),
+            _latest("said", 400, "gate"),  # in a line, what the client sees and what is wrong (records)
         ),
     )
 
@@ -135,6 +137,8 @@ SEGMENTS = (
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
             _latest("link", 32, "clients"),  # whether the board answers: unproven, alive or deaf (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
+            _latest("rules", 512, "clients"),  # what clients need of the settings (msgpack), written once
+            _latest("settings", 16384, "clients"),  # every setting of this run by its whole key (msgpack)
             _ring("events", 512, 256, "clients"),  # what people are told (msgpack, supervisor/events.py)
             _ring("box", box.BEATS_BYTES, box.BEATS_SLOTS, "everyone"),  # beat ages, its own bursts (box.py)
         ),
@@ -147,6 +151,8 @@ SEGMENTS = (
             *_beat(),
             _word("stopped_epoch", "supervisor, stopper"),  # the newest epoch that it has answered with a stop
             _word("written_ns", "everyone"),  # when it last wrote a burst
+            # 1 from before the first motion frame is written until a whole burst is: what it may have told the wheels.
+            _word("moving", "supervisor, stopper"),
             # When the ping of each index was last written; pings take the indices in turn (records.pong).
             *(_word(f"ping_{i}", "supervisor") for i in range(PINGS)),
             _latest("port", 320, "supervisor, stopper, clients"),  # its state and path (records)
@@ -166,6 +172,7 @@ SEGMENTS = (
             _ring("trips", 320, 32, "supervisor"),  # every latch that it made itself, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _latest("state", 4096, "telemetry, clients"),  # msgpack
+            _latest("said", 4096, "clients"),  # what clients say of themselves (msgpack, procs/gate/said.py)
             *(_latest(f"reply.{i}", 320, "the client of that slot") for i in range(CLIENT_SLOTS)),
             _ring("box", box.GATE_BYTES, box.GATE_SLOTS, "everyone"),  # every tick's command and decision (box.py)
         ),
@@ -185,6 +192,7 @@ SEGMENTS = (
             _latest("odometry", 64, "its successor, clients"),  # records
             _latest("pad", 32, "clients"),  # records: the last frame, the mode
             _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
+            _ring("trips", 64, 8, "port_owner"),  # the reason of each button and key that stops, in order (UTF-8)
             _ring("wishes", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _ring("events", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)

@@ -14,6 +14,14 @@ STOP = 2
 """Frame kind: write the stop burst now (latched or not); the text is the reason."""
 OTHER = 3
 """Frame kind: a frame that is not motion (buzzer, servos, LEDs), in order."""
+REQUESTED = "stop request"
+"""The reason of every stop that was asked for through the stop pipe begins with it, and no other: whatever is typed
+into the pipe can't pose as a cause that the service has noticed itself."""
+ASKED_BYTES = 180
+"""Of the words in which a client asks for a stop, in UTF-8: with who asks they fit a record."""
+WHO_BYTES = 64
+LEFT_OUT = b" ..."
+"""What such words end with where they were cut."""
 
 _FRAME = struct.Struct("<QB")
 _STOP = struct.Struct("<QQQB")
@@ -30,6 +38,11 @@ _BIAS = struct.Struct("<3dBB")
 _ODOMETRY = struct.Struct("<8d")
 _PAD_COMMAND = struct.Struct("<3d")
 _WISH = struct.Struct("<B")
+
+NOBODY = 0
+"""No client's session. In a whole hello: who held the slot has left it in order."""
+SOURCE_BYTES = 16
+HELD_BYTES = 200
 
 PORT_CLOSED = 0
 PORT_OPEN = 1
@@ -71,9 +84,31 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
+def requested(text: str) -> str:
+    """The reason of a stop that was asked for with this text in the stop pipe: why, or ` (WHO, pid N)` alone, or
+    nothing."""
+    return f"{REQUESTED}{': ' if text and not text.startswith(' ') else ''}{printable(text)}"
+
+
+def asking(words: str, who: str = "", pid: int = 0) -> bytes:
+    """The line for the stop pipe: why, in words that are cut to ASKED_BYTES, and who asks."""
+    text, name = (" ".join(given.split()) for given in (words, who))
+    kept = cut(text, ASKED_BYTES)
+    if len(kept) < len(text.encode("utf-8", "replace")):
+        kept = cut(text, ASKED_BYTES - len(LEFT_OUT)) + LEFT_OUT
+    return kept + (b" (%s, pid %d)" % (cut(name, WHO_BYTES), pid) if name else b"") + b"\n"
+
+
 def cut(text: str, room: int) -> bytes:
     """UTF-8 of at most `room` bytes, cut between characters."""
     return text.encode("utf-8", "replace")[:room].decode("utf-8", "ignore").encode()
+
+
+def _whole(text: str, room: int) -> bytes:
+    data = text.encode("utf-8", "replace")
+    if len(data) > room:
+        raise ValueError(f"{text!r} is longer than {room} bytes")
+    return data
 
 
 def _head(form: struct.Struct, payload: bytes) -> tuple[tuple[int, ...], bytes]:
@@ -157,8 +192,9 @@ def lost_since(entry: tuple[int, int, bytes] | None, opened_ns: int) -> bool:
 def pack_command(
     session: int, vx_mps: float, vy_mps: float, wz_radps: float, manual: bool, source: str = "cmd_vel"
 ) -> bytes:
-    """A velocity command of the client session that wrote it: x forward, y left, wz counter-clockwise."""
-    return _COMMAND.pack(session, vx_mps, vy_mps, wz_radps, manual, cut(source, 16))
+    """A velocity command of the client session that wrote it: x forward, y left, wz counter-clockwise. Raises
+    ValueError for a source that does not fit: cut, it could be another one."""
+    return _COMMAND.pack(session, vx_mps, vy_mps, wz_radps, manual, _whole(source, SOURCE_BYTES))
 
 
 def unpack_command(payload: bytes) -> tuple[int, float, float, float, bool, str]:
@@ -170,8 +206,9 @@ def unpack_command(payload: bytes) -> tuple[int, float, float, float, bool, str]
 
 
 def pack_held(session: int, names: list[str]) -> bytes:
-    """What a client session asserts now: names of interlocks, or none for "the sensor delivered"."""
-    return _SESSION.pack(session) + cut("\n".join(names), 200)
+    """What a client session asserts now: names of interlocks, or none for "the sensor delivered". Raises ValueError
+    for names that do not fit."""
+    return _SESSION.pack(session) + _whole("\n".join(names), HELD_BYTES)
 
 
 def unpack_held(payload: bytes) -> tuple[int, list[str]]:
@@ -180,9 +217,21 @@ def unpack_held(payload: bytes) -> tuple[int, list[str]]:
     return session, names.decode("utf-8", "replace").split("\n") if names else []
 
 
+def pack_said(session: int, sees: str, wrong: str) -> bytes:
+    """What a client session says in a line: what it sees, and what is wrong, which may be nothing."""
+    return _SESSION.pack(session) + cut(sees, 190).replace(b"\n", b" ") + b"\n" + cut(wrong, 190).replace(b"\n", b" ")
+
+
+def unpack_said(payload: bytes) -> tuple[int, str, str]:
+    """Return (session, sees, wrong)."""
+    (session,), text = _head(_SESSION, payload)
+    sees, _, wrong = text.decode("utf-8", "replace").partition("\n")
+    return session, sees, wrong.replace("\n", " ")
+
+
 def pack_hello(session: int, pid: int, pid_namespace: int, name: str) -> bytes:
     """Who holds a client slot: a random session number, the pid it says it has and in which namespace of pids
-    (lifeline.pid_namespace), its name."""
+    (lifeline.pid_namespace), its name. NOBODY as the session is a goodbye."""
     return _HELLO.pack(session, pid, pid_namespace) + cut(name, 64)
 
 

@@ -1,11 +1,14 @@
 """Segments: POSIX shared memory objects, created by the supervisor and attached by everyone else.
 
-Attaching checks size, magic, layout and the run's incarnation, and refuses with a message that says what to do. A
-restart of the service makes new segments; nothing is ever repaired.
+/dev/shm is everyone's to write. So each run has names of its own that nobody can know before (`memory`: the instance's
+name and the run's incarnation), which the runtime directory tells (instance.run), and what is attached must be the
+service's own: attaching checks the owner, and then size, magic, layout and the run's incarnation, and refuses with a
+message that says what to do. A restart of the service makes new segments; nothing is ever repaired.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import mmap
 import os
@@ -14,18 +17,18 @@ import struct
 
 import posix_ipc
 
-from failstop.shm import slot
+from failstop.shm import claim, place, slot
 from failstop.shm.latest import LatestReader, LatestWriter
-from failstop.shm.layout import BY_NAME, CLIENTS, HEADER_BYTES, LAYOUT_HASH, PROCESSES, SEGMENTS
+from failstop.shm.layout import BY_NAME, CLIENTS, HEADER_BYTES, LAYOUT_HASH, PROCESSES, SEGMENTS, SUPERVISOR
 from failstop.shm.mutex import Mutexes
 from failstop.shm.ring import RingReader, RingWriter
 from failstop.shm.views import FileView
 from failstop.shm.words import Word
 from failstop.version import VERSION
 
+SHM = "/dev/shm"
 MAGIC = b"failstop"
-SUPERVISOR_COMM = "fs:supervisor"
-"""What the kernel shows as the supervisor's name."""
+_READ = os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
 _HEADER = struct.Struct("<8sQQQ24s24s")
 _HEADER_SEED = slot.seed("header", 0)
 
@@ -36,16 +39,27 @@ if TYPE_CHECKING:
 
 
 class AttachError(Exception):
-    """A segment was refused; the message says why and what to do. `kind`: absent, permission, damaged or version."""
+    """A segment was refused; the message says why and what to do. `kind`: absent, permission, owner, damaged, version,
+    or descriptors (this process has none left)."""
 
     def __init__(self, kind: str, message: str) -> None:
         super().__init__(message)
         self.kind = kind
 
 
-def shm_name(instance: str, segment: str) -> str:
+def memory(instance: str, incarnation: int) -> str:
+    """What a run's segments are named after."""
+    return f"{instance}.{incarnation:016x}"
+
+
+def shm_name(memory: str, segment: str) -> str:
     """Name of a segment's POSIX shared memory object."""
-    return f"/failstop.{instance}.{segment}"
+    return f"/failstop.{memory}.{segment}"
+
+
+def path_of(memory: str, segment: str) -> str:
+    """Where its file is."""
+    return f"{SHM}{shm_name(memory, segment)}"
 
 
 class Segment:
@@ -110,79 +124,97 @@ class Segment:
 
     def close(self) -> None:
         """Give the descriptor of an unmapped segment back; a mapping ends when its last word or reader is gone."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
+        fd, self._fd = self._fd, -1
+        if isinstance(self.view, FileView):
+            self.view.fd = -1  # the number may soon be another file's, which a writer of this view must not reach
+        if fd >= 0:
+            os.close(fd)
 
 
-def create(instance: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
-    """Create a segment of this run; one that a dead run left is unlinked first. The supervisor only.
-
-    Raises AttachError (permission) when another user's segment of that name is in the way.
-    """
+def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
+    """Create a segment of this run, whose supervisor alone does it, and holds the lock on its own as long as it lives.
+    Raises AttachError, and leaves nothing then."""
     spec = BY_NAME[name]
-    unlink(instance, name)
-    memory = posix_ipc.SharedMemory(shm_name(instance, name), posix_ipc.O_CREX, mode=0o600, size=spec.size)
-    fd: int = memory.fd
     try:
+        shared = posix_ipc.SharedMemory(shm_name(memory, name), posix_ipc.O_CREX, mode=0o600)
+    except (posix_ipc.Error, OSError) as error:
+        raise AttachError("damaged", f"{path_of(memory, name)} can't be made: {error}") from None
+    fd: int = shared.fd
+    try:
+        if name == SUPERVISOR:
+            claim.take(fd, 0)
+        # Found at the first touch it would be a SIGBUS.
         os.posix_fallocate(fd, 0, spec.size)
+        header = _HEADER.pack(MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), VERSION.encode())
+        os.pwrite(fd, slot.build(1, 0, header, _HEADER_SEED, HEADER_BYTES - slot.HEADER_BYTES), 0)
+        if spec.mode & 0o020 and client_gid >= 0:
+            os.fchown(fd, -1, client_gid)
+        os.fchmod(fd, spec.mode)
     except OSError as error:
         os.close(fd)
-        unlink(instance, name)
-        # Found at the first touch it would be a SIGBUS.
+        unlink(memory, name)
+        doubt = "`ulimit -f`" if error.errno == errno.EFBIG else f"`df {SHM}`"
         raise AttachError(
-            "damaged", f"no room in /dev/shm for {spec.size} bytes ({error.strerror}): look at `df /dev/shm`"
+            "damaged", f"no room in {SHM} for {spec.size} bytes ({error.strerror}): look at {doubt}"
         ) from None
-    header = _HEADER.pack(MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), VERSION.encode())
-    os.pwrite(fd, slot.build(1, 0, header, _HEADER_SEED, HEADER_BYTES - slot.HEADER_BYTES), 0)
-    if spec.mode & 0o020 and client_gid >= 0:
-        os.fchown(fd, -1, client_gid)
-    os.fchmod(fd, spec.mode)
     return Segment(spec, incarnation, FileView(fd), None, fd)
 
 
-def unlink(instance: str, name: str) -> None:
-    """Remove a segment's name; one that is not there is fine."""
-    try:
-        posix_ipc.unlink_shared_memory(shm_name(instance, name))
-    except posix_ipc.ExistentialError:
-        pass
-    except (posix_ipc.PermissionsError, OSError):
-        raise AttachError(
-            "permission",
-            f"shared memory {shm_name(instance, name)} belongs to another user: stop that service, or use --name",
-        ) from None
+def unlink(memory: str, name: str) -> None:
+    """Remove a segment's name; one that is not there, or is another user's, is fine: nobody needs the name again."""
+    with contextlib.suppress(posix_ipc.Error, OSError):
+        posix_ipc.unlink_shared_memory(shm_name(memory, name))
 
 
-def living_supervisor(instance: str) -> int:
-    """Pid of the supervisor that these segments say they are of, if it lives; else 0. It may serve another runtime
-    directory, under the same name."""
-    try:
-        pid = attach(instance, "supervisor").word("beat_pid").get()
-        with open(f"/proc/{pid}/comm", encoding="ascii", errors="replace") as file:
-            return pid if file.read() == f"{SUPERVISOR_COMM}\n" else 0
-    except (AttachError, OSError):
-        return 0
-
-
-def unlink_all(instance: str) -> None:
-    """Remove every segment of an instance."""
+def unlink_all(memory: str) -> None:
+    """Remove every segment of a run."""
     for spec in SEGMENTS:
-        unlink(instance, spec.name)
+        unlink(memory, spec.name)
 
 
-def attach(instance: str, name: str, incarnation: int | None = None, *, write: bool = False) -> Segment:
+def living(memory: str, folder: str = SHM) -> bool:
+    """True while the supervisor of this run lives: it holds the lock on its segment, which others may only read."""
+    try:
+        fd = os.open(f"{folder}{shm_name(memory, SUPERVISOR)}", _READ)
+    except OSError:
+        return False
+    try:
+        return claim.held(fd, 0, by_writer=True)
+    except OSError:  # no regular file
+        return False
+    finally:
+        os.close(fd)
+
+
+def dead_runs(instance: str) -> list[str]:
+    """The runs of this name and user that have ended and left segments, by their `memory`, the newest last."""
+    found: dict[str, int] = {}
+    prefix = f"failstop.{instance}."
+    for file in os.listdir(SHM):
+        run, dot, name = file.removeprefix(prefix).partition(".")
+        if file.startswith(prefix) and dot and name in BY_NAME:
+            try:
+                made = os.lstat(os.path.join(SHM, file))
+            except FileNotFoundError:
+                continue
+            if made.st_uid == os.geteuid():
+                found[f"{instance}.{run}"] = max(made.st_ctime_ns, found.get(f"{instance}.{run}", 0))
+    return [run for run in sorted(found, key=found.__getitem__) if not living(run)]
+
+
+def attach(memory: str, name: str, incarnation: int | None = None, *, write: bool = False, owner: int = -1) -> Segment:
     """Map a service segment: read-only, or for writing when this process is its declared writer. Never a client's:
     what clients may truncate is not mapped.
 
-    `incarnation` is the run that is expected; None takes the run that is there (clients). Raises AttachError.
+    `incarnation` is the run that is expected; None takes the run that is there. `owner`: the uid of the service; -1:
+    this process's. Raises AttachError.
     """
     spec = BY_NAME[name]
     if spec.mode == CLIENTS:
         raise TypeError(f"{name} is written by clients: use attach_client_slot or read_client_slot")
-    fd = _open(instance, name, write)
+    fd = _open(memory, name, write, owner)
     try:
-        found = _check_header(fd, instance, spec, incarnation)
+        found = _check_header(fd, memory, spec, incarnation)
         prot = mmap.PROT_READ | (mmap.PROT_WRITE if write else 0)
         mapped = mmap.mmap(fd, spec.size, flags=mmap.MAP_SHARED, prot=prot)
     finally:
@@ -190,23 +222,23 @@ def attach(instance: str, name: str, incarnation: int | None = None, *, write: b
     return Segment(spec, found, mapped, mapped, -1)
 
 
-def attach_client_slot(instance: str, index: int, incarnation: int) -> Segment:
+def attach_client_slot(memory: str, index: int, incarnation: int, *, owner: int = -1) -> Segment:
     """A client's own segment, through pread and pwrite: another client that truncates it costs no SIGBUS here."""
     name = f"client.{index}"
-    fd = _open(instance, name, True)
+    fd = _open(memory, name, True, owner)
     try:
-        _check_header(fd, instance, BY_NAME[name], incarnation)
+        _check_header(fd, memory, BY_NAME[name], incarnation)
     except BaseException:
         os.close(fd)
         raise
     return Segment(BY_NAME[name], incarnation, FileView(fd), None, fd)
 
 
-def read_client_slot(instance: str, index: int, incarnation: int) -> Segment:
+def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
     """A client's segment as the service reads it. Its header is not looked at: clients may have scribbled over it,
     and each record carries the incarnation in its CRC."""
     name = f"client.{index}"
-    return Segment(BY_NAME[name], incarnation, FileView(fd := _open(instance, name, False)), None, fd)
+    return Segment(BY_NAME[name], incarnation, FileView(fd := _open(memory, name, False)), None, fd)
 
 
 def no_client_slot(index: int, incarnation: int) -> Segment:
@@ -215,62 +247,68 @@ def no_client_slot(index: int, incarnation: int) -> Segment:
     return Segment(BY_NAME[f"client.{index}"], incarnation, FileView(fd), None, fd)
 
 
-def open_all(instance: str) -> dict[str, int]:
+def open_all(memory: str) -> dict[str, int]:
     """Read-only descriptors of the processes' segments, by name, as far as they are there: what is unlinked later can
-    still be read through them. Only files of this user's: a dead run's names may have been taken by others."""
+    still be read through them. Only files of this user's."""
     found = {}
     for name in PROCESSES:
         try:
-            fd = _open_file(instance, name, os.O_RDONLY)
+            found[name] = _open_file(memory, name, os.O_RDONLY, os.geteuid())
         except OSError:
             continue
-        if os.fstat(fd).st_uid == os.geteuid():
-            found[name] = fd
-        else:
-            os.close(fd)
     return found
 
 
-def copy(fd: int, instance: str, name: str) -> tuple[int, bytes]:
+def copy(fd: int, memory: str, name: str) -> tuple[int, bytes]:
     """A private copy of a whole segment that is open as `fd`: (incarnation, bytes). Raises AttachError."""
     spec = BY_NAME[name]
-    incarnation = _check_header(fd, instance, spec, None)
+    incarnation = _check_header(fd, memory, spec, None)
     data = os.pread(fd, spec.size, 0)
     return incarnation, data
 
 
-def _open_file(instance: str, name: str, flags: int) -> int:
-    """A segment's descriptor. Raises OSError. Not by shm_open, which waits for ever on a pipe that somebody has put
-    there."""
-    fd = os.open(f"/dev/shm{shm_name(instance, name)}", flags | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
-    if not stat.S_ISREG(os.fstat(fd).st_mode):
-        os.close(fd)
-        raise OSError(errno.EINVAL, "not a regular file", shm_name(instance, name))
-    return fd
+def _open_file(memory: str, name: str, flags: int, owner: int = -1) -> int:
+    """A segment's descriptor. Raises OSError; place.Untrusted for one that is not `owner`'s (-1: anybody's). Not by
+    shm_open, which waits for ever on a pipe that somebody has put there."""
+    path = path_of(memory, name)
+    fd = os.open(path, flags | _READ)
+    found = os.fstat(fd)
+    if stat.S_ISREG(found.st_mode) and owner in (-1, found.st_uid):
+        return fd
+    os.close(fd)
+    if stat.S_ISREG(found.st_mode):
+        raise place.Untrusted(path, f"belongs to {place.user(found.st_uid)}, the service to {place.user(owner)}")
+    raise OSError(errno.EINVAL, "not a regular file", path)
 
 
-def _open(instance: str, name: str, write: bool) -> int:
+def _open(memory: str, name: str, write: bool, owner: int = -1) -> int:
+    where = _told(memory, name)
     try:
-        return _open_file(instance, name, os.O_RDWR if write else os.O_RDONLY)
+        return _open_file(memory, name, os.O_RDWR if write else os.O_RDONLY, os.geteuid() if owner < 0 else owner)
     except FileNotFoundError:
-        raise AttachError(
-            "absent", f"no service named {instance!r} has shared memory {name}: start it with `failstop run`"
-        ) from None
+        raise AttachError("absent", f"{where} is not there: start the service with `failstop run`") from None
     except PermissionError:
         raise AttachError(
-            "permission",
-            f"no permission on shared memory {name} of {instance!r}: join the group `failstop`, or run as its user",
+            "permission", f"no permission on {where}: join the group `failstop`, or run as its user"
         ) from None
+    except place.Untrusted as error:
+        raise AttachError("owner", f"{where} is not the service's: {error.strerror}; remove it") from None
     except OSError as error:
         raise AttachError(
-            "damaged", f"shared memory {name} of {instance!r} can't be opened ({error.strerror}): restart the service"
+            "descriptors" if error.errno == errno.EMFILE else "damaged",
+            f"{where} can't be opened ({error.strerror}): restart the service",
         ) from None
 
 
-def _check_header(fd: int, instance: str, spec: SegmentSpec, incarnation: int | None) -> int:
+def _told(memory: str, name: str) -> str:
+    """A segment as people are told of it."""
+    return f"shared memory {name} of {memory.partition('.')[0]!r}"
+
+
+def _check_header(fd: int, memory: str, spec: SegmentSpec, incarnation: int | None) -> int:
     """Return the segment's incarnation, or raise AttachError."""
     entry = slot.check(os.pread(fd, HEADER_BYTES, 0), _HEADER_SEED)
-    where = f"shared memory {spec.name} of {instance!r}"
+    where = _told(memory, spec.name)
     if entry is None or len(entry[2]) != _HEADER.size or not entry[2].startswith(MAGIC):
         raise AttachError("damaged", f"{where} has no whole header: restart the service")
     _, layout, size, found, name, version = _HEADER.unpack(entry[2])

@@ -47,6 +47,8 @@ class Aftermath:
         """Those that have not ended, the newest last."""
         self._command_ran = False
         self._seen_pong = 0
+        self._heard = (0, 0)
+        """The newest ping that was answered: when it was sent, and when the answer came."""
         self.link = Link(settings.ns("link.deaf_s"))
         self._published = ""
         self._last: LastStop | None = None
@@ -94,6 +96,11 @@ class Aftermath:
             # Whoever opens a port writes the burst before it says so.
             self.opened(self._written.get(), "port owner")
 
+    def heard_ns(self, since_ns: int) -> int:
+        """When the board answered a ping that was sent at `since_ns` or later; 0: it has not."""
+        sent_ns, arrival_ns = self._heard
+        return arrival_ns if sent_ns >= since_ns else 0
+
     def opened(self, written_ns: int, by: str) -> None:
         """A port was opened anew; the last burst of who did it was at `written_ns`."""
         if self._last and not self._last.written_ns and written_ns > self._last.cause.t_ns:
@@ -110,6 +117,7 @@ class Aftermath:
         if not sent_ns or sent_ns > arrival_ns:
             return  # an answer to a question that nobody has asked, or that was asked anew meanwhile
         self.link.answered(sent_ns)
+        self._heard = max(self._heard, (sent_ns, arrival_ns))
         if self._last and self._last.answered(sent_ns, arrival_ns):
             self._publish()
 

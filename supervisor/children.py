@@ -25,11 +25,11 @@ class Child:
     __slots__ = (
         "beat",
         "block",
+        "down_in",
         "ended",
         "excused_ns",
         "fallen",
         "fence",
-        "gone_ns",
         "last_exit",
         "life",
         "patience_ns",
@@ -37,6 +37,7 @@ class Child:
         "restart_ns",
         "restarts",
         "row",
+        "spared_ns",
         "started_ns",
         "times_restarted",
     )
@@ -55,15 +56,17 @@ class Child:
         self.life: Lifeline | None = None
         self.started_ns = 0
         self.restart_ns: int | None = None
-        """When it is to be started again; None: it runs, or stays down."""
+        """When it is to be started again; None: it runs, or is down until a reset."""
         self.fence: Fence | None = None
         """It was killed for hanging: when and how."""
-        self.gone_ns = 0
-        """When its death was noticed."""
         self.excused_ns = 0
         """Silence before this is not its own."""
         self.patience_ns = 0
         """What it is given beyond its deadline."""
+        self.spared_ns = 0
+        """Its last sign of life before a silence that the machine explains, and that lasts; 0: there is none such."""
+        self.down_in = 0
+        """The epoch in which it had died too often, and is down since; 0: it is not."""
         self.times_restarted = 0
         self.last_exit = ""
 
@@ -76,10 +79,28 @@ class Child:
         self.fence = None
         self.started_ns = now_ns
         self.restart_ns = None
+        self.spared_ns = self.down_in = 0
 
     def running(self) -> bool:
         """True when it has said that it runs."""
         return self.pid != 0 and not self.fallen and not self.fence and self.beat.running(self.pid)
+
+    def well(self) -> bool:
+        """True when it runs, and the machine lets it."""
+        return self.running() and not self.spared_ns
+
+    def heard_ns(self) -> int:
+        """Its last sign of life."""
+        return max(self.beat.ns.get(), self.started_ns)
+
+    def allowed_ns(self) -> int:
+        """How long it may be silent: when it runs, or until it says so."""
+        return self.row.deadline_ns + self.patience_ns if self.running() else STARTING_NS
+
+    def spare(self, now_ns: int) -> None:
+        """Its silence is the machine's: as long again from now on."""
+        self.excused_ns = now_ns
+        self.spared_ns = self.spared_ns or self.heard_ns()
 
     def hangs(self, now_ns: int) -> bool:
         """True when its heartbeat, or its first one, is overdue."""
@@ -90,9 +111,8 @@ class Child:
         """When it counts as hanging unless it beats before; None: there is nothing to wait for."""
         if not self.pid or self.fence or self.fallen:
             return None
-        if self.running():
-            return max(self.beat.ns.get(), self.excused_ns) + self.row.deadline_ns + self.patience_ns
-        return max(self.started_ns, self.excused_ns) + STARTING_NS
+        sign_ns = self.beat.ns.get() if self.running() else self.started_ns
+        return max(sign_ns, self.excused_ns) + self.allowed_ns()
 
     def kill(self, wait_s: float) -> None:
         """End it, and collect it if it has ended within `wait_s`."""
@@ -123,4 +143,4 @@ class Child:
         """In one word: running, starting, waiting (to be restarted) or down."""
         if self.pid:
             return "running" if self.running() else "starting"
-        return "down" if self.restart_ns is None else "waiting"
+        return "down" if self.down_in else "waiting"

@@ -2,10 +2,30 @@
 
 from __future__ import annotations
 
-from failstop.supervisor.settings import SettingError, Settings
+import os
 
+from failstop.procs import durable
+from failstop.shm import root
+from failstop.supervisor.settings import SettingError, Settings, shortened, shown
+
+MOST_BYTES = 65536
+"""Nine times a file that sets everything and explains it."""
+LONGEST_LINE = 1000
+LONGEST_KEY = 80
+"""Twice the longest there is."""
+FOLDER = "/etc/failstop"
 MODE_BUTTON = "pad.mode_button"
 BITS = tuple(1 << bit for bit in range(16))
+
+
+def file_of(name: str) -> str:
+    """The file of an instance in an installed system."""
+    return f"{FOLDER}/{name}.toml"
+
+
+def installed(name: str) -> str:
+    """The file of an instance that was installed on this machine."""
+    return root.at(file_of(name))
 
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> Settings:
@@ -18,17 +38,52 @@ def checked(changed: dict[str, object]) -> Settings:
     button = changed.get(MODE_BUTTON)
     # Two bits would be two buttons that do not stop.
     if isinstance(button, (int, float)) and not isinstance(button, bool) and button not in BITS:
-        shown = f"0x{button:04X}" if isinstance(button, int) else repr(button)
-        raise SettingError(f"{MODE_BUTTON} = {shown}: allowed is exactly one bit, 0x0001, 0x0002 ... 0x8000")
+        found = f"0x{button:04X}" if isinstance(button, int) and abs(button) < 1 << 32 else shown(button)
+        raise SettingError(f"{MODE_BUTTON} = {found}: allowed is exactly one bit, 0x0001, 0x0002 ... 0x8000")
     return Settings(changed)
 
 
 def read(path: str | None) -> dict[str, object]:
-    """What a file sets (none: nothing), by whole key, unchecked. Raises SettingError when it is no TOML file."""
-    return dict(_flat("", _parse(path))) if path else {}
+    """What a file sets (none: nothing), by whole key, unchecked. Raises SettingError, and nothing else, whatever is at
+    that path and in it."""
+    if not path:
+        return {}
+    try:
+        return dict(_flat("", _parse(_text(path))))
+    except SettingError:
+        raise
+    except OSError as error:
+        raise SettingError(f"configuration {path}: {error.strerror}: check the path") from None
+    except RecursionError:
+        problem = "it is nested too deeply"
+    except Exception as error:  # the stop tool reads it too, and no file may keep a stop from being written
+        problem = shortened(str(error) or type(error).__name__)
+    raise SettingError(f"configuration {path} is not TOML: {problem}; `failstop config --example` prints one that is")
 
 
-def _parse(path: str) -> dict[str, object]:
+def _text(path: str) -> str:
+    """Of a regular file alone, and no more than a settings file can be: a device or a pipe may never end, and the
+    parser's time grows with the square of a key's parts."""
+    fd = durable.open_regular(path)
+    try:
+        data = b""
+        while len(data) <= MOST_BYTES and (part := os.read(fd, MOST_BYTES + 1 - len(data))):
+            data += part
+    finally:
+        os.close(fd)
+    if len(data) > MOST_BYTES:
+        raise ValueError(f"it has more than {MOST_BYTES} bytes")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise ValueError("it is UTF-16: save it as UTF-8")
+    # Some editors begin a file with a mark that says that it is UTF-8.
+    text = data.decode("utf-8-sig")
+    for number, line in enumerate(text.split("\n"), 1):
+        if len(line) > LONGEST_LINE:
+            raise ValueError(f"line {number} has more than {LONGEST_LINE} characters")
+    return text
+
+
+def _parse(text: str) -> dict[str, object]:
     # Only a run with a file pays for the parser.
     import sys
 
@@ -37,25 +92,22 @@ def _parse(path: str) -> dict[str, object]:
     else:
         import tomli as tomllib
 
-    try:
-        with open(path, "rb") as file:
-            table: dict[str, object] = tomllib.load(file)
-    except OSError as error:
-        raise SettingError(f"configuration {path}: {error.strerror}: check the path") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingError(f"configuration {path} is not TOML: {error}") from None
+    table: dict[str, object] = tomllib.loads(text)
     return table
 
 
 def _flat(prefix: str, table: dict[str, object]) -> list[tuple[str, object]]:
     found: list[tuple[str, object]] = []
     for key, value in table.items():
+        whole = prefix + key
+        if len(whole) > LONGEST_KEY or not whole.isprintable():
+            raise SettingError(f"{shown(whole)}: no such setting; `failstop config` lists them all")
         if "." in key or not key:
             # It would pass for the table and the key on either side of its dot, and hide what those say.
             raise SettingError(f'{prefix}"{key}": no such setting; write tables as [gate], keys without quotes')
         # An empty table says something too: a source or an interlock with every default, or a name that is wrong.
         if isinstance(value, dict) and value:
-            found += _flat(f"{prefix}{key}.", value)
+            found += _flat(f"{whole}.", value)
         else:
-            found.append((prefix + key, value))
+            found.append((whole, value))
     return found

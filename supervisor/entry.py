@@ -7,9 +7,10 @@ import contextlib
 import os
 import signal
 
-from failstop.procs import rights
+from failstop.procs import limits, rights
 from failstop.procs.child import SETTINGS_VARIABLE
-from failstop.shm.segment import SUPERVISOR_COMM, AttachError
+from failstop.shm.instance import InstanceError
+from failstop.shm.segment import AttachError
 from failstop.supervisor import main
 from failstop.supervisor.events import Events
 from failstop.supervisor.journal import Journal, is_stderr
@@ -17,6 +18,9 @@ from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
 from failstop.supervisor.settings import Settings
+
+SUPERVISOR_COMM = "fs:supervisor"
+"""What the kernel shows as the supervisor's name."""
 
 
 def start(words: dict[str, str]) -> int:
@@ -28,11 +32,14 @@ def start(words: dict[str, str]) -> int:
     journal = Journal() if is_stderr(os.environ.pop("JOURNAL_STREAM", "")) else None
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
     try:
+        limits.take_descriptors()
         resources = Resources(words["name"], words["dir"])
-    except (AttachError, OSError) as error:
+    except (AttachError, InstanceError, OSError) as error:
         events = Events(words["name"], journal=journal)
         events.tell("not_started", str(error), {"reason": str(error)})
         events.flush()
+        port.drain()
+        port.replace(-1)
         return 1
     try:
         return main.run(resources, port, settings, notify, journal)

@@ -11,7 +11,9 @@ import time
 
 from failstop.fold import PREFIX, fitted
 from failstop.shm import instance, layout, packing
-from failstop.shm.records import cut
+from failstop.shm.records import REQUESTED, cut
+from failstop.supervisor.allowance import ASKED_BYTES, OWN_BYTES, Allowance
+from failstop.supervisor.journal import encode
 from failstop.supervisor.kinds import BY_NAME, LEVELS
 
 TYPE_CHECKING = False
@@ -22,12 +24,15 @@ if TYPE_CHECKING:
     from failstop.supervisor.journal import Journal, Value
 
     Told = tuple[int, float, str, str, str, dict[str, Value]]
+    Sort = tuple[str, str, bool]
 
 LONGEST_HOLD_NS = 50_000_000
 """Events wait at most this long for a stop's bytes, which are out within 5 ms where they can be written at all."""
 MOST_WAITING = 256
 CUTS = ((280, 280), (200, 60), (120, 24))
 """Bytes that are left of the text, and of each field's: the first that fit into the ring."""
+AGAIN = frozenset(("stop_again", "stop_also"))
+"""What anybody can bring about without end; a stop that is latched anew takes somebody who resets."""
 ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
 
 
@@ -50,34 +55,73 @@ class Events:
         self._ring = ring
         self._journal = journal
         self._waiting: list[Told] = []
+        self._allowances: dict[Sort, Allowance] = {}
+        self._short: set[Sort] = set()
+        """Sorts of which events were left out, and that was not told yet."""
 
     def tell(self, kind: str, text: str, fields: Mapping[str, Value | None] | None = None, *, level: str = "") -> None:
         """An event of a kind of kinds.py (any other becomes a note), at its kind's level or another; a field that is
         None is left out."""
-        if len(self._waiting) >= MOST_WAITING:
-            return
         known = BY_NAME.get(kind) or BY_NAME["note"]
         given = {key: value for key, value in (fields or {}).items() if value is not None}
-        now = (time.monotonic_ns(), time.time())
-        self._waiting.append((*now, known.name, level if level in LEVELS else known.level, text, given))
+        now_ns, level = time.monotonic_ns(), level if level in LEVELS else known.level
+        if len(self._waiting) < MOST_WAITING:
+            self._waiting.append((now_ns, time.time(), known.name, level, text, given))
+        else:
+            sort = known.name, level, _asked(known.name, given)
+            self._allowance(sort, now_ns).left_out += 1
+            self._short.add(sort)
 
     def command(self, words: str) -> str:
         """A command to type next, in backquotes, for this instance."""
         return f"`failstop {words}{instance.option(self._name)}`"
 
     def flush(self, now_ns: int = 0, *, hold: bool = False) -> None:
-        """Send what was told. `hold`: a stop's bytes are not out yet; then only what has waited for long."""
-        if not self._waiting or (hold and now_ns - self._waiting[0][0] < LONGEST_HOLD_NS):
-            return
+        """Send what was told. `hold`: a stop's bytes are not out yet; then only what has waited for long. `now_ns` 0:
+        the end, and what was left out is told of now."""
+        if self._waiting and not (hold and now_ns - self._waiting[0][0] < LONGEST_HOLD_NS):
+            self._send_waiting()
+        for sort in tuple(self._short):
+            if not now_ns or self._allowances[sort].reopens(time.monotonic_ns()):
+                self._tell_left_out(sort)
+        if not now_ns:
+            self._send_waiting()
+
+    def _send_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
         for told in waiting:
             self._send(*told)
 
     def _send(self, t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value]) -> None:
+        """To everybody, unless there was too much of its sort."""
+        datagram = encode(entry(self._name, t_ns, kind, level, text, fields)) if self._journal else b""
+        size = len(datagram) or len(f"{PREFIX}{text}\n".encode("utf-8", "replace"))
+        sort = kind, level, _asked(kind, fields)
+        if not self._allowance(sort, t_ns).spend(size, t_ns):
+            self._short.add(sort)
+            return
         if self._ring:
             self._ring.put(pack(t_ns, unix_s, kind, level, text, fields), t_ns)
-        if not self._journal or not self._journal.send(entry(self._name, t_ns, kind, level, text, fields)):
+        if not self._journal or not self._journal.send(datagram):
             say(text)
+
+    def _allowance(self, sort: Sort, now_ns: int) -> Allowance:
+        if sort not in self._allowances:
+            self._allowances[sort] = Allowance(ASKED_BYTES if sort[2] else OWN_BYTES, now_ns)
+        return self._allowances[sort]
+
+    def _tell_left_out(self, sort: Sort) -> None:
+        self._short.discard(sort)
+        kind, level, asked = sort
+        count = self._allowances[sort].reopen()
+        what = "stop requests while a stop was latched" if asked else f"events of the kind {kind}"
+        text = f"{count} {what} were left out: too many to tell of each"
+        self.tell("left_out", text, {"of": kind, "count": count}, level=level)
+
+
+def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
+    """True for what anybody may bring about without end."""
+    return kind in AGAIN and str(fields.get("reason", "")).startswith(REQUESTED)
 
 
 def entry(name: str, t_ns: int, kind: str, level: str, text: str, fields: dict[str, Value]) -> list[tuple[str, Value]]:

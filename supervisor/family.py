@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from failstop.supervisor.settings import Settings
 
 TRY_AGAIN_NS = 500_000_000
+GATE_AGAIN_NS = 60_000_000_000
+"""A gate that died too often is tried again: it is the one that hears a reset."""
 
 
 class Family:
@@ -67,33 +69,53 @@ class Family:
         """Those whose death this wake-up, or the early news before it, tells; each once."""
         return [child for child in self.children if child.life and not child.fallen and child.life.down(ready)]
 
-    def bury(self, ready: dict[int, int], now_ns: int, burst_ns: int) -> None:
-        """Collect the processes that have died, and plan their restarts; `burst_ns`: the supervisor's last burst."""
+    def bury(self, ready: dict[int, int], now_ns: int, epoch: int) -> None:
+        """Collect the processes that have died, and plan their restarts; `epoch`: the one in force, raised for their
+        deaths."""
         for child in self.children:
             if child.life and child.life.fd in ready:
                 child.ended = True
                 self._loop.forget(child.life.fd)  # it stays readable, however long it takes to be collected
             pid = child.pid
             if child.ended and (death := child.buried()):
-                self._bury(child, pid, death, now_ns, burst_ns)
+                self._tell_death(child, pid, death)
+                self._plan_restart(child, now_ns, epoch)
 
-    def _bury(self, child: Child, pid: int, death: str, now_ns: int, burst_ns: int) -> None:
+    def _tell_death(self, child: Child, pid: int, death: str) -> None:
         name = child.row.name
         told: dict[str, str | int] = {"process": name, "pid": pid}
         if child.fence:
-            again_ns = burst_ns if name == layout.PORT_OWNER else 0
-            times = child.fence.fields(child.gone_ns, again_ns)
-            self._events.tell("fenced", child.fence.story(name, child.gone_ns, again_ns), {**told, **times})
+            self._events.tell("fenced", child.fence.story(name), {**told, **child.fence.fields()})
         how = f"was {death}" if death.startswith("killed") else death
         self._events.tell("died", f"{name} (pid {pid}) {how}", {**told, "how": how})
-        wait_ns = child.restarts.died(now_ns)
-        if wait_ns is None:
-            text = f"{name} died too often and stays down, the wheels stopped; next: restart the service"
-            self._events.tell("down", text, {"process": name})
-        else:
-            child.restart_ns = now_ns + wait_ns
-            text = f"restarting {name} {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}"
-            self._events.tell("restarting", text, {"process": name, "wait_s": wait_ns / 1e9})
+
+    def _plan_restart(self, child: Child, now_ns: int, epoch: int) -> None:
+        name = child.row.name
+        starved = child.fence is not None and child.fence.was_starved
+        wait_ns = TRY_AGAIN_NS if starved else child.restarts.died(now_ns)
+        if wait_ns is not None:
+            self._restart_in(child, wait_ns, now_ns)
+            return
+        child.down_in = epoch
+        todo = f"next: see to the cause, then {self._events.command('reset')} starts it anew"
+        if name == layout.GATE:
+            child.restart_ns = now_ns + GATE_AGAIN_NS
+            todo = f"it is started anew in {GATE_AGAIN_NS / 1e9:g} s, since nobody else could hear a reset"
+        text = f"{name} died too often and is down, the wheels stopped; {todo}"
+        self._events.tell("down", text, {"process": name})
+
+    def _restart_in(self, child: Child, wait_ns: int, now_ns: int) -> None:
+        child.restart_ns = now_ns + wait_ns
+        text = f"restarting {child.row.name} {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}"
+        self._events.tell("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
+
+    def recall(self, reset_epoch: int, now_ns: int) -> None:
+        """Start those anew that are down, after a reset in `reset_epoch` by people who know of it."""
+        for child in self.children:
+            if child.down_in and reset_epoch >= child.down_in:
+                child.down_in = 0
+                child.restarts.forget()
+                self._restart_in(child, 0, now_ns)
 
     def arm(self) -> None:
         """A process that runs holds its mutexes: wait for the early news of its death."""

@@ -6,8 +6,8 @@ The service manager's watchdog is for a supervisor that no longer does its job, 
     a process that was killed and stays     whatever holds it in the kernel, a restart in here can't replace it
     a stop owed                             nobody answered it and nobody could write it, though the port is open
 
-Everything else is healthy, however bad it looks: a process that is down for good, a port that is gone, a board that
-is deaf. The wheels are told to stop then, the status is served, and a restart would only take both away.
+Everything else is healthy, however bad it looks: a process that is down until a reset, a port that is gone, a board
+that is deaf. The wheels are told to stop then, the status is served, and a restart would only take both away.
 """
 
 from __future__ import annotations
@@ -50,4 +50,4 @@ def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> 
 
 
 def _stays(down: str) -> str:
-    return f"; {down} died too often and stays down: restart the service" if down else ""
+    return f"; {down} died too often and is down until a reset" if down else ""

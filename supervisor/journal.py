@@ -50,9 +50,10 @@ class Journal:
     def __init__(self, path: str = SOCKET) -> None:
         self._outbox = Outbox(path)
 
-    def send(self, fields: Iterable[tuple[str, Value]]) -> bool:
-        """Send one entry; False when it could not be handed over at once: the journal is gone, or its queue full."""
-        return self._outbox.send(encode(fields))
+    def send(self, datagram: bytes) -> bool:
+        """Send one entry (encode); False when it could not be handed over at once: the journal is gone, or its queue
+        full."""
+        return self._outbox.send(datagram)
 
     def close(self) -> None:
         """Let the socket go."""

@@ -122,10 +122,12 @@ KINDS = (
         "critical",
         "d425ec3582c843a999835f153362effe",
         ("process",),
-        "@FAILSTOP_PROCESS@ stays down",
+        "@FAILSTOP_PROCESS@ is down",
         "It died too often (settings restart.deaths, restart.window_s). The wheels are told to stop and the status is\n"
-        "served, but motion can't be enabled any more.\n"
-        "Next: journalctl FAILSTOP_EVENT=died FAILSTOP_PROCESS=@FAILSTOP_PROCESS@; then restart the service",
+        "served, but motion can't be enabled before a reset, which starts the process anew. The gate, which hears\n"
+        "resets, is started anew after a minute.\n"
+        "Next: journalctl FAILSTOP_EVENT=died FAILSTOP_PROCESS=@FAILSTOP_PROCESS@; see to the cause; then\n"
+        "failstop reset --name @FAILSTOP_NAME@",
     ),
     Kind(
         "start_failed",
@@ -155,6 +157,19 @@ KINDS = (
         "The times are from the notice to the kill and to the end of the process; for the port owner also to the\n"
         "stops on the supervisor's own descriptor, one after the kill and one after the end.\n"
         "Next: was the machine overloaded or frozen? failstop doctor --name @FAILSTOP_NAME@ looks for real-time rights",
+    ),
+    Kind(
+        "starved",
+        "warning",
+        "3823733a664c4c1aa730d19d41555c76",
+        ("process", "silent_ms", "times"),
+        "The machine did not run @FAILSTOP_PROCESS@",
+        "It was silent for @FAILSTOP_SILENT_MS@ ms, beyond its deadline, while it wanted to run: other programs had\n"
+        "the processor, or its memory was on the disk. Nothing was stopped for it and no process was ended, since\n"
+        "motion was disabled, or a stop was latched for it already. It is told of every ten seconds at most; so far\n"
+        "it has happened @FAILSTOP_TIMES@ times.\n"
+        "Next: give the service real-time rights (failstop doctor --name @FAILSTOP_NAME@ has the command), or see\n"
+        "what else the machine does",
     ),
     Kind(
         "enabled",
@@ -198,8 +213,18 @@ KINDS = (
         "b3b319d319c74c748c77923638d33b72",
         ("who", "source"),
         "Commands of @FAILSTOP_WHO@ are ignored",
-        "It commands as a source that the settings do not name: @FAILSTOP_SOURCE@.\n"
-        "Next: correct the program, or declare the source under [sources] and restart the service",
+        "It commands as a source that is no client's: @FAILSTOP_SOURCE@. The settings do not name it, or it is the\n"
+        "board's gamepad, which no program may stand in for.\n"
+        "Next: correct the program, or declare a source under [sources] and restart the service",
+    ),
+    Kind(
+        "said",
+        "info",
+        "7d3f0b6e9c1a4f52a8e45b0c6d2f9137",
+        ("who", "sees", "wrong"),
+        "@FAILSTOP_WHO@ says of itself",
+        "A client's own words, shown as they are: what it sees, and what is wrong by its account.\n"
+        "Next: failstop why --name @FAILSTOP_NAME@ shows what holds the wheels, with the newest words of each client",
     ),
     Kind(
         "driver_silent",
@@ -217,9 +242,18 @@ KINDS = (
         "5c69d278e12541c884ee76082770b8f7",
         ("who", "source"),
         "@FAILSTOP_WHO@ has gone while it drove",
-        "It ended, crashed or was killed without a last command of zero, so the wheels were told zero at once.\n"
+        "It crashed or was killed, or ended without a word, so the wheels were told zero at once.\n"
         "Nothing is latched: they turn again as soon as somebody commands.\n"
         "Next: that program's own log; coredumpctl list, where it crashed",
+    ),
+    Kind(
+        "driver_ended",
+        "info",
+        "92de198a2b114a578f729782376c96f8",
+        ("who", "source"),
+        "@FAILSTOP_WHO@ ended its command",
+        "The program that drove ended in order, or a person let go of the key: the wheels were told zero. Nothing is\n"
+        "wrong, and nothing is latched.",
     ),
     Kind(
         "device_lost",
@@ -256,8 +290,9 @@ KINDS = (
         "a56c088a927e4d8f9106a8df85dec9c6",
         ("what",),
         "Missing rights: @FAILSTOP_WHAT@",
-        "On a busy machine stops come later, and some for no cause.\n"
-        "Next: the unit's LimitRTPRIO=40 and LimitMEMLOCK=infinity give them; failstop doctor looks for them",
+        "On a busy machine stops come later, and some for no cause. The entry's own text has the command that gives\n"
+        "them, as the unit's LimitRTPRIO=40 and LimitMEMLOCK=infinity do.\n"
+        "Next: failstop doctor --name @FAILSTOP_NAME@",
     ),
     Kind(
         "pad",
@@ -316,6 +351,16 @@ KINDS = (
         "Next: did what it switches do its work? Its own output is in the journal too",
     ),
     Kind(
+        "left_out",
+        "notice",
+        "8a1febefb5a44a38a98feb2f2d38c465",
+        ("of", "count"),
+        "@FAILSTOP_COUNT@ events of the kind @FAILSTOP_OF@ were left out",
+        "At most 64 KiB a minute are told of each kind, and 8 KiB of the stop requests of everybody while a stop is\n"
+        "latched; what is more is counted. Every stop was written all the same.\n"
+        "Next: journalctl FAILSTOP_EVENT=@FAILSTOP_OF@ FAILSTOP_NAME=@FAILSTOP_NAME@",
+    ),
+    Kind(
         "note",
         "info",
         "52bb8f68c7914cb6b272bc07f6b0b35c",
@@ -344,9 +389,12 @@ KINDS = (
         "stopped",
         "notice",
         "a9c157b26c984105a437043f1ba39f09",
-        (),
+        ("link",),
         "@FAILSTOP_NAME@ has ended",
-        "Nothing watches the robot from here on. If the second stop could NOT be written, look at the wheels.\n"
+        "Nothing watches the robot from here on. acknowledged: the board answered a ping that was sent after the\n"
+        "first of the two stops (FAILSTOP_ACKNOWLEDGED_US from that). If it had answered before and did NOT\n"
+        "acknowledge this one, or if the second could NOT be written, the exit code is 1: look at the wheels.\n"
+        "unproven: it has not answered since its port was opened, so whether it hears is not known.\n"
         "Next: failstop stop writes a stop without any service; systemctl start starts the service",
     ),
 )

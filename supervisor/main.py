@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import os
 import signal
-from time import monotonic_ns
+from time import monotonic_ns, sleep
 
-from failstop.procs import rights
+from failstop.procs import rights, starved
 from failstop.procs.loop import READ, Loop
 from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import Heartbeat
+from failstop.shm.lifeline import pid_namespace
 from failstop.shm.packing import pack
-from failstop.supervisor import answer
+from failstop.supervisor import answer, grant, silence
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
 from failstop.supervisor.causes import Cause, Causes
@@ -23,9 +24,11 @@ from failstop.supervisor.events import Events
 from failstop.supervisor.family import Family
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.herald import Herald
+from failstop.supervisor.link import UNPROVEN
 from failstop.supervisor.names import Names
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.sharing import Sharing
+from failstop.supervisor.silence import Silence
 from failstop.supervisor.table import SUPERVISOR_PRIORITY
 from failstop.supervisor.teller import Teller
 
@@ -47,8 +50,13 @@ ALONE_EVERY_NS = 200_000_000
 EXCUSE_NS = 60_000_000
 """A supervisor that itself was silent for this long judges nobody by it: the whole service may have been frozen. Two
 ticks less than the shortest deadline."""
+LATE_NS = 150_000_000
+"""Who beats ten times a second, and was silent for this long, was held up."""
 HELD_UP_NS = 250_000_000
 """And one that was silent for this long stops: nobody has watched."""
+HEAR_NS = 300_000_000
+"""How long the end of the service waits for the board's answer to its stop; an answer takes a few milliseconds, and its
+ping may be 50 ms away (pings.py)."""
 END_S = 2.0
 """How long the end of the service waits for each process that it has killed, before the last burst goes out."""
 
@@ -67,16 +75,20 @@ class Supervisor:
         self._resources = resources
         self._port = port
         self.loop = Loop()
-        name, run = resources.name, resources.incarnation
-        own = segment.attach(name, layout.SUPERVISOR, run, write=True)
-        views = {process: segment.attach(name, process, run) for process in layout.PROCESSES}
+        name, memory, run = resources.name, resources.memory, resources.incarnation
+        own = segment.attach(memory, layout.SUPERVISOR, run, write=True)
+        views = {process: segment.attach(memory, process, run) for process in layout.PROCESSES}
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
         self.heartbeat = Heartbeat(own, os.getpid(), self._granted, monotonic_ns())
+        own.latest_writer("rules").write(pack(_rules(settings)))
         self._epoch_word = own.word("epoch")
         self._ready_word = own.word("ready")
-        mutexes = segment.attach(name, "lifelines", run, write=True).mutexes("mutexes")
+        mutexes = segment.attach(memory, "lifelines", run, write=True).mutexes("mutexes")
         self._events = Events(name, own.ring_writer("events"), journal)
-        self.teller = Teller(name, self._events, views)
+        realtime = bool(self._granted & heartbeat.REALTIME)
+        advice = grant.advice(realtime=realtime, managed=notify is not None and notify.active)
+        self.teller = Teller(name, self._events, views, advice)
+        self._silence = Silence(views, resources.bells, self._events, advice)
         self.family = Family(resources, settings, self.loop, own, views, mutexes, self._events)
         self.children = self.family.children
         self._early = self.family.early
@@ -84,6 +96,7 @@ class Supervisor:
         self._cause_record = own.latest_writer("cause")
         self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings, self._events)
         self._table_record = own.latest_writer("processes")
+        own.latest_writer("settings").write(pack(settings.flat()))
         self.blackbox = BlackBox(resources, settings, own, views, self._events)
         self._stopped_word = views[layout.PORT_OWNER].word("stopped_epoch")
         self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
@@ -101,14 +114,17 @@ class Supervisor:
         self._epoch_word.set(1)
         self._unanswered: Cause | None = None
         self._answer_by_ns = 0
+        self._stop_ns = 0
+        """When the last stop that was answered was written; 0: it could not be."""
         self._owed_ns = 0
         """Since when a stop is neither answered nor written; 0: there is none such."""
         self._table = b""
         self._was_ready = False
         path = settings.text("device.path")
         self._sharing = Sharing(port, path, resources, views, self.loop, self.family, self._events)
-        self._turned_ns = monotonic_ns()
-        self._burst_ns = 0
+        self._turned_ns = self._watched_ns = monotonic_ns()
+        self._tried_ns = 0
+        """When it last tried to write a burst; when it last wrote one is `written_ns` of shared memory."""
         self.ending = False
         self.broken = False
         """It can't go on, and ends by itself, when its stop is answered."""
@@ -127,9 +143,11 @@ class Supervisor:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
         fallen = self.family.fallen(ready)
-        written_ns = self._burst() if any(child.row.name == layout.PORT_OWNER for child in fallen) else 0
+        port_owner = self.family[layout.PORT_OWNER]
+        written_ns = self._burst() if port_owner in fallen else 0
         for child in fallen:
-            child.gone_ns = now_ns
+            if child.fence:
+                child.fence.gone(now_ns, written_ns if child is port_owner else 0)
         for rung in (self._bell, self._early.bell):
             if rung.fd in ready:
                 rung.clear()
@@ -137,16 +155,18 @@ class Supervisor:
         causes += self._held_up(now_ns)
         if causes:
             self._raise_epoch(causes)
-        if seen := self.aftermath.follow(now_ns, listening=self._listening()):
+        if seen := self.aftermath.follow(now_ns, listening=self._listening(now_ns)):
             self._raise_epoch(seen)
         for child in fallen:
             if child.life:
                 child.life.demote()
-        self.family.bury(ready, now_ns, self._burst_ns)
+        self.family.bury(ready, now_ns, self.epoch)
         self._sharing.serve(ready, now_ns)
         self._causes.settle(self._reset_word.get())
+        self.family.recall(self._reset_word.get(), now_ns)
         self._follow_latch()
         self._follow_answer(now_ns)
+        self._silence.follow(self.children, now_ns)
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
         self._follow_names(now_ns)
@@ -160,33 +180,38 @@ class Supervisor:
 
     def _burst(self) -> int:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
-        if not self._port.burst():
+        written = self._port.burst()
+        self._tried_ns = monotonic_ns()
+        if not written:
             return 0
-        self._burst_ns = monotonic_ns()
         self._owed_ns = 0
-        self._written_word.set(self._burst_ns)
-        self.blackbox.wrote(self._burst_ns)
-        return self._burst_ns
+        self._written_word.set(self._tried_ns)
+        self.blackbox.wrote(self._tried_ns)
+        return self._tried_ns
 
     def _stop_alone(self, now_ns: int) -> None:
         """Nobody else says zero to the board while no port owner runs, or opens a port that comes back."""
         port_owner = self.family[layout.PORT_OWNER]
         opened = self._sharing.open_alone(now_ns)
-        if not opened and (port_owner.running() or now_ns - self._burst_ns < ALONE_EVERY_NS):
+        if not opened and (port_owner.running() or now_ns - self._tried_ns < ALONE_EVERY_NS):
             return
-        self._burst_ns = now_ns
         self._burst()
         if opened:
             self._sharing.opened_alone(now_ns)
             self.aftermath.opened(self._written_word.get(), answer.BY_SUPERVISOR)
 
     def _held_up(self, now_ns: int) -> list[Cause]:
-        """A stop for a supervisor that could not watch anybody; it kills nobody for a silence that it did not hear."""
-        gap_ns, self._turned_ns = now_ns - self._turned_ns, now_ns
+        """A stop for a supervisor that could not watch anybody, while motion is enabled; it kills nobody for a silence
+        that it did not hear."""
+        self._watched_ns, self._turned_ns = self._turned_ns, now_ns
+        gap_ns = now_ns - self._watched_ns
         if gap_ns >= EXCUSE_NS:
             for child in self.children:
                 child.excused_ns = now_ns
         if gap_ns < HELD_UP_NS or not self._was_ready:
+            return []
+        if not self._silence.motion(self.epoch):
+            self._silence.over(layout.SUPERVISOR, gap_ns, now_ns)
             return []
         return [Cause(now_ns, layout.SUPERVISOR, f"supervisor was held up for {gap_ns / 1e6:.0f} ms")]
 
@@ -197,10 +222,14 @@ class Supervisor:
             self._raise_epoch([Cause(now_ns, layout.SUPERVISOR, reason)])
         self.ending |= self.broken and self._unanswered is None
 
-    def _listening(self) -> bool:
-        """True while pings are written and their answers decoded."""
-        asks, hears = self.family[layout.PORT_OWNER].running(), self.family[layout.TELEMETRY].running()
-        return self._port.fd >= 0 and asks and hears
+    def _listening(self, now_ns: int) -> bool:
+        """True while pings are written and their answers decoded: what nobody could hear makes no board deaf."""
+        asks, hears = self.family[layout.PORT_OWNER], self.family[layout.TELEMETRY]
+        if self._port.fd < 0 or not asks.well() or not hears.well():
+            return False
+        # Who was held up comes late to an answer. While motion is enabled that is no excuse.
+        heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
+        return now_ns - heard_ns < LATE_NS or self._silence.motion(self.epoch)
 
     def _collect(self, fallen: list[Child], now_ns: int, burst_ns: int) -> list[Cause]:
         """Every cause that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
@@ -263,7 +292,8 @@ class Supervisor:
             return
         by, written_ns = stop
         self._unanswered = None
-        self._tell_stop(cause, written_ns or self._burst(), by)
+        self._stop_ns = written_ns or self._burst()
+        self._tell_stop(cause, self._stop_ns, by)
 
     def _tell_stop(self, cause: Cause, written_ns: int, by: str) -> None:
         """Publish the stop for people, and log it."""
@@ -272,22 +302,37 @@ class Supervisor:
         self.teller.stopped(cause, written_ns, by, standing, self.epoch, ending=self.ending)
 
     def _fence_hangs(self, now_ns: int) -> None:
-        """A process that has not beaten within its deadline is stopped for and killed; its death does the rest."""
+        """A process that has not beaten within its deadline."""
         self.family[layout.PORT_OWNER].patience_ns = self._sharing.patience_ns(now_ns)
         for child in self.children:
             if child.hangs(now_ns):
-                silent_ns = now_ns - max(child.beat.ns.get(), child.started_ns)
-                # Killed before the burst: a port owner that wakes up between the two could write one frame more.
-                os.kill(child.pid, signal.SIGKILL)
-                kill_ns = monotonic_ns()
-                written_ns = self._burst() if child.row.name == layout.PORT_OWNER else 0
-                reason = f"{child.row.name} hangs: {silent_ns / 1e6:.0f} ms silent"
-                self._raise_epoch([Cause(now_ns, layout.SUPERVISOR, reason, written_ns)])
-                child.fence = Fence(now_ns, kill_ns, written_ns, silent_ns)
+                is_starved = self._silence.starved(child)
+                if child.hangs(now_ns):  # else it has just beaten
+                    self._answer_silence(child, now_ns, is_starved=is_starved)
+
+    def _answer_silence(self, child: Child, now_ns: int, *, is_starved: bool) -> None:
+        """The table of silence.py. Who hangs is stopped for and killed; its death does the rest."""
+        name = child.row.name
+        silent_ns = now_ns - child.heard_ns()
+        reason = f"{name} hangs: {silent_ns / 1e6:.0f} ms silent{silence.SUFFIX if is_starved else ''}"
+        cause = Cause(now_ns, layout.SUPERVISOR, reason)
+        motion = self._silence.motion(self.epoch)
+        spared = is_starved and silent_ns < child.allowed_ns() + starved.LONGEST_NS
+        if spared and not (motion and name == layout.PORT_OWNER):
+            child.spare(now_ns)
+            if motion:
+                self._raise_epoch([cause])
+            return
+        # Killed before the burst: a port owner that wakes up between the two could write one frame more.
+        os.kill(child.pid, signal.SIGKILL)
+        kill_ns = monotonic_ns()
+        cause.written_ns = self._burst() if name == layout.PORT_OWNER else 0
+        self._raise_epoch([cause])
+        child.fence = Fence(now_ns, kill_ns, cause.written_ns, silent_ns, was_starved=is_starved)
 
     def _missing(self) -> str:
         """What motion is still waiting for; empty when nothing."""
-        absent = [child.row.name for child in self.children if not child.running()]
+        absent = [child.row.name for child in self.children if not child.well()]
         if not absent and not self._sharing.complete():
             return "the port"
         # A stop that the supervisor wrote itself is still to be answered: a port owner that was held up would cut into
@@ -301,6 +346,7 @@ class Supervisor:
         table = pack(
             {
                 "waiting_for": missing or None,
+                "starved": self._silence.as_record(),
                 "processes": {
                     child.row.name: {
                         "pid": child.pid,
@@ -337,20 +383,47 @@ class Supervisor:
         waits += [overdue_ns for child in self.children if (overdue_ns := child.overdue_ns())]
         return min([now_ns + TICK_NS, *waits])
 
-    def finish(self) -> None:
-        """End in order: stop through the port owner, end every process, stop again on the own descriptor."""
+    def finish(self) -> bool:
+        """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
+        the own descriptor. False when a stop could not be written, or a board that had answered before did not."""
         self._raise_epoch([Cause(monotonic_ns(), layout.SUPERVISOR, "service is stopping")])
         while self._unanswered:
             self.loop.wait(monotonic_ns() + HURRY_NS)
             self._follow_answer(monotonic_ns())
-        self.herald.notify.stopping("wheels stopped; ending every process")
+        heard_ns = self._hear()
+        link = self.aftermath.link.state
+        self.herald.notify.stopping("the stop is written; ending every process")
         self.heartbeat.state(heartbeat.STOPPING)
         for child in reversed(self.children):
             child.kill(END_S)
         written = self._burst()
-        self.teller.ended(written=written > 0)
+        self.teller.ended(heard_ns, link, written=written > 0)
         self._events.flush()
         self.blackbox.finish()
+        return written > 0 and (heard_ns > 0 or link == UNPROVEN)
+
+    def _hear(self) -> int:
+        """Wait until the board has answered a ping from after the last stop, and return how long after it that was in
+        ns; 0: it has not, within HEAR_NS. Those who ask and listen must live for it."""
+        until_ns = monotonic_ns() + HEAR_NS
+        while self._stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening(now_ns):
+            self.aftermath.follow(now_ns, listening=True)
+            if heard_ns := self.aftermath.heard_ns(self._stop_ns):
+                return heard_ns - self._stop_ns
+            self._watched_ns = now_ns
+            self.heartbeat.beat(now_ns, self.epoch)
+            sleep(HURRY_NS / 1e9)
+        return 0
+
+
+def _rules(settings: Settings) -> dict[str, object]:
+    """What clients need of the settings, and where the supervisor's pid is its own."""
+    return {
+        "sources": list(settings.sources()),
+        "interlocks": list(settings.interlocks()),
+        "lease_ns": settings.ns("gate.lease_s"),
+        "pid_namespace": pid_namespace(),
+    }
 
 
 def run(resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Journal | None) -> int:
@@ -366,5 +439,5 @@ def run(resources: Resources, port: OwnPort, settings: Settings, notify: Notify,
     while not supervisor.ending:
         supervisor.turn(ready)
         ready = supervisor.loop.wait(supervisor.next_ns(monotonic_ns()))
-    supervisor.finish()
-    return int(supervisor.broken)
+    well = supervisor.finish()
+    return int(supervisor.broken or not well)

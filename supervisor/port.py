@@ -9,18 +9,22 @@ import time
 from failstop.board import port
 from failstop.board.interface import BOARD
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from failstop.board.finder import Finder
+
 BURST = BOARD.burst
 
 REOPEN_NS = 10_000_000
 """How often a lost port is looked for: half of the time within which a board that is back is stopped."""
 BUSY_S = 1.0
 """How long a port that a dead run's processes are just letting go of is waited for."""
+DRAIN_S = 0.1
+"""The burst takes 4 ms on the wire."""
 UDEV_S = 2.0
 """How long udev may take, at boot, to give a device that is there to its users."""
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.board.finder import Finder
 
 TRIES = 3
 """A non-blocking write is refused not only for want of room but also while another process is in its own write, as the
@@ -30,17 +34,20 @@ stopper may be at the very same moment."""
 class OwnPort:
     """A duplicate of the port's descriptor; -1 while the port is gone."""
 
-    __slots__ = ("_next_ns", "fd", "since_ns")
+    __slots__ = ("_next_ns", "fd", "since_ns", "stopped")
 
     def __init__(self, fd: int) -> None:
         self.fd = fd
+        self.stopped = False
+        """The kernel has taken the whole of the run's first burst."""
         self.since_ns = time.monotonic_ns()
         """When it was taken over, or let go."""
         self._next_ns = 0
 
     @classmethod
-    def open_and_stop(cls, path: str) -> OwnPort:
-        """Open the port and write the burst: the first bytes of a run. Raises port.PortError."""
+    def open_and_stop(cls, path: str, held: Callable[[], None] = lambda: None) -> OwnPort:
+        """Open the port and write the burst: the first bytes of a run. While another process holds the port, `held` is
+        called, and may raise. Raises port.PortError."""
         start_s = time.monotonic()
         while True:
             # Looked at before it is opened: its rights may come between a refusal and a look.
@@ -50,9 +57,11 @@ class OwnPort:
             except port.PortError as error:
                 if time.monotonic() - start_s > patience_s.get(error.kind, 0.0):
                     raise
+                if error.kind == "busy":
+                    held()
                 time.sleep(0.005)
             else:
-                own.burst()
+                own.stopped = own.burst()
                 return own
 
     def burst(self) -> bool:
@@ -67,6 +76,19 @@ class OwnPort:
             except OSError:
                 return False
         return False
+
+    def drain(self) -> bool:
+        """Wait until what was written has left the kernel, which drops the rest when the port is closed; False: it has
+        not within DRAIN_S."""
+        until_s = time.monotonic() + DRAIN_S
+        try:
+            while port.unsent_bytes(self.fd):
+                if time.monotonic() > until_s:
+                    return False
+                time.sleep(0.0005)
+        except OSError:
+            return False
+        return True
 
     def reopen(self, finder: Finder, now_ns: int) -> bool:
         """Open a port that was lost, tried every REOPEN_NS; False when it is there already or not yet."""

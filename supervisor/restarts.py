@@ -5,7 +5,7 @@ from __future__ import annotations
 
 class Restarts:
     """Counts one process's deaths: the first in the window is restarted at once, the next after a doubling wait, and
-    after the limit it stays down (and the service stopped), rather than loop."""
+    after the limit it is down (and the service stopped) until people reset, rather than loop."""
 
     __slots__ = ("_backoff_ns", "_deaths", "_limit", "_window_ns")
 
@@ -23,6 +23,10 @@ class Restarts:
         if count >= self._limit:
             return None
         return 0 if count == 1 else min(self._backoff_ns << min(count - 2, 16), LONGEST_WAIT_NS)
+
+    def forget(self) -> None:
+        """People have seen to it."""
+        self._deaths.clear()
 
 
 LONGEST_WAIT_NS = 2_000_000_000

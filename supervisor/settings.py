@@ -7,9 +7,26 @@ there, cmd_vel.
 
 from __future__ import annotations
 
+MOST_SHOWN = 160
+"""Characters of a value in a message."""
+
 
 class SettingError(ValueError):
     """A value is not allowed; the message names the key, the value and what is."""
+
+
+def shortened(text: str) -> str:
+    """The text as a part of one line for people."""
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
+
+
+def shown(value: object) -> str:
+    """A value of whatever type, likewise."""
+    try:
+        return shortened(repr(value))
+    except (ValueError, RecursionError):  # a number of thousands of digits, a list within lists within lists
+        return f"{type(value).__name__} beyond all bounds"
 
 
 class Setting:
@@ -41,7 +58,7 @@ class Setting:
     def check(self, value: object, key: str = "") -> float | str:
         """Return the value in its declared type, or raise SettingError, which names `key` (its own, if empty)."""
         if problem := self._problem(value):
-            raise SettingError(f"{key or self.key} = {value!r}: {problem}")
+            raise SettingError(f"{key or self.key} = {shown(value)}: {problem}")
         return type(self.default)(value)  # type: ignore[arg-type]
 
     def _problem(self, value: object) -> str:
@@ -153,7 +170,7 @@ DECLARED = (
     Setting("incidents.save", "on", "", None, None, "keep the black box in a file after each latched stop", SWITCH),
     Setting("incidents.keep", 50, "", 1, 10000, "so many of these files; the oldest go first"),
     Setting("incidents.max_mb", 100, "MB", 1, 100000, "and no more than this together; the newest stays in any case"),
-    Setting("restart.deaths", 5, "", 1, 100000, "after this many deaths within the window, stay stopped"),
+    Setting("restart.deaths", 5, "", 1, 100000, "after this many deaths within the window, down until a reset"),
     Setting("restart.window_s", 60.0, "s", 1.0, 3600.0, "the window in which deaths are counted"),
     Setting("restart.backoff_s", 0.1, "s", 0.001, 2.0, "wait before the second restart in the window; then doubled"),
 )
@@ -216,7 +233,7 @@ class Settings:
         if value == {} and not rest:
             return
         if not name or not (last or value == {}):
-            raise SettingError(f"{key} = {value!r}: a table is expected, [{family}.NAME]")
+            raise SettingError(f"{key} = {shown(value)}: a table is expected, [{family}.NAME]")
         if len(name) > LONGEST_NAME or not NAME_CHARACTERS.issuperset(name):
             raise SettingError(f"{family}.{name!r}: allowed as a name is 1 to {LONGEST_NAME} of a-z 0-9 _ -")
         if family == "sources" and name == PAD_SOURCE:

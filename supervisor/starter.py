@@ -10,6 +10,7 @@ import os
 import sys
 
 from failstop.procs.child import PATH_VARIABLE, SETTINGS_VARIABLE
+from failstop.shm import root
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
 """One heap for all threads: a second one costs 200 kB at the first job of a thread, minutes after the start."""
-PASSED_ON = ("XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
+PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
 """Of this environment: where the runtime directory and the files of the telemetry are."""
 TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
 """What the service manager hands over: it speaks with the supervisor alone, which takes them out of its environment."""

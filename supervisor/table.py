@@ -49,7 +49,7 @@ PROCESSES = (
         priority=32,
         deadline_ns=250 * MS,
         outlives_supervisor=True,
-        descriptors=("port", "control", "bell", "supervisor_bell"),
+        descriptors=("port", "control", "bell", "port_owner_bell", "supervisor_bell"),
     ),
     Process(
         "gate",
@@ -65,7 +65,7 @@ PROCESSES = (
         priority=20,
         deadline_ns=500 * MS,
         outlives_supervisor=False,
-        descriptors=("stop", "bell", "gate_bell", "supervisor_bell"),
+        descriptors=("bell", "port_owner_bell", "gate_bell", "supervisor_bell"),
     ),
 )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from failstop.shm import layout
 from failstop.shm.notes import Note
+from failstop.supervisor.link import UNPROVEN
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -14,17 +15,16 @@ if TYPE_CHECKING:
 MOST_SAID = 64
 WAITED_NS = 2_000_000_000
 """What motion waits for is told of after this long: a restart takes a fraction of it."""
-NO_REALTIME = (
-    "no real-time rights (SCHED_FIFO): on a busy machine stops come later, and some for no cause; "
-    "next: run it as root or with RLIMIT_RTPRIO of at least 40"
-)
+NO_REALTIME = "no real-time rights (SCHED_FIFO): on a busy machine stops come later, and some for no cause"
 
 
 class Teller:
     """What was told since the latch, and the remarks of the processes."""
 
-    def __init__(self, name: str, events: Events, views: dict[str, Segment]) -> None:
+    def __init__(self, name: str, events: Events, views: dict[str, Segment], advice: str) -> None:
+        """`advice`: what to do about missing rights."""
         self._name = name
+        self._advice = advice
         self.events = events
         self._notes = [(process, views[process].ring_reader("notes")) for process in (layout.GATE, layout.TELEMETRY)]
         self._said: set[str] = set()
@@ -38,11 +38,13 @@ class Teller:
         self._said = {cause.reason}
 
     def _news_of(self, cause: Cause) -> bool:
-        """True when this reason was not told of since the latch; several processes notice the same."""
+        """True when this reason was not told of since the latch; several processes notice the same. Of more reasons
+        than are remembered the older may be told of again."""
         if cause.reason in self._said:
             return False
-        if len(self._said) < MOST_SAID:
-            self._said.add(cause.reason)
+        if len(self._said) >= MOST_SAID:
+            self._said.clear()
+        self._said.add(cause.reason)
         return True
 
     def also(self, cause: Cause) -> None:
@@ -79,7 +81,7 @@ class Teller:
         todo = self.events.command("enable")
         self.events.tell("ready", f"{self._name!r} is ready: wheels stopped, motion disabled; next: {todo}")
         if not realtime:
-            self.events.tell("rights", NO_REALTIME, {"what": "SCHED_FIFO"})
+            self.events.tell("rights", f"{NO_REALTIME}; {self._advice}", {"what": "SCHED_FIFO"})
 
     def missing(self, missing: str, now_ns: int) -> None:
         """Once a turn: what motion waits for; told of when it stays away, and when it has come after all."""
@@ -105,7 +107,15 @@ class Teller:
                     continue  # a damaged one: nothing depends on it
                 self.events.tell(note.kind, note.text, {"process": process, **note.fields}, level=note.level)
 
-    def ended(self, *, written: bool) -> None:
-        """The service has ended; `written`: the second stop could be written."""
+    def ended(self, heard_ns: int, link: str, *, written: bool) -> None:
+        """The service has ended. `heard_ns`: how long after the first stop the board acknowledged it, 0 for not; `link`
+        as of link.py; `written`: the second stop could be written."""
         told = "the stop was written twice" if written else "the second stop could NOT be written"
-        self.events.tell("stopped", f"stopped; {told}", level="" if written else "critical")
+        fields = {"link": link, "acknowledged_us": round(heard_ns / 1e3, 1) if heard_ns else None}
+        if heard_ns:
+            heard, level = f"acknowledged by the board after {heard_ns / 1e6:.1f} ms", ""
+        elif link == UNPROVEN:
+            heard, level = "whether the board hears is not known (link unproven)", "warning"
+        else:
+            heard, level = f"NOT acknowledged by the board (link {link}); wheels that turn: POWER SWITCH", "critical"
+        self.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if written else "critical")

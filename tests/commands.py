@@ -8,7 +8,7 @@ import sys
 FAILSTOP = (sys.executable, "-m", "failstop")
 
 
-def failstop(*words: str, said: str | None = None, timeout: float = 20.0) -> subprocess.CompletedProcess[str]:
+def failstop(*words: str, said: str | None = None, timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
     """Run `failstop WORDS` to its end; `said`: what is typed. Raises subprocess.TimeoutExpired."""
     command = [*FAILSTOP, *words]
     return subprocess.run(command, input=said, capture_output=True, text=True, timeout=timeout, check=False)

@@ -17,9 +17,9 @@ from failstop.shm import layout
 ROOT = Path(__file__).resolve().parent.parent
 # What the rooms may import of the board. Telemetry knows it; the gate never sees the port.
 KNOWN = {
-    "supervisor": {"port", "interface"},
+    "supervisor": {"finder", "port", "interface"},
     "procs/gate": {"interface"},
-    "procs/port_owner": {"port", "interface"},
+    "procs/port_owner": {"finder", "port", "interface"},
     "procs/stopper": {"port", "interface"},
 }
 

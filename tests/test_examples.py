@@ -74,7 +74,10 @@ def test_the_samples_in_the_example_are_right_when_uncommented(tmp_path: Path) -
     file.write_text(re.sub(r"^# (\[|\w+ = )", r"\1", uncommented(text), flags=re.MULTILINE))
     settings = config.load(str(file))
     assert settings.sources() == {"teleop": (10, 300_000_000), "cmd_vel": (0, 300_000_000)}
-    assert settings.interlocks() == {"arm": (500_000_000, "arm is not in the drive pose")}
+    assert settings.interlocks() == {
+        "arm": (500_000_000, "arm is not in the drive pose"),
+        "ros2": (300_000_000, "the ROS 2 bridge is away, or two nodes publish cmd_vel"),
+    }
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.name)

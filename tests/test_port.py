@@ -94,6 +94,20 @@ def test_hupcl_is_cleared_when_it_was_set(pty: tuple[int, str]) -> None:
     os.close(slave)
 
 
+def test_output_that_somebody_has_stopped_goes_on(pty: tuple[int, str]) -> None:
+    master, path = pty
+    stop = "import sys, termios; termios.tcflow(sys.stdin.fileno(), termios.TCOOFF)"
+    with open(path, "rb", buffering=0) as held:
+        subprocess.run([sys.executable, "-c", stop], stdin=held, timeout=20, check=True)
+        with pytest.raises(BlockingIOError):
+            os.write(other := os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK), b"kept back")
+        os.close(other)
+    descriptor = open_port(path, exclusive=True)
+    os.write(descriptor, b"stop")
+    assert read_exactly(master, 4) == b"stop"
+    os.close(descriptor)
+
+
 def test_descriptor_flags(pty: tuple[int, str]) -> None:
     descriptor = open_port(pty[1], exclusive=False)
     assert fcntl.fcntl(descriptor, fcntl.F_GETFD) & fcntl.FD_CLOEXEC
@@ -164,6 +178,42 @@ def test_exclusive_is_the_terminals_own_and_can_be_released(pty: tuple[int, str]
     assert not claimed(shared)
     os.close(exclusive)
     os.close(shared)
+
+
+def let_everybody_open(descriptor: int) -> None:
+    """As root may, whom TIOCEXCL does not hold up."""
+    fcntl.ioctl(descriptor, termios.TIOCNXCL)
+
+
+def test_a_second_service_is_kept_out_by_the_lock_where_the_claim_does_not_hold(pty: tuple[int, str]) -> None:
+    first = open_port(pty[1], exclusive=True)
+    let_everybody_open(first)
+    settings = termios.tcgetattr(first)
+    settings[2] |= termios.HUPCL
+    termios.tcsetattr(first, termios.TCSANOW, settings)
+    with pytest.raises(PortError) as caught:
+        open_port(pty[1], exclusive=True)
+    assert (caught.value.kind, caught.value.errno) == ("busy", errno.EBUSY)
+    assert str(caught.value) == f"{pty[1]} is held by another process (flock): stop it first"
+    assert not claimed(first), "a refusal leaves no claim, which would outlive it"
+    assert termios.tcgetattr(first) == settings, "nor anything else"
+    assert port.open_if_there(pty[1]) == -1
+    os.close(open_port(pty[1], exclusive=False))
+    os.close(first)
+    os.close(open_port(pty[1], exclusive=True))
+
+
+def test_the_lock_is_held_by_every_duplicate_and_let_go_with_the_claim(pty: tuple[int, str]) -> None:
+    first = open_port(pty[1], exclusive=True)
+    handed = os.dup(first)
+    os.close(first)
+    let_everybody_open(handed)
+    with pytest.raises(PortError, match="flock"):
+        open_port(pty[1], exclusive=True)
+    port.release_exclusive(handed)
+    second = open_port(pty[1], exclusive=True)
+    os.close(second)
+    os.close(handed)
 
 
 def test_busy_names_the_claim(pty: tuple[int, str]) -> None:

@@ -45,3 +45,34 @@ def test_what_is_closed_is_dev_null_and_what_is_open_stays(closed: tuple[int, ..
 
 def test_a_command_that_has_nobody_to_talk_to_still_answers_by_its_code() -> None:
     assert run_without((1, 2), "-m", "failstop", "status", "--name", "nobody-runs-this") == 3
+
+
+@pytest.mark.parametrize(
+    "words", ["--help", "--version", "config", "config --markdown", "drive --help", "completion bash"]
+)
+@pytest.mark.parametrize("buffered", [True, False])
+def test_output_that_nothing_takes_is_told_in_one_line(words: str, buffered: bool) -> None:
+    environ = {**os.environ, "PYTHONUNBUFFERED": "" if buffered else "1"}
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "failstop", *words.split()]
+        to = {"stdout": full, "stderr": subprocess.PIPE}
+        done = subprocess.run(command, **to, env=environ, text=True, timeout=60, check=False)  # type: ignore[call-overload]
+    assert done.returncode == 1
+    assert done.stderr == (
+        "failstop: standard output takes no more (No space left on device): what is missing there was not written\n"
+    )
+
+
+def test_a_reader_that_has_gone_is_told_nothing() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "failstop", "--help"]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (1, "")
+
+
+def test_a_refusal_keeps_its_code_when_nobody_can_be_told() -> None:
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "failstop", "status", "--name", "nobody-runs-this"]
+        assert subprocess.run(command, stdout=full, stderr=full, timeout=60, check=False).returncode == 3

@@ -69,6 +69,8 @@ SAMPLES = (
     ("sources.teleop.timeout_s", 0.3),
     ("interlocks.arm.timeout_s", 0.5),
     ("interlocks.arm.refusal", "arm is not in the drive pose"),
+    ("interlocks.ros2.timeout_s", 0.3),
+    ("interlocks.ros2.refusal", "the ROS 2 bridge is away, or two nodes publish cmd_vel"),
 )
 
 

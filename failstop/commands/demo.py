@@ -8,6 +8,7 @@ import time
 from argparse import ArgumentParser, Namespace
 
 from failstop import style
+from failstop.commands.ros2 import find_rclpy
 from failstop.shm import layout
 from failstop.style import FAIL, OK, PLAIN, STRONG, paint
 from failstop.trial import Stopped, Trial
@@ -32,21 +33,26 @@ ORDER = (layout.GATE, layout.PORT_OWNER, layout.TELEMETRY, layout.STOPPER, layou
 EXAMPLES = """\
 failstop demo                # exit code 1 if any stop was missing or late
 failstop demo --rounds 5
+failstop demo --ros2         # and ROS 2 nodes, where there is rclpy
 """
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop demo`."""
+    parser.add_argument("--ros2", action="store_true", help="ROS 2 nodes drive too, and their bridge is killed")
     parser.add_argument("--rounds", type=int, default=1, help="how often each process is killed (default: 1)")
 
 
 class Row:
     """One kill as the table shows it."""
 
-    def __init__(self, process: str, stopped: Stopped, restart_s: float) -> None:
+    def __init__(
+        self, process: str, stopped: Stopped, restart_s: float | None = None, late_ms: float = LATE_MS
+    ) -> None:
         self.process = process
         self.stopped = stopped
         self.restart_s = restart_s
+        self.late_ms = late_ms
 
     def fault(self) -> str:
         """What went wrong; empty when the stop was in time and final."""
@@ -55,13 +61,15 @@ class Row:
             return "the wheels were not turning"
         if found.stop_ns is None or found.still_ns is None:
             return "NO STOP"
-        if found.stop_ns > LATE_MS * 1e6:
+        if found.stop_ns > self.late_ms * 1e6:
             return "LATE"
         return f"{found.motion_after} motion frames after the stop" if found.motion_after else ""
 
 
 def main(arguments: Namespace) -> int:
     """Run the demo; exit code 1 when any stop was missing or late, or anything moved after it."""
+    if arguments.ros2:
+        find_rclpy()
     print(paint("failstop demo", STRONG) + ": a simulated motor board that keeps its last wheel speed for ever\n")
     _step("board and service start")
     with Trial(f"demo-{os.getpid()}") as trial:
@@ -71,6 +79,7 @@ def main(arguments: Namespace) -> int:
         _done(trial.robot.enable())
         _show_drive(trial)
         rows = [_kill(trial, process) for _ in range(arguments.rounds) for process in ORDER]
+        rows += _ros2(trial) if arguments.ros2 else []
         _step("disable, end the service")
         trial.enable()
         _done(trial.robot.disable())
@@ -85,6 +94,19 @@ def main(arguments: Namespace) -> int:
         return 1
     _paragraph(("Every kill was answered by a stop, and nothing moved again before the next enable.", OK))
     return 0
+
+
+def _ros2(trial: Trial) -> list[Row]:
+    """ROS 2 nodes drive by the bridge, and what happens to them."""
+    from failstop.ros2 import demo
+
+    trial.leave()
+
+    def said(what: str, result: str) -> None:
+        _step(what)
+        _done(result)
+
+    return [Row(what, stopped, None, late_ms) for what, stopped, late_ms in demo.rows(trial, said)]
 
 
 def _step(what: str) -> None:
@@ -137,13 +159,15 @@ def _why(trial: Trial) -> str:
 
 
 def _table(rows: list[Row]) -> None:
-    head = f"{'killed':<12} {'first stop frame':>17} {'last wheel at zero':>19} {'motion after':>13} {'restarted':>10}"
+    columns = max(12, *(len(row.process) for row in rows))
+    head = f"{'killed':<{columns}} {'first stop frame':>17} {'last wheel at zero':>19} {'motion after':>13}"
+    head += f" {'restarted':>10}"
     print("\n" + paint(head, STRONG))
     for row in rows:
         found = row.stopped
         print(
-            f"{row.process:<12} {_ms(found.stop_ns):>17} {_ms(found.still_ns):>19} {found.motion_after:>13}"
-            f" {row.restart_s:>8.2f} s"
+            f"{row.process:<{columns}} {_ms(found.stop_ns):>17} {_ms(found.still_ns):>19} {found.motion_after:>13}"
+            f" {'-' if row.restart_s is None else f'{row.restart_s:.2f} s':>10}"
         )
     _paragraph((MEANING, PLAIN))
 

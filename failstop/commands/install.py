@@ -25,6 +25,7 @@ failstop install --dry-run           # only show what would be done
 sudo failstop install                # show it, ask, do it, wait until ready
 sudo failstop install --device /dev/ttyUSB0 --yes
 sudo failstop install --name front --device /dev/ttyACM1   # one more robot
+sudo failstop install --ros2-user robot   # and the bridge to ROS 2
 sudo failstop install --root /mnt/image --yes   # of a system not running
 """
 
@@ -38,6 +39,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--name", default=DEFAULT_NAME, help=f"the robot's name, if there are several (default: {DEFAULT_NAME})"
     )
+    parser.add_argument("--ros2-user", metavar="NAME", default="", help="the bridge to ROS 2 too, as this user")
     parser.add_argument("--root", metavar="DIR", help="install into this directory, the root of another system")
     parser.add_argument("--no-start", action="store_true", help="start it at the next boot, not now")
     parser.add_argument(
@@ -109,6 +111,7 @@ def _wish(arguments: Namespace) -> plan.Wish:
         arguments.root is None,
         not arguments.no_start,
         _running_command() if arguments.use_running_venv else plan.OWN_COMMAND,
+        arguments.ros2_user,
     )
 
 

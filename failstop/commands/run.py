@@ -1,18 +1,24 @@
-"""`failstop run`: the service in the foreground."""
+"""`failstop run`: the service in the foreground. The stop is on the wire before anything is refused."""
 
 from __future__ import annotations
 
 from failstop.board.port import PortError
 from failstop.commands import add_name
 from failstop.errors import FailstopError
-from failstop.shm import instance, segment
+from failstop.procs import limits
+from failstop.shm import instance
 from failstop.supervisor import config, starter
 from failstop.supervisor.port import OwnPort
+from failstop.supervisor.settings import BY_KEY, SettingError
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
+
+DEVICE = "device.path"
+REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError, ImportError)
+"""What can keep the service from starting; ImportError where no file can be opened any more."""
 
 EXAMPLES = """\
 failstop run                             # /dev/ttyACM0, default settings
@@ -30,22 +36,77 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Stop first, then become the supervisor. Raises what cli.py turns into one line."""
-    settings = config.load(arguments.config, {"device.path": arguments.device} if arguments.device else None)
-    runtime_dir = instance.make_runtime_dir(arguments.name)
-    lock = instance.lock(runtime_dir)
-    if pid := segment.living_supervisor(arguments.name):
-        raise instance.already_running(arguments.name, pid)
+    read = None if arguments.device else _read(arguments.config)
+    device = arguments.device or _device(read or {})
+    port, lost = _stop(device, arguments.name)
     try:
-        port = OwnPort.open_and_stop(settings.text("device.path"))
+        _start(arguments, read, port)
+    except REFUSALS as error:
+        told = f"no stop was written: {lost}"
+        if port:
+            written = port.stopped and port.drain()
+            told = f"the stop is written to {device}" if written else f"{device} takes no bytes: use the POWER SWITCH"
+            port.replace(-1)
+        raise FailstopError(f"{_why(error)}; {told}") from None
+    raise FailstopError(f"{lost}{_others(lost)}")
+
+
+def _read(path: str | None) -> dict[str, object] | None:
+    """What the settings file says, as it comes; None: it can't be read, and the stop does not wait for the reason."""
+    try:
+        return config.read(path)
+    except Exception:
+        return None
+
+
+def _device(read: dict[str, object]) -> str:
+    """Where the stop goes: what a file says, whatever else is wrong in it; else the default."""
+    declared = BY_KEY[DEVICE]
+    try:
+        return str(declared.check(read.get(DEVICE, declared.default)))
+    except SettingError:
+        return str(declared.default)
+
+
+def _stop(device: str, name: str) -> tuple[OwnPort | None, PortError | None]:
+    """Open the port and write the stop; else (None, why not). Raises InstanceError when that is because a living
+    service of this name has the port."""
+    try:
+        return OwnPort.open_and_stop(device, lambda: instance.refuse_locked(name)), None
     except PortError as error:
-        raise FailstopError(f"{error}{_others(error)}") from None
-    starter.become_supervisor(arguments.name, runtime_dir, settings, lock, port.fd)
-    raise AssertionError("exec returned")
+        if error.kind == "busy":
+            instance.refuse_listening(name)
+        return None, error
 
 
-def _others(error: PortError) -> str:
+def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
+    """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
+    limits.take_descriptors()
+    given = {DEVICE: arguments.device} if arguments.device else {}
+    settings = config.checked({**(config.read(arguments.config) if read is None else read), **given})
+    instance.check_name(arguments.name)
+    if port is None:
+        return
+    runtime_dir = instance.make_runtime_dir(arguments.name)
+    instance.refuse_listening(arguments.name, runtime_dir)
+    starter.become_supervisor(arguments.name, runtime_dir, settings, instance.lock(runtime_dir), port.fd)
+
+
+def _why(error: Exception) -> str:
+    """The reason of a refusal. Its port is closed, so that there is a descriptor again for what was missing."""
+    if isinstance(error, (OSError, ImportError)):
+        try:
+            limits.take_descriptors()
+        except OSError as short:
+            return str(short)
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)
+
+
+def _others(error: PortError | None) -> str:
     """The serial devices that are there, when the one that was asked for is not."""
-    if error.kind != "absent":
+    if error is None or error.kind != "absent":
         return ""
     from failstop.board import discovery
 

@@ -61,9 +61,11 @@ def _positive(text: str) -> float:
 def main(arguments: Namespace) -> int:
     """Drive; motion is disabled at the end. The exit code is 0 after q, else 128 and the signal's number."""
     follower = Follower(arguments.name)
+    if follower.reader:
+        follower.reader.run.check_source(arguments.source)
     terminal = Terminal(on=keys.ASK, off=keys.UNASK)
     with Robot(arguments.name, client=CLIENT) as robot:
-        robot.hold()  # takes the client slot: what is wrong with that is to be said before the screen changes
+        robot.hold()  # takes the client slot: what is wrong with that, too, is to be said before the screen changes
         pilot = Pilot(robot, arguments.source, arguments.speed, arguments.turn)
         try:
             with terminal:
@@ -122,7 +124,7 @@ def _pause(terminal: Terminal, pilot: Pilot) -> None:
     """Ctrl-Z: the robot stands while nobody is at the keys, and its slot is free for others."""
     _disable(pilot.robot)
     pilot.hold.let_go()
-    pilot.robot.close()
+    pilot.robot.release()
     terminal.suspend()
     pilot.note = ("motion was disabled while this was stopped: e enables it", style.WARN)
 

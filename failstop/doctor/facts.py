@@ -73,6 +73,8 @@ class Rights:
     """CAP_IPC_LOCK: locked memory whatever the limit."""
     realtime_granted: bool
     """The kernel did give SCHED_FIFO when asked."""
+    container: bool = False
+    """It runs in one."""
     runtime_us: int | None = None
     """kernel.sched_rt_runtime_us: of each second, what real-time processes may use; -1: no limit, 0: none."""
 
@@ -135,6 +137,8 @@ class Service:
     same_layout: bool
     problem: str = ""
     """Why its state can't be read, in one line."""
+    starved: str = ""
+    """How often the machine did not run it, in words."""
     user: str = ""
     device: str = ""
     device_state: str = ""
@@ -142,6 +146,10 @@ class Service:
     enabled: bool = False
     latched: str = ""
     waiting_for: str = ""
+    said: tuple[tuple[str, str, str], ...] = ()
+    """Who, what it sees, what is wrong: by a client's own account."""
+    bridge: int = 0
+    """The pid that the bridge to ROS 2 says it has; 0: it is not connected."""
     processes: tuple[Process, ...] = ()
 
 
@@ -213,6 +221,18 @@ class StopTest:
 
 
 @dataclasses.dataclass(frozen=True)
+class Ros2:
+    """What is seen of ROS 2."""
+
+    users: tuple[str, ...] = ()
+    """Who has files of Fast DDS in /dev/shm."""
+    pid: int = 0
+    """The bridge's; 0: none is connected."""
+    user: str = ""
+    udp_only: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
 class Facts:
     """Everything. The defaults are for what was not looked at."""
 
@@ -244,6 +264,7 @@ class Facts:
     systemd: bool = False
     unit: Unit | None = None
     remove_ipc: RemoveIpc | None = None
+    ros2: Ros2 = Ros2()
     ticks: tuple[Ticks, ...] = ()
     stops: tuple[StopTest, ...] = ()
     stop_skipped: str = ""

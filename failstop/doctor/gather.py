@@ -5,15 +5,14 @@ from __future__ import annotations
 import os
 
 from failstop.board.discovery import BOARD_PID, BOARD_VID
-from failstop.doctor import machine_facts, paste, port_facts, service_facts, stop_test, ticks
+from failstop.doctor import machine_facts, paste, port_facts, ros2_facts, service_facts, stop_test, ticks
 from failstop.doctor.facts import NAMED, Facts, Holder, Node, Service, StopTest, Unit, User
 from failstop.doctor.system import System
 from failstop.errors import FailstopError
-from failstop.shm.instance import DEFAULT_NAME, check_name
+from failstop.shm.instance import check_name
 from failstop.supervisor import config
 from failstop.supervisor.settings import SettingError, Settings
 
-CONFIG_FOLDER = "/etc/failstop"
 ACCOUNT = "failstop"
 BOARD_USB = f"{BOARD_VID:04x}:{BOARD_PID:04x}"
 
@@ -58,6 +57,7 @@ def gather(
         systemd=systemd,
         unit=unit,
         remove_ipc=service_facts.remove_ipc(system) if systemd else None,
+        ros2=ros2_facts.ros2(service, system),
         ticks=() if quick else ticks.measure(),
         stops=stops,
         stop_skipped=skipped,
@@ -69,9 +69,9 @@ def gather(
 
 def settings_of(name: str, path: str | None, system: System) -> tuple[str | None, Settings]:
     """The file that was named, else the installed one, else the defaults. Raises SettingError."""
-    installed = os.path.join(CONFIG_FOLDER, f"{'failstop' if name == DEFAULT_NAME else name}.toml")
-    if path is None and os.access(system.path(installed), os.R_OK):
-        path = system.path(installed)
+    installed = system.path(config.installed(name))
+    if path is None and os.access(installed, os.R_OK):
+        path = installed
     return path, config.load(path)
 
 

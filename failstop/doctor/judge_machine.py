@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from failstop.doctor.facts import Facts, Leftover, Ticks, again
 from failstop.doctor.finding import Finding, fail, ok, skip, warn
+from failstop.supervisor import grant
 
 GOOD_SOURCES = ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page", "xen")
 SLOW_GOVERNORS = ("powersave", "conservative", "ondemand")
@@ -16,6 +17,7 @@ ENOUGH_BYTES = 1 << 30
 STEP_S = 0.5
 GOVERNORS = "/sys/devices/system/cpu/cpu*/cpufreq/scaling_governor"
 LIMITS = "/etc/security/limits.d/failstop.conf"
+STARVED = "look at what else has real-time priority (`ps -eo pid,rtprio,comm`), and at the host of a virtual machine"
 SHOWN = 3
 MICRO = 1e6
 SET_CLOCK = {
@@ -34,7 +36,10 @@ def realtime(facts: Facts) -> list[Finding]:
             text = (
                 f"the service runs without real-time priority ({', '.join(without)}): a busy machine delays its stops"
             )
+            text = f"{facts.service.starved}; {text}" if facts.service.starved else text
             return warn(text, *_limit(facts, "rtprio 40", "LimitRTPRIO=40"))
+        if facts.service.starved:
+            return warn(f"{facts.service.starved}, in spite of real-time priority", "", STARVED)
         return ok("every process of the service has real-time priority")
     if rights.runtime_us == 0:
         return fail("real-time processes get no time at all", "sudo sysctl kernel.sched_rt_runtime_us=950000")
@@ -55,9 +60,11 @@ def _limit(facts: Facts, limit: str, unit_line: str) -> tuple[str, str]:
             "",
             f"its unit should say {unit_line}, as the one of failstop install does; in a container the host decides",
         )
+    if facts.rights.container:
+        return "", grant.CONTAINER
     who = (facts.service.user if facts.service else "") or facts.user.name
     fix = f"echo '{who} - {limit}' | sudo tee -a {LIMITS}"
-    return fix, "then log in anew, and start the service again; in a container the host decides"
+    return fix, f"then log in anew and start the service again; or, until you log out, {grant.SHELL}"
 
 
 def memory_lock(facts: Facts) -> list[Finding]:

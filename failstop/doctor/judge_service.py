@@ -53,6 +53,17 @@ def _not_running(facts: Facts) -> list[Finding]:
     return warn(text, f"failstop run{option(facts.name)}{config} --device {shlex.quote(facts.device)}")
 
 
+def clients(facts: Facts) -> list[Finding]:
+    """What clients say of themselves."""
+    service = facts.service
+    if service is None or service.problem:
+        return []
+    found = []
+    for who, sees, wrong in service.said:
+        found += warn(f"{who} says: {wrong}", f"failstop why --name {facts.name}") if wrong else ok(f"{who}: {sees}")
+    return found or ok("none says anything of itself")
+
+
 def settings(facts: Facts) -> list[Finding]:
     """The settings that a start would read."""
     if facts.settings_problem:

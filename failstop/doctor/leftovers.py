@@ -15,11 +15,13 @@ SHM = "/dev/shm"
 
 def look(server: User, system: System) -> tuple[tuple[Leftover, ...], tuple[str, ...]]:
     """(what dead runs left, names of the services that run). `server`: who runs the service."""
-    found, living = [], []
-    for name, files in _files(system).items():
-        if _lives(name):
+    found: list[Leftover] = []
+    living: list[str] = []
+    for name, runs in _runs(system).items():
+        dead = [path for run, files in runs.items() if not _lives(run, system) for path in files]
+        if any(_lives(run, system) for run in runs):
             living.append(name)
-        elif stats := [stat for stat in map(_stat, files) if stat]:
+        if stats := [stat for stat in map(_stat, dead) if stat]:
             found.append(_leftover(name, stats, server))
     return tuple(found), tuple(living)
 
@@ -43,10 +45,9 @@ def _remove(name: str, system: System) -> bool:
                 locks.append(claim.open_claims(instance.lock_path(place)))
                 if not claim.take(locks[-1], 0):
                     return False
-        if _lives(name):
-            return False
-        for path in _files(system).get(name, ()):
-            os.unlink(path)
+        for run, files in _runs(system).get(name, {}).items():
+            for path in files if not _lives(run, system) else ():
+                os.unlink(path)
         return True
     except (InstanceError, OSError):
         return False
@@ -55,16 +56,21 @@ def _remove(name: str, system: System) -> bool:
             os.close(fd)
 
 
-def _files(system: System) -> dict[str, list[str]]:
-    """The files of each instance."""
-    found: dict[str, list[str]] = {}
+def _runs(system: System) -> dict[str, dict[str, list[str]]]:
+    """The files of each run of each instance."""
+    found: dict[str, dict[str, list[str]]] = {}
     for file in system.names(SHM):
         prefix, _, rest = file.partition(".")
-        name, dot, _ = rest.partition(".")
+        name, dot, rest = rest.partition(".")
         with contextlib.suppress(InstanceError):
             if prefix == "failstop" and dot:
-                found.setdefault(instance.check_name(name), []).append(system.path(f"{SHM}/{file}"))
+                runs = found.setdefault(instance.check_name(name), {})
+                runs.setdefault(f"{name}.{rest.partition('.')[0]}", []).append(system.path(f"{SHM}/{file}"))
     return found
+
+
+def _lives(run: str, system: System) -> bool:
+    return segment.living(run, system.path(SHM))
 
 
 def _stat(path: str) -> os.stat_result | None:
@@ -72,14 +78,6 @@ def _stat(path: str) -> os.stat_result | None:
         return os.stat(path)
     except OSError:
         return None
-
-
-def _lives(name: str) -> bool:
-    try:
-        instance.find(name)
-    except instance.NoService:
-        return bool(segment.living_supervisor(name))
-    return True
 
 
 def _leftover(name: str, stats: list[os.stat_result], server: User) -> Leftover:

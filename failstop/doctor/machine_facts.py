@@ -13,6 +13,7 @@ from failstop.doctor.facts import Clock, Cpu, Idle, Rights, SharedMemory, User
 from failstop.doctor.leftovers import SHM
 from failstop.doctor.system import System
 from failstop.shm import layout
+from failstop.supervisor import grant
 
 CAP_IPC_LOCK = 14
 CAP_SYS_NICE = 23
@@ -37,6 +38,7 @@ def rights(system: System) -> Rights:
         nice_capability=bool(capabilities >> CAP_SYS_NICE & 1),
         lock_capability=bool(capabilities >> CAP_IPC_LOCK & 1),
         realtime_granted=_try_realtime(),
+        container=grant.in_container(),
         runtime_us=system.number("/proc/sys/kernel/sched_rt_runtime_us"),
     )
 

@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 import subprocess
 
+from failstop.client import last_run, runtime_dir
 from failstop.doctor.facts import Process, RemoveIpc, Service, Unit
 from failstop.doctor.system import System, user_name
 from failstop.errors import FailstopError, NoService
 from failstop.install.layout import unit_of
-from failstop.shm import layout, segment, slot
+from failstop.screen import words
+from failstop.shm import instance, layout, segment, slot
 from failstop.state import State, StateReader
 from failstop.version import VERSION
 
+BRIDGE = "ros2"
+"""The name of the bridge to ROS 2 among the clients."""
 SYSTEMCTL_S = 1.0
 PROPERTIES = ("LoadState", "ActiveState", "SubState", "UnitFileState", "Result", "User", "NeedDaemonReload")
 NUMBERS = ("MainPID", "NRestarts")
@@ -27,8 +31,16 @@ def service(name: str, system: System) -> Service | None:
     except NoService:
         return None
     except FailstopError as error:
-        return Service(segment.living_supervisor(name), version, same, str(error))
+        return Service(_pid(name), version, same, str(error))
     return _running(state, version, system)
+
+
+def _pid(name: str) -> int:
+    """Of a service whose memory can't be read, where this user may look; else 0."""
+    try:
+        return int(instance.holder(runtime_dir(name)) or 0)
+    except FailstopError:
+        return 0
 
 
 def _running(state: State, version: str, system: System) -> Service:
@@ -48,6 +60,9 @@ def _running(state: State, version: str, system: System) -> Service:
         enabled=state.enabled,
         latched=state.estop or "",
         waiting_for=state.waiting_for or "",
+        starved=words.starved(state.starved),
+        said=tuple(words.said(state)),
+        bridge=next((client["pid"] for client in state.clients if client["name"] == BRIDGE), 0),
         processes=tuple(
             Process(which, row.pid, row.realtime, row.memory_locked) for which, row in state.processes.items()
         ),
@@ -56,11 +71,11 @@ def _running(state: State, version: str, system: System) -> Service:
 
 def header(name: str, system: System) -> tuple[str, bool]:
     """(version, same layout as this program's) of the shared memory of a run; ("", False) when there is none."""
-    path = system.path(f"/dev/shm{segment.shm_name(name, layout.SUPERVISOR)}")
     try:
-        with open(path, "rb") as file:
+        memory, _ = last_run(name)
+        with open(system.path(segment.path_of(memory, layout.SUPERVISOR)), "rb") as file:
             entry = slot.check(file.read(layout.HEADER_BYTES), segment._HEADER_SEED)
-    except OSError:
+    except (FailstopError, OSError):
         return "", False
     if entry is None or len(entry[2]) != segment._HEADER.size:
         return "", False

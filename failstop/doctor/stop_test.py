@@ -18,6 +18,7 @@ from failstop.doctor.tap import Tap
 from failstop.errors import FailstopError
 from failstop.procs.stopper import tool
 from failstop.robot import Robot
+from failstop.shm.records import requested
 from failstop.supervisor.port import OwnPort
 
 ANSWER_S = 0.5
@@ -63,7 +64,7 @@ def _on_duplicate(own: OwnPort, _path: str) -> bool:
 def _with_tool(own: OwnPort, path: str) -> bool:
     # It opens the port as ExecStopPost does, when the service has let it go.
     release_exclusive(own.fd)
-    tool.stop(path, 0.0, lambda _: None)
+    tool.stop(path, lambda _: 0.0, lambda _: None)
     return True
 
 
@@ -99,7 +100,7 @@ def by_service(name: str) -> tuple[StopTest, ...]:
         while answered_ms is None and time.monotonic() < until_s:
             time.sleep(POLL_S)
             stop = robot.state.last_stop
-            if stop and stop.reason.startswith(REASON):
+            if stop and stop.reason.startswith(requested(REASON)):
                 written = stop.written_us is not None
                 answered_ms = None if stop.acknowledged_us is None else stop.acknowledged_us / 1000
         problem = ""

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from failstop.doctor import judge_machine, judge_port, judge_service, paste
+from failstop.doctor import judge_machine, judge_port, judge_ros2, judge_service, paste
 from failstop.doctor.facts import Facts
 from failstop.doctor.finding import LEVELS, Finding
 
@@ -27,6 +27,8 @@ CHECKS = (
     Check("grabbers", judge_port.grabbers),
     Check("settings", judge_service.settings),
     Check("service", judge_service.running),
+    Check("clients", judge_service.clients),
+    Check("ROS 2", judge_ros2.bridge),
     Check("version", judge_service.version),
     Check("unit", judge_service.unit),
     Check("realtime", judge_machine.realtime),

@@ -10,12 +10,12 @@ import signal
 import time
 from collections.abc import Callable
 
-from failstop.client import Client
+from failstop.client import Client, run
 from failstop.faults.crowd import ChildDriver, Nobody
 from failstop.faults.fault import Fault
 from failstop.faults.inject import Injector
 from failstop.faults.scene import Scene
-from failstop.procs.gate.sources import DEFAULT
+from failstop.procs.gate.sources import DEFAULT, PAD
 from failstop.shm import instance, segment
 
 CLAIM_SEEN_S = 0.06
@@ -86,7 +86,7 @@ class SlotDamaged(OtherDrives):
     def strike(self, scene: Scene) -> int:
         commanded_ns = self.hang()
         assert self.child
-        self._path = "/dev/shm" + segment.shm_name(scene.name, f"client.{self.child.slot}")
+        self._path = segment.path_of(run(scene.name)[0], f"client.{self.child.slot}")
         with open(self._path, "rb") as file:
             self._whole = file.read()
         self.during(scene)
@@ -119,7 +119,7 @@ class SlotUnlinked(SlotDamaged):
 
     def strike(self, scene: Scene) -> int:
         assert self.child
-        self._path = "/dev/shm" + segment.shm_name(scene.name, f"client.{self.child.slot}")
+        self._path = segment.path_of(run(scene.name)[0], f"client.{self.child.slot}")
         now_ns = time.monotonic_ns()
         os.rename(self._path, self._path + AWAY)
         return now_ns
@@ -134,6 +134,7 @@ class SecondClient(Injector):
     """Another client publishes on the same source: whatever `velocity` says."""
 
     velocity = (0.1, 0.0, 0.0)
+    source = DEFAULT
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault)
@@ -145,7 +146,7 @@ class SecondClient(Injector):
     def strike(self, scene: Scene) -> int:
         assert self._client
         now_ns = time.monotonic_ns()
-        self._client.command(*self.velocity, manual=False, source=DEFAULT)
+        self._client.command(*self.velocity, manual=False, source=self.source)
         return now_ns
 
     def heal(self, scene: Scene) -> None:
@@ -159,15 +160,24 @@ class ClientNan(SecondClient):
     velocity = (0.0, math.nan, 0.0)
 
 
+class ClientAsGamepad(SecondClient):
+    """The gamepad goes before every source: whoever could stand in for it would have the wheels."""
+
+    velocity = (0.0, 0.0, 0.0)
+    source = PAD
+
+
 class StopRequest(Injector):
     """From a process without rights."""
+
+    words = "nobody says so"
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault)
         self._nobody: Nobody | None = None
 
     def prepare(self, scene: Scene) -> None:
-        self._nobody = Nobody(scene.name, "nobody says so")
+        self._nobody = Nobody(scene.name, self.words)
 
     def strike(self, scene: Scene) -> int:
         assert self._nobody
@@ -176,6 +186,12 @@ class StopRequest(Injector):
     def heal(self, scene: Scene) -> None:
         if self._nobody:
             self._nobody.end()
+
+
+class StopRequestPosing(StopRequest):
+    """In the words that the service has for a cause of its own."""
+
+    words = "gate died"
 
 
 class StopPipe(Injector):
@@ -315,12 +331,14 @@ INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "client-hung": ClientHung,
     "client-nan": ClientNan,
     "client-second": SecondClient,
+    "client-gamepad": ClientAsGamepad,
     "slot-scribbled": SlotScribbled,
     "slot-truncated": SlotTruncated,
     "slot-unlinked": SlotUnlinked,
     "pad-silent": PadSilent,
     "service-stopped": ServiceStopped,
     "stop-request": StopRequest,
+    "stop-request-posing": StopRequestPosing,
     "stop-pipe-garbage": StopPipeGarbage,
     "stop-pipe-flood": StopPipeFlood,
     "pad-button": PadButton,

@@ -17,7 +17,7 @@ from failstop.faults.crowd import Helper, spin_for_ever
 from failstop.faults.fault import Fault
 from failstop.faults.inject import AskedMeanwhile, Injector
 from failstop.faults.scene import Scene
-from failstop.shm.layout import GATE
+from failstop.shm.layout import GATE, TELEMETRY
 from failstop.trial import TrialError
 
 FROZEN_S = 0.3
@@ -26,7 +26,8 @@ STEP_VARIABLE = "FAILSTOP_STEP_CLOCK"
 SLEEP_VARIABLE = "FAILSTOP_SUSPEND"
 DISK_S = 4.0
 """The battery is reported once a second, and logged as often."""
-MET = "can't be written"
+UNWRITTEN = "can't be written"
+WRITTEN = "is written again"
 
 
 class NoProcessor(AskedMeanwhile):
@@ -121,35 +122,37 @@ class NoDescriptorsKill(NoDescriptors):
         return now_ns
 
 
-class NoDisk(AskedMeanwhile):
-    """The file of the day is /dev/full, until the service has met it."""
+class NoDisk(_NoMore):
+    """RLIMIT_FSIZE of the process that keeps the state files: none of them can grow, as on a full disk."""
+
+    kind = resource.RLIMIT_FSIZE
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault)
-        self._links: list[str] = []
         self._mark = 0
+
+    @staticmethod
+    def used(pid: int) -> int:
+        return 0
 
     def trouble(self, scene: Scene) -> None:
         self._mark = scene.trial.service.written()
-        for path in scene.battery_logs():
-            with contextlib.suppress(FileNotFoundError):
-                os.unlink(path)
-            os.symlink("/dev/full", path)
-            self._links.append(path)
+        self._limits.lower({TELEMETRY: scene.look_up_pids()[TELEMETRY]})
 
     def last(self, scene: Scene) -> None:
-        service = scene.trial.service
-        with contextlib.suppress(TrialError):
-            scene.driver.until("a line that could not be written", lambda: MET in service.said(self._mark), DISK_S)
+        _wait_for_a_line(scene, UNWRITTEN, self._mark)
 
     def heal(self, scene: Scene) -> None:
-        if not self._links:
-            return
-        for path in self._links:
-            os.unlink(path)
+        mark = scene.trial.service.written()
+        super().heal(scene)
         # It tells of the same trouble anew only when there has been a line without it.
-        with contextlib.suppress(TrialError):
-            scene.driver.until("a line that is written", lambda: any(map(os.path.exists, self._links)), DISK_S)
+        _wait_for_a_line(scene, WRITTEN, mark)
+
+
+def _wait_for_a_line(scene: Scene, text: str, mark: int) -> None:
+    service = scene.trial.service
+    with contextlib.suppress(TrialError):
+        scene.driver.until(f"a line with {text!r}", lambda: text in service.said(mark), DISK_S)
 
 
 class Frozen(Injector):

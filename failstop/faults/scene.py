@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import random
 import signal
 import subprocess
 import sys
 import tempfile
-import time
 
 from failstop.board.sim.client import SimBoard
 from failstop.client import send_stop
 from failstop.errors import FailstopError
 from failstop.faults.driving import INTERLOCK, Driver
-from failstop.procs.telemetry.state_files import state_directory
 from failstop.shm.layout import SUPERVISOR
 from failstop.supervisor.config import read
-from failstop.trial import Trial, TrialError
+from failstop.trial import Trial, TrialError, write_settings
 
 SETTINGS: dict[str, object] = {
     "restart.deaths": 100_000,
@@ -31,7 +28,6 @@ SETTINGS: dict[str, object] = {
 }
 """Of a campaign, over the user's: so many deaths are no crash loop here."""
 GONE_S = 5.0
-DAY_S = 86_400
 
 
 class Scene:
@@ -45,9 +41,7 @@ class Scene:
         """The board's word just before the fault."""
         self._folder = tempfile.TemporaryDirectory(prefix="failstop-chaos-")
         self._config = os.path.join(self._folder.name, "chaos.toml")
-        with open(self._config, "w", encoding="utf-8") as file:
-            # JSON's numbers and strings are TOML's too.
-            file.writelines(f"{key} = {json.dumps(value)}\n" for key, value in {**read(config), **SETTINGS}.items())
+        write_settings(self._config, {**read(config), **SETTINGS})
         self.trial = self._new_trial()
         self.driver = Driver(name)
         self._pids: dict[str, int] = {}
@@ -105,14 +99,6 @@ class Scene:
         """The pid of each process now; remembered for the end."""
         self._pids = {name: process.pid for name, process in self.driver.robot.state.processes.items()}
         return self._pids
-
-    def battery_logs(self) -> list[str]:
-        """The file that the battery's voltage goes to, today's and tomorrow's."""
-        environment = {**os.environ, "XDG_STATE_HOME": os.path.dirname(self.trial.link)}
-        folder = state_directory(self.name, environment)
-        os.makedirs(folder, exist_ok=True)
-        days = (time.strftime("%Y-%m-%d", time.gmtime(time.time() + after_s)) for after_s in (0, DAY_S))
-        return [os.path.join(folder, f"battery-{day}.csv") for day in days]
 
     def ask(self, reason: str) -> None:
         """A stop request."""

@@ -40,9 +40,9 @@ def _asked(name: str, event: str, cause: str, injector: str, logged: str = "", *
         event=event,
         cause=cause,
         first="port owner, when asked",
-        latched="^asked meanwhile",
+        latched="^stop request: asked meanwhile",
         cleared=RESET,
-        logged=logged or "E-STOP latched: asked meanwhile",
+        logged=logged or "E-STOP latched: stop request: asked meanwhile",
         bar_ms=bar_ms,
         injector=injector,
         counted_from=ASKED,
@@ -82,6 +82,11 @@ CLIENTS = (
         "^multiple cmd_vel publishers", RESET, "E-STOP latched: multiple cmd_vel publishers", 5.0, "client-second",
     ),
     Fault(
+        "client-gamepad", CLIENT, "a client commands zero as the gamepad", "nobody",
+        "", ITSELF, "the source 'gamepad' is the board's gamepad alone", None, "client-gamepad",
+        aftermath_s=0.4, weight=1,
+    ),
+    Fault(
         "slot-scribbled", MEMORY, "the driving client's slot is overwritten", "gate (its session is gone)",
         "", ITSELF, "", 50.0, "slot-scribbled", counted_from="its last command", aftermath_s=0.45, weight=1,
     ),
@@ -102,15 +107,19 @@ REQUESTS = (
     ),
     Fault(
         "stop-request", REQUEST, "a stop request by an unprivileged user", "port owner",
-        "^nobody says so", RESET, "E-STOP latched: nobody says so", 2.0, "stop-request",
+        "^stop request: nobody says so", RESET, "E-STOP latched: stop request: nobody says so", 2.0, "stop-request",
+    ),
+    Fault(
+        "stop-request-posing", REQUEST, "a stop request in the words of a cause of the service's own", "port owner",
+        "^stop request: gate died", RESET, "E-STOP latched: stop request: gate died", 2.0, "stop-request-posing",
     ),
     Fault(
         "stop-pipe-garbage", REQUEST, "garbage in the stop FIFO", "port owner",
-        ".", RESET, "E-STOP latched: ", 2.0, "stop-pipe-garbage",
+        "^stop request", RESET, "E-STOP latched: stop request", 2.0, "stop-pipe-garbage",
     ),
     Fault(
         "stop-pipe-flood", REQUEST, "the stop FIFO is kept full", "port owner",
-        "^flood", RESET, "E-STOP latched: flood", 2.0, "stop-pipe-flood",
+        "^stop request: flood", RESET, "E-STOP latched: stop request: flood", 2.0, "stop-pipe-flood",
     ),
     Fault(
         "pad-button", REQUEST, "a button of the gamepad, one frame", "port owner, asked by telemetry",
@@ -151,12 +160,13 @@ PORT = (
     ),
     Fault(
         "board-not-draining", BOARD, "the board takes no bytes", "nobody; port owner, once it takes bytes again",
-        "does not drain", RESET, "POWER SWITCH", 100.0, "board-not-draining", counted_from="taking bytes again",
+        "^port does not drain", RESET, "POWER SWITCH", 100.0, "board-not-draining", counted_from="taking bytes again",
         weight=1,
     ),
     Fault(
         "board-deaf", BOARD, "the board hears nothing while its telemetry goes on", "nobody; its 5 Hz zeros, later",
-        "deaf", RESET, "POWER SWITCH", 210.0, "board-deaf", counted_from="hearing again", aftermath_s=0.3, weight=1,
+        "^the board is deaf", RESET, "POWER SWITCH", 210.0, "board-deaf", counted_from="hearing again",
+        aftermath_s=0.3, weight=1,
     ),
     Fault(
         "board-unproven", BOARD, "the board has never answered a ping", "nobody",
@@ -170,7 +180,8 @@ PORT = (
     _asked("board-floods", BOARD, "the board sends without pause", "board-floods"),
     Fault(
         "board-refuses", BOARD, "the board executes the stop, and the wheels turn on", "port owner, in vain",
-        "^asked meanwhile", RESET, "CRITICAL", 5.0, "board-refuses", counted_from=ASKED, aftermath_s=2.0, weight=1,
+        "^stop request: asked meanwhile", RESET, "CRITICAL", 5.0, "board-refuses", counted_from=ASKED,
+        aftermath_s=2.0, weight=1,
     ),
 )  # fmt: skip
 
@@ -182,7 +193,7 @@ SURROUNDINGS = (
         "^gate died", RESET, "E-STOP latched: gate died", 10.0, "no-descriptors-kill", weight=1,
     ),
     _asked("no-memory", MACHINE, "no process may have more memory", "no-memory"),
-    _asked("no-disk", MACHINE, "no space for the state files", "no-disk", "can't be written: .*No space"),
+    _asked("no-disk", MACHINE, "the state files can't grow", "no-disk", "can't be written: .*File too large"),
     Fault(
         "names-removed", MACHINE, "the names in /dev/shm are gone, as by logind's RemoveIPC=yes",
         "port owner; the supervisor looks once a second", "", NEW_RUN, "was removed: restart the service; stop frame",
@@ -190,11 +201,11 @@ SURROUNDINGS = (
     ),
     Fault(
         "frozen", TIME, "every process frozen for 0.3 s and thawed together", "the first to wake",
-        "hangs|silent|frozen|slept|held up", RESET, "E-STOP latched: ", 65.0, "frozen", counted_from=THAWED, weight=1,
+        r"^\w+ (hangs|beats|was held up)", RESET, "E-STOP latched: ", 65.0, "frozen", counted_from=THAWED, weight=1,
     ),
     Fault(
         "suspended", TIME, "the machine sleeps and wakes", "the first to wake",
-        "slept|suspend", RESET, "E-STOP latched: ", 65.0, "suspended", counted_from="waking", weight=1,
+        "^the machine was suspended", RESET, "E-STOP latched: ", 65.0, "suspended", counted_from="waking", weight=1,
     ),
     Fault(
         "clock-stepped", TIME, "the wall clock is stepped by an hour, both ways", "nobody",

@@ -46,7 +46,7 @@ def _matters(incident: Incident, line: Line) -> bool:
     if line.what == "board":
         return "silent" in line.text
     if line.what == "stop":
-        return incident.reason not in line.text or line.ns < incident.cause_ns
+        return not line.text.partition(": ")[2].startswith(incident.reason) or line.ns < incident.cause_ns
     return line.what not in LEFT_OUT
 
 

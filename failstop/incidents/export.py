@@ -11,13 +11,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 from collections.abc import Iterator
+from io import BytesIO
 from math import nan, tau
 from typing import Any
 
-from failstop.incidents import messages, signals
+from failstop.incidents import file, messages, signals
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
 from failstop.procs.telemetry.imu import RATE_VARIANCE
@@ -40,25 +39,16 @@ def save(incident: Incident, path: str) -> int:
     except ImportError:
         raise IncidentError(NEEDS) from None
     found = sorted(_messages(incident), key=lambda message: message[0])
-    draft = f"{path}.part"
-    try:
-        with open(draft, "wb") as file:
-            writer: Any = Writer(file)
-            schemas = {name: writer.register_msgdef(name, text) for name, text in messages.ALL}
-            counts: dict[str, int] = {}
-            for ns, topic, (name, _), value in found:
-                counts[topic] = counts.get(topic, 0) + 1
-                at_ns = incident.unix_ns(ns)
-                writer.write_message(
-                    topic, schemas[name], value, log_time=at_ns, publish_time=at_ns, sequence=counts[topic]
-                )
-            writer.finish()
-        os.replace(draft, path)
-    except OSError as error:
-        raise IncidentError(f"{path} can't be written: {error.strerror}") from None
-    finally:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(draft)
+    made = BytesIO()
+    writer: Any = Writer(made)
+    schemas = {name: writer.register_msgdef(name, text) for name, text in messages.ALL}
+    counts: dict[str, int] = {}
+    for ns, topic, (name, _), value in found:
+        counts[topic] = counts.get(topic, 0) + 1
+        at_ns = incident.unix_ns(ns)
+        writer.write_message(topic, schemas[name], value, log_time=at_ns, publish_time=at_ns, sequence=counts[topic])
+    writer.finish()
+    file.write_as(path, made.getvalue())
     return len(found)
 
 

@@ -59,6 +59,16 @@ def write(folder: str, name: str, data: bytes) -> str:
     return path
 
 
+def write_as(path: str, data: bytes) -> None:
+    """Write a file of a person's choice, whole or not at all. Raises IncidentError."""
+    draft = f"{path}.part"
+    try:
+        durable.write_draft(draft, data)
+        durable.publish(draft, path)
+    except OSError as error:
+        raise IncidentError(f"{path} can't be written: {error.strerror}") from None
+
+
 def _free(folder: str, name: str) -> str:
     path = os.path.join(folder, name + SUFFIX)
     count = 1
@@ -89,7 +99,7 @@ def read(path: str) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _read(path: str, *, with_body: bool) -> tuple[dict[str, Any], dict[str, Any]]:
     try:
-        with open(path, "rb") as file:
+        with open(durable.open_regular(path), "rb") as file:
             start = file.read(START_BYTES)
             if len(start) < START_BYTES or not start.startswith(MAGIC):
                 raise IncidentError(f"{path} is no incident of failstop, or its beginning is lost")

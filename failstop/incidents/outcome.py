@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgpack
 
-from failstop.shm.records import printable
+from failstop.shm.records import REQUESTED, printable
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -40,9 +40,9 @@ def known(record: bytes | None, events: list[bytes], epoch: int, reason: str) ->
 
 
 def asked(reason: str) -> tuple[str, str, str]:
-    """(what was said, by whom, its pid) of a stop that a program or a person asked for, whose reason ends in
+    """(the reason without it, by whom, its pid) of a stop that a program or a person asked for, whose reason ends in
     `(WHO, pid N)`; of another one the reason and two empty texts."""
-    text, opened, end = reason.rpartition(" (")
+    text, opened, end = reason.rpartition(" (") if reason.startswith(REQUESTED) else ("", "", "")
     who, comma, pid = end.removesuffix(")").rpartition(", pid ")
     if opened and comma and end.endswith(")") and pid.isdigit():
         return text, who, pid

@@ -8,6 +8,8 @@ from typing import Any
 
 import msgpack
 
+from failstop.client import last_run
+from failstop.errors import FailstopError
 from failstop.incidents import store
 from failstop.shm import layout, segment
 
@@ -21,8 +23,9 @@ LOOK_S = 0.1
 def unsaved(name: str, heads: list[dict[str, Any]], now_s: float) -> dict[str, Any] | None:
     """The service's last stop, as supervisor/stops.py publishes it, when it is recent and in none of the incidents."""
     try:
-        supervisor = segment.attach(name, layout.SUPERVISOR)
-    except segment.AttachError:
+        memory, owner = last_run(name)
+        supervisor = segment.attach(memory, layout.SUPERVISOR, owner=owner)
+    except (FailstopError, segment.AttachError):
         return None
     try:
         entry = supervisor.latest_reader("stop").read()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 from collections.abc import Callable
+from io import BytesIO
 from math import inf, nan
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
-from failstop.incidents import report, shades, signals
+from failstop.incidents import file, report, shades, signals
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Event, Incident
 from failstop.incidents.palette import ALARM, BEATS, BLUE, FAINT, GREEN, INK, ORANGE, PAPER, PURPLE, STYLE
@@ -62,15 +61,9 @@ def save(incident: Incident, path: str, seconds: float) -> None:
         events = _chosen(incident, seconds)
         figure = Figure(figsize=(13, PANELS_IN + EVENT_IN * len(events)), dpi=130, facecolor=PAPER)
         _draw(figure, incident, seconds, events)
-        draft = f"{path}.part"
-        try:
-            figure.savefig(draft, format=path.rpartition(".")[2].lower())
-            os.replace(draft, path)
-        except OSError as error:
-            raise IncidentError(f"{path} can't be written: {error.strerror}") from None
-        finally:
-            with contextlib.suppress(OSError):
-                os.unlink(draft)
+        picture = BytesIO()
+        figure.savefig(picture, format=path.rpartition(".")[2].lower())
+    file.write_as(path, picture.getvalue())
 
 
 class Panel:

@@ -23,7 +23,7 @@ INDENT = 16
 Fact = tuple[str, str, str]
 """Its name, what it says, and its role."""
 UNSTILL = "wheels NOT seen still"
-DRIVER_ENDS = ("driver_silent", "driver_gone")
+DRIVER_ENDS = ("driver_silent", "driver_gone", "driver_ended")
 TICK_NS = 100_000_000
 """The gate's decision and its word on it belong together when they are no further apart."""
 LEAST_MS = 1.0
@@ -36,6 +36,7 @@ SHORT = {
     "stop_also": "also",
     "device_lost": "device",
     "device_back": "device",
+    "driver_ended": "driver",
     "driver_gone": "driver",
     "driver_silent": "driver",
 }

@@ -48,8 +48,18 @@ def main(words: dict[str, str]) -> int:
         text, code = f"saved {identity}" if identity else NOTHING, 0
     except (OSError, segment.AttachError, file.IncidentError) as error:
         text, code = f"{error}", 1
-    os.write(int(words["result"]), text.encode("utf-8", "replace")[:2000])
+    _tell(int(words["result"]), text)
     return code
+
+
+def _tell(result: int, text: str) -> None:
+    """The supervisor; where it has died meanwhile, whoever reads its stderr."""
+    try:
+        os.write(result, text.encode("utf-8", "replace")[:2000])
+    except OSError:
+        from failstop.supervisor.events import say
+
+        say(f"the supervisor is gone; its saver says: {text}")
 
 
 def _save(words: dict[str, str]) -> str:
@@ -173,9 +183,9 @@ def _outcome(copies: Copies, segments: dict[str, Any], cause: tuple[int, int, st
 def slug(reason: str) -> str:
     """A reason in a few whole words, as part of a file name: without who asked for it (`(..., pid 7)`), and what the
     service itself says without the details after a colon."""
-    text, asked, _ = outcome.asked(reason)
+    text, _, _ = outcome.asked(reason)
     what = text.split(": ")[0]
-    if not asked and " " in what:
+    if not text.startswith(records.REQUESTED) and " " in what:
         text = what
     plain = normalize("NFKD", text.lower()).replace("'", "")
     words = "".join(c if c in SLUG_CHARACTERS else " " for c in plain if ord(c) < 0x300 or ord(c) > 0x36F).split()

@@ -11,6 +11,7 @@ from failstop.incidents.file import SUFFIX, IncidentError, read_head
 from failstop.incidents.incident import Incident
 from failstop.incidents.saver import FOLDER
 from failstop.procs.telemetry.state_files import SYSTEM_BASE, state_directory
+from failstop.shm import root
 
 LAST = "last"
 MOST_NAMED = 4
@@ -21,11 +22,12 @@ def folders(name: str, environ: Mapping[str, str]) -> list[str]:
     one of the system's, that systemd gave its state directory."""
     without = {key: value for key, value in environ.items() if key != "STATE_DIRECTORY"}
     home = environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
+    base = root.at(SYSTEM_BASE)
     places = [
         state_directory(name, environ),
         state_directory(name, without),
-        os.path.join(SYSTEM_BASE, name),
-        SYSTEM_BASE,
+        os.path.join(base, name),
+        base,
         os.path.join(home, "failstop", name),
     ]
     return [path for place in dict.fromkeys(places) if os.path.isdir(path := os.path.join(place, FOLDER))]

@@ -18,6 +18,8 @@ DETAIL_NS = 500_000_000
 """This long before the cause and after it every change is told; what is older, in broad strokes."""
 QUIET_NS = 100_000_000
 """A board that sends 110 IMU samples a second and then nothing for this long has gone silent."""
+TELL_OF_STOPS = frozenset(("stop", "stop_again", "stop_also"))
+"""Events whose field `reason` is that of a stop, cut perhaps."""
 STEP = 0.05
 """Near the cause, a command that differs by more (m/s, rad/s) is told of its own."""
 STEP_RPS = 0.2
@@ -228,12 +230,13 @@ def _last_beats(incident: Incident) -> Iterator[Line]:
 
 
 def _events(incident: Incident) -> Iterator[Line]:
-    told = {event.text for event in incident.events}
+    stops = [event.fields for event in incident.events if event.kind in TELL_OF_STOPS]
+    told = tuple(fields["reason"] for fields in stops if fields.get("reason"))
     for event in incident.events:
         mark = "! " if event.level in ("error", "critical") else ""
         yield Line(event.ns, event.kind, mark + event.text)
     for stop in incident.stops:
-        if stop.ns != incident.cause_ns and not any(stop.reason in text for text in told):
+        if stop.ns != incident.cause_ns and not stop.reason.startswith(told):
             yield Line(stop.ns, "cause", f"{stop.reason} (noticed by the {name(stop.noticed_by)})")
 
 

@@ -127,10 +127,19 @@ class Doer:
     def _aside(self, path: str) -> None:
         """Move what is at a path out of the way; it is removed when everything is done."""
         _remove(path + OLD)
-        if os.path.lexists(path):
-            self._undos.append(lambda: _unless_absent(lambda old: os.rename(old, path), path + OLD))
-            self._last.append(lambda: _remove(path + OLD))
+        if not os.path.lexists(path):
+            return
+        self._undos.append(lambda: _unless_absent(lambda old: os.rename(old, path), path + OLD))
+        self._last.append(lambda: _remove(path + OLD))
+        try:
             os.rename(path, path + OLD)
+        except OSError as error:
+            if error.errno not in (errno.EBUSY, errno.EXDEV) or not os.path.isdir(path):
+                raise
+            # A mount point stays where it is: what it holds is moved aside in it, and can be moved back there.
+            for name in os.listdir(path):
+                self._aside(os.path.join(path, name))
+            self._last.append(lambda: _remove_emptied(path))
 
     def _remove(self, path: str, only_empty: bool) -> None:
         if not only_empty:
@@ -219,6 +228,16 @@ def _remove_empty(path: str) -> None:
     except OSError as error:
         if error.errno not in (errno.ENOENT, errno.ENOTEMPTY, errno.EBUSY):
             raise
+
+
+def _remove_emptied(path: str) -> None:
+    """A directory that could not be moved aside. Raises InstallError where it can't be removed either."""
+    try:
+        os.rmdir(path)
+    except OSError as error:
+        if error.errno != errno.EBUSY:
+            raise
+        raise InstallError(f"{path} is empty, but a mount of its own") from None
 
 
 def _content(path: str) -> bytes | None:

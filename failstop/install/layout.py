@@ -10,6 +10,7 @@ from typing import Any
 
 from failstop.install import InstallError
 from failstop.shm.instance import DEFAULT_NAME
+from failstop.supervisor import config
 
 PREFIX = "/opt/failstop"
 MANIFEST_NAME = "install.json"
@@ -27,7 +28,8 @@ COMPLETIONS = {
 }
 """Where each shell looks by itself."""
 COMMAND_LINK = "/usr/local/bin/failstop"
-CONFIGURATION = "/etc/failstop"
+CONFIGURATION = config.FOLDER
+configuration_of = config.file_of
 STATE = "/var/lib/failstop"
 RUNTIME = "/run/failstop"
 PACKAGE_UNIT = "/usr/lib/systemd/system/failstop.service"
@@ -46,12 +48,7 @@ def unit_of(name: str) -> str:
 
 def unit_file(unit: str) -> str:
     """The file that a unit comes from."""
-    return f"{UNITS}/failstop.service" if unit == "failstop.service" else f"{UNITS}/failstop@.service"
-
-
-def configuration_of(name: str) -> str:
-    """The configuration file of an instance."""
-    return f"{CONFIGURATION}/{name}.toml"
+    return f"{UNITS}/failstop@.service" if "@" in unit else f"{UNITS}/{unit}"
 
 
 def parents(path: str) -> list[str]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import glob
 import os
 
-from failstop.install import machine, tree
+from failstop.install import bridge, machine, tree
 from failstop.install.layout import (
     CATALOG,
     COMMAND_LINK,
@@ -26,6 +27,7 @@ from failstop.install.layout import (
 from failstop.install.parts import SERVICE, TEMPLATE, wanted_by
 from failstop.install.plan import Found, Wish
 
+SETUPS = "/opt/ros/*/setup.sh"
 UDEV_CONTROL = "/run/udev/control"
 
 
@@ -39,6 +41,7 @@ def look(wish: Wish, units: dict[str, str]) -> Found:
     targets = {target for unit in units.values() for target in wanted_by(unit)}
     wants = [f"{UNITS}/{target}.wants/{unit_of(wish.name)}" for target in targets]
     paths = [f"{UNITS}/{SERVICE}", f"{UNITS}/{TEMPLATE}", SYSUSERS, UDEV, CATALOG, COMMAND_LINK, MANIFEST, *wants]
+    paths += [bridge.PLACE, *(f"{UNITS}/{target}.wants/{bridge.UNIT}" for target in targets)]
     paths += [MANUAL, *COMPLETIONS.values(), configuration_of(wish.name), "/etc/passwd", "/etc/group"]
     files, links = {}, {}
     for path in [*paths, PREFIX]:
@@ -56,6 +59,7 @@ def look(wish: Wish, units: dict[str, str]) -> Found:
         machine.active_units() if wish.live else (),
         wish.live and os.path.exists(UDEV_CONTROL),
         os.path.exists(at(PACKAGE_UNIT)),
+        ros_setup=max((f"/{os.path.relpath(path, wish.root)}" for path in glob.glob(at(SETUPS))), default=""),
     )
 
 

@@ -71,9 +71,8 @@ def show(unit: str) -> dict[str, str]:
 def active_units() -> tuple[str, ...]:
     """The units of failstop that run, or are about to."""
     states = "--state=active,activating,reloading"
-    result = _call(
-        ("systemctl", "list-units", states, "--plain", "--no-legend", "failstop.service", "failstop@*.service")
-    )
+    patterns = ("failstop.service", "failstop@*.service", "failstop-ros2.service")
+    result = _call(("systemctl", "list-units", states, "--plain", "--no-legend", *patterns))
     return tuple(line.split()[0] for line in result.stdout.splitlines() if line.strip())
 
 

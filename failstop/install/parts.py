@@ -31,6 +31,8 @@ class Parts:
     """The man page, as roff."""
     completions: dict[str, str]
     """The completion script by shell."""
+    bridge: str = ""
+    """The unit of the bridge to ROS 2."""
 
 
 def of_this_version() -> Parts:
@@ -47,6 +49,7 @@ def of_this_version() -> Parts:
         config.example(),
         man.page(grammar.read()),
         {shell: completion.script(shell) for shell in completion.SHELLS},
+        _text("failstop-ros2.service"),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from failstop.install import InstallError
+from failstop.install import InstallError, bridge
 from failstop.install.layout import (
     ACCOUNT_FILES,
     CATALOG,
@@ -45,6 +45,8 @@ class Wish:
     start: bool = True
     command: str = OWN_COMMAND
     """What the units call; another than the default: no environment is made."""
+    ros2_user: str = ""
+    """The user of the robot's ROS nodes, whose the bridge is to be; empty: no bridge, or the one that is there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,6 +69,8 @@ class Found:
     """What the instance's configuration, if there is one, says of the board's port."""
     device_there: bool = True
     """The board is plugged in; true if it would be looked for under a name that only the installation's rule makes."""
+    ros_setup: str = ""
+    """What makes the environment of the ROS 2 that is there."""
 
 
 UDEV_NAME = "/dev/failstop"
@@ -87,8 +91,8 @@ def install(parts: Parts, wish: Wish, tree: str, found: Found) -> Plan:
     """The steps to what is wanted; `tree` is the digest of the environment to install, empty for none. Raises
     InstallError."""
     _refuse(parts, wish, found)
-    files = _files(parts, wish)
-    links = _links(parts, wish)
+    files = _files(parts, wish) | bridge.files(parts, wish, found)
+    links = _links(parts, wish) | bridge.links(parts, wish, found)
     gone = _outdated(found, files)
     new_tree = bool(tree) and tree != found.tree
     content = _file_steps(files, found) + _configuration(parts, wish, found)
@@ -107,6 +111,7 @@ def install(parts: Parts, wish: Wish, tree: str, found: Found) -> Plan:
         *(Remove("remove", path, "of another version", path) for path in gone),
         *content,
         *([_make_accounts(parts, wish)] if missing else []),
+        *bridge.membership(wish, found),
         *linking,
     ]
     starts = _starts(wish, found, restarts)
@@ -129,11 +134,17 @@ def _starts(wish: Wish, found: Found, restarts: tuple[str, ...]) -> list[Start]:
     if not (wish.live and wish.start):
         return []
     unit = unit_of(wish.name)
-    units = dict.fromkeys((*restarts, *([unit] if unit not in found.active else [])))
-    return [Start("start", unit, "motion stays disabled until somebody enables it", unit) for unit in units]
+    wanted = [name for name in (unit, *bridge.units(wish, found)) if name not in found.active]
+    units = dict.fromkeys((*restarts, *wanted))
+    remarks = {bridge.UNIT: "ROS 2 nodes drive through the service"}
+    return [
+        Start("start", unit, remarks.get(unit, "motion stays disabled until somebody enables it"), unit)
+        for unit in sorted(units, key=lambda unit: unit == bridge.UNIT)
+    ]
 
 
 def _refuse(parts: Parts, wish: Wish, found: Found) -> None:
+    bridge.refuse(wish, found)
     if found.package:
         raise InstallError(
             "the Debian package of failstop is installed here: it is the service already; "

@@ -34,9 +34,9 @@ _failstop_takes() {
 # The services of this machine, without those whose lock names a process that is gone.
 _failstop_instances() {
     local place pid
-    for place in /run/failstop/*/ "${XDG_RUNTIME_DIR:-/nonexistent}"/failstop/*/ "/tmp/failstop-$UID"/*/; do
+    for place in /run/failstop/*/ "${XDG_RUNTIME_DIR:-/run/user/$UID}"/failstop/*/ "/dev/shm/failstop-$UID"/*/; do
         [[ -p ${place}stop ]] || continue
-        [[ -r ${place}lock ]] && read -r pid < "${place}lock" && [[ ! -d /proc/$pid ]] && continue
+        [[ -f ${place}lock && -r ${place}lock ]] && read -r pid < "${place}lock" && [[ ! -d /proc/$pid ]] && continue
         basename "$place"
     done
 }

@@ -9,10 +9,11 @@ HEAD = """\
 # fish completion for failstop. Generated: `failstop completion fish`.
 
 function __failstop_instances
-    for place in /run/failstop/*/stop $XDG_RUNTIME_DIR/failstop/*/stop /tmp/failstop-(id -u)/*/stop
+    set -q XDG_RUNTIME_DIR; or set -l XDG_RUNTIME_DIR /run/user/(id -u)
+    for place in /run/failstop/*/stop $XDG_RUNTIME_DIR/failstop/*/stop /dev/shm/failstop-(id -u)/*/stop
         test -p $place; or continue
         set -l folder (dirname $place)
-        if test -r $folder/lock
+        if test -f $folder/lock; and test -r $folder/lock
             read -l pid < $folder/lock; and not test -d /proc/$pid; and continue
         end
         basename $folder

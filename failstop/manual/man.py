@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from failstop.manual.grammar import Argument, Command
+from failstop.shm import root
 from failstop.version import VERSION
 
 DESCRIPTION = (
@@ -30,14 +31,20 @@ FILES = (
     ("/etc/failstop/failstop.toml", "Settings, where the system's service reads them."),
     (
         "/run/failstop/NAME",
-        "Runtime directory of a service: lock, claims, the pipe for stop requests, the gate's bell.",
+        "Runtime directory of a service: lock, claims, the pipe for stop requests, the gate's bell, and which run's "
+        "shared memory it is. One that somebody else could have put there is not believed.",
     ),
     ("/var/lib/failstop", "State directory."),
 )
 
 ENVIRONMENT = (
     ("NO_COLOR", "Set: no colours on a terminal."),
-    ("XDG_RUNTIME_DIR", "The runtime directory is below it where /run/failstop can't be used, else below /tmp."),
+    (
+        "XDG_RUNTIME_DIR",
+        "The runtime directory is below it (default: /run/user/UID) where /run/failstop can't be used; where neither "
+        "can, it is below /dev/shm/failstop-UID, but for root.",
+    ),
+    (root.VARIABLE, "The root of /run/failstop, /var/lib/failstop and /etc/failstop, for a run apart from these."),
     ("STATE_DIRECTORY", "The state directory, as systemd sets it for a service."),
     (
         "XDG_STATE_HOME",

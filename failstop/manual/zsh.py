@@ -19,8 +19,8 @@ HEAD = """\
 _failstop_instances() {
     local -a found
     local place pid
-    for place in {/run,${XDG_RUNTIME_DIR:-/nonexistent}}/failstop/*/stop(Np:h) /tmp/failstop-$UID/*/stop(Np:h); do
-        [[ -r $place/lock ]] && read -r pid < $place/lock && [[ ! -d /proc/$pid ]] && continue
+    for place in {/run,${XDG_RUNTIME_DIR:-/run/user/$UID}}/failstop/*/stop(Np:h) /dev/shm/failstop-$UID/*/stop(Np:h); do
+        [[ -f $place/lock && -r $place/lock ]] && read -r pid < $place/lock && [[ ! -d /proc/$pid ]] && continue
         found+=($place:t)
     done
     compadd -a found

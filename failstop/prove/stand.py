@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import json
 import os
 import signal
 import subprocess
@@ -23,7 +22,7 @@ from failstop.prove.watch import Watch
 from failstop.shm.layout import SUPERVISOR
 from failstop.supervisor import config
 from failstop.supervisor.settings import Settings
-from failstop.trial import COMMAND_EVERY_S, Service, TrialError
+from failstop.trial import COMMAND_EVERY_S, Service, TrialError, write_settings
 
 LOOK_EVERY_S = 0.001
 _PR_SET_PDEATHSIG = 1
@@ -45,11 +44,7 @@ the scan gate is one of the stop paths."""
 
 
 class StandService(Service):
-    """Its files, incidents among them, go to the stand's folder; when the stand test is killed, it ends in order."""
-
-    def __init__(self, name: str, device: str, folder: str, options: tuple[str, ...]) -> None:
-        super().__init__(name, device, folder, options)
-        self._environment["STATE_DIRECTORY"] = folder
+    """When the stand test is killed, it ends in order."""
 
     def exec(self) -> None:
         """As Service.exec, bound to this process."""
@@ -90,9 +85,7 @@ class Stand:
         values = settings_for(user)
         self.settings: Settings = config.checked(dict(values))
         path = os.path.join(folder, "prove.toml")
-        with open(path, "w", encoding="utf-8") as file:
-            # JSON's numbers, strings and empty tables are TOML's too.
-            file.writelines(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+        write_settings(path, values)
         self.name = f"prove-{os.getpid()}"
         self.service = StandService(self.name, device, folder, ("--config", path))
         self.driver = Driver(self.name, "prove", tuple(self.settings.interlocks()))
@@ -179,7 +172,7 @@ class Stand:
             self.service.kill()
         self._kill_rest()
         try:
-            tool.stop(self.device, SIM_FREE_S if self.board else FREE_S, lambda _: None)
+            tool.stop(self.device, lambda _: SIM_FREE_S if self.board else FREE_S, lambda _: None)
         except PortError as error:
             return f"the last stop could not be written: {error}"
         return ""

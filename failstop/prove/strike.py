@@ -36,7 +36,7 @@ def strike(path: Path, stand: Stand, ask: Ask | None) -> int:
         return _press(stand, ask)
     now_ns = time.monotonic_ns()
     if path.kind == table.REQUEST:
-        send_stop(stand.name, "prove: stop request")
+        send_stop(stand.name, "prove")
     elif path.kind == table.DISABLE:
         driver.robot.disable()
     elif stand.service.process:

@@ -117,7 +117,7 @@ def _struck(kind: str, process: str) -> Path:
 
 PATHS = (
     Path(DEADMAN, DEADMAN, "the commands end", _bar("client-hung"), by_gate=True),
-    Path("stop-request", REQUEST, "a stop request", _bar("stop-request"), latched="^prove: stop request"),
+    Path("stop-request", REQUEST, "a stop request", _bar("stop-request"), latched="^stop request: prove"),
     Path(DISABLE, DISABLE, "motion is disabled", DISABLE_MS),
     Path(SCAN, SCAN, "the obstacle sensor falls silent, and comes back", _bar("scan-silent"), by_gate=True),
     Path(PAD, PAD, "a button of the gamepad", _bar("pad-button"), latched="^gamepad button"),

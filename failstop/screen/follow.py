@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.client import attach, runtime_dir
+from failstop.client import attach
 from failstop.errors import FailstopError, NoService
 from failstop.events import Event, EventLog
 from failstop.shm import layout
@@ -46,7 +46,6 @@ class Follower:
 
     def _check(self) -> None:
         try:
-            runtime_dir(self.name)
             run = attach(self.name, layout.SUPERVISOR).incarnation
             if self.reader is None or self.reader.incarnation != run:
                 self.reader = StateReader(self.name)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 LEFT_OFF = {"driver_silent": "fell silent while it drove", "driver_gone": "ended while it drove"}
 """Kinds that tell of a driver that left the wheels turning, and what it did."""
-SINCE = frozenset((*LEFT_OFF, "enabled", "disabled", "reset", "stop", "stop_again"))
+SINCE = frozenset((*LEFT_OFF, "driver_ended", "enabled", "disabled", "reset", "stop", "stop_again"))
 STAMP = "%Y%m%d-%H%M%S"
 STAMP_CHARACTERS = len("20260131-120000")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from failstop.screen import words
-from failstop.shm import instance
+from failstop.shm import instance, root
 from failstop.supervisor.settings import BY_KEY
 
 BOOTED = "/run/systemd/system"
@@ -19,7 +19,8 @@ def unit(name: str) -> str:
     """The systemd unit of a service of this name; empty where systemd does not run, or does not have it."""
     found = words.unit(name)
     file = f"{found.partition('@')[0]}{'@' * ('@' in found)}.service"
-    there = os.path.isdir(BOOTED) and any(os.path.exists(os.path.join(folder, file)) for folder in FOLDERS)
+    folders = [root.at(folder) for folder in FOLDERS]
+    there = os.path.isdir(root.at(BOOTED)) and any(os.path.exists(os.path.join(folder, file)) for folder in folders)
     return found if there else ""
 
 
@@ -28,13 +29,6 @@ def start(name: str, device: str | None = None) -> str:
     if found := unit(name):
         return f"`sudo systemctl start {found}`"
     return f"`failstop run{instance.option(name)}{f' --device {device}' if device and device != DEVICE else ''}`"
-
-
-def restart(name: str, device: str | None = None) -> str:
-    """The step that starts one anew that runs."""
-    if found := unit(name):
-        return f"`sudo systemctl restart {found}`"
-    return f"end the service (Ctrl-C where it runs), start it again with {start(name, device)}"
 
 
 def stop(device: str | None = None) -> str:

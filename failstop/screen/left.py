@@ -60,9 +60,8 @@ class Left:
 
 def find(name: str) -> Left | None:
     """What is left of a service of this name that no longer runs, and was this user's; None when nothing is."""
-    if segment.living_supervisor(name):
-        return None
-    fds = segment.open_all(name)
+    dead = segment.dead_runs(name)
+    fds = segment.open_all(dead[-1]) if dead else {}
     try:
         copies = {which: segment.copy(fd, name, which) for which, fd in fds.items()}
         if len(copies) < len(layout.PROCESSES):

@@ -200,8 +200,7 @@ def _troubles(state: State, events: Sequence[Event]) -> list[str]:
     for name, process in state.processes.items():
         if process.state == "down":
             found.append(
-                f"{name} died too often and stays down (it {history.last_exit(state, name, hung)}): "
-                "only a restart of the service brings it back"
+                f"{name} died too often (it {history.last_exit(state, name, hung)}) and is {verdict.until(name)}"
             )
         elif process.state != "running":
             after = f", after it {history.last_exit(state, name, hung)}" if process.last_exit else ""
@@ -210,8 +209,21 @@ def _troubles(state: State, events: Sequence[Event]) -> list[str]:
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
     elif state.waiting_for and not found and not verdict.doubt(state):
         found.append(f"the service waits for {state.waiting_for}")
+    if starved := words.starved(state.starved):
+        found.append(f"{starved} (`failstop doctor` has the command that gives it real-time rights)")
     if state.age_ms > verdict.STALE_MS:
         found.append(f"the gate has said nothing for {words.span(state.age_ms / 1000)}, so this may be old")
+    return found + _said(state)
+
+
+def _said(state: State) -> list[str]:
+    """What is wrong by a client's own account; and what it sees, where the wheels wait for its kind."""
+    found = []
+    for who, sees, wrong in words.said(state):
+        if wrong:
+            found.append(f"the client {who} says: {wrong}")
+        elif state.blocked in (blocks.NO_SCAN, blocks.NO_COMMAND):
+            found.append(f"the client {who} says: {sees}")
     return found
 
 

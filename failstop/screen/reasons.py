@@ -10,6 +10,7 @@ import re
 
 from failstop.board.decoder import BUTTONS
 from failstop.shm.layout import PROCESSES
+from failstop.shm.records import REQUESTED
 from failstop.supervisor.table import BY_NAME
 
 ROLES = {**{name: row.role for name, row in BY_NAME.items()}, "supervisor": "starts and watches the others"}
@@ -37,6 +38,11 @@ TABLE = (
         f"{_PROCESS} hangs: (?:silent for )?(?P<ms>\\d+) ms(?: silent)?",
         "the process {process}, which {role}, gave no sign of life for {ms} ms",
         _BUSY,
+    ),
+    Reason(
+        f"{_PROCESS} hangs: (?P<ms>\\d+) ms silent \\(the machine is starved\\)",
+        "the machine was busy with other things and did not run the process {process}, which {role}, for {ms} ms",
+        "give the service real-time rights (`failstop doctor` has the command), or the machine less to do",
     ),
     Reason(
         r"supervisor was held up for (?P<ms>\d+) ms",
@@ -107,12 +113,17 @@ TABLE = (
     Reason("service is stopping", "the service was told to end", "start it again"),
     Reason("an interlock was lost", "a condition for driving no longer held", "see to that condition"),
     Reason(
-        r"(?P<why>.*) \((?P<who>.+), pid (?P<pid>\d+)\)",
+        REQUESTED + r"(?:: )?(?P<why>.*) \((?P<who>.+), pid (?P<pid>\d+)\)",
         "{who} (pid {pid}) asked for a stop{said}",
         "make sure that whatever it was for is over",
     ),
-    Reason("stop request", "somebody wrote to the stop pipe without saying why", "ask who it was"),
-    Reason(".*", 'somebody wrote to the stop pipe: "{reason}"', "make sure that whatever it was for is over"),
+    Reason(REQUESTED, "somebody wrote to the stop pipe without saying why", "ask who it was"),
+    Reason(
+        REQUESTED + r"(?:: )?(?P<why>.*)",
+        'somebody wrote to the stop pipe: "{why}"',
+        "make sure that whatever it was for is over",
+    ),
+    Reason(".*", 'the service gave a reason that this version does not know: "{reason}"', _AGAIN),
 )
 
 
@@ -129,7 +140,7 @@ def explain(reason: str) -> tuple[str, str]:
     groups["role"] = ROLES.get(groups.get("process", ""), "")
     groups["names"] = _buttons(groups.get("buttons", "0"))
     why = groups.get("why", "")
-    groups["said"] = "" if why in ("", "stop request") else f': "{why}"'
+    groups["said"] = f': "{why}"' if why else ""
     return row.cause.format_map(groups), row.remedy
 
 

@@ -145,7 +145,17 @@ def _sensors(state: State) -> list[Line]:
 
 def _clients(state: State) -> list[Line]:
     names = [f"{client['name']} (pid {client['pid']})" for client in state.clients]
-    return [_row("clients", ", ".join(names))] if names else []
+    return [_row("clients", ", ".join(names)), *_said(state)] if names else []
+
+
+def _said(state: State) -> list[Line]:
+    """What clients say of themselves, a row each."""
+    rows = []
+    for who, sees, wrong in words.said(state):
+        rows.append(_row("says", f"{who}: {sees}"))
+        if wrong:
+            rows.append(_row("wrong", f"{who}: {wrong}", WARN))
+    return rows
 
 
 def processes(state: State) -> list[Line]:
@@ -191,7 +201,7 @@ def _remarks(state: State, columns: int, hung: dict[str, str]) -> list[Line]:
     for name, process in state.processes.items():
         if process.state == "down":
             how = history.last_exit(state, name, hung)
-            found.append([(f"{name} died too often and stays down; it {how}", FAIL)])
+            found.append([(f"{name} died too often and is {verdict.until(name)}; it {how}", FAIL)])
         elif process.last_exit:
             how = history.last_exit(state, name, hung)
             found.append([(f"{name} was started anew {_times(process.restarts)}; it {how}", WARN)])
@@ -199,7 +209,9 @@ def _remarks(state: State, columns: int, hung: dict[str, str]) -> list[Line]:
         found.append(
             [(f"the gate has said nothing for {words.span(state.age_ms / 1000)}: what is above may be old", FAIL)]
         )
-    if not all(process.realtime or not process.pid for process in state.processes.values()):
+    if starved := words.starved(state.starved):
+        found.append([(f"{starved}; `failstop doctor` has the command that gives it real-time rights", WARN)])
+    elif not all(process.realtime or not process.pid for process in state.processes.values()):
         found.append(
             [("without real-time rights stops come later on a busy machine; `failstop doctor` says more", DIM)]
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from failstop import style
 from failstop.screen import host, words
 from failstop.shm import blocks
+from failstop.shm.layout import GATE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -56,8 +57,13 @@ def headline(state: State) -> str:
 
 
 def down(state: State) -> list[str]:
-    """Processes that died too often and stay down."""
+    """Processes that died too often and are down."""
     return [name for name, process in state.processes.items() if process.state == "down"]
+
+
+def until(name: str) -> str:
+    """How long a process that died too often is away: the gate is the one that hears a reset."""
+    return "down for a minute" if name == GATE else "down until a reset"
 
 
 def steps(state: State) -> list[str]:
@@ -65,14 +71,16 @@ def steps(state: State) -> list[str]:
     drive = "`failstop drive 0.1 0 0`, or commands by your program"
     if state.blocked is None:
         return [] if moving(state) else [words.named(drive, state.name)]
-    if down(state):
-        return [host.restart(state.name, state.device["path"]), words.named("`failstop enable`", state.name)]
+    if any(process.state == "dead" for process in state.processes.values()):
+        return [host.start(state.name, state.device["path"]), words.named("`failstop enable`", state.name)]
     found = []
     if state.device["state"] != "open":
         found.append(f"plug the board in ({state.device['path']})")
     elif doubt(state):
         found.append("turn the robot's POWER SWITCH off and on")
-    elif state.waiting_for:
+    elif GATE in down(state):
+        found.append(f"wait for {GATE}")
+    elif state.waiting_for and not down(state):
         found.append(f"wait for {state.waiting_for}")
     if state.estop:
         found.append("`failstop reset`")

@@ -8,9 +8,12 @@ from failstop.shm.instance import DEFAULT_NAME, option
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.state import Stop
+    from typing import Any
+
+    from failstop.state import State, Stop
 
 DAY_S = 86400.0
+OLD_WORDS_S = 5.0
 NOWHERE_MPS = 0.0005
 """Slower than this is shown as standing, as it would be rounded to."""
 
@@ -69,6 +72,14 @@ def wheels_seen(stop: Stop) -> str:
     return stops.wheels_seen(stop.observed_ms / 1000)
 
 
+def starved(found: dict[str, Any] | None) -> str:
+    """How often the machine did not run a process past its deadline, as a clause; empty for never."""
+    if not found:
+        return ""
+    times = "once" if found["times"] == 1 else f"{found['times']} times"
+    return f"the machine starved the service {times}, at worst {found['process']} for {found['longest_ms']} ms"
+
+
 def unit(name: str) -> str:
     """The systemd unit of a service of this name."""
     return "failstop" if name == DEFAULT_NAME else f"failstop@{name}"
@@ -87,3 +98,16 @@ def named(text: str, name: str) -> str:
 def joined(parts: list[str], last: str = "and") -> str:
     """a, b and c."""
     return f" {last} ".join([", ".join(parts[:-1]), parts[-1]]) if len(parts) > 1 else "".join(parts)
+
+
+def said(state: State) -> list[tuple[str, str, str]]:
+    """(who, what it sees, what is wrong by its account) of each client that says something of itself; old words with
+    their age."""
+    found = []
+    for client in state.clients:
+        if "sees" in client:
+            old = client["said_s"] > OLD_WORDS_S
+            age = f" ({span(client['said_s'])} ago)" if old else ""
+            who = f"{client['name']}{age}"
+            found.append((who, client["sees"], client["wrong"]))
+    return found

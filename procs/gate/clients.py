@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 
 NAME_BYTES = 64
+SAID_BYTES = 190
 
 
 def seen(reader: LatestReader) -> int:
@@ -50,12 +51,14 @@ class Slot:
         "_interlocks",
         "_request",
         "_request_seq",
+        "_said",
         "_sensed",
         "_session_seen",
         "ended",
         "index",
         "life",
         "name",
+        "parted",
         "pid",
         "pid_namespace",
         "session",
@@ -66,11 +69,14 @@ class Slot:
         self.pid = 0
         self.pid_namespace = 0
         self.name = ""
+        self.parted = False
+        """Who left the slot last said goodbye."""
         self._hello = segment.latest_reader("hello")
         self._command = segment.latest_reader("command")
         self._request = segment.latest_reader("request")
         self._sensed = segment.latest_reader("sensed")
         self._interlocks = segment.latest_reader("interlocks")
+        self._said = segment.latest_reader("said")
         self._command_seq = seen(self._command)
         self._request_seq = seen(self._request)
         self._session_seen = self.greet()
@@ -95,6 +101,14 @@ class Slot:
         # Bounded here: the state with all names in it must fit its record, whatever clients call themselves.
         self.name = records.cut(records.printable(name), NAME_BYTES).decode()
         return session
+
+    def goodbye(self) -> bool:
+        """True when who held the slot has left it in order; False for a death, and for damage."""
+        entry = self._hello.read()
+        try:
+            return entry is not None and records.unpack_hello(entry[2])[0] == records.NOBODY
+        except ValueError:
+            return False
 
     def join(self, session: int) -> None:
         """A session holds the slot now; a new one counts its records anew."""
@@ -133,6 +147,21 @@ class Slot:
         except ValueError:
             return 0, []
         return (entry[1], names) if session == self.session else (0, [])
+
+    def said(self) -> tuple[int, str, str] | None:
+        """What this session said last, for people: when, what it sees, what is wrong; None: nothing yet."""
+        entry = self._said.read()
+        if entry is None:
+            return None
+        try:
+            session, *texts = records.unpack_said(entry[2])
+        except ValueError:
+            return None
+        if session != self.session:
+            return None
+        # Bounded here, as the name is; what cannot be printed would take three bytes for one in the record.
+        sees, wrong = (records.cut(records.printable(text), SAID_BYTES).decode() for text in texts)
+        return entry[1], sees, wrong
 
     def new_request(self) -> tuple[int, int, int] | None:
         """The request (number, verb, when it was made), when it is new, whole and of this session."""
@@ -212,6 +241,8 @@ class ClientTable:
             slot.join(session)
             self.active.append(slot)
             self._watch(slot)
+        elif not session:
+            return  # a claim alone is nobody yet, whatever else lies in the slot
         self._listener.client_holds(slot, now_ns)
         if request := slot.new_request():
             self._listener.client_request(slot, *request, now_ns)
@@ -222,5 +253,6 @@ class ClientTable:
         if slot.session:
             self.active.remove(slot)
             self._stop_watching(slot)
+            slot.parted = slot.goodbye()
             self._listener.client_gone(slot, now_ns)
             slot.ended, slot.session = slot.session, 0

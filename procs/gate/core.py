@@ -16,7 +16,7 @@ from math import isfinite
 from failstop.procs.gate import remarks
 from failstop.procs.gate.interlocks import Interlocks
 from failstop.procs.gate.scan import ScanGate
-from failstop.procs.gate.sources import Command, Sources
+from failstop.procs.gate.sources import PAD, Command, Sources
 from failstop.shm.blocks import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
 from failstop.shm.notes import Note
 
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 STILL = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
-MOST_UNKNOWN = 64
-"""Unknown sources that are told of in the life of a gate."""
+MOST_IGNORED = 64
+"""Sources that are no client's and are told of in the life of a gate."""
 
 
 class GateCore:
@@ -58,7 +58,9 @@ class GateCore:
         self.notes: list[Note] = []
         """What people are told, in order; whoever passes them on empties the list."""
         self._halts = remarks.Budget(now_ns, remarks.HALTS_AT_ONCE, remarks.HALTS_EVERY_NS)
-        self._unknown: set[tuple[int, str]] = set()
+        self._ends = remarks.Budget(now_ns, remarks.HALTS_AT_ONCE, remarks.HALTS_EVERY_NS)
+        """Of its own: a person at the keys must not hide the news of a program that fails."""
+        self._ignored: set[tuple[int, str]] = set()
         self._stepped_ns = now_ns
         self._sent_ns = 0
 
@@ -87,11 +89,11 @@ class GateCore:
     def take(self, command: Command, now_ns: int) -> str:
         """A new command. Returns the reason to trip for, empty when it is a good one: non-finite values, a second
         publisher of one source beside one whose command still counts. A stamp from the future counts as now; a source
-        that no setting names is noted and ignored."""
+        that no setting names, or that is the pad's, is noted and ignored."""
         if not all(map(isfinite, command.velocity)):
             return f"command from {command.who} is not finite"
-        if not self.sources.knows(command.source):
-            self._note_unknown(command)
+        if not self.sources.allows(command):
+            self._note_ignored(command)
             return ""
         rival = self.sources.rival(command, now_ns)
         if rival is not None:
@@ -99,19 +101,25 @@ class GateCore:
         self.sources.put(command, now_ns)
         return ""
 
-    def _note_unknown(self, command: Command) -> None:
+    def _note_ignored(self, command: Command) -> None:
         """Once for each session and source; a session that makes up ever new ones is not told of for ever."""
-        unknown = (command.session, command.source)
-        if unknown not in self._unknown and len(self._unknown) < MOST_UNKNOWN:
-            self._unknown.add(unknown)
-            text = f"command from {command.who} ignored: no source {command.source!r} in the settings"
+        ignored = (command.session, command.source)
+        if ignored not in self._ignored and len(self._ignored) < MOST_IGNORED:
+            self._ignored.add(ignored)
+            reserved = f"the source {PAD!r} is the board's gamepad alone"
+            why = reserved if command.source == PAD else f"no source {command.source!r} in the settings"
+            text = f"command from {command.who} ignored: {why}"
             self.notes.append(Note("ignored", text, {"who": command.who, "source": command.source}))
 
-    def client_gone(self, session: int, now_ns: int) -> bool:
-        """A client has gone; True when it had commands: they are dropped, and if it drove, that is told."""
+    def client_gone(self, session: int, now_ns: int, *, parted: bool = False) -> bool:
+        """A client has gone, having `parted` in order or not; True when it had commands: they are dropped, and if it
+        drove, that is told."""
         driving = self.sources.driving(now_ns)
         if driving and driving.session == session and any(self.velocity):
-            self._tell_halt(remarks.gone(driving), now_ns)
+            if parted:
+                self._tell(remarks.parted(driving), self._ends, now_ns)
+            else:
+                self._tell(remarks.gone(driving), self._halts, now_ns)
         return self.sources.drop(session)
 
     def trip(self, reason: str, epoch: int) -> bool:
@@ -177,7 +185,10 @@ class GateCore:
         if note := self.scan.note(now_ns, blocks=reason == NO_SCAN):
             self.notes.append(note)
         if reason == NO_COMMAND and any(self.velocity) and (silent := self.sources.last_driver()):
-            self._tell_halt(remarks.silent(silent, now_ns), now_ns)
+            if silent.manual and silent.source != PAD:
+                self._tell(remarks.let_go(silent, now_ns), self._ends, now_ns)
+            else:
+                self._tell(remarks.silent(silent, now_ns), self._halts, now_ns)
         driving, fell_back = self.sources.take_over(now_ns)
         if reason or driving is None:
             self.velocity = REST
@@ -190,8 +201,8 @@ class GateCore:
         self._sent_ns = now_ns
         return speeds
 
-    def _tell_halt(self, note: Note, now_ns: int) -> None:
-        if self._halts.spend(now_ns):
+    def _tell(self, note: Note, budget: remarks.Budget, now_ns: int) -> None:
+        if budget.spend(now_ns):
             self.notes.append(note)
 
     def _ramped(

@@ -10,9 +10,10 @@ from failstop.procs.gate import kinematics
 from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.remarks import Budget, of_request
-from failstop.procs.gate.sources import PAD, Command
+from failstop.procs.gate.said import Said
+from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
 from failstop.procs.loop import READ, Loop
-from failstop.shm import bell, box, instance, layout, records
+from failstop.shm import bell, box, instance, layout, place, records
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.notes import Note
 from failstop.shm.packing import pack
@@ -28,7 +29,7 @@ comes a little early leaves it to the next one: 120 ms at every other time (meas
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
 LOOK_AT_ALL_EVERY = 10
-"""Ticks between two looks at slots that nobody is known to hold."""
+"""Ticks between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
 
 
 class Gate:
@@ -45,6 +46,7 @@ class Gate:
         now_ns = monotonic_ns()
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
         self._budget = Budget(now_ns)
+        self._said = Said(now_ns)
 
         self._epoch_word = supervisor.word("epoch")
         self._ready_word = supervisor.word("ready")
@@ -56,13 +58,14 @@ class Gate:
         self._trips = own.ring_writer("trips")
         self._notes = own.ring_writer("notes")
         self._state = own.latest_writer("state")
+        self._said_record = own.latest_writer("said")
         self._box = box.GateBox(own.ring_writer("box"))
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._port_owner_bell = context.bell("port_owner_bell")
         self.supervisor_bell = context.bell("supervisor_bell")
         self._bell = context.bell("bell")
         self._client_bell = context.fd("client_bell")
-        claims_fd = os.open(instance.claims_path(context.runtime_dir), os.O_RDONLY | os.O_CLOEXEC)
+        claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
         telemetry = context.segment("telemetry")
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = seen(self._pad_command)
@@ -138,6 +141,7 @@ class Gate:
             self.clients.look_at_active(now_ns)
         else:
             self.clients.look_at_all(now_ns)
+            self._follow_said(now_ns)
         if self.core.check_interlocks(now_ns):
             self._write_stop("an interlock was lost")
         self._check_supervisor(now_ns)
@@ -149,6 +153,13 @@ class Gate:
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
             self.trip(f"supervisor hangs: silent for {silent_ns / 1e6:.0f} ms", now_ns)
+
+    def _follow_said(self, now_ns: int) -> None:
+        """What clients say of themselves, passed on unjudged."""
+        rows = [(slot.session, slot.index, slot.who(), *said) for slot in self.clients.active if (said := slot.said())]
+        if (notes := self._said.follow(rows, now_ns)) is not None:
+            self.core.notes += notes
+            self._said_record.write(pack(self._said.table()), now_ns)
 
     def _tell(self) -> None:
         """Pass on what people are told."""
@@ -178,7 +189,7 @@ class Gate:
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
             velocity = records.unpack_pad_command(payload)
-            self.client_command(Command(0, PAD, t_ns, velocity, manual=True, source=PAD), now_ns)
+            self.client_command(Command(PAD_SESSION, PAD, t_ns, velocity, manual=True, source=PAD), now_ns)
         while wish := self._wishes.next():
             kind, frame = records.unpack_wish(wish[2])
             if kind == records.WISH_RESET:
@@ -261,8 +272,8 @@ class Gate:
                 self.core.notes.append(Note("note", f"and {unsaid} more requests, too many to tell of each"))
 
     def client_gone(self, slot: Slot, now_ns: int) -> None:
-        """Its claim is gone: if it was the one that drives, the wheels stand at once."""
-        if self.core.client_gone(slot.session, now_ns):
+        """It has left, or its claim is gone: if it was the one that drives, the wheels stand at once."""
+        if self.core.client_gone(slot.session, now_ns, parted=slot.parted):
             self._step(now_ns)
 
     def _publish(self, now_ns: int) -> None:

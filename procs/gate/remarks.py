@@ -47,9 +47,22 @@ def silent(driver: Command, now_ns: int) -> Note:
 
 
 def gone(driver: Command) -> Note:
-    """Who drove has ended or died without a last command of zero: the wheels stand, and nothing is latched."""
+    """Who drove has died, or ended without a word: the wheels stand, and nothing is latched."""
     text = f"{driver.who} has gone while it drove: the wheels are stopped"
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
+
+
+def let_go(driver: Command, now_ns: int) -> Note:
+    """A person's command has run out: somebody who drives by hand ends it so, by letting go of a key."""
+    silent_ms = (now_ns - driver.t_ns) / 1e6
+    text = f"{driver.who} let go: last command {silent_ms:.0f} ms ago, the wheels are stopped"
+    return Note("driver_ended", text, {"who": driver.who, "source": driver.source})
+
+
+def parted(driver: Command) -> Note:
+    """Who drove has given its client slot back, which ends its command at once."""
+    text = f"{driver.who} ended its command: the wheels are stopped"
+    return Note("driver_ended", text, {"who": driver.who, "source": driver.source})
 
 
 class Budget:

@@ -2,13 +2,18 @@
 
 A source is named in the settings, with a priority and a timeout of its own. The highest whose command is fresh drives.
 A higher one takes over at once; a lower one gets the wheels back only after the higher has been silent for its timeout,
-and then from zero along the ramp. The gamepad in its drive mode is a source above all, needing no setting.
+and then from zero along the ramp. The gamepad in its drive mode is a source above all, needing no setting, and the
+service's own: no client commands as it.
 """
 
 from __future__ import annotations
 
+from failstop.shm import records
+
 PAD = "gamepad"
 PAD_PRIORITY = 101
+PAD_SESSION = records.NOBODY
+"""Of the pad's commands, which come from telemetry."""
 DEFAULT = "cmd_vel"
 
 
@@ -47,9 +52,9 @@ class Sources:
         self._commands: dict[str, Command] = {}
         self._driver = ""
 
-    def knows(self, source: str) -> bool:
-        """True for a source of the settings, and the pad."""
-        return source in self._rank
+    def allows(self, command: Command) -> bool:
+        """True for a client as a source of the settings, and for the pad as itself."""
+        return command.source in self._rank and (command.source == PAD) == (command.session == PAD_SESSION)
 
     def fresh(self, source: str, now_ns: int) -> Command | None:
         """The source's command while it is not older than its timeout."""

@@ -45,6 +45,7 @@ class PortOwner:
         own = context.own
         supervisor = context.segment("supervisor")
         gate = context.segment("gate")
+        telemetry = context.segment("telemetry")
         self.heartbeat = context.heartbeat
         self.loop = Loop()
         self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
@@ -57,8 +58,10 @@ class PortOwner:
         self._supervisor_beat = supervisor.word("beat_ns")
         self._gate_heart = HeartbeatReader(gate)
         self._frames = gate.ring_reader("frames")
+        self._trips = telemetry.ring_reader("trips")
         self._stopped_word = own.word("stopped_epoch")
         self._written_word = own.word("written_ns")
+        self._moving_word = own.word("moving")
         self._ping_words = [own.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._port_record = own.latest_writer("port")
         self._stops = own.ring_writer("stops")
@@ -104,6 +107,8 @@ class PortOwner:
             self._stop_request(now_ns)
         elif now_ns >= self._pipe_rests_until_ns:
             self._wake_pipe()
+        while trip := self._trips.next():
+            self.stop(trip[1], trip[2].decode("utf-8", "replace"))
         if self._gate_life and self._gate_life.down(ready):
             self._gate_died(now_ns)
         if not self._leave_ns and self._supervisor_life.down(ready):
@@ -151,6 +156,7 @@ class PortOwner:
         if self.wire.lost or self.wire.unsent:
             return 0
         self._written_word.set(written_ns)
+        self._moving_word.set(0)
         return written_ns
 
     def _stop_request(self, now_ns: int) -> None:
@@ -162,7 +168,7 @@ class PortOwner:
         self.wire.burst()
         written_ns = monotonic_ns()
         text = bell.take(self._stop_pipe).split(b"\n", 1)[0].decode("utf-8", "replace")
-        self._own_stop(now_ns, written_ns, records.printable(text) or "stop request")
+        self._own_stop(now_ns, written_ns, records.requested(text))
         if not self._pipe_rests_until_ns:
             self.loop.forget(self._stop_pipe)
         self._pipe_rests_until_ns = now_ns + PIPE_REST_NS
@@ -289,8 +295,20 @@ class PortOwner:
             self._stop_request(now_ns)
         elif fault := self._lapsed(now_ns) or self.admission.frame_fault(frame):
             self.stop(now_ns, fault)
-        elif self._epoch_word.get() != frame_epoch:
+        else:
+            self._write_motion(frame, frame_epoch, frame_ns)
+
+    def _write_motion(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
+        """Says that it moves before it looks at epoch and time once more: whoever reads that nothing moves, having
+        raised the epoch or not, knows that no frame is about to be written that would not be good then. So one that is
+        starved here, for however long, may live."""
+        self._moving_word.set(1)
+        now_ns = monotonic_ns()
+        if self._epoch_word.get() != frame_epoch:
             self._follow_epoch(now_ns)
+        elif not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
+            self.wire.burst()
+            self._stopped(monotonic_ns())
         elif self._check_suspend(now_ns):
             return
         elif self.wire.frame(frame, backlog=MOTION_BACKLOG):

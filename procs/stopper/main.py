@@ -16,6 +16,7 @@ from time import monotonic_ns
 
 from failstop.board.interface import BOARD
 from failstop.board.port import close_port
+from failstop.procs import starved
 from failstop.procs.handover import OPENING_NS, Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
 from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
@@ -51,6 +52,8 @@ class Stopper:
         self._port_owner_life_word = supervisor.word("port_owner_life")
         self._port_owner_heart = HeartbeatReader(port_owner)
         self._port_owner_written = port_owner.word("written_ns")
+        self._port_owner_moving = port_owner.word("moving")
+        self._port_owner_bell = context.bell("port_owner_bell")
         self._port_record = port_owner.latest_reader("port")
         self._written_word = context.own.word("written_ns")
         self._bell = context.bell("bell")
@@ -174,13 +177,25 @@ class Stopper:
         return max(heart.ns.get(), self._excused_ns) + HANG_NS + (OPENING_NS if self._port < 0 else 0)
 
     def _answer_hang(self, now_ns: int) -> None:
-        """A port owner that has fallen silent gets one burst, and is fenced."""
+        """A port owner that has fallen silent gets one burst, and is fenced; one that the machine starves is given as
+        long again, while it moves nothing."""
         hangs_ns = self._hangs_ns()
         hangs = hangs_ns is not None and now_ns >= hangs_ns
+        if hangs and not self._port_owner_hangs and self._spares(now_ns):
+            self._excused_ns = now_ns
+            return
         if hangs and not self._port_owner_hangs:
             self._fence()  # before the burst: it may wake up between the two
             self._burst(now_ns)
         self._port_owner_hangs = hangs
+
+    def _spares(self, now_ns: int) -> bool:
+        """True when the silent port owner is starved, and the wheels were told to stand."""
+        heart, life = self._port_owner_heart, self._port_owner_life
+        if not life or heart.age_ns(now_ns) >= HANG_NS + starved.LONGEST_NS:
+            return False
+        # The word last: what the port owner was about to write when it was looked at has been told by then.
+        return starved.look(life.pid, heart, HANG_NS, self._port_owner_bell) and not self._port_owner_moving.get()
 
     def _fence(self) -> None:
         """SIGKILL the port owner; its death is then answered like any other."""

@@ -22,15 +22,18 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def stop(path: str, wait_s: float, say: Callable[[str], None]) -> float:
-    """Write the burst, trying for `wait_s` seconds; returns after how many. Raises PortError, the last one met."""
+def stop(path: str, wait: Callable[[PortError], float], say: Callable[[str], None]) -> float:
+    """Write the burst; returns after how many seconds. `wait` says for how many to try, and is asked when the first try
+    has failed: the answer may be in a file. Raises PortError, the last one met."""
     start_s = time.monotonic()
+    wait_s = -1.0
     warned = False
     while True:
         waited_s = time.monotonic() - start_s
         try:
             _write(path)
         except PortError as error:
+            wait_s = wait(error) if wait_s < 0 else wait_s
             if waited_s >= wait_s:
                 raise
             if waited_s >= WARN_S and not warned:

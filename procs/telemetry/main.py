@@ -1,5 +1,5 @@
-"""Telemetry's loop: bytes from the port owner's ring, decoded, published; buttons and keys become stop requests, the
-pad's sticks and its reset become wishes for the gate."""
+"""Telemetry's loop: bytes from the port owner's ring, decoded, published; buttons and keys become trips for the port
+owner, the pad's sticks and its reset become wishes for the gate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
 from failstop.procs.telemetry.tones import Tones
 from failstop.procs.telemetry.trips import Trips
-from failstop.shm import bell, box, records
+from failstop.shm import box, records
 from failstop.shm.notes import Note
 from failstop.shm.packing import pack
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 TICK_NS = 50_000_000
 ODOMETRY_NS = 20_000_000
-"""Odometry goes out at most this often: the gate decides no more often."""
+"""Odometry goes out at this rate, as the gate decides no more often, at the wake-ups that there are."""
 BIAS_NS = 80_000_000
 """The state is 10 Hz or faster; at 100 ms it would be 105 to 110, since it goes out with the wake-ups there are."""
 CHARGER_FILE = "charger"
@@ -58,11 +58,12 @@ class Telemetry:
         self._records = {name: own.latest_writer(name) for name in ("imu", "bias", "odometry", "battery", "pad")}
         self._command = own.latest_writer("pad_command")
         self._events = own.ring_writer("events")
+        self._trips_out = own.ring_writer("trips")
         self._wishes = own.ring_writer("wishes")
         self._notes = own.ring_writer("notes")
         self._box = own.ring_writer("box")
-        self._stop_pipe = context.fd("stop")
         self._bell = context.bell("bell")
+        self._port_owner_bell = context.bell("port_owner_bell")
         self._gate_bell = context.bell("gate_bell")
         self.supervisor_bell = context.bell("supervisor_bell")
         self._handlers = {
@@ -163,7 +164,8 @@ class Telemetry:
     def _publish(self, now_ns: int) -> None:
         """What has no frame of its own to come with."""
         if now_ns - self._odometry_ns >= ODOMETRY_NS:
-            self._odometry_ns = now_ns
+            # From when it was due: between IMU samples 9 ms apart it would else go out at every third, at 37 Hz.
+            self._odometry_ns = max(self._odometry_ns + ODOMETRY_NS, now_ns - ODOMETRY_NS // 2)
             self._odometry.advance(now_ns)
             found = self._odometry
             pose = (found.x_m, found.y_m, found.th_rad)
@@ -196,10 +198,12 @@ class Telemetry:
         self._wishes.put(records.pack_wish(kind, frame))
         self._gate_bell.ring()
 
-    def _request_stop(self, reason: str) -> None:
-        """By the same pipe as everyone else: the port owner stops before anyone decides anything."""
+    def _trip(self, reason: str) -> None:
+        """The port owner stops before anyone decides anything. Not by the pipe that everybody may write to: who pressed
+        is what telemetry has seen, not what somebody says."""
         if reason:
-            bell.send(self._stop_pipe, reason.encode() + b"\n")
+            self._trips_out.put(reason.encode())
+            self._port_owner_bell.ring()
 
     def _on_imu(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.imu(data):
@@ -232,7 +236,7 @@ class Telemetry:
     def _on_pad(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.gamepad(data):
             news = self._pad.take(sample, data, t_ns)
-            self._request_stop(news.reason)
+            self._trip(news.reason)
             if news.command:
                 self._command.write(records.pack_pad_command(*news.command), t_ns)
                 self._gate_bell.ring()
@@ -248,7 +252,7 @@ class Telemetry:
 
     def _on_key(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.key(data):
-            self._request_stop(self._trips.key(*sample))
+            self._trip(self._trips.key(*sample))
             self._events.put(pack({"kind": "key", "key": sample[0], "event": sample[1]}), t_ns)
 
 

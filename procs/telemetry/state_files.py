@@ -11,6 +11,7 @@ from _queue import SimpleQueue
 from errno import ENOSPC
 
 from failstop.procs import durable
+from failstop.shm import root
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 SYSTEM_BASE = "/var/lib/failstop"
 STACK_BYTES = 256 * 1024
 """The thread's: all memory is locked as it is touched, and counts against the limit even before."""
+MOST_READ = 4096
+"""Bytes of a file that is read: each holds a line."""
 MOST_WAITING = 100
 """Jobs that a disk may leave waiting; at a line every 10 s that is a quarter of an hour."""
 
@@ -32,8 +35,9 @@ def state_directory(instance: str, environ: Mapping[str, str], configured: str =
         return configured
     if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:
         return given
-    system = os.path.join(SYSTEM_BASE, instance)
-    if os.access(system if os.path.exists(system) else SYSTEM_BASE, os.W_OK | os.X_OK):
+    base = root.at(SYSTEM_BASE)
+    system = os.path.join(base, instance)
+    if os.access(system if os.path.exists(system) else base, os.W_OK | os.X_OK):
         return system
     home = environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
     return os.path.join(home, "failstop", instance)
@@ -42,7 +46,7 @@ def state_directory(instance: str, environ: Mapping[str, str], configured: str =
 def append_line(path: str, header: str, line: str) -> None:
     """Append a whole line; a new file starts with the header. Raises OSError, and then the file is as it was."""
     os.makedirs(os.path.dirname(path), exist_ok=True)
-    fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    fd = durable.open_own(path, os.O_RDWR | os.O_APPEND | os.O_CREAT)
     try:
         size = os.fstat(fd).st_size
         # What a power cut has left of a line gets its end, so that it spoils no other.
@@ -81,8 +85,11 @@ class StateFiles:
     def read(self, what: str, name: str) -> str:
         """A file's text; empty when there is none. At the start only: it does not go through the thread."""
         try:
-            with open(os.path.join(self.folder, name), encoding="utf-8", errors="replace") as file:
-                return file.read(4096)
+            fd = durable.open_own(os.path.join(self.folder, name))
+            try:
+                return os.read(fd, MOST_READ).decode("utf-8", "replace")
+            finally:
+                os.close(fd)
         except FileNotFoundError:
             return ""
         except OSError as error:

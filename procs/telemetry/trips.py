@@ -1,4 +1,4 @@
-"""Which of the board's buttons and keys are stop requests. Pure."""
+"""Which of the board's buttons and keys stop the robot. Pure."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ def test_the_stop_of_a_running_service(name: str) -> None:
         state = trial.robot.state
         assert (state.estop, state.enabled) == (None, False)
         assert state.last_stop is not None
-        assert state.last_stop.reason.startswith("doctor: stop test")
+        assert state.last_stop.reason.startswith("stop request: doctor: stop test")
 
 
 def test_the_stop_test_keeps_off_a_robot_that_drives_and_a_latch_that_means_something(name: str) -> None:
@@ -121,8 +121,8 @@ def test_the_stop_test_keeps_off_a_robot_that_drives_and_a_latch_that_means_some
         assert trial.robot.state.enabled
         trial.robot.estop("smoke")
         _, found = doctor("--name", name, "--stop-test")
-        assert "latched already (smoke" in stop_path(found)[0]
-        assert (trial.robot.state.estop or "").startswith("smoke")
+        assert "latched already (stop request: smoke" in stop_path(found)[0]
+        assert (trial.robot.state.estop or "").startswith("stop request: smoke")
 
 
 def test_for_people(board: SimBoard, name: str) -> None:

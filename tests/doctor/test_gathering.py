@@ -17,7 +17,7 @@ from failstop.doctor.facts import Idle, RemoveIpc, Unit
 from failstop.doctor.gather import gather
 from failstop.doctor.system import System
 from failstop.install.layout import unit_of
-from failstop.shm import layout, segment
+from failstop.shm import claim, layout, segment
 from failstop.trial import Trial
 
 
@@ -141,9 +141,9 @@ def test_systemctl_is_asked(
 def dead_run() -> Iterator[str]:
     name = f"dead-{os.getpid()}"
     for spec in layout.SEGMENTS:
-        segment.create(name, spec.name, 7).close()
+        segment.create(segment.memory(name, 7), spec.name, 7).close()
     yield name
-    segment.unlink_all(name)
+    segment.unlink_all(segment.memory(name, 7))
 
 
 def test_the_shared_memory_of_a_dead_run(dead_run: str) -> None:
@@ -166,13 +166,18 @@ def test_what_dead_runs_left_is_removed_and_what_lives_is_not(dead_run: str, tmp
     write(tmp_path, "/dev/shm/failstop.BAD!.x", "")
     write(tmp_path, "/dev/shm/other", "")
     with Trial(f"alive-{os.getpid()}") as trial:
-        write(tmp_path, f"/dev/shm/failstop.{trial.name}.gate", "")
+        alive = [f"failstop.{trial.name}.7.{of}" for of in (layout.GATE, layout.SUPERVISOR)]
+        for file in alive:
+            write(tmp_path, f"/dev/shm/{file}", "")
+        supervisor = os.open(tmp_path / "dev/shm" / alive[1], os.O_RDWR)
+        assert claim.take(supervisor, 0)
         _, living = leftovers.look(port_facts.user(os.geteuid()), System())
         assert trial.name in living
         removed, left = leftovers.remove(System(str(tmp_path)))
     assert [row.instance for row in removed] == [dead_run]
     assert left == []
-    assert sorted(os.listdir(tmp_path / "dev/shm")) == ["failstop.BAD!.x", f"failstop.{trial.name}.gate", "other"]
+    assert sorted(os.listdir(tmp_path / "dev/shm")) == ["failstop.BAD!.x", *alive, "other"]
+    os.close(supervisor)
 
 
 def test_who_has_a_device_open() -> None:

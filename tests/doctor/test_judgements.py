@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from failstop.doctor import judge_port, paste
-from failstop.doctor.facts import NAMED, Facts, Holder, Idle, Leftover, RemoveIpc, StopTest, Ticks
+from failstop.doctor.facts import NAMED, Facts, Holder, Idle, Leftover, RemoveIpc, Ros2, StopTest, Ticks
 from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, worst
 from failstop.doctor.table import CHECKS, as_records, examine
 from tests.doctor.parts import (
@@ -56,6 +56,9 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("service", facts(service=but(SERVICE, link="deaf")), FAIL, "does not answer"),
     ("service", facts(service=but(SERVICE, link="unproven")), WARN, "not answered"),
     ("service", facts(service=but(SERVICE, waiting_for="the port")), WARN, "waits for the port"),
+    ("clients", facts(service=but(SERVICE, said=(("ros2", "no scan", "/a and /b drive"),))), WARN, "/a and /b drive"),
+    ("ROS 2", facts(ros2=Ros2(("anna",))), SKIP, "nodes of anna run here"),
+    ("ROS 2", facts(ros2=Ros2(("anna", "bob"), 7, "bob")), WARN, "Fast DDS of anna is here"),
     ("unit", facts(unit=None, systemd=False), SKIP, "systemd does not run"),
     ("version", facts(service=but(SERVICE, problem="is of failstop 0.0.9")), FAIL, "0.0.9"),
     ("version", facts(service=but(SERVICE, version="0.0.9")), WARN, "0.0.9"),
@@ -73,6 +76,8 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("unit", facts(unit=but(UNIT, main_pid=4711)), WARN, "4711"),
     ("unit", facts(unit=but(UNIT, enabled="disabled")), WARN, "not started at boot"),
     ("realtime", facts(service=but(SERVICE, processes=UNRIGHTED)), WARN, "supervisor, port_owner"),
+    ("realtime", facts(service=but(SERVICE, processes=UNRIGHTED, starved="starved once")), WARN, "starved once; the"),
+    ("realtime", facts(service=but(SERVICE, starved="starved once")), WARN, "starved once, in spite of"),
     ("realtime", facts(service=None, rights=POOR), WARN, "no real-time priority"),
     ("realtime", facts(service=None, rights=but(POOR, realtime_limit=40)), WARN, "container"),
     ("realtime", facts(service=None, rights=but(RIGHTS, runtime_us=0)), FAIL, "no time at all"),
@@ -226,3 +231,11 @@ def test_the_worst_of_all() -> None:
     assert all(
         set(record) == {"check", "level", "text", "fix", "advice"} and record["level"] in LEVELS for record in records
     )
+
+
+def test_rights_are_granted_by_who_starts_the_service() -> None:
+    for container, remedy in ((False, "prlimit --pid $$ --rtprio=40"), (True, "--cap-add SYS_NICE")):
+        given = facts(service=None, rights=but(POOR, container=container))
+        (found,) = [finding for name, finding in examine(given) if name == "realtime"]
+        assert remedy in found.advice
+        assert bool(found.fix) is not container

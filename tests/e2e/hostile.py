@@ -18,8 +18,9 @@ import time
 from collections.abc import Callable
 
 from failstop import FailstopError, Robot
-from failstop.client import Client, attach, send_stop
+from failstop.client import Client, attach, run, send_stop
 from failstop.shm import bell, claim, instance, latest, layout, records, segment, slot, views
+from failstop.shm.lifeline import pid_namespace
 
 NOBODY = 65534
 REST_S = 0.02
@@ -47,7 +48,7 @@ def rest() -> None:
 
 def slot_file(name: str, index: int) -> int:
     """A slot's memory, by the right that the group has."""
-    return os.open("/dev/shm" + segment.shm_name(name, f"client.{index}"), os.O_RDWR | os.O_CLOEXEC)
+    return os.open(segment.path_of(run(name)[0], f"client.{index}"), os.O_RDWR | os.O_CLOEXEC)
 
 
 def drive(name: str, source: str, vx: str) -> None:
@@ -302,6 +303,20 @@ def unknown_source(name: str) -> None:
     rest()
 
 
+def as_the_gamepad(name: str) -> None:
+    """Commands as the gamepad, under a session of its own and under the gamepad's, with a hello and without."""
+    client = Client(name, "no gamepad")
+    hello, command = (client._segment.latest_writer(record) for record in ("hello", "command"))
+    begun()
+    while True:
+        fresh = int.from_bytes(os.urandom(8), "little") | 1
+        for said, commanding in ((fresh, fresh), (fresh, 0), (0, fresh), (0, 0)):
+            hello.write(records.pack_hello(said, os.getpid(), pid_namespace(), "no gamepad"))
+            command.write(records.pack_command(commanding, 0.2, 0.0, 0.0, True, "gamepad"))
+            client._ring()
+            time.sleep(REST_S)
+
+
 def stops(name: str) -> None:
     """A client that has no slot and asks for a stop for every line on stdin; says when it asked."""
     begun()
@@ -330,6 +345,7 @@ PROGRAMS: dict[str, Callable[..., None]] = {
         other_run,
         disable_flood,
         unknown_source,
+        as_the_gamepad,
         stops,
     )
 }

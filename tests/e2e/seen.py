@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from typing import Any
 
 from failstop import Refused
 from failstop.board.sim.client import Event
+from failstop.errors import FailstopError
 from failstop.trial import Trial, judge, wait_for
 from tests.commands import FAILSTOP
 
@@ -42,8 +44,14 @@ class Seen:
                 return process.returncode, out, err
 
     def status(self, each: Callable[[], None] = lambda: None) -> dict[str, Any]:
-        """What `failstop status --json` prints."""
-        code, out, err = self.command("status", "--json", each=each)
+        """What `failstop status --json` prints; the arm stays in its pose meanwhile, however long that takes."""
+
+        def hold() -> None:
+            with contextlib.suppress(FailstopError):
+                self.trial.robot.hold("arm")
+            each()
+
+        code, out, err = self.command("status", "--json", each=hold)
         assert (code, err) == (0, "")
         found: dict[str, Any] = json.loads(out)
         return found

@@ -13,14 +13,19 @@ import time
 from pathlib import Path
 
 import posix_ipc
+import psutil
 import pytest
 
 from failstop import FailstopError, NoService, Robot
+from failstop.board.burst import BURST
 from failstop.cli import main
-from failstop.client import Client
+from failstop.client import Client, run
+from failstop.procs import limits
 from failstop.shm import instance, layout, segment, slot
-from failstop.trial import Trial
-from tests.commands import failstop
+from failstop.supervisor.blackbox import MOST_SAVERS
+from failstop.trial import Trial, wait_for
+from tests.commands import FAILSTOP, failstop
+from tests.procs.parts import Pty
 
 
 def _one_line(result: subprocess.CompletedProcess[str]) -> str:
@@ -34,6 +39,84 @@ def test_no_device(name: str) -> None:
     assert result.returncode == 1
     assert _one_line(result).startswith("failstop: no device /dev/ttyNONE: plug the board in")
     assert failstop("status", "--name", name).returncode == 3
+
+
+def limited(files: int, *words: str) -> subprocess.CompletedProcess[str]:
+    """A command that may open only so many files."""
+    command = ["/bin/sh", "-c", f'ulimit -n {files}; exec "$@"', "sh", *FAILSTOP, *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+LACKING = "failstop: RLIMIT_NOFILE is {}, and 64 open files are needed: raise it"
+
+
+@pytest.mark.parametrize("files", [8, 20, 40, 43, 63])
+def test_too_few_descriptors_for_the_service_are_one_line_after_the_stop(name: str, files: int) -> None:
+    board = Pty()
+    result = limited(files, "run", "--name", name, "--device", board.link)
+    assert result.returncode == 1
+    assert _one_line(result).startswith(LACKING.format(files))
+    assert board.read().startswith(BURST), "stop first"
+    assert not [entry for entry in os.listdir("/dev/shm") if name in entry]
+    board.close()
+
+
+def test_a_limit_that_may_be_raised_is_raised(name: str) -> None:
+    raised = "import resource; from failstop.procs import limits; limits.take_descriptors();"
+    found = subprocess.run(
+        [
+            "/bin/sh",
+            "-c",
+            'ulimit -S -n 40; exec "$@"',
+            "sh",
+            sys.executable,
+            "-c",
+            raised + "print(resource.getrlimit(resource.RLIMIT_NOFILE)[0])",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert found.stdout == f"{limits.DESCRIPTORS}\n"
+
+
+def test_the_service_needs_no_more_descriptors_than_it_asks_for(trial: Trial) -> None:
+    for number in range(MOST_SAVERS):
+        trial.robot.estop(f"number {number}")
+        wait_for("the latch", lambda: trial.robot.state.estop is not None)
+        wait_for("a reset", lambda: _reset(trial))
+    wait_for(
+        "the savers", lambda: len(psutil.Process(trial.service.pids()["supervisor"]).children()) == 4 + MOST_SAVERS
+    )
+    most = len(os.listdir(f"/proc/{trial.service.pids()['supervisor']}/fd"))
+    assert most + len(layout.PROCESSES) <= limits.DESCRIPTORS, "with those of a dead run's segments"
+
+
+def _reset(trial: Trial) -> bool:
+    try:
+        trial.robot.reset()
+    except FailstopError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("files", [8, 11])
+def test_too_few_descriptors_for_a_command_are_one_line(trial: Trial, files: int) -> None:
+    refused = 0
+    for words in ("status", "why", "estop", "enable", "reset", "drive 0.1 0 0 --for 0.1"):
+        result = limited(files, *words.split(), "--name", trial.name)
+        assert "Traceback" not in result.stderr
+        if result.returncode == 1:
+            refused += 1
+            assert _one_line(result).startswith(LACKING.format(files))
+    assert refused
+
+
+def test_too_few_descriptors_for_a_service_of_its_own_are_one_line() -> None:
+    result = limited(40, "demo")
+    assert result.returncode == 1
+    assert "the service ended: " + LACKING.format(40) in _one_line(result)
 
 
 def test_not_a_tty(name: str, tmp_path: Path) -> None:
@@ -68,7 +151,7 @@ def test_no_permission(name: str, capfd: pytest.CaptureFixture[str]) -> None:
             os._exit(code)
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 1
     said = capfd.readouterr().err
-    shutil.rmtree("/tmp/failstop-65534", ignore_errors=True)
+    shutil.rmtree("/dev/shm/failstop-65534", ignore_errors=True)
     os.close(master)
     os.close(slave)
     assert "permission" in said
@@ -91,7 +174,7 @@ def test_name_already_running(trial: Trial) -> None:
 def test_stale_shared_memory_of_a_dead_run(name: str) -> None:
     incarnation = 4711
     for spec in layout.SEGMENTS:
-        segment.create(name, spec.name, incarnation).close()
+        segment.create(segment.memory(name, incarnation), spec.name, incarnation).close()
     with Trial(name) as trial:
         assert trial.robot.state.enabled is False
         assert trial.robot._reader.incarnation != incarnation
@@ -112,7 +195,7 @@ def test_name_already_running_in_another_runtime_directory(trial: Trial, monkeyp
 
 def test_damaged_client_slot_is_passed_over(trial: Trial) -> None:
     trial.leave()
-    slot_file = Path("/dev/shm" + segment.shm_name(trial.name, "client.0"))
+    slot_file = Path(segment.path_of(run(trial.name)[0], "client.0"))
     os.truncate(slot_file, 10)
     trial.enable()
     trial.drive(0.1)
@@ -131,12 +214,12 @@ def test_nothing_is_left_behind(name: str) -> None:
 def test_client_of_another_version(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(segment, "LAYOUT_HASH", 12345)
     with pytest.raises(FailstopError, match=r"is of failstop .*, this program is .* with another layout: use the serv"):
-        Robot(trial.name)
+        _ = Robot(trial.name).state
 
 
 def test_header_of_another_version_and_exit_code(name: str) -> None:
     with Trial(name) as trial:
-        memory = posix_ipc.SharedMemory(segment.shm_name(name, layout.SUPERVISOR))
+        memory = posix_ipc.SharedMemory(segment.shm_name(run(name)[0], layout.SUPERVISOR))
         raw = os.pread(memory.fd, layout.HEADER_BYTES, 0)
         entry = slot.check(raw, slot.seed("header", 0))
         assert entry is not None
@@ -168,7 +251,7 @@ def test_full_client_table(trial: Trial) -> None:
 
 
 def test_no_service(name: str) -> None:
-    for words in (["status"], ["enable"], ["disable"], ["reset"], ["estop"], ["drive", "0", "0", "0"]):
+    for words in (["status"], ["enable"], ["disable"], ["reset"], ["drive", "0", "0", "0"]):
         result = failstop(*words, "--name", name)
         assert result.returncode == 3
         assert "start it with `failstop run" in _one_line(result)

@@ -29,10 +29,10 @@ def test_a_session(trial: Trial) -> None:
     assert "hand near wheel" in latched.stdout
     refused = failstop("enable", *at)
     assert refused.returncode == 2
-    assert "e-stop latched (hand near wheel" in refused.stderr
+    assert "e-stop latched (stop request: hand near wheel" in refused.stderr
     assert failstop("drive", "0.1", "0", "0", *at).returncode == 2
     screen = failstop("status", *at).stdout
-    assert "blocked: estop: hand near wheel" in screen
+    assert "blocked: estop: stop request: hand near wheel" in screen
     assert "`failstop reset --name" in screen
     assert "motion still disabled" in failstop("reset", *at).stdout
     assert failstop("disable", *at).stdout == "motion disabled\n"
@@ -93,7 +93,7 @@ def test_stop_tool(tmp_path: Path) -> None:
     device = tmp_path / "board"
     os.symlink(os.ttyname(slave), device)
     result = failstop("stop", "--device", str(device))
-    assert result.stdout == "stop frame sent (after 0.0 s)\n"
+    assert result.stdout == f"stop frame sent (after 0.0 s), directly to {device}\n"
     assert os.read(master, 4096) == BURST
     os.close(master)
     os.close(slave)

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 
 import pytest
 
+from failstop import Robot
 from failstop.errors import NoService, Refused
 from failstop.events import Event, EventLog
 from failstop.supervisor.kinds import BY_NAME
 from failstop.trial import Trial, wait_for
+from tests.commands import failstop
 
 
 class Listener:
@@ -63,7 +68,7 @@ def test_from_the_start_to_a_stop_and_back(trial: Trial, listener: Listener) -> 
     trial.robot.estop("hand near wheel")
     wait_for("the second stop", lambda: len(listener.of("stop")) == 2)
     stop = listener.of("stop")[1]
-    assert str(stop.fields["reason"]).startswith("hand near wheel (trial")
+    assert str(stop.fields["reason"]).startswith("stop request: hand near wheel (trial")
     assert stop.fields["noticed_by"] == "port_owner"
     assert stop.fields["written_by"] == "port owner"
     assert 0 < float(stop.fields["latency_us"]) < 50_000
@@ -122,7 +127,9 @@ def test_the_log_ends_with_its_service(trial: Trial, listener: Listener) -> None
     ended = reading(listener)
     with pytest.raises(NoService, match="failstop run"):
         wait_for("the end", ended)
-    assert [event.kind for event in listener.heard][-2:] == ["stopping", "stopped"]
+    kinds = [event.kind for event in listener.heard]
+    assert [kind for kind in kinds if kind in ("stopping", "stopped")] == ["stopping", "stopped"]
+    assert kinds[-1] == "stopped"
     with pytest.raises(NoService):
         EventLog(trial.name)
 
@@ -158,5 +165,85 @@ def test_a_driver_that_leaves_off(trial: Trial, listener: Listener) -> None:
     assert f"{who} fell silent" in silent.text
     trial.drive(0.2)
     trial.leave()
-    listener.wait("driver_gone", who=who, source="cmd_vel")
-    assert listener.of("stop") == [], "neither is a latched stop"
+    assert listener.wait("driver_ended", who=who, source="cmd_vel").level == "info"
+    assert listener.of("driver_gone") == []
+    assert listener.of("stop") == [], "none is a latched stop"
+
+
+def turning(trial: Trial, robot: Robot) -> None:
+    """The robot drives, by a person's commands."""
+
+    def moving() -> bool:
+        robot.drive(0.1, 0.0, 0.0, manual=True)
+        return trial.moving()
+
+    wait_for("the wheels to turn", moving)
+
+
+def crash(robot: Robot) -> None:
+    with robot:
+        raise ZeroDivisionError
+
+
+def interrupt(robot: Robot) -> None:
+    with robot:
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("leave", "error", "kind", "level"),
+    [
+        (crash, ZeroDivisionError, "driver_gone", "warning"),
+        (interrupt, KeyboardInterrupt, "driver_ended", "info"),
+    ],
+)
+def test_an_error_that_ends_a_driver_is_no_ordinary_end(
+    trial: Trial,
+    listener: Listener,
+    leave: Callable[[Robot], None],
+    error: type[BaseException],
+    kind: str,
+    level: str,
+) -> None:
+    trial.enable()
+    robot = Robot(trial.name, client="nav")
+    turning(trial, robot)
+    with pytest.raises(error):
+        leave(robot)
+    assert listener.wait(kind, who=f"nav (pid {os.getpid()})").level == level
+    assert len(listener.of("driver_gone") + listener.of("driver_ended") + listener.of("driver_silent")) == 1
+
+
+def test_a_killed_driver_has_gone(trial: Trial, listener: Listener) -> None:
+    trial.enable()
+    code = (
+        f"from failstop import Robot\nimport time\nrobot = Robot({trial.name!r}, client='mortal')\n"
+        "while True: robot.drive(0.1, 0, 0, manual=True); time.sleep(0.02)"
+    )
+    client = subprocess.Popen([sys.executable, "-c", code])
+    trial.board.wait_wheels(moving=True, timeout_s=10.0)
+    client.kill()
+    client.wait()
+    assert listener.wait("driver_gone", who=f"mortal (pid {client.pid})").level == "warning"
+    assert listener.of("driver_ended") == []
+
+
+def test_failstop_drive_ends_in_its_own_words(trial: Trial, listener: Listener) -> None:
+    trial.enable()
+    trial.leave()
+    assert failstop("drive", "0.1", "0", "0", "--for", "0.5", "--name", trial.name).returncode == 0
+    ended = listener.wait("driver_ended", source="cmd_vel")
+    assert re.fullmatch(r"failstop drive \(pid \d+\) ended its command: the wheels are stopped", ended.text)
+    assert listener.of("driver_gone") + listener.of("driver_silent") == []
+    said = failstop("status", "--name", trial.name).stdout + failstop("why", "--name", trial.name).stdout
+    assert "while it drove" not in said
+
+
+def test_a_key_that_is_let_go_is_told_as_that(trial: Trial, listener: Listener) -> None:
+    trial.enable()
+    robot = Robot(trial.name, client="teleop")
+    turning(trial, robot)
+    ended = listener.wait("driver_ended", source="cmd_vel")
+    assert re.fullmatch(rf"teleop \(pid {os.getpid()}\) let go: last command \d+ ms ago, .*", ended.text)
+    assert listener.of("driver_gone") + listener.of("driver_silent") == []
+    robot.close()

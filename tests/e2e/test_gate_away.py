@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from failstop.state import SILENT
+from failstop.errors import NoService
+from failstop.shm import instance
+from failstop.state import StateReader
 from failstop.trial import Trial, wait_for
 from tests.commands import failstop
 
@@ -67,14 +69,19 @@ def test_a_reset_ends_the_story_of_the_supervisor(late: Trial) -> None:
 
 
 def test_a_service_without_its_supervisor_drives_nothing(trial: Trial) -> None:
-    """Nobody is left to tell why: the next run will."""
+    """What it said last is no longer so, and when nobody of it is left there is no state at all."""
+    reader = StateReader(trial.name)
     trial.enable()
     trial.drive(0.2)
     assert trial.robot.state.enabled
     pid = trial.service.pids()["supervisor"]
     trial.kill("supervisor", 0.05)
-    wait_for("the end of motion to be told", lambda: not trial.robot.state.enabled)
-    state = trial.robot.state
-    assert (state.estop, state.blocked) == (SILENT, f"estop: {SILENT}")
+    state = reader.read()
+    assert (state.estop or "").startswith(("supervisor died", "supervisor hangs: "))
+    assert (state.enabled, state.blocked) == (False, f"estop: {state.estop}")
     assert not any((*state.body_vel, *state.wheels_rps))
+    paths = instance.places(trial.name)
+    wait_for("the last process to end", lambda: not any(map(instance.running, paths)))
+    with pytest.raises(NoService):
+        _ = trial.robot.state
     trial.recover("supervisor", pid)

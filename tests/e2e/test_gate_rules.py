@@ -126,6 +126,6 @@ def test_a_higher_source_takes_over_and_gives_back(rules: Trial) -> None:
 
 def test_unknown_source_is_told_and_moves_nothing(trial: Trial) -> None:
     trial.enable()
-    trial.robot.drive(0.1, 0.0, 0.0, manual=True, source="navv")
+    trial.robot._client().command(0.1, 0.0, 0.0, manual=True, source="navv")
     wait_for("the note", lambda: "no source 'navv'" in trial.service.said())
     assert not trial.moving()

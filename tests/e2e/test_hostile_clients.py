@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from failstop import FailstopError, Robot
-from failstop.client import Client
+from failstop.client import Client, run
 from failstop.shm import claim, instance, layout, segment
 from failstop.trial import Trial, wait_for
 
@@ -216,8 +216,7 @@ def test_a_slot_s_memory_of_another_size(trial: Trial, size: int) -> None:
             assert latched(trial).startswith("multiple cmd_vel publishers: "), "it is a client like any other"
         else:
             wait_for("the gate to see it", lambda: len(trial.robot.state.clients) == 1)
-            trial.drive(0.1)  # the wait may have taken longer than a command holds
-            assert trial.moving()
+            wait_for("the wheels to turn", lambda: trial.drive(0.02) or trial.moving())
     drives_again(trial)
     later = Client(trial.name, "later")
     assert later.slot == (1 if size > 1000 else 2), "the damaged slot is passed over"
@@ -233,7 +232,7 @@ def test_nothing_can_be_removed_or_replaced_by_the_group(trial: Trial) -> None:
         assert int(client.says()) > len(layout.SEGMENTS) + 3
         done = set(client.says().split(", "))
     # Its own slots' memory and the claims' content are the group's to write; neither can hurt.
-    assert done <= {f"truncate failstop.{trial.name}.client.{i}" for i in range(layout.CLIENT_SLOTS)} | {
+    assert done <= {f"truncate failstop.{run(trial.name)[0]}.client.{i}" for i in range(layout.CLIENT_SLOTS)} | {
         "truncate claims"
     }
     assert sorted(os.listdir(instance.find(trial.name))) == before
@@ -258,7 +257,7 @@ def test_names_removed_by_the_service_s_own_user(trial: Trial) -> None:
 def test_a_slot_s_name_removed_by_the_service_s_own_user(trial: Trial) -> None:
     trial.enable()
     trial.drive(0.1)
-    os.unlink("/dev/shm" + segment.shm_name(trial.name, "client.1"))
+    os.unlink(segment.path_of(run(trial.name)[0], "client.1"))
     later = Client(trial.name, "later")
     assert later.slot == 2, "the slot is passed over"
     later.close()
@@ -322,6 +321,18 @@ def test_a_flood_of_commands_of_an_unknown_source_does_not_flood_the_log(trial: 
         trial.drive(0.1)
         assert trial.moving()
     assert 0 < trial.service.said().count("no source 'nowhere'") < 50
+
+
+def test_nobody_drives_in_the_gamepad_s_place(trial: Trial) -> None:
+    """It is above every source: whoever could stand in for it would have the wheels at once."""
+    trial.enable()
+    with hostile(trial, "as_the_gamepad") as impostor:
+        impostor.says()
+        trial.drive(0.6, (-0.1, 0.0, 0.0))
+        assert trial.moving()
+        assert trial.robot.state.sources[0]["source"] == "cmd_vel"
+    assert not any(event.is_motor and event.speeds[0] > 0 for event in trial.board.events())
+    assert "the source 'gamepad' is the board's gamepad alone" in trial.service.said()
 
 
 # Hoarding.

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import random
+import signal
+from pathlib import Path
 
 import pytest
 
 from failstop.errors import Refused
 from failstop.shm import layout
-from failstop.trial import Trial
+from failstop.shm.layout import PORT_OWNER, STOPPER, TELEMETRY
+from failstop.trial import Trial, wait_for
+from tests.commands import failstop
 
 KILLS = 8
 LATEST_MS = 100
@@ -66,7 +71,7 @@ def test_first_cause_is_kept_over_a_gate_restart(trial: Trial) -> None:
     pid = trial.service.pids()["gate"]
     trial.kill("gate")
     trial.recover("gate", pid)
-    assert (trial.robot.state.estop or "").startswith("the first")
+    assert (trial.robot.state.estop or "").startswith("stop request: the first")
 
 
 def test_after_too_many_deaths_it_stays_down_and_stopped(trial: Trial) -> None:
@@ -85,3 +90,22 @@ def test_after_too_many_deaths_it_stays_down_and_stopped(trial: Trial) -> None:
     with pytest.raises(Refused, match="not ready"):
         trial.robot.enable()
     assert "died too often" in trial.service.said()
+
+
+@pytest.mark.parametrize("process", [TELEMETRY, STOPPER, PORT_OWNER])
+def test_one_that_died_too_often_is_started_anew_by_a_reset(name: str, tmp_path: Path, process: str) -> None:
+    config = tmp_path / "one-death.toml"
+    config.write_text("[restart]\ndeaths = 1\n")
+    with Trial(name, ("--config", str(config))) as trial:
+        os.kill(trial.service.pids()[process], signal.SIGKILL)
+        wait_for("the end of it", lambda: trial.robot.state.processes[process].state == "down")
+        wait_for("the gate's latch", lambda: trial.robot.state.estop is not None)
+        assert f"{process} died too often and is down" in trial.service.said()
+        shown = failstop("status", "--name", name).stdout
+        assert "next      `failstop reset" in shown
+        assert f"{process} died too often and is down until a reset" in shown
+        assert failstop("reset", "--name", name).returncode == 0
+        wait_for("the service to be ready", trial.service.ready)
+        trial.enable()
+        trial.drive(0.3)
+        assert trial.moving()

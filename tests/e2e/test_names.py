@@ -7,12 +7,13 @@ import os
 import re
 import time
 
-from failstop.shm import instance
+from failstop.client import run
+from failstop.shm import instance, segment
 from failstop.trial import Trial, judge, wait_for
 
 
 def test_a_client_slot_that_is_gone_costs_that_slot_alone(trial: Trial) -> None:
-    os.unlink(f"/dev/shm/failstop.{trial.name}.client.5")
+    os.unlink(segment.path_of(run(trial.name)[0], "client.5"))
     wait_for("the word on it", lambda: "client.5 was removed" in trial.service.said())
     trial.enable()
     pid = trial.service.pids()["gate"]

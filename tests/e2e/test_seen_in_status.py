@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import pytest
 
 from failstop import Robot
-from failstop.shm import layout
+from failstop.shm import instance, layout
 from failstop.trial import Trial, wait_for
 
 from .seen import EVERY_S, FORWARD, LATEST_MS, Seen, is_zero, latched, pid_of, stopped
@@ -62,7 +62,7 @@ def test_estop(seen: Seen) -> None:
     code, out, _ = seen.command("estop", "hand", "near", "wheel")
     assert code == 0
     found = seen.status()
-    assert found["estop"].startswith("hand near wheel (failstop estop, pid ")
+    assert found["estop"].startswith("stop request: hand near wheel (failstop estop, pid ")
     assert found["estop"] in out
     latched(found, found["estop"])
 
@@ -112,7 +112,7 @@ def test_no_scan(seen: Seen) -> None:
     assert seen.status(each=seen.command_on)["blocked"] is None
 
 
-@pytest.mark.parametrize("blocked", ["estop: a test", "disabled", "cmd timeout"])
+@pytest.mark.parametrize("blocked", ["estop: stop request: a test", "disabled", "cmd timeout"])
 def test_zero_frames_go_out_at_5_hz_whatever_blocks(seen: Seen, blocked: str) -> None:
     seen.enable()
     if blocked == "disabled":
@@ -120,9 +120,9 @@ def test_zero_frames_go_out_at_5_hz_whatever_blocks(seen: Seen, blocked: str) ->
     elif blocked != "cmd timeout":
         seen.trial.robot.estop("a test")
     wait_for("the block", lambda: (seen.trial.robot.state.blocked or "").startswith(blocked))
-    since_ns = time.monotonic_ns()
     assert seen.status()["blocked"].startswith(blocked)
     seen.trial.board.events()
+    since_ns = time.monotonic_ns()
     seen.trial.board.wait_for(lambda event: is_zero(event) and event.arrival_ns > since_ns + 800_000_000, 3.0)
     motor = [event for event in seen.trial.board.events() if event.is_motor]
     assert all(map(is_zero, motor))
@@ -139,7 +139,7 @@ def test_a_stop_request(seen: Seen) -> None:
     seen.trial.robot.estop("a hand")
     seen.trial.drive(0.2)
     stopped(seen, asked_ns)
-    latched(seen.status(), f"a hand (trial, pid {os.getpid()})")
+    latched(seen.status(), f"stop request: a hand (trial, pid {os.getpid()})")
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
@@ -229,7 +229,7 @@ def test_the_death_of_a_process(seen: Seen, process: str) -> None:
 
 
 def test_the_death_of_the_supervisor(seen: Seen) -> None:
-    """The service is gone, and says so; the one that systemd starts then is disabled."""
+    """Once its last process has ended, the service is gone and says so; the one that is started then is disabled."""
     before = seen.status()
     seen.enable()
     killed = seen.trial.kill(layout.SUPERVISOR)
@@ -237,9 +237,11 @@ def test_the_death_of_the_supervisor(seen: Seen) -> None:
     assert killed.stop_ns is not None
     assert killed.stop_ns < LATEST_MS * 1e6
     assert killed.motion_after == 0
+    wait_for("the last process to end", lambda: not any(map(instance.running, instance.places(seen.trial.name))), 5.0)
     code, out, err = seen.command("status", "--json")
     assert (code, out) == (3, "")
-    assert "start it with `failstop run" in err
+    assert "supervisor died" in err
+    assert "next: `failstop run" in err
     seen.trial.recover(layout.SUPERVISOR, pid_of(before, layout.SUPERVISOR))
     found = seen.status()
     assert (found["enabled"], found["blocked"]) == (False, "disabled")

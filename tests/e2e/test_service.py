@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
 import signal
 import time
 
@@ -44,6 +46,48 @@ def test_ends_with_the_stop_written_twice(trial: Trial, number: signal.Signals) 
     assert sum(event.is_stop for event in events) >= 8
     assert "the stop was written twice" in trial.service.said()
     wait_for("every process to be gone", lambda: not any(_alive(pid) for pid in pids))
+
+
+def test_the_end_says_that_the_board_has_acknowledged_its_stop(trial: Trial) -> None:
+    wait_for("an answer", lambda: trial.robot.state.device["link"] == "alive")
+    assert trial.service.end() == 0
+    assert re.search(r"written twice, acknowledged by the board after \d+\.\d ms\n", trial.service.said())
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["known to be deaf", "deaf just now"])
+def test_a_board_that_does_not_hear_the_last_stop_is_an_error(trial: Trial, told: bool) -> None:
+    wait_for("an answer", lambda: trial.robot.state.device["link"] == "alive")
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.moving()
+    trial.board.deaf(True)
+    if told:
+        wait_for("the loss", lambda: trial.robot.state.device["link"] == "deaf")
+    assert trial.service.end() == 1
+    assert trial.moving(), "it could not be stopped"
+    link = "deaf" if told else "alive"
+    assert (
+        f"written twice, NOT acknowledged by the board (link {link}); wheels that turn: POWER" in trial.service.said()
+    )
+
+
+def test_a_board_that_never_answered_makes_no_end_an_error(name: str) -> None:
+    """As one without pings, or with another firmware."""
+    trial = Trial(name)
+    with contextlib.closing(trial):
+        trial.board.start()
+        trial.board.deaf(True)
+        trial.service.start()
+        assert trial.service.end() == 0
+        assert "whether the board hears is not known (link unproven)" in trial.service.said()
+
+
+def test_a_last_stop_that_nothing_takes_is_an_error(trial: Trial) -> None:
+    trial.board.unplug()
+    wait_for("the loss", lambda: trial.robot.state.device["state"] != "open")
+    trial.leave()
+    assert trial.service.end() == 1
+    assert "the second stop could NOT be written" in trial.service.said()
 
 
 def _alive(pid: int) -> bool:

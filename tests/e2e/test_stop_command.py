@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import os
 import pty
+import subprocess
 import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from failstop import cli
 from failstop.board.burst import BURST
+from failstop.board.port import PortError
 from failstop.commands import stop
 from failstop.procs.stopper import rest, tool
-from tests.commands import failstop
+from failstop.shm import instance, root
+from failstop.supervisor import config
+from tests.commands import FAILSTOP, failstop
 
 Waits = list[tuple[str, float]]
 
@@ -37,13 +43,23 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "failstop.toml"
 
 
+@pytest.fixture(autouse=True)
+def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """As on a machine where no service runs and none is installed; the folder for installed files."""
+    monkeypatch.setattr(instance, "_candidates", lambda: [str(tmp_path / "run")])
+    monkeypatch.setenv(root.VARIABLE, str(tmp_path))
+    folder = Path(f"{tmp_path}{config.FOLDER}")
+    folder.mkdir(parents=True)
+    return folder
+
+
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> Waits:
     """What the tool is asked for: (device, seconds)."""
     found: Waits = []
 
-    def stopped(path: str, wait_s: float, say: Callable[[str], None]) -> float:
-        found.append((path, wait_s))
+    def stopped(path: str, wait: Callable[[PortError], float], say: Callable[[str], None]) -> float:
+        found.append((path, wait(PortError("absent", f"no device {path}"))))
         return 0.0
 
     monkeypatch.setattr(tool, "stop", stopped)
@@ -95,6 +111,38 @@ def test_a_file_that_says_nothing_stops_the_default_port_and_says_so(
     first, last = capsys.readouterr().err.splitlines()
     assert first.endswith("; going on without it")
     assert last == "failstop: it went to /dev/ttyACM0, the default: is this the board? Name it with --device"
+
+
+def test_the_installed_file_counts_where_none_is_named(asked: Waits, alone: Path) -> None:
+    (alone / "failstop.toml").write_text('device.path = "/dev/board"\nstop.wait_s = 5\n')
+    assert cli.main(["stop"]) == 0
+    assert asked == [("/dev/board", 5.0)]
+
+
+def test_of_another_name_the_default_is_a_guess(asked: Waits, alone: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["stop", "--name", "left"]) == 1
+    assert asked == [("/dev/ttyACM0", 30.0)]
+    assert "is this the board? Name it with --device" in capsys.readouterr().err
+    (alone / "left.toml").write_text('device.path = "/dev/left"\n')
+    assert cli.main(["stop", "--name", "left"]) == 0
+
+
+@pytest.mark.parametrize("name", ["no/slash", ""])
+def test_what_can_be_no_name_stops_all_the_same(name: str, asked: Waits) -> None:
+    assert cli.main(["stop", "--name", name]) == 1
+    assert asked == [("/dev/ttyACM0", 30.0)]
+
+
+def test_whatever_goes_wrong_with_a_service_the_port_is_written_to(
+    asked: Waits, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(_: str) -> bool:
+        raise ZeroDivisionError("a defect")
+
+    monkeypatch.setattr(instance, "listens", fails)
+    assert cli.main(["stop"]) == 0
+    assert len(asked) == 1
+    assert "no service can be asked (a defect): writing to the port itself" in capsys.readouterr().err
 
 
 def test_with_the_port_named_a_bad_file_is_only_told(asked: Waits, file: Path) -> None:
@@ -192,7 +240,106 @@ def test_the_burst_goes_to_the_port_of_the_file(board: tuple[str, int], file: Pa
     link, master = board
     file.write_text(f'[device]\npath = "{link}"\n')
     result = failstop("stop", "--config", str(file))
-    assert (result.returncode, result.stdout, result.stderr) == (0, "stop frame sent (after 0.0 s)\n", "")
+    sent = f"stop frame sent (after 0.0 s), directly to {link}\n"
+    assert (result.returncode, result.stdout, result.stderr) == (0, sent, "")
+    assert os.read(master, 4096) == BURST
+
+
+BAD_FILES: dict[str, Callable[[Path], object]] = {
+    "digits": lambda path: path.write_text("a = " + "1" * 5000),
+    "nested": lambda path: path.write_text("a = " + "[\n" * 5000),
+    "bytes": lambda path: path.write_bytes(bytes(range(256))),
+    "huge": lambda path: os.truncate(os.open(path, os.O_RDWR | os.O_CREAT), 1 << 40),
+    "pipe": os.mkfifo,
+    "endless": lambda path: path.symlink_to("/dev/zero"),
+    "folder": Path.mkdir,
+    "absent": lambda path: None,
+}
+
+
+@pytest.mark.parametrize("bad", BAD_FILES)
+def test_no_file_keeps_the_stop_from_the_wire(bad: str, board: tuple[str, int], file: Path) -> None:
+    """Named with --device, the port is written to before the file is looked at."""
+    link, master = board
+    BAD_FILES[bad](file)
+    result = failstop("stop", "--config", str(file), "--device", link)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert os.read(master, 4096) == BURST
+
+
+@pytest.mark.parametrize("bad", BAD_FILES)
+@pytest.mark.timeout(20)
+def test_no_file_keeps_the_stop_from_the_default_port(
+    bad: str, asked: Waits, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    BAD_FILES[bad](file)
+    assert cli.main(["stop", "--config", str(file)]) == 1
+    assert asked == [("/dev/ttyACM0", 30.0)]
+    problem, where = capsys.readouterr().err.splitlines()
+    assert problem.startswith(f"failstop: configuration {file}")
+    assert where.startswith("failstop: it went to /dev/ttyACM0, the default")
+
+
+FRAGMENTS = st.sampled_from(
+    [
+        "[device]\n",
+        "[stop]\n",
+        "path",
+        "wait_s",
+        " = ",
+        "0x",
+        "f" * 500,
+        "[" * 40,
+        "{a=",
+        "'",
+        '"""',
+        "\n",
+        "\ufeff",
+        "é",
+    ]
+)
+FILES = st.binary() | st.text().map(str.encode) | st.lists(FRAGMENTS).map(lambda parts: "".join(parts).encode())
+
+
+@given(content=FILES)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
+def test_no_bytes_of_a_file_keep_the_stop_from_the_wire(
+    content: bytes, board: tuple[str, int], file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, master = board
+    monkeypatch.setitem(stop.DEFAULTS, stop.DEVICE, link)
+    file.write_bytes(content)
+    cli.main(["stop", "--config", str(file), "--wait", "0"])
+    assert os.read(master, 4096) == BURST
+
+
+@pytest.mark.parametrize(
+    ("streams", "said"),
+    [
+        (("stdout",), "failstop: stop frame sent (after 0.0 s), directly to LINK\n"),
+        (("stdout", "stderr"), ""),
+    ],
+    ids=str,
+)
+def test_nobody_to_tell_it_to_is_no_reason_not_to_stop(
+    streams: tuple[str, ...], said: str, board: tuple[str, int]
+) -> None:
+    link, master = board
+    with open("/dev/full", "w") as full:
+        to = {stream: full if stream in streams else subprocess.PIPE for stream in ("stdout", "stderr")}
+        command = [*FAILSTOP, "stop", "--device", link]
+        done = subprocess.run(command, **to, text=True, timeout=20, check=False)  # type: ignore[call-overload]
+    assert (done.returncode, done.stderr or "") == (0, said.replace("LINK", link))
+    assert os.read(master, 4096) == BURST
+
+
+def test_what_is_to_be_said_before_holds_no_stop_up(board: tuple[str, int], file: Path) -> None:
+    """A file that is wrong is told of on a full disk."""
+    link, master = board
+    file.write_text(f'device.path = "{link}"\nstop.wait_s = "long"\n')
+    with open("/dev/full", "w") as full:
+        command = [*FAILSTOP, "stop", "--config", str(file)]
+        assert subprocess.run(command, stdout=full, stderr=full, timeout=20, check=False).returncode == 0
     assert os.read(master, 4096) == BURST
 
 

@@ -5,15 +5,23 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
+import signal
 import time
 
 import pytest
 
 from failstop.client import send_stop
+from failstop.screen import verdict
 from failstop.shm import instance
+from failstop.shm.records import ASKED_BYTES
+from failstop.supervisor.aftermath import UNSTILL
+from failstop.supervisor.allowance import ASKED_BYTES as ASKED_ROOM
 from failstop.trial import Trial, judge, wait_for
+from tests.commands import failstop
 
 NOBODY = 65534
+FLOOD_S = 4.0
 
 
 def _as_nobody(action: object) -> int:
@@ -48,7 +56,7 @@ def test_by_an_unprivileged_user(trial: Trial) -> None:
     stopped = judge(trial.board.events(), asked_ns, True)
     assert stopped.stop_ns is not None
     assert stopped.motion_after == 0
-    assert trial.robot.state.estop == "nobody says so"
+    assert trial.robot.state.estop == "stop request: nobody says so"
 
 
 @pytest.mark.parametrize("message", [b"\0", b"\xff\xfe\n\n", b"x" * 4000, b"\n", b"a\x1b[2Jb\n"])
@@ -95,19 +103,21 @@ def _can_reset(trial: Trial) -> bool:
 def test_a_flood_is_no_flood_of_bursts(trial: Trial) -> None:
     trial.board.events()
     fd = os.open(_stop_pipe(trial), os.O_WRONLY | os.O_NONBLOCK)
-    until_s = time.monotonic() + 0.5
-    while time.monotonic() < until_s:
+    start_s = time.monotonic()
+    while time.monotonic() < start_s + 0.5:
         with contextlib.suppress(BlockingIOError):
             os.write(fd, b"again\n")
     os.close(fd)
+    stops = sum(event.is_stop for event in trial.board.events())
+    took_s = time.monotonic() - start_s
     # A burst has four stop frames, and one goes out every 20 ms; twice as many, for their repeats and the 5 Hz zeros.
-    assert sum(event.is_stop for event in trial.board.events()) < 2 * 4 * 0.5 / 0.02
+    assert stops < 2 * 4 * took_s / 0.02
     wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
 
 
 def test_while_disabled_it_latches_too(trial: Trial) -> None:
     trial.robot.estop("early")
-    wait_for("the latch", lambda: (trial.robot.state.estop or "").startswith("early"))
+    wait_for("the latch", lambda: (trial.robot.state.estop or "").startswith("stop request: early"))
 
 
 def test_the_first_reason_is_kept(trial: Trial) -> None:
@@ -116,7 +126,7 @@ def test_the_first_reason_is_kept(trial: Trial) -> None:
     epoch = trial.robot.state.epoch
     trial.robot.estop("two")
     wait_for("the second stop", lambda: trial.robot.state.epoch > epoch)
-    assert (trial.robot.state.estop or "").startswith("one")
+    assert (trial.robot.state.estop or "").startswith("stop request: one")
     last = trial.robot.state.last_stop
     assert last is not None
 
@@ -139,6 +149,60 @@ def test_pad_button_and_key_stop(trial: Trial) -> None:
         assert stopped.motion_after == 0
         assert trial.robot.state.estop == reason
         trial.board.pad(0)
+
+
+@pytest.mark.parametrize("words", ["gate died", UNSTILL, "gamepad button 0x0100", "stop request"])
+def test_nobody_s_words_pass_for_a_cause_of_the_service_s_own(trial: Trial, words: str) -> None:
+    trial.enable()
+    assert _as_nobody(lambda: send_stop(trial.name, words)) == 0
+    wait_for("the latch", lambda: trial.robot.state.estop is not None)
+    state = trial.robot.state
+    assert state.estop == f"stop request: {words}"
+    assert verdict.word(state)[0] == verdict.STOPPED, "what the IMU sees is not for anybody to say"
+    assert all(process.restarts == 0 for process in state.processes.values())
+    killed_pid = state.processes["gate"].pid
+    os.kill(killed_pid, signal.SIGKILL)
+    beside = re.compile("^failstop: (stopped again|also): gate died\\b", re.M)
+    wait_for("the death to be told beside it", lambda: beside.search(trial.service.said()) is not None)
+    assert trial.robot.state.estop == f"stop request: {words}"
+
+
+def test_a_thousand_reasons_at_full_speed_do_not_fill_the_log(trial: Trial) -> None:
+    trial.robot.estop("the first")
+    wait_for("the latch", lambda: "E-STOP latched: " in trial.service.said())
+    before = trial.service.written()
+    fd = os.open(_stop_pipe(trial), os.O_WRONLY | os.O_NONBLOCK)
+    until_s = time.monotonic() + FLOOD_S
+    reasons = 0
+    while reasons < 1000 or time.monotonic() < until_s:
+        with contextlib.suppress(BlockingIOError):
+            os.write(fd, f"reason {reasons} {'x' * 150}\n".encode())
+            reasons += 1
+    os.close(fd)
+    assert trial.service.written() - before < 2 * ASKED_ROOM + 2000
+    trial.kill("gate")
+    beside = re.compile("^failstop: (stopped again|also): gate died\\b", re.M)
+    wait_for("what is no request to be told", lambda: beside.search(trial.service.said(before)) is not None)
+    assert trial.service.end() == 0
+    said = trial.service.said()
+    assert "E-STOP latched: stop request: the first (trial, pid" in said
+    assert re.search(r"^failstop: \d+ stop requests while a stop was latched were left out: ", said, re.M)
+    assert trial.service.written() - before < 2 * ASKED_ROOM + 10_000
+
+
+@pytest.mark.parametrize("letter", ["x", "\u20ac"])
+def test_a_reason_of_5000_characters_is_cut_and_said_to_be(trial: Trial, letter: str) -> None:
+    result = failstop("estop", "--name", trial.name, 5000 * letter)
+    assert (result.returncode, result.stdout.count("\n")) == (0, 1)
+    assert result.stderr == f"failstop: the reason is cut to {ASKED_BYTES} bytes\n"
+    latch = trial.robot.state.estop or ""
+    assert re.fullmatch(rf"stop request: {letter}+ \.\.\. \(failstop estop, pid \d+\)", latch)
+    assert latch in result.stdout
+    trial.robot.reset()
+    trial.robot.estop(5000 * letter)
+    wait_for("the latch", lambda: trial.robot.state.estop is not None)
+    assert re.fullmatch(rf"stop request: {letter}+ \.\.\. \(trial, pid \d+\)", trial.robot.state.estop or "")
+    assert all(len(line) < 1000 for line in trial.service.said().splitlines())
 
 
 def test_mode_button_and_other_keys_do_not_stop(trial: Trial) -> None:

@@ -114,7 +114,11 @@ def test_a_row_that_does_not_hold_is_told(scene: Scene) -> None:
         (BY_NAME["kill-gate"], {"logged": "never said"}, "a line of the service"),
         (BY_NAME["board-garbles-up"], {"bar_ms": 5.0}, "NO STOP"),
         (BY_NAME["stop-request"], {"latched": "", "cleared": "by itself", "bar_ms": None}, "nothing was to stop"),
-        (BY_NAME["stop-request"], {"latched": "", "cleared": "by itself", "bar_ms": None}, "latched: nobody says so"),
+        (
+            BY_NAME["stop-request"],
+            {"latched": "", "cleared": "by itself", "bar_ms": None},
+            "latched: stop request: nobody says so",
+        ),
         (BY_NAME["stop-request"], {"latched": "", "cleared": "by itself", "bar_ms": None}, "the wheels stand, and"),
         (BY_NAME["stop-request"], {"latched": "", "cleared": "by itself", "bar_ms": None}, "the wheels to turn again"),
         (BY_NAME["board-garbles-up"], {"cleared": "enable"}, "the wheels to stand"),

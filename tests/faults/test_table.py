@@ -32,8 +32,11 @@ DESIGN = {
     "machine suspended or clock stepped": ("suspended", "frozen", "clock-stepped"),
     "a board that does not obey": ("board-refuses",),
     "bytes garbled on the way": ("board-garbles-up", "board-garbles-down", "board-floods"),
-    "stop requests, by anyone": ("stop-request", "stop-pipe-garbage", "stop-pipe-flood", "pad-button", "board-key"),
-    "clients that misbehave": ("client-nan", "client-second"),
+    "stop requests, by anyone": (
+        *("stop-request", "stop-request-posing", "stop-pipe-garbage", "stop-pipe-flood"),
+        *("pad-button", "board-key"),
+    ),
+    "clients that misbehave": ("client-nan", "client-second", "client-gamepad"),
     "the sensor and the interlocks": ("scan-silent", "interlock-lost"),
     "the service is stopped": ("service-stopped",),
     "no processor time": ("no-processor",),

@@ -12,6 +12,7 @@ import pytest
 from failstop.incidents import file
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
+from failstop.incidents.prune import prune
 from tests.incidents.parts import Recorder, drive_and_die
 from tests.supervisor.test_imports import FORBIDDEN, imported
 
@@ -57,6 +58,24 @@ def test_a_file_that_unpacks_to_no_end_is_refused(path: str, monkeypatch: pytest
     monkeypatch.setattr(file, "LONGEST_BODY", 10)
     with pytest.raises(IncidentError, match="more than 10 bytes"):
         file.read(path)
+
+
+@pytest.mark.timeout(20)
+def test_a_pipe_among_the_incidents_is_not_waited_for(path: str) -> None:
+    os.mkfifo(planted := os.path.join(os.path.dirname(path), f"a{file.SUFFIX}"))
+    with pytest.raises(IncidentError, match="a FIFO, not a regular file"):
+        file.read_head(planted)
+    assert prune(os.path.dirname(path), "failstop", 1, 1) == []
+
+
+def test_what_a_person_writes_goes_through_no_link(tmp_path: Path) -> None:
+    """A draft in a folder that is everybody's may be there before, as a link."""
+    victim = tmp_path / "victim"
+    victim.write_text("precious\n")
+    (tmp_path / "a.png.part").symlink_to(victim)
+    file.write_as(str(tmp_path / "a.png"), b"picture")
+    assert (victim.read_text(), (tmp_path / "a.png").read_bytes()) == ("precious\n", b"picture")
+    assert sorted(os.listdir(tmp_path)) == ["a.png", "victim"]
 
 
 def test_records_that_make_no_sense_are_left_out_and_counted() -> None:

@@ -29,9 +29,9 @@ SAVED_S = 20.0
 class Scene:
     """A trial, its incidents, and what the service tells of them."""
 
-    def __init__(self, trial: Trial, home: Path) -> None:
+    def __init__(self, trial: Trial) -> None:
         self.trial = trial
-        self.environ = {"XDG_STATE_HOME": str(home)}
+        self.environ = {"STATE_DIRECTORY": trial.state}
 
     def heads(self) -> list[dict[str, object]]:
         found, problems = store.heads(self.trial.name, self.environ)
@@ -48,7 +48,7 @@ class Scene:
         return [event.text for event in EventLog(self.trial.name).read() if event.kind == "incident"]
 
     def folder(self) -> Path:
-        return Path(self.environ["XDG_STATE_HOME"]) / "failstop" / self.trial.name / "incidents"
+        return Path(self.trial.state) / "incidents"
 
     def saver(self) -> psutil.Process:
         """The saver, as soon as it runs."""
@@ -66,9 +66,7 @@ class Scene:
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    """The state directory is the test's own, whatever this machine has in /var/lib."""
-    monkeypatch.setenv("STATE_DIRECTORY", "")
+def scene(tmp_path: Path) -> Iterator[Scene]:
     with started(tmp_path) as made:
         yield made
 
@@ -78,7 +76,7 @@ def started(tmp_path: Path, settings: str = "") -> Iterator[Scene]:
     config = tmp_path / "robot.toml"
     config.write_text(settings)
     with Trial(f"box-{os.getpid()}-{next(_numbers)}", ("--config", str(config))) as trial:
-        yield Scene(trial, Path(trial.service._environment["XDG_STATE_HOME"]))
+        yield Scene(trial)
 
 
 def test_a_stop_request_and_then_a_killed_gate(scene: Scene) -> None:
@@ -90,7 +88,7 @@ def test_a_stop_request_and_then_a_killed_gate(scene: Scene) -> None:
     assert pending.wait(trial.name, scene.environ, 0.0) is not None
     assert pending.wait(trial.name, scene.environ, SAVED_S) is None, "whoever asks for the last means this one"
     first = scene.saved()
-    assert first.reason.startswith("the test says so")
+    assert first.reason.startswith("stop request: the test says so")
     check_driven(first)
     assert first.head["stop"]["acknowledged_us"] > 0
     assert next(event.kind for event in first.events if event.ns > first.cause_ns) == "stop"
@@ -195,7 +193,10 @@ def test_a_supervisor_that_dies_while_a_stop_is_being_saved(scene: Scene) -> Non
     scene.saver()
     trial.leave()
     trial.service.kill()
-    assert scene.saved().reason.startswith("and then it got worse")
+    assert scene.saved().reason.startswith("stop request: and then it got worse")
+    word = f"failstop: the supervisor is gone; its saver says: saved {scene.saved().id}\n"
+    wait_for("the saver's word", lambda: word in trial.service.said(), SAVED_S)
+    assert "Traceback" not in trial.service.said()
     trial.service.start()
     wait_for("the second", lambda: len(scene.heads()) == 2, SAVED_S)
     assert {str(head["kind"]) for head in scene.heads()} == {"stop", "left"}
@@ -205,10 +206,13 @@ def test_all_killed_at_once(scene: Scene) -> None:
     trial = scene.trial
     trial.enable()
     trial.drive(0.5)
-    for pid in trial.service.pids().values():
+    pids = trial.service.pids().values()
+    for pid in pids:
         os.kill(pid, signal.SIGSTOP)
-    for pid in trial.service.pids().values():
-        os.kill(pid, signal.SIGKILL)
+    for pid in pids:
+        # The supervisor's death takes others along.
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
     trial.leave()
     trial.service.kill()
     trial.service.start()
@@ -225,7 +229,7 @@ def test_a_stop_just_before_the_end_of_the_service_is_saved(scene: Scene) -> Non
     trial.leave()
     assert trial.service.end() == 0
     incident = scene.saved()
-    assert incident.reason.startswith("the last word")
+    assert incident.reason.startswith("stop request: the last word")
     trial.service.start()
     assert len(scene.heads()) == 1, "an orderly end leaves nothing to save"
 
@@ -253,7 +257,7 @@ def test_a_killed_saver_and_a_folder_that_is_none(scene: Scene) -> None:
     scene.folder().unlink()
     shutil.move(scene.folder().with_suffix(".away"), scene.folder())
     trial.robot.estop("third")
-    assert scene.saved().reason.startswith("third")
+    assert scene.saved().reason.startswith("stop request: third")
     assert not half.exists()
     assert trial.robot.state.estop is not None
 
@@ -273,7 +277,7 @@ def test_a_full_disk(scene: Scene) -> None:
         assert "No space left on device" in scene.told()[0]
         assert list(scene.folder().iterdir()) == [], "neither half a file nor a draft"
         state = trial.robot.state
-        assert (state.estop or "").startswith("into a full disk")
+        assert (state.estop or "").startswith("stop request: into a full disk")
         trial.enable()
         trial.drive(0.2)
         assert trial.moving()
@@ -288,7 +292,7 @@ def test_as_many_as_the_settings_allow_and_none_when_switched_off(tmp_path: Path
             scene.trial.robot.estop(f"number {number}")
             wait_for("a word on it", lambda number=number: len(scene.told()) == number + 1, SAVED_S)  # type: ignore[misc]
             scene.trial.robot.reset()
-        assert [str(head["reason"])[:8] for head in scene.heads()] == ["number 1"]
+        assert [str(head["reason"])[:22] for head in scene.heads()] == ["stop request: number 1"]
     with started(tmp_path, '[incidents]\nsave = "off"\n') as scene:
         scene.trial.robot.estop("nobody writes this down")
         wait_for("the outcome", lambda: outcome_told(scene.trial.name), SAVED_S)

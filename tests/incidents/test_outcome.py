@@ -60,12 +60,13 @@ def test_junk_is_no_proof(junk: bytes) -> None:
 @pytest.mark.parametrize(
     ("reason", "parts"),
     [
-        ("too near (nav, pid 12)", ("too near", "nav", "12")),
-        ("a (b) c (my, node, pid 12)", ("a (b) c", "my, node", "12")),
+        ("stop request: too near (nav, pid 12)", ("stop request: too near", "nav", "12")),
+        ("stop request (nav, pid 12)", ("stop request", "nav", "12")),
+        ("stop request: a (b) c (my, node, pid 12)", ("stop request: a (b) c", "my, node", "12")),
         ("gate died", ("gate died", "", "")),
         ("command from nav (pid 77) is not finite", ("command from nav (pid 77) is not finite", "", "")),
-        ("too near (nav, pid x)", ("too near (nav, pid x)", "", "")),
-        ("too near (nav, pid 12) twice", ("too near (nav, pid 12) twice", "", "")),
+        ("stop request: near (nav, pid x)", ("stop request: near (nav, pid x)", "", "")),
+        ("stop request: near (nav, pid 12) twice", ("stop request: near (nav, pid 12) twice", "", "")),
     ],
 )
 def test_who_asked_for_a_stop(reason: str, parts: tuple[str, str, str]) -> None:

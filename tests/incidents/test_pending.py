@@ -24,7 +24,9 @@ class Service:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._stop = segment.create(name, layout.SUPERVISOR, RUN).latest_writer("stop")
+        self.memory = segment.memory(name, RUN)
+        segment.create(self.memory, layout.SUPERVISOR, RUN).close()
+        self._stop = segment.attach(self.memory, layout.SUPERVISOR, RUN, write=True).latest_writer("stop")
 
     def stopped(self, **fields: Any) -> None:
         stop = {"reason": "gate died", "latched": "gate died", "epoch": 7, "t": NOW_S - 1.0}
@@ -35,7 +37,7 @@ class Service:
 def service() -> Iterator[Service]:
     made = Service(f"pending{os.getpid()}")
     yield made
-    segment.unlink_all(made.name)
+    segment.unlink_all(made.memory)
 
 
 def test_a_recent_stop_that_is_in_no_file(service: Service) -> None:

@@ -97,6 +97,23 @@ def test_a_board_that_falls_silent() -> None:
     assert re.fullmatch(r"its last byte; silent until the end, 2\d\d\d ms", lines[1])
 
 
+def test_a_request_in_the_words_of_a_death_does_not_hide_the_death() -> None:
+    made = Recorder("stop request: gate died")
+    said = "E-STOP latched: stop request: gate died; stop frame written by the port owner after 90 us"
+    made.event(0.5, "stop", said, "warning", reason="stop request: gate died")
+    made.event(1.0, "note", "no reason here")
+    made.cause(0, "stop request: gate died")
+    made.cause(300, "gate died")
+    assert told(made.incident(), "cause") == ["gate died (noticed by the port owner)"]
+
+
+def test_a_stop_that_was_told_of_is_told_once_though_its_words_were_cut() -> None:
+    made = Recorder()
+    made.event(300, "stop_again", "stopped again", reason="stop request: x")
+    made.cause(300, "stop request: x and more")
+    assert told(made.incident(), "cause") == []
+
+
 def test_an_empty_incident_is_a_report_all_the_same() -> None:
     made = Recorder()
     made.stop = None

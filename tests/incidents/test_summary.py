@@ -65,6 +65,14 @@ def test_what_was_before_a_reset_belongs_to_another_stop() -> None:
     assert told[0] == ("reset", "nav (pid 77): e-stop cleared")
 
 
+def test_a_stop_in_other_words_that_contain_the_cause_is_a_line_of_its_own() -> None:
+    made = drive_and_die()
+    said = "E-STOP latched: stop request: gate died; stop frame written by the port owner after 90 us"
+    made.event(900, "stop", said, "warning", reason="stop request: gate died")
+    assert ("stop", said) in chosen(made.incident())
+    assert len([line for line in chosen(made.incident()) if line[0] == "stop"]) == 1
+
+
 def test_a_motion_frame_after_the_cause_is_never_left_out() -> None:
     made = drive_and_die()
     made.frame(300, BOARD.motor_speeds((1, 1, -1, -1), 5.0))
@@ -72,8 +80,8 @@ def test_a_motion_frame_after_the_cause_is_never_left_out() -> None:
 
 
 def test_who_asked_for_a_stop_and_who_noticed_it_are_two() -> None:
-    made = Recorder("hand near wheel (failstop estop, pid 9)")
-    assert fact(made, "why") == "hand near wheel"
+    made = Recorder("stop request: hand near wheel (failstop estop, pid 9)")
+    assert fact(made, "why") == "stop request: hand near wheel"
     assert fact(made, "noticed") == "by the port owner; asked for by failstop estop (pid 9)"
 
 

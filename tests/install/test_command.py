@@ -6,6 +6,7 @@ import builtins
 import dataclasses
 import json
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -122,6 +123,25 @@ def test_without_systemd_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os.path, "isdir", lambda path: False)
     with pytest.raises(InstallError, match=r"systemd does not run this machine: `failstop run` .*`--root DIR`"):
         dialogue.need_systemd()
+
+
+PURGE_A_MOUNT = """
+mount -t tmpfs tmpfs "$1/var/lib/failstop" && mkdir -p "$1/var/lib/failstop/front/incidents"
+"$0" -m failstop uninstall --yes --purge --root "$1" && ls -A "$1/var/lib/failstop" && stat -fc %T "$1/var/lib/failstop"
+"""
+
+
+@needs_root
+def test_a_purge_empties_a_state_directory_that_is_a_mount_of_its_own(tmp_path: Path) -> None:
+    assert run(tmp_path, "install", "--yes", "--device", "/dev/board") == 0
+    state = tmp_path / "var/lib/failstop"
+    state.mkdir()
+    command = ["unshare", "--mount", "sh", "-c", PURGE_A_MOUNT, sys.executable, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stderr == f"failstop: {state} is empty, but a mount of its own: remove it by hand\n"
+    assert done.stdout.endswith("\ndone\ntmpfs\n")
+    assert {path for path in snapshot(tmp_path) if "failstop" in path} == {"var/lib/failstop"}
 
 
 @needs_root

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import os
 import signal
 import threading
@@ -228,6 +229,32 @@ def test_a_directory_with_something_of_somebody_else_stays(root: Path) -> None:
     do(root, uninstall(wish, look(wish, PARTS.units)))
     assert (root / "usr/local/lib/systemd/catalog/other.catalog").exists()
     assert not (root / "usr/local/bin").exists()
+
+
+@pytest.mark.parametrize("refused", [errno.EBUSY, errno.EXDEV])
+def test_a_directory_that_can_not_be_moved_is_emptied_or_stays_as_it_was(
+    root: Path, monkeypatch: pytest.MonkeyPatch, refused: int
+) -> None:
+    """As a mount point can't."""
+    mount, plain_rename = root / "var/lib/failstop", os.rename
+    (mount / "front/incidents").mkdir(parents=True)
+    (mount / "front/incidents/one").write_text("1")
+    (mount / "log").symlink_to("front")
+
+    def rename(old: str, new: str) -> None:
+        if old == str(mount):
+            raise OSError(refused, os.strerror(refused), old)
+        plain_rename(old, new)
+
+    monkeypatch.setattr(os, "rename", rename)
+    before = snapshot(root)
+    steps = (Remove("remove", "state", "", "/var/lib/failstop"), Command("run", "no", "", ("no",)))
+    with pytest.raises(InstallError, match="everything is as it was before"):
+        Doer(str(root), NotingMachine("no")).do(steps)
+    assert snapshot(root) == before
+    assert Doer(str(root), NotingMachine()).do(steps) == []
+    assert not mount.exists()
+    assert set(before) - set(snapshot(root)) == {path for path in before if path.startswith("var/lib/failstop")}
 
 
 def test_files_and_links_over_one_another(root: Path) -> None:

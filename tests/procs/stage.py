@@ -16,11 +16,13 @@ from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import Lifeline
 from failstop.shm.segment import Segment
 from failstop.supervisor.settings import Settings
+from tests.waiting import until
 
 from .parts import Pty
 
 MS = 1_000_000
 INCARNATION = 0xFA11_5709
+BELLS = ("bell", "supervisor_bell", "telemetry_bell", "port_owner_bell")
 _numbers = itertools.count()
 
 
@@ -51,7 +53,13 @@ class Dummy:
     def __init__(self) -> None:
         # Not a fork: it would keep the pty's other side open, and with it put off a hang-up.
         self.pid = os.posix_spawnp("sleep", ["sleep", "120"], os.environ)
+        # One that still starts is runnable, and its silence the machine's.
+        until(self._sleeps, "its sleep")
         self._alive = True
+
+    def _sleeps(self) -> bool:
+        with open(f"/proc/{self.pid}/stat", encoding="utf-8") as file:
+            return file.read().split()[1:3] == ["(sleep)", "S"]
 
     def kill(self) -> None:
         """SIGKILL, and wait until it is gone; it stays a zombie, as an unburied child does."""
@@ -90,7 +98,7 @@ class Stage:
         self.control = Control(mine)
         self._port = os.dup(self.pty.slave) if open_port else -1
         self._fds = {"stop": bell.open_pipe(str(directory / "stop")), "control": theirs, "port": self._port}
-        self._bells = {name: EventBell.create() for name in ("bell", "supervisor_bell", "telemetry_bell")}
+        self._bells = {name: EventBell.create() for name in BELLS}
         self._views = {name: self.owned(name) for name in (layout.SUPERVISOR, layout.GATE, layout.PORT_OWNER)}
         self.frames = self._views[layout.GATE].ring_writer("frames")
         self.raise_epoch(1)

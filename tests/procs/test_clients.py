@@ -57,6 +57,15 @@ def test_a_claim_without_a_hello_is_no_client_yet(service: Service) -> None:
     assert service.sessions() == [5]
 
 
+def test_what_lies_in_a_claimed_slot_without_a_hello_is_nobody_s(service: Service) -> None:
+    """Session 0 is no client's: it is the gamepad's."""
+    client = service.join(session=0)
+    client.command()
+    client.request()
+    assert service.look() == []
+    assert not hasattr(service, "held")
+
+
 def test_eight_clients_at_once(service: Service) -> None:
     for index in range(layout.CLIENT_SLOTS):
         service.join(index, 100 + index)
@@ -176,6 +185,24 @@ def test_commands_written_before_the_death_do_not_count_after_it(service: Servic
     client.command()
     client.leave()
     assert service.look() == [("gone", 11)]
+
+
+@pytest.mark.parametrize("seen_by", ["the claim", "the slot"])
+def test_a_goodbye_is_told_from_a_death(service: Service, seen_by: str) -> None:
+    for parted in (True, False):
+        client = service.join(session=21 + parted)
+        service.look()
+        if parted:
+            client.segment.wipe()
+            client.hello(records.NOBODY, "test", os.getpid())
+        elif seen_by == "the slot":
+            client.segment.wipe()  # damage
+        if seen_by == "the claim":
+            client.leave()
+        assert service.look() == [("gone", 21 + parted)]
+        assert service.table.slots[0].parted is parted
+        client.close()
+        service.look()
 
 
 def test_a_slot_is_used_again_by_another_session(service: Service) -> None:

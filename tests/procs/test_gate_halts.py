@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
+
 from .gate_bench import MS, REST, TICK, Gate
 
 VELOCITY = (0.2, 0.0, 0.0)
@@ -35,6 +37,45 @@ def test_a_driver_that_has_gone_is_told_of(driving: Gate) -> None:
     driving.step(0)
     driving.step(400 * MS)
     assert told(driving) == ["driver_gone"], "and not as silent too"
+
+
+def test_a_driver_that_parts_in_order_has_ended_its_command(driving: Gate) -> None:
+    driving.drive(VELOCITY, 3)
+    assert driving.core.client_gone(1, driving.now, parted=True)
+    (note,) = driving.core.notes
+    assert (note.kind, note.fields) == ("driver_ended", {"who": "client 1", "source": "cmd_vel"})
+    assert note.text == "client 1 ended its command: the wheels are stopped"
+
+
+def by_hand(gate: Gate, source: str = "cmd_vel", session: int = 1) -> None:
+    """A person's command."""
+    assert gate.core.take(Command(session, "teleop", gate.now, VELOCITY, manual=True, source=source), gate.now) == ""
+    gate.step()
+
+
+def test_a_person_s_command_that_runs_out_is_let_go(driving: Gate) -> None:
+    by_hand(driving)
+    driving.step(301 * MS)
+    (note,) = driving.core.notes
+    assert (note.kind, note.fields) == ("driver_ended", {"who": "teleop", "source": "cmd_vel"})
+    assert note.text == "teleop let go: last command 321 ms ago, the wheels are stopped"
+
+
+def test_a_gamepad_that_falls_silent_has_not_let_go(driving: Gate) -> None:
+    """It says where its sticks are for as long as it can be heard."""
+    by_hand(driving, PAD, PAD_SESSION)
+    driving.step(301 * MS)
+    assert told(driving) == ["driver_silent"]
+
+
+def test_ordinary_ends_without_end_do_not_hide_a_silent_driver(driving: Gate) -> None:
+    for _ in range(50):
+        by_hand(driving)
+        driving.step(301 * MS)
+    assert told(driving).count("driver_ended") < 20
+    driving.drive(VELOCITY, 2)
+    driving.step(301 * MS)
+    assert told(driving) == ["driver_silent"]
 
 
 def test_whoever_stopped_the_wheels_before_is_not_told_of(driving: Gate) -> None:

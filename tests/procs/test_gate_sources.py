@@ -122,6 +122,16 @@ def test_the_pad_is_above_all() -> None:
     assert gate.core.sources.driving(gate.now).source == PAD  # type: ignore[union-attr]
 
 
+def test_no_client_is_the_pad() -> None:
+    gate = Gate(WITH_TELEOP)
+    gate.scan()
+    assert gate.command(0.1, PAD, session=7, manual=True) == ""
+    assert gate.tick() == 0
+    assert gate.told() == [f"command from {PAD} 7 ignored: the source 'gamepad' is the board's gamepad alone"]
+    assert gate.command(0.1, "teleop", session=0, manual=True) == "", "nor is the pad a client"
+    assert gate.tick() == 0
+
+
 def test_a_source_that_no_setting_names_is_noted_and_moves_nothing() -> None:
     gate = Gate({})
     gate.scan()

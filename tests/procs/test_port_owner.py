@@ -13,9 +13,9 @@ from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
-from failstop.shm import records
+from failstop.shm import layout, records
 
-from .port_scene import MOTION, SLOWER, TICK, Scene
+from .port_scene import MOTION, SLOWER, TICK, Kernel, Scene
 from .stage import MS
 
 TOO_FAST = codec.motor_speeds((50.0, 0.0, 0.0, 0.0), 60.0)
@@ -172,7 +172,7 @@ def test_its_own_stop_refuses_motion_until_a_newer_epoch(scene: Scene) -> None:
     scene.ask_to_stop(b"red button\n")
     scene.put()
     assert scene.turn() == BURST
-    assert scene.causes() == [(1, scene.clock(), "red button")]
+    assert scene.causes() == [(1, scene.clock(), "stop request: red button")]
     scene.put()
     assert scene.turn() == b""
     scene.raise_epoch(2)
@@ -233,6 +233,65 @@ def test_the_epoch_is_looked_at_again_just_before_the_write(scene: Scene, monkey
     assert scene.turn() == BURST
 
 
+def test_it_says_that_it_moves_before_it_looks_at_the_epoch_for_the_last_time(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever raises the epoch and then reads that nothing moves may take it that nothing will."""
+    scene.turn()
+    assert scene.word("moving") == 0, "the first burst has been written"
+    order: list[str] = []
+    real_get, real_frame = scene.owner._epoch_word.get, wire_module.Wire.frame
+
+    class Epoch:
+        def get(self) -> int:
+            order.append(f"epoch, moving {scene.word('moving')}")
+            return real_get()
+
+    monkeypatch.setattr(scene.owner, "_epoch_word", Epoch())
+
+    def frame(wire: wire_module.Wire, data: bytes, backlog: int = 0) -> bool:
+        order.append("write")
+        return real_frame(wire, data, backlog)
+
+    monkeypatch.setattr(wire_module.Wire, "frame", frame)
+    scene.put()
+    assert scene.turn() == MOTION
+    assert order[order.index("write") - 1] == "epoch, moving 1"
+    assert scene.word("moving") == 1
+    scene.raise_epoch(2)
+    assert scene.turn() == BURST
+    assert scene.word("moving") == 0
+
+
+def test_held_up_between_saying_that_it_moves_and_before_it_writes_nothing_old(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The machine may starve it for seconds there, and nobody kills it for that."""
+    scene.turn()
+
+    class Held:
+        def set(self, value: int) -> None:
+            scene.clock.now_ns += 60 * MS * value
+
+    monkeypatch.setattr(scene.owner, "_moving_word", Held())
+    scene.put()
+    assert scene.turn() == BURST
+    assert not scene.owner.admission.moving
+
+
+def test_a_burst_that_was_not_taken_whole_leaves_it_moving(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene.drive()
+    kernel = Kernel(monkeypatch)
+    kernel.room = 100
+    scene.raise_epoch(2)
+    scene.turn()
+    assert scene.word("moving") == 1
+    kernel.room = None
+    scene.raise_epoch(3)
+    scene.turn()
+    assert scene.word("moving") == 0
+
+
 class Slow:
     """A ring whose reader is held up, as by SIGSTOP, after it has read an entry."""
 
@@ -263,12 +322,14 @@ def test_held_up_between_waking_and_writing_it_writes_nothing_old(scene: Scene) 
 @pytest.mark.parametrize(
     ("message", "reason"),
     [
-        (b"obstacle\n", "obstacle"),
-        (b"first\nsecond\n", "first"),
+        (b"obstacle\n", "stop request: obstacle"),
+        (b"first\nsecond\n", "stop request: first"),
         (b"\n", "stop request"),
-        (b"\0", "?"),
-        (b"\xff\xfe\x1b[31m", "\ufffd\ufffd?[31m"),
-        (b"no end of line", "no end of line"),
+        (b" (nav, pid 3)\n", "stop request (nav, pid 3)"),
+        (b"gate died\n", "stop request: gate died"),
+        (b"\0", "stop request: ?"),
+        (b"\xff\xfe\x1b[31m", "stop request: \ufffd\ufffd?[31m"),
+        (b"no end of line", "stop request: no end of line"),
     ],
 )
 def test_any_bytes_are_a_stop(scene: Scene, message: bytes, reason: str) -> None:
@@ -298,7 +359,7 @@ def test_a_flood_of_requests_is_no_flood_of_bursts(scene: Scene) -> None:
         scene.ask_to_stop(b"again\n")
         bursts += scene.turn(MS).count(BURST)
     assert 5 <= bursts <= 12
-    assert set(scene.reasons()) == {"first", "again"}
+    assert set(scene.reasons()) == {"stop request: first", "stop request: again"}
     assert scene.owner.next_ns(scene.clock()) > scene.clock()
 
 
@@ -310,7 +371,7 @@ def test_a_request_within_a_flood_stops_before_any_motion(scene: Scene) -> None:
     scene.ask_to_stop(b"second\n")
     scene.put(epoch=2)
     assert scene.turn(MS) == BURST
-    assert scene.reasons() == ["first", "second"]
+    assert scene.reasons() == ["stop request: first", "stop request: second"]
 
 
 def test_a_request_soon_after_motion_began_anew_is_not_put_off(scene: Scene) -> None:
@@ -322,7 +383,28 @@ def test_a_request_soon_after_motion_began_anew_is_not_put_off(scene: Scene) -> 
     assert scene.turn(MS) == MOTION
     scene.ask_to_stop(b"second\n")
     assert scene.turn(MS) == BURST
-    assert scene.reasons() == ["first", "second"]
+    assert scene.reasons() == ["stop request: first", "stop request: second"]
+
+
+# Buttons and keys, which telemetry has seen.
+
+
+def test_what_telemetry_has_seen_stops_before_any_motion_under_its_own_name(scene: Scene) -> None:
+    scene.drive()
+    trips = scene.owned(layout.TELEMETRY).ring_writer("trips")
+    trips.put(b"gamepad button 0x0100")
+    scene.put()
+    assert scene.turn() == BURST
+    assert scene.reasons() == ["gamepad button 0x0100"]
+    scene.put()
+    assert scene.turn() == b"", "until the supervisor has raised the epoch"
+
+
+def test_nobody_else_can_press_a_button(scene: Scene) -> None:
+    scene.drive()
+    scene.ask_to_stop(b"gamepad button 0x0100\n")
+    assert scene.turn() == BURST
+    assert scene.reasons() == ["stop request: gamepad button 0x0100"]
 
 
 # While stopped.

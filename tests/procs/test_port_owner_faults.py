@@ -165,7 +165,7 @@ def test_a_stop_that_the_kernel_does_not_take_is_not_said_to_be_written(scene: S
     kernel.room = 50
     scene.ask_to_stop(b"x")
     assert scene.turn() == BURST[:50]
-    assert scene.causes() == [(1, 0, "x")]
+    assert scene.causes() == [(1, 0, "stop request: x")]
     assert scene.word("written_ns") == before_ns
     kernel.room = None
     assert scene.turn() == BURST[50:], "the rest follows as soon as there is room"

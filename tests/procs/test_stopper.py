@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.procs import starved
 from failstop.procs.handover import OPENING_NS
 from failstop.procs.stopper import main
 from failstop.procs.stopper.main import HANG_NS, Stopper
@@ -309,3 +310,31 @@ def test_a_port_owner_without_a_port_may_take_longer(scene: Scene) -> None:
     assert not scene.stopper._port_owner_hangs
     scene.turn(50 * MS, alive=False)
     assert scene.stopper._port_owner_hangs
+
+
+def test_a_starved_port_owner_that_moves_nothing_is_left_alone(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(starved, "look", lambda *_: True)
+    assert scene.written(1_000, alive=False) == []
+    scene.turn()
+    assert scene.written(249, alive=False) == []
+    assert scene.port_owner._alive
+
+
+def test_but_not_for_ever(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(starved, "look", lambda *_: True)
+    last_ms = (HANG_NS + starved.LONGEST_NS) // MS
+    wrote = scene.written(last_ms + HANG_NS // MS, alive=False)
+    assert wrote[0][1] == BURST
+    assert wrote[0][0] >= last_ms
+
+
+def test_a_starved_port_owner_that_moves_the_wheels_is_fenced(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may have been about to say so when it was looked at: the word is read after that."""
+
+    def look(*_: object) -> bool:
+        scene._views[layout.PORT_OWNER].word("moving").set(1)
+        return True
+
+    monkeypatch.setattr(starved, "look", look)
+    assert scene.written(249, alive=False) == []
+    assert scene.turn(MS, alive=False) == BURST

@@ -72,7 +72,6 @@ def test_the_table_counts_and_spreads() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 def test_a_campaign_on_a_board_whose_frames_nobody_sees(tmp_path: Path) -> None:
     only = ("--only", "kill-gate+stopper,kill-telemetry-hang-gate,stop-request", "--each", "1", "--seed", "4")
     out = tmp_path / "stand.json"
@@ -89,7 +88,6 @@ def test_a_campaign_on_a_board_whose_frames_nobody_sees(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 def test_a_board_that_does_not_stop_fails_and_ends_the_campaign(tmp_path: Path) -> None:
     only = ("--only", "kill-gate+stopper", "--count", "9")
     with SimBoard(tmp_path / "board") as board:

@@ -17,7 +17,7 @@ from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
 MS = 1_000_000
 
 
-def run(path: str = "stop-request", latch: str | None = "prove: stop request by me", **board: object) -> Run:
+def run(path: str = "stop-request", latch: str | None = "stop request: prove by me", **board: object) -> Run:
     """A run whose cause was at FAULT_NS: written after 1 ms, answered after 5, wheels at rest after 0.3 s."""
     samples = gyro((1.0, DRIVE), (0.3, DRIVE), (1.5, STILL), bias=0.0, start_ns=FAULT_NS - 1_000 * MS)
     watch = SimpleNamespace(
@@ -66,7 +66,7 @@ def test_a_stop_that_is_late_at_the_board() -> None:
 
 @pytest.mark.parametrize("latch", [None, "key1"])
 def test_another_latch(latch: str | None) -> None:
-    assert wrong(run(latch=latch)) == [f"latched: {latch}, not ^prove: stop request"]
+    assert wrong(run(latch=latch)) == [f"latched: {latch}, not ^stop request: prove"]
 
 
 def test_an_acknowledgement_that_is_late() -> None:

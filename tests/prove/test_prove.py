@@ -33,7 +33,7 @@ from tests.commands import FAILSTOP, failstop
 from tests.prove.noise import SIMULATED
 
 WORD = "spin\n"
-LIMIT_S = 90
+LIMIT_S = 240
 
 
 def prove(*words: str, said: str = "") -> subprocess.CompletedProcess[str]:
@@ -65,11 +65,10 @@ def test_the_main_paths_on_the_simulated_board(tmp_path: Path) -> None:
     assert [row["verdict"] for row in rows] == ["PASS"] * 8
     assert all(row["written_ms"] is not None and row["acknowledged_ms"] and row["board_ms"] for row in rows)
     assert all(row["rest_s"] < row["rest_bar_s"] + row["blind_s"] for row in rows)
-    # The times that it takes from shared memory are those of the board.
-    later_ms = [row["board_ms"] - row["written_ms"] for row in rows]
-    assert min(later_ms) > -1
-    assert statistics.median(later_ms) < 20
-    assert all(row["acknowledged_ms"] > row["written_ms"] for row in rows)
+    # The times that it takes from shared memory are those of the board. A stop is stamped when its writing has
+    # returned: the board may have it before that, by as long as the writer is held up there, and not after its answer.
+    assert -1 < statistics.median(row["board_ms"] - row["written_ms"] for row in rows) < 20
+    assert all(0 < row["board_ms"] < row["acknowledged_ms"] > row["written_ms"] > 0 for row in rows)
     assert next(row for row in rows if row["path"] == "deadman")["written_ms"] >= 299
     assert result["character"]["still"]["most"] < 0.0035 < result["character"]["spinning"]["0.2"]["least"]
     (folder,) = tmp_path.iterdir()

@@ -34,6 +34,7 @@ def state(**changed: Any) -> State:
         waiting_for=None,
         device={"path": "/dev/ttyACM0", "state": "open", "link": "alive"},
         processes={name: process() for name in ("supervisor", "port_owner", "stopper", "gate", "telemetry")},
+        starved=None,
         clients=[],
         sources=[],
         scan_age_s=None,

@@ -20,7 +20,8 @@ from failstop.supervisor.events import say
 from tests.commands import FAILSTOP
 
 LINE = (
-    "failstop: E-STOP latched: hand near the wheel (failstop estop, pid 9269); stop frame written by the port owner "
+    "failstop: E-STOP latched: stop request: hand near the wheel (failstop estop, pid 9269); stop frame written by the "
+    "port owner "
     "after 27 us; next: `failstop reset`, then `failstop enable`"
 )
 

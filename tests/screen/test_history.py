@@ -34,7 +34,7 @@ def test_a_process_that_was_fenced_hung() -> None:
     said = "gate was started anew once; it hung (silent for 60 ms), and was killed by the supervisor"
     assert said in shown(dead, fenced)
     down = state(processes={"gate": process(pid=0, state="down", last_exit="killed by SIGKILL")})
-    assert "it hung (silent for 60 ms), and was killed by the supervisor" in shown(down, fenced)
+    assert "it hung (silent for 60 ms), and was killed by the supervisor" in " ".join(shown(down, fenced).split())
     assert "it hung (silent for 60 ms), and was killed by the supervisor" in why(down, fenced)
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from failstop.errors import NoService
 from failstop.screen import host, left, words
+from failstop.shm import root
 from failstop.trial import Trial, wait_for
 from tests.commands import failstop
 
@@ -76,12 +77,12 @@ def test_with_a_unit_it_is_systemd_that_starts_it(monkeypatch: pytest.MonkeyPatc
 def test_a_unit_counts_where_systemd_runs_and_has_it(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(host, "BOOTED", str(tmp_path / "system"))
-    monkeypatch.setattr(host, "FOLDERS", (str(tmp_path / "units"),))
-    (tmp_path / "units").mkdir()
-    (tmp_path / "units" / ("failstop.service" if name == "failstop" else "failstop@.service")).touch()
+    monkeypatch.setenv(root.VARIABLE, str(tmp_path))
+    units = tmp_path / "etc/systemd/system"
+    units.mkdir(parents=True)
+    (units / ("failstop.service" if name == "failstop" else "failstop@.service")).touch()
     assert host.unit(name) == "", "systemd does not run"
-    (tmp_path / "system").mkdir()
+    (tmp_path / "run/systemd/system").mkdir(parents=True)
     assert host.unit(name) == words.unit(name)
     assert host.unit("failstop" if name != "failstop" else "left-arm") == "", "that one is not installed"
 

@@ -22,7 +22,7 @@ DOWN = {"gate": process(pid=0, state="down", restarts=4, last_exit="killed by SI
 STATES = {
     "disabled": state(),
     "driving": driving(),
-    "latched": latched("hand near the left wheel (failstop estop, pid 4711)"),
+    "latched": latched("stop request: hand near the left wheel (failstop estop, pid 4711)"),
     "waiting for the port": latched("device lost", device=LOST, waiting_for="the port"),
     "deaf": latched("the board is deaf: use the POWER SWITCH", device=DEAF),
     "process down": latched("gate died", processes={**state().processes, **DOWN}, waiting_for="gate", age_ms=9000.0),
@@ -51,7 +51,7 @@ def test_a_screen_of_24_lines_holds_it(name: str) -> None:
 def test_what_the_screen_says() -> None:
     said = shown(summary.lines(STATES["latched"], NOW_S, 120))
     for part in (
-        "wheels    STOPPED  blocked: estop: hand near the left wheel (failstop estop, pid 4711)",
+        "wheels    STOPPED  blocked: estop: stop request: hand near the left wheel (failstop estop, pid 4711)",
         "next      `failstop reset`, then `failstop enable`",
         "written after 0.21 ms, acknowledged after 4.40 ms, still after about 0.3 s",
         "/dev/ttyACM0 open, link alive",
@@ -61,7 +61,7 @@ def test_what_the_screen_says() -> None:
         assert part in said
     said = shown(summary.lines(STATES["process down"], NOW_S, 120))
     assert "gate           -  down" in said
-    assert "gate died too often and stays down; it was killed by SIGKILL" in said
+    assert "gate died too often and is down for a minute; it was killed by SIGKILL" in said
     assert "said nothing for 9.0 s" in said
     said = shown(summary.lines(STATES["waiting for the port"], NOW_S, 120))
     assert "wheels    MAY TURN" in said

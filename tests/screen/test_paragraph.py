@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.events import Event
-from failstop.screen import host, paragraph, verdict, words
+from failstop.screen import paragraph, verdict, words
 
 from .states import NOW_S, driving, latched, process, state, stop
 
@@ -24,7 +24,7 @@ def text(found: paragraph.Explanation) -> str:
 
 
 def test_a_latch() -> None:
-    found = paragraph.explain(latched("hand near (failstop estop, pid 4711)"), [], NOW_S)
+    found = paragraph.explain(latched("stop request: hand near (failstop estop, pid 4711)"), [], NOW_S)
     said = text(found)
     for part in (
         f"The wheels stand since {words.clock(NOW_S - 12, NOW_S)}, 12 s ago: a stop is latched",
@@ -35,7 +35,7 @@ def test_a_latch() -> None:
         "A reset clears the latch alone",
     ):
         assert part in said
-    assert (found.blocked, found.since) == ("estop: hand near (failstop estop, pid 4711)", NOW_S - 12)
+    assert (found.blocked, found.since) == ("estop: stop request: hand near (failstop estop, pid 4711)", NOW_S - 12)
     assert found.next == ["`failstop reset`", "`failstop enable`"]
 
 
@@ -111,12 +111,14 @@ def test_wheels_that_may_turn_are_not_said_to_stand(found: object) -> None:
     assert "the wheels stand" not in said.lower().replace("so the wheels stand", "")
 
 
-def test_troubles_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(host, "unit", lambda _name: "")
+def test_troubles_are_told() -> None:
     gate = process(pid=0, state="down", last_exit="killed by SIGKILL")
     said = text(paragraph.explain(latched("gate died", waiting_for="gate", processes={"gate": gate}), [], NOW_S))
-    assert "gate died too often and stays down (it was killed by SIGKILL)" in said
-    assert "start it again with `failstop run`, then `failstop enable`" in said
+    assert "gate died too often (it was killed by SIGKILL) and is down for a minute" in said
+    assert "wait for gate, then `failstop reset`, then `failstop enable`" in said
+    found = {"times": 3, "longest_ms": 612, "process": "telemetry"}
+    starved = text(paragraph.explain(state(starved=found), [], NOW_S))
+    assert "The machine starved the service 3 times, at worst telemetry for 612 ms (`failstop doctor` has" in starved
     waiting = process(state="waiting", last_exit="killed by SIGKILL")
     assert "gate is waiting, after it was killed" in text(
         paragraph.explain(state(waiting_for="gate", processes={"gate": waiting}), [], NOW_S)

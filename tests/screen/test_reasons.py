@@ -13,13 +13,14 @@ from failstop.board.interface import BOARD
 from failstop.faults.table import TABLE as FAULTS
 from failstop.screen import reasons, verdict
 from failstop.shm.layout import PROCESSES
+from failstop.shm.records import REQUESTED, requested
 from failstop.supervisor import aftermath
 from failstop.supervisor.settings import Settings
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
 ANYTHING = reasons.TABLE[-1]
 REQUESTS = ("asked meanwhile", "nobody says so", "flood", "hand near the wheel")
-SAMPLES = (
+OWN = (
     *(f"{name} died" for name in PROCESSES),
     *(f"{name} hangs: 251 ms silent" for name in PROCESSES),
     *(f"{name} hangs: silent for 62 ms" for name in ("gate", "supervisor")),
@@ -39,8 +40,14 @@ SAMPLES = (
     "stopped by the supervisor",
     "stopped by the supervisor (its reason is damaged)",
     "service is stopping",
-    *(f"{request} (failstop estop, pid 4711)" for request in REQUESTS),
 )
+ASKED = (
+    *(f"stop request: {request} (failstop estop, pid 4711)" for request in REQUESTS),
+    "stop request",
+    "stop request (nav, pid 3)",
+    "stop request: gate died",
+)
+SAMPLES = OWN + ASKED
 STOPS = frozenset(("stop", "trip", "_own_stop", "Cause"))
 """Calls that take a reason to latch for."""
 STAND_IN = {".0f": "62", ".1f": "1.2"}
@@ -126,10 +133,10 @@ def test_what_the_board_refuses_is_a_defect() -> None:
 def test_names_of_who_did_it() -> None:
     assert (
         'failstop estop (pid 4711) asked for a stop: "hand near"'
-        in reasons.explain("hand near (failstop estop, pid 4711)")[0]
+        in reasons.explain("stop request: hand near (failstop estop, pid 4711)")[0]
     )
     assert reasons.explain("stop request (nav, pid 3)")[0] == "nav (pid 3) asked for a stop"
-    assert '"chaos"' in reasons.explain("chaos")[0]
+    assert '"chaos"' in reasons.explain("stop request: chaos")[0]
     assert "without saying why" in reasons.explain("stop request")[0]
     assert "pressed X on the gamepad" in reasons.explain("gamepad button 0x0100")[0]
     assert "L1 and 0x0400" in reasons.explain("gamepad button 0x4400")[0]
@@ -137,10 +144,15 @@ def test_names_of_who_did_it() -> None:
     assert cause == "nav (pid 42) and a, b (pid 43) both commanded as cmd_vel"
 
 
-@pytest.mark.parametrize("text", ["", "{cause}", "a\nb", "%s {0} (x, pid 9)", "gate died\x00"])
-def test_whatever_somebody_writes_is_shown_as_it_is(text: str) -> None:
-    cause, _ = reasons.explain(text)
-    assert cause
+@pytest.mark.parametrize("text", ["", "{cause}", "a\nb", "%s {0} (x, pid 9)", "gate died\x00", *OWN])
+def test_whatever_somebody_writes_is_shown_as_it_is_and_as_a_request(text: str) -> None:
+    cause, _ = reasons.explain(requested(text))
+    assert re.match(r"somebody wrote to the stop pipe|\S.* \(pid \d+\) asked for a stop", cause)
+    assert reasons.explain(text)[0]
+
+
+def test_no_cause_of_the_service_s_own_looks_like_a_request() -> None:
+    assert [reason for reason in {*OWN, *_reasons_in_code()} if reason.startswith(REQUESTED)] == []
 
 
 def test_the_reason_of_a_contradicted_stop_is_known_as_such() -> None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.board.sim.client import Event
+from failstop.events import EventLog
 from failstop.screen.hold import COMMAND_S, ENDS_S
 from failstop.trial import Trial, wait_for
 
@@ -98,6 +99,9 @@ def test_a_tap_is_a_nudge(pilot: Typist, trial: Trial) -> None:
     typed_ns = pilot.type(b"\x1b[A")
     trial.board.wait_for(lambda event: event.is_motion, 5.0)
     stopped_in_time(trial, typed_ns)
+    own = f"failstop teleop (pid {pilot.process.pid})"
+    told = [event for event in EventLog(trial.name).read() if event.fields.get("who") == own]
+    assert [event.text.partition(":")[0] for event in told if event.kind.startswith("driver")] == [f"{own} let go"]
 
 
 @pytest.mark.parametrize(
@@ -123,7 +127,7 @@ def test_space_latches_at_once(pilot: Typist, trial: Trial) -> None:
     drive(pilot, trial)
     typed_ns = pilot.type(b" ")
     trial.board.wait_for(lambda event: event.is_stop and event.arrival_ns > typed_ns, 5.0)
-    pilot.wait("STOPPED  blocked: estop: space key (failstop teleop")
+    pilot.wait("STOPPED  blocked: estop: stop request: space key (failstop teleop")
     stopped_in_time(trial, typed_ns, 0.0)
     hold(pilot, b"w", 0.2)
     pilot.type(b"e")
@@ -175,8 +179,7 @@ def test_ctrl_c_is_a_signal_in_both_languages(pilot: Typist, trial: Trial) -> No
 def test_a_terminal_that_goes_away(pilot: Typist, trial: Trial) -> None:
     """The window is closed, the connection is gone: SIGHUP, and every write fails."""
     typed_ns = drive(pilot, trial)
-    os.close(pilot.slave)
-    os.close(pilot.master)
+    pilot.hang_up()
     stopped_in_time(trial, typed_ns)
     pilot.process.wait(15)
     assert not trial.robot.state.enabled

@@ -9,7 +9,7 @@ import pytest
 from failstop.procs.gate import kinematics
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
-from failstop.screen import host, paragraph, verdict, words
+from failstop.screen import paragraph, verdict
 from failstop.shm import blocks
 from failstop.supervisor.settings import Settings
 
@@ -57,30 +57,29 @@ TABLE: tuple[tuple[Any, str, list[str]], ...] = (
     (
         latched("gate died", waiting_for="gate", processes={"gate": process(pid=0, state="down")}),
         verdict.STOPPED,
-        ["`sudo systemctl restart failstop`", "`failstop enable`"],
+        ["wait for gate", "`failstop reset`", "`failstop enable`"],
+    ),
+    (
+        latched("stopper died", waiting_for="stopper", processes={"stopper": process(pid=0, state="down")}),
+        verdict.STOPPED,
+        ["`failstop reset`", "`failstop enable`"],
     ),
 )
 
 
 @pytest.mark.parametrize(("found", "word", "steps"), TABLE)
-def test_the_word_and_the_steps(found: Any, word: str, steps: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(host, "unit", words.unit)
+def test_the_word_and_the_steps(found: Any, word: str, steps: list[str]) -> None:
     assert verdict.word(found)[0] == word
     assert verdict.steps(found) == steps
 
 
-def test_commands_name_the_robot_where_there_are_several(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_name_the_robot_where_there_are_several() -> None:
     other = {"name": "left-arm"}
     assert verdict.next_step(latched()) == "`failstop reset`, then `failstop enable`"
     assert verdict.next_step(latched(**other)) == (
         "`failstop reset --name left-arm`, then `failstop enable --name left-arm`"
     )
     assert verdict.next_step(state(**other)) == "`failstop enable --name left-arm`"
-    down = state(processes={"gate": process(state="down")}, **other)
-    monkeypatch.setattr(host, "unit", lambda _name: "")
-    assert "`failstop run --name left-arm`" in verdict.next_step(down)
-    monkeypatch.setattr(host, "unit", words.unit)
-    assert "`sudo systemctl restart failstop@left-arm`" in verdict.next_step(down)
 
 
 def _gate_reasons() -> dict[str, str]:

@@ -16,7 +16,7 @@ from tests.commands import FAILSTOP
 
 from .typist import Typist
 
-CPU_S = 20.0
+CPU_S = 5.0
 MOST_CPU = 0.01
 """Of one core, as the robot has better things to do; measured here 0.0065."""
 BUSY = 2.0
@@ -37,7 +37,7 @@ def test_it_follows_what_happens(watch: Typist, trial: Trial) -> None:
     trial.drive(0.8, each=watch.peek)
     assert "█" in watch.screen()
     trial.robot.estop("hand near")
-    watch.wait("blocked: estop: hand near")
+    watch.wait("blocked: estop: stop request: hand near")
     watch.wait(f"`failstop reset --name {trial.name}`")
 
 

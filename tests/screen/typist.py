@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import os
 import re
@@ -53,6 +52,7 @@ class Typist:
             self._words, stdin=slave, stdout=slave, stderr=slave, env=self._environ, preexec_fn=own_terminal
         )
         self.slave = slave
+        self._open = [self.master, slave]
         os.set_blocking(self.master, False)
         return self
 
@@ -60,9 +60,12 @@ class Typist:
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait()
-        for fd in (self.master, self.slave):
-            with contextlib.suppress(OSError):
-                os.close(fd)
+        self.hang_up()
+
+    def hang_up(self) -> None:
+        """Close the terminal, as a window or a connection does. Once: its numbers may be other files' by then."""
+        while self._open:
+            os.close(self._open.pop())
 
     def resize(self, columns: int, rows: int, *, tell: bool = True) -> None:
         """Another size of the window."""

@@ -11,6 +11,7 @@ import select
 import signal
 import traceback
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -134,6 +135,13 @@ def call(work: Callable[[], object], uid: int = -1) -> Any:
     """Run `work` in a child, as another user if one is given; returns what it returned."""
     with Child(lambda send, wait: work(), uid) as child:
         return child.result()
+
+
+def reachable(path: Path) -> None:
+    """Let other users into a directory, and into all above it."""
+    for folder in (path, *path.parents):
+        if folder.stat().st_mode & 0o005 != 0o005:
+            folder.chmod(0o755)
 
 
 @contextlib.contextmanager

@@ -7,13 +7,8 @@ import os
 from collections.abc import Iterator
 
 import pytest
-from hypothesis import settings
 
 from failstop.shm import segment
-
-# A loaded machine is no failure: the time limits are pytest's.
-settings.register_profile("shm", deadline=None)
-settings.load_profile("shm")
 
 _numbers = itertools.count()
 

@@ -146,8 +146,11 @@ def test_messages_arrive_whole_and_in_order(place: str, fds: list[int]) -> None:
     assert bell.send(writing, b"one\n")
     assert bell.send(writing, b"two\n")
     assert rings(reading)
-    assert bell.take(reading, 3) == b"one"
-    assert bell.take(reading) == b"\ntwo\n"
+    taken = bell.take(reading)
+    assert taken == b"one\ntwo\n"
+    assert bell.send(writing, b"three\n")
+    assert bell.take(reading) == b"three\n"
+    assert taken == b"one\ntwo\n", "what was taken is the taker's"
     assert bell.take(reading) == b""
     assert not rings(reading)
 

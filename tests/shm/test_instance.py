@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import stat
 from collections.abc import Callable, Iterator
@@ -12,15 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.shm import bell, instance
+from failstop.shm import bell, instance, root
 from failstop.shm.instance import InstanceError, NoService
 
-from .children import NOBODY, Child, call, needs_root, umask
+from .children import NOBODY, Child, call, needs_root, reachable, umask
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]
-STRANGER = 61_234
-"""A user that no one is, so that its directories under /tmp are this test's alone."""
+STRANGER = 61_000 + os.getpid() % 4000
+"""A user that no one is, and of this process alone, so that its directories are this test's."""
 
 
 @pytest.fixture
@@ -33,8 +34,8 @@ def bases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 @pytest.fixture
 def private() -> Iterator[str]:
-    """The stranger's directory under /tmp; whatever a test puts there is removed."""
-    path = f"/tmp/failstop-{STRANGER}"
+    """The stranger's directory in /dev/shm; whatever a test puts there is removed."""
+    path = f"/dev/shm/failstop-{STRANGER}"
     _remove(path)
     yield path
     _remove(path)
@@ -79,13 +80,24 @@ def test_a_good_name_is_one_plain_path_component(name: str) -> None:
 
 
 def test_the_order_of_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
-    private = f"/tmp/failstop-{os.getuid()}"
-    monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/77")
-    assert instance._candidates() == ["/run/failstop", "/run/user/77/failstop", private]
+    monkeypatch.setattr(os, "getuid", lambda: 77)
+    private = "/dev/shm/failstop-77"
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/elsewhere")
+    monkeypatch.setenv(root.VARIABLE, "/srv/apart")
+    assert instance._candidates() == ["/srv/apart/run/failstop", "/elsewhere/failstop", private]
+    monkeypatch.delenv(root.VARIABLE)
+    assert instance._candidates() == ["/run/failstop", "/elsewhere/failstop", private]
     monkeypatch.setenv("XDG_RUNTIME_DIR", "")
-    assert instance._candidates() == ["/run/failstop", private]
+    assert instance._candidates() == ["/run/failstop", "/run/user/77/failstop", private]
     monkeypatch.delenv("XDG_RUNTIME_DIR")
-    assert instance._candidates() == ["/run/failstop", private]
+    assert instance._candidates() == ["/run/failstop", "/run/user/77/failstop", private]
+
+
+def test_root_has_no_place_that_others_could_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(root.VARIABLE, raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 0)
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    assert instance._candidates() == ["/run/failstop", "/run/user/0/failstop"]
 
 
 def test_the_first_that_can_be_written_is_taken(bases: list[str]) -> None:
@@ -115,12 +127,26 @@ def test_a_runtime_dir_is_taken_over(bases: list[str]) -> None:
 
 
 @pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
-def test_directories_under_tmp_are_private_whatever_the_umask(bases: list[str], mask: int) -> None:
-    assert bases[0].startswith("/tmp/"), "pytest's own directory must lie under /tmp for this test"
+def test_the_shared_place_is_private_under_any_umask(private: str, monkeypatch: pytest.MonkeyPatch, mask: int) -> None:
+    monkeypatch.setattr(instance, "_candidates", lambda: [private])
     with umask(mask):
         path = instance.make_runtime_dir("robot")
+        assert os.umask(mask) == mask
     assert stat.S_IMODE(os.stat(path).st_mode) == 0o700
-    assert stat.S_IMODE(os.stat(bases[0]).st_mode) == 0o700
+    assert stat.S_IMODE(os.stat(private).st_mode) == 0o700
+
+
+def test_a_full_disk_is_told_and_not_passed_over(bases: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clients look in the first place, and would find nobody."""
+
+    def mkdir(path: str, mode: int = 0o777, *, dir_fd: int | None = None) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path)
+
+    os.mkdir(bases[0])
+    monkeypatch.setattr(os, "mkdir", mkdir)
+    with pytest.raises(InstanceError) as refused:
+        instance.make_runtime_dir("robot")
+    assert f"{bases[0]}/robot: No space left on device" in str(refused.value)
 
 
 @pytest.mark.parametrize("mask", [0o000, 0o077])
@@ -152,7 +178,7 @@ def made_as_stranger(name: str = "robot") -> str:
 
 
 @needs_root
-def test_a_user_s_own_directory_under_tmp(private: str) -> None:
+def test_a_user_s_own_directory_in_the_shared_place(private: str) -> None:
     assert made_as_stranger() == f"{private}/robot"
     for path in (private, f"{private}/robot"):
         found = os.lstat(path)
@@ -163,12 +189,11 @@ def test_a_user_s_own_directory_under_tmp(private: str) -> None:
 @needs_root
 @pytest.mark.parametrize("part", ["base", "instance"])
 @pytest.mark.parametrize("trap", ["other user's", "link to other user's", "link to own", "file", "dangling link"])
-def test_a_trap_under_tmp_is_refused(private: str, tmp_path: Path, part: str, trap: str) -> None:
-    """/tmp is everyone's: what is there already may have been put there to be trusted."""
+def test_a_trap_in_the_shared_place_is_refused(private: str, tmp_path: Path, part: str, trap: str) -> None:
+    """It is everyone's: what is there already may have been put there to be trusted."""
     target = tmp_path / "target"
     target.mkdir()
-    for parent in (tmp_path, tmp_path.parent, tmp_path.parent.parent):
-        parent.chmod(0o755)
+    reachable(tmp_path)
     if trap == "link to own":
         os.chown(target, STRANGER, STRANGER)
     else:
@@ -190,6 +215,7 @@ def test_a_trap_under_tmp_is_refused(private: str, tmp_path: Path, part: str, tr
     answer = made_as_stranger()
     assert answer.startswith("refused: no runtime directory for 'robot'")
     assert private in answer
+    assert "\n" not in answer
     assert list(target.iterdir()) == []
 
 
@@ -335,8 +361,39 @@ def test_everyone_can_find_a_service_that_everyone_may_stop(monkeypatch: pytest.
 
 
 def test_paths_lie_in_the_runtime_dir_and_differ() -> None:
-    paths = [
-        each("/run/x") for each in (instance.lock_path, instance.claims_path, instance.stop_path, instance.bell_path)
-    ]
-    assert len(set(paths)) == 4
+    each = (instance.lock_path, instance.claims_path, instance.stop_path, instance.bell_path, instance.run_path)
+    paths = [path("/run/x") for path in each]
+    assert len(set(paths)) == len(each)
     assert all(os.path.dirname(path) == "/run/x" for path in paths)
+
+
+def test_the_run_that_is_published_is_the_one_that_is_read(bases: list[str], fds: list[int]) -> None:
+    path = instance.make_runtime_dir("robot")
+    with pytest.raises(NoService):
+        instance.run(path)
+    for incarnation in (7, 2**64 - 1, 0):
+        fds.append(fd := instance.publish(path, incarnation))
+        assert instance.run(path) == (incarnation, os.geteuid())
+        assert os.fstat(fd).st_nlink == 1
+        assert stat.S_IMODE(os.fstat(fd).st_mode) == 0o644
+    assert os.fstat(fds[0]).st_nlink == 0
+    instance.clear(path)
+    assert os.listdir(path) == []
+
+
+@pytest.mark.parametrize("junk", [b"", b"\xff\xfe\0", b"not a number", b"-"])
+def test_a_run_that_can_not_be_read_is_no_service(bases: list[str], junk: bytes) -> None:
+    path = instance.make_runtime_dir("robot")
+    Path(instance.run_path(path)).write_bytes(junk)
+    with pytest.raises(NoService):
+        instance.run(path)
+
+
+@needs_root
+def test_root_takes_over_no_directory_of_another_user(bases: list[str]) -> None:
+    """That one could neither use what root leaves there nor remove it."""
+    path = instance.make_runtime_dir("robot")
+    os.chown(bases[0], NOBODY, NOBODY)
+    os.chown(path, NOBODY, NOBODY)
+    with pytest.raises(InstanceError, match=r"belongs to .*uid 65534.*choose another --name"):
+        instance.make_runtime_dir("robot")

@@ -106,7 +106,7 @@ def test_each_client_slot_has_its_reply() -> None:
 
 def test_every_process_has_a_whole_heartbeat() -> None:
     beats = {name for name in BY_NAME["supervisor"].records if name.startswith("beat_")}
-    assert len(beats) == 7
+    assert len(beats) == 8
     for process in PROCESSES:
         assert beats <= set(BY_NAME[process].records)
 

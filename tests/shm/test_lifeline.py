@@ -352,4 +352,5 @@ def test_mutexes_need_a_mapping_for_writing(name: str, mutexes: Mutexes) -> None
     with pytest.raises(TypeError, match="not writable"):
         segment.attach(name, "lifelines", RUN).mutexes("mutexes")
     with pytest.raises(TypeError, match="need a mapping"):
-        segment.create(name, "lifelines", RUN).mutexes("mutexes")
+        segment.create(f"{name}-unmapped", "lifelines", RUN).mutexes("mutexes")
+    segment.unlink_all(f"{name}-unmapped")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import select
 import struct
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +14,9 @@ from hypothesis import strategies as st
 
 from failstop.shm import records
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS
+from failstop.shm.packing import pack
 from failstop.shm.slot import HEADER_BYTES, build
+from failstop.supervisor.settings import LONGEST_NAME, MOST_OF_A_FAMILY
 
 U64 = st.integers(0, 2**64 - 1)
 U32 = st.integers(0, 2**32 - 1)
@@ -77,6 +80,15 @@ def test_command_keeps_what_is_no_number() -> None:
     assert vx != vx
     assert vy == float("inf")
     assert str(wz) == "-0.0"
+
+
+@given(session=U64, sees=text_strategy(190), wrong=text_strategy(190))
+def test_said(session: int, sees: str, wrong: str) -> None:
+    found_session, *found = records.unpack_said(records.pack_said(session, sees, wrong))
+    assert found_session == session
+    for told, text in zip(found, (sees, wrong), strict=True):
+        assert "\n" not in told, "each is a line"
+        assert is_cut(told, text.replace("\n", " "), 190)
 
 
 @given(session=U64, pid=U32, namespace=U64, name=text_strategy(64))
@@ -150,12 +162,16 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     ),
     "reply": (lambda text: records.pack_reply(TOP, TOP, True, text), [f"gate/reply.{i}" for i in range(CLIENT_SLOTS)]),
     "held": (
-        lambda text: records.pack_held(TOP, [text, text]),
+        lambda text: records.pack_held(TOP, ["x" * records.HELD_BYTES]),
         [f"client.{i}/interlocks" for i in range(CLIENT_SLOTS)],
     ),
     "command": (
-        lambda text: records.pack_command(TOP, 1e308, 1e308, 1e308, True, text),
+        lambda text: records.pack_command(TOP, 1e308, 1e308, 1e308, True, "x" * records.SOURCE_BYTES),
         [f"client.{i}/command" for i in range(CLIENT_SLOTS)],
+    ),
+    "said": (
+        lambda text: records.pack_said(TOP, text, text),
+        [f"client.{i}/said" for i in range(CLIENT_SLOTS)],
     ),
     "request": (lambda text: records.pack_request(TOP, TOP, 255), [f"client.{i}/request" for i in range(CLIENT_SLOTS)]),
     "imu": (lambda text: records.pack_imu((1e308,) * 3, (1e308,) * 3), ["telemetry/imu"]),
@@ -177,6 +193,23 @@ def test_the_biggest_payload_fits_every_record_it_is_put_in(kind: str) -> None:
         room = capacity(place)
         for text in LONG:
             assert len(build(1, 1, pack(text), 0, room)) <= HEADER_BYTES + room
+
+
+@pytest.mark.parametrize("text", [*LONG, "x" * (records.HELD_BYTES + 1), "\u20ac" * 67])
+def test_names_that_something_depends_on_are_refused_and_not_cut(text: str) -> None:
+    with pytest.raises(ValueError, match="is longer than 16 bytes"):
+        records.pack_command(1, 0.0, 0.0, 0.0, False, text)
+    with pytest.raises(ValueError, match="is longer than 200 bytes"):
+        records.pack_held(1, [text[:5], text])
+
+
+def test_every_name_that_the_settings_allow_fits() -> None:
+    longest = [f"{number}".rjust(LONGEST_NAME, "x") for number in range(MOST_OF_A_FAMILY)]
+    assert records.unpack_held(records.pack_held(1, longest))[1] == longest
+    for name in longest:
+        assert records.unpack_command(records.pack_command(1, 0.0, 0.0, 0.0, True, name))[-1] == name
+    rules = {"sources": longest, "interlocks": longest, "lease_ns": TOP, "pid_namespace": TOP}
+    assert len(pack(rules)) <= capacity("supervisor/rules")
 
 
 @pytest.mark.parametrize("text", LONG)
@@ -212,6 +245,7 @@ SIZES: dict[str, tuple[Callable[[bytes], Any], int, bool]] = {
     "request": (records.unpack_request, 17, True),
     "command": (records.unpack_command, 49, True),
     "held": (records.unpack_held, 8, False),
+    "said": (records.unpack_said, 8, False),
     "imu": (records.unpack_imu, 48, True),
     "battery": (records.unpack_battery, 5, True),
     "bias": (records.unpack_bias, 26, True),
@@ -243,6 +277,30 @@ def test_any_bytes_are_unpacked_or_a_value_error(kind: str, payload: bytes) -> N
             unpack(payload)
     else:
         unpack(payload)
+
+
+@given(words=st.text(max_size=400), who=st.text(max_size=100), pid=st.integers(1, 2**22))
+def test_a_request_is_one_line_that_a_pipe_takes_whole_and_a_record_holds(words: str, who: str, pid: int) -> None:
+    line = records.asking(words, who, pid)
+    assert line.endswith(b"\n")
+    assert line.count(b"\n") == 1
+    assert len(line) < select.PIPE_BUF
+    told = records.requested(line[:-1].decode())
+    assert records.unpack_stop(records.pack_stop(1, 2, 3, True, told))[4] == told, "nothing is cut any more"
+    assert told.startswith(records.REQUESTED)
+    assert told.endswith(f", pid {pid})") == bool(who.split())
+
+
+@pytest.mark.parametrize("letter", ["x", "\u00e9", "\u20ac", "\U0001f916"])
+@pytest.mark.parametrize("shift", range(4))
+def test_of_a_reason_that_is_too_long_whole_characters_are_left_and_that_is_seen(letter: str, shift: int) -> None:
+    words = "y" * shift + 5000 * letter
+    text = records.asking(words, "nav", 7).decode()
+    kept, left_out, who = text.partition(" ...")
+    assert (left_out, who) == (" ...", " (nav, pid 7)\n")
+    assert words.startswith(kept)
+    assert records.ASKED_BYTES - 8 < len((kept + left_out).encode()) <= records.ASKED_BYTES
+    assert records.asking(kept).decode() == f"{kept}\n", "what fits is left as it is"
 
 
 def test_payloads_are_little_endian_without_padding() -> None:

@@ -5,20 +5,17 @@ from __future__ import annotations
 
 import os
 import random
-from typing import TYPE_CHECKING
 
 import pytest
 
 from failstop.shm import records
 from failstop.shm.layout import SEGMENTS
 from failstop.shm.segment import AttachError
-
-if TYPE_CHECKING:
-    pass
+from tests.amounts import amount
 
 from .written import NAMES, Written, path_of
 
-ROUNDS = 1500
+ROUNDS = amount(120, 1500)
 
 
 @pytest.mark.parametrize("of", NAMES)

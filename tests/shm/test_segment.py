@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import stat
+import struct
 from collections.abc import Callable
 
-import posix_ipc
 import pytest
 
-from failstop.shm import segment
+from failstop.shm import claim, segment
 from failstop.shm.layout import BY_NAME
 from failstop.shm.segment import AttachError
 
@@ -77,11 +78,11 @@ def test_nobody_reads_the_service_and_writes_nothing(name: str) -> None:
             for write in (False, True):
                 try:
                     if client and write:
-                        segment.attach_client_slot(name, int(of[-1]), RUN)
+                        segment.attach_client_slot(name, int(of[-1]), RUN, owner=0)
                     elif client:
                         segment.read_client_slot(name, int(of[-1]), RUN)
                     else:
-                        segment.attach(name, of, RUN, write=write)
+                        segment.attach(name, of, RUN, write=write, owner=0)
                     kinds.append("attached")
                 except AttachError as error:
                     kinds.append(f"{error.kind}: {'join the group `failstop`' in str(error)}")
@@ -100,10 +101,10 @@ def test_a_member_of_the_group_has_a_client_slot_and_no_more(name: str) -> None:
         segment.create(name, of, RUN, client_gid=NOBODY).close()
 
     def attempts() -> tuple[int, str]:
-        own = segment.attach_client_slot(name, 0, RUN)
+        own = segment.attach_client_slot(name, 0, RUN, owner=0)
         seq = own.latest_writer("hello").write(b"hello", 1)
         try:
-            segment.attach(name, "gate", RUN, write=True)
+            segment.attach(name, "gate", RUN, write=True, owner=0)
         except AttachError as error:
             return seq, error.kind
         return seq, "attached"
@@ -164,37 +165,23 @@ def test_records_are_reached_as_what_they_are(name: str) -> None:
         own.word("no_such_record")
 
 
-def test_create_replaces_what_a_dead_run_left(name: str) -> None:
-    segment.create(name, "gate", 1).close()
-    old_own, old_seen = segment.attach(name, "gate", 1, write=True), segment.attach(name, "gate", 1)
-    old_own.latest_writer("state").write(b"old", 1)
-    old_own.ring_writer("frames").put(b"old frame", 1)
-    segment.create(name, "gate", 2).close()
-    new = segment.attach(name, "gate", 2)
-    assert new.latest_reader("state").read() is None
-    assert new.ring_reader("frames", from_oldest=True).next() is None
-    # Who still has the old one is not disturbed, and disturbs nobody.
-    old_own.latest_writer("state").write(b"late", 2)
-    assert old_seen.latest_reader("state").read() == (2, 2, b"late")
-    assert new.latest_reader("state").read() is None
-
-
-def test_create_replaces_whatever_has_the_name(name: str) -> None:
+def test_create_takes_nothing_that_is_there(name: str) -> None:
+    """A run's names are its own: what has one was made by somebody else."""
     with open(path_of(name, "gate"), "wb") as file:
         file.write(b"not a segment")
-    segment.create(name, "gate", RUN).close()
-    segment.attach(name, "gate", RUN)
+    kind, message = refusal(lambda: segment.create(name, "gate", RUN))
+    assert kind == "damaged"
+    assert path_of(name, "gate") in message
+    assert content(path_of(name, "gate")) == b"not a segment"
 
 
-def test_a_link_in_the_way_is_replaced_and_not_followed(name: str, tmp_path: object) -> None:
+def test_a_link_in_the_way_is_not_followed(name: str, tmp_path: object) -> None:
     victim = os.path.join(str(tmp_path), "victim")
     with open(victim, "w") as file:
         file.write("precious")
     os.symlink(victim, path_of(name, "gate"))
-    with pytest.raises(segment.AttachError, match=r"symbolic links"):
-        segment.attach(name, "gate", RUN)
-    segment.create(name, "gate", RUN).close()
-    segment.attach(name, "gate", RUN)
+    for attempt in (lambda: segment.attach(name, "gate", RUN), lambda: segment.create(name, "gate", RUN)):
+        refusal(attempt)
     with open(victim) as file:
         assert file.read() == "precious"
 
@@ -203,32 +190,69 @@ def test_a_pipe_in_the_way_is_not_waited_for(name: str) -> None:
     os.mkfifo(path_of(name, "supervisor"))
     with pytest.raises(segment.AttachError, match=r"not a regular file"):
         segment.attach(name, "supervisor", RUN)
-    assert segment.living_supervisor(name) == 0
-    segment.unlink(name, "supervisor")
+    assert not segment.living(name)
 
 
 @needs_root
-def test_another_user_s_segment_is_in_the_way(name: str) -> None:
-    segment.create(name, "gate", RUN).close()
-    before = os.stat(path_of(name, "gate"))
+@pytest.mark.parametrize("of", ["gate", "client.0"])
+def test_what_is_not_the_service_s_is_refused_by_path_and_owner(name: str, of: str) -> None:
+    """To root as to everyone: what somebody else has put there is somebody else's to change."""
+    create_all(name)
+    os.chown(path_of(name, of), NOBODY, -1)
+    for write in (False, True) if of == "gate" else (True,):
+        if of == "gate":
+            kind, message = refusal(lambda write=write: segment.attach(name, of, RUN, write=write, owner=0))
+        else:
+            kind, message = refusal(lambda: segment.attach_client_slot(name, 0, RUN, owner=0))
+        assert kind == "owner"
+        assert path_of(name, of) in message
+        assert f"uid {NOBODY}" in message
+        assert "remove it" in message
 
-    def attempts() -> list[tuple[str, str]]:
-        found = []
-        for attempt in (
-            lambda: segment.create(name, "gate", RUN),
-            lambda: segment.unlink(name, "gate"),
-            lambda: segment.unlink_all(name),
-        ):
-            try:
-                attempt()
-            except AttachError as error:
-                found.append((error.kind, str(error)))
-        return found
 
-    found = call(attempts, NOBODY)
-    assert [kind for kind, _ in found] == ["permission"] * 3
-    assert all("belongs to another user" in message and "--name" in message for _, message in found)
-    assert os.stat(path_of(name, "gate")).st_ino == before.st_ino
+@needs_root
+def test_a_dead_run_is_one_s_own(name: str) -> None:
+    """Of what others have put there nothing is read, and nothing removed."""
+    run, other = segment.memory(name, RUN), segment.memory(name, RUN + 1)
+    create_all(run)
+    create_all(other)
+    try:
+        assert sorted(segment.dead_runs(name)) == [run, other]
+        for of in NAMES:
+            os.chown(path_of(other, of), NOBODY, -1)
+        assert segment.dead_runs(name) == [run]
+        assert segment.open_all(other) == {}
+    finally:
+        segment.unlink_all(run)
+        segment.unlink_all(other)
+
+
+def test_a_run_lives_as_long_as_its_supervisor(name: str) -> None:
+    run = segment.memory(name, RUN)
+
+    def work(send: Callable[[object], None], wait: Callable[[], None]) -> None:
+        made = [segment.create(run, of, RUN) for of in NAMES]
+        send(len(made))
+        wait()
+
+    try:
+        with Child(work) as child:
+            child.receive()
+            assert segment.living(run)
+            assert segment.dead_runs(name) == []
+            child.kill()
+        assert not segment.living(run)
+        assert segment.dead_runs(name) == [run]
+    finally:
+        segment.unlink_all(run)
+
+
+def test_who_may_only_read_it_can_not_make_a_dead_run_look_alive(name: str) -> None:
+    """Everyone may read the supervisor's segment, and lock what they may read, for reading."""
+    create_all(name)
+    with open(path_of(name, "supervisor"), "rb") as file:
+        fcntl.fcntl(file.fileno(), claim.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0))
+        assert not segment.living(name)
 
 
 def test_unlink_of_what_is_not_there_is_fine(name: str) -> None:
@@ -285,6 +309,7 @@ def test_no_descriptor_crosses_an_exec(name: str) -> None:
     create_all(name)
 
     def work(send: object, wait: object) -> list[str]:
+        segment.unlink(name, "stopper")
         made = segment.create(name, "stopper", RUN)
         held = [segment.attach(name, of, RUN) for of in SERVICE if of != "stopper"]
         held += [segment.attach_client_slot(name, 0, RUN), segment.read_client_slot(name, 1, RUN), made]
@@ -330,12 +355,3 @@ def test_readers_outlive_the_segment_object(name: str) -> None:
     writer.write(b"still here", 1)
     assert reader.read() == (1, 1, b"still here")
     assert word.get() == 0
-
-
-def test_a_name_taken_meanwhile_is_not_used(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Somebody else's segment that appears between unlinking and creating must not become ours."""
-    with open(path_of(name, "gate"), "wb") as file:
-        file.write(b"planted")
-    monkeypatch.setattr(segment, "unlink", lambda instance, of: None)
-    with pytest.raises(posix_ipc.ExistentialError):
-        segment.create(name, "gate", RUN)

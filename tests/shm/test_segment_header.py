@@ -124,6 +124,7 @@ def test_slots_of_another_run_are_not_read(name: str) -> None:
     own.ring_writer("frames").put(b"old", 1)
     with open(path_of(name, "gate"), "rb") as file:
         old = file.read()
+    segment.unlink(name, "gate")
     segment.create(name, "gate", 2).close()
     with open(path_of(name, "gate"), "r+b") as file:
         file.seek(HEADER_BYTES)

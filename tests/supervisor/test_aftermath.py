@@ -19,8 +19,8 @@ class Watched(Scene):
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)
-        self.telemetry = segment.attach(self.resources.name, layout.TELEMETRY, write=True)
-        self.link = segment.attach(self.resources.name, layout.SUPERVISOR).latest_reader("link")
+        self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
+        self.link = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("link")
 
     def stop(self, reason: str) -> None:
         """The gate trips, and the port owner answers."""
@@ -82,6 +82,16 @@ def test_wheels_that_do_not_rest_are_stopped_for_again_and_the_command_runs_once
     epoch = scene.supervisor.epoch
     scene.shake(5.0)
     assert scene.supervisor.epoch == epoch, "a reset ends the question"
+
+
+def test_an_answer_acknowledges_what_was_written_before_its_ping(scene: Watched) -> None:
+    sent_ns = scene.now_ns
+    scene.port_owner.word("ping_0").set(sent_ns)
+    scene.telemetry.word("pong").set(records.pong(sent_ns + MS, 0))
+    scene.turn(2 * MS)
+    heard_ns = scene.supervisor.aftermath.heard_ns
+    assert heard_ns(sent_ns) == heard_ns(sent_ns - MS) == sent_ns + MS
+    assert heard_ns(sent_ns + 1) == 0
 
 
 def test_a_port_that_was_opened_anew_may_be_another_board(scene: Watched) -> None:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from failstop import cli
 from failstop.supervisor import config
@@ -96,6 +100,92 @@ def test_broken_toml_names_the_file(file: Path, text: str | bytes) -> None:
     assert "\n" not in message
 
 
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"a = " + b"1" * 5000, "line 1 has more than 1000 characters"),
+        (b"a = " + b"[\n" * 5000, "it is nested too deeply"),
+        ("gate.period_s = 0.02\n".encode("utf-16"), "it is UTF-16: save it as UTF-8"),
+        (b"a" * 70000, "it has more than 65536 bytes"),
+        (b"a." * 450 + b"a = 1\n", ""),
+        (b"a = {" * 190, ""),
+        (b'"a\\u001b[2J\\n" = 1\n', ""),
+        (b"gate.period_s = 0x" + b"f" * 970, "gate.period_s = 9917"),
+        (b"pad.mode_button = 0x" + b"f" * 970, "pad.mode_button = 9917"),
+        (b"scan.gate = [\n" + b"[\n" * 100 + b"]" * 101, "scan.gate = [[[["),
+        (b"device.path = '" + b"x" * 900 + b"'\n", "device.path = 'xxxx"),
+        (b"sources." + b"x" * 900 + b" = 1\n", ""),
+        (b"sources.'a\tb' = 1\n", ""),
+    ],
+)
+def test_whatever_is_in_a_file_is_one_short_line(file: Path, content: bytes, problem: str) -> None:
+    message = refusal(file, content)
+    assert problem in message
+    assert message.isprintable()
+    assert len(message) < 500 + len(str(file))
+
+
+def test_a_number_of_thousands_of_digits_on_a_line_that_may_be_is_one_line(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The interpreter's limit is a setting of the environment's, and can be lower than the longest line."""
+    before = sys.get_int_max_str_digits()
+    sys.set_int_max_str_digits(640)
+    try:
+        assert "is not TOML: Exceeds the limit" in refusal(file, b"gate.period_s = " + b"1" * 700)
+    finally:
+        sys.set_int_max_str_digits(before)
+
+
+def test_the_mark_of_utf_8_is_no_mistake(file: Path) -> None:
+    """Editors on Windows write it."""
+    file.write_bytes(b"\xef\xbb\xbf[limits]\r\nvx_mps = 0.35\r\n")
+    assert config.load(str(file))["limits.vx_mps"] == 0.35
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("path", ["/dev/zero", "/dev/ptmx", "/dev/tty", "FIFO", "/proc/kcore", "/proc/kmsg"])
+def test_what_is_no_settings_file_ends_and_is_told(path: str, tmp_path: Path) -> None:
+    if path == "FIFO":
+        os.mkfifo(path := str(tmp_path / "fifo"))
+    with pytest.raises(SettingError, match=f"configuration {path}") as raised:
+        config.read(path)
+    assert str(raised.value).isprintable()
+
+
+def test_a_link_to_a_settings_file_is_followed(file: Path) -> None:
+    file.write_text("limits.vx_mps = 0.35\n")
+    link = file.with_name("link")
+    link.symlink_to(file)
+    assert config.load(str(link))["limits.vx_mps"] == 0.35
+
+
+def test_a_list_of_any_depth_is_refused_in_one_line() -> None:
+    deep: list[object] = []
+    for _ in range(50_000):
+        deep = [deep]
+    with pytest.raises(SettingError, match=r"scan\.gate = list beyond all bounds"):
+        config.checked({"scan.gate": deep})
+
+
+KEYS = st.sampled_from([*(setting.key for setting in DECLARED), "sources.a.priority", "interlocks.a.refusal", "x.y"])
+SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.dates()
+VALUES = st.recursive(SCALARS, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=5)
+
+
+@given(KEYS, VALUES)
+@example("gate.period_s", 1 << 20000)
+@example("pad.mode_button", 1 << 20000)
+def test_a_value_of_any_type_is_taken_or_refused_in_one_short_line(key: str, value: object) -> None:
+    said = ""
+    try:
+        config.checked({key: value})
+    except SettingError as error:
+        said = str(error)
+    assert said.isprintable()
+    assert len(said) < 500
+
+
 def test_a_missing_file_names_it(file: Path) -> None:
     with pytest.raises(SettingError) as raised:
         config.load(str(file))
@@ -103,7 +193,7 @@ def test_a_missing_file_names_it(file: Path) -> None:
 
 
 def test_a_directory_is_no_file(tmp_path: Path) -> None:
-    with pytest.raises(SettingError, match=f"configuration {tmp_path}: Is a directory"):
+    with pytest.raises(SettingError, match=f"configuration {tmp_path}: a directory, not a regular file"):
         config.load(str(tmp_path))
 
 

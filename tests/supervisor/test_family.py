@@ -58,12 +58,12 @@ def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene) -> 
     gate.started(pid, 1, scene.now_ns)
     assert gate.life
     scene.supervisor.loop.watch(gate.life.fd, READ)
-    family.bury({gate.life.fd: READ}, scene.now_ns, 0)
+    family.bury({gate.life.fd: READ}, scene.now_ns, 1)
     assert (gate.pid, gate.restart_ns) == (pid, None)
     os.kill(pid, signal.SIGKILL)
     assert gate.life.wait(20.0)
     assert gate.life.fd not in scene.supervisor.loop.wait(0), "it would wake the supervisor without end"
-    family.bury({}, scene.now_ns, 0)
+    family.bury({}, scene.now_ns, 1)
     assert (gate.pid, gate.life, gate.last_exit, gate.state()) == (0, None, "killed by SIGKILL", "waiting")
 
 

@@ -34,8 +34,8 @@ def test_an_entry_is_one_datagram(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as server:
         server.bind(str(tmp_path / "socket"))
         journal = Journal(str(tmp_path / "socket"))
-        assert journal.send([("MESSAGE", "one"), ("PRIORITY", 5)])
-        assert journal.send([("MESSAGE", "two")])
+        assert journal.send(encode([("MESSAGE", "one"), ("PRIORITY", 5)]))
+        assert journal.send(encode([("MESSAGE", "two")]))
         assert server.recv(1000) == b"MESSAGE=one\nPRIORITY=5\n"
         assert server.recv(1000) == b"MESSAGE=two\n"
         journal.close()
@@ -44,13 +44,13 @@ def test_an_entry_is_one_datagram(tmp_path: Path) -> None:
 def test_a_journal_that_comes_back_is_used_again(tmp_path: Path) -> None:
     path = tmp_path / "socket"
     journal = Journal(str(path))
-    assert not journal.send([("MESSAGE", "nobody")])
+    assert not journal.send(encode([("MESSAGE", "nobody")]))
     for _ in range(2):
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as server:
             server.bind(str(path))
-            assert journal.send([("MESSAGE", "here")])
+            assert journal.send(encode([("MESSAGE", "here")]))
         path.unlink()
-        assert not journal.send([("MESSAGE", "nobody")])
+        assert not journal.send(encode([("MESSAGE", "nobody")]))
     journal.close()
 
 

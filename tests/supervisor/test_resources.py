@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import grp
 import itertools
 import os
@@ -26,7 +27,7 @@ def name() -> str:
 
 def close(made: Resources) -> None:
     made.remove()
-    for fd in (made.stop_pipe, made.client_bell, *(found.fd for found in made.bells.values())):
+    for fd in (made.stop_pipe, made.client_bell, made.published, *(found.fd for found in made.bells.values())):
         os.close(fd)
     for pair in made.controls.values():
         for fd in pair:
@@ -51,7 +52,7 @@ def mode(path: str) -> int:
 def test_every_segment_is_there_and_of_this_run(made: Resources) -> None:
     assert len(left(made.name)) == len(layout.SEGMENTS)
     for process in layout.PROCESSES:
-        assert segment.attach(made.name, process).incarnation == made.incarnation
+        assert segment.attach(made.memory, process).incarnation == made.incarnation
 
 
 def test_two_runs_differ(made: Resources, name: str, tmp_path: Path) -> None:
@@ -94,8 +95,8 @@ def test_the_group_is_the_client_s_where_it_exists(name: str, tmp_path: Path, mo
     try:
         for path in (instance.bell_path, instance.claims_path):
             assert os.stat(path(str(tmp_path))).st_gid == 4321
-        assert os.stat(f"/dev/shm/failstop.{name}.client.0").st_gid == 4321
-        assert os.stat(f"/dev/shm/failstop.{name}.gate").st_gid == os.getegid(), "what clients only read stays"
+        assert os.stat(segment.path_of(made.memory, "client.0")).st_gid == 4321
+        assert os.stat(segment.path_of(made.memory, layout.GATE)).st_gid == os.getegid(), "what clients only read stays"
     finally:
         close(made)
 
@@ -112,8 +113,10 @@ def test_what_a_dead_run_left_is_replaced(made: Resources, tmp_path: Path) -> No
     fd = bell.open_pipe_to_write(instance.stop_path(made.runtime_dir))
     bell.send(fd, b"old\n")
     os.close(fd)
+    for dead in made._segments:
+        dead.close()
     again = Resources(made.name, str(tmp_path))
-    assert segment.attach(made.name, layout.GATE).incarnation == again.incarnation
+    assert segment.attach(again.memory, layout.GATE).incarnation == again.incarnation
     assert bell.take(again.stop_pipe) == b""
     close(again)
 
@@ -155,3 +158,60 @@ def test_claims_of_clients_work_on_the_file(made: Resources) -> None:
     os.close(client)
     assert not claim.held(service, 3)
     os.close(service)
+
+
+def failing(at: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No room from the segment of this number on; past the last one, none for the file that names the run."""
+    made = iter(range(100))
+    allocate = os.posix_fallocate
+
+    def fallocate(fd: int, offset: int, size: int) -> None:
+        if next(made) >= at:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        allocate(fd, offset, size)
+
+    def pipe(path: str, mode: int, gid: int = -1) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path)
+
+    monkeypatch.setattr(os, "posix_fallocate", fallocate)
+    if at >= len(layout.SEGMENTS):
+        monkeypatch.setattr(bell, "make_pipe", pipe)
+
+
+@pytest.mark.parametrize("at", [0, 1, 7, len(layout.SEGMENTS)])
+def test_a_start_that_fails_midway_leaves_nothing(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    failing(at, monkeypatch)
+    with pytest.raises((segment.AttachError, OSError), match=r"No space|no room"):
+        Resources(name, str(tmp_path))
+    assert left(name) == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nor_does_it_cost_the_black_box_of_the_run_before(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = segment.memory(name, 7)
+    for spec in layout.SEGMENTS:
+        segment.create(before, spec.name, 7).close()
+    with monkeypatch.context() as patch:
+        failing(3, patch)
+        with pytest.raises(segment.AttachError, match="no room"):
+            Resources(name, str(tmp_path))
+    assert segment.dead_runs(name) == [before]
+    made = Resources(name, str(tmp_path))
+    assert set(made.left) == set(layout.PROCESSES)
+    assert segment.dead_runs(name) == []
+    for fd in made.left.values():
+        os.close(fd)
+    close(made)
+
+
+def test_what_a_living_run_has_is_not_taken_from_it(made: Resources) -> None:
+    """Whatever has become of the lock's file."""
+    before = sorted(os.listdir(made.runtime_dir))
+    with pytest.raises(instance.InstanceError, match="already running"):
+        Resources(made.name, made.runtime_dir)
+    assert sorted(os.listdir(made.runtime_dir)) == before
+    assert len(left(made.name)) == len(layout.SEGMENTS)

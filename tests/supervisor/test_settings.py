@@ -22,6 +22,7 @@ from failstop.supervisor.settings import (
     Setting,
     SettingError,
     Settings,
+    shown,
 )
 
 CHOICES = [setting for setting in DECLARED if setting.allowed]
@@ -158,7 +159,7 @@ def test_a_text_has_an_end() -> None:
 def test_a_choice_of_another_word_names_the_allowed_ones(setting: Setting, value: object) -> None:
     with pytest.raises(SettingError) as raised:
         Settings({setting.key: value})
-    assert str(raised.value) == f"{setting.key} = {value!r}: allowed is {setting.range()}"
+    assert str(raised.value) == f"{setting.key} = {shown(value)}: allowed is {setting.range()}"
 
 
 def test_the_message_for_a_choice() -> None:
@@ -184,7 +185,22 @@ def test_switches() -> None:
 def test_a_number_out_of_range(setting: Setting, value: float) -> None:
     with pytest.raises(SettingError) as raised:
         Settings({setting.key: value})
-    assert str(raised.value) == f"{setting.key} = {value!r}: allowed is {setting.range()}"
+    assert str(raised.value) == f"{setting.key} = {shown(value)}: allowed is {setting.range()}"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ("no", "'no'"),
+        ("\x1b[2J\n", "'\\x1b[2J\\n'"),
+        (10**400, f"1{'0' * 156}..."),
+        (1 << 20000, "int beyond all bounds"),
+        ("x" * 5000, f"'{'x' * 156}..."),
+    ],
+    ids=["word", "escape", "long number", "endless number", "long text"],
+)
+def test_a_value_is_shown_in_one_line_of_bounded_length(value: object, text: str) -> None:
+    assert shown(value) == text
 
 
 @pytest.mark.parametrize("setting", NUMBERS, ids=lambda setting: setting.key)

@@ -35,7 +35,7 @@ class Three(Scene):
         self.sharing = self.supervisor._sharing
         self.sharing._finder = Finder(str(self.path))
         self.port.since_ns = self.now_ns
-        self.stopper = segment.attach(self.resources.name, layout.STOPPER, write=True)
+        self.stopper = segment.attach(self.resources.memory, layout.STOPPER, write=True)
         self.supervisor.family[layout.STOPPER].pid = NOBODY
         self.stopper.word("beat_pid").set(NOBODY)
         self.stopper.word("beat_state").set(RUNNING)

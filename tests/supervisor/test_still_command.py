@@ -29,16 +29,15 @@ class Scene:
         self.file = directory / "ran"
         self.file.touch()
         self.resources = Resources(f"still{os.getpid()}", str(directory))
-        name = self.resources.name
-        own = segment.attach(name, layout.SUPERVISOR, write=True)
-        views = {process: segment.attach(name, process) for process in layout.PROCESSES}
+        own = segment.attach(self.resources.memory, layout.SUPERVISOR, write=True)
+        views = {process: segment.attach(self.resources.memory, process) for process in layout.PROCESSES}
         settings = Settings({"still.command": command.format(file=self.file), "still.after_s": 1.0})
         self.texts: list[str] = []
-        events = Events(name)
+        events = Events(self.resources.name)
         events.tell = self._tell  # type: ignore[method-assign,assignment]
         self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings, events)
-        self.telemetry = segment.attach(name, layout.TELEMETRY, write=True)
-        self.reset_word = segment.attach(name, layout.GATE, write=True).word("reset_epoch")
+        self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
+        self.reset_word = segment.attach(self.resources.memory, layout.GATE, write=True).word("reset_epoch")
         self.now_ns = 100 * S
         self.epoch = 1
 

@@ -125,10 +125,20 @@ def test_it_is_told_at_last_without_answer_and_without_imu() -> None:
 
 def test_a_fence_tells_its_times_in_order() -> None:
     fence = Fence(T0, T0 + MS // 10, T0 + MS // 5)
-    assert fence.story("port_owner", T0 + MS, T0 + 2 * MS) == (
+    assert fence.story("port_owner") == "port_owner was fenced: killed after 0.1 ms, stop written after 0.2 ms"
+    fence.gone(T0 + MS, T0 + 2 * MS)
+    assert fence.story("port_owner") == (
         "port_owner was fenced: killed after 0.1 ms, stop written after 0.2 ms, "
         "gone after 1.0 ms, stop again after 2.0 ms"
     )
-    assert Fence(T0, T0 + MS, 0).story("gate", T0 + 2 * MS, 0) == (
-        "gate was fenced: killed after 1.0 ms, gone after 2.0 ms"
-    )
+    assert fence.fields() == {
+        "silent_ms": 0.0,
+        "kill_us": 100.0,
+        "burst_us": 200.0,
+        "gone_us": 1000.0,
+        "again_us": 2000.0,
+    }
+    gate = Fence(T0, T0 + MS, 0, 61 * MS)
+    gate.gone(T0 + 2 * MS, 0)
+    assert gate.story("gate") == "gate was fenced: killed after 1.0 ms, gone after 2.0 ms"
+    assert gate.fields() == {"silent_ms": 61.0, "kill_us": 1000.0, "gone_us": 2000.0}

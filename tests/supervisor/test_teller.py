@@ -9,8 +9,9 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.shm import layout, segment
+from failstop.supervisor.causes import Cause
 from failstop.supervisor.events import Events
-from failstop.supervisor.teller import WAITED_NS, Teller
+from failstop.supervisor.teller import MOST_SAID, WAITED_NS, Teller
 
 T0 = 10**12
 
@@ -21,9 +22,11 @@ class Told(Events):
     def __init__(self) -> None:
         super().__init__("x")
         self.kinds: list[str] = []
+        self.lines: list[tuple[str, str]] = []
 
     def tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:
         self.kinds.append(kind)
+        self.lines.append((level, text))
 
 
 @pytest.fixture
@@ -42,7 +45,44 @@ def events() -> Told:
 
 @pytest.fixture
 def teller(name: str, events: Told) -> Teller:
-    return Teller(name, events, {process: segment.attach(name, process) for process in (layout.GATE, layout.TELEMETRY)})
+    return Teller(
+        name, events, {process: segment.attach(name, process) for process in (layout.GATE, layout.TELEMETRY)}, ""
+    )
+
+
+def test_a_thousand_reasons_of_somebody_s_are_not_all_remembered_and_hide_no_death(
+    teller: Teller, events: Told
+) -> None:
+    teller.latched(Cause(T0, layout.PORT_OWNER, "key1"))
+    for number in range(1000):
+        teller.also(Cause(T0, layout.PORT_OWNER, f"stop request: {number}"))
+        assert len(teller._said) <= MOST_SAID
+    before = len(events.kinds)
+    teller.also(Cause(T0, layout.PORT_OWNER, "gate died"))
+    teller.also(Cause(T0, layout.SUPERVISOR, "gate died"))
+    assert len(events.kinds) == before + 1
+
+
+TWICE = "stopped; the stop was written twice, "
+ONCE = "stopped; the second stop could NOT be written, "
+DEAF = "NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITCH"
+
+
+@pytest.mark.parametrize(
+    ("heard_ns", "link", "written", "level", "text"),
+    [
+        (3_140_000, "alive", True, "", f"{TWICE}acknowledged by the board after 3.1 ms"),
+        (0, "unproven", True, "warning", f"{TWICE}whether the board hears is not known (link unproven)"),
+        (0, "deaf", True, "critical", TWICE + DEAF),
+        (3_140_000, "alive", False, "critical", f"{ONCE}acknowledged by the board after 3.1 ms"),
+        (0, "deaf", False, "critical", ONCE + DEAF),
+    ],
+)
+def test_the_end_is_told_with_what_is_known_of_the_stop(
+    teller: Teller, events: Told, heard_ns: int, link: str, written: bool, level: str, text: str
+) -> None:
+    teller.ended(heard_ns, link, written=written)
+    assert events.lines == [(level, text)]
 
 
 def test_a_short_wait_is_not_told_of(teller: Teller, events: Told) -> None:

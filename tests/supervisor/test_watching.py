@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.procs import starved
 from failstop.procs.handover import Control
 from failstop.procs.loop import READ
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
+from failstop.shm.packing import pack
 from failstop.supervisor import family as family_module
 from failstop.supervisor.children import STARTING_NS
-from failstop.supervisor.main import HELD_UP_NS
+from failstop.supervisor.family import GATE_AGAIN_NS
+from failstop.supervisor.main import HELD_UP_NS, LATE_NS
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.table import BY_NAME
 from tests.procs.parts import Pty, new_pty
@@ -34,6 +39,7 @@ class Watching(Scene):
         monkeypatch.setattr(family_module.Family, "start", lambda *_: None)
         self.supervisor.family[layout.PORT_OWNER].pid = 0
         self.dummies: list[Dummy] = []
+        self.beats = {name: segment.attach(self.resources.memory, name, write=True).word("beat_ns") for name in BY_NAME}
 
     def employ(self, name: str) -> Dummy:
         """A process that says that it runs."""
@@ -43,7 +49,7 @@ class Watching(Scene):
         child.started(dummy.pid, 1 + len(self.dummies), self.now_ns)
         child.life.armed = True  # type: ignore[union-attr]
         self.supervisor.loop.watch(child.life.fd, READ)  # type: ignore[union-attr]
-        own = segment.attach(self.resources.name, name, write=True)
+        own = segment.attach(self.resources.memory, name, write=True)
         own.word("beat_pid").set(dummy.pid)
         own.word("beat_state").set(RUNNING)
         own.word("beat_ns").set(self.now_ns)
@@ -58,9 +64,25 @@ class Watching(Scene):
         except OSError:  # nothing, or nobody has the port open any more
             return b""
 
+    def enabled(self, epoch: int = 1) -> None:
+        """The gate has enabled motion."""
+        self.gate.latest_writer("state").write(pack({"enabled": True, "epoch": epoch}))
+
     def port_open(self) -> None:
         port = records.pack_port(1, self.now_ns, records.PORT_OPEN, "/dev/board")
         self.port_owner.latest_writer("port").write(port)
+
+    def beat_but(self, name: str) -> None:
+        """A tick in which everybody else beats."""
+        for other, beat in self.beats.items():
+            if other != name:
+                beat.set(self.now_ns + 10 * MS)
+        self.pass_time(10 * MS)
+
+    def starved(self) -> list[tuple[str, int, int]]:
+        """What people were told of the machine since the last call."""
+        found = [event["fields"] for event in self.events() if event["kind"] == "starved"]
+        return [(fields["process"], fields["silent_ms"], fields["times"]) for fields in found]
 
     def rung(self, process: str) -> bool:
         fd = self.resources.bells[process].fd
@@ -73,11 +95,8 @@ class Watching(Scene):
             if child.life:
                 child.life.close()
         for dummy in self.dummies:
-            dummy.kill()
-            try:
-                os.waitpid(dummy.pid, 0)
-            except ChildProcessError:
-                continue
+            with contextlib.suppress(ChildProcessError, ProcessLookupError):  # the supervisor has collected it
+                dummy.close()
         super().close()
 
 
@@ -108,7 +127,7 @@ def test_the_port_owner_s_death_is_answered_first_on_its_own_descriptor(
     monkeypatch.setattr(watching.supervisor, "_epoch_word", Noted(order, real_set))
     watching.employ(layout.PORT_OWNER).kill()
     until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
-    watching.supervisor._burst_ns = watching.now_ns  # no zeros of its own just now
+    watching.supervisor._tried_ns = watching.now_ns  # no zeros of its own just now
     assert watching.pass_time(0) == BURST
     assert order == ["burst", "epoch"], "nothing comes before the burst"
     assert watching.word("written_ns").get() == watching.now_ns
@@ -132,7 +151,7 @@ def test_who_is_silent_for_its_deadline_is_killed_first_and_the_port_owner_answe
     dummy = watching.employ(name)
     monkeypatch.setattr(os, "kill", lambda pid, number: (order.append("kill"), real_kill(pid, number)))
     monkeypatch.setattr(OwnPort, "burst", lambda _: (order.append("burst"), real_burst())[1])
-    watching.supervisor._burst_ns = watching.now_ns + BY_NAME[name].deadline_ns  # no zeros of its own just now
+    watching.supervisor._tried_ns = watching.now_ns + BY_NAME[name].deadline_ns  # no zeros of its own just now
     watching.supervisor._turned_ns = watching.now_ns + BY_NAME[name].deadline_ns - MS  # it was not held up itself
     watching.pass_time(BY_NAME[name].deadline_ns - 1)
     assert order == []
@@ -142,25 +161,232 @@ def test_who_is_silent_for_its_deadline_is_killed_first_and_the_port_owner_answe
     until(lambda: os.waitid(os.P_PID, dummy.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG), "its end")
 
 
-def test_one_that_was_held_up_stops_and_kills_nobody(watching: Watching) -> None:
+def fence(watching: Watching, name: str) -> None:
+    """A process hangs, is killed for it, and the news of its death is there."""
+    watching.employ(name)
+    watching.supervisor._turned_ns = watching.now_ns + BY_NAME[name].deadline_ns - MS  # it was not held up itself
+    watching.pass_time(BY_NAME[name].deadline_ns)
+    until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+    watching.events()
+
+
+def fenced(watching: Watching) -> dict[str, Any]:
+    """What was told of it."""
+    (found,) = (event for event in watching.events() if event["kind"] == "fenced")
+    return found
+
+
+def test_a_fenced_port_owner_is_stopped_for_again_when_it_is_gone_before_anything_else(
+    watching: Watching, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What it had begun to write as it was killed may have come after the first burst."""
+    fence(watching, layout.PORT_OWNER)
+    order: list[str] = []
+    real_burst, real_set = watching.port.burst, watching.supervisor._epoch_word.set
+    monkeypatch.setattr(OwnPort, "burst", lambda _: (order.append("burst"), real_burst())[1])
+    monkeypatch.setattr(watching.supervisor, "_epoch_word", Noted(order, real_set))
+    assert watching.pass_time(MS) == BURST
+    assert order == ["burst", "epoch"]
+    told = fenced(watching)
+    assert told["text"] == (
+        "port_owner was fenced: killed after 0.0 ms, stop written after 0.0 ms, "
+        "gone after 1.0 ms, stop again after 1.0 ms"
+    )
+    assert (told["fields"]["gone_us"], told["fields"]["again_us"]) == (1000.0, 1000.0)
+
+
+def test_a_stop_that_nobody_wrote_is_not_told_of(watching: Watching) -> None:
+    """The first burst after the fence was written, the second could not be, and zeros that were only tried are none."""
+    fence(watching, layout.PORT_OWNER)
+    watching.port.replace(-1)
+    assert watching.pass_time(MS) == b""
+    assert fenced(watching)["text"] == (
+        "port_owner was fenced: killed after 0.0 ms, stop written after 0.0 ms, gone after 1.0 ms"
+    )
+
+
+def test_of_another_that_was_fenced_no_stop_is_told_though_one_was_written_since(watching: Watching) -> None:
+    fence(watching, layout.GATE)
+    watching.supervisor._burst()
+    watching.pass_time(MS)
+    assert fenced(watching)["text"] == "gate was fenced: killed after 0.0 ms, gone after 1.0 ms"
+
+
+def test_while_no_port_owner_runs_the_stop_is_written_five_times_a_second(watching: Watching) -> None:
+    watching.employ(layout.PORT_OWNER).kill()
+    until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+    assert watching.pass_time(0) == BURST
+    written = [watching.pass_time(20 * MS).count(BURST) for _ in range(100)]
+    assert sum(written) == 10
+    assert set(written) == {0, 1}
+
+
+def test_one_that_was_held_up_stops_motion_and_kills_nobody(watching: Watching) -> None:
     for name in BY_NAME:
         watching.employ(name)
     watching.supervisor._was_ready = True
+    watching.enabled()
     watching.pass_time(HELD_UP_NS)
     assert watching.supervisor.epoch == 2
     cause = watching.supervisor._cause_record
-    entry = segment.attach(watching.resources.name, layout.SUPERVISOR).latest_reader("cause").read()
+    entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader("cause").read()
     assert cause is not None
     assert entry is not None
     assert records.unpack_cause(entry[2])[2] == "supervisor was held up for 250 ms"
     assert not any(child.fence for child in watching.supervisor.children)
 
 
+def test_one_that_was_held_up_while_nothing_could_move_only_tells(watching: Watching) -> None:
+    for name in BY_NAME:
+        watching.employ(name)
+    watching.supervisor._was_ready = True
+    watching.enabled(epoch=7)  # long ago: another stop has ended it
+    watching.pass_time(HELD_UP_NS)
+    assert watching.supervisor.epoch == 1
+    assert watching.starved() == [("supervisor", 250, 1)]
+    assert not any(child.fence for child in watching.supervisor.children)
+
+
+SPARED = [name for name in BY_NAME if name != layout.PORT_OWNER]
+
+
+@pytest.fixture
+def starving(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> Watching:
+    """Every process runs, and whoever is silent is starved."""
+    for name in BY_NAME:
+        watching.employ(name)
+    watching.supervisor._was_ready = True
+    monkeypatch.setattr(starved, "look", lambda *_: True)
+    return watching
+
+
+def test_who_is_starved_while_motion_is_disabled_is_left_alone_until_it_beats(starving: Watching) -> None:
+    supervisor = starving.supervisor
+    starving.port_open()
+    segment.attach(starving.resources.memory, layout.STOPPER, write=True).word("port_ns").set(2**62)
+    starving.answers()
+    for _ in range(40):
+        starving.pass_time(20 * MS)
+    assert (supervisor.epoch, starving.word("ready").get()) == (1, 0)
+    assert not any(child.fence for child in supervisor.children)
+    assert supervisor._missing() == ", ".join(BY_NAME)
+    assert not supervisor._listening(starving.now_ns), "nobody hears the board"
+    for beat in starving.beats.values():
+        beat.set(starving.now_ns)
+    starving.pass_time(0)
+    assert supervisor._missing() == ""
+    assert starving.starved() == [("port_owner", 800, 1)], "one for all of ten seconds"
+    assert supervisor._silence.as_record() == {"times": 4, "longest_ms": 800, "process": "port_owner"}
+
+
+@pytest.mark.parametrize("name", SPARED)
+def test_who_is_starved_while_motion_is_enabled_is_stopped_for_once_and_left_alone(
+    starving: Watching, name: str
+) -> None:
+    starving.enabled()
+    child = starving.supervisor.family[name]
+    while starving.supervisor.epoch == 1:
+        starving.beat_but(name)
+    _, standing, _ = starving.cause()
+    assert standing == f"{name} hangs: {child.row.deadline_ns // MS} ms silent (the machine is starved)"
+    for _ in range(80):
+        starving.beat_but(name)
+    assert starving.supervisor.epoch == 2, "it is disabled now"
+    assert not child.fence
+
+
+@pytest.mark.parametrize("sign", ["enabled", "moving"])
+def test_a_starved_port_owner_is_fenced_while_it_may_move(starving: Watching, sign: str) -> None:
+    if sign == "enabled":
+        starving.enabled()
+    else:
+        starving.port_owner.word("moving").set(1)
+    port_owner = starving.supervisor.family[layout.PORT_OWNER]
+    for _ in range(10):
+        starving.beat_but(layout.PORT_OWNER)
+    assert port_owner.fence
+    assert "burst_us" in port_owner.fence.fields()
+    _, standing, _ = starving.cause()
+    assert standing == "port_owner hangs: 100 ms silent (the machine is starved)"
+
+
+def test_nobody_is_spared_for_ever_and_none_is_down_for_it(starving: Watching) -> None:
+    family = starving.supervisor.family
+    for _ in range(6):
+        starving.employ(layout.TELEMETRY)
+        family[layout.TELEMETRY].restart_ns = None
+        turns = 0
+        while not family[layout.TELEMETRY].fence:
+            starving.beat_but(layout.TELEMETRY)
+            turns += 1
+        deadline_ns = BY_NAME[layout.TELEMETRY].deadline_ns
+        assert starved.LONGEST_NS <= turns * 10 * MS - deadline_ns <= starved.LONGEST_NS + deadline_ns
+        until(lambda: starving.supervisor.loop.wait(0), "the news of its death")
+        starving.pass_time(0)
+        assert family[layout.TELEMETRY].state() == "waiting"
+
+
+def test_who_has_just_beaten_after_all_is_left_alone(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> None:
+    watching.employ(layout.GATE)
+    monkeypatch.setattr(starved, "look", lambda *_: watching.gate.word("beat_ns").set(watching.now_ns))
+    for _ in range(30):
+        watching.pass_time(20 * MS)
+    assert (watching.supervisor.epoch, watching.supervisor._silence.times) == (1, 0)
+
+
+def die_too_often(watching: Watching, name: str) -> None:
+    child = watching.supervisor.family[name]
+    while child.state() != "down":
+        child.restart_ns = None
+        watching.employ(name).kill()
+        until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+        watching.pass_time(0)
+
+
+@pytest.mark.parametrize("name", SPARED)
+def test_a_reset_starts_one_anew_that_is_down(watching: Watching, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[str] = []
+    die_too_often(watching, name)
+    child = watching.supervisor.family[name]
+    down_in = watching.supervisor.epoch
+    monkeypatch.setattr(
+        family_module.Family, "start", lambda _, found, fd: (started.append(name), setattr(found, "restart_ns", None))
+    )
+    watching.gate.word("reset_epoch").set(down_in - 1)
+    for _ in range(10):
+        watching.pass_time(20 * MS)
+    assert (started, child.state()) == ([], "down"), "a reset from before it was down is not for it"
+    watching.gate.word("reset_epoch").set(down_in)
+    watching.pass_time(20 * MS)
+    assert started == [name]
+    watching.employ(name).kill()
+    until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+    watching.pass_time(0)
+    assert child.state() == "waiting", "its deaths from before the reset are forgotten"
+
+
+def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(
+    watching: Watching, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[int] = []
+    die_too_often(watching, layout.GATE)
+    down_ns = watching.now_ns
+    monkeypatch.setattr(
+        family_module.Family,
+        "start",
+        lambda _, child, fd: (started.append(watching.now_ns), setattr(child, "restart_ns", None)),
+    )
+    while not started and watching.now_ns < down_ns + 2 * GATE_AGAIN_NS:
+        assert watching.supervisor.family[layout.GATE].state() == "down"
+        watching.pass_time(200 * MS)
+    assert started == [down_ns + GATE_AGAIN_NS]
+
+
 def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open(watching: Watching) -> None:
     for name in BY_NAME:
         watching.employ(name)
     watching.port_open()
-    stopper = segment.attach(watching.resources.name, layout.STOPPER, write=True)
+    stopper = segment.attach(watching.resources.memory, layout.STOPPER, write=True)
     stopper.word("port_ns").set(2**62)
     watching.answers()
     watching.turn()
@@ -236,14 +462,28 @@ def test_the_wait_before_a_restart_is_kept(watching: Watching, monkeypatch: pyte
 def test_nobody_listens_while_telemetry_is_down(watching: Watching) -> None:
     watching.employ(layout.PORT_OWNER)
     watching.employ(layout.TELEMETRY)
-    assert watching.supervisor._listening()
+    assert watching.supervisor._listening(watching.now_ns)
     watching.supervisor.family[layout.TELEMETRY].fallen = True
-    assert not watching.supervisor._listening()
+    assert not watching.supervisor._listening(watching.now_ns)
+
+
+@pytest.mark.parametrize("held_up", [layout.PORT_OWNER, layout.TELEMETRY, layout.SUPERVISOR])
+def test_who_was_held_up_did_not_listen_unless_something_may_move(watching: Watching, held_up: str) -> None:
+    supervisor = watching.supervisor
+    for name in (layout.PORT_OWNER, layout.TELEMETRY):
+        watching.employ(name)
+        watching.beats[name].set(watching.now_ns - LATE_NS * (name == held_up))
+        supervisor.family[name].started_ns = 0
+    supervisor._watched_ns = watching.now_ns - LATE_NS * (held_up == layout.SUPERVISOR)
+    assert not supervisor._listening(watching.now_ns)
+    assert supervisor._listening(watching.now_ns - 1)
+    watching.enabled()
+    assert supervisor._listening(watching.now_ns)
 
 
 def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) -> None:
     watching.employ(layout.TELEMETRY)
-    segment.attach(watching.resources.name, layout.TELEMETRY, write=True).word("beat_state").set(STARTING)
+    segment.attach(watching.resources.memory, layout.TELEMETRY, write=True).word("beat_state").set(STARTING)
     child = watching.supervisor.family[layout.TELEMETRY]
     assert not child.hangs(watching.now_ns + STARTING_NS - 1)
     assert child.hangs(watching.now_ns + STARTING_NS)

@@ -14,6 +14,7 @@ import pytest
 
 from bench import container
 from bench.container import Bind, Container, ContainerMissing
+from failstop.install import layout
 from failstop.trial import TrialError, wait_for
 
 SLEEP = "[Service]\nExecStart=/bin/sleep 1000\n"
@@ -38,6 +39,25 @@ def box(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Container]:
 def test_boots_soon_and_whole(box: Container) -> None:
     assert box.boot_s < LATEST_BOOT_S
     assert box.ctl("is-system-running", check=False) == "running\n"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="takes an account away, which needs root")
+def test_nothing_of_an_installation_on_the_machine_is_in_it(tmp_path: Path) -> None:
+    """Its root begins as the machine's own files: with an account, settings, incidents and a command, for one."""
+    accounts = {
+        "passwd": "root:x:0:0:root:/root:/bin/sh\nfailstop:x:979:979::/var/lib/failstop:/bin/false\n",
+        "group": "root:x:0:\nfailstop:x:979:\ndialout:x:20:failstop,anna\n",
+    }
+    files = [*container.INSTALLED, "/etc/passwd", "/etc/group", "/var/lib/other/one"]
+    files = [f"{path}/failstop/one" if path == layout.STATE else path for path in files]
+    for path in (tmp_path / file[1:] for file in files):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(accounts.get(path.name, ""))
+    subprocess.run(["sh", "-euc", f"root=$0{container.ANEW}", str(tmp_path)], check=True)
+    left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert {path for path in left if not path.endswith(("-", ".lock"))} == {file[1:] for file in files[-3:]}
+    assert "failstop" not in "".join((tmp_path / "etc" / name).read_text() for name in accounts)
+    assert "anna" in (tmp_path / "etc/group").read_text()
 
 
 def test_runs_commands_as_its_own_root(box: Container) -> None:

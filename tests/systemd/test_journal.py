@@ -123,7 +123,7 @@ ANSWERS = [
     {"died", "fenced"},
     {"device_lost", "device_back", "link"},
     {"pad"},
-    {"scan", "driver_gone"},
+    {"scan", "driver_ended"},
     {"ready", "stopping", "stopped"},
     {"link", "stop_again"},
 ]

@@ -15,7 +15,8 @@ from typing import Any
 
 import pytest
 
-from bench.service_scene import DROP_IN, HARDY, RIGHTS, STRANGER, UNIT, Scene
+from bench import installed
+from bench.service_scene import DRIVER, DROP_IN, HARDY, RIGHTS, STRANGER, UNIT, Scene
 from failstop.board.sim.client import SimBoard
 from failstop.shm import layout
 from failstop.trial import Stopped, wait_for
@@ -223,13 +224,15 @@ def test_everybody_may_stop_and_only_the_group_may_drive(scene: Scene) -> None:
     scene.drive()
     scene.failstop("estop", "by a stranger", user=STRANGER)
     scene.board.wait_wheels(False, 5.0)
-    assert status(scene)["estop"].startswith("by a stranger")
+    assert status(scene)["estop"].startswith("stop request: by a stranger")
 
 
 def test_the_port_is_not_to_be_had_beside_the_service(scene: Scene) -> None:
-    tool = scene.failstop("stop", "--device", "/board/port", "--wait", "0", check=False)
-    assert tool.returncode == 1
-    assert "held exclusively" in tool.stderr
+    opening = "from failstop.board import port; port.open_port('/board/port', exclusive=False)"
+    user = ("setpriv", f"--reuid={DRIVER}", f"--regid={DRIVER}", "--init-groups", "--")
+    refused = scene.box.run(*user, f"{installed.PREFIX}/bin/python3", "-c", opening, check=False)
+    assert refused.returncode == 1
+    assert "held exclusively" in refused.stderr
 
 
 # Many deaths.

@@ -22,6 +22,7 @@ from failstop.supervisor.table import PROCESSES
 
 SYSTEMD = Path(str(importlib.resources.files("failstop.systemd")))
 ONE, MANY = "failstop.service", "failstop@.service"
+BRIDGE = "failstop-ros2.service"
 EXPOSURE = 2.0
 OLDEST = 249
 """The systemd of Ubuntu 22.04."""
@@ -217,4 +218,23 @@ def test_udev_rules_are_well_formed_and_for_this_board() -> None:
 
 def test_the_package_has_every_file() -> None:
     names = {path.name for path in SYSTEMD.iterdir()}
-    assert {ONE, MANY, "failstop.sysusers", "failstop.udev"} <= names
+    assert {ONE, MANY, BRIDGE, "failstop.sysusers", "failstop.udev"} <= names
+
+
+@needs_analyze
+def test_verify_finds_nothing_in_the_bridges_unit(tmp_path: Path) -> None:
+    text = (SYSTEMD / BRIDGE).read_text()
+    (tmp_path / BRIDGE).write_text(text.replace("/opt/failstop/bin/failstop", "/bin/true"))
+    done = analyze("verify", "--man=no", str(tmp_path / BRIDGE))
+    assert (done.returncode, done.stdout + done.stderr) == (0, "")
+
+
+def test_the_bridges_unit_and_the_service_need_not_each_other() -> None:
+    found = settings(BRIDGE)
+    assert not {"PartOf", "Requires", "BindsTo", "Wants"} & {key for key, _ in found}
+    given = dict(found)
+    assert given["SupplementaryGroups"] == GROUP
+    assert given["Restart"] == "always"
+    assert "ROS_LOG_DIR=/var/log/failstop-ros2" in given["Environment"]
+    later = {"Type": 240, "LogsDirectory": 235, "SupplementaryGroups": 218, "Environment": 1, "EnvironmentFile": 1}
+    assert all({**SINCE, **later, "After": 1, "Description": 1}.get(key, 999) <= OLDEST for key, _ in found)

@@ -1,6 +1,5 @@
-"""A stage for telemetry, run turn by turn inside the test: real segments, bells and the stop pipe, a clock that the
-test moves, and the test in the roles of board, port owner and gate. The context that telemetry is given is this
-object."""
+"""A stage for telemetry, run turn by turn inside the test: real segments and bells, a clock that the test moves, the
+test in the roles of board, port owner and gate. The context that telemetry is given is this object."""
 
 from __future__ import annotations
 
@@ -16,7 +15,7 @@ import pytest
 from failstop.board import framing
 from failstop.procs.telemetry import main
 from failstop.procs.telemetry.main import Telemetry
-from failstop.shm import bell, layout, records, segment
+from failstop.shm import layout, records, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.notes import Note
@@ -57,18 +56,13 @@ class Scene:
         self.heartbeat = Heartbeat(self.own, os.getpid(), 0, self.now_ns)
         self._received = self.owned(layout.PORT_OWNER).ring_writer("received")
         self._gate = self.owned(layout.GATE).latest_writer("state")
-        bell.make_pipe(str(directory / "stop"), 0o600)
-        self._stop = bell.open_pipe(str(directory / "stop"))
-        self._bells = {name: EventBell.create() for name in ("bell", "gate_bell", "supervisor_bell")}
+        self._bells = {name: EventBell.create() for name in ("bell", "port_owner_bell", "gate_bell", "supervisor_bell")}
         self.gate: dict[str, Any] = {"enabled": False, "estop": None, "epoch": 1, "body_vel": [0.0, 0.0, 0.0]}
-        self._readers = {name: self.own.ring_reader(name) for name in ("wishes", "notes", "events")}
+        self._readers = {name: self.own.ring_reader(name) for name in ("trips", "wishes", "notes", "events")}
         self.telemetry: Telemetry
         self.start()
 
     # What Context offers.
-
-    def fd(self, key: str) -> int:
-        return {"stop": self._stop}[key]
 
     def bell(self, key: str) -> EventBell:
         return self._bells[key]
@@ -140,9 +134,6 @@ class Scene:
     def notes(self) -> list[str]:
         return [Note.unpack(note).text for note in self.told("notes")]
 
-    def stop_requests(self) -> bytes:
-        return bell.take(self._stop)
-
     def rung(self, name: str) -> bool:
         """Whether a bell was rung; clears it."""
         try:
@@ -157,6 +148,6 @@ class Scene:
 
     def close(self) -> None:
         self._end_thread()
-        for fd in (self._stop, *(found.fd for found in self._bells.values())):
-            os.close(fd)
+        for found in self._bells.values():
+            os.close(found.fd)
         segment.unlink_all(self.instance)

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from failstop.board.codec import BUZZER
+from failstop.client import attach
 from failstop.procs.telemetry import tones
 from failstop.shm import records
 from failstop.shm.layout import TELEMETRY
-from failstop.shm.segment import attach
 from failstop.trial import Trial, wait_for
 
 MODE = 0x2000
@@ -65,3 +65,12 @@ def test_bias_charger_log_and_tones_on_a_running_service(tmp_path: Path) -> None
         lines = "".join(path.read_text() for path in folder.glob("*.csv")).splitlines()
         assert lines[0] == "unix_s,battery_mv,enabled"
         assert all(len(line.split(",")) == 3 for line in lines)
+
+
+def test_pipes_in_the_place_of_its_files_hold_nothing_up(tmp_path: Path) -> None:
+    """Telemetry comes up, and what it can't keep is told."""
+    os.mkfifo(tmp_path / "charger")
+    (tmp_path / "robot.toml").write_text(f'[battery]\ndirectory = "{tmp_path}"\n')
+    with Trial(f"telemetry-pipe-{os.getpid()}", ("--config", str(tmp_path / "robot.toml"))) as trial:
+        wait_for("the remark", lambda: "charger state can't be read" in trial.service.said())
+        assert "a FIFO, not a regular file" in trial.service.said()

@@ -127,7 +127,8 @@ def test_odometry_stands_when_the_gate_is_silent(scene: Scene) -> None:
 def test_a_button_stops_and_its_raw_frames_are_in_the_log(scene: Scene) -> None:
     scene.pad(ly=5)
     scene.pad(X)
-    assert scene.stop_requests() == b"gamepad button 0x0100\n"
+    assert scene.told("trips") == [b"gamepad button 0x0100"]
+    assert scene.rung("port_owner_bell")
     assert scene.notes() == ["gamepad button 0x0100; last frames: 00000000050000 (-50 ms), 00010000000000 (-0 ms)"]
     assert [msgpack.unpackb(event) for event in scene.told("events")] == [
         {"kind": "pad", "buttons": X, "raw": "00010000000000"}
@@ -137,13 +138,13 @@ def test_a_button_stops_and_its_raw_frames_are_in_the_log(scene: Scene) -> None:
 @pytest.mark.parametrize("event", [0x01, 0x02, 0x04, 0x20, 0x40, 0x80])
 def test_key_1_s_presses_trip(scene: Scene, event: int) -> None:
     scene.key(1, event)
-    assert scene.stop_requests() == b"key1\n"
+    assert scene.told("trips") == [b"key1"]
 
 
 @pytest.mark.parametrize(("key", "event"), [(1, 0x08), (1, 0x10), (2, 0x01)])
 def test_other_keys_and_releases_do_not(scene: Scene, key: int, event: int) -> None:
     scene.key(key, event)
-    assert scene.stop_requests() == b""
+    assert scene.told("trips") == []
     assert len(scene.told("events")) == 1
 
 
@@ -282,7 +283,7 @@ def test_frames_that_make_no_sense_are_not_passed_on(scene: Scene) -> None:
     scene.turn((framing.IMU, b"short"), (framing.SYS, b"\x04"), (framing.GAMEPAD, b"1"), (framing.KEY, b"\x01\x03"))
     scene.turn((framing.SBUS, bytes(36)))
     assert [scene.latest(name) for name in ("imu", "battery", "pad")] == [None] * 3
-    assert scene.stop_requests() == b""
+    assert scene.told("trips") == []
 
 
 def test_it_beats(scene: Scene) -> None:

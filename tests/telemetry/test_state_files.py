@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 from failstop.procs.telemetry import state_files
 from failstop.procs.telemetry.state_files import StateFiles, append_line, state_directory, write_whole
+from failstop.shm import root
 from tests.waiting import until
 
 HEADER = "a,b\n"
@@ -27,8 +29,9 @@ def files(tmp_path: Path) -> Iterator[StateFiles]:
 @pytest.fixture
 def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """In place of /var/lib/failstop."""
-    monkeypatch.setattr(state_files, "SYSTEM_BASE", str(tmp_path / "var"))
-    return tmp_path / "var"
+    monkeypatch.setenv(root.VARIABLE, str(tmp_path))
+    (tmp_path / "var" / "lib").mkdir(parents=True)
+    return tmp_path / "var" / "lib" / "failstop"
 
 
 def test_what_is_configured_comes_first(base: Path) -> None:
@@ -78,10 +81,25 @@ def test_a_line_that_does_not_fit_is_not_written(tmp_path: Path, monkeypatch: py
     assert path.read_text() == "a,b\n1,2\n"
 
 
-def test_a_full_disk_is_an_os_error() -> None:
-    """The real one: /dev/full."""
-    with pytest.raises(OSError, match="No space left"):
-        append_line("/dev/full", HEADER, "3,4\n")
+def test_a_full_disk_is_an_os_error(tmp_path: Path) -> None:
+    """The kernel's own word for it: the file may not grow beyond two bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2, before[1]))
+    try:
+        with pytest.raises(OSError, match="No space left"):
+            append_line(str(tmp_path / "log.csv"), HEADER, "3,4\n")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert (tmp_path / "log.csv").read_bytes() == b""
+
+
+def test_a_planted_link_gets_no_line(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("precious\n")
+    (tmp_path / "log.csv").symlink_to(victim)
+    with pytest.raises(OSError, match="a link, not a regular file"):
+        append_line(str(tmp_path / "log.csv"), HEADER, "3,4\n")
+    assert victim.read_text() == "precious\n"
 
 
 def test_replaced_whole(tmp_path: Path) -> None:
@@ -163,6 +181,14 @@ def test_a_file_that_is_not_there_is_empty_and_one_that_can_t_be_read_a_note(tmp
     (tmp_path / "charger").mkdir()
     assert files.read("charger state", "charger") == ""
     assert files.notes()[0].startswith("charger state can't be read: ")
+
+
+@pytest.mark.timeout(20)
+def test_a_pipe_in_a_file_s_place_is_not_waited_for(tmp_path: Path) -> None:
+    files = StateFiles(str(tmp_path))
+    os.mkfifo(tmp_path / "charger")
+    assert files.read("charger state", "charger") == ""
+    assert "a FIFO, not a regular file" in files.notes()[0]
 
 
 def test_a_disk_that_hangs_holds_nothing_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board.sim.imu import Imu
+from failstop.client import attach
 from failstop.procs.telemetry.still import GAP_NS, HOLD_NS, WINDOW_NS, StillJudge
 from failstop.shm import layout
-from failstop.shm.segment import attach
 from failstop.supervisor.settings import Settings
 from failstop.trial import Trial, wait_for
 

@@ -1,0 +1,31 @@
+"""Facts of ROS 2: whose nodes run here, and whose the bridge is."""
+
+from __future__ import annotations
+
+import os
+
+from failstop.doctor.facts import Ros2, Service
+from failstop.doctor.system import System, user_name
+
+SHM = "/dev/shm"
+FILES = "fastrtps_"
+"""What every process with Fast DDS has there, of the user that it runs as."""
+
+
+def ros2(service: Service | None, system: System) -> Ros2:
+    """What is seen of it; `service` tells of the bridge."""
+    owners = set()
+    for name in system.names(SHM):
+        if name.startswith(FILES) and (uid := _owner(system.path(f"{SHM}/{name}"))) is not None:
+            owners.add(user_name(uid))
+    pid = service.bridge if service else 0
+    uid = _owner(system.path(f"/proc/{pid}")) if pid else None
+    udp_only = "--udp-only" in (system.read(f"/proc/{pid}/cmdline") or "").split("\0") if pid else False
+    return Ros2(tuple(sorted(owners)), pid, "" if uid is None else user_name(uid), udp_only)
+
+
+def _owner(path: str) -> int | None:
+    try:
+        return os.stat(path).st_uid
+    except OSError:
+        return None

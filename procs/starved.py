@@ -1,0 +1,55 @@
+"""Starved: was a silent process not run by the machine, or does it hang? Asked only when a deadline has passed.
+
+| the kernel says of it            | processor time since its beat | so it                                     |
+|----------------------------------|-------------------------------|-------------------------------------------|
+| R: runnable                      | less than half its deadline   | is starved: others were run instead       |
+| R: runnable                      | more                          | hangs: an endless loop                    |
+| D: waits in the kernel           | less than half its deadline   | is starved: of its memory, or by a driver |
+| S: sleeps, after it was rung for | any                           | hangs: it waits for what does not come    |
+| T, t, Z, X: stopped, dead        | any                           | hangs                                     |
+| nothing that can be read         | any                           | hangs: what is not known excuses nobody   |
+
+A deadline is given for a turn that nobody delays, so half of it in processor time is more than a healthy turn takes.
+Who sleeps is rung for and looked at again: a timer is late while a virtual machine's core is away, a bell is not.
+"""
+
+from __future__ import annotations
+
+from time import clock_gettime_ns
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.shm.bell import EventBell
+    from failstop.shm.heartbeat import HeartbeatReader
+
+LONGEST_NS = 5_000_000_000
+"""Who is silent for longer than this beyond its deadline is replaced, whatever the machine does."""
+_CPU_CLOCK = 2
+"""clock_gettime(2): a process's clock is ~pid << 3 with the kind in the lowest bits, here the exact time run."""
+
+
+def starved(state: str, ran_ns: int, deadline_ns: int) -> bool:
+    """The table above; `ran_ns`: its processor time since its last beat. Pure."""
+    return state in ("R", "D") and ran_ns < deadline_ns // 2
+
+
+def look(pid: int, heart: HeartbeatReader, deadline_ns: int, bell: EventBell) -> bool:
+    """True when the silent process is starved; `bell` is its own. Takes two readings, about 20 us."""
+    try:
+        # One that is starting has not beaten yet: what is there is its predecessor's.
+        before_ns = heart.cpu_ns.get() if heart.pid.get() == pid else 0
+        ran_ns = clock_gettime_ns(~pid << 3 | _CPU_CLOCK) - before_ns
+        state = _state(pid)
+        if state == "S":
+            bell.ring()
+            state = _state(pid)
+    except (OSError, IndexError):
+        return False
+    return starved(state, ran_ns, deadline_ns)
+
+
+def _state(pid: int) -> str:
+    """The letter of the main thread's state, which is the one that beats. Raises OSError."""
+    with open(f"/proc/{pid}/task/{pid}/stat", "rb", buffering=0) as file:
+        # The name in parentheses may hold anything.
+        return file.read(512).rpartition(b") ")[2][:1].decode("ascii", "replace")

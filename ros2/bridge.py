@@ -1,0 +1,201 @@
+"""The bridge: the node, its parameters, its two threads, and how it begins and ends."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Sequence
+from time import monotonic, sleep
+from typing import Any
+
+from failstop.errors import FailstopError
+from failstop.ros2 import leftovers, mirrors
+from failstop.ros2.contract import NODE, SETTINGS, Qos, Setting
+from failstop.ros2.inward import Inward
+from failstop.ros2.link import Link
+from failstop.ros2.mirrors import BY_NAME
+from failstop.ros2.outward import Outward
+from failstop.ros2.shared import Shared
+from failstop.supervisor.settings import Settings
+
+CONNECT_S = 1.0
+"""How long the start waits for a service, whose settings the parameters show."""
+POLL_S = 0.05
+
+
+class Bridge:
+    """Everything that there is while it runs."""
+
+    def __init__(self, rclpy: Any, name: str) -> None:
+        """`rclpy`: initialised. Raises FailstopError for parameters that make no sense."""
+        from rclpy.callback_groups import ReentrantCallbackGroup
+
+        self._rclpy = rclpy
+        self._node = rclpy.create_node(NODE)
+        self._shared = Shared()
+        self._links = (Link(name), Link(name))
+        self._shown: dict[str, mirrors.Value] = {}
+        self._given: dict[str, object] = {}
+        self._mirrored = 0
+        self._own = False
+        own = self._declare()
+        self._inward = Inward(self._node, _profile, ReentrantCallbackGroup, self._links[1], self._shared, own)
+        self._outward = Outward(self._node, _profile, self._links[0], self._shared, self._inward.graph, own)
+
+    def _declare(self) -> dict[str, Any]:
+        """Declare every parameter; returns the bridge's own."""
+        from rcl_interfaces.msg import ParameterDescriptor
+        from rclpy.exceptions import InvalidParameterTypeException
+
+        own: dict[str, Any] = {}
+        for setting in SETTINGS:
+            try:
+                given = self._node.declare_parameter(setting.name, setting.default).value
+            except InvalidParameterTypeException:
+                raise FailstopError(f"parameter {setting.name}: {_expected(setting)} is expected") from None
+            own[setting.name] = _checked(setting, given)
+        shown = mirrors.values(self._settings())
+        for name, value in shown.items():
+            text = ", ".join(BY_NAME[name].keys)
+            descriptor = ParameterDescriptor(description=f"shows {text}" if text else "", dynamic_typing=True)
+            given = self._node.declare_parameter(name, value, descriptor).value
+            if given != value:
+                self._given[name] = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else given
+        self._node.add_on_set_parameters_callback(self._refuse)
+        self._show(shown)
+        return own
+
+    def _settings(self) -> mirrors.Settings:
+        """The service's settings; the defaults while there is no service."""
+        until_s = monotonic() + CONNECT_S
+        while True:
+            try:
+                return self._links[1].call(lambda robot: robot.settings)
+            except FailstopError as error:
+                if monotonic() > until_s:
+                    self._node.get_logger().warning(f"{error}; the bridge waits for it")
+                    return Settings().flat()
+            sleep(POLL_S)
+
+    def _show(self, shown: dict[str, mirrors.Value]) -> None:
+        """Set the mirrors, and tell of each that somebody wants otherwise."""
+        from rclpy.parameter import Parameter
+
+        self._shown = shown
+        for line in mirrors.differing(self._given, shown):
+            self._node.get_logger().warning(line)
+        self._own = True
+        self._node.set_parameters([Parameter(name, value=value) for name, value in shown.items()])
+        self._own = False
+
+    def _refuse(self, parameters: Sequence[Any]) -> Any:
+        from rcl_interfaces.msg import SetParametersResult
+
+        if self._own or not parameters:
+            return SetParametersResult(successful=True)
+        # Parameters of rclpy's own, such as use_sim_time, are nobody's business here.
+        known = [found.name for found in parameters if found.name in self._shown or _is_own(found.name)]
+        if not known:
+            return SetParametersResult(successful=True)
+        return SetParametersResult(successful=False, reason=mirrors.refusal(known[0]))
+
+    def run(self) -> None:
+        """Until a signal, or the end of the ROS context."""
+        from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+        executor = SingleThreadedExecutor()
+        executor.add_node(self._node)
+        if hasattr(executor, "_guard"):
+            # After each callback it wakes up whoever else may wait, itself here, builds another wait set, and finds
+            # nothing: half of its time. One thread alone spins.
+            executor._guard.trigger = lambda: None
+        self._outward.start()
+        try:
+            while not self._shared.ending and self._rclpy.ok():
+                executor.spin_once()
+                self._follow_settings()
+        except (KeyboardInterrupt, ExternalShutdownException):
+            pass
+        finally:
+            # First its claim: what it commanded ends with it.
+            self._links[1].close()
+            self._outward.end()
+            executor.shutdown()
+            self._node.destroy_node()
+
+    def _follow_settings(self) -> None:
+        """A service that was started anew may have other settings."""
+        if self._mirrored != self._shared.run and self._shared.settings is not None:
+            self._mirrored = self._shared.run
+            shown = mirrors.values(self._shared.settings)
+            if shown != self._shown:
+                self._show(shown)
+
+    def end(self, _number: int, _frame: object) -> None:
+        """Signal handler: end at the next turn, which comes within 20 ms."""
+        self._shared.ending = True
+
+
+def _is_own(name: str) -> bool:
+    return any(setting.name == name for setting in SETTINGS)
+
+
+def _expected(setting: Setting) -> str:
+    if setting.allowed:
+        return f"one of {', '.join(setting.allowed)}"
+    return {bool: "true or false", str: "a text", list: "a list of texts"}[type(setting.default)]
+
+
+def _checked(setting: Setting, value: Any) -> Any:
+    if setting.allowed and value not in setting.allowed:
+        raise FailstopError(f"parameter {setting.name} = {value!r}: {_expected(setting)} is expected")
+    return value
+
+
+def _profile(qos: Qos) -> Any:
+    """A contract's Qos as rclpy has it."""
+    from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=qos.depth,
+        reliability=ReliabilityPolicy.RELIABLE if qos.reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.transient_local else DurabilityPolicy.VOLATILE,
+    )
+
+
+def main(name: str, ros_arguments: Sequence[str]) -> int:
+    """Run the bridge to the service of that name. Raises FailstopError."""
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    note = leftovers.note_path(name)
+    removed = leftovers.clear(note)
+    before = leftovers.present()
+    try:
+        rclpy.init(args=["failstop", *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:
+        raise FailstopError(f"ROS does not start: {_first_line(error)}") from None
+    try:
+        bridge = Bridge(rclpy, name)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, bridge.end)
+        _remember(note, before, removed)
+        bridge.run()
+    finally:
+        rclpy.try_shutdown()
+        leftovers.forget(note)
+    return 0
+
+
+def _remember(note: str, before: set[str], removed: Sequence[str]) -> None:
+    if removed:
+        sys.stderr.write(f"failstop: removed {len(removed)} files that a killed bridge had left in {leftovers.SHM}\n")
+    try:
+        leftovers.remember(note, leftovers.mapped("self") - before)
+    except OSError as error:
+        sys.stderr.write(f"failstop: {note}: {error.strerror}; a killed bridge's files will stay\n")
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).splitlines()), type(error).__name__)

@@ -1,0 +1,157 @@
+"""Commanders: who publishes cmd_vel, and whether a command may be passed on. Pure: graph and time are arguments.
+
+The graph is what DDS knows: a publisher of any type and any quality counts in it, matched or not; one that was killed
+counts for up to 20 s after its death. It is asked before every command, and 50 times a second for publishers that are
+silent: between two looks, commands of a second one would pass (36 of 48 tries at a look each 20 ms, measured).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+FRESH_NS = 100_000_000
+"""The bridge's interlock holds no longer than this after the graph was asked."""
+AGAIN_NS = 500_000_000
+"""Who publishes is looked up anew this often, even if the number stays: one may have taken the other's place."""
+NAMELESS_NS = 2_000_000_000
+"""A publisher's node name may come later than the publisher; longer than this, it counts as having none."""
+STOP_AGAIN_NS = 500_000_000
+"""A stop that was asked for and is not latched is asked for again."""
+NAMELESS = "a node without a name yet"
+DEAD_ONE = "one of them may be a dead process, which DDS counts for up to 20 s"
+LONGEST_NAMES = 150
+
+
+class Publisher(NamedTuple):
+    """One publisher in the graph. `node`: /namespace/name; empty: not known yet."""
+
+    node: str
+    type: str
+    reliable: bool = True
+
+
+class HeldUp:
+    """Whether the thread that takes messages was held up until a moment ago: what it then finds waited in a queue."""
+
+    def __init__(self) -> None:
+        self._turned_ns = 0
+        self._old_until_ns = 0
+
+    def turn(self, now_ns: int) -> None:
+        """Every time that it does something; 20 times a second at least."""
+        if self._turned_ns and now_ns - self._turned_ns > FRESH_NS:
+            self._old_until_ns = now_ns + FRESH_NS
+        self._turned_ns = now_ns
+
+    def old(self, now_ns: int) -> bool:
+        """Whether what arrives now may be old."""
+        return now_ns < self._old_until_ns
+
+
+class Commanders:
+    """The publishers of cmd_vel as last seen."""
+
+    def __init__(self, accepted: Sequence[str], allowed: Sequence[str] = ()) -> None:
+        """`accepted`: types that are taken, the first while nobody publishes; `allowed`: nodes, none: any."""
+        self._accepted = tuple(accepted)
+        self._allowed = frozenset(name for name in allowed if name)
+        self.publishers: tuple[Publisher, ...] = ()
+        self.count = 0
+        self._counted_ns = 0
+        self._looked_ns = 0
+        self._nameless_ns: int | None = None
+        self._asked_ns = 0
+
+    def wants_look(self, count: int, now_ns: int) -> bool:
+        """Whether who publishes is to be looked up now, the number being `count`."""
+        stale = now_ns - self._looked_ns >= AGAIN_NS
+        return count != self.count or stale or bool(count and (self._allowed or self._nameless()))
+
+    def look(self, publishers: Sequence[Publisher], now_ns: int) -> None:
+        """Who publishes."""
+        self.publishers = tuple(publishers)
+        self._looked_ns = now_ns
+        self._nameless_ns = (self._nameless_ns or now_ns) if self._nameless() else None
+
+    def counted(self, count: int, now_ns: int) -> None:
+        """How many publish, by the graph, a moment ago."""
+        self.count = count
+        self._counted_ns = now_ns
+
+    def _nameless(self) -> bool:
+        return any(not publisher.node for publisher in self.publishers)
+
+    def cause(self, now_ns: int) -> str:
+        """Why a stop is to be latched now; empty: there is no reason."""
+        if self.count > 1:
+            return f"multiple cmd_vel publishers: {self.names()} ({DEAD_ONE})"
+        if strangers := self._strangers(now_ns):
+            return f"stranger on cmd_vel: {', '.join(strangers)} (allowed: {', '.join(sorted(self._allowed))})"
+        return ""
+
+    def due(self, cause: str, latched: bool, now_ns: int) -> bool:
+        """True when that stop is to be asked for now: at once, and again while it is not latched."""
+        if not cause:
+            self._asked_ns = 0
+            return False
+        if self._asked_ns and (latched or now_ns - self._asked_ns < STOP_AGAIN_NS):
+            return False
+        self._asked_ns = now_ns
+        return True
+
+    def _strangers(self, now_ns: int) -> list[str]:
+        if not self._allowed:
+            return []
+        waited = self._nameless_ns is not None and now_ns - self._nameless_ns >= NAMELESS_NS
+        names = [publisher.node or NAMELESS for publisher in self.publishers if publisher.node or waited]
+        return [name for name in names if not self._allows(name)]
+
+    def _allows(self, node: str) -> bool:
+        return node in self._allowed or node.rpartition("/")[2] in self._allowed
+
+    def passes(self) -> bool:
+        """Whether a command that came now may be passed on: of one publisher at most, and no stranger. The last one of
+        a publisher which has left meanwhile is good."""
+        if self.count > 1:
+            return False
+        return not self._allowed or all(self._allows(publisher.node) for publisher in self.publishers)
+
+    def holds(self, now_ns: int) -> bool:
+        """Whether the bridge's interlock holds: the graph was asked lately, and one at most commands."""
+        return now_ns - self._counted_ns <= FRESH_NS and self.passes()
+
+    def names(self) -> str:
+        """The nodes that publish."""
+        nodes = [publisher.node or NAMELESS for publisher in self.publishers]
+        counts = {node: nodes.count(node) for node in nodes}
+        text = ", ".join(f"{node} ({count} times)" if count > 1 else node for node, count in counts.items())
+        if len(text) > LONGEST_NAMES:
+            text = f"{text[:LONGEST_NAMES].rpartition(',')[0] or text[:LONGEST_NAMES]} and more"
+        return text or "nodes that are not known yet"
+
+    def wanted_type(self, now: str) -> str:
+        """What to subscribe to: what is offered, if it is taken; with nobody there, or with both, what it is now."""
+        offered = {publisher.type for publisher in self.publishers} & set(self._accepted)
+        return offered.pop() if len(offered) == 1 else now if now in self._accepted else self._accepted[0]
+
+    def wrong(self) -> list[str]:
+        """What is wrong with the publishers that there are, a line each."""
+        return wrong_ends("cmd_vel", self.publishers, self._accepted, reliable=True)
+
+
+def wrong_ends(topic: str, publishers: Sequence[Publisher], accepted: Sequence[str], *, reliable: bool) -> list[str]:
+    """Publishers of a topic that are never heard: of another type, or best effort where reliable is asked for."""
+    found = []
+    for node, kind, is_reliable in publishers:
+        who = node or NAMELESS
+        if kind not in accepted:
+            found.append(f"{who} publishes {short(kind)} on {topic}, which is {' or '.join(map(short, accepted))}")
+        elif reliable and not is_reliable:
+            found.append(f"{who} publishes {topic} as best effort, which is not heard: make it reliable")
+    return found
+
+
+def short(kind: str) -> str:
+    """A type as people call it: geometry_msgs/msg/Twist is Twist."""
+    return kind.rpartition("/")[2]

@@ -1,0 +1,201 @@
+"""The contract: every topic and service of the bridge, declared once. The shell makes them from these tables, and
+docs/ros2.md shows them. Names are relative to the node's namespace, those with ~ to the node. Pure."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+NODE = "rosorin_board_driver"
+"""The node's name: that of the driver which the robot's launch files know."""
+CLIENT = "ros2"
+"""The name under which the service knows the bridge, and that of its interlock."""
+
+
+class Qos(NamedTuple):
+    """What ROS calls quality of service; history is always "keep last"."""
+
+    depth: int
+    reliable: bool = True
+    transient_local: bool = False
+
+    def words(self) -> str:
+        """As people write it."""
+        reliability = "reliable" if self.reliable else "best effort"
+        durability = ", transient local" if self.transient_local else ""
+        return f"{reliability}{durability}, depth {self.depth}"
+
+
+PLAIN = Qos(10)
+SENSOR = Qos(5, reliable=False)
+LASTING = Qos(10, transient_local=True)
+
+
+class Topic(NamedTuple):
+    """One topic. `hz`: how often it is published; 0: whenever there is something."""
+
+    name: str
+    type: str
+    qos: Qos
+    hz: int
+    text: str
+
+
+class Service(NamedTuple):
+    """One service."""
+
+    name: str
+    type: str
+    text: str
+
+
+TWIST = "geometry_msgs/msg/Twist"
+STAMPED = "geometry_msgs/msg/TwistStamped"
+COMMAND_TYPES = {"auto": (TWIST, STAMPED), "twist": (TWIST,), "stamped": (STAMPED,)}
+"""Parameter cmd_vel_type: what may be published on cmd_vel."""
+
+CMD_VEL = Topic(
+    "cmd_vel",
+    TWIST,
+    PLAIN,
+    0,
+    "the velocity command; TwistStamped too, as `cmd_vel_type` says (auto: what the publisher offers). A stamp older "
+    "than the command timeout is refused, a zero stamp counts as now. A value that is not finite latches a stop",
+)
+SCAN = Topic(
+    "scan",
+    "sensor_msgs/msg/LaserScan",
+    SENSOR,
+    0,
+    "the obstacle sensor: each arrival counts, whatever it holds; without one for 0.5 s nothing moves (`no scan`)",
+)
+ESTOP = Topic("estop", "std_msgs/msg/Bool", PLAIN, 0, "true latches a stop (`estop topic`); false does nothing")
+INWARD = (CMD_VEL, SCAN, ESTOP)
+
+IMU = Topic(
+    "imu/data_raw",
+    "sensor_msgs/msg/Imu",
+    PLAIN,
+    110,
+    "every sample, with the time of its arrival, less the gyro's bias; no orientation (`orientation_covariance[0]` is "
+    "-1)",
+)
+BATTERY = Topic(
+    "battery",
+    "sensor_msgs/msg/BatteryState",
+    PLAIN,
+    1,
+    "the voltage, and whether it is charged, as far as that is known; percentage, current and charge are NaN",
+)
+ODOMETRY = Topic(
+    "wheel/odom",
+    "nav_msgs/msg/Odometry",
+    PLAIN,
+    50,
+    "integrated from what was commanded: no encoders report. The transform only with `publish_tf`",
+)
+GAMEPAD = Topic(
+    "gamepad", "sensor_msgs/msg/Joy", PLAIN, 20, "each frame: axes lx, ly, rx, ry / 127 and the hat; 16 buttons"
+)
+JOINT_STATES = Topic(
+    "joint_states",
+    "sensor_msgs/msg/JointState",
+    PLAIN,
+    10,
+    "the four wheels: position and velocity integrated from what was commanded",
+)
+STATE = Topic("~/state", "std_msgs/msg/String", PLAIN, 10, "the state as JSON; its keys are below")
+STATUS = Topic(
+    "~/status",
+    "failstop_msgs/msg/Status",
+    PLAIN,
+    10,
+    "the state, typed; only where the package failstop_msgs is built",
+)
+EMERGENCY_STOP = Topic(
+    "~/emergency_stop",
+    "std_msgs/msg/Bool",
+    LASTING,
+    10,
+    "true while a stop is latched, or nobody knows that none is; on every change too",
+)
+DIAGNOSTICS = Topic(
+    "/diagnostics",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    PLAIN,
+    1,
+    "the stop layer with the next command, each process, port, link, battery, real-time rights, what ROS nodes do; on "
+    "every change too",
+)
+OUTWARD = (
+    IMU,
+    BATTERY,
+    ODOMETRY,
+    GAMEPAD,
+    JOINT_STATES,
+    STATE,
+    STATUS,
+    EMERGENCY_STOP,
+    DIAGNOSTICS,
+)
+TF = Topic("/tf", "tf2_msgs/msg/TFMessage", Qos(100), 50, "odom to base_link, only with `publish_tf`")
+
+ENABLE = Service("~/enable", "std_srvs/srv/SetBool", "enables or disables motion; the message is the gate's answer")
+RESET = Service(
+    "~/reset_estop",
+    "std_srvs/srv/Trigger",
+    "clears the latched stop and nothing else; refused while a nonzero cmd_vel arrives, or two nodes publish it",
+)
+STOP = Service(
+    "~/stop",
+    "std_srvs/srv/Trigger",
+    "a latched stop; answers when it is written, with what is known of it within 1 s",
+)
+SERVICES = (ENABLE, RESET, STOP)
+
+STATE_KEYS = {
+    "enabled": "motion is enabled",
+    "estop": "the latch's first reason, or null",
+    "plugged": "the charger: true, false, or null while that is not known",
+    "arm_enabled": "false: there is no arm",
+    "arm_moving": "false",
+    "arm_pose": "empty",
+    "servo_silent": "empty",
+    "blocked": "why the wheels may not turn, or null",
+    "body_vel": "m/s forward, m/s left, rad/s counter-clockwise, as commanded now",
+    "scan_age": "s since the obstacle sensor delivered, or null",
+    "gyro_bias_dps": "x, y, z in deg/s",
+    "gyro_bias_tracking": "the bias follows the reading now",
+    "arm_holding": "false",
+    "pad_mode": "locked or drive",
+    "pad_joint": "null",
+    "auto_tuck_in_s": "null",
+    "next": "what to do for the wheels to move, a list",
+    "driver": "who drives, or null",
+    "publishers": "the nodes that publish cmd_vel",
+    "wrong": "what is wrong with cmd_vel, scan or estop, or null",
+    "link": "whether the board answers: unproven, alive, deaf",
+    "port": "open, closed or lost",
+    "processes": "pid, state, age_ms and restarts of each",
+    "last_stop": "reason, written_us, acknowledged_us, observed_ms, or null",
+    "state_age_ms": "of the gate's record; null: no service",
+}
+"""The keys of ~/state: up to auto_tuck_in_s those of the driver before, then the bridge's own."""
+
+
+class Setting(NamedTuple):
+    """A parameter of the bridge itself, read at its start. `allowed`: the words that a text may be; empty: any."""
+
+    name: str
+    default: bool | str | list[str]
+    text: str
+    allowed: tuple[str, ...] = ()
+
+
+SETTINGS = (
+    Setting("cmd_vel_type", "auto", "what is taken on cmd_vel", tuple(COMMAND_TYPES)),
+    Setting("allowed_publishers", [""], "nodes that may publish cmd_vel; another one latches a stop. Empty: any"),
+    Setting("publish_tf", False, "publish odom to base_link; else an EKF does"),
+    Setting("imu_frame_id", "imu_link", "frame of imu/data_raw"),
+    Setting("odom_frame_id", "odom", "frame of wheel/odom"),
+    Setting("base_frame_id", "base_link", "child frame of wheel/odom"),
+)

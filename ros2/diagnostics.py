@@ -1,0 +1,103 @@
+"""Diagnostics: the state as diagnostic_msgs/DiagnosticStatus, in plain dictionaries. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from failstop.ros2 import words
+from failstop.screen import summary, verdict
+from failstop.state import Process, State
+
+OK = 0
+WARN = 1
+ERROR = 2
+STALE = 3
+
+Status = dict[str, Any]
+LINK_LEVELS = {"alive": OK, "unproven": WARN, "deaf": ERROR}
+
+
+def statuses(node: str, state: State | None, problem: str, sees: Sequence[str], wrong: Sequence[str]) -> list[Status]:
+    """Every status. `problem`: why there is no state; `sees` and `wrong`: the bridge's own."""
+    if state is None:
+        rows = [_status("stop layer", ERROR, problem)]
+    else:
+        rows = [_stop_layer(state), *_processes(state), _port(state), _link(state), _battery(state), _rights(state)]
+    rows.append(_status("ROS", WARN if wrong else OK, "; ".join(wrong or sees)))
+    return [{**row, "name": f"{node}: {row['name']}", "hardware_id": state.name if state else ""} for row in rows]
+
+
+def _status(name: str, level: int, message: str, **values: object) -> Status:
+    pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
+    return {"name": name, "level": level, "message": message, "values": pairs}
+
+
+def _stop_layer(state: State) -> Status:
+    """Why it is blocked, and the next command."""
+    word, _ = verdict.word(state)
+    level = ERROR if state.estop or verdict.doubt(state) or verdict.down(state) else OK
+    if state.age_ms > verdict.STALE_MS:
+        level = STALE
+    step = verdict.next_step(state)
+    message = words.plain(f"{word}: {verdict.headline(state)}") + (f"; next: {step}" if step else "")
+    return _status(
+        "stop layer",
+        level,
+        message,
+        enabled=state.enabled,
+        estop=words.plain(state.estop or ""),
+        blocked=words.plain(state.blocked or ""),
+        waiting_for=state.waiting_for or "",
+    )
+
+
+def _processes(state: State) -> Iterator[Status]:
+    for name, process in state.processes.items():
+        yield _status(
+            f"process {name}",
+            _level(process),
+            process.state,
+            pid=process.pid,
+            age_ms=process.age_ms,
+            worst_ms=process.worst_ms,
+            restarts=process.restarts,
+            last_exit=process.last_exit or "",
+        )
+
+
+def _level(process: Process) -> int:
+    if process.state == "running":
+        return WARN if process.age_ms > summary.LATE_BEAT_MS else OK
+    return WARN if process.state in ("starting", "waiting") else ERROR
+
+
+def _port(state: State) -> Status:
+    found = state.device["state"]
+    return _status("port", OK if found == "open" else ERROR, found, path=state.device["path"] or "")
+
+
+def _link(state: State) -> Status:
+    found = state.device["link"]
+    return _status("link", LINK_LEVELS.get(found, ERROR), summary.LINKS[found][0] if found in summary.LINKS else found)
+
+
+def _battery(state: State) -> Status:
+    if not state.battery_mv:
+        return _status("battery", WARN, "not known yet")
+    level = WARN if state.battery_mv < summary.BATTERY_LOW_MV else OK
+    return _status("battery", level, f"{state.battery_mv / 1000:.2f} V", charger=state.plugged)
+
+
+def _rights(state: State) -> Status:
+    without = [name for name, process in state.processes.items() if process.pid and not process.realtime]
+    if without:
+        return _status("real-time rights", WARN, f"missing for {', '.join(without)}: stops come later under load")
+    return _status("real-time rights", OK, "granted")
+
+
+def changed(before: Sequence[Status], now: Sequence[Status]) -> bool:
+    """Whether anything but ages and counts is new."""
+    return [(row["name"], row["level"], row["message"]) for row in before] != [
+        (row["name"], row["level"], row["message"]) for row in now
+    ]

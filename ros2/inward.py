@@ -1,0 +1,236 @@
+"""Inward: commands, scans, stops and services, each handed to the service by the thread that spins."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from math import isfinite
+from time import monotonic_ns
+from typing import Any
+
+from failstop.errors import FailstopError, NoAnswer, Refused
+from failstop.robot import Robot
+from failstop.ros2 import mirrors, report, words
+from failstop.ros2.commanders import Commanders, HeldUp, wrong_ends
+from failstop.ros2.contract import CLIENT, CMD_VEL, COMMAND_TYPES, ESTOP, SCAN, SERVICES, STAMPED, Topic
+from failstop.ros2.fill import type_of
+from failstop.ros2.graph import Graph, latch
+from failstop.ros2.link import Link
+from failstop.ros2.scan import ScanWatch
+from failstop.ros2.shared import Shared
+
+WATCH_S = 0.05
+SAY_NS = 1_000_000_000
+LOOK_NS = 500_000_000
+STOP_NS = 1_000_000_000
+"""How long the stop service waits for the proofs of its stop."""
+LOG_NS = 5_000_000_000
+"""A complaint that repeats itself is written this often."""
+
+
+class Turn:
+    """Awaited: the executor goes on with other work, and comes back."""
+
+    def __await__(self) -> Generator[None, None, None]:
+        yield
+
+
+class Inward:
+    """The subscriptions and services."""
+
+    def __init__(self, node: Any, qos: Any, group: Any, link: Link, shared: Shared, settings: dict[str, Any]) -> None:
+        """`qos` makes a profile of a contract.Qos, `group` a callback group; `settings`: the bridge's own
+        parameters."""
+        self._node = node
+        self._qos = qos
+        self._link = link
+        self._shared = shared
+        now_ns = monotonic_ns()
+        self._accepted = COMMAND_TYPES[settings["cmd_vel_type"]]
+        self._commanders = Commanders(self._accepted, settings["allowed_publishers"])
+        self._held_up = HeldUp()
+        self._scan = ScanWatch(0.5)
+        self._timeout_s = 0.3
+        self._run = 0
+        self._asserts = False
+        """The settings declare the bridge's interlock."""
+        self._moving_ns = -STOP_NS
+        """When a command that is not zero came last."""
+        self._velocity = (0.0, 0.0, 0.0)
+        self._said_ns = self._looked_ns = now_ns - SAY_NS
+        self._said: tuple[str, str] = ("", "")
+        self._wrong_estop: list[str] = []
+        self._complained_ns: dict[str, int] = {}
+        self._type = self._accepted[0]
+        self._subscription = self._subscribe(CMD_VEL, self._command, self._type)
+        self._scan_topic = self._subscribe(SCAN, self._scanned, raw=True).topic_name
+        self._estop_topic = self._subscribe(ESTOP, self._estop).topic_name
+        self.graph = Graph(node, self._subscription.topic_name, self._commanders, shared)
+        for service, answer in zip(SERVICES, (self._enable, self._reset, self._stop), strict=True):
+            # Of groups of their own: all others wait while a callback of the node's group has not come to its end.
+            node.create_service(type_of(service.type), service.name, answer, callback_group=group())
+        node.create_timer(WATCH_S, self._watch)
+
+    def _subscribe(self, topic: Topic, act: Any, kind: str = "", *, raw: bool = False) -> Any:
+        found = type_of(kind or topic.type)
+        return self._node.create_subscription(found, topic.name, act, self._qos(topic.qos), raw=raw)
+
+    def _complain(self, what: str, line: str) -> None:
+        """Write a line, unless one of the same kind was written just now."""
+        now_ns = monotonic_ns()
+        if now_ns - self._complained_ns.get(what, -LOG_NS) >= LOG_NS:
+            self._complained_ns[what] = now_ns
+            self._node.get_logger().warning(line)
+
+    def _latch(self, cause: str) -> None:
+        latch(self._node, self._link, cause)
+
+    # Who commands.
+
+    def _turn(self) -> int:
+        """Every callback begins so; returns the time."""
+        now_ns = monotonic_ns()
+        self._held_up.turn(now_ns)
+        return now_ns
+
+    def _watch(self) -> None:
+        """20 times a second: the interlock, and now and then the rest. A bridge whose executor hangs says nothing."""
+        now_ns = self._turn()
+        self._follow_service()
+        if now_ns - self._looked_ns >= LOOK_NS:
+            self._looked_ns = now_ns
+            self._scan.look(self.graph.publishers(self._scan_topic))
+            publishers = self.graph.publishers(self._estop_topic)
+            self._wrong_estop = wrong_ends(ESTOP.name, publishers, (ESTOP.type,), reliable=True)
+        self._follow_type()
+        try:
+            if self._asserts and self._commanders.holds(now_ns):
+                self._link.call(lambda robot: robot.hold(CLIENT))
+            self._say(now_ns)
+        except FailstopError as error:
+            self._complain("service", str(error))
+
+    def _follow_type(self) -> None:
+        """Subscribe to what is offered: two types on one topic are two publishers, and one subscription has one."""
+        wanted = self._commanders.wanted_type(self._type)
+        if wanted != self._type:
+            self._node.destroy_subscription(self._subscription)
+            self._type = wanted
+            self._subscription = self._subscribe(CMD_VEL, self._command, wanted)
+            self._node.get_logger().info(f"cmd_vel is {wanted} now, as its publisher offers it")
+
+    def _follow_service(self) -> None:
+        """A run of the service that was not seen before brings its settings, and wants a connection of its own."""
+        settings = self._shared.settings
+        if self._run == self._shared.run or settings is None:
+            return
+        if self._run:
+            self._link.close()
+        self._run = self._shared.run
+        self._timeout_s = mirrors.command_timeout_s(settings)
+        self._scan.timeout_s = float(settings["scan.timeout_s"])
+        self._asserts = f"interlocks.{CLIENT}.timeout_s" in settings
+
+    def _say(self, now_ns: int) -> None:
+        """Tell the service what is seen: when it changes, and every second."""
+        scan, wrong = self._scan.says(now_ns)
+        commanders = self._commanders
+        names = commanders.names() if commanders.count else ""
+        wrong = [*commanders.wrong(), *wrong, *self._wrong_estop]
+        said = (report.says(names, scan), "; ".join(wrong))
+        if said == self._said and now_ns - self._said_ns < SAY_NS:
+            return
+        self._shared.publishers = tuple(publisher.node for publisher in commanders.publishers)
+        self._shared.sees, self._shared.wrong = (said[0],), tuple(wrong)
+        self._said, self._said_ns = said, now_ns
+        self._link.call(lambda robot: robot.say(*said))
+
+    # Topics.
+
+    def _command(self, message: Any) -> None:
+        now_ns = self._turn()
+        self.graph.ask(self._link, now_ns)
+        twist = message.twist if self._type == STAMPED else message
+        velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
+        if not all(map(isfinite, velocity)):
+            self._latch(f"command from {self._commanders.names()} is not finite")
+            return
+        if self._type == STAMPED and (late := self._late(message.header.stamp)):
+            self._complain("late", late)
+            return
+        if any(velocity):
+            self._moving_ns, self._velocity = now_ns, velocity
+        if not self._commanders.passes() or self._held_up.old(now_ns):
+            return
+        try:
+            self._link.call(lambda robot: robot.drive(*velocity))
+        except FailstopError as error:
+            self._complain("service", f"cmd_vel moves nothing: {error}")
+
+    def _late(self, stamp: Any) -> str:
+        """Why a stamp is refused; empty: it is not."""
+        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+        age_s = (self._node.get_clock().now().nanoseconds - stamp_ns) / 1e9
+        if stamp_ns == 0 or age_s <= self._timeout_s:
+            return ""
+        return f"cmd_vel is refused: its stamp is {age_s:.3f} s old (most: {self._timeout_s:g} s); do the clocks agree?"
+
+    def _scanned(self, _message: bytes) -> None:
+        now_ns = self._turn()
+        if self._held_up.old(now_ns):
+            return
+        self._scan.heard(now_ns)
+        try:
+            self._link.call(Robot.sensed)
+        except FailstopError as error:
+            self._complain("service", f"scans are not passed on: {error}")
+
+    def _estop(self, message: Any) -> None:
+        if message.data:
+            self._latch(words.TOPIC_CAUSE)
+
+    # Services.
+
+    def _enable(self, request: Any, response: Any) -> Any:
+        if request.data:
+            return self._answer(response, lambda: self._link.call(Robot.enable) and words.ENABLED)
+        return self._answer(response, lambda: self._link.call(Robot.disable) and words.DISABLED)
+
+    def _reset(self, _request: Any, response: Any) -> Any:
+        return self._answer(response, self._ask_reset)
+
+    def _ask_reset(self) -> str:
+        now_ns = monotonic_ns()
+        self.graph.ask(self._link, now_ns)
+        if cause := self._commanders.cause(now_ns):
+            raise Refused(cause)
+        if now_ns - self._moving_ns < self._timeout_s * 1e9:
+            who = self._commanders.names()
+            raise Refused(f"{who} commands {words.velocity(*self._velocity)}: it would move at the next enable")
+        return words.reset(self._link.call(Robot.reset))
+
+    def _answer(self, response: Any, act: Any) -> Any:
+        try:
+            response.success, response.message = True, act()
+        except Refused as error:
+            response.success, response.message = False, words.refused(str(error.args[0]))
+        except NoAnswer:
+            self._latch(words.NO_ANSWER)
+            response.success, response.message = False, words.NO_ANSWER
+        except FailstopError as error:
+            response.success, response.message = False, words.refused(str(error))
+        return response
+
+    async def _stop(self, _request: Any, response: Any) -> Any:
+        """Asked for at once; what is known of it is waited for while everything else goes on."""
+        asked_ns = monotonic_ns()
+        before = self._shared.state
+        try:
+            self._link.call(lambda robot: robot.estop(words.SERVICE_CAUSE))
+        except FailstopError as error:
+            response.success, response.message = False, words.refused(str(error))
+            return response
+        while not (said := report.proof(before, self._shared.state)) and monotonic_ns() - asked_ns < STOP_NS:
+            await Turn()
+        response.success = True
+        response.message = said or report.proof(before, self._shared.state, final=True)
+        return response

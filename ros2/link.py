@@ -1,0 +1,65 @@
+"""Link: the bridge's connection to the service, made anew when the service was. One for each thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import monotonic_ns
+from typing import TypeVar
+
+from failstop.errors import FailstopError, NoAnswer, NoService, Refused
+from failstop.robot import Robot
+from failstop.ros2.contract import CLIENT
+from failstop.state import State
+
+ANSWER_S = 0.5
+AGAIN_NS = 200_000_000
+STALE_MS = 500.0
+"""A state as old as this may be of a run that is over."""
+T = TypeVar("T")
+
+
+class Link:
+    """A Robot when there is a service."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._robot: Robot | None = None
+        self._problem = FailstopError("not connected yet")
+        self._tried_ns = -AGAIN_NS
+
+    def call(self, act: Callable[[Robot], T]) -> T:
+        """Do something with the robot. Raises FailstopError; a service that has gone is looked for at the next call,
+        five times a second at most."""
+        try:
+            return act(self._connected())
+        except (Refused, NoAnswer):
+            raise
+        except FailstopError as error:
+            self._problem = error
+            self.close()
+            raise
+
+    def _connected(self) -> Robot:
+        if self._robot is None:
+            if monotonic_ns() - self._tried_ns < AGAIN_NS:
+                raise self._problem
+            self._tried_ns = monotonic_ns()
+            self._robot = Robot(self.name, client=CLIENT, answer_s=ANSWER_S)
+        return self._robot
+
+    def state(self) -> State:
+        """A state of the run that is there now. Raises FailstopError."""
+        found = self.call(lambda robot: robot.state)
+        if found.age_ms > STALE_MS and monotonic_ns() - self._tried_ns >= AGAIN_NS:
+            self.close()
+            found = self.call(lambda robot: robot.state)
+        return found
+
+    def close(self) -> None:
+        """Give the connection back: what the bridge commanded ends at once."""
+        if self._robot:
+            self._robot.close()
+            self._robot = None
+
+
+__all__ = ["FailstopError", "Link", "NoAnswer", "NoService", "Refused"]

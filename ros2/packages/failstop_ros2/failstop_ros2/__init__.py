@@ -1,0 +1,1 @@
+"""The ROS package of failstop's bridge."""

@@ -1,0 +1,21 @@
+"""`ros2 run failstop_ros2 bridge`: the same as `failstop ros2`, in ROS's own interpreter."""
+
+from __future__ import annotations
+
+import glob
+import sys
+
+INSTALLED = "/opt/failstop/lib/python{}.{}/site-packages"
+
+
+def main() -> int:
+    """Run the bridge of the failstop that is installed; returns the exit code."""
+    # Behind everything else: what ROS was built with comes first, numpy above all.
+    sys.path += glob.glob(INSTALLED.format(*sys.version_info[:2]))
+    try:
+        from failstop import cli
+    except ImportError as error:
+        version = f"Python {sys.version_info[0]}.{sys.version_info[1]}"
+        sys.stderr.write(f"failstop can't be imported by ROS's {version} ({error}): install it with that one's pip\n")
+        return 1
+    return cli.main(["ros2", *sys.argv[1:]])

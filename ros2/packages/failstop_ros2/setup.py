@@ -1,0 +1,23 @@
+"""The ROS package: an executable and a launch file around the bridge, which is a part of failstop itself."""
+
+from setuptools import setup
+
+NAME = "failstop_ros2"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=[NAME],
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/launch", ["launch/failstop.launch.py"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=True,
+    maintainer="failstop developers",
+    maintainer_email="failstop@example.org",
+    description="The bridge from ROS 2 to failstop, the layer that makes a robot stop, and its launch file.",
+    license="MIT",
+    entry_points={"console_scripts": [f"bridge = {NAME}.bridge:main"]},
+)

@@ -1,0 +1,81 @@
+"""The contract as people read it: `python -m failstop.ros2.page docs/ros2.md` writes its tables into that page, between
+two marks. A test keeps the page equal to the tables."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from failstop.ros2 import contract, mirrors
+from failstop.ros2.contract import INWARD, OUTWARD, SERVICES, SETTINGS, STATE_KEYS, TF
+from failstop.supervisor.settings import Settings
+
+BEGIN = "<!-- contract: made by `python -m failstop.ros2.page docs/ros2.md` -->"
+END = "<!-- end of contract -->"
+
+
+def _table(head: str, rows: Iterable[Iterable[str]]) -> Iterator[str]:
+    columns = head.split(" | ")
+    yield f"| {head} |"
+    yield "|" + "---|" * len(columns)
+    for row in rows:
+        yield f"| {' | '.join(row)} |"
+
+
+def _shown(value: object) -> str:
+    if value == [""]:
+        return "[]"
+    return "true" if value is True else "false" if value is False else str(value)
+
+
+def text() -> str:
+    """The tables."""
+    topics = [("in", topic, "") for topic in INWARD]
+    topics += [("out", topic, f"{topic.hz} Hz") for topic in (*OUTWARD, TF)]
+    shown = mirrors.values(Settings().flat())
+    lines = [
+        f"The node is `{contract.NODE}`. Names are relative to its namespace, `~` is the node.",
+        "",
+        *_table(
+            "way | topic | type | quality of service | rate | what",
+            (
+                (way, f"`{topic.name}`", f"`{topic.type}`", topic.qos.words(), hz, topic.text)
+                for way, topic, hz in topics
+            ),
+        ),
+    ]
+    lines += ["", *_table("service | type | what", ((f"`{s.name}`", f"`{s.type}`", s.text) for s in SERVICES))]
+    lines += ["", "Parameters of the bridge itself, read at its start:", ""]
+    own = ((f"`{s.name}`", f"`{_shown(s.default)}`", _words(s)) for s in SETTINGS)
+    lines += _table("parameter | default | what", own)
+    lines += ["", "Parameters that show failstop's settings, and are changed there alone:", ""]
+    rows = (
+        (f"`{m.name}`", f"`{_shown(shown[m.name])}`", ", ".join(f"`{key}`" for key in m.keys) or "fixed")
+        for m in mirrors.TABLE
+    )
+    lines += _table("parameter | with the defaults | setting", rows)
+    lines += ["", "The keys of `~/state`:", "", *_table("key | value", ((f"`{k}`", v) for k, v in STATE_KEYS.items()))]
+    return "\n".join(lines)
+
+
+def _words(setting: contract.Setting) -> str:
+    return f"{setting.text}: {', '.join(setting.allowed)}" if setting.allowed else setting.text
+
+
+def with_tables(page: str) -> str:
+    """A page with the tables between its marks."""
+    head, _, rest = page.partition(BEGIN)
+    return f"{head}{BEGIN}\n{text()}\n{END}{rest.partition(END)[2]}"
+
+
+def main(words: list[str]) -> int:
+    """Write the tables into the pages that are named."""
+    for word in words:
+        path = Path(word)
+        path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

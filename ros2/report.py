@@ -1,0 +1,150 @@
+"""Report: the service's state as the bridge tells it in ~/state and ~/status, and its own line for people. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import degrees, nan
+from typing import Any
+
+from failstop.ros2 import words
+from failstop.screen import verdict
+from failstop.state import State
+
+PLUGGED = {"plugged": True, "unplugged": False, "unknown": None}
+NOBODY = "nobody publishes cmd_vel"
+
+
+def blocked(state: State) -> str | None:
+    """Why the wheels may not turn, in the words of the driver before."""
+    return None if state.blocked is None else words.plain(state.blocked)
+
+
+def driver(state: State) -> str | None:
+    """Who drives."""
+    return next((f"{row['who']} as {row['source']}" for row in state.sources if row["state"] == "drives"), None)
+
+
+def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> dict[str, Any]:
+    """The values of ~/state, by the keys of contract.STATE_KEYS."""
+    bias = state.gyro_bias or {"bias_radps": (0.0, 0.0, 0.0), "tracking": False}
+    stop = state.last_stop
+    return {
+        "enabled": state.enabled,
+        "estop": None if state.estop is None else words.plain(state.estop),
+        "plugged": PLUGGED[state.plugged],
+        "arm_enabled": False,
+        "arm_moving": False,
+        "arm_pose": {},
+        "servo_silent": [],
+        "blocked": blocked(state),
+        "body_vel": [round(value, 3) for value in state.body_vel],
+        "scan_age": None if state.scan_age_s is None else round(state.scan_age_s, 2),
+        "gyro_bias_dps": [round(degrees(value), 4) for value in bias["bias_radps"]],
+        "gyro_bias_tracking": bias["tracking"],
+        "arm_holding": False,
+        "pad_mode": state.pad_mode or "locked",
+        "pad_joint": None,
+        "auto_tuck_in_s": None,
+        "next": verdict.steps(state),
+        "driver": driver(state),
+        "publishers": list(publishers),
+        "wrong": "; ".join(wrong) or None,
+        "link": state.device["link"],
+        "port": state.device["state"],
+        "processes": {
+            name: {"pid": row.pid, "state": row.state, "age_ms": row.age_ms, "restarts": row.restarts}
+            for name, row in state.processes.items()
+        },
+        "last_stop": stop
+        and {
+            "reason": words.plain(stop.reason),
+            "written_us": stop.written_us,
+            "acknowledged_us": stop.acknowledged_us,
+            "observed_ms": stop.observed_ms,
+        },
+        "state_age_ms": round(state.age_ms, 1),
+    }
+
+
+def without_service(problem: str) -> dict[str, Any]:
+    """The same while there is no service: nothing is enabled, and why."""
+    return {
+        "enabled": False,
+        "estop": None,
+        "plugged": None,
+        "arm_enabled": False,
+        "arm_moving": False,
+        "arm_pose": {},
+        "servo_silent": [],
+        "blocked": problem,
+        "body_vel": [0.0, 0.0, 0.0],
+        "scan_age": None,
+        "gyro_bias_dps": [0.0, 0.0, 0.0],
+        "gyro_bias_tracking": False,
+        "arm_holding": False,
+        "pad_mode": "locked",
+        "pad_joint": None,
+        "auto_tuck_in_s": None,
+        "next": ["start the service"],
+        "driver": None,
+        "publishers": [],
+        "wrong": None,
+        "link": "unproven",
+        "port": "closed",
+        "processes": {},
+        "last_stop": None,
+        "state_age_ms": None,
+    }
+
+
+def status(state: State) -> dict[str, Any]:
+    """The fields of failstop_msgs/Status but for its stamp; what is not known is NaN or empty."""
+    stop = state.last_stop
+    return {
+        "enabled": state.enabled,
+        "blocked": blocked(state) or "",
+        "latched": state.estop is not None,
+        "estop": words.plain(state.estop or ""),
+        "driver": driver(state) or "",
+        "state_age_s": state.age_ms / 1000,
+        "scan_age_s": _known(state.scan_age_s),
+        "link": state.device["link"],
+        "last_stop": words.plain(stop.reason) if stop else "",
+        "last_stop_written_s": _known(stop.written_us if stop else None, 1e6),
+        "last_stop_acknowledged_s": _known(stop.acknowledged_us if stop else None, 1e6),
+        "last_stop_observed_s": _known(stop.observed_ms if stop else None, 1e3),
+    }
+
+
+def _known(value: float | None, unit: float = 1.0) -> float:
+    return nan if value is None else value / unit
+
+
+def latched(state: State | None) -> bool:
+    """Whether ~/emergency_stop is true: without a state nobody knows that nothing is latched."""
+    return state is None or state.estop is not None
+
+
+def says(names: str, scan: str) -> str:
+    """What the bridge sees, for `status` and `why`."""
+    return f"cmd_vel: {names}; {scan}" if names else f"{NOBODY}; {scan}"
+
+
+def proof(before: State | None, now: State | None, *, final: bool = False) -> str:
+    """What is known of the stop that was asked for after `before`; empty while more may become known. `final`: no more
+    is waited for."""
+    stop = now.last_stop if now else None
+    if now is None or stop is None or not now.estop or (before and stop == before.last_stop and not before.estop):
+        return "asked for a stop; the service has not told of it yet" if final else ""
+    if stop.written_us is None:
+        return f"stop latched ({words.plain(now.estop)}), and it could NOT be written: use the POWER SWITCH"
+    if stop.observed_ms is None and not final:
+        return ""
+    told = [f"written after {stop.written_us / 1000:.1f} ms"]
+    told.append(
+        "not acknowledged yet"
+        if stop.acknowledged_us is None
+        else f"acknowledged after {stop.acknowledged_us / 1000:.1f} ms"
+    )
+    told.append("not seen still yet" if stop.observed_ms is None else f"observed after {stop.observed_ms:.0f} ms")
+    return f"stop latched ({words.plain(now.estop)}): {', '.join(told)}"

@@ -1,0 +1,62 @@
+"""Scan: what is heard of the obstacle sensor, told apart: nobody publishes, of another type, silent. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from failstop.ros2 import words
+from failstop.ros2.commanders import NAMELESS, Publisher, wrong_ends
+from failstop.ros2.contract import SCAN
+
+NO_SCAN = "no scan"
+"""The gate's block reason."""
+
+
+class ScanWatch:
+    """The sensor's publishers and its last delivery."""
+
+    def __init__(self, timeout_s: float) -> None:
+        self.timeout_s = timeout_s
+        self._heard_ns: int | None = None
+        self._publishers: tuple[Publisher, ...] = ()
+
+    def heard(self, now_ns: int) -> None:
+        """A message arrived."""
+        self._heard_ns = now_ns
+
+    def look(self, publishers: Sequence[Publisher]) -> None:
+        """Who publishes."""
+        self._publishers = tuple(publishers)
+
+    def says(self, now_ns: int) -> tuple[str, list[str]]:
+        """(what is seen, what is wrong)."""
+        if wrong := wrong_ends(SCAN.name, self._publishers, (SCAN.type,), reliable=False):
+            return "scan of another type", wrong
+        if not self._publishers:
+            return "nobody publishes scan", ["nobody publishes scan: start the lidar's node, or remap its topic"]
+        names = ", ".join(dict.fromkeys(publisher.node or NAMELESS for publisher in self._publishers))
+        if self._heard_ns is None:
+            return f"scan: {names}", [f"{names} publishes scan and has sent nothing yet"]
+        if now_ns - self._heard_ns > self.timeout_s * 1e9:
+            return f"scan: {names}", [f"{names} publishes scan and is silent"]
+        return f"scan: {names}", []
+
+
+class ScanLog:
+    """The lines that the driver before wrote when the scan gate held the wheels, and when it let them go."""
+
+    def __init__(self, now_ns: int) -> None:
+        self._begun_ns = now_ns
+        self._held = False
+
+    def follow(self, blocked: str | None, scan_age_s: float | None, timeout_s: float, now_ns: int) -> str:
+        """The line to write now; empty: none. The block reason `no scan` means that somebody commands."""
+        if blocked == NO_SCAN:
+            if self._held:
+                return ""
+            self._held = True
+            return words.HELD.format((now_ns - self._begun_ns) / 1e9 if scan_age_s is None else scan_age_s)
+        if self._held and scan_age_s is not None and scan_age_s <= timeout_s:
+            self._held = False
+            return words.RELEASED
+        return ""

@@ -1,0 +1,25 @@
+"""Shared: what the bridge's two threads know of each other; each field has one writer, who replaces it whole."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from failstop.ros2.mirrors import Settings
+from failstop.state import State
+
+
+@dataclasses.dataclass
+class Shared:
+    """Written by the thread that publishes: state, problem, settings, run. By the thread that listens: the rest."""
+
+    state: State | None = None
+    problem: str = "the bridge is starting"
+    """Why there is no state."""
+    settings: Settings | None = None
+    """Of the run that is there; None: not known yet."""
+    run: int = 0
+    """Which run of the service that is: the pid of its supervisor; 0: none was seen yet."""
+    publishers: tuple[str, ...] = ()
+    sees: tuple[str, ...] = ()
+    wrong: tuple[str, ...] = ()
+    ending: bool = False

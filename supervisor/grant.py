@@ -1,0 +1,44 @@
+"""Grant: the one command that gives a service the rights to real-time scheduling and locked memory, where it runs."""
+
+from __future__ import annotations
+
+import os
+
+UNIT = "`sudo systemctl edit {unit}`, with LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]"
+CONTAINER = "start the container with `--cap-add SYS_NICE --cap-add IPC_LOCK --ulimit rtprio=40 --ulimit memlock=-1`"
+SHELL = "`sudo prlimit --pid $$ --rtprio=40 --memlock=unlimited` in the same shell, then start it again"
+GRANTED = "it has real-time rights, so look at what else has, and at the host of a virtual machine (`failstop doctor`)"
+CONTAINER_FILES = ("/.dockerenv", "/run/.dockerenv", "/run/.containerenv", "/run/systemd/container")
+CONTROL_GROUP = "/proc/self/cgroup"
+CONTAINER_VARIABLE = "container"
+"""Set for the first process of a container by podman, lxc and systemd-nspawn, and inherited where nobody clears it."""
+
+
+def command(unit: str, *, container: bool) -> str:
+    """What to do, the command in backquotes. `unit`: the systemd unit that starts the service, empty for none. Pure."""
+    if unit:
+        return UNIT.format(unit=unit)
+    return CONTAINER if container else SHELL
+
+
+def advice(*, realtime: bool, managed: bool) -> str:
+    """What people are told to do when this process is late; `realtime`: it has the rights; `managed`: a service manager
+    has started it."""
+    if realtime:
+        return GRANTED
+    return f"give it real-time rights: {command(own_unit() if managed else '', container=in_container())}"
+
+
+def own_unit() -> str:
+    """The systemd unit of this process, by its control group; in words where that does not say."""
+    try:
+        with open(CONTROL_GROUP, encoding="utf-8") as file:
+            groups = [line.rstrip().rpartition("/")[2] for line in file]
+    except OSError:
+        groups = []
+    return next((group for group in groups if group.endswith(".service")), "UNIT")
+
+
+def in_container() -> bool:
+    """True when this process runs in one, as far as its kind leaves a sign."""
+    return CONTAINER_VARIABLE in os.environ or any(map(os.path.exists, CONTAINER_FILES))

@@ -1,0 +1,51 @@
+"""What is every test's own, whatever is installed or runs on the machine; nothing of it is read, nothing left there."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+from failstop.shm import root
+
+# A loaded machine is no failure: the time limits are pytest's.
+settings.register_profile("failstop", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("failstop")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests first: a worker that gets one of them last is waited for by all others."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _interruptible() -> None:
+    """A shell's background job ignores Ctrl-C, and would hand that on to every command that a test interrupts."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_places() -> Iterator[None]:
+    """The directories of state, runtime and settings, for this process and for all that it starts; gone afterwards.
+
+    Below /var/tmp, because every user must be able to reach a stop pipe, and what lies below /tmp is private.
+    """
+    base = Path(tempfile.mkdtemp(prefix=f"failstop-tests-{os.getpid()}-", dir="/var/tmp"))
+    for place in (base, base / "run"):
+        place.mkdir(exist_ok=True)
+        place.chmod(0o755)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(root.VARIABLE, str(base))
+        patch.setenv("XDG_STATE_HOME", str(base / "home"))
+        for variable in ("STATE_DIRECTORY", "XDG_RUNTIME_DIR"):
+            patch.delenv(variable, raising=False)
+        yield
+    shutil.rmtree(base, ignore_errors=True)

@@ -1,0 +1,258 @@
+"""A start that is refused: wheels that turn are stopped all the same, one line says why, and nothing is left.
+
+The wheels turn as after a crash: the board keeps the speed that somebody gave it, and nobody drives any more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.board.codec import motor_speeds
+from failstop.board.port import open_port
+from failstop.board.sim.client import SimBoard
+from failstop.client import run
+from failstop.procs.limits import DESCRIPTORS
+from failstop.shm import instance, root
+from failstop.trial import Trial
+from tests.commands import FAILSTOP
+from tests.shm.children import NOBODY, Child, needs_root
+from tests.waiting import until
+
+LIMITS = {
+    "no file may grow": (resource.RLIMIT_FSIZE, 0),
+    "no file may grow to a segment": (resource.RLIMIT_FSIZE, 65536),
+    "as many descriptors as Python needs": (resource.RLIMIT_NOFILE, 6),
+    "a few more": (resource.RLIMIT_NOFILE, 8),
+    "40 descriptors": (resource.RLIMIT_NOFILE, 40),
+}
+FULL = {
+    "/run without a directory more": ("/run", "nr_inodes=1", "", "No space left"),
+    "/run without a file more": ("/run", "nr_inodes=3", "", "No space left"),
+    "/run with room for the lock alone": ("/run", "nr_inodes=4", "", "No space left"),
+    "/run without a byte more": ("/run", "size=4k", "head -c 4096 /dev/zero > {where}/full", "No space left"),
+    "/dev/shm without a file more": ("/dev/shm", "nr_inodes=1", "", "No space left"),
+    "/dev/shm without a byte more": ("/dev/shm", "size=4k", "head -c 4096 /dev/zero > {where}/full", "no room"),
+    "/dev/shm with room for a part": ("/dev/shm", "size=700k", "", "no room"),
+}
+
+
+OTHERS = 13
+"""Descriptors that the supervisor has now and then (limits.DESCRIPTORS): 5 of a dead run's, 2 for each of 4 savers."""
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Iterator[SimBoard]:
+    """Its wheels turn."""
+    with SimBoard(tmp_path / "board") as made:
+        turn(made)
+        yield made
+
+
+def turn(board: SimBoard) -> None:
+    """Give the wheels a speed, and leave."""
+    port = open_port(board.link, exclusive=False)
+    os.write(port, motor_speeds((1.0, 1.0, 1.0, 1.0), 2.0))
+    board.wait_wheels(moving=True, timeout_s=5.0)
+    os.close(port)
+    board.events()
+
+
+def refused(board: SimBoard, *command: str, before: Callable[[], None] | None = None) -> str:
+    """Run it; returns the one line that it says, once the wheels have come to rest."""
+    result = subprocess.run(
+        command, capture_output=True, text=True, timeout=20.0, check=False, preexec_fn=before, stdin=subprocess.DEVNULL
+    )
+    assert result.returncode == 1, result.stderr
+    said = result.stderr
+    assert "Traceback" not in said
+    assert said.count("\n") == 1, said
+    board.wait_wheels(moving=False, timeout_s=2.0)
+    events = [event for event in board.events() if event.is_motor]
+    assert events[0].is_stop
+    assert not any(event.is_motion for event in events)
+    return f"{said}{result.stdout}"
+
+
+def service(name: str, board: SimBoard) -> tuple[str, ...]:
+    """The command that starts it."""
+    return (*FAILSTOP, "run", "--name", name, "--device", board.link)
+
+
+def left(name: str) -> list[str]:
+    """What a run of this name has left, but for its lock."""
+    places = [path for place in instance.places(name) for path in glob.glob(f"{place}/*")]
+    return [path for path in glob.glob(f"/dev/shm/failstop.{name}.*") + places if os.path.basename(path) != "lock"]
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+def test_limits_of_the_process(name: str, board: SimBoard, limit: str) -> None:
+    which, most = LIMITS[limit]
+    said = refused(board, *service(name, board), before=lambda: resource.setrlimit(which, (most, most)))
+    assert ("ulimit -n" if which == resource.RLIMIT_NOFILE else "File too large") in said
+    if most != 65536:  # else the supervisor says it, in its own words
+        assert f"the stop is written to {board.link}" in said
+    assert left(name) == []
+
+
+def test_a_soft_limit_is_raised(name: str) -> None:
+    """Only the hard one is anybody's decision; and what the service has open at most fits into what it asks for."""
+    trial = Trial(name)
+    prelude = "import os, resource, sys; hard = resource.getrlimit(7)[1]; resource.setrlimit(7, (24, hard)); "
+    prelude += "os.execv(sys.argv[1], sys.argv[1:])"
+    trial.service._command = [sys.executable, "-c", prelude, *trial.service._command]
+    with trial:
+        trial.enable()
+        for pid in trial.service.pids().values():
+            assert max(map(int, os.listdir(f"/proc/{pid}/fd"))) < DESCRIPTORS - OTHERS
+
+
+@needs_root
+@pytest.mark.skipif(shutil.which("unshare") is None, reason="needs unshare")
+@pytest.mark.parametrize("full", FULL)
+def test_a_full_file_system(name: str, board: SimBoard, full: str) -> None:
+    place, options, fill, told = FULL[full]
+    where = root.at(place) if place == "/run" else place
+    if subprocess.run(["unshare", "--mount", "true"], check=False).returncode:
+        pytest.skip("this machine lets nobody mount anything")
+    script = (
+        f'mount -t tmpfs -o {options} tmpfs {where} || exit 99; {fill.format(where=where) or ":"}; "$@"; code=$?; '
+        f"find {root.at('/run/failstop')}/{name} /dev/shm -mindepth 1 -name '*{name}*' -o -path '*/{name}/*' "
+        "2>/dev/null; exit $code"
+    )
+    said, *rest = refused(
+        board, "unshare", "--mount", "sh", "-c", script, "sh", *service(name, board)
+    ).splitlines()  # fmt: skip
+    assert told in said
+    assert {os.path.basename(path) for path in rest} <= {"lock"}, rest
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[gate]\nlease_s = 9.0\n", "gate.lease_s = 9.0: allowed is"),
+        ("nonsense", "is not TOML"),
+        (None, "check the path"),
+    ],
+    ids=["a bad value", "no TOML", "no file"],
+)  # fmt: skip
+def test_settings_that_are_refused(name: str, board: SimBoard, tmp_path: Path, text: str | None, told: str) -> None:
+    file = tmp_path / "failstop.toml"
+    if text is not None:
+        file.write_text(text)
+    said = refused(board, *service(name, board), "--config", str(file))
+    assert told in said
+    assert f"the stop is written to {board.link}" in said
+
+
+def test_the_device_is_taken_from_settings_that_are_refused(name: str, board: SimBoard, tmp_path: Path) -> None:
+    file = tmp_path / "failstop.toml"
+    file.write_text(f'[device]\npath = "{board.link}"\n[gate]\nlease_s = 9.0\n')
+    said = refused(board, *FAILSTOP, "run", "--name", name, "--config", str(file))
+    assert "gate.lease_s = 9.0: allowed is" in said
+    assert f"the stop is written to {board.link}" in said
+
+
+def test_a_bad_name(board: SimBoard) -> None:
+    assert "use 1 to 32 of a-z" in refused(board, *service("no/slash", board))
+
+
+def test_a_name_that_is_taken_by_a_service_on_another_port(trial: Trial, board: SimBoard) -> None:
+    """That one drives on; this port is nobody's, and its wheels turn."""
+    trial.enable()
+    trial.drive(0.1)
+    said = refused(board, *service(trial.name, board))
+    assert f"'{trial.name}' is already running (pid {trial.service.pids()['supervisor']})" in said
+    assert f"the stop is written to {board.link}" in said
+    trial.drive(0.1)
+    assert trial.moving()
+
+
+def test_a_port_that_others_hold_is_told_as_such(name: str, board: SimBoard) -> None:
+    port = open_port(board.link, exclusive=True)
+    result = subprocess.run(service(name, board), capture_output=True, text=True, timeout=20.0, check=False)
+    os.close(port)
+    assert result.returncode == 1
+    assert result.stderr.startswith(f"failstop: {board.link} is held")
+    assert result.stderr.count("\n") == 1
+    assert left(name) == []
+
+
+@contextlib.contextmanager
+def squatting(name: str) -> Iterator[Child]:
+    """Nobody has made what a run of this name used to make, and calls itself a supervisor."""
+
+    def work(send: Callable[[object], None], wait: Callable[[], None]) -> None:
+        with open("/proc/self/comm", "w") as comm:
+            comm.write("fs:supervisor")
+        for of in ("supervisor", "gate", "client.0", "0123456789abcdef.supervisor", "0123456789abcdef.gate"):
+            with open(f"/dev/shm/failstop.{name}.{of}", "wb") as file:
+                file.write(os.getpid().to_bytes(8, "little") * 8192)
+        send("made")
+        wait()
+
+    with Child(work, NOBODY) as squatter:
+        try:
+            squatter.receive()
+            yield squatter
+        finally:
+            for path in glob.glob(f"/dev/shm/failstop.{name}.*"):
+                if os.stat(path).st_uid == NOBODY:
+                    os.unlink(path)
+
+
+@needs_root
+def test_names_that_a_stranger_has_taken_are_in_nobody_s_way(name: str) -> None:
+    with squatting(name), Trial(name) as trial:
+        assert run(name)[1] != NOBODY
+        trial.enable()
+        trial.drive(0.2)
+        assert trial.moving()
+        trial.kill("gate")
+        until(lambda: trial.robot.state.waiting_for is None, "the gate's restart beside the squatter")
+        assert trial.service.end() == 0
+        assert all(os.stat(path).st_uid == NOBODY for path in glob.glob(f"/dev/shm/failstop.{name}.*"))
+
+
+def test_a_run_of_before_is_cleared_away_by_the_next(name: str) -> None:
+    """SIGKILL leaves the segments of a run; two runs later there are those of the last one alone."""
+    with Trial(name) as trial:
+        for _ in range(2):
+            memory, _ = run(name)
+            trial.leave()
+            trial.service.kill()
+            trial.service.start()
+            assert run(name)[0] != memory
+            assert {".".join(path.split(".")[1:3]) for path in glob.glob(f"/dev/shm/failstop.{name}.*")} == {
+                run(name)[0]
+            }
+
+
+def test_a_full_pipe_for_its_words_does_not_hold_up_the_stop(name: str, board: SimBoard, tmp_path: Path) -> None:
+    """Nobody reads what it says."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, bytes(4096))
+    os.set_blocking(writing, True)
+    file = tmp_path / "failstop.toml"
+    file.write_text("nonsense")
+    process = subprocess.Popen([*service(name, board), "--config", str(file)], stderr=writing)
+    try:
+        board.wait_wheels(moving=False, timeout_s=10.0)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        os.close(reading)
+        os.close(writing)

@@ -1,0 +1,108 @@
+"""What the service reads and writes is a regular file of its own, whatever somebody has put in its place."""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from failstop.procs import durable
+
+NOBODY = 65534
+FLAGS = {
+    "read": os.O_RDONLY,
+    "append": os.O_RDWR | os.O_APPEND | os.O_CREAT,
+    "write": os.O_WRONLY | os.O_CREAT,
+}
+pytestmark = pytest.mark.timeout(20)
+
+
+def a_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(os.path.relpath(path))
+
+
+PLANTED: dict[str, Callable[[Path], object]] = {
+    "a link": lambda path: path.symlink_to(path.with_name("victim")),
+    "a FIFO": os.mkfifo,
+    "a directory": Path.mkdir,
+    "a socket": a_socket,
+}
+
+
+@pytest.fixture
+def victim(tmp_path: Path) -> Path:
+    path = tmp_path / "victim"
+    path.write_text("precious\n")
+    return path
+
+
+@pytest.mark.parametrize("how", FLAGS)
+@pytest.mark.parametrize("what", PLANTED)
+def test_what_is_planted_is_told_and_left_alone(what: str, how: str, victim: Path) -> None:
+    path = victim.with_name("file")
+    PLANTED[what](path)
+    with pytest.raises(OSError, match=f"{what}, not a regular file"):
+        durable.open_own(str(path), FLAGS[how])
+    assert victim.read_text() == "precious\n"
+
+
+def test_a_device_is_not_even_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(durable.os, "open", lambda path, *_: opened.append(path))
+    for path in ("/dev/zero", "/dev/ptmx"):
+        with pytest.raises(OSError, match="a device, not a regular file"):
+            durable.open_regular(path)
+    assert opened == []
+
+
+def test_what_is_planted_after_the_look_is_seen_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file"
+    os.mkfifo(path)
+    regular = os.stat(__file__)
+    monkeypatch.setattr(durable.os, "stat", lambda *_: regular)
+    before = len(os.listdir("/proc/self/fd"))
+    with pytest.raises(OSError, match="a FIFO, not a regular file"):
+        durable.open_regular(str(path))
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+@pytest.mark.parametrize("how", FLAGS)
+def test_a_second_name_of_somebody_s_file_is_refused(how: str, victim: Path) -> None:
+    path = victim.with_name("file")
+    path.hardlink_to(victim)
+    with pytest.raises(PermissionError, match="with another name"):
+        durable.open_own(str(path), FLAGS[how])
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to give a file away")
+def test_whose_file_it_may_be(tmp_path: Path) -> None:
+    """In a folder that is everybody's, a stranger's file is a trap; in the stranger's own folder it is the rule."""
+    path = tmp_path / "file"
+    path.touch()
+    os.chown(path, NOBODY, -1)
+    with pytest.raises(PermissionError, match="somebody else's"):
+        durable.open_own(str(path))
+    os.chown(tmp_path, NOBODY, -1)
+    os.close(durable.open_own(str(path)))
+
+
+def test_a_new_file_is_made_for_all_to_read(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    os.close(durable.open_own(str(path), FLAGS["append"]))
+    assert stat.S_IMODE(path.stat().st_mode) == 0o644
+    fd = durable.open_own(str(path))
+    assert not os.get_inheritable(fd)
+    os.close(fd)
+
+
+def test_through_links_where_people_may_use_them(victim: Path) -> None:
+    path = victim.with_name("file")
+    path.symlink_to(victim)
+    fd = durable.open_regular(str(path))
+    assert os.read(fd, 100) == b"precious\n"
+    os.close(fd)

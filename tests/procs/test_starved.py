@@ -1,0 +1,167 @@
+"""Starved or hung: the verdict, and what the kernel says of real processes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from failstop.faults.crowd import Helper, spin_for_ever
+from failstop.faults.starve import SHARP, Starved
+from failstop.procs import starved
+from failstop.shm import layout, segment
+from failstop.shm.bell import EventBell
+from failstop.shm.heartbeat import Heartbeat, HeartbeatReader
+from failstop.shm.segment import Segment
+from tests.waiting import until
+
+from .stage import MS, Dummy
+
+pytestmark = pytest.mark.alone
+
+DEADLINE_NS = 100 * MS
+
+
+@pytest.mark.parametrize(
+    ("state", "ran_ms", "expected"),
+    [
+        ("R", 0, True),
+        ("R", 49.999, True),
+        ("R", 50, False),
+        ("R", 100, False),
+        ("D", 1, True),
+        ("D", 50, False),
+        ("S", 0, False),
+        ("T", 0, False),
+        ("t", 0, False),
+        ("Z", 0, False),
+        ("X", 0, False),
+        ("I", 0, False),
+        ("", 0, False),
+        ("RD", 0, False),
+    ],
+)
+def test_the_verdict(state: str, ran_ms: float, expected: bool) -> None:
+    assert starved.starved(state, round(ran_ms * MS), DEADLINE_NS) is expected
+
+
+@pytest.fixture
+def own() -> Iterator[Segment]:
+    name = f"v{os.getpid()}"
+    segment.create(name, layout.TELEMETRY, 7).close()
+    yield segment.attach(name, layout.TELEMETRY, 7, write=True)
+    segment.unlink_all(name)
+
+
+@pytest.fixture
+def end() -> Iterator[contextlib.ExitStack]:
+    with contextlib.ExitStack() as stack:
+        yield stack
+
+
+def state(pid: int) -> str:
+    with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
+        return file.read().rpartition(") ")[2][0]
+
+
+def ran_ns(pid: int) -> int:
+    with open(f"/proc/{pid}/schedstat", encoding="utf-8") as file:
+        return int(file.read().split()[0])
+
+
+def look(own: Segment, pid: int, *, beat_pid: int = 0, deadline_ns: int = DEADLINE_NS) -> tuple[bool, bool]:
+    """The verdict, and whether it was rung for."""
+    own.word("beat_pid").set(beat_pid or pid)
+    bell = EventBell.create()
+    try:
+        found = starved.look(pid, HeartbeatReader(own), deadline_ns, bell)
+        rung = bool(select.select([bell.fd], [], [], 0)[0])
+    finally:
+        os.close(bell.fd)
+    return found, rung
+
+
+def helper(end: contextlib.ExitStack, action: Callable[[], None]) -> Helper:
+    made = Helper(action)
+    end.callback(made.end)
+    return made
+
+
+def test_one_that_sleeps_is_rung_for_and_hangs(own: Segment, end: contextlib.ExitStack) -> None:
+    dummy = Dummy()
+    end.callback(dummy.close)
+    assert look(own, dummy.pid) == (False, True)
+
+
+def test_one_that_sleeps_until_it_is_rung_for_is_only_late(own: Segment, end: contextlib.ExitStack) -> None:
+    """Its timer did not wake it; the bell makes it runnable, and it burns what little it needs."""
+    waiting, wake = os.pipe()
+
+    def wakes_at_the_bell() -> None:
+        os.read(waiting, 1)
+        spin_for_ever()
+
+    process = Helper(wakes_at_the_bell, keep=(waiting,))
+    end.callback(process.end)
+    until(lambda: state(process.pid) == "S", "its sleep")
+
+    class Bell:
+        fd = wake
+
+        def ring(self) -> None:
+            os.write(wake, b"x")
+
+    own.word("beat_pid").set(process.pid)
+    own.word("beat_cpu_ns").set(ran_ns(process.pid))
+    assert starved.look(process.pid, HeartbeatReader(own), 10_000 * MS, Bell())  # type: ignore[arg-type]
+    os.close(waiting), os.close(wake)
+
+
+def test_one_that_is_stopped_hangs(own: Segment, end: contextlib.ExitStack) -> None:
+    process = helper(end, spin_for_ever)
+    process.signal(signal.SIGSTOP)
+    until(lambda: state(process.pid) == "T", "its stop")
+    assert look(own, process.pid, deadline_ns=10**15) == (False, False)
+
+
+def test_an_endless_loop_hangs_once_it_has_run_for_half_its_deadline(own: Segment, end: contextlib.ExitStack) -> None:
+    process = helper(end, spin_for_ever)
+    until(lambda: ran_ns(process.pid) > DEADLINE_NS // 2, "its loop")
+    assert look(own, process.pid)[0] is False
+
+
+def test_one_that_others_keep_from_running_is_starved(own: Segment, end: contextlib.ExitStack) -> None:
+    process = helper(end, lambda: (os.setsid(), spin_for_ever())[1])
+    until(lambda: os.getsid(process.pid) == process.pid, "a session of its own")
+    end.enter_context(Starved(process.pid, SHARP))
+    own.word("beat_cpu_ns").set(ran_ns(process.pid) + 20 * MS)
+    assert look(own, process.pid) == (True, False)
+
+
+def test_what_it_ran_before_its_beat_does_not_count_nor_what_its_predecessor_did(
+    own: Segment, end: contextlib.ExitStack
+) -> None:
+    process = helper(end, spin_for_ever)
+    until(lambda: ran_ns(process.pid) > 100 * MS, "its loop")
+    own.word("beat_cpu_ns").set(ran_ns(process.pid))
+    assert look(own, process.pid, deadline_ns=180 * MS)[0]
+    assert not look(own, process.pid, beat_pid=1, deadline_ns=180 * MS)[0]
+
+
+def test_of_one_that_is_gone_nothing_is_known(own: Segment) -> None:
+    dummy = Dummy()
+    dummy.close()
+    assert look(own, dummy.pid) == (False, False)
+
+
+def test_a_beat_tells_the_processor_time(own: Segment) -> None:
+    heart = Heartbeat(own, os.getpid(), 0, 0)
+    first_ns = own.word("beat_cpu_ns").get()
+    assert first_ns > 0
+    heart.beat(1, 1)
+    assert first_ns < own.word("beat_cpu_ns").get() <= time.clock_gettime_ns(time.CLOCK_PROCESS_CPUTIME_ID)

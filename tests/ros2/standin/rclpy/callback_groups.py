@@ -1,0 +1,5 @@
+"""The stand-in's callback groups: the node's own is mutually exclusive."""
+
+
+class ReentrantCallbackGroup:
+    pass

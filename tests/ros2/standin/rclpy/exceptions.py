@@ -1,0 +1,5 @@
+"""The stand-in's exceptions."""
+
+
+class InvalidParameterTypeException(Exception):
+    pass

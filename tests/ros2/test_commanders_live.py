@@ -1,0 +1,102 @@
+"""Who commands: a second publisher, a stranger, a wrong type, and what people are told of them."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.commands import failstop
+from tests.ros2.scene import BOOL, FORWARD, NODE, STAMPED, TWIST, Scene
+
+BACKWARD = {"linear": {"x": -0.2}}
+
+
+def told(scene: Scene, *words: str) -> str:
+    return " ".join(failstop(*words, "--name", scene.trial.name).stdout.split())
+
+
+@pytest.mark.parametrize("kind", [TWIST, STAMPED])
+@pytest.mark.parametrize("reliable", [True, False])
+def test_a_second_publisher_latches_and_moves_nothing(scene: Scene, kind: str, reliable: bool) -> None:
+    scene.scan()
+    scene.drive()
+    scene.enable()
+    scene.moving()
+    scene.trial.board.events()
+    second = scene.node("joystick")
+    fields = {"twist": BACKWARD} if kind == STAMPED else BACKWARD
+    second.publish("cmd_vel", kind, fields, hz=100.0, match=False, qos={"reliable": reliable})
+    estop = scene.state(lambda state: state["estop"])["estop"]
+    assert estop.startswith("multiple cmd_vel publishers: ")
+    assert "/nav" in estop
+    assert "up to 20 s" in estop
+    scene.standing()
+    assert not [event for event in scene.trial.board.events() if event.is_motor and event.speeds[0] < 0]
+    scene.state(lambda state: sorted(state["publishers"]) == ["/joystick", "/nav"])
+    done, text = scene.eyes.call("reset_estop")
+    assert not done
+    assert text.startswith("refused: multiple cmd_vel publishers: ")
+    assert "/joystick" in text
+    scene.leave(second)
+    scene.state(lambda state: state["publishers"] == ["/nav"])
+
+
+def test_a_silent_second_publisher_latches_too(scene: Scene) -> None:
+    scene.drive()
+    second = scene.node("joystick")
+    second.ask("advertise", topic="cmd_vel", type=TWIST)
+    assert scene.state(lambda state: state["estop"])["estop"].startswith("multiple cmd_vel publishers: ")
+
+
+def test_reset_is_refused_while_somebody_commands_motion(scene: Scene) -> None:
+    driver = scene.drive()
+    scene.trial.robot.estop("hand near wheel")
+    scene.state(lambda state: state["estop"])
+    done, text = scene.eyes.call("reset_estop")
+    assert (done, text.partition(":")[0]) == (False, "refused")
+    assert "/nav commands 0.2 m/s forward" in text
+    driver.ask("repeat", topic="cmd_vel", fields={}, hz=20.0)
+    found = ("", "")
+    while not str(found[1]).startswith("e-stop cleared"):
+        found = scene.eyes.call("reset_estop")
+    assert found[1].startswith("e-stop cleared (was: stop request: hand near wheel (")
+    assert found[1].endswith("; motion still disabled")
+
+
+def test_a_wrong_type_is_told_everywhere(scene: Scene) -> None:
+    wrong = scene.node("confused")
+    wrong.publish("cmd_vel", BOOL, {"data": True}, match=False)
+    said = "/confused publishes Bool on cmd_vel, which is Twist or TwistStamped"
+    state = scene.state(lambda state: said in (state["wrong"] or ""))
+    assert state["estop"] is None, "one alone is no reason to stop"
+    scene.eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+    row = next(
+        row
+        for row in scene.eyes.next("/diagnostics", lambda message: said in str(message))["status"]
+        if row["name"] == f"{NODE[1:]}: ROS"
+    )
+    assert row["level"] == 1
+    assert said in told(scene, "status")
+    assert f"The client ros2 says: {said}" in told(scene, "why")
+    assert f"ros2 says: {said}" in told(scene, "doctor", "--quick")
+    assert said in told(scene, "events", "--kind", "said")
+
+
+def test_best_effort_is_not_heard_and_is_told(scene: Scene) -> None:
+    shy = scene.node("shy")
+    shy.publish("cmd_vel", TWIST, FORWARD, match=False, qos={"reliable": False})
+    scene.state(lambda state: "/shy publishes cmd_vel as best effort" in (state["wrong"] or ""))
+
+
+def test_a_wrong_scan_and_a_wrong_estop(scene: Scene) -> None:
+    node = scene.node("confused")
+    node.publish("scan", "sensor_msgs/msg/PointCloud2", {}, match=False)
+    node.publish("estop", "std_msgs/msg/String", {}, match=False)
+    scene.state(lambda state: "/confused publishes PointCloud2 on scan, which is LaserScan" in (state["wrong"] or ""))
+    scene.state(lambda state: "/confused publishes String on estop, which is Bool" in (state["wrong"] or ""))
+
+
+def test_status_names_who_commands(scene: Scene) -> None:
+    scene.scan()
+    scene.drive()
+    scene.state(lambda state: state["publishers"] == ["/nav"] and state["wrong"] is None)
+    assert "says ros2: cmd_vel: /nav; scan: /lidar" in told(scene, "status")

@@ -1,0 +1,149 @@
+"""The contract line by line: what the robot's programs rely on, restated here as data, and what the tables say."""
+
+from __future__ import annotations
+
+import pytest
+
+from failstop.ros2 import contract, mirrors, report, words
+from failstop.ros2.contract import INWARD, OUTWARD, SERVICES, Qos
+from failstop.supervisor.settings import Settings
+from tests.ros2.scene import NODE, Scene
+from tests.screen import states
+
+RELIABLE_10 = Qos(10, reliable=True, transient_local=False)
+SENSOR_DATA = Qos(5, reliable=False, transient_local=False)
+TRANSIENT_LOCAL = Qos(10, reliable=True, transient_local=True)
+
+TOPICS_IN = {
+    "cmd_vel": ("geometry_msgs/msg/Twist", RELIABLE_10),
+    "scan": ("sensor_msgs/msg/LaserScan", SENSOR_DATA),
+    "estop": ("std_msgs/msg/Bool", RELIABLE_10),
+}
+TOPICS_OUT = {
+    "imu/data_raw": ("sensor_msgs/msg/Imu", RELIABLE_10, 110),
+    "battery": ("sensor_msgs/msg/BatteryState", RELIABLE_10, 1),
+    "wheel/odom": ("nav_msgs/msg/Odometry", RELIABLE_10, 50),
+    "gamepad": ("sensor_msgs/msg/Joy", RELIABLE_10, 20),
+    "joint_states": ("sensor_msgs/msg/JointState", RELIABLE_10, 10),
+    "~/state": ("std_msgs/msg/String", RELIABLE_10, 10),
+    "~/status": ("failstop_msgs/msg/Status", RELIABLE_10, 10),
+    "~/emergency_stop": ("std_msgs/msg/Bool", TRANSIENT_LOCAL, 10),
+    "/diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", RELIABLE_10, 1),
+}
+SERVICE_TYPES = {
+    "~/enable": "std_srvs/srv/SetBool",
+    "~/reset_estop": "std_srvs/srv/Trigger",
+    "~/stop": "std_srvs/srv/Trigger",
+}
+STATE_KEYS = [
+    *("enabled", "estop", "plugged", "arm_enabled", "arm_moving", "arm_pose", "servo_silent", "blocked", "body_vel"),
+    *("scan_age", "gyro_bias_dps", "gyro_bias_tracking", "arm_holding", "pad_mode", "pad_joint", "auto_tuck_in_s"),
+]
+PARAMETERS = {
+    "device": "/dev/ttyACM0",
+    "imu_frame_id": "imu_link",
+    "gyro_calib_seconds": 3.0,
+    "gyro_calib_max_std_dps": 0.3,
+    "estop_key": 1,
+    "control_rate_hz": 50.0,
+    "max_linear": 0.2,
+    "max_angular": 1.0,
+    "max_accel_linear": 0.5,
+    "max_accel_angular": 2.0,
+    "cmd_timeout": 0.3,
+    "scan_timeout": 0.5,
+    "accel_offset_g": [0.0, 0.0, 0.0],
+    "accel_scale": [1.0, 1.0, 1.0],
+    "gyro_bias_tau_s": 20.0,
+    "gyro_bias_settle_s": 1.0,
+    "gyro_bias_max_dev_dps": 0.5,
+    "gyro_noise_rad_s": 0.0012,
+    "odom_frame_id": "odom",
+    "base_frame_id": "base_link",
+    "odom_linear_std": 0.05,
+    "odom_angular_std": 0.2,
+    "odom_scale_x": 1.0,
+    "odom_scale_y": 0.765,
+    "pad_sounds": False,
+    "drive_pan": -1,
+}
+OWN_PARAMETERS = {"cmd_vel_type": "auto", "allowed_publishers": [""], "publish_tf": False}
+
+
+def test_node() -> None:
+    assert contract.NODE == "rosorin_board_driver"
+
+
+def test_topics_in() -> None:
+    assert {topic.name: (topic.type, topic.qos) for topic in INWARD} == TOPICS_IN
+
+
+def test_topics_out() -> None:
+    assert {topic.name: (topic.type, topic.qos, topic.hz) for topic in OUTWARD} == TOPICS_OUT
+
+
+def test_services() -> None:
+    assert {service.name: service.type for service in SERVICES} == SERVICE_TYPES
+
+
+def test_command_types() -> None:
+    twist, stamped = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+    assert {"auto": (twist, stamped), "twist": (twist,), "stamped": (stamped,)} == contract.COMMAND_TYPES
+
+
+def test_parameters() -> None:
+    own = {setting.name: setting.default for setting in contract.SETTINGS}
+    shown = mirrors.values(Settings().flat())
+    assert {**own, **shown} == {**PARAMETERS, **OWN_PARAMETERS}
+    assert {name: type(value) for name, value in {**own, **shown}.items()} == {
+        name: type(value) for name, value in {**PARAMETERS, **OWN_PARAMETERS}.items()
+    }
+
+
+def test_scan_gate_off_is_shown_as_zero() -> None:
+    assert mirrors.values({**Settings().flat(), "scan.gate": "off"})["scan_timeout"] == 0.0
+
+
+def test_state_has_every_key_in_its_order() -> None:
+    keys = list(contract.STATE_KEYS)
+    assert keys[: len(STATE_KEYS)] == STATE_KEYS
+    assert list(report.as_json(states.state(), [], [])) == keys
+    assert list(report.without_service("no service")) == keys
+
+
+def test_words_of_the_driver_before() -> None:
+    assert words.ENABLED == "enabled"
+    assert words.DISABLED == "disabled"
+    assert words.refused("e-stop latched (key1)") == "refused: e-stop latched (key1)"
+    assert words.refused("arm is not in the drive pose") == "refused: arm is not in the drive pose"
+    assert words.reset("no e-stop is latched") == "e-stop cleared (was: None); motion still disabled"
+    done = "e-stop cleared (was: stop request: estop topic (ros2, pid 77)); motion still disabled"
+    assert words.reset(done) == "e-stop cleared (was: estop topic); motion still disabled"
+    assert words.TOPIC_CAUSE == "estop topic"
+    assert words.NO_ANSWER == "no answer from the gate in 0.5 s: wheels stopped"
+    assert words.HELD.format(0.62) == "wheels held: no LiDAR scan for 0.6 s while commanded"
+    assert words.RELEASED == "LiDAR scan back: wheels released"
+
+
+@pytest.mark.parametrize("topic", [*INWARD, *OUTWARD], ids=lambda topic: topic.name)
+def test_the_running_bridge_offers_it(scene: Scene, topic: contract.Topic) -> None:
+    name = topic.name.replace("~", NODE)
+    name = name if name.startswith("/") else f"/{name}"
+    of = "subscriptions" if topic in INWARD else "publishers"
+    ends = [end for end in scene.eyes.ask("ends", topic=name, of=of)["ends"] if end["node"] == NODE]
+    if topic is contract.STATUS and not ends:
+        pytest.skip("failstop_msgs is not built here")
+    assert ends == [
+        {
+            "node": NODE,
+            "type": topic.type,
+            "reliable": topic.qos.reliable,
+            "lasting": topic.qos.transient_local,
+        }
+    ]
+
+
+def test_the_running_bridge_offers_the_services(scene: Scene) -> None:
+    services = scene.eyes.ask("graph")["services"]
+    for name, kind in SERVICE_TYPES.items():
+        assert services[name.replace("~", NODE)] == [kind]

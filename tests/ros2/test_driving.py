@@ -1,0 +1,120 @@
+"""Driving by cmd_vel: what reaches the wheels, judged by the board."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from failstop.trial import wait_for
+from tests.ros2.scene import BOOL, FORWARD, NODE, SCAN, SENSOR, STAMPED, TWIST, Scene
+
+
+def latched(scene: Scene) -> str:
+    """The cause, once there is one."""
+    estop: str = scene.state(lambda state: state["estop"])["estop"]
+    return estop
+
+
+@pytest.mark.parametrize("kind", [TWIST, STAMPED])
+def test_cmd_vel_drives(scene: Scene, kind: str) -> None:
+    scene.scan()
+    scene.drive(kind=kind, stamp=kind == STAMPED)
+    scene.enable()
+    scene.moving()
+    state = scene.state(lambda state: state["body_vel"] == [0.2, 0.0, 0.0])
+    assert state["publishers"] == ["/nav"]
+    assert state["driver"].startswith("ros2 (pid ")
+    wait_for("full speed", lambda: abs(scene.trial.board.wheels()[0] - 0.796) < 0.001)
+
+
+def test_a_zero_stamp_counts_as_now(scene: Scene) -> None:
+    scene.scan()
+    scene.drive(kind=STAMPED)
+    scene.enable()
+    scene.moving()
+
+
+def test_an_old_stamp_is_refused(scene: Scene) -> None:
+    scene.scan()
+    driver = scene.node("nav")
+    driver.publish("cmd_vel", STAMPED, {"twist": FORWARD, "header": {"stamp": {"sec": 1_600_000_000}}})
+    scene.enable()
+    wait_for("the line that says so", lambda: "cmd_vel is refused: its stamp is" in scene.bridge.said())
+    assert scene.state()["blocked"] == "cmd timeout"
+    assert not scene.trial.moving()
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_what_is_not_finite_latches(scene: Scene, value: float) -> None:
+    scene.scan()
+    driver = scene.drive()
+    scene.enable()
+    scene.moving()
+    driver.ask("publish", topic="cmd_vel", fields={"linear": {"x": value}})
+    scene.standing()
+    assert latched(scene) == "command from /nav is not finite"
+
+
+def test_estop_latches_and_false_does_nothing(scene: Scene) -> None:
+    scene.eyes.hear(f"{NODE}/emergency_stop", BOOL)
+    button = scene.node("button")
+    button.publish("estop", BOOL, {"data": False})
+    scene.scan()
+    scene.drive()
+    scene.enable()
+    scene.moving()
+    assert scene.eyes.next(f"{NODE}/emergency_stop")["data"] is False
+    button.ask("rest", topic="estop")
+    button.ask("publish", topic="estop", fields={"data": True})
+    scene.standing()
+    assert latched(scene) == "estop topic"
+    scene.eyes.next(f"{NODE}/emergency_stop", lambda message: message["data"])
+    assert scene.state()["blocked"] == "estop: estop topic"
+    assert scene.eyes.call("enable", data=True) == (False, "refused: e-stop latched (estop topic)")
+
+
+def test_who_looks_late_sees_the_emergency_stop(scene: Scene) -> None:
+    scene.trial.robot.estop("hand near wheel")
+    latched(scene)
+    dashboard = scene.node("dashboard")
+    dashboard.hear("late", BOOL)
+    dashboard.ask("hear", topic=f"{NODE}/emergency_stop", type=BOOL, qos={"lasting": True, "depth": 1})
+    assert dashboard.next(f"{NODE}/emergency_stop")["data"] is True
+
+
+def test_without_a_scan_nothing_moves_and_the_log_says_so(scene: Scene) -> None:
+    scene.drive()
+    scene.enable()
+    state = scene.state(lambda state: state["blocked"] == "no scan")
+    assert state["wrong"] == "nobody publishes scan: start the lidar's node, or remap its topic"
+    wait_for("the line", lambda: "wheels held: no LiDAR scan for " in scene.bridge.said())
+    lidar = scene.scan()
+    scene.moving()
+    wait_for("the other line", lambda: "LiDAR scan back: wheels released" in scene.bridge.said())
+    assert scene.state(lambda state: state["wrong"] is None)["scan_age"] < 0.5
+    lidar.ask("rest", topic="scan")
+    scene.standing()
+    state = scene.state(lambda state: state["blocked"] == "no scan")
+    scene.state(lambda state: state["wrong"] == "/lidar publishes scan and is silent")
+    lidar.ask("repeat", topic="scan", fields={}, hz=20.0)
+    scene.moving()
+
+
+def test_a_silent_driver_stops_the_wheels(scene: Scene) -> None:
+    scene.scan()
+    driver = scene.drive()
+    scene.enable()
+    scene.moving()
+    last_ns = driver.ask("rest", topic="cmd_vel")["t_ns"]
+    stop = scene.trial.board.wait_for(lambda e: e.is_motor and not any(e.speeds) and e.arrival_ns > last_ns, 5.0)
+    assert (stop.arrival_ns - last_ns) / 1e9 < 0.5
+    assert scene.state(lambda state: state["blocked"])["blocked"] == "cmd timeout"
+    assert scene.state()["enabled"]
+
+
+def test_scan_may_be_reliable_too(scene: Scene) -> None:
+    lidar = scene.node("lidar")
+    lidar.publish("scan", SCAN, {}, qos={"reliable": True})
+    scene.state(lambda state: state["scan_age"] is not None and state["scan_age"] < 0.2 and state["wrong"] is None)
+    assert SENSOR == {"reliable": False, "depth": 5}

@@ -1,0 +1,156 @@
+"""How the bridge begins and ends: killed, stopped, told to end; and a service that comes, goes and comes back."""
+
+from __future__ import annotations
+
+import glob
+import json
+import os
+import signal
+import time
+
+import pytest
+
+from failstop.trial import wait_for
+from tests.commands import failstop
+from tests.ros2.conftest import _name
+from tests.ros2.scene import FORWARD, NODE, TWIST, Bridge, Node, Ros, Scene
+
+
+def driving(scene: Scene) -> Node:
+    scene.scan()
+    driver = scene.drive()
+    scene.enable()
+    scene.moving()
+    scene.trial.board.events()
+    return driver
+
+
+def zero_after(scene: Scene, ns: int, within_s: float) -> float:
+    """Seconds until the wheels were told to stand."""
+    stop = scene.trial.board.wait_for(lambda e: e.is_motor and not any(e.speeds) and e.arrival_ns > ns, within_s)
+    return (stop.arrival_ns - ns) / 1e9
+
+
+def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(ros: Ros) -> None:
+    with Scene(ros, _name()) as scene:
+        driving(scene)
+        files = set(os.listdir("/dev/shm"))
+        killed_ns = time.monotonic_ns()
+        scene.bridge.kill()
+        assert zero_after(scene, killed_ns, 2.0) < 0.25, "sooner than its command would have timed out"
+        assert scene.trial.robot.state.estop is None, "as with any driver: nothing is latched"
+        scene.bridge.start()
+        scene.state(lambda state: state["publishers"] == ["/nav"])
+        scene.moving()
+        if ros.real:
+            assert "files that a killed bridge had left in /dev/shm" in scene.bridge.said()
+            assert [name for name in files & set(os.listdir("/dev/shm")) if name.startswith("fastrtps_")]
+
+
+def test_a_stopped_bridge_stops_the_wheels_and_passes_on_nothing_old(ros: Ros) -> None:
+    with Scene(ros, _name()) as scene:
+        driver = driving(scene)
+        stopped_ns = time.monotonic_ns()
+        scene.bridge.send(signal.SIGSTOP)
+        assert zero_after(scene, stopped_ns, 5.0) < 0.4
+        driver.ask("rest", topic="cmd_vel")
+        scene.standing()
+        scene.trial.board.events()
+        scene.bridge.send(signal.SIGCONT)
+        scene.state()
+        time.sleep(0.3)  # as long as a command would hold
+        assert not [event for event in scene.trial.board.events() if event.is_motion], "what waited in a queue is old"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_told_to_end(ros: Ros, number: int) -> None:
+    with Scene(ros, _name()) as scene:
+        driving(scene)
+        before = set(glob.glob(f"/dev/shm/failstop.{scene.trial.name}.ros2.*"))
+        assert before, "the list of its files"
+        told_ns = time.monotonic_ns()
+        scene.bridge.send(number)
+        assert zero_after(scene, told_ns, 2.0) < 0.2
+        assert scene.bridge.process.wait(10) == 0
+        assert "Traceback" not in scene.bridge.said()
+        assert not glob.glob(f"/dev/shm/failstop.{scene.trial.name}.ros2.*")
+
+
+def test_a_service_that_was_started_anew_is_found_again(ros: Ros) -> None:
+    with Scene(ros, _name()) as scene:
+        driving(scene)
+        scene.trial.leave()
+        scene.trial.service.kill()
+        scene.state(lambda state: not state["enabled"])
+        scene.trial.service.start()
+        scene.enable()
+        scene.moving()
+        assert any(client["name"] == "ros2" for client in scene.trial.robot.state.clients)
+
+
+def test_without_a_service_it_waits_and_says_so(ros: Ros) -> None:
+    name = _name()
+    bridge = Bridge(ros, name)
+    try:
+        with Node(ros, "eyes") as eyes:
+            eyes.hear(f"{NODE}/state", "std_msgs/msg/String")
+            eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+            state = json.loads(eyes.next(f"{NODE}/state")["data"])
+            assert (state["enabled"], state["state_age_ms"]) == (False, None)
+            assert name in state["blocked"]
+            done, text = eyes.call("enable", data=True)
+            assert not done
+            assert text.startswith("refused: no service named")
+            row = eyes.next("/diagnostics")["status"][0]
+            assert (row["name"], row["level"]) == (f"{NODE[1:]}: stop layer", 2)
+    finally:
+        bridge.close()
+
+
+def test_the_interlock_holds_while_one_at_most_publishes(ros: Ros) -> None:
+    settings = '[interlocks.ros2]\ntimeout_s = 0.3\nrefusal = "ROS 2 is away"\n'
+    with Scene(ros, _name(), settings=settings) as scene:
+        scene.scan()
+        scene.drive()
+        scene.enable()
+        scene.moving()
+        scene.bridge.send(signal.SIGSTOP)
+        wait_for("motion to be disabled", lambda: not scene.trial.robot.state.enabled)
+        assert failstop("enable", "--name", scene.trial.name).stderr.strip().endswith("refused: ROS 2 is away")
+        scene.bridge.send(signal.SIGCONT)
+        scene.enable()
+
+
+def test_the_namespace_and_remaps_are_roses(ros: Ros) -> None:
+    words = ("--ros-args", "-r", "__ns:=/left", "-r", "cmd_vel:=/base/cmd_vel")
+    name = _name()
+    with Scene(ros, name) as scene:
+        bridge = Bridge(ros, name, *words)
+        try:
+            node = scene.node("nav")
+            wait_for("the topic", lambda: "/left/imu/data_raw" in node.ask("graph")["topics"])
+            wait_for("the service", lambda: f"/left{NODE}/enable" in node.ask("graph")["services"])
+            node.publish("/base/cmd_vel", TWIST, FORWARD)
+            second = scene.node("other")
+            second.publish("/base/cmd_vel", TWIST, FORWARD)
+            wait_for("the latch", lambda: "multiple cmd_vel" in (scene.trial.robot.state.estop or ""))
+        finally:
+            bridge.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("-p", "cmd_vel_type:=twisted"), "one of auto, twist, stamped"),
+        (("-p", "publish_tf:=maybe"), "parameter publish_tf: true or false is expected"),
+    ],
+)
+def test_parameters_that_make_no_sense(ros: Ros, words: tuple[str, ...], says: str) -> None:
+    bridge = Bridge(ros, _name(), "--ros-args", *words)
+    try:
+        assert bridge.process.wait(20) == 1
+        assert bridge.said().strip().splitlines()[-1].startswith("failstop: parameter ")
+        assert says in bridge.said()
+        assert "Traceback" not in bridge.said()
+    finally:
+        bridge.close()

@@ -1,0 +1,52 @@
+"""The ROS packages of the folder ros2/packages against the code that they are around."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+from failstop.ros2 import contract, report
+from failstop.version import VERSION
+from tests.screen import states
+
+PACKAGES = Path(__file__).resolve().parents[2] / "ros2" / "packages"
+
+
+@pytest.mark.parametrize("name", ["failstop_ros2", "failstop_msgs"])
+def test_manifest(name: str) -> None:
+    root = ElementTree.parse(PACKAGES / name / "package.xml").getroot()
+    assert (root.findtext("name"), root.findtext("version")) == (name, VERSION)
+    maintainer = root.find("maintainer")
+    assert maintainer is not None
+    assert re.fullmatch(r"[-\w.]+@[-\w]+\.\w+", maintainer.get("email", "")), "catkin_pkg refuses it otherwise"
+
+
+def test_setup_is_of_this_version() -> None:
+    assert f'version="{VERSION}"' in (PACKAGES / "failstop_ros2/setup.py").read_text()
+
+
+def test_every_message_package_that_is_used_is_depended_on() -> None:
+    rows = [*contract.INWARD, *contract.OUTWARD, contract.TF, *contract.SERVICES]
+    used = {row.type.partition("/")[0] for row in rows}
+    root = ElementTree.parse(PACKAGES / "failstop_ros2/package.xml").getroot()
+    assert used <= {row.text for row in root.iter("exec_depend")}
+
+
+def test_the_message_has_the_fields_that_are_filled() -> None:
+    lines = (PACKAGES / "failstop_msgs/msg/Status.msg").read_text().splitlines()
+    fields = {line.split()[1]: line.split()[0] for line in lines if line and not line.startswith("#")}
+    assert fields.pop("stamp") == "builtin_interfaces/Time"
+    kinds = {str: "string", bool: "bool", float: "float64"}
+    assert fields == {name: kinds[type(value)] for name, value in report.status(states.latched()).items()}
+
+
+def test_the_launch_file_declares_what_it_uses() -> None:
+    text = (PACKAGES / "failstop_ros2/launch/failstop.launch.py").read_text()
+    used = set(re.findall(r'LaunchConfiguration\("(\w+)"\)', text))
+    assert used <= set(re.findall(r'^    "(\w+)": \(', text, re.MULTILINE))
+    for setting in ("cmd_vel_type", "publish_tf"):
+        assert setting in {row.name for row in contract.SETTINGS}
+        assert setting in used

@@ -1,0 +1,284 @@
+"""The bridge's plain functions: parameters, messages, the state as told, diagnostics, the scan, the files of DDS."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from failstop.ros2 import diagnostics, leftovers, messages, mirrors, report, words
+from failstop.ros2.commanders import Publisher
+from failstop.ros2.scan import ScanLog, ScanWatch
+from failstop.samples import ImuSample, OdometrySample, PadSample
+from failstop.supervisor.settings import BY_KEY, Settings
+from tests.screen import states
+
+S = 1_000_000_000
+SCAN = "sensor_msgs/msg/LaserScan"
+
+
+# Parameters.
+
+
+def test_every_mirror_shows_settings_that_there_are() -> None:
+    keys = {key for mirror in mirrors.TABLE for key in mirror.keys}
+    assert keys - set(BY_KEY) == {"sources.cmd_vel.timeout_s"}
+    assert keys <= set(Settings().flat())
+
+
+@pytest.mark.parametrize(
+    ("given", "line"),
+    [
+        ({"max_linear": 0.2}, ""),
+        ({"max_linear": 1}, "parameter max_linear = 1 is not taken, 0.2 holds: change limits.vx_mps and limits.vy_mps"),
+        ({"estop_key": 1.0}, ""),
+        ({"accel_scale": [1.0, 1.0, 1.0]}, ""),
+        ({"accel_scale": [1.0, 1.0, 1.1]}, "parameter accel_scale = [1, 1, 1.1] is not taken, [1, 1, 1] holds"),
+        ({"device": "/dev//ttyACM0"}, ""),
+        ({"device": "/dev/ttyACM1"}, "parameter device = /dev/ttyACM1 is not taken, /dev/ttyACM0 holds"),
+        ({"pad_sounds": True}, "parameter pad_sounds = true is not taken, false holds: change buzzer.tones"),
+        ({"drive_pan": 500}, "parameter drive_pan = 500 is not taken, -1 holds: remove it"),
+        ({"somebody_elses": 1}, ""),
+    ],
+)
+def test_two_places_for_one_setting_are_told_of(given: dict[str, object], line: str) -> None:
+    lines = mirrors.differing(given, mirrors.values(Settings().flat()))
+    assert len(lines) == bool(line)
+    assert not line or lines[0].startswith(line)
+
+
+# Messages.
+
+
+def test_imu_fields() -> None:
+    fields = messages.imu(ImuSample(5, (1.0, 2.0, 9.8), (0.1, 0.2, 0.3)), 3 * S + 7)
+    assert fields["header"]["stamp"] == {"sec": 3, "nanosec": 7}
+    assert fields["linear_acceleration"] == {"x": 1.0, "y": 2.0, "z": 9.8}
+    assert fields["angular_velocity"] == {"x": 0.1, "y": 0.2, "z": 0.3}
+
+
+def test_odometry_and_transform_agree() -> None:
+    sample = OdometrySample(0, 1.0, 2.0, math.pi / 2, 0.2, 0.1, 0.3, 0.05, 0.2)
+    pose = messages.odometry(sample, S)["pose"]["pose"]
+    moved = messages.transform(sample, "odom", "base_link", S)["transform"]
+    assert pose["position"] == moved["translation"] == {"x": 1.0, "y": 2.0}
+    assert pose["orientation"] == moved["rotation"]
+    assert 2 * math.atan2(pose["orientation"]["z"], pose["orientation"]["w"]) == pytest.approx(math.pi / 2)
+
+
+@pytest.mark.parametrize(("plugged", "status"), [("plugged", 1), ("unplugged", 2), ("unknown", 0)])
+def test_battery_fields(plugged: str, status: int) -> None:
+    assert messages.battery(11_900, plugged, 0)["voltage"] == 11.9
+    assert messages.battery(11_900, plugged, 0)["power_supply_status"] == status
+
+
+def test_gamepad_fields() -> None:
+    fields = messages.gamepad(PadSample(0, 0x8001, 3, (127, -128, 0, 64), "drive"), S)
+    assert fields["axes"] == pytest.approx([1.0, -128 / 127, 0.0, 64 / 127, 3.0])
+    assert fields["buttons"] == [1] + [0] * 14 + [1]
+
+
+def test_wheels_turn_as_far_as_they_were_told() -> None:
+    wheels = messages.Wheels()
+    wheels.follow((1.0, 1.0, -1.0, -1.0), (1, 1, -1, -1), 0)
+    assert wheels.fields(0)["position"] == [0.0] * 4
+    wheels.follow((0.0, 0.0, 0.0, 0.0), (1, 1, -1, -1), S // 2)
+    assert wheels.fields(0)["position"] == pytest.approx([math.pi] * 4)
+    assert wheels.fields(0)["velocity"] == [0.0] * 4
+    wheels.follow((0.0, 0.0, 0.0, 0.0), (1, 1, -1, -1), 9 * S)
+    assert wheels.fields(0)["position"] == pytest.approx([math.pi] * 4)
+
+
+# The state.
+
+
+def test_state_values() -> None:
+    bias = {"bias_radps": [0.01, 0.0, -0.01], "tracking": True, "calibrated": True}
+    given = states.latched(
+        "stop request: estop topic (ros2, pid 9)", scan_age_s=0.12345, gyro_bias=bias, plugged="plugged"
+    )
+    found = report.as_json(given, ["/nav"], ["a", "b"])
+    assert found["estop"] == "estop topic"
+    assert found["blocked"] == "estop: estop topic"
+    assert found["plugged"] is True
+    assert found["scan_age"] == 0.12
+    assert found["gyro_bias_dps"] == [0.573, 0.0, -0.573]
+    assert found["gyro_bias_tracking"] is True
+    assert found["wrong"] == "a; b"
+    assert (found["arm_enabled"], found["arm_moving"], found["arm_holding"]) == (False, False, False)
+    assert not found["arm_pose"]
+    assert not found["servo_silent"]
+    json.dumps(found)
+    driving = report.as_json(states.driving(body_vel=(0.20004, 0.0, 0.0)), [], [])
+    assert driving["body_vel"] == [0.2, 0.0, 0.0]
+    assert (driving["blocked"], driving["estop"], driving["plugged"], driving["wrong"]) == (None, None, None, None)
+    assert driving["driver"] == "nav (pid 42) as cmd_vel"
+
+
+def test_typed_status() -> None:
+    found = report.status(states.latched("key1"))
+    assert (found["latched"], found["estop"], found["blocked"]) == (True, "key1", "estop: key1")
+    assert found["last_stop_written_s"] == pytest.approx(0.00021)
+    assert found["last_stop_observed_s"] == pytest.approx(0.3)
+    assert math.isnan(report.status(states.state())["last_stop_written_s"])
+    assert math.isnan(report.status(states.state())["scan_age_s"])
+
+
+def test_nobody_knows_that_nothing_is_latched_without_a_state() -> None:
+    assert report.latched(None)
+    assert report.latched(states.latched())
+    assert not report.latched(states.state())
+
+
+def test_the_proof_of_a_stop_grows() -> None:
+    before = states.driving()
+    assert report.proof(before, before) == ""
+    assert report.proof(before, None) == ""
+    asked = states.latched("stop service", last_stop=states.stop(acknowledged_us=None, observed_ms=None))
+    assert report.proof(before, asked) == ""
+    assert report.proof(before, asked, final=True) == (
+        "stop latched (stop service): written after 0.2 ms, not acknowledged yet, not seen still yet"
+    )
+    seen = states.latched("stop service", last_stop=states.stop())
+    assert report.proof(before, seen) == (
+        "stop latched (stop service): written after 0.2 ms, acknowledged after 4.4 ms, observed after 300 ms"
+    )
+    lost = states.latched("stop service", last_stop=states.stop(written_us=None))
+    assert "could NOT be written: use the POWER SWITCH" in report.proof(before, lost)
+    assert report.proof(before, None, final=True).startswith("asked for a stop")
+
+
+def test_own_name_and_number_are_left_out_of_reasons() -> None:
+    assert words.plain("stop request: estop topic (ros2, pid 12)") == "estop topic"
+    assert words.plain("estop: stop request: estop topic (ros2, pid 12)") == "estop: estop topic"
+    assert words.plain("hand near wheel (failstop estop, pid 12)") == "hand near wheel (failstop estop, pid 12)"
+
+
+# Diagnostics.
+
+
+def test_diagnostics_of_a_service_that_is_well() -> None:
+    rows = diagnostics.statuses("base", states.driving(), "", ["cmd_vel: /nav"], [])
+    assert {row["level"] for row in rows} == {diagnostics.OK}
+    assert rows[0]["name"] == "base: stop layer"
+    assert rows[-1]["message"] == "cmd_vel: /nav"
+    assert all(isinstance(pair["value"], str) for row in rows for pair in row["values"])
+
+
+@pytest.mark.parametrize(
+    ("changed", "name", "level"),
+    [
+        ({"age_ms": 900.0}, "stop layer", diagnostics.STALE),
+        ({"device": {"path": "/dev/x", "state": "lost", "link": "alive"}}, "port", diagnostics.ERROR),
+        ({"device": {"path": "/dev/x", "state": "open", "link": "deaf"}}, "link", diagnostics.ERROR),
+        ({"device": {"path": "/dev/x", "state": "open", "link": "unproven"}}, "link", diagnostics.WARN),
+        ({"battery_mv": 9_000}, "battery", diagnostics.WARN),
+        ({"battery_mv": None}, "battery", diagnostics.WARN),
+        ({"processes": {"gate": states.process(state="down")}}, "process gate", diagnostics.ERROR),
+        ({"processes": {"gate": states.process(state="waiting")}}, "process gate", diagnostics.WARN),
+        ({"processes": {"gate": states.process(realtime=False)}}, "real-time rights", diagnostics.WARN),
+    ],
+)
+def test_diagnostics_of_what_is_not(changed: dict[str, object], name: str, level: int) -> None:
+    rows = diagnostics.statuses("base", states.state(**changed), "", [], [])
+    assert {row["name"].partition(": ")[2]: row["level"] for row in rows}[name] == level
+
+
+def test_diagnostics_of_a_latch_name_the_next_command() -> None:
+    row = diagnostics.statuses("base", states.latched("key1"), "", [], [])[0]
+    assert row["level"] == diagnostics.ERROR
+    assert "next: `failstop reset`" in row["message"]
+
+
+def test_diagnostics_change_with_levels_and_words_and_not_with_ages() -> None:
+    one = diagnostics.statuses("base", states.state(), "", [], [])
+    processes = {name: states.process(age_ms=9.0) for name in states.state().processes}
+    other = diagnostics.statuses("base", states.state(processes=processes), "", [], [])
+    assert one != other
+    assert not diagnostics.changed(one, other)
+    assert diagnostics.changed(one, diagnostics.statuses("base", states.latched(), "", [], []))
+
+
+# The scan.
+
+
+def test_what_is_heard_of_the_sensor() -> None:
+    watch = ScanWatch(0.5)
+    assert watch.says(S)[1] == ["nobody publishes scan: start the lidar's node, or remap its topic"]
+    watch.look([Publisher("/ld19", SCAN, False)])
+    assert watch.says(S) == ("scan: /ld19", ["/ld19 publishes scan and has sent nothing yet"])
+    watch.heard(S)
+    assert watch.says(S + S // 2) == ("scan: /ld19", [])
+    assert watch.says(S + S // 2 + 1)[1] == ["/ld19 publishes scan and is silent"]
+    watch.look([Publisher("/depth", "sensor_msgs/msg/PointCloud2")])
+    assert watch.says(S)[1] == ["/depth publishes PointCloud2 on scan, which is LaserScan"]
+
+
+def test_scan_lines() -> None:
+    log = ScanLog(0)
+    assert log.follow(None, 0.1, 0.5, S) == ""
+    assert log.follow("no scan", 0.62, 0.5, S) == "wheels held: no LiDAR scan for 0.6 s while commanded"
+    assert log.follow("no scan", 0.64, 0.5, S) == "", "once"
+    assert log.follow("cmd timeout", 0.9, 0.5, S) == "", "the command ended, the sensor is still silent"
+    assert log.follow("no scan", 0.95, 0.5, S) == ""
+    assert log.follow(None, 0.1, 0.5, S) == "LiDAR scan back: wheels released"
+    assert log.follow(None, 0.1, 0.5, S) == ""
+    assert ScanLog(0).follow("no scan", None, 0.5, 2 * S) == "wheels held: no LiDAR scan for 2.0 s while commanded"
+
+
+# The files of DDS.
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("fastrtps_0a", "fastrtps_0a_el", "fastrtps_port7411", "sem.fastrtps_port7411_mutex", "fastrtps_other"):
+        (tmp_path / name).write_bytes(b"x")
+    (tmp_path / "somebody_elses").write_bytes(b"x")
+    return tmp_path
+
+
+OWN = {"fastrtps_0a", "fastrtps_0a_el", "fastrtps_port7411", "sem.fastrtps_port7411_mutex", "somebody_elses"}
+
+
+def left_by_a_dead_one(folder: Path, files: set[str]) -> str:
+    path = str(folder / "list")
+    code = f"from failstop.ros2 import leftovers; leftovers.remember({path!r}, {files!r})"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    return path
+
+
+def test_what_a_dead_one_left_is_removed_and_nothing_else(folder: Path) -> None:
+    path = left_by_a_dead_one(folder, OWN)
+    assert leftovers.clear(path, str(folder)) == sorted(OWN - {"somebody_elses"})
+    assert {entry.name for entry in folder.iterdir()} == {"fastrtps_other", "somebody_elses", "list"}
+    assert leftovers.clear(path, str(folder)) == []
+
+
+def test_what_a_living_one_has_stays(folder: Path) -> None:
+    path = str(folder / "list")
+    leftovers.remember(path, OWN)
+    assert leftovers.clear(path, str(folder)) == [], "its writer lives"
+    path = left_by_a_dead_one(folder, OWN)
+    with open(folder / "fastrtps_0a", "rb"):
+        assert "fastrtps_0a" in leftovers.mapped("self", str(folder))
+        assert leftovers.clear(path, str(folder)) == sorted(OWN - {"somebody_elses", "fastrtps_0a"})
+
+
+@pytest.mark.parametrize("text", ["", "no json", "[]", '{"pid": 1}', '{"pid": "1", "born": 2, "files": 3}'])
+def test_a_list_that_is_none_is_no_reason_to_remove_anything(folder: Path, text: str) -> None:
+    (folder / "list").write_text(text)
+    assert leftovers.clear(str(folder / "list"), str(folder)) == []
+    assert leftovers.clear(str(folder / "absent"), str(folder)) == []
+
+
+def test_a_list_that_is_a_link_is_not_followed(folder: Path) -> None:
+    path = left_by_a_dead_one(folder, OWN)
+    os.symlink(path, folder / "link")
+    assert leftovers.clear(str(folder / "link"), str(folder)) == []
+    with pytest.raises(OSError, match="link"):
+        leftovers.remember(str(folder / "link"), set())

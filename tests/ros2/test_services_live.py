@@ -1,0 +1,111 @@
+"""The services and parameters, with the answers of the driver before, to the letter."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from failstop.ros2.mirrors import TABLE
+from tests.ros2.scene import NODE, Scene
+
+BRIDGE = (
+    *("--ros-args", "-p", "max_linear:=0.5", "-p", "cmd_timeout:=0.3", "-p", "gyro_noise_rad_s:=0.1"),
+    *("-p", "imu_frame_id:=imu_left"),
+)
+
+
+def test_enable_and_disable(scene: Scene) -> None:
+    assert scene.eyes.call("enable", data=True) == (True, "enabled")
+    assert scene.trial.robot.state.enabled
+    assert scene.eyes.call("enable", data=True) == (True, "enabled")
+    assert scene.eyes.call("enable", data=False) == (True, "disabled")
+    assert not scene.trial.robot.state.enabled
+
+
+def test_reset(scene: Scene) -> None:
+    assert scene.eyes.call("reset_estop") == (True, "e-stop cleared (was: None); motion still disabled")
+    button = scene.node("button")
+    button.publish("estop", "std_msgs/msg/Bool", {"data": True}, hz=1.0)
+    scene.state(lambda state: state["estop"] == "estop topic")
+    scene.leave(button)
+    found = (False, "")
+    while not found[0]:  # while the stop is still being carried out
+        found = scene.eyes.call("reset_estop")
+        assert found[0] or found[1].startswith("refused: the stop is still being carried out (estop topic)")
+    assert found == (True, "e-stop cleared (was: estop topic); motion still disabled")
+    assert not scene.trial.robot.state.enabled
+
+
+def test_stop_tells_its_three_levels(scene: Scene) -> None:
+    scene.eyes.call("enable", data=True)
+    begun_s = time.monotonic()
+    done, text = scene.eyes.call("stop")
+    assert done
+    assert time.monotonic() - begun_s < 3.0
+    assert text.startswith("stop latched (stop service): written after ")
+    assert "acknowledged after " in text
+    assert scene.trial.robot.state.estop
+    begun_s = time.monotonic()
+    assert scene.eyes.call("stop")[1].startswith("stop latched (stop service): written after ")
+    assert time.monotonic() - begun_s < 3.0
+
+
+def test_parameters_show_the_settings(scene: Scene) -> None:
+    names = [mirror.name for mirror in TABLE]
+    values = scene.eyes.ask("get_parameters", node=NODE, names=names)["values"]
+    fields = {1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 8: "double_array_value"}
+    found = {name: value[fields[value["type"]]] for name, value in zip(names, values, strict=True)}
+    assert found.pop("device") == scene.trial.link
+    assert found == {
+        "gyro_calib_seconds": 3.0,
+        "gyro_calib_max_std_dps": 0.3,
+        "estop_key": 1,
+        "control_rate_hz": 50.0,
+        "max_linear": 0.2,
+        "max_angular": 1.0,
+        "max_accel_linear": 0.5,
+        "max_accel_angular": 2.0,
+        "cmd_timeout": 0.3,
+        "scan_timeout": 0.5,
+        "accel_offset_g": [0.0, 0.0, 0.0],
+        "accel_scale": [1.0, 1.0, 1.0],
+        "gyro_bias_tau_s": 20.0,
+        "gyro_bias_settle_s": 1.0,
+        "gyro_bias_max_dev_dps": 0.5,
+        "gyro_noise_rad_s": 0.0012,
+        "odom_linear_std": 0.05,
+        "odom_angular_std": 0.2,
+        "odom_scale_x": 1.0,
+        "odom_scale_y": 0.765,
+        "pad_sounds": False,
+        "drive_pan": -1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("max_linear", 0.7, "change limits.vx_mps and limits.vy_mps in failstop's TOML file"),
+        ("scan_timeout", 0.7, "change scan.timeout_s and scan.gate in failstop's TOML file"),
+        ("gyro_noise_rad_s", 0.7, "read-only"),
+        ("cmd_vel_type", "twist", "read once, at the start of the bridge"),
+    ],
+)
+def test_a_parameter_is_not_set_and_says_what_to_change(scene: Scene, name: str, value: float | str, says: str) -> None:
+    results = scene.eyes.ask("set_parameter", node=NODE, name=name, value=value)["results"]
+    assert [result["successful"] for result in results] == [False]
+    assert says in results[0]["reason"]
+    test_parameters_show_the_settings(scene)
+
+
+def test_a_launch_file_that_wants_otherwise_is_told_of_by_name(scene: Scene) -> None:
+    said = scene.bridge.said()
+    assert "parameter max_linear = 0.5 is not taken, 0.2 holds: change limits.vx_mps and limits.vy_mps in" in said
+    assert "parameter gyro_noise_rad_s = 0.1 is not taken, 0.0012 holds: remove it" in said
+    assert "parameter cmd_timeout" not in said, "the same value is no contradiction"
+
+
+def test_frames_are_the_bridges_own_parameters(scene: Scene) -> None:
+    scene.eyes.hear("imu/data_raw", "sensor_msgs/msg/Imu")
+    assert scene.eyes.next("imu/data_raw")["header"]["frame_id"] == "imu_left"

@@ -1,0 +1,62 @@
+"""Nodes of another user: Fast DDS's shared memory keeps them apart, UDP does not. On the real ROS alone."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from failstop.trial import wait_for
+from tests.commands import failstop
+from tests.ros2.conftest import _name
+from tests.ros2.scene import FORWARD, SCAN, SENSOR, TWIST, Node, Ros, Scene
+
+NOBODY = 65534
+PYTHON = "/usr/bin/python3"
+"""One that every user may run."""
+
+
+@pytest.fixture(scope="module")
+def ros(tmp_path_factory: pytest.TempPathFactory) -> Ros:
+    if os.geteuid():
+        pytest.skip("only root can be two users")
+    if not shutil.which("setpriv"):
+        pytest.skip("not installed: setpriv")
+    found = Ros("real", tmp_path_factory.mktemp("ros"))
+    if found.run(PYTHON, "-c", "import rclpy").returncode:
+        pytest.skip(f"{PYTHON} is not that of this ROS")
+    return found
+
+
+@pytest.mark.parametrize("localhost", ["0", "1"])
+@pytest.mark.parametrize("words", [(), ("--udp-only",)])
+def test_a_node_of_another_user(ros: Ros, words: tuple[str, ...], localhost: str) -> None:
+    ros.environment["ROS_LOCALHOST_ONLY"] = localhost
+    log = Path("/tmp") / f"{_name()}-log"
+    log.mkdir(mode=0o777)
+    log.chmod(0o777)
+    drop = ("setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups", PYTHON)
+    try:
+        with Scene(ros, _name(), *words) as scene:
+            lidar = scene.node("lidar")
+            lidar.publish("scan", SCAN, {}, qos=SENSOR)
+            scene.enable()
+            stranger = Node(ros, "stranger", interpreter=drop, environment={"ROS_LOG_DIR": str(log), "HOME": "/"})
+            scene.nodes.append(stranger)
+            stranger.publish("cmd_vel", TWIST, FORWARD, match=False)
+            if words:
+                scene.state(lambda state: state["publishers"] == ["/stranger"])
+                scene.moving()
+            else:
+                wait_for("several of its commands to be lost", lambda: _sent(stranger, 60), 40.0)
+                assert scene.state()["blocked"] == "cmd timeout"
+            doctor = failstop("doctor", "--quick", "--name", scene.trial.name, timeout=60.0).stdout
+            assert ("nodes of two users exchange no data" in " ".join(doctor.split())) == (not words)
+    finally:
+        shutil.rmtree(log, ignore_errors=True)
+
+
+def _sent(node: Node, count: int) -> bool:
+    return bool(node.ask("sent", topic="cmd_vel")["count"] >= count)

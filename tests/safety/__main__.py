@@ -1,0 +1,7 @@
+"""`python -m tests.safety`: the table of docs/safety.md, made anew in its place."""
+
+from __future__ import annotations
+
+from tests.safety import page
+
+page.PAGE.write_text(page.renewed(), encoding="utf-8")

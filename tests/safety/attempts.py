@@ -1,0 +1,383 @@
+"""Each attempt of the table, made by one user on a running service: True when it succeeds.
+
+What a user does is done in a process of that user's. The service is root's here, so that its user is uid 0 without any
+capability: the owner of everything, and nothing more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import os
+import stat
+import struct
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from failstop import FailstopError, Robot
+from failstop.board.port import PortError, open_port
+from failstop.client import run, send_stop
+from failstop.events import EventLog
+from failstop.shm import claim, instance, layout, segment
+from failstop.trial import Trial, TrialError
+from tests.safety.table import MEMBER, SERVICE, STRANGER
+from tests.shm.children import NOBODY, Child
+
+VICTIM = 61_000 + os.getpid() % 4000
+"""A user that no one is, another one in each process of the tests."""
+WITHIN_S = 5.0
+_CAPABILITIES_3 = 0x20080522
+
+
+def become(user: str, group: int) -> None:
+    """Be this user from here on; `group`: the one whose members may drive."""
+    if user in (STRANGER, MEMBER):
+        gid = group if user == MEMBER else NOBODY
+        os.setgroups([])
+        os.setresgid(gid, gid, gid)
+        os.setresuid(NOBODY, NOBODY, NOBODY)
+    elif user == SERVICE:
+        libc = ctypes.CDLL(None, use_errno=True)
+        header = (ctypes.c_uint32 * 2)(_CAPABILITIES_3, 0)
+        if libc.capset(header, (ctypes.c_uint32 * 6)()):
+            raise OSError(ctypes.get_errno(), "capset")
+
+
+class Scene:
+    """A running service, and one who tries something."""
+
+    def __init__(self, trial: Trial, user: str, folder: Path) -> None:
+        self.trial = trial
+        self.name = trial.name
+        self.user = user
+        self.folder = folder
+        self.directory = instance.find(trial.name)
+        self.memory, _ = run(trial.name)
+        self.group = os.stat(instance.claims_path(self.directory)).st_gid
+
+    def does(self, work: Callable[[], object], user: str = "") -> Any:
+        """What the work returns, done as this user; False when that is refused."""
+
+        def attempt(_send: object, _wait: object) -> object:
+            become(user or self.user, self.group)
+            try:
+                return work()
+            except (FailstopError, OSError, segment.AttachError, instance.InstanceError, PortError):
+                return False
+
+        with Child(attempt) as child:
+            return child.result()
+
+    def opens(self, path: str, flags: int) -> bool:
+        return self.does(lambda: os.open(path, flags | os.O_NONBLOCK) >= 0)
+
+
+def _soon(condition: Callable[[], object]) -> bool:
+    until_s = time.monotonic() + WITHIN_S
+    while not condition():
+        if time.monotonic() > until_s:
+            return False
+        time.sleep(0.005)
+    return True
+
+
+def stop(scene: Scene) -> bool:
+    scene.does(lambda: send_stop(scene.name, "from the table"))
+    return _soon(lambda: "from the table" in (scene.trial.robot.state.estop or ""))
+
+
+def read_state(scene: Scene) -> bool:
+    def read() -> bool:
+        with Robot(scene.name) as robot:
+            return robot.state.blocked is not None and len(EventLog(scene.name).read()) > 0
+
+    return bool(scene.does(read))
+
+
+def read_reasons(scene: Scene) -> bool:
+    send_stop(scene.name, "words of another")
+    return bool(
+        scene.does(lambda: _soon(lambda: any("words of another" in it.text for it in EventLog(scene.name).read())))
+    )
+
+
+def keep_stopped(scene: Scene) -> bool:
+    """Whoever enables in between has the next request to answer to."""
+
+    def ask(send: Callable[[object], None], _wait: Callable[[], None]) -> None:
+        become(scene.user, scene.group)
+        send("begun")
+        until_s = time.monotonic() + WITHIN_S
+        while time.monotonic() < until_s:
+            send_stop(scene.name, "again")
+            time.sleep(0.001)
+
+    with Child(ask) as child:
+        child.receive()
+        for _ in range(10):
+            if not _soon(lambda: scene.trial.robot.state.estop):
+                return False
+            with contextlib.suppress(FailstopError):
+                scene.trial.enable()
+                scene.trial.drive(0.02)
+    scene.trial.board.wait_wheels(moving=False, timeout_s=WITHIN_S)
+    return True
+
+
+def _enabled(robot: Robot) -> bool:
+    if robot.state.estop:
+        robot.reset()
+    robot.enable()
+    return robot.state.enabled
+
+
+def enable(scene: Scene) -> bool:
+    return bool(scene.does(lambda: _enabled(Robot(scene.name))))
+
+
+def drive(scene: Scene) -> bool:
+    def go() -> bool:
+        with Robot(scene.name) as robot:
+            _enabled(robot)
+
+            def moves() -> bool:
+                robot.drive(0.1, 0.0, 0.0, manual=True)
+                return any(robot.state.wheels_rps)
+
+            return _soon(moves)
+
+    return bool(scene.does(go))
+
+
+def pose(scene: Scene) -> bool:
+    _enabled(scene.trial.robot)
+    slot = scene.trial.robot.state.clients[0]["slot"]
+    return scene.opens(segment.path_of(scene.memory, f"client.{slot}"), os.O_RDWR)
+
+
+def take_slot(scene: Scene) -> bool:
+    def take() -> bool:
+        fd = claim.open_claims(instance.claims_path(scene.directory))
+        return any(claim.take(fd, index) for index in range(layout.CLIENT_SLOTS))
+
+    return bool(scene.does(take))
+
+
+def overhear(scene: Scene) -> bool:
+    return scene.opens(instance.stop_path(scene.directory), os.O_RDONLY)
+
+
+def write_memory(scene: Scene) -> bool:
+    paths = [segment.path_of(scene.memory, of) for of in (*layout.PROCESSES, "lifelines")]
+    return any(scene.opens(path, os.O_RDWR) for path in paths)
+
+
+def replace(scene: Scene) -> bool:
+    paths = [segment.path_of(scene.memory, layout.GATE), segment.path_of(scene.memory, "client.7")]
+    paths += [at(scene.directory) for at in (instance.stop_path, instance.bell_path, instance.lock_path)]
+
+    def rename() -> list[str]:
+        done = []
+        for path in paths:
+            with contextlib.suppress(OSError):
+                os.rename(path, f"{path}.away")
+                done.append(path)
+                os.rename(f"{path}.away", path)
+        return done
+
+    done = scene.does(rename)
+    assert done in ([], paths)
+    return bool(done)
+
+
+def hold_lock(scene: Scene) -> bool:
+    return scene.opens(instance.lock_path(scene.directory), os.O_RDONLY)
+
+
+def signal_it(scene: Scene) -> bool:
+    pids = list(scene.trial.service.pids().values())
+    return bool(scene.does(lambda: [os.kill(pid, 0) for pid in pids]))
+
+
+def open_port_too(scene: Scene) -> bool:
+    """Whatever the port's mode."""
+    os.chmod(scene.trial.link, 0o666)
+    os.chmod(os.path.dirname(scene.trial.link), 0o755)
+    assert not scene.does(lambda: open_port(scene.trial.link, exclusive=True))
+    return bool(scene.does(lambda: open_port(scene.trial.link, exclusive=False)))
+
+
+def take_names(scene: Scene) -> bool:
+    """Before it starts; as if it were a run's."""
+    name = f"{scene.name}-next"
+    files = [f"/dev/shm/failstop.{name}.{of}" for of in ("supervisor", "gate", "0000000000000007.supervisor")]
+
+    def plant() -> bool:
+        for path in files:
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
+        return True
+
+    try:
+        assert scene.does(plant)
+        with Trial(name) as trial:
+            return not _enabled(trial.robot)
+    except TrialError:
+        return True
+    finally:
+        for path in files:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(path)
+
+
+def look_alive(scene: Scene) -> bool:
+    """By a lock on its memory; the strongest that this user may take."""
+    memory = segment.memory(f"{scene.name}-dead", 7)
+    segment.create(memory, layout.SUPERVISOR, 7).close()
+    path = segment.path_of(memory, layout.SUPERVISOR)
+
+    def lock(send: Callable[[object], None], wait: Callable[[], None]) -> None:
+        become(scene.user, scene.group)
+        writes = os.access(path, os.W_OK)
+        fd = os.open(path, os.O_RDWR if writes else os.O_RDONLY)
+        kind = fcntl.F_WRLCK if writes else fcntl.F_RDLCK
+        fcntl.fcntl(fd, claim.F_OFD_SETLK, struct.pack("hhqqi4x", kind, os.SEEK_SET, 0, 0, 0))
+        send("locked")
+        wait()
+
+    try:
+        with Child(lock) as child:
+            assert child.receive() == "locked"
+            return segment.living(memory)
+    finally:
+        segment.unlink_all(memory)
+
+
+def pass_off_memory(scene: Scene) -> bool:
+    """Under the right name, as after a removal."""
+    memory = segment.memory(f"{scene.name}-other", 7)
+    path = segment.path_of(memory, layout.GATE)
+    try:
+        scene.does(lambda: segment.create(memory, layout.GATE, 7).close())
+        segment.attach(memory, layout.GATE, 7, owner=os.stat(scene.directory).st_uid)
+    except segment.AttachError as error:
+        told = str(error)
+    else:
+        return True
+    finally:
+        os.unlink(path)
+    assert path in told
+    assert f"uid {NOBODY}" in told
+    return False
+
+
+def pass_off_directory(scene: Scene) -> bool:
+    """In a place that is everybody's to write; looked for by root."""
+    place = scene.folder / "place"
+    place.mkdir()
+    place.chmod(0o1777)
+    base, path = place / "failstop", place / "failstop" / "robot"
+    pipe = instance.stop_path(str(path))
+
+    def plant() -> bool:
+        os.makedirs(path)
+        os.mkfifo(pipe)
+        os.chmod(pipe, 0o666)
+        return True
+
+    assert scene.does(plant)
+    reading = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(instance, "_candidates", lambda: [str(base)])
+            return instance.find("robot") == str(path)
+    except instance.NoService as error:
+        told = str(error)
+    finally:
+        os.close(reading)
+    assert f"{base} belongs to" in told
+    return False
+
+
+def plant_link(scene: Scene) -> bool:
+    """Even in a directory that is this user's to use, and believed to be."""
+    base = scene.folder / "failstop"
+    path, victim = base / "robot", scene.folder / "victim"
+    path.mkdir(parents=True)
+    victim.write_text("precious")
+    owner = NOBODY if scene.user in (STRANGER, MEMBER) else 0
+    for folder in (base, path):
+        os.chown(folder, owner, owner)
+
+    def plant() -> bool:
+        for at in (instance.stop_path, instance.bell_path, instance.claims_path, instance.lock_path, instance.run_path):
+            os.symlink(victim, at(str(path)))
+        return True
+
+    assert scene.does(plant)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(instance, "_candidates", lambda: [str(base)])
+        for attempt in (
+            lambda: send_stop("robot", "overwrites it"),
+            lambda: instance.lock(str(path)),
+            lambda: claim.open_claims(instance.claims_path(str(path)), create=True, mode=0o666),
+            lambda: os.close(instance.publish(str(path), 7)),
+        ):
+            with contextlib.suppress(FailstopError, OSError, instance.InstanceError):
+                attempt()
+    return victim.read_text() != "precious" or stat.S_IMODE(victim.stat().st_mode) == 0o666
+
+
+def be_in_the_way(scene: Scene) -> bool:
+    path = f"/dev/shm/failstop-{VICTIM}"
+
+    def start() -> str:
+        os.setgroups([])
+        os.setresgid(VICTIM, VICTIM, VICTIM)
+        os.setresuid(VICTIM, VICTIM, VICTIM)
+        os.environ["XDG_RUNTIME_DIR"] = "/nonexistent"
+        try:
+            return instance.make_runtime_dir("robot")
+        except instance.InstanceError as error:
+            return str(error)
+
+    try:
+        assert scene.does(lambda: os.mkdir(path, 0o700) is None)
+        with Child(lambda send, wait: start()) as child:
+            said = str(child.result())
+        return said != f"{path}/robot" and path in said
+    finally:
+        with contextlib.suppress(OSError):
+            os.rmdir(f"{path}/robot")
+        os.rmdir(path)
+
+
+ATTEMPTS: dict[str, Callable[[Scene], bool]] = {
+    attempt.__name__: attempt
+    for attempt in (
+        stop,
+        read_state,
+        read_reasons,
+        keep_stopped,
+        enable,
+        drive,
+        pose,
+        take_slot,
+        overhear,
+        write_memory,
+        replace,
+        hold_lock,
+        signal_it,
+        open_port_too,
+        take_names,
+        look_alive,
+        pass_off_memory,
+        pass_off_directory,
+        plant_link,
+        be_in_the_way,
+    )
+}

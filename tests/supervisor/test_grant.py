@@ -1,0 +1,59 @@
+"""The one command that grants the rights, where the service runs."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from failstop.supervisor import grant
+
+
+@pytest.mark.parametrize(
+    ("unit", "container", "told"),
+    [
+        ("", False, "`sudo prlimit --pid $$ --rtprio=40 --memlock=unlimited`"),
+        ("", True, "`--cap-add SYS_NICE --cap-add IPC_LOCK --ulimit rtprio=40 --ulimit memlock=-1`"),
+        ("failstop.service", False, "`sudo systemctl edit failstop.service`, with LimitRTPRIO=40 and LimitMEMLOCK="),
+        ("failstop@left.service", True, "`sudo systemctl edit failstop@left.service`"),
+    ],
+)
+def test_the_command_fits_the_case(unit: str, container: bool, told: str) -> None:
+    assert told in grant.command(unit, container=container)
+
+
+@pytest.mark.parametrize("sign", ["/.dockerenv", "/run/.containerenv", "variable", ""])
+def test_a_container_is_known_by_its_signs(sign: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os.path, "exists", lambda path: path == sign)
+    monkeypatch.delenv(grant.CONTAINER_VARIABLE, raising=False)
+    if sign == "variable":
+        monkeypatch.setenv(grant.CONTAINER_VARIABLE, "podman")
+    assert grant.in_container() is bool(sign)
+
+
+def test_it_is_one_line_and_only_for_those_who_lack_the_rights(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grant, "own_unit", lambda: "robot.service")
+    monkeypatch.setattr(grant, "in_container", lambda: False)
+    assert "edit robot.service" in grant.advice(realtime=False, managed=True)
+    assert grant.SHELL in grant.advice(realtime=False, managed=False)
+    assert "give it" not in grant.advice(realtime=True, managed=False)
+    assert "\n" not in "".join((grant.UNIT, grant.CONTAINER, grant.SHELL, grant.GRANTED))
+
+
+@pytest.mark.parametrize(
+    ("groups", "unit"),
+    [
+        ("0::/system.slice/failstop.service\n", "failstop.service"),
+        ("1:cpu:/\n0::/user.slice/user-1000.slice/user@1000.service/app.slice/robot.service\n", "robot.service"),
+        ("0::/\n", "UNIT"),
+    ],
+)
+def test_the_unit_is_that_of_the_control_group(
+    groups: str, unit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cgroup").write_text(groups)
+    monkeypatch.setattr(grant, "CONTROL_GROUP", str(tmp_path / "cgroup"))
+    assert grant.own_unit() == unit
+    monkeypatch.setattr(grant, "CONTROL_GROUP", str(tmp_path / "absent"))
+    assert grant.own_unit() == "UNIT"

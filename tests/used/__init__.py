@@ -1,0 +1,1 @@
+"""A part of the suite on a machine where failstop is installed, runs, and has run before."""

@@ -1,0 +1,56 @@
+"""The suite does not depend on what is installed or runs on the machine, and leaves nothing there."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from failstop.shm import root
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMESPACES = ("unshare", "--mount", "--pid", "--fork", "--kill-child=KILL", "--mount-proc")
+PART = (
+    "tests/incidents/test_store.py",
+    "tests/incidents/test_live.py::test_a_full_disk",
+    "tests/telemetry/test_state_files.py",
+    "tests/shm/test_instance.py::test_of_two_that_start_at_once_one_runs",
+    "tests/doctor/test_gathering.py::test_what_dead_runs_left_is_removed_and_what_lives_is_not",
+    "tests/screen/test_left.py::test_where_nothing_is_left",
+    "tests/screen/test_left.py::test_a_unit_counts_where_systemd_runs_and_has_it",
+    "tests/prove/test_settings.py",
+    "tests/prove/test_prove.py::test_without_the_word_nothing_is_written",
+    # What takes its time there has nothing to do with the machine.
+    "--deselect=tests/incidents/test_store.py::test_a_file_is_named_for_the_incident_and_none_is_written_over",
+)
+
+
+def missing() -> str:
+    """Why there can be no such machine here; empty: there can."""
+    if os.geteuid():
+        return "mounts of its own need root"
+    done = subprocess.run([*NAMESPACES, "true"], capture_output=True, text=True, check=False)
+    return done.stderr.strip()
+
+
+@pytest.mark.slow
+def test_a_part_of_it_on_a_used_machine(tmp_path: Path) -> None:
+    if reason := missing():
+        if os.environ.get("CI") == "true":
+            pytest.fail(f"CI must run this; {reason}")
+        pytest.skip(reason)
+    own = (root.VARIABLE, "XDG_STATE_HOME", "PYTEST_ADDOPTS")
+    environment = {
+        **{name: value for name, value in os.environ.items() if name not in own and "XDIST" not in name},
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
+    base = tmp_path / "base"
+    base.mkdir()
+    pytest_ = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", f"--basetemp={base}/tests"]
+    command = [*NAMESPACES, sys.executable, "-m", "tests.used.machine", str(base), *pytest_, *PART]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=110, check=False)
+    assert done.returncode == 0, (done.stdout + done.stderr)[-4000:]
+    assert " passed" in done.stdout
