@@ -10,8 +10,8 @@ EDITABLE := --config-settings editable_mode=compat --editable
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
 
-# Three at a time: most of them wait. JOBS=0 is one after the other, in one process.
-JOBS ?= 3
+# Four at a time: most of them wait. JOBS=0 is one after the other, in one process.
+JOBS ?= 4
 test: $(VENV)/.dev lint
 	$(BIN)/pytest --numprocesses $(JOBS) --dist loadfile -m 'not alone'
 	$(BIN)/pytest --numprocesses 0 -m alone

@@ -216,7 +216,9 @@ def test_a_slot_s_memory_of_another_size(trial: Trial, size: int) -> None:
             assert latched(trial).startswith("multiple cmd_vel publishers: "), "it is a client like any other"
         else:
             wait_for("the gate to see it", lambda: len(trial.robot.state.clients) == 1)
-            wait_for("the wheels to turn", lambda: trial.drive(0.02) or trial.moving())
+            # A gate that is held up may greet it before the cut and find its command after it: then that counts.
+            wait_for("the wheels to turn", lambda: trial.drive(0.02) or trial.moving() or trial.robot.state.estop)
+            assert (trial.robot.state.estop or "multiple cmd_vel publishers: ").startswith("multiple cmd_vel publish")
     drives_again(trial)
     later = Client(trial.name, "later")
     assert later.slot == (1 if size > 1000 else 2), "the damaged slot is passed over"
