@@ -59,14 +59,16 @@ def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segme
 def send_stop(name: str, reason: str, who: str = "") -> None:
     """Ask for a latched stop: every local user may. The service tells of it as `stop request: REASON (WHO, pid N)`, a
     reason of more than records.ASKED_BYTES cut. Never blocks. Raises NoService, FailstopError."""
-    path = instance.stop_path(runtime_dir(name))
     try:
-        fd = bell.open_pipe_to_write(path)
-    except OSError as error:
-        raise NoService(f"the stop pipe {path} can't be opened ({error.strerror}): use `failstop stop`") from None
+        directory, fd = instance.open_stop(name)
+    except instance.NoService as error:
+        raise NoService(str(error)) from None
+    except instance.InstanceError as error:
+        raise FailstopError(str(error)) from None
     try:
         bell.send(fd, records.asking(reason, who, os.getpid()))
     except OSError as error:
+        path = instance.stop_path(directory)
         raise NoService(f"the stop pipe {path} can't be written ({error.strerror}): use `failstop stop`") from None
     finally:
         os.close(fd)

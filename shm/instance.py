@@ -267,13 +267,22 @@ def running(runtime_dir: str) -> bool:
 
 def find(name: str) -> str:
     """Return the runtime directory of the running service of this name. Raises NoService, InstanceError."""
+    path, fd = open_stop(name)
+    os.close(fd)
+    return path
+
+
+def open_stop(name: str) -> tuple[str, int]:
+    """Open the stop pipe of the running service of this name to write; returns the runtime directory and the
+    descriptor. Raises NoService, InstanceError."""
     doubts = []
     for path in places(name):
         try:
-            if running(path):
-                return path
+            return path, place.opened(stop_path(path), os.O_WRONLY, pipe=True)
         except place.Untrusted as error:
             doubts.append(f"; {error.strerror}")
+        except OSError:
+            continue
     raise no_service(name, "".join(doubts))
 
 
