@@ -39,7 +39,7 @@ class Pings:
         self.index = (self.index + 1) % self._count
 
     def failed(self, now_ns: int) -> None:
-        """The port takes nothing now: try again with the period."""
+        """The port takes nothing now: try again after the gap."""
         self._due_ns = now_ns + GAP_NS
 
     def next_ns(self) -> int | None:

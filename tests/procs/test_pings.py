@@ -53,6 +53,22 @@ def test_a_flood_of_stops_is_no_flood_of_pings() -> None:
     assert pings.due(T0 + GAP_NS)
 
 
+def test_one_that_the_port_did_not_take_is_tried_again_after_the_gap() -> None:
+    pings = Pings(4, PERIOD, T0)
+    pings.failed(T0)
+    assert not pings.due(T0 + GAP_NS - 1)
+    assert pings.due(T0 + GAP_NS)
+    assert pings.index == 0
+
+
+def test_a_board_with_one_ping_is_asked_that() -> None:
+    pings = Pings(1, PERIOD, T0)
+    assert pings.due(T0)
+    pings.sent(T0)
+    assert pings.index == 0
+    assert pings.next_ns() == T0 + PERIOD
+
+
 def test_a_board_without_pings_is_never_asked() -> None:
     pings = Pings(0, PERIOD, T0)
     pings.stopped(T0)

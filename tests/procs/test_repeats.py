@@ -32,6 +32,17 @@ def test_due_exactly_then_and_once() -> None:
     assert repeats.due(T0 + 20 * MS, moving=False) == 0
 
 
+def test_what_comes_next_while_something_moves_and_while_nothing_does() -> None:
+    repeats = Repeats(T0)
+    assert repeats.next_ns(moving=True) is None
+    assert repeats.next_ns(moving=False) == T0
+    repeats.restart(T0)
+    assert repeats.next_ns(moving=True) == repeats.next_ns(moving=False) == T0 + 20 * MS
+    repeats.motion()
+    assert repeats.next_ns(moving=True) is None
+    assert repeats.next_ns(moving=False) == T0 + 200 * MS
+
+
 def test_a_new_stop_begins_the_schedule_anew() -> None:
     repeats = Repeats(T0)
     repeats.restart(T0)

@@ -339,6 +339,32 @@ def test_a_full_port_is_stuck_and_recovers(pty: Pty, wire: Wire) -> None:
     assert not wire.stuck(T0 + DRAIN_NS + 1)
 
 
+def test_a_write_that_was_refused_is_held_back_until_one_is_taken(
+    wire: Wire, kernel: Kernel, held: Held, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the kernel counts nothing and has no room all the same."""
+    held.bytes = 0
+    monkeypatch.setattr(Wire, "_has_room", lambda self: False)
+    assert not wire.stuck(T0), "nothing was refused yet"
+    kernel.room = 0
+    assert not wire.frame(MOTION)
+    assert not wire.stuck(T0)
+    assert wire.stuck(T0 + DRAIN_NS)
+    kernel.room = None
+    assert wire.frame(MOTION)
+    assert not wire.stuck(T0 + DRAIN_NS + MS)
+
+
+def test_a_write_that_was_refused_beside_somebody_else_s_holds_nothing_back(
+    wire: Wire, kernel: Kernel, held: Held
+) -> None:
+    held.bytes = 0
+    kernel.room = 0
+    assert not wire.frame(MOTION)
+    assert not wire.stuck(T0)
+    assert not wire.stuck(T0 + DRAIN_NS), "there was room"
+
+
 def test_an_empty_port_is_not_stuck(wire: Wire) -> None:
     assert not any(wire.stuck(T0 + n * DRAIN_NS) for n in range(5))
 
