@@ -16,7 +16,7 @@ from failstop.faults.table import BY_NAME
 from tests.amounts import amount
 from tests.commands import FAILSTOP, failstop
 
-SECONDS = amount(30, 120)
+SECONDS = amount(15, 120)
 
 
 def chaos(*words: str, timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
