@@ -2,52 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from bench import stats
 from failstop.board.sim.client import Event
-from failstop.client import send_stop
+from failstop.faults.crowd import Nobody
 from failstop.trial import Trial
-
-NOBODY = 65534
-
-
-@contextlib.contextmanager
-def unprivileged(action: Callable[[], None]) -> Iterator[Callable[[], int]]:
-    """A process of user nobody that runs `action` on call and says just before when (CLOCK_MONOTONIC, ns)."""
-    asked, ask = os.pipe()
-    told, tell = os.pipe()
-    pid = os.fork()
-    if pid == 0:
-        try:
-            os.close(ask)
-            if os.getuid() == 0:
-                os.setgroups([])
-                os.setresgid(NOBODY, NOBODY, NOBODY)
-                os.setresuid(NOBODY, NOBODY, NOBODY)
-            while os.read(asked, 1):
-                now = time.monotonic_ns()
-                action()
-                os.write(tell, now.to_bytes(8, "little"))
-        finally:
-            os._exit(0)
-    os.close(asked)
-    os.close(tell)
-
-    def call() -> int:
-        os.write(ask, b"x")
-        return int.from_bytes(os.read(told, 8), "little")
-
-    try:
-        yield call
-    finally:
-        os.close(ask)
-        os.close(told)
-        os.waitpid(pid, 0)
 
 
 def _until(trial: Trial, since_ns: int, answers: Callable[[Event], bool]) -> int:
@@ -60,15 +22,17 @@ def stop_requests(trial: Trial, count: int, seed: int, progress: Callable[[str],
     """A stop request by an unprivileged client, from the call to the board."""
     chance = random.Random(seed)
     samples = []
-    with unprivileged(lambda: send_stop(trial.name, "bench")) as request:
+    nobody = Nobody(trial.name, "bench")
+    try:
         for turn in range(count):
             progress(f"stop requests, {turn + 1} of {count}")
             trial.enable()
             trial.drive(chance.uniform(0.06, 0.12))
             trial.board.events()
-            asked_ns = request()
-            samples.append(_until(trial, asked_ns, lambda event: event.is_stop))
+            samples.append(_until(trial, nobody.ask(), lambda event: event.is_stop))
             time.sleep(0.15)
+    finally:
+        nobody.end()
     return stats.timing("stop request by an unprivileged client -> stop frame", samples, p50_ms=0.5, p99_ms=2.0)
 
 

@@ -10,11 +10,23 @@ from failstop.errors import FailstopError, NoService
 from failstop.shm import bell, claim, instance, layout, records, segment
 from failstop.shm.lifeline import pid_namespace
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import TypeVar
+
+    T = TypeVar("T")
+
 
 def runtime_dir(name: str) -> str:
     """Directory of the running service. Raises NoService, FailstopError."""
+    return _found(instance.find, name)
+
+
+def _found(look: Callable[[str], T], where: str) -> T:
+    """What is found there. Raises NoService, FailstopError."""
     try:
-        return instance.find(name)
+        return look(where)
     except instance.NoService as error:
         raise NoService(str(error)) from None
     except instance.InstanceError as error:
@@ -24,13 +36,7 @@ def runtime_dir(name: str) -> str:
 def run(name: str) -> tuple[str, int]:
     """What the segments of the running service are named after, and the uid they belong to. Raises NoService,
     FailstopError."""
-    directory = runtime_dir(name)
-    try:
-        incarnation, owner = instance.run(directory)
-    except instance.NoService as error:
-        raise NoService(str(error)) from None
-    except instance.InstanceError as error:
-        raise FailstopError(str(error)) from None
+    incarnation, owner = _found(instance.run, runtime_dir(name))
     return segment.memory(name, incarnation), owner
 
 
@@ -59,12 +65,7 @@ def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segme
 def send_stop(name: str, reason: str, who: str = "") -> None:
     """Ask for a latched stop: every local user may. The service tells of it as `stop request: REASON (WHO, pid N)`, a
     reason of more than records.ASKED_BYTES cut. Never blocks. Raises NoService, FailstopError."""
-    try:
-        directory, fd = instance.open_stop(name)
-    except instance.NoService as error:
-        raise NoService(str(error)) from None
-    except instance.InstanceError as error:
-        raise FailstopError(str(error)) from None
+    directory, fd = _found(instance.open_stop, name)
     try:
         bell.send(fd, records.asking(reason, who, os.getpid()))
     except OSError as error:

@@ -125,7 +125,7 @@ class Robot:
         connected = self._connected
         if self._closed:  # by a signal's handler, while this went on
             self._leave()
-        self._check_open()
+            self._check_open()
         return connected
 
     def _client(self) -> Client:

@@ -83,14 +83,14 @@ def send(fd: int, message: bytes) -> bool:
     return True
 
 
+MOST_BYTES = 65536
+_taken = bytearray(MOST_BYTES)
+"""Made beforehand: whoever reads stop requests must live on where no process may have more memory."""
+
+
 def take(fd: int) -> bytes:
-    """Everything that waits in a pipe, up to MOST_BYTES; empty when nothing does. Into memory that is there already: a
-    machine without any left must not keep the reader of a stop request from living on."""
+    """Everything that waits in a pipe, up to MOST_BYTES; empty when nothing does."""
     try:
         return bytes(memoryview(_taken)[: os.readv(fd, (_taken,))])
     except BlockingIOError:
         return b""
-
-
-MOST_BYTES = 65536
-_taken = bytearray(MOST_BYTES)

@@ -7,7 +7,7 @@ import errno
 import os
 import time
 
-from failstop.shm import claim, place, root
+from failstop.shm import bell, claim, place, root
 
 DEFAULT_NAME = "failstop"
 _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
@@ -257,7 +257,7 @@ def already_running(name: str, pid: int | str) -> InstanceError:
 def running(runtime_dir: str) -> bool:
     """True while a service of this directory listens for stop requests. Raises place.Untrusted."""
     try:
-        os.close(place.opened(stop_path(runtime_dir), os.O_WRONLY, pipe=True))
+        os.close(bell.open_pipe_to_write(stop_path(runtime_dir)))
     except place.Untrusted:
         raise
     except OSError:
@@ -278,7 +278,7 @@ def open_stop(name: str) -> tuple[str, int]:
     doubts = []
     for path in places(name):
         try:
-            return path, place.opened(stop_path(path), os.O_WRONLY, pipe=True)
+            return path, bell.open_pipe_to_write(stop_path(path))
         except place.Untrusted as error:
             doubts.append(f"; {error.strerror}")
         except OSError:

@@ -219,7 +219,7 @@ def unpack_held(payload: bytes) -> tuple[int, list[str]]:
 
 def pack_said(session: int, sees: str, wrong: str) -> bytes:
     """What a client session says in a line: what it sees, and what is wrong, which may be nothing."""
-    return _SESSION.pack(session) + cut(sees, 190).replace(b"\n", b" ") + b"\n" + cut(wrong, 190).replace(b"\n", b" ")
+    return _SESSION.pack(session) + b"\n".join(cut(text, 190).replace(b"\n", b" ") for text in (sees, wrong))
 
 
 def unpack_said(payload: bytes) -> tuple[int, str, str]:

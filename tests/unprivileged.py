@@ -7,7 +7,8 @@ import os
 import pwd
 from collections.abc import Callable
 
-NOBODY = 65534
+from tests.shm.children import NOBODY, become
+
 LOADED = (grp, pwd)
 """Children without privileges may not be able to read the interpreter's files: what refusals need is loaded here."""
 
@@ -20,9 +21,7 @@ def unprivileged(work: Callable[[], str]) -> str:
         try:
             os.close(reader)
             if os.geteuid() == 0:
-                os.setgroups([])
-                os.setresgid(NOBODY, NOBODY, NOBODY)
-                os.setresuid(NOBODY, NOBODY, NOBODY)
+                become(NOBODY)
             os.write(writer, work().encode())
         finally:
             os._exit(0)

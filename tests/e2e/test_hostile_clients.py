@@ -218,7 +218,8 @@ def test_a_slot_s_memory_of_another_size(trial: Trial, size: int) -> None:
             wait_for("the gate to see it", lambda: len(trial.robot.state.clients) == 1)
             # A gate that is held up may greet it before the cut and find its command after it: then that counts.
             wait_for("the wheels to turn", lambda: trial.drive(0.02) or trial.moving() or trial.robot.state.estop)
-            assert (trial.robot.state.estop or "multiple cmd_vel publishers: ").startswith("multiple cmd_vel publish")
+            latch = trial.robot.state.estop
+            assert latch is None or latch.startswith("multiple cmd_vel publishers: ")
     drives_again(trial)
     later = Client(trial.name, "later")
     assert later.slot == (1 if size > 1000 else 2), "the damaged slot is passed over"

@@ -19,8 +19,8 @@ from failstop.supervisor.aftermath import UNSTILL
 from failstop.supervisor.allowance import ASKED_BYTES as ASKED_ROOM
 from failstop.trial import Trial, judge, wait_for
 from tests.commands import failstop
+from tests.shm.children import NOBODY, become
 
-NOBODY = 65534
 FLOOD_S = 4.0
 
 
@@ -31,9 +31,7 @@ def _as_nobody(action: object) -> int:
         code = 1
         try:
             if os.getuid() == 0:
-                os.setgroups([])
-                os.setresgid(NOBODY, NOBODY, NOBODY)
-                os.setresuid(NOBODY, NOBODY, NOBODY)
+                become(NOBODY)
             action()  # type: ignore[operator]
             code = 0
         finally:

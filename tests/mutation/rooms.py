@@ -7,14 +7,12 @@ rooms.py tests ROOM...     every test of these rooms
 from __future__ import annotations
 
 import sys
-from fnmatch import fnmatch
 
 GATE = "tests/procs/test_gate_*.py tests/procs/test_kinematics.py"
 PORT_OWNER = (
     "tests/procs/test_port_owner.py tests/procs/test_port_owner_faults.py tests/procs/test_pings.py "
     "tests/procs/test_suspend.py"
 )
-SHM = "tests/shm/test_[c-z]*.py tests/shm/test_bell.py"
 ANSWERS = "tests/supervisor/test_answers.py tests/supervisor/test_watching.py tests/supervisor/test_aftermath.py"
 
 ROOMS: dict[str, dict[str, str]] = {
@@ -86,7 +84,7 @@ ROOMS: dict[str, dict[str, str]] = {
 
 def tests_of(path: str) -> str:
     """The tests that must notice a mutant of this file."""
-    return next(tests for room in ROOMS.values() for file, tests in room.items() if fnmatch(path, file))
+    return next(room[path] for room in ROOMS.values() if path in room)
 
 
 def main(what: str, *names: str) -> int:

@@ -62,17 +62,8 @@ def test_topic_pub_and_echo(scene: Scene) -> None:
     scene.enable()
     done = scene.ros.run("ros2", "topic", "pub", "-t", "40", "-r", "20", "/cmd_vel", TWIST, str(FORWARD))
     assert done.returncode == 0, done.stderr
-    text = said(
-        scene,
-        "ros2",
-        "topic",
-        "echo",
-        "--once",
-        "--field",
-        "linear_acceleration.z",
-        "/imu/data_raw",
-        "sensor_msgs/msg/Imu",
-    )
+    what = ("--field", "linear_acceleration.z", "/imu/data_raw", "sensor_msgs/msg/Imu")
+    text = said(scene, "ros2", "topic", "echo", "--once", *what)
     assert 9 < float(re.findall(r"[\d.]+", text)[0]) < 11
     assert any(event.is_motion for event in scene.trial.board.events())
 

@@ -26,10 +26,9 @@ from failstop.board.sim.control import connect
 from failstop.board.sim.options import Options
 from failstop.board.sim.process import Simulator
 from failstop.trial import wait_for
+from tests.shm.children import NOBODY, become
 
 from .parts import DRIVE, FORWARD
-
-NOBODY = 65534
 
 
 def test_clients_may_come_go_and_crash(board: SimBoard) -> None:
@@ -107,9 +106,7 @@ def unprivileged_board() -> Iterator[str]:
         child = os.fork()
         if child == 0:
             try:
-                os.setgroups([])
-                os.setresgid(NOBODY, NOBODY, NOBODY)
-                os.setresuid(NOBODY, NOBODY, NOBODY)
+                become(NOBODY)
                 Simulator(Options(link, imu_hz=0)).run()
             finally:
                 os._exit(0)

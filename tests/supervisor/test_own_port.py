@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
+from collections.abc import Iterator
 
 import pytest
 
 from failstop.board import port
 from failstop.board.burst import BURST
 from failstop.supervisor.port import OwnPort
-from tests.procs.parts import new_pty
+from tests.procs.parts import Pty, new_pty
 from tests.unprivileged import unprivileged
 
 
@@ -71,28 +73,30 @@ def opened_by_nobody(path: str, tried: int) -> str:
     return "opened"
 
 
+@contextlib.contextmanager
+def given_to(group: int, mode: int) -> Iterator[tuple[Pty, int, int]]:
+    """A port of root's with this group and mode, and a pipe for opened_by_nobody(): what is read, what is written."""
+    with new_pty() as pty:
+        os.chown(pty.link, 0, group)
+        os.chmod(pty.link, mode)
+        reader, tried = os.pipe()
+        yield pty, reader, tried
+        os.close(reader)
+        os.close(tried)
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="gives a device away as udev does: only root")
 def test_at_boot_a_device_that_udev_is_still_to_give_away_is_waited_for() -> None:
-    with new_pty() as pty:
-        os.chown(pty.link, 0, 0)
-        os.chmod(pty.link, 0o600)
-        reader, tried = os.pipe()
+    with given_to(0, 0o600) as (pty, reader, tried):
         udev = threading.Thread(target=lambda: os.read(reader, 1) and os.chmod(pty.link, 0o666))
         udev.start()
         assert unprivileged(lambda: opened_by_nobody(pty.link, tried)) == "opened"
         udev.join()
         assert pty.read() == BURST
-        os.close(reader)
-        os.close(tried)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="takes a device away from nobody: only root")
 def test_a_device_that_udev_has_given_to_others_is_refused_at_the_first_try() -> None:
-    with new_pty() as pty:
-        os.chown(pty.link, 0, 1)
-        os.chmod(pty.link, 0o660)
-        reader, tried = os.pipe()
+    with given_to(1, 0o660) as (pty, reader, tried):
         assert unprivileged(lambda: opened_by_nobody(pty.link, tried)) == "permission"
         assert os.read(reader, 100) == b"."
-        os.close(reader)
-        os.close(tried)
