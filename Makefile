@@ -45,8 +45,8 @@ model:
 # All, or some: make mutants ROOMS="shm burst" (tests/mutation/rooms.py).
 ROOMS ?=
 mutants: $(VENV)/.dev
-	$(BIN)/pip install --quiet --disable-pip-version-check 'mutmut<3'
-	tests/mutation/run $(BIN)/python $(ROOMS)
+	$(BIN)/pip install --quiet --disable-pip-version-check 'mutmut>=3.8'
+	$(BIN)/python tests/mutation/run.py $(ROOMS)
 
 deb: $(VENV)/.installed
 	@$(BIN)/python packaging/deb/build.py
