@@ -8,7 +8,7 @@ import weakref
 
 from failstop.errors import FailstopError, NoService
 from failstop.shm import bell, claim, instance, layout, records, segment
-from failstop.shm.lifeline import pid_namespace
+from failstop.shm.lifeline import HeldByThread, pid_namespace
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -88,6 +88,7 @@ class _Held:
         self.bell = -1
         self.slot = -1
         self.segment: segment.Segment | None = None
+        self.life: HeldByThread | None = None
         self._pid = os.getpid()
 
     def give_back(self, farewell: bytes = b"") -> None:
@@ -101,8 +102,10 @@ class _Held:
                     if farewell:
                         self.segment.latest_writer("hello").write(farewell)
                     bell.send(self.bell, bytes([self.slot]))
+                if self.life:
+                    self.life.let_go()
             self.segment.close()
-            self.segment = None
+            self.segment = self.life = None
         for fd in (self.claims, self.bell):
             if fd >= 0:
                 os.close(fd)
@@ -142,6 +145,9 @@ class Client:
             self._drop()
             raise
         self._held.slot, self._held.segment = self.slot, self._segment
+        # Without a thread or memory the gate learns of a death later, when the kernel has taken the process down.
+        with contextlib.suppress(RuntimeError, OSError):
+            self._held.life = HeldByThread(self._segment.futex("held", write=True))
         self._commands = self._segment.latest_writer("command")
         self._requests = self._segment.latest_writer("request")
         self._sensed = self._segment.latest_writer("sensed")

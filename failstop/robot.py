@@ -36,7 +36,8 @@ class Robot:
     every call raises NoService. After close() every call but estop() raises FailstopError, whichever thread makes it.
     A Robot that nobody refers to any more gives its slot back; one that was inherited by a fork takes one of its own.
 
-    Not thread-safe otherwise: one Robot a thread.
+    Not thread-safe otherwise: one Robot a thread. One that has a slot keeps a thread of its own, which only sleeps: by
+    its end the gate knows of this program's death at once, however long the kernel takes its memory down.
     """
 
     def __init__(

@@ -14,6 +14,7 @@ from failstop.procs import rights
 from failstop.procs.child import SETTINGS_VARIABLE
 from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
+from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import RUNNING, Heartbeat
 from failstop.shm.lifeline import EarlyNews
 from failstop.supervisor.settings import Settings
@@ -30,6 +31,7 @@ class Context:
         "_fds",
         "early",
         "heartbeat",
+        "held",
         "incarnation",
         "instance",
         "memory",
@@ -58,9 +60,9 @@ class Context:
         granted = rights.take_rights(priority)
         self.settings = Settings.from_lines(os.environ.get(SETTINGS_VARIABLE, ""))
         self.own = segment.attach(self.memory, process, self.incarnation, write=True)
-        mutexes = segment.attach(self.memory, "lifelines", self.incarnation, write=True).mutexes("mutexes")
-        mutexes.hold(block)
-        self.early = EarlyNews(mutexes)
+        lifelines = segment.attach_unmapped(self.memory, "lifelines", self.incarnation)
+        self.held = lifelines.futex("held", block * PER_BLOCK, write=True).hold(PER_BLOCK)
+        self.early = EarlyNews(lifelines)
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, monotonic_ns())
 
     def runs(self) -> None:

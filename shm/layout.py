@@ -10,13 +10,13 @@ from __future__ import annotations
 from zlib import crc32
 
 from failstop.shm import box
+from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.latest import record_bytes, slot_bytes
-from failstop.shm.mutex import BLOCKS, MUTEX_BYTES, PER_BLOCK
 from failstop.shm.words import LINE_BYTES
 
 LAYOUT_VERSION = 4
 SUPERVISOR_BLOCK = 0
-"""The block of mutexes (mutex.py) that the supervisor holds; its children's are counted on from there."""
+"""The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
 NOTE_BYTES = 576
 """What gate and telemetry tell people at once, at most (notes.py)."""
@@ -35,7 +35,7 @@ PROCESSES = (SUPERVISOR, PORT_OWNER, GATE, TELEMETRY, STOPPER)
 
 
 class Record:
-    """One record: its kind (word, latest, ring, mutexes), payload capacity in bytes, slots (rings), readers."""
+    """One record: its kind (word, latest, ring, futexes), payload capacity in bytes, slots (rings), readers."""
 
     __slots__ = ("capacity", "kind", "name", "readers", "slots")
 
@@ -52,7 +52,7 @@ class Record:
             return LINE_BYTES
         if self.kind == "latest":
             return record_bytes(self.capacity)
-        if self.kind == "mutexes":
+        if self.kind == "futexes":
             return self.capacity
         return slot_bytes(self.capacity) * self.slots
 
@@ -111,6 +111,7 @@ def _client(index: int) -> SegmentSpec:
         "the client that holds the slot's claim",
         CLIENTS,
         (
+            Record("futexes", "held", "gate", LINE_BYTES),  # by a thread of the client
             _latest("hello", 128, "gate"),
             _latest("command", 64, "gate"),
             _latest("sensed", 64, "gate"),  # its time is that of the obstacle sensor's last delivery
@@ -213,7 +214,7 @@ SEGMENTS = (
         "lifelines",
         "every process of the service, each its own block",
         PRIVATE,
-        (Record("mutexes", "mutexes", "every process of the service", BLOCKS * PER_BLOCK * MUTEX_BYTES),),
+        (Record("futexes", "held", "every process of the service", BLOCKS * PER_BLOCK * LINE_BYTES),),
     ),
     *(_client(i) for i in range(CLIENT_SLOTS)),
 )

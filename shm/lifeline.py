@@ -1,6 +1,6 @@
 """Lifelines: the news of a process's death, in the same poll as everything else.
 
-Early, from a robust mutex that the process holds (mutex.py): a thread blocks on it, marks the lifeline as fallen and
+Early, from a robust futex that the process holds (futex.py): a thread blocks on it, marks the lifeline as fallen and
 rings a bell. Late, from a pidfd, which nothing in the watched process can hold back and no reused pid can confuse.
 Either is enough. Heartbeats are for what neither sees: hangs.
 """
@@ -14,11 +14,13 @@ import contextlib
 import os
 import select
 
+from failstop.shm import futex
 from failstop.shm.bell import EventBell
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.shm.mutex import Mutexes
+    from failstop.shm.futex import Futex
+    from failstop.shm.segment import Segment
 
 _SIGKILL = 9
 _ORDINARY = os.sched_param(0)
@@ -38,14 +40,15 @@ def pid_namespace() -> int:
 class Lifeline:
     """Watches one process. `fd` becomes readable when the process has died; it then stays readable."""
 
-    __slots__ = ("armed", "fallen", "fd", "pid")
+    __slots__ = ("armed", "early", "fallen", "fd", "pid")
 
     def __init__(self, pid: int) -> None:
         """Raises ProcessLookupError when there is no such process."""
         self.pid = pid
         self.fd = os.pidfd_open(pid)
         self.armed = False
-        """A thread waits for the early news."""
+        self.early: Futex | None = None
+        """Once it is armed: where a thread waits for the early news."""
         self.fallen = False
         """The early news has come."""
 
@@ -90,31 +93,67 @@ class Lifeline:
         if self.fd >= 0:
             os.close(self.fd)
             self.fd = -1
+            if self.early:
+                self.early.wake()
 
 
 class EarlyNews:
     """One process's waiting threads; `bell` rings after a lifeline has fallen."""
 
-    __slots__ = ("_mutexes", "_policy", "bell")
+    __slots__ = ("_lifelines", "_policy", "bell")
 
-    def __init__(self, mutexes: Mutexes) -> None:
+    def __init__(self, lifelines: Segment) -> None:
         """Threads take the scheduling that this process has now."""
-        self._mutexes = mutexes
+        self._lifelines = lifelines
         self._policy = (os.sched_getscheduler(0), os.sched_getparam(0))
         self.bell = EventBell.create()
         _thread.stack_size(_STACK_BYTES)
 
-    def arm(self, life: Lifeline, block: int, index: int) -> None:
-        """Wait for the death of the process that holds this mutex already, in a thread of its own. Once a lifeline."""
+    def arm(self, life: Lifeline, block: int, watcher: int) -> None:
+        """Wait for the death of the process of the service that holds this block already."""
+        self.watch(life, self._lifelines, "held", block * futex.PER_BLOCK + watcher)
+
+    def watch(self, life: Lifeline, segment: Segment, name: str, line: int = 0) -> None:
+        """Wait in a thread of its own for the death of who holds this line. Once a lifeline; until it is closed."""
         if not life.armed:
             life.armed = True
-            # A machine that is out of threads still has the late news.
-            with contextlib.suppress(RuntimeError):
-                _thread.start_new_thread(self._wait, (life, block, index))
+            # A machine that is out of threads or memory still has the late news.
+            with contextlib.suppress(RuntimeError, OSError):
+                life.early = segment.futex(name, line)
+                _thread.start_new_thread(self._wait, (life, life.early))
 
-    def _wait(self, life: Lifeline, block: int, index: int) -> None:
+    def _wait(self, life: Lifeline, word: Futex) -> None:
         # A thread does not inherit what SCHED_RESET_ON_FORK takes away.
         os.sched_setscheduler(0, *self._policy)
-        if self._mutexes.wait_for_death(block, index):
+        if word.wait_for_death(lambda: life.fd >= 0):
             life.fallen = True
             self.bell.ring()
+        word.close()
+
+
+class HeldByThread:
+    """A futex that a thread of its own holds, which does nothing else: whichever thread may let it go."""
+
+    __slots__ = ("_until",)
+
+    def __init__(self, word: Futex) -> None:
+        """Returns once it is held. Raises RuntimeError when there are no more threads."""
+        self._until = _thread.allocate_lock()
+        self._until.acquire()
+        held = _thread.allocate_lock()
+        held.acquire()
+        _thread.start_new_thread(self._live, (word, held))
+        held.acquire()
+
+    def _live(self, word: Futex, held: _thread.LockType) -> None:
+        _signal.pthread_sigmask(_signal.SIG_BLOCK, _signal.valid_signals())  # they are for the program's own threads
+        kept = word.hold()
+        held.release()
+        self._until.acquire()
+        futex.let_go()
+        del kept
+        word.close()
+
+    def let_go(self) -> None:
+        """Once. The word is the caller's to clear, before."""
+        self._until.release()

@@ -60,7 +60,7 @@ PAD_MODES = ("locked", "drive")
 
 
 def life(pid: int, block: int) -> int:
-    """A word that says whom to watch: the pid, and the block of mutexes that it holds."""
+    """A word that says whom to watch: the pid, and the block of futexes that it holds."""
     return block << 32 | pid
 
 

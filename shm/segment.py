@@ -18,12 +18,12 @@ import struct
 import posix_ipc
 
 from failstop.shm import claim, place, slot
+from failstop.shm.futex import Futex
 from failstop.shm.latest import LatestReader, LatestWriter
 from failstop.shm.layout import BY_NAME, CLIENTS, HEADER_BYTES, LAYOUT_HASH, PROCESSES, SEGMENTS, SUPERVISOR
-from failstop.shm.mutex import Mutexes
 from failstop.shm.ring import RingReader, RingWriter
 from failstop.shm.views import FileView
-from failstop.shm.words import Word
+from failstop.shm.words import LINE_BYTES, Word
 from failstop.version import VERSION
 
 SHM = "/dev/shm"
@@ -107,12 +107,15 @@ class Segment:
         record, offset, seed = self._place(name, "ring")
         return RingWriter(self.view, offset, record.capacity, record.slots, seed)
 
-    def mutexes(self, name: str) -> Mutexes:
-        """The mutexes that lifelines hang on; only in a segment that is mapped for writing."""
-        _, offset, _ = self._place(name, "mutexes")
-        if self.mapped is None:
-            raise TypeError(f"{self.spec.name}.{name}: mutexes need a mapping")
-        return Mutexes(self.mapped, offset)
+    def futex(self, name: str, line: int = 0, *, write: bool = False) -> Futex:
+        """A line that a lifeline hangs on, to wait there or, with `write`, to hold it; only in unmapped segments.
+        Raises OSError."""
+        record, offset, _ = self._place(name, "futexes")
+        if self._fd < 0:
+            raise TypeError(f"{self.spec.name}.{name}: a futex needs the file")
+        if not 0 <= line < record.capacity // LINE_BYTES:
+            raise IndexError(f"{self.spec.name}.{name} has {record.capacity // LINE_BYTES} lines, none is {line}")
+        return Futex(self._fd, offset + line * LINE_BYTES, write=write)
 
     def wipe(self) -> None:
         """Empty every record of a client's own slot, whatever its holder before left there."""
@@ -224,7 +227,11 @@ def attach(memory: str, name: str, incarnation: int | None = None, *, write: boo
 
 def attach_client_slot(memory: str, index: int, incarnation: int, *, owner: int = -1) -> Segment:
     """A client's own segment, through pread and pwrite: another client that truncates it costs no SIGBUS here."""
-    name = f"client.{index}"
+    return attach_unmapped(memory, f"client.{index}", incarnation, owner=owner)
+
+
+def attach_unmapped(memory: str, name: str, incarnation: int, *, owner: int = -1) -> Segment:
+    """A segment for writing, through its file. Raises AttachError."""
     fd = _open(memory, name, True, owner)
     try:
         _check_header(fd, memory, BY_NAME[name], incarnation)

@@ -48,7 +48,7 @@ class Child:
         self.restarts = restarts
         self.pid = 0
         self.block = 0
-        """The block of mutexes that it holds."""
+        """The block of futexes that it holds."""
         self.fallen = False
         """Its death is known, and answered; it is still to be buried."""
         self.ended = False

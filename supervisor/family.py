@@ -8,9 +8,9 @@ from time import monotonic_ns
 
 from failstop.procs.loop import READ
 from failstop.shm import layout, records
+from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import EarlyNews
-from failstop.shm.mutex import BLOCKS
 from failstop.supervisor.children import Child
 from failstop.supervisor.restarts import Restarts
 from failstop.supervisor.starter import Starter
@@ -19,7 +19,6 @@ from failstop.supervisor.table import PROCESSES
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.loop import Loop
-    from failstop.shm.mutex import Mutexes
     from failstop.shm.segment import Segment
     from failstop.supervisor.events import Events
     from failstop.supervisor.resources import Resources
@@ -40,20 +39,18 @@ class Family:
         loop: Loop,
         own: Segment,
         views: dict[str, Segment],
-        mutexes: Mutexes,
+        lifelines: Segment,
         events: Events,
     ) -> None:
-        """Holds the supervisor's own mutexes from here on."""
+        """Holds the supervisor's own block from here on."""
         self._resources = resources
         self._events = events
         self._loop = loop
         self._bells = resources.bells
         self._life_words = {process: own.word(f"{process}_life") for process in (layout.GATE, layout.PORT_OWNER)}
-        self._mutexes = mutexes
-        mutexes.prepare(layout.SUPERVISOR_BLOCK)
-        mutexes.hold(layout.SUPERVISOR_BLOCK)
+        self._held = lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK, write=True).hold(PER_BLOCK)
         self._block = layout.SUPERVISOR_BLOCK
-        self.early = EarlyNews(mutexes)
+        self.early = EarlyNews(lifelines)
         self._starter = Starter(resources.name, resources.incarnation, resources.runtime_dir, settings)
         deaths, window_ns = int(settings["restart.deaths"]), settings.ns("restart.window_s")
         backoff_ns = settings.ns("restart.backoff_s")
@@ -118,7 +115,7 @@ class Family:
                 self._restart_in(child, 0, now_ns)
 
     def arm(self) -> None:
-        """A process that runs holds its mutexes: wait for the early news of its death."""
+        """A process that runs holds its block: wait for the early news of its death."""
         for child in self.children:
             if child.life and not child.life.armed and child.running():
                 self.early.arm(child.life, child.block, 0)
@@ -141,7 +138,6 @@ class Family:
         name = child.row.name
         descriptors = self._resources.descriptors(name, port_fd)
         block = self._free_block()
-        self._mutexes.prepare(block)
         try:
             pid = self._spawn(child, block, descriptors)
         except OSError as error:
@@ -168,7 +164,7 @@ class Family:
         return pid
 
     def _free_block(self) -> int:
-        """The next block of mutexes that no living process holds."""
+        """The next block that no living process holds."""
         held = {child.block for child in self.children if child.pid} | {layout.SUPERVISOR_BLOCK}
         self._block = next(b for i in range(1, BLOCKS) if (b := (self._block + i) % BLOCKS) not in held)
         return self._block

@@ -83,13 +83,13 @@ class Supervisor:
         own.latest_writer("rules").write(pack(_rules(settings)))
         self._epoch_word = own.word("epoch")
         self._ready_word = own.word("ready")
-        mutexes = segment.attach(memory, "lifelines", run, write=True).mutexes("mutexes")
+        lifelines = segment.attach_unmapped(memory, "lifelines", run)
         self._events = Events(name, own.ring_writer("events"), journal)
         realtime = bool(self._granted & heartbeat.REALTIME)
         advice = grant.advice(realtime=realtime, managed=notify is not None and notify.active)
         self.teller = Teller(name, self._events, views, advice)
         self._silence = Silence(views, resources.bells, self._events, advice)
-        self.family = Family(resources, settings, self.loop, own, views, mutexes, self._events)
+        self.family = Family(resources, settings, self.loop, own, views, lifelines, self._events)
         self.children = self.family.children
         self._early = self.family.early
         self._written_word = own.word("written_ns")

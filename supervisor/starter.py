@@ -78,7 +78,7 @@ class Starter:
         self._environment = environment(settings)
 
     def start(self, row: Process, block: int, descriptors: dict[str, int]) -> int:
-        """Start a process with its block of mutexes and descriptors (-1: none); returns its pid. Raises OSError."""
+        """Start a process with its block of futexes and descriptors (-1: none); returns its pid. Raises OSError."""
         given = {key: descriptors[key] for key in row.descriptors}
         passed = [fd for fd in given.values() if fd >= 0]
         arguments = command(

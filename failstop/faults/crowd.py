@@ -53,13 +53,16 @@ class Helper:
 class ChildDriver(Helper):
     """A client of its own that commands a velocity for as long as it lives."""
 
-    def __init__(self, name: str, velocity: tuple[float, float, float]) -> None:
+    def __init__(self, name: str, velocity: tuple[float, float, float], megabytes: int = 0) -> None:
+        """`megabytes`: memory of its own that the kernel has to take down when it dies."""
         self._name = name
         self._velocity = velocity
+        self._megabytes = megabytes
         self._shared = mmap.mmap(-1, 16)
         super().__init__(self._drive)
 
     def _drive(self) -> None:
+        _ballast = bytearray(b"x") * (self._megabytes << 20)
         client = Client(self._name, "child")
         while True:
             now = time.monotonic_ns().to_bytes(8, "little")

@@ -30,10 +30,14 @@ PRESS = (MODE, *(0,) * 20)
 FORWARD = 127
 """A stick's way, all of it."""
 AWAY = ".away"
+LARGE_MB = 300
+"""As a program with a neural network or a map has it. To take it down costs the kernel 25 to 60 ms."""
 
 
 class OtherDrives(Injector):
     """A client of its own drives, and the campaign's only senses and holds."""
+
+    MEGABYTES = 0
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault)
@@ -44,7 +48,7 @@ class OtherDrives(Injector):
         scene.driver.leave()
         scene.driver.commands = False
         scene.driver.run(CLAIM_SEEN_S)
-        self.child = ChildDriver(scene.name, scene.driver.velocity)
+        self.child = ChildDriver(scene.name, scene.driver.velocity, self.MEGABYTES)
 
     def hang(self) -> int:
         """Stop the child; returns when it commanded last."""
@@ -66,6 +70,12 @@ class ClientKilled(OtherDrives):
         now_ns = time.monotonic_ns()
         self.child.signal(signal.SIGKILL)
         return now_ns
+
+
+class LargeClientKilled(ClientKilled):
+    """SIGKILL of one whose memory takes long to take down."""
+
+    MEGABYTES = LARGE_MB
 
 
 class ClientHung(OtherDrives):
@@ -328,6 +338,7 @@ class ServiceStopped(Injector):
 
 INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "client-killed": ClientKilled,
+    "client-killed-large": LargeClientKilled,
     "client-hung": ClientHung,
     "client-nan": ClientNan,
     "client-second": SecondClient,

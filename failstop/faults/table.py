@@ -62,8 +62,12 @@ WOKEN = (
 
 CLIENTS = (
     Fault(
-        "client-killed", CLIENT, "SIGKILL of the client that drives", "gate (its claim is gone)",
-        "", ITSELF, "", 10.0, "client-killed",
+        "client-killed", CLIENT, "SIGKILL of the client that drives", "gate (its lifeline)",
+        "", ITSELF, "", 5.0, "client-killed",
+    ),
+    Fault(
+        "client-killed-large", CLIENT, "SIGKILL of a client of 300 MB that drives", "gate (its lifeline)",
+        "", ITSELF, "", 5.0, "client-killed-large", weight=1,
     ),
     Fault(
         "client-hung", CLIENT, "SIGSTOP of the client that drives", "gate (command timeout)",

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from failstop.procs.loop import Loop
     from failstop.shm.latest import LatestReader
+    from failstop.shm.lifeline import EarlyNews
     from failstop.shm.segment import Segment
 
     class Listener(Protocol):
@@ -61,11 +62,13 @@ class Slot:
         "parted",
         "pid",
         "pid_namespace",
+        "segment",
         "session",
     )
 
     def __init__(self, index: int, segment: Segment) -> None:
         self.index = index
+        self.segment = segment
         self.pid = 0
         self.pid_namespace = 0
         self.name = ""
@@ -179,9 +182,12 @@ class Slot:
 class ClientTable:
     """All slots. `active` is the ones that a session holds."""
 
-    def __init__(self, segments: list[Segment], claims_fd: int, loop: Loop, listener: Listener) -> None:
+    def __init__(
+        self, segments: list[Segment], claims_fd: int, loop: Loop, early: EarlyNews, listener: Listener
+    ) -> None:
         self._claims_fd = claims_fd
         self._loop = loop
+        self._early = early
         self._listener = listener
         self._pid_namespace = pid_namespace()
         self.slots = [Slot(index, segment) for index, segment in enumerate(segments)]
@@ -205,13 +211,12 @@ class ClientTable:
         for slot in self.slots:
             self._look(slot, now_ns)
 
-    def life_ended(self, fd: int, now_ns: int) -> None:
-        """A descriptor was ready: when it is a client's lifeline, the client has gone, even if a process that
+    def lives_ended(self, ready: dict[int, int], now_ns: int) -> None:
+        """Whose lifeline has fallen has gone, even while the kernel takes its memory down, and even if a process that
         it forked still holds the claim."""
-        for slot in self.active:
-            if slot.life and slot.life.fd == fd:
+        for slot in tuple(self.active):
+            if slot.life and slot.life.down(ready):
                 self._leave(slot, now_ns)
-                return
 
     def _watch(self, slot: Slot) -> None:
         """Where its pid can't be watched, the claim alone decides, once a tick."""
@@ -222,6 +227,7 @@ class ClientTable:
         except (OSError, OverflowError):
             return  # a lie, or a process that is gone already
         self._loop.watch(slot.life.fd, READ)
+        self._early.watch(slot.life, slot.segment, "held")
 
     def _stop_watching(self, slot: Slot) -> None:
         if slot.life:

@@ -70,13 +70,14 @@ class Gate:
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = seen(self._pad_command)
         self._wishes = telemetry.ring_reader("wishes")
-        self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, self)
+        self._early = context.early.bell
+        self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, self)
         self.epoch = self._epoch_word.get()
         self._stopped_ns = 0
         """When the epoch was raised last: requests from before that are refused."""
         self._rings = 0
         self._inherit_latch()
-        for fd in (self._bell.fd, self._client_bell):
+        for fd in (self._bell.fd, self._early.fd, self._client_bell):
             self.loop.watch(fd, READ)
         self._tick_ns = self._due_ns = self._turned_ns = now_ns
         self._ticks = 0
@@ -101,12 +102,11 @@ class Gate:
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = self._turned_ns = monotonic_ns()
-        if self._bell.fd in ready:
-            self._bell.clear()
+        for rung in (self._bell, self._early):
+            if rung.fd in ready:
+                rung.clear()
         self._follow_epoch()
-        for fd in ready:
-            if fd not in (self._client_bell, self._bell.fd):
-                self.clients.life_ended(fd, now_ns)
+        self.clients.lives_ended(ready, now_ns)
         if self._client_bell in ready:  # last: who joins may get the number of a descriptor that was closed above
             self._client_rang(now_ns)
         self._follow_telemetry(now_ns)

@@ -179,7 +179,7 @@ class PortOwner:
             self.loop.watch(self._stop_pipe, READ)
 
     def _follow_gate(self, now_ns: int) -> None:
-        """Watch the gate that the supervisor names: by its pid at once, by its mutex once it runs and so holds it."""
+        """Watch the gate that the supervisor names: by its pid at once, by its futex once it runs and so holds it."""
         named = self._gate_life_word.get()
         pid, block = records.unpack_life(named)
         if named != self._gate_named:

@@ -153,7 +153,7 @@ class Stopper:
                 self._write()
 
     def _follow_port_owner(self, now_ns: int) -> None:
-        """Watch the port owner that the supervisor names: by its pid at once, by its mutex once it runs."""
+        """Watch the port owner that the supervisor names: by its pid at once, by its futex once it runs."""
         named = self._port_owner_life_word.get()
         pid, block = records.unpack_life(named)
         if named != self._port_owner_named:

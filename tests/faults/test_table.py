@@ -24,7 +24,7 @@ DESIGN = {
     "supervisor hangs": ("hang-supervisor", "spin-supervisor", "hang-supervisor-continued"),
     "any two or three at once": ("kill-gate+stopper", "kill-supervisor+port_owner+stopper", "kill-gate-hang-stopper"),
     "all of them": ("kill-supervisor+port_owner+gate+telemetry+stopper",),
-    "client that drives dies": ("client-killed", "client-hung", "pad-silent"),
+    "client that drives dies": ("client-killed", "client-killed-large", "client-hung", "pad-silent"),
     "USB drop": ("usb-drop", "usb-drop-mid-frame", "usb-drop-renamed", "usb-drop-permission"),
     "board deaf, not draining": ("board-deaf", "board-not-draining", "board-unproven"),
     "out of file descriptors, memory, disk": ("no-descriptors", "no-descriptors-kill", "no-memory", "no-disk"),

@@ -10,7 +10,7 @@ from failstop.procs.gate.clients import ClientTable, Slot
 from failstop.procs.gate.sources import Command
 from failstop.procs.loop import Loop
 from failstop.shm import claim, layout, records, segment
-from failstop.shm.lifeline import pid_namespace
+from failstop.shm.lifeline import EarlyNews, pid_namespace
 from failstop.shm.segment import Segment
 
 INCARNATION = 0x1234_5678_9ABC
@@ -77,6 +77,9 @@ class Service:
             segment.create(self.name, f"client.{index}", INCARNATION).close()
         self.claims_fd = os.open(self.claims, os.O_RDONLY)
         self.loop = Loop()
+        segment.create(self.name, "lifelines", INCARNATION).close()
+        self._lifelines = segment.attach_unmapped(self.name, "lifelines", INCARNATION)
+        self.early = EarlyNews(self._lifelines)
         self.clients: list[Client] = []
         self._read: list[Segment] = []
         self.start()
@@ -85,7 +88,7 @@ class Service:
         """A gate starts, or starts again after its death."""
         slots = [segment.read_client_slot(self.name, i, INCARNATION) for i in range(layout.CLIENT_SLOTS)]
         self._read += slots
-        self.table = ClientTable(slots, self.claims_fd, self.loop, self)
+        self.table = ClientTable(slots, self.claims_fd, self.loop, self.early, self)
         self.told: list[tuple[object, ...]] = []
 
     def join(
@@ -128,7 +131,8 @@ class Service:
         for slot in self.table.slots:
             if slot.life:
                 slot.life.close()
-        for read in self._read:
+        for read in (*self._read, self._lifelines):
             read.close()
+        os.close(self.early.bell.fd)
         os.close(self.claims_fd)
         segment.unlink_all(self.name)

@@ -259,7 +259,7 @@ def test_a_process_s_death_is_noticed_through_its_lifeline(service: Service) -> 
     ready = service.loop.wait(0)
     assert list(ready) == [life.fd]
     service.told.clear()
-    service.table.life_ended(next(iter(ready)), NOW)
+    service.table.lives_ended(ready, NOW)
     assert service.told == [("gone", 11)]
     assert service.loop.wait(0) == {}, "its descriptor is no longer watched"
 
@@ -304,7 +304,7 @@ def test_a_process_s_death_counts_though_a_child_of_it_holds_the_claim(service: 
     assert life is not None
     until(lambda: service.loop.wait(0), "the lifeline")
     service.told.clear()
-    service.table.life_ended(life.fd, NOW)
+    service.table.lives_ended(service.loop.wait(0), NOW)
     os.waitpid(pid, 0)
     assert service.told == [("gone", 11)]
     assert service.loop.wait(0) == {}
@@ -319,7 +319,7 @@ def test_a_process_s_death_counts_though_a_child_of_it_holds_the_claim(service: 
 def test_descriptors_that_are_no_lifeline_are_ignored(service: Service) -> None:
     service.join()
     service.look()
-    service.table.life_ended(service.claims_fd, NOW)
+    service.table.lives_ended({service.claims_fd: 1}, NOW)
     assert service.told == []
     assert service.sessions() == [11]
 

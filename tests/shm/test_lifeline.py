@@ -1,4 +1,4 @@
-"""Lifelines: a death is seen through the same poll as everything else, by its pidfd and by its mutex."""
+"""Lifelines: a death is seen through the same poll as everything else, by its pidfd and by its futex."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-from failstop.shm import segment
-from failstop.shm.lifeline import EarlyNews, Lifeline, pid_namespace
-from failstop.shm.mutex import BLOCKS, PER_BLOCK, Mutexes
+from failstop.shm import futex, segment
+from failstop.shm.futex import BLOCKS, PER_BLOCK
+from failstop.shm.lifeline import EarlyNews, HeldByThread, Lifeline, pid_namespace
+from failstop.shm.segment import Segment
 from tests.waiting import until
 
-from .children import NOBODY, Child, become, call, needs_root
+from .children import NOBODY, Child, become, needs_root
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]
@@ -207,16 +209,16 @@ def test_the_descriptor_is_not_inherited_and_close_is_idempotent() -> None:
 RUN = 9
 
 
-def mutexes_of(instance: str) -> Mutexes:
-    return segment.attach(instance, "lifelines", RUN, write=True).mutexes("mutexes")
+def lifelines(instance: str) -> Segment:
+    return segment.attach_unmapped(instance, "lifelines", RUN)
 
 
 def holding(instance: str, block: int) -> Child:
     """A process that holds its block for life, as every process of the service does."""
 
     def work(send: Send, wait: Wait) -> None:
-        mutexes_of(instance).hold(block)
-        send("held")
+        kept = lifelines(instance).futex("held", block * PER_BLOCK, write=True).hold(PER_BLOCK)
+        send("held" if kept else "the kernel can't")
         wait()
 
     child = Child(work)
@@ -224,13 +226,13 @@ def holding(instance: str, block: int) -> Child:
     return child
 
 
-def watching(instance: str, pid: int, block: int, index: int) -> Child:
-    """A process that waits for a death by its mutex alone; sends "armed", then what it learnt."""
+def watching(instance: str, pid: int, block: int, watcher: int) -> Child:
+    """A process that waits for a death by the futex alone; sends "armed", then what it learnt."""
 
     def work(send: Send, wait: Wait) -> tuple[bool, bool, bool]:
         life = Lifeline(pid)
-        news = EarlyNews(mutexes_of(instance))
-        news.arm(life, block, index)
+        news = EarlyNews(lifelines(instance))
+        news.arm(life, block, watcher)
         send("armed")
         rung = bool(select.select([news.bell.fd], [], [], 10)[0])
         return rung, life.fallen, life.down({})
@@ -240,93 +242,80 @@ def watching(instance: str, pid: int, block: int, index: int) -> Child:
     return child
 
 
-def waited_for(mutexes: Mutexes, block: int, index: int) -> bool:
-    """Ask for a death in a process of its own: a mutex whose holder died is then the asker's, who must end as well."""
-    told: bool = call(lambda: mutexes.wait_for_death(block, index))
-    return told
-
-
 @pytest.fixture
-def mutexes(name: str) -> Mutexes:
+def held(name: str) -> Segment:
+    """The lines of every block, as one of the service's processes sees them."""
     segment.create(name, "lifelines", RUN).close()
-    return mutexes_of(name)
+    return lifelines(name)
 
 
 @pytest.mark.parametrize("block", [0, 1, BLOCKS - 1])
-def test_every_watcher_gets_the_early_news(name: str, mutexes: Mutexes, block: int) -> None:
-    """Through the mutex and the bell: the pidfd is not even polled."""
+def test_every_watcher_gets_the_early_news(name: str, held: Segment, block: int) -> None:
+    """Through the futex and the bell: the pidfd is not even polled. A block is used again, the last holder's mark in
+    it."""
     for _ in range(5):
-        mutexes.prepare(block)
-        with holding(name, block) as held:
-            watchers = [watching(name, held.pid, block, index) for index in range(PER_BLOCK)]
+        with holding(name, block) as holder:
+            watchers = [watching(name, holder.pid, block, index) for index in range(PER_BLOCK)]
             try:
-                os.kill(held.pid, signal.SIGKILL)
+                os.kill(holder.pid, signal.SIGKILL)
                 assert [watcher.result() for watcher in watchers] == [(True, True, True)] * PER_BLOCK
             finally:
                 for watcher in watchers:
                     watcher.close()
 
 
-def test_no_news_while_the_holder_lives(name: str, mutexes: Mutexes) -> None:
-    mutexes.prepare(3)
-    with holding(name, 3) as held, watching(name, held.pid, 3, 0) as watcher:
+def test_no_news_while_the_holder_lives(name: str, held: Segment) -> None:
+    with holding(name, 3) as holder, watching(name, holder.pid, 3, 0) as watcher:
         other = Lifeline(watcher.pid)
-        os.kill(held.pid, signal.SIGSTOP)
-        os.waitid(os.P_PID, held.pid, os.WSTOPPED)
+        os.kill(holder.pid, signal.SIGSTOP)
+        os.waitid(os.P_PID, holder.pid, os.WSTOPPED)
         assert not select.select([other.fd], [], [], 0.1)[0], "a stopped holder is no dead one"
-        os.kill(held.pid, signal.SIGKILL)
+        os.kill(holder.pid, signal.SIGKILL)
         assert watcher.result() == (True, True, True)
         other.close()
 
 
-def test_a_mutex_that_nobody_holds_is_no_death(mutexes: Mutexes) -> None:
-    mutexes.prepare(4)
-    for index in range(PER_BLOCK):
-        assert waited_for(mutexes, 4, index) is False
-        assert waited_for(mutexes, 4, index) is False
+def test_what_nobody_holds_is_no_death(held: Segment) -> None:
+    for line in range(PER_BLOCK):
+        assert held.futex("held", line).wait_for_death() is False
 
 
-def test_a_block_is_used_again(name: str, mutexes: Mutexes) -> None:
-    for _ in range(3):
-        mutexes.prepare(5)
-        with holding(name, 5) as held:
-            held.kill()
-            assert waited_for(mutexes, 5, 0) is True
+def test_the_mark_stays_for_who_comes_late(name: str, held: Segment) -> None:
+    with holding(name, 5) as holder:
+        holder.kill()
+        assert held.futex("held", 5 * PER_BLOCK).wait_for_death() is True
+        assert held.futex("held", 5 * PER_BLOCK).wait_for_death() is True
 
 
-def test_the_death_of_a_watcher_costs_the_next_one_nothing(name: str, mutexes: Mutexes) -> None:
-    mutexes.prepare(6)
-    with holding(name, 6) as held:
+def test_the_death_of_a_watcher_costs_the_next_one_nothing(name: str, held: Segment) -> None:
+    with holding(name, 6) as holder:
         for _ in range(3):
-            with watching(name, held.pid, 6, 0) as first:
+            with watching(name, holder.pid, 6, 0) as first:
                 first.kill()
-        with watching(name, held.pid, 6, 0) as last:
-            os.kill(held.pid, signal.SIGKILL)
+        with watching(name, holder.pid, 6, 0) as last:
+            os.kill(holder.pid, signal.SIGKILL)
             assert last.result() == (True, True, True)
 
 
-def test_blocks_do_not_touch_each_other(name: str, mutexes: Mutexes) -> None:
-    for block in range(3):
-        mutexes.prepare(block)
-    with holding(name, 0), holding(name, 2), holding(name, 1) as held:
-        held.kill()
-        assert waited_for(mutexes, 1, 0) is True
+def test_blocks_do_not_touch_each_other(name: str, held: Segment) -> None:
+    with holding(name, 0), holding(name, 2), holding(name, 1) as holder:
+        holder.kill()
+        assert held.futex("held", PER_BLOCK).wait_for_death() is True
         with watching(name, os.getpid(), 0, 0) as watcher:
             other = Lifeline(watcher.pid)
             assert not select.select([other.fd], [], [], 0.05)[0]
             other.close()
 
 
-@pytest.mark.parametrize(("block", "index"), [(-1, 0), (BLOCKS, 0), (0, -1), (0, PER_BLOCK)])
-def test_there_is_no_mutex_beyond_the_record(mutexes: Mutexes, block: int, index: int) -> None:
-    with pytest.raises(IndexError, match="mutex"):
-        mutexes.wait_for_death(block, index)
+@pytest.mark.parametrize("line", [-1, BLOCKS * PER_BLOCK])
+def test_there_is_no_line_beyond_the_record(held: Segment, line: int) -> None:
+    with pytest.raises(IndexError, match="lines"):
+        held.futex("held", line)
 
 
-def test_the_pidfd_alone_is_enough(mutexes: Mutexes) -> None:
-    """The early news never comes where the mutex was not held: the late word is there all the same."""
-    mutexes.prepare(7)
-    news = EarlyNews(mutexes)
+def test_the_pidfd_alone_is_enough(held: Segment) -> None:
+    """The early news never comes where the futex was not held: the late word is there all the same."""
+    news = EarlyNews(held)
     threads = _thread._count()
     with Child(waiting) as child:
         assert child.receive() == "here"
@@ -342,15 +331,87 @@ def test_the_pidfd_alone_is_enough(mutexes: Mutexes) -> None:
     os.close(news.bell.fd)
 
 
+def test_a_lifeline_that_is_closed_keeps_no_thread(name: str, held: Segment) -> None:
+    news = EarlyNews(held)
+    threads = _thread._count()
+    before = set(os.listdir("/proc/self/task"))
+    with holding(name, 8) as holder:
+        life = Lifeline(holder.pid)
+        news.arm(life, 8, 0)
+        until(lambda: waits_on_a_futex(set(os.listdir("/proc/self/task")) - before), "the thread waits")
+        life.close()
+        until(lambda: _thread._count() == threads, "the waiting thread has given up")
+    assert not life.fallen
+    os.close(news.bell.fd)
+
+
+def waits_on_a_futex(threads: set[str]) -> bool:
+    """True once the one thread sleeps in futex(2)."""
+    calls = [Path(f"/proc/self/task/{tid}/syscall").read_text().split()[0] for tid in threads]
+    return calls == [str(futex._FUTEX)]
+
+
+def test_a_thread_of_its_own_holds_and_lets_go(held: Segment) -> None:
+    """Held by a thread that ends before the process does; and given back by another one than took it."""
+    word = held.futex("held", 20)
+    threads = _thread._count()
+    one = HeldByThread(held.futex("held", 20, write=True))
+    assert word.held()
+    assert _thread._count() == threads + 1
+    one.let_go()
+    until(lambda: _thread._count() == threads, "its thread has ended")
+    assert word.held(), "the word is the caller's to clear: the end of the thread is no death"
+
+
+def test_a_large_process_is_known_to_be_dead_before_its_memory_is_gone(name: str, held: Segment) -> None:
+    """Which the pidfd waits for. This process may be held up longer than that takes: then it tries again."""
+
+    def large(send: Send, wait: Wait) -> None:
+        memory = bytearray(os.urandom(1 << 20)) * 200
+        one = HeldByThread(lifelines(name).futex("held", 30, write=True))
+        send("here")
+        wait()
+        del one, memory
+
+    first = False
+    for _ in range(10):
+        with Child(large) as child:
+            assert child.receive() == "here"
+            life = Lifeline(child.pid)
+            word = held.futex("held", 30)
+            os.kill(child.pid, signal.SIGKILL)
+            assert word.wait_for_death()
+            first = first or not life.dead()
+            life.close()
+        if first:
+            return
+    pytest.fail("the pidfd came first ten times")
+
+
+def test_a_truncated_file_is_nobody_s_death(name: str, held: Segment) -> None:
+    """And no SIGBUS: a client may cut its own slot."""
+    word = held.futex("held", 40)
+    with holding(name, 20):
+        os.truncate(segment.path_of(name, "lifelines"), 0)
+        assert word.wait_for_death() is False
+        assert not word.held()
+
+
+def test_where_the_kernel_can_t_nothing_is_held(held: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As under qemu's user mode, which has no robust lists."""
+    monkeypatch.setattr(futex, "_SET_ROBUST_LIST", -1)
+    word = held.futex("held", 50, write=True)
+    assert word.hold() is None
+    assert not word.held()
+
+
 def select_poll(fd: int) -> list[tuple[int, int]]:
     poll = select.poll()
     poll.register(fd, select.POLLIN)
     return poll.poll(2_000)
 
 
-def test_mutexes_need_a_mapping_for_writing(name: str, mutexes: Mutexes) -> None:
-    with pytest.raises(TypeError, match="not writable"):
-        segment.attach(name, "lifelines", RUN).mutexes("mutexes")
-    with pytest.raises(TypeError, match="need a mapping"):
-        segment.create(f"{name}-unmapped", "lifelines", RUN).mutexes("mutexes")
-    segment.unlink_all(f"{name}-unmapped")
+def test_a_futex_needs_the_file(held: Segment) -> None:
+    held.close()
+    with pytest.raises(TypeError, match="needs the file"):
+        held.futex("held")

@@ -25,7 +25,7 @@ def test_scribbled_over(name: str, of: str) -> None:
     written = Written(name, of, dice)
     try:
         if not written.genuine:
-            assert all(record.kind in ("word", "mutexes") for record in written.spec.records.values())
+            assert all(record.kind in ("word", "futexes") for record in written.spec.records.values())
         resident = written.readers()
         written.read_all(written.readers())
         assert written.seen >= len(written.genuine)

@@ -92,7 +92,7 @@ def reading_child(name: str, of: str, attach: Callable[[], Segment]) -> Child:
 
     def work(send: Callable[[object], None], wait: Callable[[], None]) -> tuple[int, int]:
         seen = attach()
-        readers = [seen.latest_reader(record) for record in seen.spec.records]
+        readers = [seen.latest_reader(name) for name, record in seen.spec.records.items() if record.kind == "latest"]
         for reader in readers:  # before the truncating starts
             reader.read()
         send("reading")
@@ -119,7 +119,7 @@ def truncate_all_the_while(name: str, of: str, child: Child) -> None:
     own = segment.attach_client_slot(name, int(of[-1]), RUN)
     with open(path_of(name, of), "rb") as file:
         image = file.read()
-    writers = [own.latest_writer(record) for record in own.spec.records]
+    writers = [own.latest_writer(name) for name, record in own.spec.records.items() if record.kind == "latest"]
     fd = os.open(path_of(name, of), os.O_RDWR)
     watch = os.pidfd_open(child.pid)
     try:

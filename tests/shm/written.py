@@ -41,7 +41,7 @@ class Written:
             if record.kind == "word":
                 writes.word(record.name).set(dice.getrandbits(64))
                 continue
-            if record.kind == "mutexes":
+            if record.kind == "futexes":
                 continue
             self.genuine[record.name] = found = set()
             put = (
