@@ -8,6 +8,8 @@ leave          take it away in order
 listen         hear cmd_vel with an empty callback that notes when it came
 told           the delays since then, in ns
 hear TOPIC TYPE    hear a topic and do nothing
+bare           do the least that a bridge in rclpy has to: publish messages that never change as often as the bridge
+               does, under `bare/`, and hear cmd_vel and scan with empty callbacks
 """
 
 from __future__ import annotations
@@ -20,9 +22,12 @@ from typing import Any
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
-from failstop.ros2.contract import TWIST
+from failstop.ros2.contract import IMU, ODOMETRY, SCAN, STATE, TWIST
 from failstop.ros2.fill import type_of
 
+BARE = ((IMU, 0.009), (ODOMETRY, 0.02), (STATE, 0.1))
+"""What, and how often, in s; the state with as many bytes as a robot's."""
+STATE_BYTES = 1500
 FORWARD = (0.2, 0.195)
 BACKWARD = -0.2
 
@@ -84,7 +89,25 @@ class Node:
             return " ".join(map(str, found))
         elif what == "hear":
             self.node.create_subscription(type_of(rest[1]), rest[0], lambda message: None, 10)
+        elif what == "bare":
+            self.node.create_subscription(self.kind, "cmd_vel", lambda message: None, 10)
+            self.node.create_subscription(type_of(SCAN.type), "scan", lambda message: None, 10, raw=True)
+            threading.Thread(target=self._bare, daemon=True).start()
         return "done"
+
+    def _bare(self) -> None:
+        made = []
+        for topic, every_s in BARE:
+            kind = type_of(topic.type)
+            made.append((self.node.create_publisher(kind, f"bare/{topic.name.strip('~/')}", 10), kind(), every_s))
+        made[-1][1].data = "x" * STATE_BYTES
+        due_s = [time.monotonic()] * len(made)
+        while True:
+            for at, (publisher, message, every_s) in enumerate(made):
+                if (now_s := time.monotonic()) >= due_s[at]:
+                    due_s[at] = max(due_s[at] + every_s, now_s)
+                    publisher.publish(message)
+            time.sleep(max(0.0, min(due_s) - time.monotonic()))
 
     def _came(self, message: Any) -> None:
         self.delays.append(time.monotonic_ns() - int(message.linear.z))
