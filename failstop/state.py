@@ -49,6 +49,8 @@ class Process:
     """The longest time between two turns of its loop since its start."""
     realtime: bool
     memory_locked: bool
+    early_news: bool = True
+    """The kernel tells it of a death before it takes the dead process's memory down."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -262,6 +264,7 @@ class StateReader:
             worst_ms=round(beat.worst_ns.get() / 1e6, 1),
             realtime=bool(granted & heartbeat.REALTIME),
             memory_locked=bool(granted & heartbeat.MEMORY_LOCKED),
+            early_news=bool(granted & heartbeat.EARLY_NEWS),
         )
 
     def _last_stop(self) -> Stop | None:

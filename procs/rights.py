@@ -6,7 +6,8 @@ import ctypes
 import gc
 import os
 
-from failstop.shm.heartbeat import MEMORY_LOCKED, REALTIME
+from failstop.shm import futex
+from failstop.shm.heartbeat import EARLY_NEWS, MEMORY_LOCKED, REALTIME
 
 _PR_SET_PDEATHSIG = 1
 _PR_SET_NAME = 15
@@ -31,7 +32,8 @@ def die_with_parent(parent_pid: int) -> None:
 
 
 def take_rights(priority: int) -> int:
-    """Ask for SCHED_FIFO at `priority` and locked memory; returns the heartbeat bits of what was granted.
+    """Ask for SCHED_FIFO at `priority` and locked memory; returns the heartbeat bits of what was granted, and of the
+    early news, which some kernels don't give.
 
     What this process starts begins without real-time rights, so that a restart's imports disturb nobody's tick.
 
@@ -46,6 +48,8 @@ def take_rights(priority: int) -> int:
         pass
     if _libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) == 0:
         granted |= MEMORY_LOCKED
+    if futex.proven():
+        granted |= EARLY_NEWS
     return granted
 
 

@@ -11,6 +11,8 @@ STATES = {0: "absent", STARTING: "starting", RUNNING: "running", STOPPING: "stop
 
 REALTIME = 1
 MEMORY_LOCKED = 2
+EARLY_NEWS = 4
+"""The kernel tells of deaths before it takes the memory down (futex.proven)."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -101,7 +101,7 @@ def _beat() -> tuple[Record, ...]:
         _word("beat_cpu_ns", "everyone"),  # processor time that it had used at that turn
         _word("beat_epoch", "everyone"),  # the epoch it saw last
         _word("beat_state", "everyone"),  # heartbeat.STARTING, RUNNING, STOPPING
-        _word("beat_rights", "everyone"),  # heartbeat.REALTIME | MEMORY_LOCKED
+        _word("beat_rights", "everyone"),  # heartbeat.REALTIME | MEMORY_LOCKED | EARLY_NEWS
     )
 
 

@@ -365,7 +365,7 @@ class Supervisor:
         if not missing and not self._was_ready:
             self._was_ready = True
             self.heartbeat.state(heartbeat.RUNNING)
-            self.teller.ready(realtime=bool(self._granted & heartbeat.REALTIME))
+            self.teller.ready(self._granted)
             self.herald.notify.ready()
         self.teller.missing(missing, now_ns)
         if self._stopped_word.get() >= self.epoch:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.shm import layout
+from failstop.shm import heartbeat, layout
 from failstop.shm.notes import Note
 from failstop.supervisor.link import UNPROVEN
 
@@ -16,6 +16,12 @@ MOST_SAID = 64
 WAITED_NS = 2_000_000_000
 """What motion waits for is told of after this long: a restart takes a fraction of it."""
 NO_REALTIME = "no real-time rights (SCHED_FIFO): on a busy machine stops come later, and some for no cause"
+
+
+NO_EARLY_NEWS = (
+    "this kernel tells of a death only once the memory is taken down (no robust futexes): a stop after one comes "
+    "later, 1 ms for each 10 MB; run the service on the host's own kernel"
+)
 
 
 class Teller:
@@ -75,13 +81,15 @@ class Teller:
             text = f"stopped again: {cause.reason}; {wrote}; latched is still: {standing.reason}"
             self.events.tell("stop_again", text, {**fields, "latched": standing.reason}, level=level)
 
-    def ready(self, *, realtime: bool) -> None:
-        """Motion could be enabled, for the first time."""
+    def ready(self, granted: int) -> None:
+        """Motion could be enabled, for the first time; `granted`: heartbeat bits, of what the supervisor has."""
         self._told_missing = ""
         todo = self.events.command("enable")
         self.events.tell("ready", f"{self._name!r} is ready: wheels stopped, motion disabled; next: {todo}")
-        if not realtime:
+        if not granted & heartbeat.REALTIME:
             self.events.tell("rights", f"{NO_REALTIME}; {self._advice}", {"what": "SCHED_FIFO"})
+        if not granted & heartbeat.EARLY_NEWS:
+            self.events.tell("rights", NO_EARLY_NEWS, {"what": "robust futexes"})
 
     def missing(self, missing: str, now_ns: int) -> None:
         """Once a turn: what motion waits for; told of when it stays away, and when it has come after all."""

@@ -77,6 +77,8 @@ class Rights:
     """It runs in one."""
     runtime_us: int | None = None
     """kernel.sched_rt_runtime_us: of each second, what real-time processes may use; -1: no limit, 0: none."""
+    early_news: bool = True
+    """The kernel tells of a death before it takes the memory down."""
 
 
 @dataclasses.dataclass(frozen=True)

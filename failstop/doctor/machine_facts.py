@@ -12,7 +12,7 @@ from failstop.doctor import leftovers
 from failstop.doctor.facts import Clock, Cpu, Idle, Rights, SharedMemory, User
 from failstop.doctor.leftovers import SHM
 from failstop.doctor.system import System
-from failstop.shm import layout
+from failstop.shm import futex, layout
 from failstop.supervisor import grant
 
 CAP_IPC_LOCK = 14
@@ -40,6 +40,7 @@ def rights(system: System) -> Rights:
         realtime_granted=_try_realtime(),
         container=grant.in_container(),
         runtime_us=system.number("/proc/sys/kernel/sched_rt_runtime_us"),
+        early_news=futex.proven(),
     )
 
 

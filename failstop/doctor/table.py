@@ -33,6 +33,7 @@ CHECKS = (
     Check("unit", judge_service.unit),
     Check("realtime", judge_machine.realtime),
     Check("memory lock", judge_machine.memory_lock),
+    Check("deaths", judge_machine.early_news),
     Check("clock", judge_machine.clock),
     Check("wall clock", judge_machine.wall_clock),
     Check("shared memory", judge_machine.shared_memory),

@@ -215,6 +215,10 @@ def _remarks(state: State, columns: int, hung: dict[str, str]) -> list[Line]:
         found.append(
             [("without real-time rights stops come later on a busy machine; `failstop doctor` says more", DIM)]
         )
+    if not all(process.early_news or not process.pid for process in state.processes.values()):
+        found.append(
+            [("this kernel tells of deaths late, and stops after one come later; `failstop doctor` says more", WARN)]
+        )
     return [[], *(part for row in found for part in style.wrap(row, columns, 0))] if found else []
 
 

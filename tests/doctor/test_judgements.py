@@ -29,6 +29,7 @@ from tests.doctor.parts import (
 )
 
 UNRIGHTED = tuple(but(process, realtime=False, memory_locked=False) for process in SERVICE.processes)
+LATE = but(RIGHTS, early_news=False)
 POOR = but(RIGHTS, realtime_granted=False, realtime_limit=0, memory_limit=65536)
 
 CASES: tuple[tuple[str, Facts, str, str], ...] = (
@@ -51,6 +52,7 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("grabbers", facts(grabbers=(Holder(9, "ModemManager"),), node=but(NODE, modem_ignored=None)), FAIL, "ModemM"),
     ("grabbers", facts(grabbers=(Holder(9, "brltty"),)), WARN, "brltty"),
     ("settings", facts(settings_problem="gate.lease_s = 9.0: allowed is 0.04 to 1 s"), FAIL, "gate.lease_s = 9.0"),
+    ("deaths", facts(rights=LATE), WARN, "tells of a death late"),
     ("service", facts(service=None), WARN, "no service named 'failstop' runs"),
     ("service", facts(service=None, unit=None, memory=but(MEMORY, living=("left",))), WARN, "there is left"),
     ("service", facts(service=but(SERVICE, link="deaf")), FAIL, "does not answer"),

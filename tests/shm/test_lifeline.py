@@ -405,6 +405,22 @@ def test_where_the_kernel_can_t_nothing_is_held(held: Segment, monkeypatch: pyte
     assert not word.held()
 
 
+def test_this_kernel_is_proven() -> None:
+    assert futex.proven()
+
+
+def test_a_kernel_that_takes_the_list_and_marks_nothing_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As gVisor's. The thread's own list stays what it was."""
+    monkeypatch.setattr(futex, "_set_robust_list", lambda kept: 0)
+    monkeypatch.setattr(futex, "_PROOF_NS", 20_000_000)
+    assert not futex.proven()
+
+
+def test_nor_one_that_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(futex, "_SET_ROBUST_LIST", -1)
+    assert not futex.proven()
+
+
 def select_poll(fd: int) -> list[tuple[int, int]]:
     poll = select.poll()
     poll.register(fd, select.POLLIN)

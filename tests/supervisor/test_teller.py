@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.shm import layout, segment
+from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
 from failstop.supervisor.causes import Cause
 from failstop.supervisor.events import Events
 from failstop.supervisor.teller import MOST_SAID, WAITED_NS, Teller
@@ -96,13 +97,13 @@ def test_a_start_that_hangs_says_what_it_waits_for_and_then_that_it_is_ready(tel
     teller.missing("the port", T0 + WAITED_NS)
     teller.missing("the port", T0 + 2 * WAITED_NS)
     assert events.kinds == ["waiting"]
-    teller.ready(realtime=True)
+    teller.ready(REALTIME | EARLY_NEWS)
     teller.missing("", T0 + 3 * WAITED_NS)
     assert events.kinds == ["waiting", "ready"], "once"
 
 
 def test_each_long_wait_and_its_end_are_told(teller: Teller, events: Told) -> None:
-    teller.ready(realtime=False)
+    teller.ready(0)
     for at, missing in enumerate(("", "gate", "gate", "gate, the port", "gate, the port", "", "", "gate", "gate", "")):
         teller.missing(missing, T0 + at * WAITED_NS)
-    assert events.kinds == ["ready", "rights", "waiting", "waiting", "ready", "waiting", "ready"]
+    assert events.kinds == ["ready", "rights", "rights", "waiting", "waiting", "ready", "waiting", "ready"]
