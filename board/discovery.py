@@ -5,6 +5,15 @@ from __future__ import annotations
 # The board's USB serial chip (udev identity 1a86:55d4).
 BOARD_VID = 0x1A86
 BOARD_PID = 0x55D4
+LINK = "/dev/failstop"
+"""The board's name by the udev rule that `failstop install` brings: a replug may change its number, and not this."""
+
+
+def board_there() -> bool:
+    """A controller board is plugged in."""
+    from serial.tools import list_ports
+
+    return any((port.vid, port.pid) == (BOARD_VID, BOARD_PID) for port in list_ports.comports())
 
 
 def candidates() -> list[tuple[str, str]]:

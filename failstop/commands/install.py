@@ -6,6 +6,7 @@ import dataclasses
 import os
 import sys
 
+from failstop.board.discovery import LINK
 from failstop.errors import Refused
 from failstop.install import InstallError, dialogue, look, parts, plan, tree
 from failstop.install.do import Doer
@@ -68,12 +69,9 @@ def main(arguments: Namespace) -> int:
     brought = parts.of_this_version()
     environment = None if arguments.use_running_venv else tree.running(PREFIX, tree.interpreter())
     configured = look.configured_device(wish)
-    device = plan.device_of(brought, wish, configured)
-    found = dataclasses.replace(
-        look.look(wish, brought.units),
-        configured_device=configured,
-        device_there=device == plan.UDEV_NAME or os.path.exists(device),
-    )
+    found = dataclasses.replace(look.look(wish, brought.units), configured_device=configured)
+    device = plan.device_of(brought, wish, found)
+    found = dataclasses.replace(found, device_there=device == LINK or os.path.exists(device))
     made = plan.install(brought, wish, environment.digest() if environment else "", found)
     if arguments.json:
         print(dialogue.as_json(made))

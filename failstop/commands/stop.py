@@ -50,6 +50,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--device", metavar="PATH", help=f"the board's port (default: {DEVICE}, else {device})")
     parser.add_argument("--wait", metavar="S", type=float, help=f"how long to try (default: {WAIT}, else {wait_s:g} s)")
     parser.add_argument(
+        "--services",
+        action="store_true",
+        help="ask every service that runs, whatever its name, and write to no port; for the unit before a sleep",
+    )
+    parser.add_argument(
         "--end-service",
         action="store_true",
         help="first SIGKILL what is left of the service; for ExecStopPost in the systemd unit alone",
@@ -60,6 +65,8 @@ def main(arguments: Namespace) -> int:
     """Stop. Exit code 1, though a stop was written, where it is not known to be the right port, and for --end-service
     where that is not allowed; raises FailstopError when no stop could be written in time, SettingError for an option
     that is not allowed."""
+    if arguments.services:
+        return _every_service(arguments)
     start_s = time.monotonic()
     port = Port(arguments)
     if arguments.end_service:
@@ -76,6 +83,20 @@ def main(arguments: Namespace) -> int:
     why = "" if port.asked or port.wanted() else f" (no service {arguments.name!r} runs)"
     standard.tell(f"stop frame sent (after {after_s:.1f} s), directly to {port.device()}{why}")
     return int(port.doubtful())
+
+
+def _every_service(arguments: Namespace) -> int:
+    """Ask each that listens; 1 when one is not known to have stopped."""
+    from failstop import ask
+
+    problems = 0
+    for name in instance.listening():
+        done, problem = ask.stop(name, " ".join(arguments.reason), f"failstop {arguments.command}")
+        problems += not done
+        for line, tell in ((done, standard.tell), (problem, standard.say)):
+            if line:
+                tell(line)
+    return int(problems > 0)
 
 
 def _by_service(arguments: Namespace, port: Port) -> bool:

@@ -43,6 +43,8 @@ class Node:
     """Access is refined by an access control list."""
     accessible: bool = False
     """This process may read and write it."""
+    link: str = ""
+    """The name that udev's rule gives this same device, if it is another; empty: none."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -26,6 +26,10 @@ def present(facts: Facts) -> list[Finding]:
         return fail(text, "sudo dmesg | tail", advice)
     if not node.character:
         return fail(f"{facts.device} is no serial port", *SERIAL_BY_NAME)
+    if node.link and facts.device_origin != NAMED:
+        text = f"{facts.device} ({facts.device_origin}) is the board now; after a replug that number may be another's"
+        advice = f"set device.path to {node.link}, which is the same board and stays it, and restart the service"
+        return warn(text, "", advice)
     behind = "" if node.resolved == node.path else f", which is {node.resolved}"
     return ok(f"{facts.device}{behind} ({facts.device_origin})")
 

@@ -67,6 +67,7 @@ def node(path: str, system: System) -> Node | None:
         modem_ignored=modem_ignored(f"/run/udev/data/c{major}:{minor}", system),
         acl=_has_acl(path),
         accessible=os.access(path, os.R_OK | os.W_OK),
+        link=link if path != (link := system.path(discovery.LINK)) and os.path.realpath(link) == resolved else "",
     )
 
 

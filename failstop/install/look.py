@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import os
 
+from failstop.board import discovery
 from failstop.install import bridge, machine, tree
 from failstop.install.layout import (
     CATALOG,
@@ -24,7 +25,7 @@ from failstop.install.layout import (
     parents,
     unit_of,
 )
-from failstop.install.parts import SERVICE, TEMPLATE, wanted_by
+from failstop.install.parts import SERVICE, SLEEP, TEMPLATE, wanted_by
 from failstop.install.plan import Found, Wish
 
 SETUPS = "/opt/ros/*/setup.sh"
@@ -39,8 +40,16 @@ def look(wish: Wish, units: dict[str, str]) -> Found:
         return os.path.join(wish.root, path.lstrip("/"))
 
     targets = {target for unit in units.values() for target in wanted_by(unit)}
-    wants = [f"{UNITS}/{target}.wants/{unit_of(wish.name)}" for target in targets]
-    paths = [f"{UNITS}/{SERVICE}", f"{UNITS}/{TEMPLATE}", SYSUSERS, UDEV, CATALOG, COMMAND_LINK, MANIFEST, *wants]
+    wants = [f"{UNITS}/{target}.wants/{unit}" for target in targets for unit in (unit_of(wish.name), SLEEP)]
+    paths = [
+        *(f"{UNITS}/{name}" for name in (SERVICE, TEMPLATE, SLEEP)),
+        SYSUSERS,
+        UDEV,
+        CATALOG,
+        COMMAND_LINK,
+        MANIFEST,
+        *wants,
+    ]
     paths += [bridge.PLACE, *(f"{UNITS}/{target}.wants/{bridge.UNIT}" for target in targets)]
     paths += [MANUAL, *COMPLETIONS.values(), configuration_of(wish.name), "/etc/passwd", "/etc/group"]
     files, links = {}, {}
@@ -59,6 +68,7 @@ def look(wish: Wish, units: dict[str, str]) -> Found:
         machine.active_units() if wish.live else (),
         wish.live and os.path.exists(UDEV_CONTROL),
         os.path.exists(at(PACKAGE_UNIT)),
+        board=wish.live and discovery.board_there(),
         ros_setup=max((f"/{os.path.relpath(path, wish.root)}" for path in glob.glob(at(SETUPS))), default=""),
     )
 

@@ -11,6 +11,7 @@ from failstop.version import VERSION
 
 SERVICE = "failstop.service"
 TEMPLATE = "failstop@.service"
+SLEEP = "failstop-sleep.service"
 UNIT_COMMAND = "/opt/failstop/bin/failstop"
 """What the units call; replaced when another environment is used."""
 
@@ -42,7 +43,7 @@ def of_this_version() -> Parts:
 
     return Parts(
         VERSION,
-        {name: _text(name) for name in (SERVICE, TEMPLATE)},
+        {name: _text(name) for name in (SERVICE, TEMPLATE, SLEEP)},
         _text("failstop.sysusers"),
         _text("failstop.udev"),
         _text("failstop.catalog"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+from failstop.board.discovery import LINK
 from failstop.install import InstallError, bridge
 from failstop.install.layout import (
     ACCOUNT_FILES,
@@ -24,12 +25,14 @@ from failstop.install.layout import (
     unit_file,
     unit_of,
 )
-from failstop.install.parts import SERVICE, TEMPLATE, UNIT_COMMAND, Parts, accounts, wanted_by
+from failstop.install.parts import SERVICE, SLEEP, TEMPLATE, UNIT_COMMAND, Parts, accounts, wanted_by
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
 from failstop.shm.instance import DEFAULT_NAME
 
 OWN_COMMAND = f"{PREFIX}/bin/failstop"
 MASK = "/dev/null"
+SETTLE_S = 5
+"""How long the new rule may take to name a board that is plugged in; else the service waits for it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,16 +72,16 @@ class Found:
     """What the instance's configuration, if there is one, says of the board's port."""
     device_there: bool = True
     """The board is plugged in; true if it would be looked for under a name that only the installation's rule makes."""
+    board: bool = False
+    """A board is plugged in that the rule gives a name."""
     ros_setup: str = ""
     """What makes the environment of the ROS 2 that is there."""
 
 
-UDEV_NAME = "/dev/failstop"
-
-
-def device_of(parts: Parts, wish: Wish, configured: str) -> str:
-    """The board's port, as the service will have it."""
-    return wish.device or configured or _example_device(parts.example.splitlines())[1]
+def device_of(parts: Parts, wish: Wish, found: Found) -> str:
+    """The board's port, as the service will have it: by the name that outlives a replug, where the rule gives one."""
+    named = wish.device or found.configured_device
+    return named or (LINK if found.board else _example_device(parts.example.splitlines())[1])
 
 
 def _example_device(lines: list[str]) -> tuple[int, str]:
@@ -173,23 +176,33 @@ def _refuse(parts: Parts, wish: Wish, found: Found) -> None:
         )
     if not found.device_there and wish.live and wish.start and unit_of(wish.name) not in found.active:
         raise InstallError(
-            f"no device {device_of(parts, wish, found.configured_device)}: plug the board in, name another port with "
+            f"no device {device_of(parts, wish, found)}: plug the board in, name another port with "
             "--device PATH, or say --no-start, and the service is started at the next boot"
         )
 
 
 def _files_of() -> tuple[str, ...]:
-    return f"{UNITS}/{SERVICE}", f"{UNITS}/{TEMPLATE}", SYSUSERS, UDEV, CATALOG, MANUAL, *COMPLETIONS.values()
+    return (
+        f"{UNITS}/{SERVICE}",
+        f"{UNITS}/{TEMPLATE}",
+        f"{UNITS}/{SLEEP}",
+        SYSUSERS,
+        UDEV,
+        CATALOG,
+        MANUAL,
+        *COMPLETIONS.values(),
+    )
 
 
 def _files(parts: Parts, wish: Wish) -> dict[str, tuple[bytes, str]]:
     """Content and remark of every file but the configuration."""
-    units = [parts.units[name].replace(UNIT_COMMAND, wish.command).encode() for name in (SERVICE, TEMPLATE)]
+    units = [parts.units[name].replace(UNIT_COMMAND, wish.command).encode() for name in (SERVICE, TEMPLATE, SLEEP)]
     shells = [parts.completions[shell] for shell in COMPLETIONS]
     rest = [text.encode() for text in (parts.sysusers, parts.udev, parts.catalog, parts.manual, *shells)]
     remarks = (
         "the service",
         "services of further robots, failstop@NAME",
+        "stops the wheels before the machine sleeps",
         "its user and group",
         "the board's port: a name, its rights, nobody else touches it",
         "explanations for journalctl -x",
@@ -200,10 +213,12 @@ def _files(parts: Parts, wish: Wish) -> dict[str, tuple[bytes, str]]:
 
 
 def _links(parts: Parts, wish: Wish) -> dict[str, str]:
-    unit = unit_of(wish.name)
-    source = unit_file(unit)
-    targets = wanted_by(parts.units[source.rpartition("/")[2]])
-    return {COMMAND_LINK: wish.command, **{f"{UNITS}/{target}.wants/{unit}": source for target in targets}}
+    links = {COMMAND_LINK: wish.command}
+    for unit in (unit_of(wish.name), SLEEP):
+        source = unit_file(unit)
+        targets = wanted_by(parts.units[source.rpartition("/")[2]])
+        links |= {f"{UNITS}/{target}.wants/{unit}": source for target in targets}
+    return links
 
 
 def _file_steps(files: dict[str, tuple[bytes, str]], found: Found) -> list[File]:
@@ -225,16 +240,16 @@ def _configuration(parts: Parts, wish: Wish, found: Found) -> list[File]:
     if path in found.files:
         return []
     lines = parts.example.splitlines(keepends=True)
-    at, device = _example_device(lines)
-    if wish.device:
-        device, lines[at] = wish.device, f'path = "{wish.device}"\n'
+    at, _ = _example_device(lines)
+    device = device_of(parts, wish, found)
+    lines[at] = f'path = "{device}"\n'
     return [File("create", path, f"your settings; the board at {device}", path, "".join(lines).encode())]
 
 
 def _link(path: str, target: str, found: Found) -> Link:
     if path in found.files:
         raise InstallError(f"{path} is a file, and is not an installation's: remove it, or move it away")
-    remark = "the command" if path == COMMAND_LINK else "starts at boot"
+    remark = "the command" if path == COMMAND_LINK else "before a sleep" if path.endswith(SLEEP) else "starts at boot"
     return Link("replace" if path in found.links else "create", path, remark, path, target)
 
 
@@ -330,6 +345,8 @@ def _told(wish: Wish, found: Found, reload: bool, udev: bool, catalog: bool) -> 
     if wish.live and udev and found.udev:
         asked = ("udevadm", "control", "--reload"), ("udevadm", "trigger", "--subsystem-match=tty")
         told += [Command("run", " ".join(words), "", words) for words in asked]
+        settle = ("udevadm", "settle", f"--timeout={SETTLE_S}")
+        told.append(Command("run", " ".join(settle), "", settle, accepted=(0, 1)))
     return told
 
 

@@ -36,6 +36,7 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("port", facts(node=None), FAIL, "no device /dev/ttyACM0"),
     ("port", facts(node=None, candidates=(("/dev/ttyACM1", "x, USB 1a86:55d4"),)), FAIL, "/dev/ttyACM1"),
     ("port", facts(node=but(NODE, character=False)), FAIL, "no serial port"),
+    ("port", facts(node=but(NODE, link="/dev/failstop")), WARN, "that number may be another"),
     ("identity", facts(node=but(NODE, usb_id="0403:6001")), FAIL, "0403:6001"),
     ("identity", facts(node=but(NODE, usb_id=None)), WARN, "no USB device"),
     ("identity", facts(node=but(NODE, usb_id=None), device_origin=NAMED), SKIP, "no USB device"),

@@ -196,3 +196,14 @@ def test_whoever_holds_the_port_is_named(port: tuple[str, int]) -> None:
     finally:
         holder.kill()
         holder.wait()
+
+
+def test_every_service_that_runs_is_asked(name: str) -> None:
+    """And no port is written to, nor one waited for."""
+    assert failstop("stop", "--services").returncode == 0
+    with Trial(f"{name}-a") as one, Trial(f"{name}-b") as other:
+        done = failstop("stop", "--services", "the", "machine", "sleeps")
+        assert done.returncode == 0
+        for trial in (one, other):
+            assert f"{trial.name!r}" in done.stdout
+            assert str(trial.robot.state.estop).startswith("stop request: the machine sleeps")

@@ -73,6 +73,7 @@ def test_a_bare_machine_gets_everything_in_an_order_that_works() -> None:
         "create /opt/failstop",
         "create /etc/systemd/system/failstop.service",
         "create /etc/systemd/system/failstop@.service",
+        "create /etc/systemd/system/failstop-sleep.service",
         "create /etc/sysusers.d/failstop.conf",
         "create /etc/udev/rules.d/90-failstop.rules",
         "create /usr/local/lib/systemd/catalog/failstop.catalog",
@@ -85,10 +86,12 @@ def test_a_bare_machine_gets_everything_in_an_order_that_works() -> None:
         "create /usr/local/bin/failstop",
         "create /etc/systemd/system/multi-user.target.wants/failstop.service",
         "create /etc/systemd/system/some.device.wants/failstop.service",
+        "create /etc/systemd/system/sleep.target.wants/failstop-sleep.service",
         "run journalctl --update-catalog",
         "run systemctl daemon-reload",
         "run udevadm control --reload",
         "run udevadm trigger --subsystem-match=tty",
+        "run udevadm settle --timeout=5",
         "check that the user failstop can run it",
         "start failstop.service",
     ]
@@ -194,8 +197,8 @@ def test_another_environment_is_called_where_it_is() -> None:
     plan = install(PARTS, dataclasses.replace(LIVE, command="/srv/venv/bin/failstop"), "", BARE)
     assert not [step for step in plan.steps if isinstance(step, Tree)]
     units = [step for step in plan.steps if isinstance(step, File) and step.path.endswith(".service")]
-    assert len(units) == 2
-    assert all(b"/srv/venv/bin/failstop run" in step.data and b"/opt" not in step.data for step in units)
+    assert len(units) == 3
+    assert all(b"=/srv/venv/bin/failstop " in step.data and b"/opt" not in step.data for step in units)
     with pytest.raises(InstallError, match=r"runs /opt/failstop/bin/failstop is here, .*/srv/venv/bin/failstop"):
         install(PARTS, dataclasses.replace(LIVE, command="/srv/venv/bin/failstop"), "", installed())
 
@@ -344,3 +347,16 @@ def test_the_list_of_what_is_installed_is_there_before_anything_else_is() -> Non
     assert {*listed.files, *listed.links} == {
         step.path for step in steps if isinstance(step, (File, Link)) and "/failstop.toml" not in step.path
     }
+
+
+@pytest.mark.parametrize(
+    ("board", "device", "configured"),
+    [(False, "", "/dev/ttyACM0"), (True, "", "/dev/failstop"), (True, "/dev/ttyUSB3", "/dev/ttyUSB3")],
+)
+def test_the_board_s_name_by_the_rule_is_what_a_new_configuration_says(
+    board: bool, device: str, configured: str
+) -> None:
+    """A number may be another's after a replug. Where no such board is plugged in, nobody knows that it is one."""
+    plan = install(PARTS, dataclasses.replace(LIVE, device=device), "tree 1", dataclasses.replace(BARE, board=board))
+    [written] = [step.data for step in plan.steps if isinstance(step, File) and step.path.endswith(".toml")]
+    assert f'path = "{configured}"'.encode() in written

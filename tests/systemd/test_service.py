@@ -6,11 +6,13 @@ Limits are for busy machines; the bars are in the bench (bench/service.py).
 
 from __future__ import annotations
 
+import importlib.resources
 import json
 import os
 import signal
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -26,6 +28,10 @@ LATEST_MS = 100.0
 ALL_LATEST_MS = 1000.0
 """For systemd to notice, and to run the stop tool; p50 80 ms here."""
 WATCHDOG_S = 1.0
+SLEEP = "failstop-sleep.service"
+SYSTEMD = Path(str(importlib.resources.files("failstop.systemd")))
+SLEEP_S = 3.0
+"""For the start of a Python program on a busy machine."""
 BUSY_S = 2.0
 """What a busy machine may add to what systemd does by its timers."""
 
@@ -113,6 +119,18 @@ def test_starts_with_the_machine() -> None:
         ready = scene.box.show(UNIT, "ActiveEnterTimestampMonotonic")["ActiveEnterTimestampMonotonic"]
         assert (int(ready) - int(began)) / 1e6 < 1.0 + BUSY_S
         assert scene.box.run("ls", "/etc/systemd/system/dev-failstop.device.wants").stdout == f"{UNIT}\n"
+
+
+def test_before_a_sleep_the_wheels_are_stopped() -> None:
+    """The unit by itself, as sleep.target may not be started by hand: it ends when the stop is out, and latched."""
+    with Scene(units={SLEEP: (SYSTEMD / SLEEP).read_text()}) as scene:
+        scene.start()
+        stopped_in_time(scene.fault(lambda: scene.box.ctl("start", SLEEP), aftermath_s=SLEEP_S), SLEEP_S * 1e3)
+        assert scene.box.show(SLEEP, "Result")["Result"] == "success"
+        assert status(scene)["estop"].startswith("stop request: the machine goes to sleep")
+        scene.end()
+        scene.box.ctl("start", SLEEP)
+        assert scene.box.show(SLEEP, "Result")["Result"] == "success", "where nothing runs there is nothing to stop"
 
 
 # One process dies.

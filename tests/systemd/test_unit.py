@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop import ask
 from failstop.board.discovery import BOARD_PID, BOARD_VID
 from failstop.commands import stop
 from failstop.procs.port_owner.repeats import LEAVE_AFTER_NS
@@ -23,6 +24,7 @@ from failstop.supervisor.table import PROCESSES
 SYSTEMD = Path(str(importlib.resources.files("failstop.systemd")))
 ONE, MANY = "failstop.service", "failstop@.service"
 BRIDGE = "failstop-ros2.service"
+SLEEP = "failstop-sleep.service"
 EXPOSURE = 2.0
 OLDEST = 249
 """The systemd of Ubuntu 22.04."""
@@ -67,7 +69,7 @@ UNIT = dict(settings(ONE))
 @pytest.fixture
 def runnable(tmp_path: Path) -> Path:
     """The units with a command that is there: an absent one is all that would be found."""
-    for name in (ONE, MANY):
+    for name in (ONE, MANY, SLEEP):
         text = (SYSTEMD / name).read_text()
         (tmp_path / name).write_text(text.replace("/opt/failstop/bin/failstop", "/bin/true"))
     return tmp_path
@@ -79,10 +81,10 @@ def analyze(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 @needs_analyze
-@pytest.mark.parametrize("name", [ONE, "failstop@a.service"])
+@pytest.mark.parametrize("name", [ONE, "failstop@a.service", SLEEP])
 def test_verify_finds_nothing(runnable: Path, name: str) -> None:
     """Its exit code is 0 for unknown keys and bad values too."""
-    if name != ONE:
+    if "@" in name:
         (runnable / name).symlink_to(MANY)
     done = analyze("verify", "--man=no", str(runnable / name))
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
@@ -145,6 +147,14 @@ def test_the_template_differs_in_the_name_alone() -> None:
 
 def test_nothing_that_systemd_249_does_not_know() -> None:
     assert [key for key, _ in settings(ONE) if SINCE.get(key, OLDEST + 1) > OLDEST] == []
+
+
+def test_the_wheels_stand_before_the_machine_sleeps() -> None:
+    """Ordered before the target that every way to sleep waits for, and started by it; a sleep waits for a oneshot."""
+    found = dict(settings(SLEEP))
+    assert (found["Before"], found["WantedBy"], found["Type"]) == ("sleep.target", "sleep.target", "oneshot")
+    assert found["ExecStart"].startswith("/opt/failstop/bin/failstop stop --services ")
+    assert float(found["TimeoutStartSec"]) > 2 * ask.LATCH_S
 
 
 @pytest.mark.parametrize("name", [ONE, MANY])
