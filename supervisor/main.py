@@ -385,7 +385,7 @@ class Supervisor:
 
     def finish(self) -> bool:
         """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
-        the own descriptor. False when a stop could not be written, or a board that had answered before did not."""
+        the own descriptor. False when a stop was not sent, or a board that had answered before did not."""
         self._raise_epoch([Cause(monotonic_ns(), layout.SUPERVISOR, "service is stopping")])
         while self._unanswered:
             self.loop.wait(monotonic_ns() + HURRY_NS)
@@ -396,11 +396,12 @@ class Supervisor:
         self.heartbeat.state(heartbeat.STOPPING)
         for child in reversed(self.children):
             child.kill(END_S)
-        written = self._burst()
-        self.teller.ended(heard_ns, link, written=written > 0)
+        written = self._burst() > 0
+        sent = written and self._port.drain()
+        self.teller.ended(heard_ns, link, written=written, sent=sent)
         self._events.flush()
         self.blackbox.finish()
-        return written > 0 and (heard_ns > 0 or link == UNPROVEN)
+        return sent and (heard_ns > 0 or link == UNPROVEN)
 
     def _hear(self) -> int:
         """Wait until the board has answered a ping from after the last stop, and return how long after it that was in

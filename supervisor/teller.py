@@ -115,10 +115,12 @@ class Teller:
                     continue  # a damaged one: nothing depends on it
                 self.events.tell(note.kind, note.text, {"process": process, **note.fields}, level=note.level)
 
-    def ended(self, heard_ns: int, link: str, *, written: bool) -> None:
+    def ended(self, heard_ns: int, link: str, *, written: bool, sent: bool) -> None:
         """The service has ended. `heard_ns`: how long after the first stop the board acknowledged it, 0 for not; `link`
-        as of link.py; `written`: the second stop could be written."""
-        told = "the stop was written twice" if written else "the second stop could NOT be written"
+        as of link.py; `written`: the kernel took the second stop; `sent`: it has passed it on."""
+        told = "the stop was written twice" if sent else "the second stop could NOT be written"
+        if written and not sent:
+            told = "the second stop was handed over, NOT sent: the board takes no bytes"
         fields = {"link": link, "acknowledged_us": round(heard_ns / 1e3, 1) if heard_ns else None}
         if heard_ns:
             heard, level = f"acknowledged by the board after {heard_ns / 1e6:.1f} ms", ""
@@ -126,4 +128,4 @@ class Teller:
             heard, level = "whether the board hears is not known (link unproven)", "warning"
         else:
             heard, level = f"NOT acknowledged by the board (link {link}); wheels that turn: POWER SWITCH", "critical"
-        self.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if written else "critical")
+        self.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if sent else "critical")

@@ -82,8 +82,14 @@ DEAF = "NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITC
 def test_the_end_is_told_with_what_is_known_of_the_stop(
     teller: Teller, events: Told, heard_ns: int, link: str, written: bool, level: str, text: str
 ) -> None:
-    teller.ended(heard_ns, link, written=written)
+    teller.ended(heard_ns, link, written=written, sent=written)
     assert events.lines == [(level, text)]
+
+
+def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(teller: Teller, events: Told) -> None:
+    teller.ended(0, "deaf", written=True, sent=False)
+    handed = "stopped; the second stop was handed over, NOT sent: the board takes no bytes, "
+    assert events.lines == [("critical", handed + DEAF)]
 
 
 def test_a_short_wait_is_not_told_of(teller: Teller, events: Told) -> None:
