@@ -59,6 +59,8 @@ class Holder:
     """One of the processes of the running service of this name."""
     instance: str = ""
     """Whose service it belongs to, if it is one of failstop's processes."""
+    gone: str = ""
+    """It has not the device open, but this one, whose file an unplug has removed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -260,6 +262,8 @@ class Facts:
     candidates: tuple[tuple[str, str], ...] = ()
     """(path, description) of serial devices, when the one that was asked for is not there."""
     holders: tuple[Holder, ...] = ()
+    unplugged: tuple[Holder, ...] = ()
+    """Who has a serial device open that an unplug has removed, and so keeps its number from the board."""
     unseen_processes: int = 0
     """Whose open files this user may not see."""
     grabbers: tuple[Holder, ...] = ()

@@ -51,6 +51,7 @@ def gather(
         node=node,
         candidates=() if node else port_facts.candidates(),
         holders=holders,
+        unplugged=port_facts.unplugged(system),
         unseen_processes=unseen,
         grabbers=port_facts.grabbers(system),
         service=service,

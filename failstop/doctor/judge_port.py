@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop.board.discovery import BOARD_PID, BOARD_VID
-from failstop.doctor.facts import NAMED, Facts, Node, User, again
+from failstop.doctor.facts import NAMED, Facts, Holder, Node, User, again
 from failstop.doctor.finding import Finding, fail, ok, skip, warn
 
 BOARD_USB = f"{BOARD_VID:04x}:{BOARD_PID:04x}"
@@ -98,17 +98,16 @@ def _let_in(node: Node, who: User, then: str) -> tuple[str, str]:
 
 def holders(facts: Facts) -> list[Finding]:
     """Nobody but the service has it open."""
+    found = [finding for holder in facts.unplugged for finding in _unplugged(holder)]
     if facts.node is None:
-        return []
-    found = []
+        return found
     for name in dict.fromkeys(holder.instance for holder in facts.holders if holder.instance and not holder.ours):
         text = f"the service {name!r} has the port open, and two services can't share a board"
         found += fail(text, f"failstop doctor --name {name}", "this one may be meant; or end it")
     for holder in facts.holders:
         if not (holder.ours or holder.instance):
-            fix = f"sudo systemctl stop {holder.unit}" if holder.unit else f"sudo kill {holder.pid}"
-            text = f"{holder.name} (pid {holder.pid}{f', {holder.unit}' if holder.unit else ''}) has the port open"
-            found += fail(f"{text}: what it writes goes past every check of failstop", fix)
+            text = f"{_who(holder)} has the port open: what it writes goes past every check of failstop"
+            found += fail(text, _end(holder))
     if found:
         return found
     ours = sum(holder.ours for holder in facts.holders)
@@ -117,6 +116,19 @@ def holders(facts: Facts) -> list[Finding]:
         text = f"nobody else is seen with it, but {facts.unseen_processes} processes hide their files from this user"
         return warn(text, f"sudo {again(facts)}", "root sees them")
     return ok(who)
+
+
+def _unplugged(holder: Holder) -> list[Finding]:
+    text = f"{_who(holder)} has {holder.gone} open from before an unplug: the board comes back by another number"
+    return warn(text, _end(holder))
+
+
+def _who(holder: Holder) -> str:
+    return f"{holder.name} (pid {holder.pid}{f', {holder.unit}' if holder.unit else ''})"
+
+
+def _end(holder: Holder) -> str:
+    return f"sudo systemctl stop {holder.unit}" if holder.unit else f"sudo kill {holder.pid}"
 
 
 def grabbers(facts: Facts) -> list[Finding]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import stat
+from collections.abc import Iterator
 
 from failstop.board import discovery
 from failstop.doctor.facts import Holder, Node, User
@@ -14,6 +16,8 @@ PSEUDO_MAJORS = range(136, 144)
 """Of the pseudo-terminals (the kernel's list of devices)."""
 UNKNOWN = "n/a"
 """pyserial's description of a port without one."""
+GONE = re.compile(r"(/dev/tty(?:ACM|USB)\d+) \(deleted\)")
+"""As /proc names what a process has open and an unplug has removed."""
 GRABBERS = ("ModemManager", "brltty")
 USB_DEPTH = 6
 """A serial node is so many directories below its USB device at most."""
@@ -108,21 +112,36 @@ def holders(resolved: str, ours: set[int], system: System) -> tuple[tuple[Holder
     """The processes that have the device open, and how many could not be looked into. `ours`: pids of the service."""
     found = []
     unseen = 0
+    for pid, paths in _open_files(system):
+        unseen += paths is None
+        if paths and resolved in paths:
+            name = _instance(system.read(f"/proc/{pid}/cmdline") or "")
+            found.append(Holder(pid, system.comm(pid), system.unit(pid), pid in ours, name))
+    return tuple(found), unseen
+
+
+def unplugged(system: System) -> tuple[Holder, ...]:
+    """The processes that have a serial device open which an unplug has removed."""
+    return tuple(
+        Holder(pid, system.comm(pid), system.unit(pid), gone=gone[1])
+        for pid, paths in _open_files(system)
+        for path in sorted(paths or ())
+        if (gone := GONE.fullmatch(path))
+    )
+
+
+def _open_files(system: System) -> Iterator[tuple[int, set[str] | None]]:
+    """The paths of what each other process has open; None where that is hidden from this user."""
     for pid in system.pids():
         if pid == os.getpid():
             continue
         folder = system.path(f"/proc/{pid}/fd")
         try:
-            numbers = os.listdir(folder)
+            yield pid, {_target(os.path.join(folder, number)) for number in os.listdir(folder)}
         except PermissionError:
-            unseen += 1
-            continue
+            yield pid, None
         except OSError:
             continue
-        if any(_target(os.path.join(folder, number)) == resolved for number in numbers):
-            name = _instance(system.read(f"/proc/{pid}/cmdline") or "")
-            found.append(Holder(pid, system.comm(pid), system.unit(pid), pid in ours, name))
-    return tuple(found), unseen
 
 
 def _instance(command_line: str) -> str:

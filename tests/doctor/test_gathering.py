@@ -180,6 +180,16 @@ def test_what_dead_runs_left_is_removed_and_what_lives_is_not(dead_run: str, tmp
     os.close(supervisor)
 
 
+def test_who_has_a_device_open_that_an_unplug_has_removed(tmp_path: Path) -> None:
+    files = tmp_path / "proc" / "77" / "fd"
+    files.mkdir(parents=True)
+    (tmp_path / "proc" / "77" / "comm").write_text("minicom\n")
+    (files / "3").symlink_to("/dev/ttyACM0 (deleted)")
+    (files / "4").symlink_to("/dev/ttyACM1")
+    [found] = port_facts.unplugged(System(str(tmp_path)))
+    assert (found.pid, found.name, found.gone) == (77, "minicom", "/dev/ttyACM0")
+
+
 def test_who_has_a_device_open() -> None:
     master, slave = pty.openpty()
     path = os.ttyname(slave)

@@ -48,6 +48,8 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("holders", facts(holders=(Holder(7, "python3"),)), FAIL, "python3 (pid 7)"),
     ("holders", facts(holders=(Holder(7, "driver", "old.service"),)), FAIL, "old.service"),
     ("holders", facts(holders=(Holder(7, "fs:gate", instance="left"),)), FAIL, "the service 'left' has the port"),
+    ("holders", facts(unplugged=(Holder(7, "minicom", gone="/dev/ttyACM0"),)), WARN, "/dev/ttyACM0 open from before"),
+    ("holders", facts(node=None, unplugged=(Holder(7, "minicom", gone="/dev/ttyACM0"),)), WARN, "minicom (pid 7)"),
     ("holders", facts(unseen_processes=3), WARN, "3 processes hide"),
     ("grabbers", facts(grabbers=(Holder(9, "ModemManager"),), node=but(NODE, modem_ignored=False)), FAIL, "ModemM"),
     ("grabbers", facts(grabbers=(Holder(9, "ModemManager"),), node=but(NODE, modem_ignored=None)), FAIL, "ModemM"),
