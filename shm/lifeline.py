@@ -42,10 +42,11 @@ class Lifeline:
 
     __slots__ = ("armed", "early", "fallen", "fd", "pid")
 
-    def __init__(self, pid: int) -> None:
-        """Raises ProcessLookupError when there is no such process."""
+    def __init__(self, pid: int = 0) -> None:
+        """0: a process whose number is not known here, as in a container: the early news alone can tell. Raises
+        ProcessLookupError when there is no such process."""
         self.pid = pid
-        self.fd = os.pidfd_open(pid)
+        self.fd = os.pidfd_open(pid) if pid else os.eventfd(0, os.EFD_CLOEXEC)
         self.armed = False
         self.early: Futex | None = None
         """Once it is armed: where a thread waits for the early news."""

@@ -219,11 +219,11 @@ class ClientTable:
                 self._leave(slot, now_ns)
 
     def _watch(self, slot: Slot) -> None:
-        """Where its pid can't be watched, the claim alone decides, once a tick."""
-        if not self._pid_namespace or slot.pid_namespace != self._pid_namespace:
-            return  # a client in a container: its number is nobody's here, or somebody else's
+        """Where neither its pid nor its futex can be watched, the claim alone decides, once a tick."""
+        # Of a client in a container the number is nobody's here, or somebody else's.
+        known = self._pid_namespace and slot.pid_namespace == self._pid_namespace
         try:
-            slot.life = Lifeline(slot.pid)
+            slot.life = Lifeline(slot.pid if known else 0)
         except (OSError, OverflowError):
             return  # a lie, or a process that is gone already
         self._loop.watch(slot.life.fd, READ)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from math import isnan, nan
 from pathlib import Path
@@ -272,7 +273,7 @@ def test_the_number_of_another_namespace_is_nobody_s_here(service: Service, name
         os._exit(0)
     client = service.join(pid=other, namespace=namespace)
     service.look()
-    assert service.table.active[0].life is None
+    assert service.table.active[0].life.pid == 0  # type: ignore[union-attr]
     os.waitpid(other, 0)
     assert service.loop.wait(0) == {}
     client.command()
@@ -290,7 +291,33 @@ def test_where_the_own_namespace_is_not_known_nobody_is_watched(
     service.join(namespace=0)
     service.look()
     assert service.sessions() == [11]
-    assert service.table.active[0].life is None
+    assert service.table.active[0].life.pid == 0  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("namespace", [None, 1])
+def test_the_futex_tells_of_a_death_whatever_the_number_is(service: Service, namespace: int | None) -> None:
+    """The thread that holds it ends; the process, and with it pidfd and claim, is there as before."""
+    client = service.join(namespace=namespace)
+    word = client.segment.futex("held", write=True)
+    go = threading.Event()
+    kept: list[object] = []
+
+    def hold() -> None:
+        kept.append(word.hold())
+        go.wait()
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    until(word.held, "the futex is held")
+    service.look()
+    go.set()
+    thread.join()
+    ready = {service.early.bell.fd: 1}
+    until(lambda: service.table.active[0].life.fallen, "the early news")  # type: ignore[union-attr]
+    service.told.clear()
+    service.table.lives_ended(ready, NOW)
+    assert service.told == [("gone", 11)]
+    word.close()
 
 
 def test_a_process_s_death_counts_though_a_child_of_it_holds_the_claim(service: Service) -> None:
