@@ -27,6 +27,8 @@ EVERYWHERE = (
 PROCS: tuple[Reason, ...] = (
     Reason("procs/stopper/main.py", r"\+.*ready\.get\(self\._port, 1\) & GONE", "1 is none of GONE's bits"),
     Reason("procs/stopper/main.py", r"\+.*\*self\._due\[:2\],", "they are in order, and min() takes the first"),
+    Reason("procs/stopper/main.py", r"\+\s+self\._stopped_for = 1$", "each burst for a port owner sets it"),
+    Reason("procs/stopper/main.py", r"\+.*_port_owner_hangs = True$", "the first turn clears it: nobody hangs so soon"),
     Reason("procs/stopper/rest.py", r"\+.*_wait\(\[fd\], 1\.0\)", "a second after the boot is over as well"),
     Reason("procs/stopper/rest.py", r'\+.*line\.split\(b":", (3)?\)\[1\]', "what is cut off behind is not looked at"),
     Reason(
@@ -44,6 +46,23 @@ PROCS: tuple[Reason, ...] = (
         same=False,
     ),
     Reason("procs/stopper/tool.py", r"\+.*error\.errno or 1\)", "what the system raises has a number"),
+    Reason("procs/port_owner/main.py", r"\+.*ready\.get\(self\.wire\.fd, 1\)", "it reads more often", same=False),
+    Reason("procs/port_owner/main.py", r"\+.*if events \| READ and", "it reads more often", same=False),
+    Reason("procs/port_owner/main.py", r'\+.*split\(b"\\n", (2)?\)\[0\]', "what is cut off behind is not looked at"),
+    Reason("procs/port_owner/main.py", r"\+.* / 10+1\.0:\.", "a millionth of a time that people read", same=False),
+    Reason("procs/port_owner/main.py", r"\+\s+return slept_ns > 1$", "a sleep is 0 or at least SLEPT_NS"),
+    Reason("procs/port_owner/main.py", r"\+\s+motion = None$", "both are false"),
+    Reason("procs/port_owner/main.py", r"\+\s+motion_(ns|epoch) = 1$", "it is read only with a frame, which sets it"),
+    Reason("procs/port_owner/main.py", r"\+.*self\._finder\.open\(now_ns\)\) (> 0|>= 1):", "no descriptor here is 0"),
+    Reason("procs/port_owner/wire.py", r"\+.*max\(self\._handed, 2\)", "nobody allows a backlog of one byte"),
+    Reason("procs/port_owner/wire.py", r"\+.*os\.read\(self\.fd, 4097\)", "one byte more at a time", same=False),
+    Reason("procs/gate/core.py", r"\+.*self\._limits, self\._ramps, (strict=False)?\)", "all four have three axes"),
+    Reason("procs/gate/core.py", r"\+.*zip\(limits, kinematics\.axes, (strict=False)?\)", "both have three axes"),
+    Reason("procs/gate/core.py", r"\+\s+if want >= now:", "at equality both branches return it"),
+    Reason("procs/gate/core.py", r"\+\s+self\.latched_in = 1$", "it is set with every latch, and read while latched"),
+    Reason("procs/gate/core.py", r"\+\s+self\.epoch = 1$", "it is set by enable, and read only while enabled"),
+    Reason("procs/gate/core.py", r"\+\s+self\._sent_ns = 1$", "one nanosecond after the boot is as long ago"),
+    Reason("procs/gate/interlocks.py", r"\+.*\.get\(name, 1\)", "one nanosecond after the boot is as long ago"),
 )
 
 SHM: tuple[Reason, ...] = ()

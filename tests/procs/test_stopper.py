@@ -23,10 +23,13 @@ from .stage import MS, Dummy, Stage
 class Scene(Stage):
     """A stopper at work on its stage, beside a port owner that the test plays."""
 
-    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True) -> None:
+    def __init__(
+        self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True, named: bool = True
+    ) -> None:
         super().__init__(layout.STOPPER, directory, open_port=open_port)
         monkeypatch.setattr(main, "monotonic_ns", self.clock)
-        self.port_owner = self.start(layout.PORT_OWNER)
+        if named:
+            self.port_owner = self.start(layout.PORT_OWNER)
         self.stays = True
         self.stopper = Stopper(self)  # type: ignore[arg-type]
         self.turn()
@@ -124,6 +127,18 @@ def test_a_port_owner_that_died_before_the_news_came_is_answered(scene: Scene) -
     scene.start(layout.PORT_OWNER, heartbeat.STARTING)
     scene.stopper.turn({})
     assert scene.pty.read() == BURST
+
+
+def test_before_the_first_port_owner_is_named_there_is_nobody_to_watch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = Scene(tmp_path, monkeypatch, named=False)
+    assert scene.written(300, alive=False) == []
+    first = scene.start(layout.PORT_OWNER)
+    scene.turn()
+    scene.die(first)
+    assert scene.turn() == BURST
+    scene.close()
 
 
 def test_the_next_port_owner_is_watched_too(scene: Scene) -> None:
