@@ -54,6 +54,20 @@ PROCS: tuple[Reason, ...] = (
     Reason("procs/port_owner/main.py", r"\+\s+motion = None$", "both are false"),
     Reason("procs/port_owner/main.py", r"\+\s+motion_(ns|epoch) = 1$", "it is read only with a frame, which sets it"),
     Reason("procs/port_owner/main.py", r"\+.*self\._finder\.open\(now_ns\)\) (> 0|>= 1):", "no descriptor here is 0"),
+    Reason(
+        "procs/port_owner/main.py", r"\+\s+self\._moved_ns = 1$", "it is read only while moving, and motion sets it"
+    ),
+    Reason(
+        "procs/port_owner/main.py", r"\+\s+self\._stuck = True$", "no port is stuck at the first look, which clears it"
+    ),
+    Reason("procs/port_owner/main.py", r"\+\s+self\._watched = \((\+1|-2), 0\)$", "no port has that number either"),
+    Reason("procs/port_owner/main.py", r"\+\s+self\._watched = \(-1, 1\)$", "no port has the number -1"),
+    Reason(
+        "procs/port_owner/wire.py",
+        r"^-    self\._handed = 0\n\+    self\._handed = 1$",
+        "a byte more, until it has drained once",
+        same=False,
+    ),
     Reason("procs/port_owner/wire.py", r"\+.*max\(self\._handed, 2\)", "nobody allows a backlog of one byte"),
     Reason("procs/port_owner/wire.py", r"\+.*os\.read\(self\.fd, 4097\)", "one byte more at a time", same=False),
     Reason("procs/gate/core.py", r"\+.*self\._limits, self\._ramps, (strict=False)?\)", "all four have three axes"),

@@ -25,10 +25,13 @@ TICK = 20 * MS
 class Scene(Stage):
     """A port owner at work on its stage."""
 
-    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True) -> None:
+    def __init__(
+        self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True, named: bool = True
+    ) -> None:
         super().__init__(layout.PORT_OWNER, directory, open_port=open_port)
         monkeypatch.setattr(main, "monotonic_ns", self.clock)
-        self.gate = self.start(layout.GATE)
+        if named:
+            self.gate = self.start(layout.GATE)
         self.news = self.segment(layout.PORT_OWNER).ring_reader("stops")
         self.black_box = self.segment(layout.PORT_OWNER).ring_reader("box")
         self.port_record = self.segment(layout.PORT_OWNER).latest_reader("port")

@@ -159,6 +159,17 @@ def test_content_that_may_not_be_is_a_stop(scene: Scene, frame: bytes, reason: s
     assert scene.reasons()[0].startswith(reason)
 
 
+def test_the_fastest_wheel_that_the_settings_allow_passes_and_a_faster_one_does_not(scene: Scene) -> None:
+    scene.turn()
+    rps = scene.settings.max_wheel_rps()
+    fastest, faster = (codec.motor_speeds((factor * rps, 0.0, 0.0, -rps), 60.0) for factor in (1.0, 1.01))
+    scene.put(fastest)
+    assert scene.turn() == fastest
+    scene.put(faster)
+    assert scene.turn() == BURST
+    assert scene.reasons()[0].startswith("wheel 0 at ")
+
+
 def test_a_motor_frame_in_another_s_clothes_never_passes(scene: Scene) -> None:
     scene.turn()
     scene.put(MOTION, kind=records.OTHER)
@@ -382,6 +393,15 @@ def test_a_flood_of_requests_is_no_flood_of_bursts(scene: Scene) -> None:
     assert 5 <= bursts <= 12
     assert set(scene.reasons()) == {"stop request: first", "stop request: again"}
     assert scene.owner.next_ns(scene.clock()) > scene.clock()
+
+
+def test_a_request_that_waits_at_the_start_is_a_stop_and_then_the_pipe_rests(scene: Scene) -> None:
+    scene.pty.read()
+    scene.ask_to_stop(b"first\n")
+    assert scene.turn() == BURST
+    scene.ask_to_stop(b"second\n")
+    assert scene.turn(MS) == b""
+    assert scene.reasons() == ["stop request: first"]
 
 
 def test_the_next_request_is_looked_at_when_the_pipe_s_rest_is_over(scene: Scene) -> None:

@@ -65,6 +65,20 @@ def test_a_gate_that_died_before_it_was_watched_is_a_stop(scene: Scene) -> None:
     assert scene.reasons() == ["gate died"]
 
 
+def test_before_the_first_gate_is_named_there_is_nobody_to_watch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = Scene(tmp_path, monkeypatch, named=False)
+    scene.turn()
+    scene.put()
+    assert scene.turn() == b""
+    scene.start(layout.GATE)
+    scene.turn()
+    scene.put()
+    assert scene.turn() == MOTION
+    scene.close()
+
+
 def test_the_supervisor_s_death_is_a_stop_and_then_the_end(scene: Scene) -> None:
     scene.drive()
     ready_after(scene, scene.supervisor)

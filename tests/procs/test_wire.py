@@ -360,6 +360,7 @@ def test_a_write_that_was_refused_is_held_back_until_one_is_taken(
     """Where the kernel counts nothing and has no room all the same."""
     held.bytes = 0
     monkeypatch.setattr(Wire, "_has_room", lambda self: False)
+    assert not wire.stuck(T0 - DRAIN_NS)
     assert not wire.stuck(T0), "nothing was refused yet"
     kernel.room = 0
     assert not wire.frame(MOTION)
