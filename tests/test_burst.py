@@ -257,6 +257,47 @@ def test_control_without_its_long_filler_the_burst_leaves_states_unstopped() -> 
     assert unstopped(bytes(32) + STOP * 4)
 
 
+def made(zeros: int = 32, first: int = 1, filler: int = 257, last: int = 3) -> tuple[bytes, bytes, bytes]:
+    """A burst with so much of each part: what comes before the filler, the filler, the last stops."""
+    return bytes(zeros) + STOP * first, bytes(filler), STOP * last
+
+
+def stops_a_cut_motor_frame_at_once(burst: bytes) -> bool:
+    """Within 0.6 ms, wherever the frame was cut."""
+    for part in (*cuts(OWN_FRAMES["speeds forward"]), *cuts(OWN_FRAMES["some, four"])):
+        receiver = Receiver()
+        receiver.feed(part)
+        if not stop_ends(execute(receiver, Motors(SPINNING), burst[:60])):
+            return False
+    return True
+
+
+def outlasts_a_frame_that_begins_before_it(filler: bytes, stops: bytes) -> bool:
+    """Though one of the filler's bytes is lost, every stop after it is parsed."""
+    parsed = stop_ends(execute(make(DATA, MOTOR, 255), Motors(SPINNING), filler[1:] + stops))
+    return len(parsed) == len(stops) // len(STOP)
+
+
+def stops_though_a_byte_of_a_late_stop_is_lost(before: bytes, stops: bytes) -> bool:
+    """The stop that has lost one takes the first byte of the next for its own last."""
+    return not any(unstopped(before + stops[:at] + stops[at + 1 :]) for at in range(len(STOP)))
+
+
+@pytest.mark.parametrize(("part", "least"), [("zeros", 23), ("first", 1), ("filler", 257), ("last", 3)])
+def test_each_part_of_the_burst_is_needed(part: str, least: int) -> None:
+    def works(size: int) -> bool:
+        before, filler, stops = made(**{part: size})
+        return (
+            stops_a_cut_motor_frame_at_once(before + filler + stops)
+            and outlasts_a_frame_that_begins_before_it(filler, stops)
+            and stops_though_a_byte_of_a_late_stop_is_lost(before + filler, stops)
+        )
+
+    assert b"".join(made()) == BURST
+    assert works(least)
+    assert not works(least - 1)
+
+
 def test_control_stop_frames_as_filler_can_write_to_a_wheel_that_is_none() -> None:
     wild: list[tuple[bytes, int]] = []
     for hundredth in range(1, 141):

@@ -30,14 +30,12 @@ class _Wheels:
         turns_per_m = 1 / (pi * diameter_m)
         self._turns_per_m = turns_per_m
         self._a, self._b, self._c, self._d = (sign * turns_per_m for sign in signs)
-        # Wheel whose speed goes to each wire id; None where they are already in order.
-        self._order = None if ids == IDS else tuple(ids.index(wire_id) for wire_id in IDS)
+        # Wheel whose speed goes to each wire id.
+        self._order = tuple(ids.index(wire_id) for wire_id in IDS)
 
     def _mounted(self, a_mps: float, b_mps: float, c_mps: float, d_mps: float) -> Four:
         # Adding zero makes +0.0 of -0.0.
         speeds = (a_mps * self._a + 0.0, b_mps * self._b + 0.0, c_mps * self._c + 0.0, d_mps * self._d + 0.0)
-        if self._order is None:
-            return speeds
         a, b, c, d = self._order
         return speeds[a], speeds[b], speeds[c], speeds[d]
 

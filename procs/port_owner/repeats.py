@@ -45,5 +45,5 @@ class Repeats:
     def next_ns(self, *, moving: bool) -> int | None:
         """When to ask again; None: not before the next stop."""
         if self._bursts:
-            return self._bursts[0] if moving else min(self._bursts[0], self._zero_ns)
+            return self._bursts[0]  # the next zero frame comes after both
         return None if moving else self._zero_ns

@@ -134,7 +134,6 @@ class Wire:
         self.lost = False
         self.unsent = b""
         self._handed = self._held_since_ns = 0
-        self._refused = False
         self.burst()
 
     def close(self) -> None:

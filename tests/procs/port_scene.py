@@ -12,7 +12,7 @@ from failstop.board.interface import BOARD
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
 from failstop.procs.port_owner.main import PortOwner
-from failstop.shm import layout, records
+from failstop.shm import box, layout, records
 
 from .stage import MS, Stage
 
@@ -25,11 +25,15 @@ TICK = 20 * MS
 class Scene(Stage):
     """A port owner at work on its stage."""
 
-    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True) -> None:
+    def __init__(
+        self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True, named: bool = True
+    ) -> None:
         super().__init__(layout.PORT_OWNER, directory, open_port=open_port)
         monkeypatch.setattr(main, "monotonic_ns", self.clock)
-        self.gate = self.start(layout.GATE)
+        if named:
+            self.gate = self.start(layout.GATE)
         self.news = self.segment(layout.PORT_OWNER).ring_reader("stops")
+        self.black_box = self.segment(layout.PORT_OWNER).ring_reader("box")
         self.port_record = self.segment(layout.PORT_OWNER).latest_reader("port")
         self.stays = True
         self.asked: list[int] = []
@@ -62,10 +66,11 @@ class Scene(Stage):
         assert self.owner.admission.moving
 
     def causes(self) -> list[tuple[int, int, str]]:
-        """Stops that it has published since the last call: (epoch, when written, reason)."""
+        """Stops that it has published since the last call: (epoch, when written, reason). All of them latch."""
         found = []
         while entry := self.news.next():
-            epoch, _, written_ns, _, reason = records.unpack_stop(entry[2])
+            epoch, _, written_ns, latches, reason = records.unpack_stop(entry[2])
+            assert latches
             found.append((epoch, written_ns, reason))
         return found
 
@@ -75,10 +80,25 @@ class Scene(Stage):
     def word(self, name: str) -> int:
         return self.segment(layout.PORT_OWNER).word(name).get()
 
+    def kept(self) -> list[tuple[int, int, int]]:
+        """What the black box has got since the last call, without pings: (kind, bytes, how many of them were taken)."""
+        found = []
+        while entry := self.black_box.next():
+            kind, length, taken, head = box.unpack_wire(entry[2])
+            if head not in BOARD.pings:
+                found.append((kind, length, taken))
+        return found
+
     def port_state(self) -> int:
+        return self._newest_port()[2]
+
+    def ports_so_far(self) -> int:
+        return self._newest_port()[0]
+
+    def _newest_port(self) -> tuple[int, int, int, str]:
         entry = self.port_record.read()
         assert entry is not None
-        return records.unpack_port(entry[2])[2]
+        return records.unpack_port(entry[2])
 
     def close(self) -> None:
         self.owner.wire.close()

@@ -31,10 +31,13 @@ class Early:
 
     def __init__(self) -> None:
         self.bell = EventBell.create()
+        self.armed: list[tuple[int, int, int]] = []
+        """Whose death is waited for, at which mutex: pid, block, index."""
 
     def arm(self, life: Lifeline, block: int, index: int) -> None:
         """Nothing to wait for."""
         life.armed = True
+        self.armed.append((life.pid, block, index))
 
 
 class Clock:
@@ -67,6 +70,10 @@ class Dummy:
             self._alive = False
             os.kill(self.pid, signal.SIGKILL)
             os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
+
+    def lives(self) -> bool:
+        """Nobody has killed it."""
+        return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None
 
     def close(self) -> None:
         """Kill and reap."""

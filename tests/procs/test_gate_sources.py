@@ -37,6 +37,10 @@ class Gate:
         """What people are told, in words."""
         return [note.text for note in self.core.notes]
 
+    def fields(self) -> list[dict[str, str | int | float]]:
+        """The same, for programs."""
+        return [note.fields for note in self.core.notes]
+
     def command(self, vx: float, source: str = "cmd_vel", session: int = 1, manual: bool = False) -> str:
         who = f"{source} {session}"
         return self.core.take(Command(session, who, self.now, (vx, 0.0, 0.0), manual=manual, source=source), self.now)
@@ -138,6 +142,7 @@ def test_a_source_that_no_setting_names_is_noted_and_moves_nothing() -> None:
     assert gate.command(0.1, "navv") == ""
     assert gate.tick() == 0
     assert gate.told() == ["command from navv 1 ignored: no source 'navv' in the settings"]
+    assert gate.fields() == [{"who": "navv 1", "source": "navv"}]
 
 
 def test_an_unknown_source_is_told_of_once_for_each_session_and_name() -> None:
@@ -189,6 +194,11 @@ def test_motion_resumes_by_itself_from_zero_and_both_are_logged_with_the_age() -
     gate.command(0.1)
     assert gate.tick() == pytest.approx(0.01), "along the ramp"
     assert gate.told()[1:] == ["scan is back (age 0.02 s): motion resumes by itself"]
+    assert gate.fields() == [
+        {"state": "silent", "age_s": pytest.approx(0.52)},
+        {"state": "back", "age_s": pytest.approx(0.02)},
+    ]
+    assert [note.level for note in gate.core.notes] == ["", "info"]
 
 
 def test_before_the_first_scan_nothing_moves() -> None:
@@ -197,6 +207,7 @@ def test_before_the_first_scan_nothing_moves() -> None:
     assert gate.tick() == 0
     assert gate.blocked == "no scan"
     assert gate.told() == ["no scan yet: wheels stand"]
+    assert gate.fields() == [{"state": "silent"}]
 
 
 def test_manual_commands_are_exempt() -> None:
@@ -242,6 +253,7 @@ def test_losing_one_disables_and_does_not_latch() -> None:
     assert gate.core.latch is None
     assert gate.core.velocity == REST
     assert gate.told() == ["motion disabled: arm is not in the drive pose"]
+    assert gate.fields() == [{"reason": "arm is not in the drive pose"}]
     gate.core.interlocks.hold(["arm"], gate.now, gate.now)
     gate.tick()
     assert gate.blocked == "disabled", "what comes back does not enable"
@@ -305,6 +317,7 @@ def test_every_loss_and_every_return_is_logged_once() -> None:
             "no scan for 0.52 s: wheels stopped",
             "scan is back (age 0.00 s): motion resumes by itself",
         ]
+        assert gate.fields()[1]["age_s"] == 0
 
 
 def test_a_silent_sensor_is_not_back_because_something_else_blocks() -> None:

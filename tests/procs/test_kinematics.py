@@ -80,7 +80,14 @@ def test_differential_by_name() -> None:
     settings = Settings({"wheels.layout": "differential", "wheels.diameter_m": 0.1, "wheels.track_m": 0.4})
     chosen = kinematics.from_settings(settings)
     assert isinstance(chosen, Differential)
-    assert chosen.wheels_rps(0.2, 0.0, 0.0) == Differential(0.1, 0.4).wheels_rps(0.2, 0.0, 0.0)
+    right_rps = -0.4 / (pi * 0.1)
+    assert chosen.wheels_rps(0.2, 0.0, 1.0) == pytest.approx((0.0, 0.0, right_rps, right_rps)), "about its left wheels"
+
+
+def test_a_layout_without_kinematics_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Settings, "text", lambda self, key: "tracks")
+    with pytest.raises(ValueError, match=r"wheels\.layout = 'tracks'"):
+        kinematics.from_settings(Settings())
 
 
 TWO_SIDED = Differential(DIAMETER_M, TRACK_M)

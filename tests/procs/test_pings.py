@@ -84,10 +84,12 @@ def test_the_port_owner_asks_twice_a_second(scene: Scene) -> None:
     assert scene.word("ping_0") == scene.clock() - 0 * MS
 
 
-def test_the_port_owner_asks_after_each_stop(scene: Scene) -> None:
+def test_the_port_owner_asks_after_each_stop(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the stop is still under way."""
     scene.drive()
     scene.turn(100 * MS)
     before = len(scene.asked)
+    monkeypatch.setattr(port, "unsent_bytes", lambda fd: len(BOARD.burst))
     scene.ask_to_stop(b"x")
     scene.turn()
     assert len(scene.asked) == before + 1

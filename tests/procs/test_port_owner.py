@@ -13,7 +13,7 @@ from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
-from failstop.shm import layout, records
+from failstop.shm import box, layout, records
 
 from .port_scene import MOTION, SLOWER, TICK, Kernel, Scene
 from .stage import MS
@@ -62,6 +62,19 @@ def unplugged_first(fd: int, _written: object = None) -> wire_module.Wire:
     made = wire_module.Wire(fd)
     made.lost = True
     return made
+
+
+def test_it_waits_for_both_deaths_at_the_mutexes_that_are_the_port_owner_s(scene: Scene) -> None:
+    scene.turn()
+    assert scene.early.armed == [(scene.supervisor.pid, layout.SUPERVISOR_BLOCK, 0), (scene.gate.pid, 3, 1)]
+
+
+def test_a_bell_that_was_rung_does_not_keep_it_awake(scene: Scene) -> None:
+    scene.turn()
+    for rung in (scene.bell("bell"), scene.early.bell):
+        rung.ring()
+        scene.turn()
+        assert scene.owner.loop.wait(0) == {}
 
 
 # Motion.
@@ -146,12 +159,31 @@ def test_content_that_may_not_be_is_a_stop(scene: Scene, frame: bytes, reason: s
     assert scene.reasons()[0].startswith(reason)
 
 
+def test_the_fastest_wheel_that_the_settings_allow_passes_and_a_faster_one_does_not(scene: Scene) -> None:
+    scene.turn()
+    rps = scene.settings.max_wheel_rps()
+    fastest, faster = (codec.motor_speeds((factor * rps, 0.0, 0.0, -rps), 60.0) for factor in (1.0, 1.01))
+    scene.put(fastest)
+    assert scene.turn() == fastest
+    scene.put(faster)
+    assert scene.turn() == BURST
+    assert scene.reasons()[0].startswith("wheel 0 at ")
+
+
 def test_a_motor_frame_in_another_s_clothes_never_passes(scene: Scene) -> None:
     scene.turn()
     scene.put(MOTION, kind=records.OTHER)
     scene.put(codec.motor_stop_mask(15), kind=records.OTHER)
     scene.put(codec.buzzer(1400, 100, 100, 1), kind=records.OTHER)
     assert scene.turn() == codec.buzzer(1400, 100, 100, 1)
+
+
+def test_another_frame_follows_motion_that_is_still_under_way(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene.drive()
+    monkeypatch.setattr(port, "unsent_bytes", lambda fd: 27)
+    beep = codec.buzzer(1400, 100, 100, 1)
+    scene.put(beep, kind=records.OTHER)
+    assert scene.turn() == beep
 
 
 def test_a_zero_frame_that_finds_the_port_busy_becomes_a_burst(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -363,6 +395,28 @@ def test_a_flood_of_requests_is_no_flood_of_bursts(scene: Scene) -> None:
     assert scene.owner.next_ns(scene.clock()) > scene.clock()
 
 
+def test_a_request_that_waits_at_the_start_is_a_stop_and_then_the_pipe_rests(scene: Scene) -> None:
+    scene.pty.read()
+    scene.ask_to_stop(b"first\n")
+    assert scene.turn() == BURST
+    scene.ask_to_stop(b"second\n")
+    assert scene.turn(MS) == b""
+    assert scene.reasons() == ["stop request: first"]
+
+
+def test_the_next_request_is_looked_at_when_the_pipe_s_rest_is_over(scene: Scene) -> None:
+    scene.drive()
+    scene.ask_to_stop(b"first\n")
+    scene.turn()
+    scene.owned(layout.TELEMETRY).ring_writer("trips").put(b"key1")
+    scene.ask_to_stop(b"second\n")
+    scene.turn(10 * MS)
+    assert scene.owner.next_ns(scene.clock()) == scene.clock() + 10 * MS
+    scene.turn(10 * MS)
+    scene.turn()
+    assert scene.reasons() == ["stop request: first", "key1", "stop request: second"]
+
+
 def test_a_request_within_a_flood_stops_before_any_motion(scene: Scene) -> None:
     scene.drive()
     scene.ask_to_stop(b"first\n")
@@ -398,6 +452,9 @@ def test_what_telemetry_has_seen_stops_before_any_motion_under_its_own_name(scen
     assert scene.reasons() == ["gamepad button 0x0100"]
     scene.put()
     assert scene.turn() == b"", "until the supervisor has raised the epoch"
+    trips.put(b"key \xff")
+    assert scene.turn() == BURST
+    assert scene.reasons() == ["key \ufffd"], "whatever it is called"
 
 
 def test_nobody_else_can_press_a_button(scene: Scene) -> None:
@@ -444,3 +501,27 @@ def test_it_wakes_for_its_repeats_and_does_not_spin(scene: Scene) -> None:
     scene.turn()
     scene.turn(15 * MS)
     assert scene.owner.next_ns(scene.clock()) == now_ns + 20 * MS
+
+
+# The black box.
+
+
+def test_the_black_box_has_all_that_was_written_and_what_the_port_did_not_take(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernel = Kernel(monkeypatch)
+    kernel.room = 100
+    scene = Scene(tmp_path, monkeypatch)
+    assert scene.kept() == [(box.BURST, len(BURST), 100)], "the first burst, which was written before"
+    scene.turn()
+    kernel.room = None
+    scene.turn()
+    assert scene.kept() == [(box.REST, len(BURST) - 100, len(BURST) - 100)]
+    scene.put()
+    scene.turn()
+    assert scene.kept() == [(box.FRAME, len(MOTION), len(MOTION))]
+    monkeypatch.setattr(port, "unsent_bytes", lambda fd: len(MOTION))
+    scene.put(SLOWER)
+    scene.turn()
+    assert scene.kept() == [(box.FRAME, len(SLOWER), 0)]
+    scene.close()

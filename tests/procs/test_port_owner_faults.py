@@ -65,6 +65,20 @@ def test_a_gate_that_died_before_it_was_watched_is_a_stop(scene: Scene) -> None:
     assert scene.reasons() == ["gate died"]
 
 
+def test_before_the_first_gate_is_named_there_is_nobody_to_watch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = Scene(tmp_path, monkeypatch, named=False)
+    scene.turn()
+    scene.put()
+    assert scene.turn() == b""
+    scene.start(layout.GATE)
+    scene.turn()
+    scene.put()
+    assert scene.turn() == MOTION
+    scene.close()
+
+
 def test_the_supervisor_s_death_is_a_stop_and_then_the_end(scene: Scene) -> None:
     scene.drive()
     ready_after(scene, scene.supervisor)
@@ -94,7 +108,9 @@ def test_a_lease_that_runs_out_while_moving_is_a_stop(scene: Scene, gate_ms: int
 
 def test_a_lease_is_good_until_the_last_nanosecond(scene: Scene) -> None:
     scene.drive()
-    assert scene.turn(60 * MS - 1, alive=False) == b""
+    assert scene.turn(50 * MS, alive=False) == b""
+    assert scene.owner.next_ns(scene.clock()) == scene.clock() + 10 * MS, "it wakes just then"
+    assert scene.turn(10 * MS - 1, alive=False) == b""
     assert scene.turn(1, alive=False) == BURST
 
 
@@ -206,11 +222,14 @@ def test_a_device_lost_is_told_and_a_burst_waits_for_its_return(scene: Scene) ->
     assert scene.causes() == [(1, 0, "device lost")]
     assert scene.port_state() == records.PORT_LOST
     assert scene.owner.wire.fd == -1, "let go at once, or the device comes back under another name"
+    assert scene.owner.loop.wait(0) == {}, "though others still hold it"
+    assert scene.ports_so_far() == 1
     for _ in range(3):
         scene.turn(5 * MS)
     scene.replug()
     assert scene.turn(5 * MS) == BURST
     assert scene.port_state() == records.PORT_OPEN
+    assert scene.ports_so_far() == 2
     passed_on = scene.control.receive()
     assert os.ttyname(passed_on) == scene.pty.link
     os.close(passed_on)
@@ -236,7 +255,7 @@ def test_a_device_is_looked_for_often(scene: Scene) -> None:
     scene.pty.unplug()
     until(lambda: scene.owner.loop.wait(0), "the hang-up")
     scene.turn()
-    assert scene.owner.next_ns(scene.clock()) - scene.clock() <= 5 * MS
+    assert 0 < scene.owner.next_ns(scene.clock()) - scene.clock() <= 5 * MS
 
 
 def test_bytes_from_the_board_go_into_the_ring_in_order(scene: Scene) -> None:

@@ -20,6 +20,8 @@ OURS = "12:devices:/system.slice\n0::/system.slice/failstop.service\n"
 THEIRS = "12:devices:/system.slice\n0::/system.slice/failstop@other.service\n"
 SLEEP = "import signal, sys, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(flush=True); time.sleep(60)"
 LATEST_S = 10.0
+MOST_PIDS = 1 << 22
+"""The kernel gives no process this pid or a larger one."""
 
 
 class Proc:
@@ -91,7 +93,33 @@ def test_what_has_ended_is_not_counted(proc: Proc) -> None:
     gone = proc.process()
     gone.kill()
     gone.wait()
+    for nobody in range(100):
+        proc.put(str(MOST_PIDS + nobody), OURS)
     assert proc.kill() == (0, 0)
+    ours = [proc.process() for _ in range(2)]
+    assert proc.kill() == (2, 0), "they are found among those that have gone"
+    assert [process.wait(0) for process in ours] == [-signal.SIGKILL] * 2
+
+
+@pytest.mark.parametrize("becomes", [None, THEIRS])
+def test_a_pid_that_is_another_s_by_the_time_it_is_opened_is_not_killed(
+    proc: Proc, monkeypatch: pytest.MonkeyPatch, becomes: str | None
+) -> None:
+    """Or nobody's."""
+    bystander = proc.process()
+    real = os.pidfd_open
+
+    def opened(pid: int) -> int:
+        group = proc.path / str(pid) / "cgroup"
+        if becomes:
+            group.write_text(becomes)
+        else:
+            group.unlink()
+        return real(pid)
+
+    monkeypatch.setattr(os, "pidfd_open", opened)
+    assert proc.kill() == (0, 0)
+    assert bystander.poll() is None
 
 
 def test_a_process_that_was_just_started_is_killed_too(proc: Proc, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,6 +163,7 @@ def test_without_its_own_group_nobody_is_killed(proc: Proc) -> None:
     [
         (OURS, True),
         ("0::/system.slice/system-failstop.slice/failstop@a.service\n", True),
+        ("0::/system.slice/failstop@a:b.service\n", True),
         ("1:name=systemd:/system.slice/failstop.service\n", True),
         ("1:name=systemd:/\n0::/system.slice/failstop.service\n", True),
         ("2:cpuset:/a.service\n1:name=systemd:/\n0::/\n", False),

@@ -5,7 +5,9 @@ What reaches the other side is judged by the board's own receiver and motors."""
 from __future__ import annotations
 
 import os
+import select
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -313,6 +315,19 @@ def test_stuck_after_exactly_the_time(wire: Wire, held: Held) -> None:
     assert wire.stuck(T0 + 10 * DRAIN_NS)
 
 
+def test_a_port_that_cannot_say_what_it_holds_has_gone_and_is_not_stuck(
+    wire: Wire, held: Held, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(_fd: int) -> int:
+        raise OSError
+
+    held.bytes = 1
+    assert not wire.stuck(T0)
+    monkeypatch.setattr(port, "unsent_bytes", gone)
+    assert not wire.stuck(T0 + DRAIN_NS)
+    assert wire.lost
+
+
 def test_drained_in_between_is_not_stuck(wire: Wire, held: Held) -> None:
     held.bytes = 1
     wire.stuck(T0)
@@ -345,6 +360,7 @@ def test_a_write_that_was_refused_is_held_back_until_one_is_taken(
     """Where the kernel counts nothing and has no room all the same."""
     held.bytes = 0
     monkeypatch.setattr(Wire, "_has_room", lambda self: False)
+    assert not wire.stuck(T0 - DRAIN_NS)
     assert not wire.stuck(T0), "nothing was refused yet"
     kernel.room = 0
     assert not wire.frame(MOTION)
@@ -363,6 +379,21 @@ def test_a_write_that_was_refused_beside_somebody_else_s_holds_nothing_back(
     assert not wire.frame(MOTION)
     assert not wire.stuck(T0)
     assert not wire.stuck(T0 + DRAIN_NS), "there was room"
+
+
+def test_a_full_port_is_not_waited_for(pty: Pty, wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, waited_s = select.select, []
+
+    def timed(*given: Any) -> Any:
+        waited_s.append(given[3])
+        return real(*given[:3], 0)
+
+    monkeypatch.setattr(wire_module.select, "select", timed)
+    pty.fill()
+    assert not wire.frame(MOTION)
+    waited_s.clear()
+    wire.stuck(T0)
+    assert waited_s == [0]
 
 
 def test_an_empty_port_is_not_stuck(wire: Wire) -> None:
@@ -414,6 +445,7 @@ def test_a_hang_up_in_the_middle_of_a_frame(pty: Pty, wire: Wire, kernel: Kernel
 def test_nothing_is_written_to_a_lost_port(pty: Pty, wire: Wire) -> None:
     wire.lost = True
     wire.burst()
+    wire.unsent = MOTION[10:]
     wire.flush()
     assert not wire.frame(MOTION)
     assert pty.read() == b""
@@ -429,7 +461,7 @@ def test_close_lets_the_port_go_at_once(pty: Pty, wire: Wire) -> None:
     wire.close()
 
 
-def test_the_first_bytes_on_a_new_port_are_a_burst(pty: Pty, kernel: Kernel) -> None:
+def test_the_first_bytes_on_a_new_port_are_a_burst(pty: Pty, kernel: Kernel, held: Held) -> None:
     with new_pty() as old:
         wire = Wire(old.slave)
         kernel.room = 10
@@ -441,5 +473,8 @@ def test_the_first_bytes_on_a_new_port_are_a_burst(pty: Pty, kernel: Kernel) -> 
         old.slave = -1
     wire.adopt(pty.slave)
     assert not wire.lost
+    held.bytes = len(BURST)
+    assert not wire.stuck(T0), "its time begins anew"
+    held.bytes = 0
     assert wire.frame(MOTION)
     assert pty.read() == BURST + MOTION
