@@ -32,12 +32,15 @@ class Early:
     def __init__(self) -> None:
         self.bell = EventBell.create()
         self.armed: list[tuple[int, int, int]] = []
-        """Whose death is waited for, at which mutex: pid, block, index."""
+        """Whose death is waited for, at which futex: pid, block, index."""
 
     def arm(self, life: Lifeline, block: int, index: int) -> None:
         """Nothing to wait for."""
         life.armed = True
         self.armed.append((life.pid, block, index))
+
+    def watch(self, life: Lifeline, segment: Segment, name: str, line: int = 0) -> None:
+        """Nor here."""
 
 
 class Clock:
