@@ -59,6 +59,8 @@ class Commanders:
         self.publishers: tuple[Publisher, ...] = ()
         self.count = 0
         self._counted_ns = 0
+        self._several_ns: int | None = None
+        """When the graph last had more than one."""
         self._looked_ns = 0
         self._nameless_ns: int | None = None
         self._asked_ns = 0
@@ -78,6 +80,8 @@ class Commanders:
         """How many publish, by the graph, a moment ago."""
         self.count = count
         self._counted_ns = now_ns
+        if count > 1:
+            self._several_ns = now_ns
 
     def _nameless(self) -> bool:
         return any(not publisher.node for publisher in self.publishers)
@@ -110,16 +114,17 @@ class Commanders:
     def _allows(self, node: str) -> bool:
         return node in self._allowed or node.rpartition("/")[2] in self._allowed
 
-    def passes(self) -> bool:
+    def passes(self, now_ns: int) -> bool:
         """Whether a command that came now may be passed on: of one publisher at most, and no stranger. The last one of
-        a publisher which has left meanwhile is good."""
-        if self.count > 1:
+        a publisher which has left meanwhile is good; but for a while after there were several, what comes may still be
+        of the one that is gone."""
+        if self._several_ns is not None and now_ns - self._several_ns <= FRESH_NS:
             return False
         return not self._allowed or all(self._allows(publisher.node) for publisher in self.publishers)
 
     def holds(self, now_ns: int) -> bool:
         """Whether the bridge's interlock holds: the graph was asked lately, and one at most commands."""
-        return now_ns - self._counted_ns <= FRESH_NS and self.passes()
+        return now_ns - self._counted_ns <= FRESH_NS and self.passes(now_ns)
 
     def names(self) -> str:
         """The nodes that publish."""

@@ -159,7 +159,7 @@ class Inward:
             return
         if any(velocity):
             self._moving_ns, self._velocity = now_ns, velocity
-        if not self._commanders.passes() or self._held_up.old(now_ns):
+        if not self._commanders.passes(now_ns) or self._held_up.old(now_ns):
             return
         try:
             self._link.call(lambda robot: robot.drive(*velocity))
