@@ -109,8 +109,10 @@ class Scene:
             control.close()
         for pair in self.resources.controls.values():
             os.close(pair[1])
-        for fd in (self.master, self.resources.stop_pipe, self.resources.client_bell):
+        for fd in (self.master, self.resources.stop_pipe, self.resources.client_bell, self.resources.published):
             os.close(fd)
+        for bell in (*self.resources.bells.values(), self.supervisor.family.early.bell):
+            os.close(bell.fd)
         self.port.replace(-1)
 
 

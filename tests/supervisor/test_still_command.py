@@ -69,8 +69,10 @@ class Scene:
             os.killpg(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
         self.resources.remove()
-        for fd in (self.resources.stop_pipe, self.resources.client_bell):
+        for fd in (self.resources.stop_pipe, self.resources.client_bell, self.resources.published):
             os.close(fd)
+        for bell in self.resources.bells.values():
+            os.close(bell.fd)
         for pair in self.resources.controls.values():
             for fd in pair:
                 os.close(fd)
