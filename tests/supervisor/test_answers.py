@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import pty
+import signal
 import tty
 from collections.abc import Iterator
 from pathlib import Path
@@ -113,6 +114,10 @@ class Scene:
             os.close(fd)
         for bell in (*self.resources.bells.values(), self.supervisor.family.early.bell):
             os.close(bell.fd)
+        for saver in self.supervisor.blackbox._savers:
+            os.killpg(saver.pid, signal.SIGKILL)
+            os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT)
+            saver.ended()
         self.port.replace(-1)
 
 
