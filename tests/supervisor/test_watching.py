@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,10 +17,11 @@ from failstop.board.burst import BURST
 from failstop.procs import starved
 from failstop.procs.handover import Control
 from failstop.procs.loop import READ
-from failstop.shm import layout, records, segment
+from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
 from failstop.shm.packing import pack
 from failstop.supervisor import family as family_module
+from failstop.supervisor import main
 from failstop.supervisor.children import STARTING_NS
 from failstop.supervisor.family import GATE_AGAIN_NS
 from failstop.supervisor.main import HELD_UP_NS, LATE_NS
@@ -27,7 +29,7 @@ from failstop.supervisor.port import OwnPort
 from failstop.supervisor.table import BY_NAME
 from tests.procs.parts import Pty, new_pty
 from tests.procs.stage import Dummy
-from tests.supervisor.test_answers import MS, Scene
+from tests.supervisor.test_answers import MS, Scene, fill
 from tests.waiting import until
 
 
@@ -488,3 +490,104 @@ def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) ->
     assert not child.hangs(watching.now_ns + STARTING_NS - 1)
     assert child.hangs(watching.now_ns + STARTING_NS)
     assert STARTING_NS <= 10_000 * MS
+
+
+class Ending(Watching):
+    """Every process runs; the port owner has stopped already for the end that is to come."""
+
+    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        super().__init__(directory, monkeypatch)
+        monkeypatch.setattr(main, "sleep", self.sleep)
+        for name in BY_NAME:
+            self.employ(name)
+        self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
+        self.pass_time(0)
+        self.port_owner.word("written_ns").set(self.now_ns)
+        self.port_owner.word("stopped_epoch").set(2)
+        self.events()
+
+    def sleep(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9)
+        for beat in self.beats.values():
+            beat.set(self.now_ns)
+
+    def answer(self, sent_ns: int) -> None:
+        """The board has answered a ping a millisecond after it was sent."""
+        self.port_owner.word("ping_0").set(sent_ns)
+        self.telemetry.word("pong").set(records.pong(sent_ns + MS, 0))
+
+    def end(self) -> tuple[bool, list[tuple[str, str]], bytes]:
+        """Told to end: (did it end well, what people were told, what it wrote itself)."""
+        self.supervisor.end(signal.SIGTERM, None)
+        well = self.supervisor.finish()
+        told = [(event["kind"], event["text"]) for event in self.events() if event["kind"] != "link"]
+        try:
+            return well, told, os.read(self.master, 65536)
+        except OSError:
+            return well, told, b""
+
+
+@pytest.fixture
+def ending(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ending]:
+    made = Ending(tmp_path, monkeypatch)
+    yield made
+    made.close()
+
+
+STOPPING = ("stopping", "service is stopping; stop frame written by the port owner after 0 us")
+
+
+def test_the_end_is_a_stop_that_is_heard_then_every_process_ended_then_another_stop(ending: Ending) -> None:
+    ending.rung(layout.SUPERVISOR)
+    ending.answer(ending.now_ns)
+    began_ns = ending.now_ns
+    well, told, written = ending.end()
+    assert well
+    assert ending.rung(layout.SUPERVISOR), "it does not sleep over it"
+    assert ending.supervisor.ending
+    assert told == [
+        STOPPING,
+        ("stopped", "stopped; the stop was written twice, acknowledged by the board after 1.0 ms"),
+    ]
+    assert written == BURST
+    assert ending.now_ns == began_ns, "it waits for nothing that is known"
+    assert [child.state() for child in ending.supervisor.children] == ["waiting"] * len(BY_NAME)
+    assert ending.word("beat_state").get() == heartbeat.STOPPING
+
+
+def test_a_board_that_has_never_answered_is_waited_for_a_while_and_is_no_failure(ending: Ending) -> None:
+    began_ns = ending.now_ns
+    well, told, _ = ending.end()
+    assert well
+    assert told[1][1].endswith("whether the board hears is not known (link unproven)")
+    assert ending.now_ns == began_ns + main.HEAR_NS
+    assert ending.word("beat_ns").get() > began_ns, "its own beat goes on: nobody stops for its silence"
+
+
+def test_a_board_that_does_not_hear_the_last_stop_is_a_failure(ending: Ending) -> None:
+    ending.answer(ending.now_ns - 1)
+    well, told, written = ending.end()
+    assert not well
+    assert told[1][1].endswith("NOT acknowledged by the board (link alive); wheels that turn: POWER SWITCH")
+    assert written == BURST
+
+
+def test_a_second_stop_that_can_not_be_written_is_a_failure(ending: Ending) -> None:
+    fill(ending.port.fd)
+    ending.answer(ending.now_ns)
+    well, told, _ = ending.end()
+    assert not well
+    assert told[1][1].startswith("stopped; the second stop could NOT be written, acknowledged")
+
+
+def test_an_end_without_a_port_owner_is_stopped_for_by_the_supervisor_and_waits_for_no_answer(
+    ending: Ending,
+) -> None:
+    ending.supervisor.family[layout.PORT_OWNER].kill(20.0)
+    ending.port_owner.word("stopped_epoch").set(1)
+    began_ns = ending.now_ns
+    well, told, written = ending.end()
+    assert well
+    assert told[0] == ("stopping", "service is stopping; stop frame written by the supervisor after 0 us")
+    assert written == 2 * BURST
+    assert ending.now_ns == began_ns
