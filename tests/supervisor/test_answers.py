@@ -180,7 +180,8 @@ def test_a_device_lost_is_said_to_be_not_written(scene: Scene) -> None:
 def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) -> None:
     scene.trip()
     assert scene.turn() == b""
-    assert scene.supervisor.next_ns(scene.now_ns) <= scene.now_ns + MS
+    assert scene.supervisor.next_ns(scene.now_ns) == scene.now_ns + MS
+    assert scene.supervisor.next_ns(scene.now_ns + 5 * MS - 1) == scene.now_ns + 5 * MS, "and to the moment"
     assert scene.turn(5 * MS - 1) == b"", "it has the first go"
     assert scene.turn(1) == BURST, "and the fault table promises 10 ms from the fault"
     assert ANSWER_NS == 5 * MS
@@ -275,6 +276,18 @@ def test_a_stop_that_crosses_a_reset_is_latched(scene: Scene) -> None:
     scene.trip("the third")
     scene.turn(MS)
     assert scene.cause() == (3, "the second", "the third")
+
+
+def test_what_is_latched_until_the_reset(scene: Scene) -> None:
+    herald = scene.supervisor.herald
+    assert herald.latched() == ""
+    scene.trip("the first")
+    scene.turn()
+    assert herald.latched() == "the first"
+    scene.gate.word("reset_epoch").set(1)
+    assert herald.latched() == "the first"
+    scene.gate.word("reset_epoch").set(2)
+    assert herald.latched() == "", "and nobody waits for the supervisor's turn"
 
 
 def test_people_are_told_when_the_stop_is_out_and_not_before(scene: Scene) -> None:

@@ -149,6 +149,14 @@ def test_a_text_of_another_type_or_empty_or_not_of_one_line(setting: Setting, va
     assert str(raised.value) == message
 
 
+def test_a_declaration_s_range_is_inclusive() -> None:
+    setting = Setting("x", 1, "", 1, 3, "how many")
+    assert [setting.check(value) for value in (1, 2, 3)] == [1, 2, 3]
+    for value in (0, 4):
+        with pytest.raises(SettingError, match=f"x = {value}: allowed is 1 to 3"):
+            setting.check(value)
+
+
 def test_a_text_has_an_end() -> None:
     assert Settings({"device.path": "/" * 255}).text("device.path") == "/" * 255
     assert refusal(device__path="/" * 256).endswith("a text is expected, 1 to 255 characters of one line")

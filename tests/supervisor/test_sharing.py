@@ -200,6 +200,14 @@ def test_one_that_lives_opens_it_itself(three: Three) -> None:
     assert three.port.fd < 0
 
 
+def test_a_lost_port_is_looked_for_only_while_no_port_owner_lives(three: Three) -> None:
+    assert three.sharing.next_ns(three.now_ns) is None
+    three.lose()
+    assert three.sharing.next_ns(three.now_ns) is None, "that one opens it"
+    three.waits_for_its_restart()
+    assert three.sharing.next_ns(three.now_ns) == three.now_ns + REOPEN_NS
+
+
 def test_patience_is_for_an_opening_alone(three: Three) -> None:
     assert three.sharing.patience_ns(three.now_ns) == 0
     three.lose()

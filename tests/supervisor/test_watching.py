@@ -24,8 +24,8 @@ from failstop.supervisor import family as family_module
 from failstop.supervisor import main
 from failstop.supervisor.children import STARTING_NS
 from failstop.supervisor.family import GATE_AGAIN_NS
-from failstop.supervisor.main import HELD_UP_NS, LATE_NS
-from failstop.supervisor.port import OwnPort
+from failstop.supervisor.main import HELD_UP_NS, LATE_NS, TICK_NS
+from failstop.supervisor.port import REOPEN_NS, OwnPort
 from failstop.supervisor.table import BY_NAME
 from tests.procs.parts import Pty, new_pty
 from tests.procs.stage import Dummy
@@ -490,6 +490,33 @@ def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) ->
     assert not child.hangs(watching.now_ns + STARTING_NS - 1)
     assert child.hangs(watching.now_ns + STARTING_NS)
     assert STARTING_NS <= 10_000 * MS
+
+
+def test_it_sleeps_until_what_is_due_next(watching: Watching) -> None:
+    supervisor = watching.supervisor
+    assert supervisor.next_ns(watching.now_ns) == watching.now_ns + TICK_NS
+    watching.employ(layout.GATE)
+    overdue_ns = watching.now_ns + BY_NAME[layout.GATE].deadline_ns
+    assert supervisor.next_ns(overdue_ns - MS) == overdue_ns, "who hangs is not waited for until a tick"
+    supervisor.family[layout.TELEMETRY].restart_ns = watching.now_ns + 3 * MS
+    assert supervisor.next_ns(watching.now_ns) == watching.now_ns + 3 * MS
+    watching.port.replace(-1)
+    supervisor.family[layout.TELEMETRY].restart_ns = None
+    assert supervisor.next_ns(watching.now_ns) == watching.now_ns + REOPEN_NS
+
+
+def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(watching: Watching) -> None:
+    found = watching.supervisor._silence
+    assert found.as_record() is None
+    for at_s, name, silent_ns in ((0, "gate", 300 * MS), (9.999, "stopper", 900_400_000), (10, "gate", 300 * MS)):
+        found.over(name, silent_ns, watching.now_ns + round(at_s * 1e9))
+    watching.supervisor._events.flush()
+    first, second = watching.events()
+    text = f"the machine starves the service: gate was not run for 300 ms; {found._advice}"
+    assert (first["kind"], first["text"]) == ("starved", text)
+    assert first["fields"] == {"process": "gate", "silent_ms": 300, "times": 1}
+    assert second["fields"] == {"process": "gate", "silent_ms": 300, "times": 3}
+    assert found.as_record() == {"times": 3, "longest_ms": 900, "process": "stopper"}
 
 
 class Ending(Watching):
