@@ -22,6 +22,8 @@ from failstop.supervisor.settings import (
     Setting,
     SettingError,
     Settings,
+    declaration,
+    shortened,
     shown,
 )
 
@@ -211,6 +213,21 @@ def test_a_value_is_shown_in_one_line_of_bounded_length(value: object, text: str
     assert shown(value) == text
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [("a\nb", "a?b"), ("x" * 160, "x" * 160), ("x" * 161, f"{'x' * 157}...")],
+    ids=["two lines", "longest", "too long"],
+)
+def test_a_part_of_a_line_is_one_line_of_bounded_length(text: str, told: str) -> None:
+    assert shortened(text) == told
+
+
+def test_no_declaration_is_found_below_a_named_table_s_own() -> None:
+    assert declaration("sources.a.priority").key == "priority"
+    with pytest.raises(SettingError, match=r"^sources\.a\.b\.priority: no such setting"):
+        declaration("sources.a.b.priority")
+
+
 @pytest.mark.parametrize("setting", NUMBERS, ids=lambda setting: setting.key)
 def test_the_range_ends_exactly_there(setting: Setting) -> None:
     assert setting.low is not None
@@ -364,6 +381,8 @@ def test_no_lines_are_the_defaults() -> None:
         ("gaet.period_s", "did you mean gate.period_s?"),
         ("limits.vx", "did you mean limits.vx_mps?"),
         ("pad.deadzone", "did you mean pad.dead_zone?"),
+        ("imu.bias", "did you mean imu.scale_z?"),
+        ("source.priority", "did you mean sources.NAME.priority?"),
         ("source.teleop.priority", "did you mean sources.teleop.priority?"),
         ("interlock.arm.refusal", "did you mean interlocks.arm.refusal?"),
         ("qqq", "`failstop config` lists them all"),
