@@ -72,6 +72,8 @@ def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene) -> 
     assert gate.life.fd not in scene.supervisor.loop.wait(0), "it would wake the supervisor without end"
     family.bury({}, scene.now_ns, 1)
     assert (gate.pid, gate.life, gate.last_exit, gate.state()) == (0, None, "killed by SIGKILL", "waiting")
+    scene.supervisor._events.flush()
+    assert scene.events()[0]["text"] == f"gate (pid {pid}) was killed by SIGKILL"
 
 
 def test_a_process_that_is_ended_is_collected(scene: Scene) -> None:

@@ -160,6 +160,11 @@ def test_who_is_silent_for_its_deadline_is_killed_first_and_the_port_owner_answe
     watching.pass_time(1)
     assert order[:2] == (["kill", "burst"] if name == layout.PORT_OWNER else ["kill"])
     assert watching.supervisor.epoch == 2
+    deadline_ms = BY_NAME[name].deadline_ns // MS
+    assert watching.cause()[1] == f"{name} hangs: {deadline_ms} ms silent"
+    found = watching.supervisor.family[name].fence
+    assert found
+    assert found.fields()["silent_ms"] == deadline_ms
     until(lambda: os.waitid(os.P_PID, dummy.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG), "its end")
 
 
@@ -373,6 +378,8 @@ def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(
     started: list[int] = []
     die_too_often(watching, layout.GATE)
     down_ns = watching.now_ns
+    text = watching.events()[-1]["text"]
+    assert text.endswith("; it is started anew in 60 s, since nobody else could hear a reset")
     monkeypatch.setattr(
         family_module.Family,
         "start",
