@@ -28,6 +28,35 @@ PROCS: tuple[Reason, ...] = ()
 
 SHM: tuple[Reason, ...] = ()
 
-SUPERVISOR: tuple[Reason, ...] = ()
+SUPERVISOR = (
+    Reason("supervisor/*.py", r"/ (1000001|1000000001)\.0", "a millionth is not seen in what is rounded", same=False),
+    Reason(
+        "supervisor/blackbox.py",
+        r"^-.*_hurry >= 0.*\n\+.*_hurry (> 0|>= 1)",
+        "0, 1 and 2 are open: no descriptor here is 0",
+    ),
+    Reason("supervisor/blackbox.py", r"_hurry = -2", "any number below 0 is none"),
+    Reason(
+        "supervisor/config.py",
+        r"MOST_BYTES \+ (1 \+|2 -) len\(data\)",
+        "it reads more of a file that is refused for its length all the same",
+    ),
+    Reason("supervisor/config.py", r"version_info > \(3, 11\)", "it has five parts, and never equals two"),
+    Reason("supervisor/grant.py", r"open\(CONTROL_GROUP, (encoding=None)?\)", "the service runs in C.UTF-8"),
+    Reason("supervisor/link.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
+    Reason("supervisor/link.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
+    Reason("supervisor/main.py", r"silent_ns <= child\.allowed_ns", "two times in ns at exact equality"),
+    Reason("supervisor/notify.py", r"every_ns > 1 ", "it is 0, or half a microsecond at least"),
+    Reason("supervisor/port.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
+    Reason("supervisor/restarts.py", r"count - 2, 17", "the shortest wait doubled 16 times is beyond the longest"),
+    Reason("supervisor/settings.py", r"known, 2, 0\.5", "the first of them is taken"),
+    Reason("supervisor/settings.py", r"self\.(low|high) = None", "declarations are made before a mutant is chosen"),
+    Reason("supervisor/sharing.py", r"opened_ns(\(\))? > 1", "no port is opened in the machine's first nanosecond"),
+    Reason(
+        "supervisor/sharing.py",
+        r"else \([01], [01], records\.PORT_CLOSED",
+        "of a port that is closed nothing else is looked at",
+    ),
+)
 
 REASONS = (*EVERYWHERE, *PROCS, *SHM, *SUPERVISOR)

@@ -76,6 +76,16 @@ def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene) -> 
     assert scene.events()[0]["text"] == f"gate (pid {pid}) was killed by SIGKILL"
 
 
+@pytest.mark.parametrize(("number", "told"), [(signal.SIGTERM, "SIGTERM"), (signal.SIGRTMIN + 2, "36")])
+def test_a_signal_is_told_by_its_name_where_it_has_one(scene: Scene, number: int, told: str) -> None:
+    gate = scene.supervisor.family[layout.GATE]
+    gate.started(os.posix_spawnp("sleep", ["sleep", "120"], os.environ), 1, scene.now_ns)
+    os.kill(gate.pid, number)
+    assert gate.life
+    assert gate.life.wait(20.0)
+    assert gate.buried() == gate.last_exit == f"killed by {told}"
+
+
 def test_a_process_that_is_ended_is_collected(scene: Scene) -> None:
     gate = scene.supervisor.family[layout.GATE]
     pid = os.posix_spawnp("sleep", ["sleep", "120"], os.environ)

@@ -133,7 +133,13 @@ def test_a_port_owner_that_keeps_the_port_is_ended(three: Three) -> None:
     assert three.killed == []
     three.turn(1)
     assert three.killed == [NOBODY]
-    assert "the port did not get to the supervisor" in three.events()[-1]["text"]
+    told = three.events()[-1]
+    text = "the port did not get to the supervisor: port_owner is ended, so that the supervisor can open it"
+    assert (told["kind"], told["text"], told["fields"]) == ("waiting", text, {"for": "the port"})
+    fence = three.supervisor.family[layout.PORT_OWNER].fence
+    assert fence
+    assert not fence.was_starved
+    assert fence.fields()["silent_ms"] == 0.0
     three.turn(MS)
     assert three.killed == [NOBODY], "once"
 
