@@ -50,7 +50,6 @@ SUPERVISOR = (
     Reason("supervisor/port.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
     Reason("supervisor/restarts.py", r"count - 2, 17", "the shortest wait doubled 16 times is beyond the longest"),
     Reason("supervisor/settings.py", r"known, 2, 0\.5", "the first of them is taken"),
-    Reason("supervisor/settings.py", r"self\.(low|high) = None", "declarations are made before a mutant is chosen"),
     Reason("supervisor/sharing.py", r"opened_ns(\(\))? > 1", "no port is opened in the machine's first nanosecond"),
     Reason(
         "supervisor/sharing.py",

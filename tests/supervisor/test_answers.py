@@ -16,13 +16,14 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.procs import rights
-from failstop.shm import layout, records, segment
+from failstop.shm import instance, layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import main
 from failstop.supervisor.causes import Cause
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.health import OWED_NS, UNDYING_NS
 from failstop.supervisor.main import ALONE_EVERY_NS, ANSWER_NS, Supervisor
+from failstop.supervisor.names import LOOK_EVERY_NS
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
@@ -200,6 +201,18 @@ def test_a_full_port_is_said_to_be_not_written(scene: Scene) -> None:
     scene.trip()
     scene.supervisor.turn({})
     assert scene.told()["written_us"] is None
+
+
+def test_a_run_that_others_can_not_find_any_more_stops_and_ends_when_that_is_answered(scene: Scene) -> None:
+    scene.turn()
+    os.unlink(instance.stop_path(scene.resources.runtime_dir))
+    scene.turn(LOOK_EVERY_NS)
+    assert scene.cause()[1] == "the stop pipe was removed: restart the service"
+    assert (scene.supervisor.epoch, scene.supervisor.broken, scene.supervisor.ending) == (2, True, False)
+    scene.answers(written_ns=scene.now_ns)
+    scene.turn(MS)
+    assert scene.supervisor.ending
+    assert scene.told()["written_by"] == "port owner"
 
 
 def test_the_cause_is_there_before_the_epoch_and_ready_is_not(scene: Scene) -> None:

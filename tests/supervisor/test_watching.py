@@ -25,7 +25,7 @@ from failstop.supervisor import family as family_module
 from failstop.supervisor import main
 from failstop.supervisor.children import STARTING_NS
 from failstop.supervisor.family import GATE_AGAIN_NS
-from failstop.supervisor.main import HELD_UP_NS, LATE_NS, TICK_NS
+from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import REOPEN_NS, OwnPort
 from failstop.supervisor.settings import Settings
@@ -244,6 +244,46 @@ def test_one_that_was_held_up_stops_motion_and_kills_nobody(watching: Watching) 
     assert entry is not None
     assert records.unpack_cause(entry[2])[2] == "supervisor was held up for 250 ms"
     assert not any(child.fence for child in watching.supervisor.children)
+
+
+@pytest.mark.parametrize(
+    ("gap_ns", "was_ready", "excused", "epoch"),
+    [
+        (EXCUSE_NS - 1, True, False, 1),
+        (EXCUSE_NS, True, True, 1),
+        (HELD_UP_NS - 1, True, True, 1),
+        (HELD_UP_NS, False, True, 1),
+        (HELD_UP_NS, True, True, 2),
+    ],
+)
+def test_from_when_on_it_was_held_up(
+    watching: Watching, gap_ns: int, was_ready: bool, excused: bool, epoch: int
+) -> None:
+    watching.employ(layout.TELEMETRY)
+    watching.supervisor._was_ready = was_ready
+    watching.enabled()
+    watching.pass_time(0)
+    watching.pass_time(gap_ns)
+    assert (watching.supervisor.family[layout.TELEMETRY].excused_ns == watching.now_ns) is excused
+    assert watching.supervisor.epoch == epoch
+
+
+def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(watching: Watching) -> None:
+    supervisor, gate = watching.supervisor, watching.supervisor.family[layout.GATE]
+    watching.notice("gate died", written_ns=watching.now_ns + 7)
+    for noticed_by, written_ns in ((layout.PORT_OWNER, watching.now_ns + 7), (layout.SUPERVISOR, 5)):
+        gate.fallen = False
+        (cause,) = supervisor._collect([gate], watching.now_ns, 5)
+        assert (cause.t_ns, cause.noticed_by, cause.reason) == (watching.now_ns, noticed_by, "gate died")
+        assert cause.written_ns == written_ns
+        assert gate.fallen
+
+
+def test_its_own_beat_tells_the_epoch_that_it_has_raised(watching: Watching) -> None:
+    watching.trip()
+    watching.pass_time(MS)
+    assert watching.word("beat_ns").get() == watching.now_ns
+    assert watching.word("beat_epoch").get() == watching.supervisor.epoch == 2
 
 
 def test_one_that_was_held_up_while_nothing_could_move_only_tells(watching: Watching) -> None:
@@ -683,6 +723,7 @@ def test_the_end_is_a_stop_that_is_heard_then_every_process_ended_then_another_s
     assert ending.now_ns == began_ns, "it waits for nothing that is known"
     assert [child.state() for child in ending.supervisor.children] == ["waiting"] * len(BY_NAME)
     assert ending.word("beat_state").get() == heartbeat.STOPPING
+    assert ending.supervisor.blackbox._savers == [], "an end in order is no incident"
 
 
 def test_a_board_that_has_never_answered_is_waited_for_a_while_and_is_no_failure(ending: Ending) -> None:
