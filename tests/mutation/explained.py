@@ -35,6 +35,15 @@ SUPERVISOR = (
         r"^-.*_hurry >= 0.*\n\+.*_hurry (> 0|>= 1)",
         "0, 1 and 2 are open: no descriptor here is 0",
     ),
+    Reason(
+        "supervisor/aftermath.py",
+        r"else \([01], [01], records\.PORT_OPEN",
+        "before the port owner's first word there is no link and no stop yet",
+        same=False,
+    ),
+    Reason("supervisor/aftermath.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
+    Reason("supervisor/allowance.py", r"max\(1, now_ns", "a nanosecond's worth more", same=False),
+    Reason("supervisor/blackbox.py", r"result, 4097\)|max\(1, until_ns", "a byte, a nanosecond more", same=False),
     Reason("supervisor/blackbox.py", r"_hurry = -2", "any number below 0 is none"),
     Reason(
         "supervisor/config.py",

@@ -168,8 +168,12 @@ def test_a_verdict_that_is_given_anew_meanwhile_is_looked_at_the_next_time(
     monkeypatch.setattr(scene.supervisor.aftermath, "_judged", judged)
     scene.turn(MS)
     assert scene.proofs()["observed_ms"] is None
+    assert scene.supervisor.epoch == 2
     scene.turn(MS)
     assert scene.proofs()["observed_ms"] is not None
+    written = scene.stop_record.read()
+    scene.turn(MS)
+    assert scene.stop_record.read() == written, "what is known is not written anew"
 
 
 def test_what_is_told_of_the_link(scene: Watched) -> None:

@@ -61,6 +61,8 @@ class Scene:
         self.beat = {process: segment.attach(memory, process, write=True).word("beat_ns") for process in self.views}
         self._ring = segment.attach(memory, layout.SUPERVISOR).ring_reader("box")
         self.events = Told()
+        self.now_ns = T0
+        """When what is read next was written."""
         self.word, self.code = "saved 0012", 0
         self.started: list[dict[str, str]] = []
         self.settings = Settings({"incidents.keep": 7, "incidents.max_mb": 8})
@@ -85,6 +87,7 @@ class Scene:
     def records(self) -> list[bytes]:
         found = []
         while entry := self._ring.next():
+            assert entry[1] == self.now_ns
             found.append(entry[2])
         return found
 
@@ -130,6 +133,7 @@ def test_the_longest_silence_of_each_process_is_sampled_ten_times_a_second(scene
     scene.box.follow(T0 + SAMPLE_NS - 1, ready=True)
     assert scene.ages_ms() == []
     scene.beat[layout.STOPPER].set(T0 + 60 * MS)
+    scene.now_ns = T0 + SAMPLE_NS
     scene.box.follow(T0 + SAMPLE_NS, ready=True)
     (found,) = scene.ages_ms()
     assert dict(zip(layout.PROCESSES, found, strict=True)) == {
@@ -194,6 +198,7 @@ SAVED = "incident 0012 saved; next: `failstop incident show 0012 --name left`"
         (NOTHING, 3, NOTHING),
         ("saved 0012", 3, "saved 0012"),
         ("no room\\n", 1, "no room?"),
+        ("\\377", 1, "\ufffd"),
         ("", 3, "the saver ended with code 3"),
         ("", 0, "the saver ended with code 0"),
         ("", "$(kill -9 $$)", "the saver was killed by signal 9"),
@@ -228,6 +233,7 @@ def test_what_a_saver_had_is_closed_after_its_end(scene: Scene) -> None:
     scene.box.latched(CAUSE, 7)
     scene.box.follow(T0 + START_NS, ready=True)
     assert len(os.listdir("/proc/self/fd")) == len(before) + 2
+    assert not os.get_blocking(scene.box._savers[0]._result), "nor is it waited for"
     scene.ends()
     assert os.listdir("/proc/self/fd") == before
 
@@ -275,10 +281,26 @@ def test_at_the_end_of_the_service_what_waits_is_saved_at_once(scene: Scene) -> 
     assert scene.events.flushed == 1
 
 
+def test_without_a_descriptor_to_wait_with_each_is_hastened_all_the_same(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(_pid: int) -> int:
+        raise OSError(24, "Too many open files")
+
+    monkeypatch.setattr(os, "pidfd_open", refused)
+    scene.box.latched(CAUSE, 7)
+    scene.box.latched(CAUSE, 8)
+    for _ in range(2):
+        scene.box.follow(T0 + START_NS, ready=True)
+    savers = tuple(scene.box._savers)
+    scene.box.finish()
+    assert [saver._hurry for saver in savers] == [-1, -1]
+
+
 def test_the_end_of_the_service_does_not_wait_for_a_saver_that_hangs(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(blackbox, "FINISH_S", 0.0)
+    monkeypatch.setattr(blackbox, "FINISH_S", 0.01)
     scene.word = "$(sleep 1)"
     scene.box.latched(CAUSE, 7)
     scene.box.finish()

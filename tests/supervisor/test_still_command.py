@@ -57,11 +57,14 @@ class Scene:
         """People have reset, and a new stop is not obeyed."""
         self.reset_word.set(self.epoch)
         self.follow(MS)
+        self.stop()
+        assert self.follow(S) == [UNSTILL]
+
+    def stop(self) -> None:
         self.epoch += 1
         cause = Cause(self.now_ns, layout.GATE, f"stop {self.epoch}")
         self.aftermath.written(cause, self.now_ns, "port owner", cause.reason, self.epoch)
         self.follow(MS)
-        assert self.follow(S) == [UNSTILL]
 
     def runs(self) -> list[int]:
         return [int(word) for word in self.file.read_text().split()]
@@ -118,6 +121,18 @@ def test_once_for_one_stop(scene_of: Callable[[str], Scene]) -> None:
     (pid,) = scene.aftermath._command_pids
     command = NEVER_ENDS.format(file=scene.file)
     assert scene.told == [(f"still.command runs (pid {pid}): {command}", {"state": "runs", "pid": pid}, "")]
+
+
+def test_again_for_the_next_stop_once_the_wheels_were_still(scene_of: Callable[[str], Scene]) -> None:
+    """Though the supervisor has not seen the reset in between."""
+    scene = scene_of("echo $$ >> {file}")
+    scene.stop_unheeded()
+    wait_for("the command", lambda: len(scene.runs()) == 1)
+    scene.follow(MS, still=True)
+    scene.reset_word.set(scene.epoch)
+    scene.stop()
+    assert scene.follow(S) == [UNSTILL]
+    wait_for("the command anew", lambda: len(scene.runs()) == 2)
 
 
 def test_one_that_has_ended_is_not_told_to_hang(scene_of: Callable[[str], Scene]) -> None:
