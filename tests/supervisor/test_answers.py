@@ -215,6 +215,13 @@ def test_a_run_that_others_can_not_find_any_more_stops_and_ends_when_that_is_ans
     assert scene.told()["written_by"] == "port owner"
 
 
+def test_a_turn_does_not_forget_that_it_was_told_to_end(scene: Scene) -> None:
+    scene.supervisor.end(signal.SIGTERM, None)
+    scene.turn(LOOK_EVERY_NS)
+    assert scene.supervisor.ending
+    assert not scene.supervisor.broken
+
+
 def test_the_cause_is_there_before_the_epoch_and_ready_is_not(scene: Scene) -> None:
     """Whoever sees the new epoch finds its cause; and nobody finds the service ready in an epoch of a stop."""
     order: list[str] = []

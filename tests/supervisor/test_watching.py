@@ -25,6 +25,7 @@ from failstop.supervisor import family as family_module
 from failstop.supervisor import main
 from failstop.supervisor.children import STARTING_NS
 from failstop.supervisor.family import GATE_AGAIN_NS
+from failstop.supervisor.fence import Fence
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import REOPEN_NS, OwnPort
@@ -220,6 +221,37 @@ def test_of_another_that_was_fenced_no_stop_is_told_though_one_was_written_since
     watching.supervisor._burst()
     watching.pass_time(MS)
     assert fenced(watching)["text"] == "gate was fenced: killed after 0.0 ms, gone after 1.0 ms"
+
+
+def test_of_two_that_were_fenced_together_the_stop_is_the_port_owner_s(watching: Watching) -> None:
+    watching.employ(layout.GATE)
+    fence(watching, layout.PORT_OWNER)
+    gate = watching.supervisor.family[layout.GATE]
+    gate.fence = Fence(watching.now_ns, watching.now_ns, 0)
+    os.kill(gate.pid, signal.SIGKILL)
+    assert gate.life
+    assert gate.life.wait(20.0)
+    watching.pass_time(MS)
+    stories = {event["fields"]["process"]: event["text"] for event in watching.events() if event["kind"] == "fenced"}
+    assert stories[layout.PORT_OWNER].endswith("gone after 1.0 ms, stop again after 1.0 ms")
+    assert stories[layout.GATE].endswith("gone after 1.0 ms")
+
+
+def test_the_death_of_another_is_no_stop_that_was_written(watching: Watching) -> None:
+    watching.employ(layout.GATE).kill()
+    until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+    watching.supervisor._tried_ns = watching.now_ns  # no zeros of its own just now
+    assert watching.pass_time(0) == BURST
+    assert watching.told() == {"reason": "gate died", "written_by": "supervisor", "written_us": 0.0}
+    assert watching.word("written_ns").get() == watching.now_ns
+
+
+def test_a_ring_wakes_it_once(watching: Watching) -> None:
+    for bell in (watching.resources.bells[layout.SUPERVISOR], watching.supervisor.family.early.bell):
+        bell.ring()
+        assert bell.fd in watching.supervisor.loop.wait(0)
+        watching.pass_time(0)
+        assert watching.supervisor.loop.wait(0) == {}
 
 
 def test_while_no_port_owner_runs_the_stop_is_written_five_times_a_second(watching: Watching) -> None:
