@@ -98,6 +98,7 @@ class Scene:
         found = []
         while slot := self._reader.next():
             found.append(msgpack.unpackb(slot[2]))
+            assert slot[1] == found[-1]["ns"]
         return found
 
     def journal(self) -> list[bytes]:

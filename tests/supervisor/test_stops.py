@@ -6,7 +6,7 @@ import pytest
 
 from failstop.supervisor.causes import Cause
 from failstop.supervisor.fence import Fence
-from failstop.supervisor.stops import JUDGED_AFTER_NS, JUDGED_WITHIN_NS, LastStop, still_after
+from failstop.supervisor.stops import ACKNOWLEDGE_NS, JUDGED_AFTER_NS, JUDGED_WITHIN_NS, LastStop, still_after
 
 MS = 1_000_000
 T0 = 10_000 * MS
@@ -154,6 +154,13 @@ def test_what_programs_are_told_of_it() -> None:
 
 def test_a_stop_from_before_its_cause_was_written_at_once() -> None:
     assert stop(-0.5).as_record()["written_us"] == 0.0
+
+
+def test_one_that_is_observed_waits_a_while_for_its_acknowledgement() -> None:
+    last = stop()
+    last.judged(T0 - 5_000 * MS, T0 + JUDGED_AFTER_NS, T0 + JUDGED_AFTER_NS)
+    assert not last.complete(T0 + ACKNOWLEDGE_NS - 1)
+    assert last.complete(T0 + ACKNOWLEDGE_NS)
 
 
 def test_a_fence_tells_its_times_in_order() -> None:

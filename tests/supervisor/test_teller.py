@@ -94,10 +94,10 @@ NEXT = "next: `failstop reset --name x`, then `failstop enable --name x`"
 @pytest.mark.parametrize(
     ("cause", "after_ns", "ending", "kind", "text", "level"),
     [
-        (KEY, 80_250, False, "stop", f"E-STOP latched: key1; {{wrote}} 80 us; {NEXT}", ""),
+        (KEY, 80_260, False, "stop", f"E-STOP latched: key1; {{wrote}} 80 us; {NEXT}", ""),
         (KEY, -1, False, "stop", f"E-STOP latched: key1; {{wrote}} 0 us; {NEXT}", ""),
         (KEY, None, False, "stop", f"E-STOP latched: key1; stop frame NOT written; {NEXT}", "critical"),
-        (DEATH, 80_250, False, "stop_again", "stopped again: gate died; {wrote} 80 us; latched is still: key1", ""),
+        (DEATH, 80_260, False, "stop_again", "stopped again: gate died; {wrote} 80 us; latched is still: key1", ""),
         (
             DEATH,
             None,
@@ -106,7 +106,7 @@ NEXT = "next: `failstop reset --name x`, then `failstop enable --name x`"
             "stopped again: gate died; stop frame NOT written; latched is still: key1",
             "critical",
         ),
-        (KEY, 80_250, True, "stopping", "key1; {wrote} 80 us", ""),
+        (KEY, 80_260, True, "stopping", "key1; {wrote} 80 us", ""),
         (KEY, None, True, "stopping", "key1; stop frame NOT written", "critical"),
     ],
 )
