@@ -102,3 +102,9 @@ def test_the_command_line_becomes_the_supervisor_with_its_lock_and_port(
     assert environ["NOTIFY_SOCKET"] == "/run/notify"
     assert "WATCHDOG_USEC" not in environ
     assert all(os.get_inheritable(fd) for fd in pipe)
+
+
+def test_the_search_path_is_the_package_s_and_what_means_the_same_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = os.path.dirname(starter._PACKAGE)
+    monkeypatch.setattr(sys, "path", ["", "here", "/abs", own, "/abs"])
+    assert starter.environment(Settings())["FAILSTOP_PATH"] == f"{own}:/abs"
