@@ -325,6 +325,7 @@ def test_nothing_that_is_looked_at_every_period_times_out_sooner() -> None:
 def test_times_as_nanoseconds() -> None:
     assert Settings().ns("gate.period_s") == 20_000_000
     assert Settings({"gate.command_timeout_s": 0.123456789}).ns("gate.command_timeout_s") == 123_456_789
+    assert Settings({"restart.window_s": 3600}).ns("restart.window_s") == 3_600_000_000_000
 
 
 def test_texts() -> None:
