@@ -58,7 +58,12 @@ SUPERVISOR = (
     Reason("supervisor/link.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
     Reason("supervisor/link.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
     Reason("supervisor/main.py", r"silent_ns <= child\.allowed_ns", "two times in ns at exact equality"),
-    Reason("supervisor/names.py", r"_looked_ns = 1$", "a nanosecond more", same=False),
+    Reason(
+        "supervisor/*.py",
+        r"self\._(looked|beat|absent|answered|next)_ns = 1$",
+        "the first nanosecond of the machine, which nobody looks at",
+    ),
+    Reason("supervisor/device.py", r"since_ns < self\._changed_ns", "two times in ns at exact equality"),
     Reason("supervisor/notify.py", r"every_ns > 1 ", "it is 0, or half a microsecond at least"),
     Reason("supervisor/port.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
     Reason("supervisor/resources.py", r"create=True, gid=gid", "the mode is what it would be without"),

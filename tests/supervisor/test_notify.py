@@ -83,6 +83,17 @@ def test_without_a_watchdog_there_is_no_beat(manager: Manager, end: contextlib.E
     assert manager.heard() == ["STATUS=ready"]
 
 
+def test_without_being_told_of_one_there_is_none() -> None:
+    assert Notify("/run/x").every_ns == 0
+
+
+def test_an_address_need_be_no_text(tmp_path: Path, end: contextlib.ExitStack) -> None:
+    manager = Manager(str(tmp_path / "n\udcff"))
+    assert speaker(end, manager.address).send("READY=1")
+    assert manager.heard() == ["READY=1"]
+    manager.close()
+
+
 def test_a_reason_can_not_speak_for_the_service(manager: Manager, end: contextlib.ExitStack) -> None:
     speaker(end, manager.address).follow(T0, "stop latched: x\nREADY=1\nWATCHDOG=1", healthy=True)
     assert manager.heard() == ["STATUS=stop latched: x?READY=1?WATCHDOG=1"]

@@ -22,6 +22,7 @@ from tests.unprivileged import unprivileged
 def test_the_first_bytes_of_a_run_are_a_burst() -> None:
     with new_pty() as pty:
         own = OwnPort.open_and_stop(pty.link)
+        assert own.stopped
         assert pty.read() == BURST
         own.replace(-1)
 
@@ -46,6 +47,16 @@ def test_only_a_whole_burst_was_written(
     with new_pty() as pty, monkeypatch.context() as patch:
         patch.setattr(os, "write", write)
         assert OwnPort(pty.slave).burst() is written
+
+
+def test_nothing_is_written_to_a_port_that_has_gone() -> None:
+    with new_pty() as pty:
+        own = OwnPort(os.dup(pty.slave))
+        assert not own.stopped, "before its first burst"
+        pty.unplug()
+        assert not own.burst()
+        own.replace(-1)
+        assert not own.burst()
 
 
 def test_the_old_descriptor_is_closed() -> None:
