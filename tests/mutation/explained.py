@@ -54,6 +54,7 @@ SUPERVISOR = (
     Reason("supervisor/events.py", r"<= LONGEST_HOLD_NS", "two times in ns at exact equality"),
     Reason("supervisor/events.py", r'get\("reason", (None)?\)', "no request begins with None"),
     Reason("supervisor/events.py", r"len\(data\) < ROOM", "an event that fills its slot to the byte", same=False),
+    Reason("supervisor/fence.py", r"silent_ns: int = 1,", "a nanosecond, of what is told in ms", same=False),
     Reason("supervisor/grant.py", r"open\(CONTROL_GROUP, (encoding=None)?\)", "the service runs in C.UTF-8"),
     Reason("supervisor/link.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
     Reason("supervisor/link.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
