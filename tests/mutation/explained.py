@@ -43,7 +43,12 @@ SUPERVISOR = (
     ),
     Reason("supervisor/aftermath.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
     Reason("supervisor/allowance.py", r"max\(1, now_ns", "a nanosecond's worth more", same=False),
-    Reason("supervisor/blackbox.py", r"result, 4097\)|max\(1, until_ns", "a byte, a nanosecond more", same=False),
+    Reason(
+        "supervisor/blackbox.py",
+        r"result, 4097\)|max\(1, until_ns|FINISH_S \* 1000000001",
+        "a byte, a nanosecond more",
+        same=False,
+    ),
     Reason("supervisor/blackbox.py", r"_hurry = -2", "any number below 0 is none"),
     Reason(
         "supervisor/config.py",
