@@ -185,7 +185,6 @@ class Aftermath:
     def _tell(self) -> None:
         """A stop that another one follows is told of with what is known."""
         if self._last and not self._last.told:
-            self._last.told = True
             self._tell_outcome(self._last)
 
     def _tell_outcome(self, stop: LastStop) -> None:

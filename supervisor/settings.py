@@ -347,8 +347,7 @@ class Settings:
         changed: dict[str, object] = {}
         for line in text.splitlines():
             key, value = line.split("=", 1)
-            kind = type(declaration(key).default)
-            changed[key] = value if kind is str else kind(value)
+            changed[key] = type(declaration(key).default)(value)
         return cls(changed)
 
 

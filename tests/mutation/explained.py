@@ -81,6 +81,65 @@ PROCS: tuple[Reason, ...] = (
 
 SHM: tuple[Reason, ...] = ()
 
-SUPERVISOR: tuple[Reason, ...] = ()
+SUPERVISOR = (
+    Reason("supervisor/*.py", r"/ (1000001|1000000001)\.0", "a millionth is not seen in what is rounded", same=False),
+    Reason(
+        "supervisor/blackbox.py",
+        r"^-.*_hurry >= 0.*\n\+.*_hurry (> 0|>= 1)",
+        "0, 1 and 2 are open: no descriptor here is 0",
+    ),
+    Reason(
+        "supervisor/aftermath.py",
+        r"else \([01], [01], records\.PORT_OPEN",
+        "before the port owner's first word there is no link and no stop yet",
+        same=False,
+    ),
+    Reason("supervisor/aftermath.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
+    Reason("supervisor/allowance.py", r"max\(1, now_ns", "a nanosecond's worth more", same=False),
+    Reason(
+        "supervisor/blackbox.py",
+        r"result, 4097\)|max\(1, until_ns|FINISH_S \* 1000000001",
+        "a byte, a nanosecond more",
+        same=False,
+    ),
+    Reason("supervisor/blackbox.py", r"_hurry = -2", "any number below 0 is none"),
+    Reason(
+        "supervisor/config.py",
+        r"MOST_BYTES \+ (1 \+|2 -) len\(data\)",
+        "it reads more of a file that is refused for its length all the same",
+    ),
+    Reason("supervisor/config.py", r"version_info > \(3, 11\)", "it has five parts, and never equals two"),
+    Reason("supervisor/events.py", r"<= LONGEST_HOLD_NS", "two times in ns at exact equality"),
+    Reason("supervisor/events.py", r'get\("reason", (None)?\)', "no request begins with None"),
+    Reason("supervisor/events.py", r"len\(data\) < ROOM", "an event that fills its slot to the byte", same=False),
+    Reason("supervisor/fence.py", r"silent_ns: int = 1,", "a nanosecond, of what is told in ms", same=False),
+    Reason("supervisor/grant.py", r"open\(CONTROL_GROUP, (encoding=None)?\)", "the service runs in C.UTF-8"),
+    Reason("supervisor/link.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
+    Reason("supervisor/link.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
+    Reason("supervisor/main.py", r"silent_ns <= child\.allowed_ns", "two times in ns at exact equality"),
+    Reason(
+        "supervisor/*.py",
+        r"self\._(looked|beat|absent|answered|next)_ns = 1$",
+        "the first nanosecond of the machine, which nobody looks at",
+    ),
+    Reason("supervisor/device.py", r"since_ns < self\._changed_ns", "two times in ns at exact equality"),
+    Reason("supervisor/notify.py", r"every_ns > 1 ", "it is 0, or half a microsecond at least"),
+    Reason("supervisor/port.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
+    Reason("supervisor/resources.py", r"create=True, gid=gid", "the mode is what it would be without"),
+    Reason("supervisor/restarts.py", r"count - 2, 17", "the shortest wait doubled 16 times is beyond the longest"),
+    Reason("supervisor/settings.py", r"known, 2, 0\.5", "the first of them is taken"),
+    Reason("supervisor/sharing.py", r"opened_ns(\(\))? > 1", "no port is opened in the machine's first nanosecond"),
+    Reason(
+        "supervisor/sharing.py",
+        r"else \([01], [01], records\.PORT_CLOSED",
+        "of a port that is closed nothing else is looked at",
+    ),
+    Reason(
+        "supervisor/stops.py",
+        r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.cause\.t_ns",
+        "two times in ns at exact equality",
+    ),
+    Reason("supervisor/teller.py", r"max\(1, written_ns", "a nanosecond, of a time in microseconds", same=False),
+)
 
 REASONS = (*EVERYWHERE, *PROCS, *SHM, *SUPERVISOR)

@@ -64,7 +64,7 @@ def unplugged_first(fd: int, _written: object = None) -> wire_module.Wire:
     return made
 
 
-def test_it_waits_for_both_deaths_at_the_mutexes_that_are_the_port_owner_s(scene: Scene) -> None:
+def test_it_waits_for_both_deaths_at_the_futexes_that_are_the_port_owner_s(scene: Scene) -> None:
     scene.turn()
     assert scene.early.armed == [(scene.supervisor.pid, layout.SUPERVISOR_BLOCK, 0), (scene.gate.pid, 3, 1)]
 

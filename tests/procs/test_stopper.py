@@ -79,7 +79,7 @@ def test_silent_while_all_is_well(scene: Scene) -> None:
     assert scene.stays
 
 
-def test_it_waits_for_both_deaths_at_the_mutexes_that_are_the_stopper_s(scene: Scene) -> None:
+def test_it_waits_for_both_deaths_at_the_futexes_that_are_the_stopper_s(scene: Scene) -> None:
     assert scene.early.armed == [(scene.supervisor.pid, layout.SUPERVISOR_BLOCK, 1), (scene.port_owner.pid, 3, 1)]
 
 

@@ -10,6 +10,8 @@ import msgpack
 import pytest
 
 from failstop.shm import layout, records, segment
+from failstop.supervisor.aftermath import DEAF_REASON, UNSTILL
+from failstop.supervisor.causes import Cause
 from tests.supervisor.test_answers import MS, Scene
 from tests.waiting import until
 
@@ -43,6 +45,29 @@ class Watched(Scene):
         assert entry is not None
         found: dict[str, Any] = msgpack.unpackb(entry[2])
         return found
+
+    def follow(self, elapsed_ns: int, *, listening: bool = True) -> list[tuple[int, str, str]]:
+        """Aftermath's own turn; returns the causes that it brought."""
+        self.now_ns += elapsed_ns
+        causes = self.supervisor.aftermath.follow(self.now_ns, listening=listening)
+        return [(cause.t_ns, cause.noticed_by, cause.reason) for cause in causes]
+
+    def said(self) -> list[tuple[str, str, str, dict[str, Any]]]:
+        """What people were told since the last call."""
+        self.supervisor._events.flush()
+        return [(event["kind"], event["level"], event["text"], event["fields"]) for event in self.events()]
+
+    def pings(self, index: int, *, answered: bool) -> None:
+        """A ping goes out now; its answer comes a millisecond later."""
+        self.port_owner.word(f"ping_{index}").set(self.now_ns)
+        if answered:
+            self.telemetry.word("pong").set(records.pong(self.now_ns + MS, index))
+
+    def opens_the_port(self, generation: int, state: int = records.PORT_OPEN) -> None:
+        """The port owner has written its burst, and says so."""
+        self.port_owner.word("written_ns").set(self.now_ns)
+        record = records.pack_port(generation, self.now_ns, state, "/dev/board")
+        self.port_owner.latest_writer("port").write(record)
 
     def reset(self) -> None:
         self.gate.word("reset_epoch").set(self.supervisor.epoch)
@@ -143,5 +168,83 @@ def test_a_verdict_that_is_given_anew_meanwhile_is_looked_at_the_next_time(
     monkeypatch.setattr(scene.supervisor.aftermath, "_judged", judged)
     scene.turn(MS)
     assert scene.proofs()["observed_ms"] is None
+    assert scene.supervisor.epoch == 2
     scene.turn(MS)
     assert scene.proofs()["observed_ms"] is not None
+    written = scene.stop_record.read()
+    scene.turn(MS)
+    assert scene.stop_record.read() == written, "what is known is not written anew"
+
+
+def test_what_is_told_of_the_link(scene: Watched) -> None:
+    scene.pings(0, answered=True)
+    assert scene.follow(2 * MS) == []
+    assert scene.said() == [("link", "notice", "the board answers", {"state": "alive"})]
+    scene.now_ns += 500 * MS
+    scene.pings(1, answered=False)
+    assert scene.follow(600 * MS) == [(scene.now_ns, layout.SUPERVISOR, DEAF_REASON)]
+    assert scene.said() == [("link", "critical", "the board answers no more", {"state": "deaf"})]
+    assert scene.follow(600 * MS) == [], "once"
+    scene.pings(3, answered=True)
+    scene.follow(2 * MS)
+    assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
+    scene.opens_the_port(0, records.PORT_LOST)
+    scene.follow(MS)
+    text = "whether the board hears is not known until it answers"
+    assert scene.said() == [("link", "info", text, {"state": "unproven"})]
+
+
+def test_a_board_is_not_deaf_while_nobody_listens(scene: Watched) -> None:
+    scene.pings(0, answered=True)
+    scene.follow(2 * MS)
+    scene.now_ns += 500 * MS
+    scene.pings(1, answered=False)
+    assert scene.follow(600 * MS, listening=False) == []
+    assert scene.follow(600 * MS) == [], "nor for the ping whose answer nobody could hear"
+
+
+def test_what_is_told_of_wheels_that_do_not_rest(scene: Watched) -> None:
+    scene.stop("the first")
+    scene.said()
+    scene.telemetry.word("judged_ns").set(scene.now_ns + 1_600 * MS)
+    assert scene.follow(1_600 * MS) == [(scene.now_ns, layout.SUPERVISOR, UNSTILL)]
+    told = {"reason": "the first", "epoch": 2}
+    outcome = {**told, "link": "unproven", "wheels": "unstill"}
+    assert scene.said() == [
+        ("unstill", "critical", f"CRITICAL: {UNSTILL} (the first; 1.6 s ago)", told),
+        ("stop_outcome", "error", "the first: not acknowledged (link unproven), wheels NOT seen still", outcome),
+    ]
+    scene.telemetry.word("still_ns").set(scene.now_ns)
+    scene.telemetry.word("judged_ns").set(scene.now_ns + MS)
+    assert scene.follow(MS) == []
+    assert scene.said() == [], "it was told of"
+
+
+def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Watched) -> None:
+    scene.stop("the first")
+    scene.said()
+    scene.pings(0, answered=True)
+    scene.turn(2 * MS)
+    scene.reset()
+    scene.stop("the second")
+    outcome = next(event for event in scene.said() if event[0] == "stop_outcome")
+    acknowledged_us = outcome[3].pop("acknowledged_us")
+    assert acknowledged_us == 2_000.0
+    text = "the first: acknowledged by the board after 2.0 ms, not observed"
+    fields = {"reason": "the first", "epoch": 2, "link": "alive", "wheels": "unknown"}
+    assert outcome == ("stop_outcome", "notice", text, fields)
+
+
+def test_a_stop_that_could_not_be_written_is_that_of_who_opens_the_port_anew(scene: Watched) -> None:
+    noticed_ns = scene.now_ns
+    scene.supervisor.aftermath.written(Cause(noticed_ns, layout.GATE, "the first"), 0, "supervisor", "the first", 1)
+    assert scene.told() == {"reason": "the first", "written_by": "supervisor", "written_us": None}
+    scene.port_owner.latest_writer("port").write(records.pack_port(2, scene.now_ns, records.PORT_OPEN, "/dev/board"))
+    scene.follow(MS)
+    assert scene.told()["written_us"] is None, "its last burst was before"
+    scene.opens_the_port(3)
+    scene.follow(MS)
+    assert scene.told() == {"reason": "the first", "written_by": "port owner", "written_us": 1_000.0}
+    scene.opens_the_port(4)
+    scene.follow(MS)
+    assert scene.told()["written_us"] == 1_000.0, "it was written once"

@@ -151,6 +151,25 @@ def test_what_comes_at_one_time_is_bounded_and_counted_too(log: Log) -> None:
     assert left_out(lines) == 7
 
 
+def test_once_it_is_spent_nothing_is_told_until_it_is_reopened() -> None:
+    allowance = Allowance(100, T0)
+    assert allowance.spend(40, T0)
+    assert allowance.spend(60, T0), "all of it may be spent"
+    allowance = Allowance(100, T0)
+    assert not allowance.spend(101, T0)
+    assert not allowance.spend(1, T0), "not every other line of a flood"
+    assert allowance.reopen() == 2
+    assert allowance.spend(1, T0)
+
+
+def test_it_reopens_when_just_so_much_is_there() -> None:
+    allowance = Allowance(ASKED_BYTES, T0)
+    assert allowance.spend(ASKED_BYTES - ASKED_BYTES // REOPENS_AT, T0)
+    assert allowance.reopens(T0)
+    assert allowance.spend(1, T0)
+    assert not allowance.reopens(T0)
+
+
 @given(spent=st.lists(st.tuples(st.integers(1, 3000), st.integers(-(10**9), 3 * 10**9)), max_size=200))
 def test_in_no_minute_more_than_two_buckets_and_none_that_was_not_earned(spent: list[tuple[int, int]]) -> None:
     allowance = Allowance(ASKED_BYTES, T0)

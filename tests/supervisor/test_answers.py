@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import pty
+import signal
 import tty
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,13 +16,14 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.procs import rights
-from failstop.shm import layout, records, segment
+from failstop.shm import instance, layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import main
 from failstop.supervisor.causes import Cause
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.health import OWED_NS, UNDYING_NS
 from failstop.supervisor.main import ALONE_EVERY_NS, ANSWER_NS, Supervisor
+from failstop.supervisor.names import LOOK_EVERY_NS
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
@@ -109,8 +111,14 @@ class Scene:
             control.close()
         for pair in self.resources.controls.values():
             os.close(pair[1])
-        for fd in (self.master, self.resources.stop_pipe, self.resources.client_bell):
+        for fd in (self.master, self.resources.stop_pipe, self.resources.client_bell, self.resources.published):
             os.close(fd)
+        for bell in (*self.resources.bells.values(), self.supervisor.family.early.bell):
+            os.close(bell.fd)
+        for saver in self.supervisor.blackbox._savers:
+            os.killpg(saver.pid, signal.SIGKILL)
+            os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT)
+            saver.ended()
         self.port.replace(-1)
 
 
@@ -173,7 +181,8 @@ def test_a_device_lost_is_said_to_be_not_written(scene: Scene) -> None:
 def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) -> None:
     scene.trip()
     assert scene.turn() == b""
-    assert scene.supervisor.next_ns(scene.now_ns) <= scene.now_ns + MS
+    assert scene.supervisor.next_ns(scene.now_ns) == scene.now_ns + MS
+    assert scene.supervisor.next_ns(scene.now_ns + 5 * MS - 1) == scene.now_ns + 5 * MS, "and to the moment"
     assert scene.turn(5 * MS - 1) == b"", "it has the first go"
     assert scene.turn(1) == BURST, "and the fault table promises 10 ms from the fault"
     assert ANSWER_NS == 5 * MS
@@ -192,6 +201,25 @@ def test_a_full_port_is_said_to_be_not_written(scene: Scene) -> None:
     scene.trip()
     scene.supervisor.turn({})
     assert scene.told()["written_us"] is None
+
+
+def test_a_run_that_others_can_not_find_any_more_stops_and_ends_when_that_is_answered(scene: Scene) -> None:
+    scene.turn()
+    os.unlink(instance.stop_path(scene.resources.runtime_dir))
+    scene.turn(LOOK_EVERY_NS)
+    assert scene.cause()[1] == "the stop pipe was removed: restart the service"
+    assert (scene.supervisor.epoch, scene.supervisor.broken, scene.supervisor.ending) == (2, True, False)
+    scene.answers(written_ns=scene.now_ns)
+    scene.turn(MS)
+    assert scene.supervisor.ending
+    assert scene.told()["written_by"] == "port owner"
+
+
+def test_a_turn_does_not_forget_that_it_was_told_to_end(scene: Scene) -> None:
+    scene.supervisor.end(signal.SIGTERM, None)
+    scene.turn(LOOK_EVERY_NS)
+    assert scene.supervisor.ending
+    assert not scene.supervisor.broken
 
 
 def test_the_cause_is_there_before_the_epoch_and_ready_is_not(scene: Scene) -> None:
@@ -268,6 +296,18 @@ def test_a_stop_that_crosses_a_reset_is_latched(scene: Scene) -> None:
     scene.trip("the third")
     scene.turn(MS)
     assert scene.cause() == (3, "the second", "the third")
+
+
+def test_what_is_latched_until_the_reset(scene: Scene) -> None:
+    herald = scene.supervisor.herald
+    assert herald.latched() == ""
+    scene.trip("the first")
+    scene.turn()
+    assert herald.latched() == "the first"
+    scene.gate.word("reset_epoch").set(1)
+    assert herald.latched() == "the first"
+    scene.gate.word("reset_epoch").set(2)
+    assert herald.latched() == "", "and nobody waits for the supervisor's turn"
 
 
 def test_people_are_told_when_the_stop_is_out_and_not_before(scene: Scene) -> None:

@@ -125,6 +125,42 @@ def test_whatever_is_in_a_file_is_one_short_line(file: Path, content: bytes, pro
     assert len(message) < 500 + len(str(file))
 
 
+@pytest.mark.parametrize(("over", "allowed"), [(0, True), (1, False)])
+def test_a_file_may_be_as_long_as_said_and_comes_in_parts(
+    file: Path, monkeypatch: pytest.MonkeyPatch, over: int, allowed: bool
+) -> None:
+    head = b"limits.vx_mps = 0.35\n"
+    lines = b"#" * 999 + b"\n"
+    file.write_bytes((head + lines * 66)[: config.MOST_BYTES + over])
+    real = os.read
+    monkeypatch.setattr(os, "read", lambda fd, most: real(fd, min(most, 4096)))
+    if allowed:
+        assert config.load(str(file))["limits.vx_mps"] == 0.35
+    else:
+        with pytest.raises(SettingError, match="it has more than 65536 bytes"):
+            config.load(str(file))
+
+
+def test_a_line_may_be_as_long_as_said(file: Path) -> None:
+    file.write_text("#" * config.LONGEST_LINE)
+    config.load(str(file))
+    assert "line 1 has more than 1000 characters" in refusal(file, "#" * (config.LONGEST_LINE + 1))
+
+
+def test_a_key_that_is_longer_than_any_is_told_as_it_is_written(file: Path) -> None:
+    longest = "x" * config.LONGEST_KEY
+    assert refusal(file, f"{longest} = 1\n").startswith(f"{longest}: no such setting")
+    assert refusal(file, f"{longest}x = 1\n") == f"'{longest}x': no such setting; `failstop config` lists them all"
+
+
+def test_a_mistake_without_words_is_told_by_its_name(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def parse(_text: str) -> dict[str, object]:
+        raise MemoryError
+
+    monkeypatch.setattr(config, "_parse", parse)
+    assert "is not TOML: MemoryError;" in refusal(file, "")
+
+
 def test_a_number_of_thousands_of_digits_on_a_line_that_may_be_is_one_line(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,10 +21,12 @@ class Told(Events):
     def __init__(self) -> None:
         super().__init__("x")
         self.told: list[tuple[str, object]] = []
+        self.texts: list[str] = []
 
     def tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:
         assert isinstance(fields, dict)
         self.told.append((kind, fields.get("away_s")))
+        self.texts.append(text)
         assert fields["path"] == PATH
 
 
@@ -79,6 +81,18 @@ def test_once_each(steps: list[Step], told: list[tuple[str, object]]) -> None:
     for step in steps:
         step(device)
     assert events.told == told
+
+
+def test_how_long_it_was_away_is_told_to_a_tenth_of_a_second_and_to_programs_in_ms() -> None:
+    events = Told()
+    device = Device(events, T0)
+    device.lost(PATH, T0 + S)
+    device.back(PATH, T0 + S + 1_234_500_001)
+    assert events.told[1] == ("device_back", 1.235)
+    assert events.texts == [
+        f"{PATH} is gone; the stop is written the moment it is back; wheels that turn: POWER SWITCH",
+        f"{PATH} is back after 1.2 s; the stop is written",
+    ]
 
 
 MS = 10**6

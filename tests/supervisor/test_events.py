@@ -98,6 +98,7 @@ class Scene:
         found = []
         while slot := self._reader.next():
             found.append(msgpack.unpackb(slot[2]))
+            assert slot[1] == found[-1]["ns"]
         return found
 
     def journal(self) -> list[bytes]:
@@ -179,6 +180,15 @@ def test_a_stop_that_can_not_be_written_does_not_hold_events_for_ever(scene: Sce
     scene.events.tell("note", "here")
     scene.events.flush(time.monotonic_ns() + LONGEST_HOLD_NS, hold=True)
     assert [event["text"] for event in scene.ring()] == ["here"]
+
+
+def test_what_was_left_out_is_counted_for_programs_too(scene: Scene) -> None:
+    for _ in range(MOST_WAITING + 7):
+        scene.events.tell("stop", "x", {"reason": "x"}, level="critical")
+    scene.events.flush()
+    *_, told = scene.ring()
+    assert (told["kind"], told["level"], told["fields"]) == ("left_out", "critical", {"of": "stop", "count": 7})
+    assert told["text"] == "7 events of the kind stop were left out: too many to tell of each"
 
 
 def test_a_kind_that_nobody_knows_is_a_note_and_a_level_too(scene: Scene) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.supervisor import journal
 from failstop.supervisor.journal import Journal, encode, is_stderr
 
 
@@ -33,25 +34,25 @@ def test_one_field(name: str, value: str | int | float, data: bytes) -> None:
 def test_an_entry_is_one_datagram(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as server:
         server.bind(str(tmp_path / "socket"))
-        journal = Journal(str(tmp_path / "socket"))
-        assert journal.send(encode([("MESSAGE", "one"), ("PRIORITY", 5)]))
-        assert journal.send(encode([("MESSAGE", "two")]))
+        sender = Journal(str(tmp_path / "socket"))
+        assert sender.send(encode([("MESSAGE", "one"), ("PRIORITY", 5)]))
+        assert sender.send(encode([("MESSAGE", "two")]))
         assert server.recv(1000) == b"MESSAGE=one\nPRIORITY=5\n"
         assert server.recv(1000) == b"MESSAGE=two\n"
-        journal.close()
+        sender.close()
 
 
 def test_a_journal_that_comes_back_is_used_again(tmp_path: Path) -> None:
     path = tmp_path / "socket"
-    journal = Journal(str(path))
-    assert not journal.send(encode([("MESSAGE", "nobody")]))
+    sender = Journal(str(path))
+    assert not sender.send(encode([("MESSAGE", "nobody")]))
     for _ in range(2):
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as server:
             server.bind(str(path))
-            assert journal.send(encode([("MESSAGE", "here")]))
+            assert sender.send(encode([("MESSAGE", "here")]))
         path.unlink()
-        assert not journal.send(encode([("MESSAGE", "nobody")]))
-    journal.close()
+        assert not sender.send(encode([("MESSAGE", "nobody")]))
+    sender.close()
 
 
 ASK = "import os; from failstop.supervisor.journal import is_stderr; print(is_stderr(os.environ['JOURNAL_STREAM']))"
@@ -67,6 +68,11 @@ def test_only_a_stderr_that_is_the_journal_s_means_the_journal(tmp_path: Path, o
             [sys.executable, "-c", ASK], stdout=subprocess.PIPE, stderr=file, env=environment, text=True
         )
     assert done.stdout == answer
+
+
+def test_without_a_stderr_there_is_no_journal_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journal, "STDERR", 1 << 20)
+    assert not is_stderr("8:9")
 
 
 @pytest.mark.parametrize("stream", ["", "8", "8:", ":9", "x:y", "1:2:3"])

@@ -49,6 +49,11 @@ def test_a_board_that_answers_is_alive() -> None:
 def test_nobody_is_deaf_who_was_not_asked() -> None:
     """As when the port owner was held up: silence counts from the first question."""
     assert deaf_after_ms(heard(T0), [3_000]) == 3_500
+    assert deaf_after_ms(heard(T0), [0, 3_000]) == 3_500, "it has answered the last one"
+
+
+def test_nor_before_its_time_from_the_last_answer() -> None:
+    assert deaf_after_ms(heard(T0), [0, 400]) == 1_000
 
 
 def test_silence_while_nobody_listened_does_not_count() -> None:

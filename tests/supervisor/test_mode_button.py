@@ -25,6 +25,8 @@ def test_any_one_bit_is_allowed(bit: int) -> None:
         (0x3000, "0x3000"),
         (0xFFFF, "0xFFFF"),
         (0x10000, "0x10000"),
+        (0xFFFFFFFF, "0xFFFFFFFF"),
+        (1 << 32, "4294967296"),
         (0x6000, "0x6000"),
         (-0x2000, "0x-2000"),
         (8193.0, "8193.0"),

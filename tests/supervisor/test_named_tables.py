@@ -37,9 +37,15 @@ def test_the_source_that_is_always_there_can_be_set() -> None:
 
 
 def test_interlocks() -> None:
-    settings = Settings({"interlocks.arm.refusal": "arm is not in the drive pose", "interlocks.door": {}})
+    settings = Settings(
+        {
+            "interlocks.arm.refusal": "arm is not in the drive pose",
+            "interlocks.door": {},
+            "interlocks.arm.timeout_s": 10,
+        }
+    )
     assert settings.interlocks() == {
-        "arm": (500 * MS, "arm is not in the drive pose"),
+        "arm": (10_000 * MS, "arm is not in the drive pose"),
         "door": (500 * MS, "interlock door is not satisfied"),
     }
 

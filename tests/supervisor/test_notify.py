@@ -65,8 +65,9 @@ def test_ready_and_status_are_told_once_and_the_watchdog_at_half_its_time(
     notify.follow(T0 + 199 * MS, "ready, motion disabled", healthy=True)
     assert manager.heard() == ["READY=1", "STATUS=ready, motion disabled"]
     notify.follow(T0 + 200 * MS, "ready, motion disabled", healthy=True)
-    notify.follow(T0 + 220 * MS, "ready, motion disabled", healthy=True)
     assert manager.heard() == ["WATCHDOG=1"]
+    notify.follow(T0 + 399 * MS, "ready, motion disabled", healthy=True)
+    assert manager.heard() == []
     notify.stopping("wheels stopped")
     assert manager.heard() == ["STOPPING=1", "STATUS=wheels stopped"]
 
@@ -82,9 +83,25 @@ def test_without_a_watchdog_there_is_no_beat(manager: Manager, end: contextlib.E
     assert manager.heard() == ["STATUS=ready"]
 
 
+def test_without_being_told_of_one_there_is_none() -> None:
+    assert Notify("/run/x").every_ns == 0
+
+
+def test_an_address_need_be_no_text(tmp_path: Path, end: contextlib.ExitStack) -> None:
+    manager = Manager(str(tmp_path / "n\udcff"))
+    assert speaker(end, manager.address).send("READY=1")
+    assert manager.heard() == ["READY=1"]
+    manager.close()
+
+
 def test_a_reason_can_not_speak_for_the_service(manager: Manager, end: contextlib.ExitStack) -> None:
     speaker(end, manager.address).follow(T0, "stop latched: x\nREADY=1\nWATCHDOG=1", healthy=True)
     assert manager.heard() == ["STATUS=stop latched: x?READY=1?WATCHDOG=1"]
+
+
+def test_what_is_no_text_is_sent_all_the_same(manager: Manager, end: contextlib.ExitStack) -> None:
+    assert speaker(end, manager.address).send("STATUS=\udcff")
+    assert manager.heard() == ["STATUS=?"]
 
 
 def test_what_could_not_be_sent_is_sent_later(tmp_path: Path, end: contextlib.ExitStack) -> None:

@@ -6,12 +6,15 @@ import contextlib
 import os
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from failstop.board import port
 from failstop.board.burst import BURST
-from failstop.supervisor.port import OwnPort
+from failstop.board.finder import Finder
+from failstop.supervisor import port as own_port
+from failstop.supervisor.port import DRAIN_S, REOPEN_NS, OwnPort
 from tests.procs.parts import Pty, new_pty
 from tests.unprivileged import unprivileged
 
@@ -19,6 +22,7 @@ from tests.unprivileged import unprivileged
 def test_the_first_bytes_of_a_run_are_a_burst() -> None:
     with new_pty() as pty:
         own = OwnPort.open_and_stop(pty.link)
+        assert own.stopped
         assert pty.read() == BURST
         own.replace(-1)
 
@@ -43,6 +47,16 @@ def test_only_a_whole_burst_was_written(
     with new_pty() as pty, monkeypatch.context() as patch:
         patch.setattr(os, "write", write)
         assert OwnPort(pty.slave).burst() is written
+
+
+def test_nothing_is_written_to_a_port_that_has_gone() -> None:
+    with new_pty() as pty:
+        own = OwnPort(os.dup(pty.slave))
+        assert not own.stopped, "before its first burst"
+        pty.unplug()
+        assert not own.burst()
+        own.replace(-1)
+        assert not own.burst()
 
 
 def test_the_old_descriptor_is_closed() -> None:
@@ -100,3 +114,128 @@ def test_a_device_that_udev_has_given_to_others_is_refused_at_the_first_try() ->
     with given_to(1, 0o660) as (pty, reader, tried):
         assert unprivileged(lambda: opened_by_nobody(pty.link, tried)) == "permission"
         assert os.read(reader, 100) == b"."
+
+
+class Clock:
+    """In the place of `time`: every look takes a microsecond, and a sleep no real time."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def monotonic(self) -> float:
+        self.now_s += 1e-6
+        return self.now_s
+
+    def monotonic_ns(self) -> int:
+        return round(self.monotonic() * 1e9)
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(own_port, "time", made)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("kind", "is_new", "waited_s"),
+    [
+        ("busy", False, 1.0),
+        ("permission", True, 2.0),
+        ("permission", False, 0.0),
+        ("absent", True, 0.0),
+        ("io", True, 0.0),
+    ],
+)
+def test_how_long_a_port_that_is_refused_is_tried_again(
+    clock: Clock,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: port.Kind,
+    is_new: bool,
+    waited_s: float,
+) -> None:
+    tried: list[bool] = []
+    told: list[float] = []
+
+    def refuse(_path: str, *, exclusive: bool) -> int:
+        tried.append(exclusive)
+        raise port.PortError(kind, "refused")
+
+    monkeypatch.setattr(port, "open_port", refuse)
+    monkeypatch.setattr(own_port, "_is_new", lambda _: is_new)
+    began_s = clock.now_s
+    with pytest.raises(port.PortError, match="refused"):
+        OwnPort.open_and_stop("/dev/board", lambda: told.append(clock.now_s))
+    assert clock.now_s - began_s == pytest.approx(waited_s, abs=0.01)
+    assert len(tried) >= 1 + waited_s / 0.02, "it is stopped soon after it is free"
+    assert all(tried), "no unprivileged process opens it from then on"
+    assert len(told) == (len(tried) - 1 if kind == "busy" else 0), "who holds it is looked at each time"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="gives files to others: only root")
+@pytest.mark.parametrize(
+    ("owner", "group", "mode", "is_new"),
+    [(0, 0, 0o600, True), (1, 0, 0o600, False), (0, 1, 0o600, False), (0, 0, 0o660, False)],
+)
+def test_a_device_is_new_as_long_as_it_is_as_the_kernel_made_it(
+    tmp_path: Path, owner: int, group: int, mode: int, is_new: bool
+) -> None:
+    device = tmp_path / "board"
+    device.touch()
+    os.chown(device, owner, group)
+    device.chmod(mode)
+    assert own_port._is_new(str(device)) is is_new
+
+
+def test_a_device_that_is_not_there_is_not_new(tmp_path: Path) -> None:
+    assert not own_port._is_new(str(tmp_path / "board"))
+
+
+@pytest.mark.parametrize(
+    ("unsent", "drained", "waited_s"),
+    [([0], True, 0.0), ([1280, 1280, 0], True, 0.001), ([1280], False, DRAIN_S), ([None], False, 0.0)],
+    ids=["nothing", "soon", "never", "gone"],
+)
+def test_what_was_written_is_waited_for_but_not_for_ever(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch, unsent: list[int | None], drained: bool, waited_s: float
+) -> None:
+    def unsent_bytes(fd: int) -> int:
+        assert fd == 55
+        left = unsent.pop(0) if len(unsent) > 1 else unsent[0]
+        if left is None:
+            raise OSError
+        return left
+
+    monkeypatch.setattr(port, "unsent_bytes", unsent_bytes)
+    began_s = clock.now_s
+    assert OwnPort(55).drain() is drained
+    assert clock.now_s - began_s == pytest.approx(waited_s, abs=0.002)
+
+
+class Looking(Finder):
+    """Finds what it is told to, and counts how often it was asked."""
+
+    def __init__(self, *found: int) -> None:
+        super().__init__("/dev/board")
+        self.left = list(found)
+
+    def open(self, now_ns: int) -> int:
+        return self.left.pop(0)
+
+
+def test_a_lost_port_is_looked_for_at_its_rate_until_it_is_there() -> None:
+    with new_pty() as pty:
+        finder = Looking(-1, os.dup(pty.slave))
+        own = OwnPort(-1)
+        t_ns = 10**12
+        assert not own.reopen(finder, t_ns)
+        assert not own.reopen(finder, t_ns + REOPEN_NS - 1)
+        assert len(finder.left) == 1
+        assert own.reopen(finder, t_ns + REOPEN_NS)
+        assert own.burst()
+        assert pty.read() == BURST
+        assert not own.reopen(finder, t_ns + 2 * REOPEN_NS), "it is there"
+        own.replace(-1)

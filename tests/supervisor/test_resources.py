@@ -215,3 +215,25 @@ def test_what_a_living_run_has_is_not_taken_from_it(made: Resources) -> None:
         Resources(made.name, made.runtime_dir)
     assert sorted(os.listdir(made.runtime_dir)) == before
     assert len(left(made.name)) == len(layout.SEGMENTS)
+
+
+def test_a_segment_that_is_taken_away_during_the_start_is_named(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = segment.open_all
+
+    def but_the_gate_s(memory: str) -> dict[str, int]:
+        found = real(memory)
+        os.close(found.pop(layout.GATE))
+        return found
+
+    monkeypatch.setattr(segment, "open_all", but_the_gate_s)
+    with pytest.raises(segment.AttachError, match=r"^shared memory gate was there and can't be opened: try again"):
+        Resources(name, str(tmp_path))
+    assert left(name) == []
+
+
+def test_whatever_others_find_by_its_name_is_watched(made: Resources) -> None:
+    others = {"the stop pipe", "the bell of the clients", "the name of the run"}
+    assert set(made.named) == {*others, *(f"shared memory {spec.name}" for spec in layout.SEGMENTS)}
+    assert all(os.fstat(fd).st_nlink for fd in made.named.values())

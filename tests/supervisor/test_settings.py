@@ -22,6 +22,8 @@ from failstop.supervisor.settings import (
     Setting,
     SettingError,
     Settings,
+    declaration,
+    shortened,
     shown,
 )
 
@@ -149,6 +151,14 @@ def test_a_text_of_another_type_or_empty_or_not_of_one_line(setting: Setting, va
     assert str(raised.value) == message
 
 
+def test_a_declaration_s_range_is_inclusive() -> None:
+    setting = Setting("x", 1, "", 1, 3, "how many")
+    assert [setting.check(value) for value in (1, 2, 3)] == [1, 2, 3]
+    for value in (0, 4):
+        with pytest.raises(SettingError, match=f"x = {value}: allowed is 1 to 3"):
+            setting.check(value)
+
+
 def test_a_text_has_an_end() -> None:
     assert Settings({"device.path": "/" * 255}).text("device.path") == "/" * 255
     assert refusal(device__path="/" * 256).endswith("a text is expected, 1 to 255 characters of one line")
@@ -201,6 +211,21 @@ def test_a_number_out_of_range(setting: Setting, value: float) -> None:
 )
 def test_a_value_is_shown_in_one_line_of_bounded_length(value: object, text: str) -> None:
     assert shown(value) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [("a\nb", "a?b"), ("x" * 160, "x" * 160), ("x" * 161, f"{'x' * 157}...")],
+    ids=["two lines", "longest", "too long"],
+)
+def test_a_part_of_a_line_is_one_line_of_bounded_length(text: str, told: str) -> None:
+    assert shortened(text) == told
+
+
+def test_no_declaration_is_found_below_a_named_table_s_own() -> None:
+    assert declaration("sources.a.priority").key == "priority"
+    with pytest.raises(SettingError, match=r"^sources\.a\.b\.priority: no such setting"):
+        declaration("sources.a.b.priority")
 
 
 @pytest.mark.parametrize("setting", NUMBERS, ids=lambda setting: setting.key)
@@ -300,6 +325,7 @@ def test_nothing_that_is_looked_at_every_period_times_out_sooner() -> None:
 def test_times_as_nanoseconds() -> None:
     assert Settings().ns("gate.period_s") == 20_000_000
     assert Settings({"gate.command_timeout_s": 0.123456789}).ns("gate.command_timeout_s") == 123_456_789
+    assert Settings({"restart.window_s": 3600}).ns("restart.window_s") == 3_600_000_000_000
 
 
 def test_texts() -> None:
@@ -356,6 +382,8 @@ def test_no_lines_are_the_defaults() -> None:
         ("gaet.period_s", "did you mean gate.period_s?"),
         ("limits.vx", "did you mean limits.vx_mps?"),
         ("pad.deadzone", "did you mean pad.dead_zone?"),
+        ("imu.bias", "did you mean imu.scale_z?"),
+        ("source.priority", "did you mean sources.NAME.priority?"),
         ("source.teleop.priority", "did you mean sources.teleop.priority?"),
         ("interlock.arm.refusal", "did you mean interlocks.arm.refusal?"),
         ("qqq", "`failstop config` lists them all"),

@@ -133,7 +133,13 @@ def test_a_port_owner_that_keeps_the_port_is_ended(three: Three) -> None:
     assert three.killed == []
     three.turn(1)
     assert three.killed == [NOBODY]
-    assert "the port did not get to the supervisor" in three.events()[-1]["text"]
+    told = three.events()[-1]
+    text = "the port did not get to the supervisor: port_owner is ended, so that the supervisor can open it"
+    assert (told["kind"], told["text"], told["fields"]) == ("waiting", text, {"for": "the port"})
+    fence = three.supervisor.family[layout.PORT_OWNER].fence
+    assert fence
+    assert not fence.was_starved
+    assert fence.fields()["silent_ms"] == 0.0
     three.turn(MS)
     assert three.killed == [NOBODY], "once"
 
@@ -198,6 +204,14 @@ def test_one_that_lives_opens_it_itself(three: Three) -> None:
     three.comes_back()
     three.turn(ALONE_EVERY_NS)
     assert three.port.fd < 0
+
+
+def test_a_lost_port_is_looked_for_only_while_no_port_owner_lives(three: Three) -> None:
+    assert three.sharing.next_ns(three.now_ns) is None
+    three.lose()
+    assert three.sharing.next_ns(three.now_ns) is None, "that one opens it"
+    three.waits_for_its_restart()
+    assert three.sharing.next_ns(three.now_ns) == three.now_ns + REOPEN_NS
 
 
 def test_patience_is_for_an_opening_alone(three: Three) -> None:

@@ -63,3 +63,48 @@ def test_the_environment_is_what_it_needs_and_no_more() -> None:
     found = starter.environment(Settings())
     assert set(found) <= {"FAILSTOP_PATH", "FAILSTOP_SETTINGS", *starter.C_LIBRARY, *starter.PASSED_ON}
     assert Settings.from_lines(found["FAILSTOP_SETTINGS"]).values == Settings().values
+
+
+def test_what_a_process_is_told_on_its_command_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[list[str], list[int]]] = []
+
+    def spawn(arguments: list[str], environ: dict[str, str], passed: list[int]) -> int:
+        told.append((arguments, passed))
+        assert environ == starter.environment(Settings())
+        return 77
+
+    monkeypatch.setattr(starter, "spawn", spawn)
+    made = Starter("left", 0x1F, "/run/x", Settings())
+    numbers = {key: number for number, key in enumerate(ROW.descriptors, 40)} | {"port": -1, "unknown": 99}
+    assert made.start(ROW, 3, numbers) == 77
+    ((arguments, passed),) = told
+    assert arguments[:3] == [sys.executable, "-I", "-S"]
+    assert arguments[3].endswith("/procs/child.py")
+    assert os.path.exists(arguments[3])
+    assert arguments[4] == ROW.name
+    words = ["name=left", "run=1f", "dir=/run/x", f"parent={os.getpid()}", "block=3"]
+    assert arguments[5:] == [*words, *(f"{key}={numbers[key]}" for key in ROW.descriptors)]
+    assert passed == [numbers[key] for key in ROW.descriptors if key != "port"]
+
+
+def test_the_command_line_becomes_the_supervisor_with_its_lock_and_port(
+    monkeypatch: pytest.MonkeyPatch, pipe: tuple[int, int]
+) -> None:
+    told: list[tuple[str, list[str], dict[str, str]]] = []
+    monkeypatch.setattr(os, "execve", lambda *arguments: told.append(arguments))
+    monkeypatch.setenv("NOTIFY_SOCKET", "/run/notify")
+    monkeypatch.delenv("WATCHDOG_USEC", raising=False)
+    starter.become_supervisor("left", "/run/x", Settings(), *pipe)
+    ((program, arguments, environ),) = told
+    assert program == arguments[0] == sys.executable
+    assert arguments[4:] == ["supervisor", "name=left", "dir=/run/x", f"lock={pipe[0]}", f"port={pipe[1]}"]
+    assert environ.items() >= starter.environment(Settings()).items()
+    assert environ["NOTIFY_SOCKET"] == "/run/notify"
+    assert "WATCHDOG_USEC" not in environ
+    assert all(os.get_inheritable(fd) for fd in pipe)
+
+
+def test_the_search_path_is_the_package_s_and_what_means_the_same_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = os.path.dirname(starter._PACKAGE)
+    monkeypatch.setattr(sys, "path", ["", "here", "/abs", own, "/abs"])
+    assert starter.environment(Settings())["FAILSTOP_PATH"] == f"{own}:/abs"

@@ -33,6 +33,7 @@ class Scene:
         views = {process: segment.attach(self.resources.memory, process) for process in layout.PROCESSES}
         settings = Settings({"still.command": command.format(file=self.file), "still.after_s": 1.0})
         self.texts: list[str] = []
+        self.told: list[tuple[str, object, str]] = []
         events = Events(self.resources.name)
         events.tell = self._tell  # type: ignore[method-assign,assignment]
         self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings, events)
@@ -44,6 +45,7 @@ class Scene:
     def _tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:
         if kind == "command":
             self.texts.append(text)
+            self.told.append((text, fields, level))
 
     def follow(self, elapsed_ns: int, *, still: bool = False) -> list[str]:
         self.now_ns += elapsed_ns
@@ -55,11 +57,14 @@ class Scene:
         """People have reset, and a new stop is not obeyed."""
         self.reset_word.set(self.epoch)
         self.follow(MS)
+        self.stop()
+        assert self.follow(S) == [UNSTILL]
+
+    def stop(self) -> None:
         self.epoch += 1
         cause = Cause(self.now_ns, layout.GATE, f"stop {self.epoch}")
         self.aftermath.written(cause, self.now_ns, "port owner", cause.reason, self.epoch)
         self.follow(MS)
-        assert self.follow(S) == [UNSTILL]
 
     def runs(self) -> list[int]:
         return [int(word) for word in self.file.read_text().split()]
@@ -69,8 +74,10 @@ class Scene:
             os.killpg(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
         self.resources.remove()
-        for fd in (self.resources.stop_pipe, self.resources.client_bell):
+        for fd in (self.resources.stop_pipe, self.resources.client_bell, self.resources.published):
             os.close(fd)
+        for bell in self.resources.bells.values():
+            os.close(bell.fd)
         for pair in self.resources.controls.values():
             for fd in pair:
                 os.close(fd)
@@ -96,7 +103,8 @@ def test_one_that_has_not_ended_is_killed_and_run_anew(scene_of: Callable[[str],
     first = scene.runs()[0]
     scene.stop_unheeded()
     wait_for("the command anew", lambda: len(scene.runs()) == 2)
-    assert f"still.command (pid {first}) has not ended since an earlier stop: killed, and run anew" in scene.texts
+    anew = f"still.command (pid {first}) has not ended since an earlier stop: killed, and run anew"
+    assert scene.told[1] == (anew, {"state": "hangs", "pid": first}, "error")
 
     def collected() -> bool:
         scene.follow(MS)
@@ -110,8 +118,21 @@ def test_once_for_one_stop(scene_of: Callable[[str], Scene]) -> None:
     scene = scene_of(NEVER_ENDS)
     scene.stop_unheeded()
     assert scene.follow(S) == [UNSTILL], "stopped again"
-    assert len(scene.texts) == 1
-    assert "runs" in scene.texts[0]
+    (pid,) = scene.aftermath._command_pids
+    command = NEVER_ENDS.format(file=scene.file)
+    assert scene.told == [(f"still.command runs (pid {pid}): {command}", {"state": "runs", "pid": pid}, "")]
+
+
+def test_again_for_the_next_stop_once_the_wheels_were_still(scene_of: Callable[[str], Scene]) -> None:
+    """Though the supervisor has not seen the reset in between."""
+    scene = scene_of("echo $$ >> {file}")
+    scene.stop_unheeded()
+    wait_for("the command", lambda: len(scene.runs()) == 1)
+    scene.follow(MS, still=True)
+    scene.reset_word.set(scene.epoch)
+    scene.stop()
+    assert scene.follow(S) == [UNSTILL]
+    wait_for("the command anew", lambda: len(scene.runs()) == 2)
 
 
 def test_one_that_has_ended_is_not_told_to_hang(scene_of: Callable[[str], Scene]) -> None:
@@ -125,6 +146,24 @@ def test_one_that_has_ended_is_not_told_to_hang(scene_of: Callable[[str], Scene]
 
         wait_for("its end", collected)
     assert len(scene.texts) == 4
+    _, fields, level = scene.told[3]
+    assert isinstance(fields, dict)
+    assert (fields["state"], fields["code"], level) == ("ended", 0, "")
+
+
+def test_one_that_can_not_be_started_is_told_of(
+    scene_of: Callable[[str], Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = scene_of("true")
+
+    def refused(*_: object, **__: object) -> int:
+        raise OSError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(os, "posix_spawn", refused)
+    scene.stop_unheeded()
+    reason = "[Errno 11] Resource temporarily unavailable"
+    text = f"cannot run still.command (true): {reason}"
+    assert scene.told == [(text, {"state": "failed", "reason": reason}, "error")]
 
 
 def test_one_that_may_not_be_killed_keeps_no_stop_from_its_command(

@@ -6,7 +6,7 @@ import pytest
 
 from failstop.supervisor.causes import Cause
 from failstop.supervisor.fence import Fence
-from failstop.supervisor.stops import JUDGED_AFTER_NS, JUDGED_WITHIN_NS, LastStop
+from failstop.supervisor.stops import ACKNOWLEDGE_NS, JUDGED_AFTER_NS, JUDGED_WITHIN_NS, LastStop, still_after
 
 MS = 1_000_000
 T0 = 10_000 * MS
@@ -123,6 +123,46 @@ def test_it_is_told_at_last_without_answer_and_without_imu() -> None:
     assert last.outcome("unproven") == "gate died: not acknowledged (link unproven), not observed"
 
 
+def test_a_rest_within_the_resolution_is_told_as_that() -> None:
+    assert still_after(0.19) == "less than 0.2 s"
+    assert still_after(0.2) == "about 0.2 s"
+    assert still_after(1.25) == "about 1.2 s"
+
+
+def test_what_programs_are_told_of_it() -> None:
+    last = stop()
+    told = {"reason": "gate died", "epoch": 2, "link": "alive"}
+    assert last.fields("alive") == {**told, "acknowledged_us": None, "observed_ms": None, "wheels": "unknown"}
+    assert last.answered(T0 + MS, T0 + 2 * MS)
+    last.judged(0, T0 + AFTER, T0 + AFTER)
+    assert last.fields("alive") == {**told, "acknowledged_us": 2_000.0, "observed_ms": None, "wheels": "unstill"}
+    last.judged(T0 + 2 * AFTER - 1, T0 + 2 * AFTER, T0 + 2 * AFTER)
+    observed_ms = (2 * AFTER - 1) / 1e6
+    assert last.fields("alive") == {**told, "acknowledged_us": 2_000.0, "observed_ms": observed_ms, "wheels": "still"}
+    assert last.as_record() == {
+        "reason": "gate died",
+        "latched": "gate died",
+        "noticed_by": "gate",
+        "written_by": "port owner",
+        "t": 1.0,
+        "epoch": 2,
+        "written_us": 500.0,
+        "acknowledged_us": 2_000.0,
+        "observed_ms": observed_ms,
+    }
+
+
+def test_a_stop_from_before_its_cause_was_written_at_once() -> None:
+    assert stop(-0.5).as_record()["written_us"] == 0.0
+
+
+def test_one_that_is_observed_waits_a_while_for_its_acknowledgement() -> None:
+    last = stop()
+    last.judged(T0 - 5_000 * MS, T0 + JUDGED_AFTER_NS, T0 + JUDGED_AFTER_NS)
+    assert not last.complete(T0 + ACKNOWLEDGE_NS - 1)
+    assert last.complete(T0 + ACKNOWLEDGE_NS)
+
+
 def test_a_fence_tells_its_times_in_order() -> None:
     fence = Fence(T0, T0 + MS // 10, T0 + MS // 5)
     assert fence.story("port_owner") == "port_owner was fenced: killed after 0.1 ms, stop written after 0.2 ms"
@@ -138,7 +178,8 @@ def test_a_fence_tells_its_times_in_order() -> None:
         "gone_us": 1000.0,
         "again_us": 2000.0,
     }
-    gate = Fence(T0, T0 + MS, 0, 61 * MS)
-    gate.gone(T0 + 2 * MS, 0)
-    assert gate.story("gate") == "gate was fenced: killed after 1.0 ms, gone after 2.0 ms"
-    assert gate.fields() == {"silent_ms": 61.0, "kill_us": 1000.0, "gone_us": 2000.0}
+    assert not fence.was_starved
+    gate = Fence(T0, T0 + MS, 0, 61_250_001)
+    gate.gone(T0 + 200 * MS, 0)
+    assert gate.story("gate") == "gate was fenced: killed after 1.0 ms, gone after 200.0 ms"
+    assert gate.fields() == {"silent_ms": 61.3, "kill_us": 1000.0, "gone_us": 200000.0}

@@ -5,29 +5,35 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import pytest
 
 from failstop.board.burst import BURST
 from failstop.procs import starved
 from failstop.procs.handover import Control
 from failstop.procs.loop import READ
-from failstop.shm import layout, records, segment
+from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
 from failstop.shm.packing import pack
 from failstop.supervisor import family as family_module
+from failstop.supervisor import main
 from failstop.supervisor.children import STARTING_NS
 from failstop.supervisor.family import GATE_AGAIN_NS
-from failstop.supervisor.main import HELD_UP_NS, LATE_NS
-from failstop.supervisor.port import OwnPort
+from failstop.supervisor.fence import Fence
+from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS
+from failstop.supervisor.notify import Notify
+from failstop.supervisor.port import REOPEN_NS, OwnPort
+from failstop.supervisor.settings import Settings
 from failstop.supervisor.table import BY_NAME
 from tests.procs.parts import Pty, new_pty
 from tests.procs.stage import Dummy
-from tests.supervisor.test_answers import MS, Scene
+from tests.supervisor.test_answers import MS, Scene, fill
 from tests.waiting import until
 
 
@@ -158,6 +164,11 @@ def test_who_is_silent_for_its_deadline_is_killed_first_and_the_port_owner_answe
     watching.pass_time(1)
     assert order[:2] == (["kill", "burst"] if name == layout.PORT_OWNER else ["kill"])
     assert watching.supervisor.epoch == 2
+    deadline_ms = BY_NAME[name].deadline_ns // MS
+    assert watching.cause()[1] == f"{name} hangs: {deadline_ms} ms silent"
+    found = watching.supervisor.family[name].fence
+    assert found
+    assert found.fields()["silent_ms"] == deadline_ms
     until(lambda: os.waitid(os.P_PID, dummy.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG), "its end")
 
 
@@ -212,6 +223,37 @@ def test_of_another_that_was_fenced_no_stop_is_told_though_one_was_written_since
     assert fenced(watching)["text"] == "gate was fenced: killed after 0.0 ms, gone after 1.0 ms"
 
 
+def test_of_two_that_were_fenced_together_the_stop_is_the_port_owner_s(watching: Watching) -> None:
+    watching.employ(layout.GATE)
+    fence(watching, layout.PORT_OWNER)
+    gate = watching.supervisor.family[layout.GATE]
+    gate.fence = Fence(watching.now_ns, watching.now_ns, 0)
+    os.kill(gate.pid, signal.SIGKILL)
+    assert gate.life
+    assert gate.life.wait(20.0)
+    watching.pass_time(MS)
+    stories = {event["fields"]["process"]: event["text"] for event in watching.events() if event["kind"] == "fenced"}
+    assert stories[layout.PORT_OWNER].endswith("gone after 1.0 ms, stop again after 1.0 ms")
+    assert stories[layout.GATE].endswith("gone after 1.0 ms")
+
+
+def test_the_death_of_another_is_no_stop_that_was_written(watching: Watching) -> None:
+    watching.employ(layout.GATE).kill()
+    until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+    watching.supervisor._tried_ns = watching.now_ns  # no zeros of its own just now
+    assert watching.pass_time(0) == BURST
+    assert watching.told() == {"reason": "gate died", "written_by": "supervisor", "written_us": 0.0}
+    assert watching.word("written_ns").get() == watching.now_ns
+
+
+def test_a_ring_wakes_it_once(watching: Watching) -> None:
+    for bell in (watching.resources.bells[layout.SUPERVISOR], watching.supervisor.family.early.bell):
+        bell.ring()
+        assert bell.fd in watching.supervisor.loop.wait(0)
+        watching.pass_time(0)
+        assert watching.supervisor.loop.wait(0) == {}
+
+
 def test_while_no_port_owner_runs_the_stop_is_written_five_times_a_second(watching: Watching) -> None:
     watching.employ(layout.PORT_OWNER).kill()
     until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
@@ -234,6 +276,46 @@ def test_one_that_was_held_up_stops_motion_and_kills_nobody(watching: Watching) 
     assert entry is not None
     assert records.unpack_cause(entry[2])[2] == "supervisor was held up for 250 ms"
     assert not any(child.fence for child in watching.supervisor.children)
+
+
+@pytest.mark.parametrize(
+    ("gap_ns", "was_ready", "excused", "epoch"),
+    [
+        (EXCUSE_NS - 1, True, False, 1),
+        (EXCUSE_NS, True, True, 1),
+        (HELD_UP_NS - 1, True, True, 1),
+        (HELD_UP_NS, False, True, 1),
+        (HELD_UP_NS, True, True, 2),
+    ],
+)
+def test_from_when_on_it_was_held_up(
+    watching: Watching, gap_ns: int, was_ready: bool, excused: bool, epoch: int
+) -> None:
+    watching.employ(layout.TELEMETRY)
+    watching.supervisor._was_ready = was_ready
+    watching.enabled()
+    watching.pass_time(0)
+    watching.pass_time(gap_ns)
+    assert (watching.supervisor.family[layout.TELEMETRY].excused_ns == watching.now_ns) is excused
+    assert watching.supervisor.epoch == epoch
+
+
+def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(watching: Watching) -> None:
+    supervisor, gate = watching.supervisor, watching.supervisor.family[layout.GATE]
+    watching.notice("gate died", written_ns=watching.now_ns + 7)
+    for noticed_by, written_ns in ((layout.PORT_OWNER, watching.now_ns + 7), (layout.SUPERVISOR, 5)):
+        gate.fallen = False
+        (cause,) = supervisor._collect([gate], watching.now_ns, 5)
+        assert (cause.t_ns, cause.noticed_by, cause.reason) == (watching.now_ns, noticed_by, "gate died")
+        assert cause.written_ns == written_ns
+        assert gate.fallen
+
+
+def test_its_own_beat_tells_the_epoch_that_it_has_raised(watching: Watching) -> None:
+    watching.trip()
+    watching.pass_time(MS)
+    assert watching.word("beat_ns").get() == watching.now_ns
+    assert watching.word("beat_epoch").get() == watching.supervisor.epoch == 2
 
 
 def test_one_that_was_held_up_while_nothing_could_move_only_tells(watching: Watching) -> None:
@@ -371,6 +453,8 @@ def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(
     started: list[int] = []
     die_too_often(watching, layout.GATE)
     down_ns = watching.now_ns
+    text = watching.events()[-1]["text"]
+    assert text.endswith("; it is started anew in 60 s, since nobody else could hear a reset")
     monkeypatch.setattr(
         family_module.Family,
         "start",
@@ -488,3 +572,225 @@ def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) ->
     assert not child.hangs(watching.now_ns + STARTING_NS - 1)
     assert child.hangs(watching.now_ns + STARTING_NS)
     assert STARTING_NS <= 10_000 * MS
+
+
+def test_it_sleeps_until_what_is_due_next(watching: Watching) -> None:
+    supervisor = watching.supervisor
+    assert supervisor.next_ns(watching.now_ns) == watching.now_ns + TICK_NS
+    watching.employ(layout.GATE)
+    overdue_ns = watching.now_ns + BY_NAME[layout.GATE].deadline_ns
+    assert supervisor.next_ns(overdue_ns - MS) == overdue_ns, "who hangs is not waited for until a tick"
+    supervisor.family[layout.TELEMETRY].restart_ns = watching.now_ns + 3 * MS
+    assert supervisor.next_ns(watching.now_ns) == watching.now_ns + 3 * MS
+    watching.port.replace(-1)
+    supervisor.family[layout.TELEMETRY].restart_ns = None
+    assert supervisor.next_ns(watching.now_ns) == watching.now_ns + REOPEN_NS
+
+
+def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(watching: Watching) -> None:
+    found = watching.supervisor._silence
+    assert found.as_record() is None
+    for at_s, name, silent_ns in ((0, "gate", 300 * MS), (9.999, "stopper", 900_400_000), (10, "gate", 300 * MS)):
+        found.over(name, silent_ns, watching.now_ns + round(at_s * 1e9))
+    watching.supervisor._events.flush()
+    first, second = watching.events()
+    text = f"the machine starves the service: gate was not run for 300 ms; {found._advice}"
+    assert (first["kind"], first["text"]) == ("starved", text)
+    assert first["fields"] == {"process": "gate", "silent_ms": 300, "times": 1}
+    assert second["fields"] == {"process": "gate", "silent_ms": 300, "times": 3}
+    assert found.as_record() == {"times": 3, "longest_ms": 900, "process": "stopper"}
+
+
+def read(watching: Watching, record: str) -> tuple[int, Any]:
+    """A record of the supervisor's: its number, and what is in it."""
+    entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader(record).read()
+    assert entry is not None
+    return entry[0], msgpack.unpackb(entry[2])
+
+
+def test_what_clients_are_told_of_the_settings(watching: Watching) -> None:
+    assert read(watching, "settings")[1] == Settings().flat()
+    namespace = os.stat("/proc/self/ns/pid").st_ino
+    rules = {"sources": ["cmd_vel"], "interlocks": [], "lease_ns": 60 * MS, "pid_namespace": namespace}
+    assert read(watching, "rules")[1] == rules
+
+
+def test_the_process_table_is_written_anew_when_it_changes(watching: Watching) -> None:
+    watching.employ(layout.PORT_OWNER).kill()
+    until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
+    watching.pass_time(0)
+    watching.supervisor.family[layout.PORT_OWNER].restart_ns = None
+    gate = watching.employ(layout.GATE)
+    watching.pass_time(MS)
+    number, table = read(watching, "processes")
+    never = {"pid": 0, "state": "waiting", "restarts": 0, "last_exit": None}
+    assert table == {
+        "waiting_for": "port_owner, stopper, telemetry",
+        "starved": None,
+        "processes": {
+            "port_owner": {**never, "restarts": 1, "last_exit": "killed by SIGKILL"},
+            "stopper": never,
+            "gate": {**never, "pid": gate.pid, "state": "running"},
+            "telemetry": never,
+        },
+    }
+    watching.pass_time(MS)
+    assert read(watching, "processes")[0] == number
+
+
+class Heard(Notify):
+    """A service manager that notes what it hears."""
+
+    def __init__(self) -> None:
+        super().__init__("/nowhere")
+        self.said: list[str] = []
+
+    def send(self, message: str) -> bool:
+        self.said += message.split("\n")
+        return True
+
+
+def test_what_the_service_manager_is_told(watching: Watching) -> None:
+    heard = Heard()
+    watching.supervisor.herald.notify = heard
+    watching.pass_time(0)
+    assert heard.said == ["STATUS=motion disabled, waiting for port_owner, stopper, gate, telemetry"]
+    for name in BY_NAME:
+        watching.employ(name)
+    watching.port_open()
+    segment.attach(watching.resources.memory, layout.STOPPER, write=True).word("port_ns").set(2**62)
+    watching.answers()
+    watching.pass_time(MS)
+    assert watching.supervisor._was_ready
+    watching.pass_time(MS)
+    assert heard.said[1:] == ["READY=1", "STATUS=ready, motion disabled"]
+    state = {"enabled": True, "epoch": 1, "blocked": "no scan", "sources": []}
+    watching.gate.latest_writer("state").write(pack(state))
+    watching.pass_time(97 * MS)
+    assert len(heard.said) == 3, "the gate's state is looked at ten times a second"
+    watching.pass_time(MS)
+    assert heard.said[3:] == ["STATUS=motion enabled; blocked: no scan"]
+    watching.trip("bumper")
+    watching.pass_time(MS)
+    watching.answers(written_ns=watching.now_ns)
+    watching.pass_time(MS)
+    assert heard.said[4:] == [
+        "STATUS=stop latched: bumper; waiting for a stop being carried out",
+        "STATUS=stop latched: bumper",
+    ]
+
+
+def test_who_is_down_is_in_the_status(watching: Watching) -> None:
+    heard = Heard()
+    die_too_often(watching, layout.TELEMETRY)
+    watching.supervisor.herald.notify = heard
+    watching.gate.word("reset_epoch").set(1)
+    watching.pass_time(MS)
+    (said,) = heard.said
+    assert said.startswith("STATUS=stop latched: telemetry died; telemetry died too often and is down until a reset")
+
+
+class Ending(Watching):
+    """Every process runs; the port owner has stopped already for the end that is to come."""
+
+    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        super().__init__(directory, monkeypatch)
+        monkeypatch.setattr(main, "sleep", self.sleep)
+        for name in BY_NAME:
+            self.employ(name)
+        self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
+        self.pass_time(0)
+        self.port_owner.word("written_ns").set(self.now_ns)
+        self.port_owner.word("stopped_epoch").set(2)
+        self.events()
+
+    def sleep(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9)
+        for beat in self.beats.values():
+            beat.set(self.now_ns)
+
+    def answer(self, sent_ns: int) -> None:
+        """The board has answered a ping a millisecond after it was sent."""
+        self.port_owner.word("ping_0").set(sent_ns)
+        self.telemetry.word("pong").set(records.pong(sent_ns + MS, 0))
+
+    def end(self) -> tuple[bool, list[tuple[str, str]]]:
+        """Told to end: (did it end well, what people were told)."""
+        self.supervisor.end(signal.SIGTERM, None)
+        well = self.supervisor.finish()
+        told = [(event["kind"], event["text"]) for event in self.events() if event["kind"] != "link"]
+        return well, told
+
+    def wrote(self, count: int) -> bool:
+        """True when it wrote so many bursts itself, and nothing else."""
+        data = b""
+        while len(data) < count * len(BURST) and select.select([self.master], [], [], 20.0)[0]:
+            data += os.read(self.master, 65536)
+        return data == count * BURST
+
+
+@pytest.fixture
+def ending(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ending]:
+    made = Ending(tmp_path, monkeypatch)
+    yield made
+    made.close()
+
+
+STOPPING = ("stopping", "service is stopping; stop frame written by the port owner after 0 us")
+
+
+def test_the_end_is_a_stop_that_is_heard_then_every_process_ended_then_another_stop(ending: Ending) -> None:
+    ending.rung(layout.SUPERVISOR)
+    ending.answer(ending.now_ns)
+    began_ns = ending.now_ns
+    well, told = ending.end()
+    assert well
+    assert ending.rung(layout.SUPERVISOR), "it does not sleep over it"
+    assert ending.supervisor.ending
+    assert told == [
+        STOPPING,
+        ("stopped", "stopped; the stop was written twice, acknowledged by the board after 1.0 ms"),
+    ]
+    assert ending.wrote(1)
+    assert ending.now_ns == began_ns, "it waits for nothing that is known"
+    assert [child.state() for child in ending.supervisor.children] == ["waiting"] * len(BY_NAME)
+    assert ending.word("beat_state").get() == heartbeat.STOPPING
+    assert ending.supervisor.blackbox._savers == [], "an end in order is no incident"
+
+
+def test_a_board_that_has_never_answered_is_waited_for_a_while_and_is_no_failure(ending: Ending) -> None:
+    began_ns = ending.now_ns
+    well, told = ending.end()
+    assert well
+    assert told[1][1].endswith("whether the board hears is not known (link unproven)")
+    assert ending.now_ns == began_ns + main.HEAR_NS
+    assert ending.word("beat_ns").get() > began_ns, "its own beat goes on: nobody stops for its silence"
+
+
+def test_a_board_that_does_not_hear_the_last_stop_is_a_failure(ending: Ending) -> None:
+    ending.answer(ending.now_ns - 1)
+    well, told = ending.end()
+    assert not well
+    assert told[1][1].endswith("NOT acknowledged by the board (link alive); wheels that turn: POWER SWITCH")
+    assert ending.wrote(1)
+
+
+def test_a_second_stop_that_can_not_be_written_is_a_failure(ending: Ending) -> None:
+    fill(ending.port.fd)
+    ending.answer(ending.now_ns)
+    well, told = ending.end()
+    assert not well
+    assert told[1][1].startswith("stopped; the second stop could NOT be written, acknowledged")
+
+
+def test_an_end_without_a_port_owner_is_stopped_for_by_the_supervisor_and_waits_for_no_answer(
+    ending: Ending,
+) -> None:
+    ending.supervisor.family[layout.PORT_OWNER].kill(20.0)
+    ending.port_owner.word("stopped_epoch").set(1)
+    began_ns = ending.now_ns
+    well, told = ending.end()
+    assert well
+    assert told[0] == ("stopping", "service is stopping; stop frame written by the supervisor after 0 us")
+    assert ending.wrote(2)
+    assert ending.now_ns == began_ns
