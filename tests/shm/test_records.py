@@ -308,3 +308,47 @@ def test_payloads_are_little_endian_without_padding() -> None:
     assert records.pack_pad(0x0102, 3, -1, 4, 5, 6, 1) == bytes([2, 1, 3, 255, 4, 5, 6, 1])
     command = struct.pack("<QdddB16s", 1, 0.2, 0.0, 0.0, 1, b"cmd_vel")
     assert records.pack_command(1, 0.2, 0.0, 0.0, True) == command
+
+
+def test_why_the_epoch_was_raised_is_the_first_cause_since_the_last_reset() -> None:
+    cause = records.pack_cause(5, 1, "gate died", "stop request")
+    assert [records.raised_for(cause, reset) for reset in (0, 4, 5, 6)] == [
+        "gate died",
+        "gate died",
+        "stop request",
+        "stop request",
+    ]
+    assert records.raised_for(None, 0) == "stopped by the supervisor"
+    assert "its reason is damaged" in records.raised_for(b"short", 0)
+
+
+@pytest.mark.parametrize("state", range(len(records.PORT_STATES)))
+def test_a_port_is_lost_when_its_owner_has_said_so_since_it_was_opened(state: int) -> None:
+    entry = (1, 1, records.pack_port(1, 50, state, "/dev/ttyACM0"))
+    lost = state == records.PORT_LOST
+    assert [records.lost_since(entry, opened_ns) for opened_ns in (49, 50, 51)] == [lost, False, False]
+    assert not records.lost_since(None, 0)
+
+
+def test_what_can_not_be_printed_is_not_shown() -> None:
+    assert records.printable("a\x1b[2J\u00e9\n\u202e\U0001f916") == "a?[2J\u00e9??\U0001f916"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "stop request"),
+        (" (nav, pid 7)", "stop request (nav, pid 7)"),
+        ("wall ahead", "stop request: wall ahead"),
+        ("wall\x07", "stop request: wall?"),
+    ],
+)
+def test_a_request_s_words_come_after_what_it_is(text: str, told: str) -> None:
+    assert records.requested(text) == told
+
+
+def test_who_asks_for_a_stop_is_told_only_where_somebody_is_named() -> None:
+    assert records.asking(" wall \n ahead ", " nav\t2 ", 7) == b"wall ahead (nav 2, pid 7)\n"
+    assert records.asking("wall") == b"wall\n"
+    assert records.asking("", "n" * 100, 7) == b" (" + b"n" * records.WHO_BYTES + b", pid 7)\n"
+    assert records.asking("x" * records.ASKED_BYTES) == b"x" * records.ASKED_BYTES + b"\n", "just fits"
