@@ -88,6 +88,20 @@ def test_every_kind_of_end_is_a_death(end: int) -> None:
         life.close()
 
 
+def test_an_end_is_waited_for_as_long_as_told() -> None:
+    with Child(waiting) as child:
+        assert child.receive() == "here"
+        life = Lifeline(child.pid)
+        before = time.monotonic()
+        assert not life.wait(0.05)
+        assert 0.05 <= time.monotonic() - before < 20
+        life.kill()
+        assert life.wait(20)
+        assert child.wait() == -signal.SIGKILL
+        life.kill()  # nobody is left, and nobody else is meant
+        life.close()
+
+
 def test_a_stopped_process_is_not_dead() -> None:
     with Child(waiting) as child:
         assert child.receive() == "here"

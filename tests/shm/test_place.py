@@ -177,6 +177,11 @@ def _not_found(name: str) -> str:
         return str(error)
 
 
+def test_a_user_is_told_by_name_and_number_where_there_is_a_name() -> None:
+    assert place.user(0) == "root (uid 0)"
+    assert place.user(OTHER) == f"uid {OTHER}"
+
+
 def test_a_new_pipe_takes_the_place_of_a_link(folder: Path, tmp_path: Path) -> None:
     victim = tmp_path / "victim"
     victim.write_text("precious")

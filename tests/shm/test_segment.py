@@ -13,7 +13,7 @@ from collections.abc import Callable
 import pytest
 
 from failstop.shm import claim, segment
-from failstop.shm.layout import BY_NAME
+from failstop.shm.layout import BY_NAME, CLIENT_SLOTS
 from failstop.shm.segment import AttachError
 
 from .children import NOBODY, Child, call, needs_root, umask
@@ -149,6 +149,51 @@ def test_client_segments_are_not_mapped(name: str) -> None:
         with open("/proc/self/maps") as maps:
             assert path not in maps.read()
         seen.close()
+
+
+def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str) -> None:
+    segment.create(name, "client.0", RUN).close()
+    new = content(path_of(name, "client.0"))
+    own, seen = segment.attach_client_slot(name, 0, RUN), segment.read_client_slot(name, 0, RUN)
+    for record in own.spec.records:
+        own.latest_writer(record).write(b"left by its holder before", 1)
+    own.wipe()
+    assert content(path_of(name, "client.0")) == new
+    for record in own.spec.records:
+        assert seen.latest_reader(record).read() is None
+        assert own.latest_writer(record).write(b"new", 1) == 1
+        assert seen.latest_reader(record).read() == (1, 1, b"new")
+    own.close()
+    seen.close()
+
+
+def test_a_slot_that_can_not_be_opened_is_always_empty() -> None:
+    for index in range(CLIENT_SLOTS):
+        none = segment.no_client_slot(index, RUN)
+        assert none.spec is BY_NAME[f"client.{index}"]
+        assert none.incarnation == RUN
+        assert not os.get_inheritable(none.fileno())
+        for record in none.spec.records:
+            assert none.latest_reader(record).read() is None
+            with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
+                none.latest_writer(record).write(b"x")
+        none.close()
+
+
+def test_a_closed_slot_writes_to_no_file_that_has_its_number_by_now(name: str) -> None:
+    segment.create(name, "client.0", RUN).close()
+    own = segment.attach_client_slot(name, 0, RUN)
+    writer, number = own.latest_writer("hello"), own.fileno()
+    own.close()
+    assert own.fileno() == -1
+    other = os.memfd_create("other")
+    try:
+        assert other == number
+        with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
+            writer.write(b"x")
+        assert os.fstat(other).st_size == 0
+    finally:
+        os.close(other)
 
 
 def test_records_are_reached_as_what_they_are(name: str) -> None:
