@@ -133,3 +133,17 @@ def test_what_is_no_record_is_refused(payload: bytes) -> None:
     if len(payload) < 40:
         with pytest.raises(ValueError, match="record"):
             box.unpack_gate(payload)
+    if len(payload) < 5:
+        with pytest.raises(ValueError, match="record"):
+            box.unpack_wire(payload)
+
+
+def test_what_the_board_sent_comes_back_as_what_it_was() -> None:
+    imu = box.pack_imu((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+    assert box.unpack_board(imu) == (box.IMU, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    assert box.unpack_board(box.pack_battery(12_345, 2)) == (box.BATTERY, (12_345, 2))
+    pad = box.pack_pad((0xFFFF, 255, -128, 127, 0, 1), 1)
+    assert box.unpack_board(pad) == (box.PAD, (0xFFFF, 255, -128, 127, 0, 1, 1))
+    for wrong in (imu[:-1], imu + b"x", bytes([box.PAD]) + imu[1:]):
+        with pytest.raises(ValueError, match="record of the board"):
+            box.unpack_board(wrong)

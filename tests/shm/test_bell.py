@@ -218,8 +218,9 @@ def test_a_service_that_goes_is_a_broken_pipe(place: str, fds: list[int]) -> Non
     reading = bell.open_pipe(f"{place}/stop")
     fds.append(writing := bell.open_pipe_to_write(f"{place}/stop"))
     os.close(reading)
-    with pytest.raises(BrokenPipeError, match="the service has gone"):
+    with pytest.raises(BrokenPipeError, match="the service has gone") as refused:
         bell.send(writing, b"x")
+    assert refused.value.errno == errno.EPIPE
 
 
 def test_the_reader_never_sees_an_end_of_file_as_clients_come_and_go(place: str, fds: list[int]) -> None:

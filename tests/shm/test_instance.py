@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from failstop.shm import bell, instance, root
 from failstop.shm.instance import InstanceError, NoService
 from failstop.shm.lifeline import Lifeline
+from failstop.shm.place import Untrusted
 
 from .children import NOBODY, Child, call, needs_root, reachable, umask
 
@@ -390,6 +391,15 @@ def test_who_listens_in_another_directory_is_refused(bases: list[str]) -> None:
     instance.refuse_listening("robot")
 
 
+@needs_root
+def test_what_is_not_believed_does_not_listen(bases: list[str]) -> None:
+    path = os.path.join(bases[1], "robot")
+    os.makedirs(path)
+    with holder(path):
+        os.chmod(path, 0o777)
+        instance.refuse_listening("robot")
+
+
 def test_all_that_listen_are_found_by_name(bases: list[str]) -> None:
     assert instance.listening() == []
     for base, name in ((bases[2], "alpha"), (bases[1], "robot"), (bases[1], "silent"), (bases[1], "No name")):
@@ -500,6 +510,12 @@ def test_a_run_that_can_not_be_published_leaves_nothing_open_and_the_one_before(
 
     assert call(attempt) == 0
     assert instance.run(path) == (7, os.geteuid())
+    os.unlink(f"{instance.run_path(path)}.new")
+    os.symlink(bases[0], f"{instance.run_path(path)}.new")
+    before = os.listdir("/proc/self/fd")
+    with pytest.raises(Untrusted, match="is a link"):
+        instance.publish(path, 8)
+    assert os.listdir("/proc/self/fd") == before
 
 
 def test_what_a_run_has_left_is_cleared_but_for_the_lock(bases: list[str], fds: list[int]) -> None:

@@ -24,7 +24,7 @@ def variant(pattern: str, replacement: str) -> ModuleType:
     text, count = re.subn(pattern, replacement, SOURCE)
     assert count, f"{pattern} is not in the layout any more"
     assert text != SOURCE
-    spec = importlib.util.spec_from_loader("failstop.shm.layout_variant", loader=None)
+    spec = importlib.util.spec_from_loader(layout.__name__, loader=None)
     assert spec is not None
     module = importlib.util.module_from_spec(spec)
     exec(compile(text, "layout_variant.py", "exec"), module.__dict__)
@@ -123,6 +123,8 @@ def test_the_hash_is_reproducible() -> None:
     module = variant(r'"""The layout', '"""the layout')
     assert module.LAYOUT_HASH == LAYOUT_HASH
     assert 0 < LAYOUT_HASH < 2**64
+    same, here = ([(spec.name, spec.size, spec.offsets) for spec in of.SEGMENTS] for of in (module, layout))
+    assert same == here
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import contextlib
 import os
 import select
 import shutil
@@ -10,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -281,6 +282,70 @@ def test_every_watcher_gets_the_early_news(name: str, mutexes: Mutexes, block: i
                     watcher.close()
 
 
+def threads() -> set[int]:
+    """Those of this process."""
+    return {int(thread) for thread in os.listdir("/proc/self/task")}
+
+
+def test_the_news_comes_by_one_thread_for_each_lifeline(name: str, mutexes: Mutexes) -> None:
+    """In the process that holds the lifeline, as the port owner does, however often it is armed."""
+    for index in range(PER_BLOCK):
+        mutexes.prepare(2)
+        news = EarlyNews(mutexes)
+        before = threads()
+        with holding(name, 2) as held:
+            life = Lifeline(held.pid)
+            for _ in range(3):
+                news.arm(life, 2, index)
+            assert len(threads() - before) == 1
+            assert not life.down({})
+            os.kill(held.pid, signal.SIGKILL)
+            assert select.select([news.bell.fd], [], [], 20)[0]
+            assert life.fallen
+            assert life.down({})
+            assert life.dead()
+            life.close()
+        os.close(news.bell.fd)
+
+
+@contextlib.contextmanager
+def scheduled(policy: int, priority: int = 0) -> Iterator[None]:
+    """Run with this scheduling."""
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    os.sched_setscheduler(0, policy, os.sched_param(priority))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)
+
+
+def test_a_waiting_thread_takes_the_scheduling_of_before_and_not_that_of_its_starter(
+    name: str, mutexes: Mutexes
+) -> None:
+    """A process that has real-time rights hands none of them on to a thread that it starts."""
+    mutexes.prepare(2)
+    news = EarlyNews(mutexes)
+    with holding(name, 2) as held:
+        life = Lifeline(held.pid)
+        before = threads()
+        with scheduled(os.SCHED_BATCH):
+            news.arm(life, 2, 0)
+        (thread,) = threads() - before
+        until(lambda: os.sched_getscheduler(thread) == os.SCHED_OTHER, "its own scheduling")
+        os.kill(held.pid, signal.SIGKILL)
+        assert select.select([news.bell.fd], [], [], 20)[0]
+        life.close()
+    os.close(news.bell.fd)
+
+
+@needs_root
+def test_real_time_rights_are_remembered_for_the_threads(mutexes: Mutexes) -> None:
+    with scheduled(os.SCHED_FIFO, 5):
+        news = EarlyNews(mutexes)
+    assert news._policy == (os.SCHED_FIFO, os.sched_param(5))
+    os.close(news.bell.fd)
+
+
 def test_no_news_while_the_holder_lives(name: str, mutexes: Mutexes) -> None:
     mutexes.prepare(3)
     with holding(name, 3) as held, watching(name, held.pid, 3, 0) as watcher:
@@ -296,8 +361,8 @@ def test_no_news_while_the_holder_lives(name: str, mutexes: Mutexes) -> None:
 def test_a_mutex_that_nobody_holds_is_no_death(mutexes: Mutexes) -> None:
     mutexes.prepare(4)
     for index in range(PER_BLOCK):
-        assert waited_for(mutexes, 4, index) is False
-        assert waited_for(mutexes, 4, index) is False
+        assert mutexes.wait_for_death(4, index) is False
+        assert waited_for(mutexes, 4, index) is False, "who asked has not kept it"
 
 
 def test_a_block_is_used_again(name: str, mutexes: Mutexes) -> None:

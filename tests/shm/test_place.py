@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from collections.abc import Callable, Iterator
@@ -57,6 +58,8 @@ def refused(folder: Path, *ways: str) -> list[str]:
             with pytest.raises(Untrusted) as caught:
                 attempt()
             assert "\n" not in str(caught.value.strerror), way
+            assert caught.value.errno == errno.EBADF
+            assert str(caught.value.strerror).startswith(caught.value.filename)
             found.append(str(caught.value.strerror))
     assert found
     return found

@@ -13,8 +13,9 @@ from collections.abc import Callable
 import pytest
 
 from failstop.shm import claim, segment
-from failstop.shm.layout import BY_NAME, CLIENT_SLOTS
+from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, PROCESSES
 from failstop.shm.segment import AttachError
+from tests.waiting import until
 
 from .children import NOBODY, Child, call, needs_root, umask
 from .segments import (
@@ -209,6 +210,19 @@ def test_records_are_reached_as_what_they_are(name: str) -> None:
             wrong()
     with pytest.raises(KeyError):
         own.word("no_such_record")
+    made = segment.create(name, "telemetry", RUN)
+    with pytest.raises(TypeError, match="words are only read through a mapping"):
+        made.word("beat_ns")
+    made.close()
+
+
+def test_a_ring_is_read_from_now_on_or_from_its_oldest_entry(name: str) -> None:
+    segment.create(name, "gate", RUN).close()
+    own = segment.attach(name, "gate", RUN, write=True)
+    own.ring_writer("frames").put(b"before", 1)
+    now, oldest = own.ring_reader("frames"), own.ring_reader("frames", from_oldest=True)
+    assert now.next() is None
+    assert oldest.next() == (1, 1, b"before")
 
 
 def test_create_takes_nothing_that_is_there(name: str) -> None:
@@ -271,6 +285,55 @@ def test_a_dead_run_is_one_s_own(name: str) -> None:
     finally:
         segment.unlink_all(run)
         segment.unlink_all(other)
+
+
+def test_dead_runs_are_found_by_whatever_they_have_left_the_newest_last(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    older, newer = segment.memory(name, RUN + 1), segment.memory(name, RUN)
+    strange = [f"/dev/shm/{name}.gate", f"/dev/shm/failstop.{name}.gate", f"/dev/shm/failstop.{name}.1234.unknown"]
+    listed = os.listdir
+    monkeypatch.setattr(os, "listdir", lambda path: [f"failstop.{name}.gone.gate", *listed(path)])
+    try:
+        for path in strange:
+            open(path, "w").close()
+        assert segment.dead_runs(name) == []
+        segment.create(older, "client.3", RUN + 1).close()
+        segment.create(newer, "client.0", RUN).close()
+
+        def touched() -> bool:
+            os.utime(path_of(newer, "client.0"))
+            return os.stat(path_of(newer, "client.0")).st_ctime_ns > os.stat(path_of(older, "client.3")).st_ctime_ns
+
+        until(touched, "the clock of the file system has gone on")
+        assert segment.dead_runs(name) == [older, newer]
+    finally:
+        for path in strange:
+            os.unlink(path)
+        segment.unlink_all(older)
+        segment.unlink_all(newer)
+
+
+def test_what_is_left_of_a_run_is_opened_whatever_is_missing(name: str, fds: list[int]) -> None:
+    create_all(name)
+    segment.unlink(name, PROCESSES[0])
+    segment.unlink(name, PROCESSES[2])
+    found = segment.open_all(name)
+    fds += found.values()
+    assert list(found) == [PROCESSES[1], *PROCESSES[3:]]
+
+
+def test_a_run_without_its_supervisor_s_segment_does_not_live(name: str) -> None:
+    assert not segment.living(name)
+
+
+def test_a_lock_that_can_not_be_asked_for_is_nobody_s(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    segment.create(name, "supervisor", RUN).close()
+    monkeypatch.setattr(fcntl, "fcntl", refuse)
+    assert not segment.living(name)
 
 
 def test_a_run_lives_as_long_as_its_supervisor(name: str) -> None:
