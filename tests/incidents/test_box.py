@@ -51,7 +51,19 @@ def test_every_decision_has_its_word(block: str, wanted: str) -> None:
     if block == "scan":
         made.command(1, (0.1, 0, 0))
     made.tick(2)
-    assert made.incident().ticks[-1].block == wanted
+    last = made.incident().ticks[-1]
+    assert last.block == wanted
+    assert last.enabled == made.core.enabled
+
+
+def test_the_commands_since_the_tick_before_are_counted() -> None:
+    made = Recorder()
+    counts = (0, 1, 2, 0, 300)
+    for turn, count in enumerate(counts):
+        for _ in range(count):
+            made.command(turn, (0.1, 0, 0))
+        made.tick(turn)
+    assert [tick.commands for tick in made.incident().ticks] == [0, 1, 2, 0, 255]
 
 
 any_float = st.floats(width=64)
@@ -136,6 +148,13 @@ def test_what_is_no_record_is_refused(payload: bytes) -> None:
     if len(payload) < 5:
         with pytest.raises(ValueError, match="record"):
             box.unpack_wire(payload)
+
+
+def test_of_what_was_written_a_frame_s_first_bytes_are_kept() -> None:
+    data = bytes(range(100))
+    assert box.unpack_wire(box.pack_wire(box.FRAME, data, 7)) == (box.FRAME, 100, 7, data[: box.WIRE_HEAD])
+    assert box.unpack_wire(box.pack_wire(box.REST, data, 0)) == (box.REST, 100, 0, b"")
+    assert box.unpack_wire(box.pack_wire(box.REST, bytes(70_000), 70_000)) == (box.REST, 65_535, 65_535, b"")
 
 
 def test_what_the_board_sent_comes_back_as_what_it_was() -> None:

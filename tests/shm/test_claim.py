@@ -12,7 +12,7 @@ import pytest
 from failstop.shm import claim
 from tests.waiting import until
 
-from .children import NOBODY, Child, call, needs_root, umask
+from .children import NOBODY, Child, call, group, needs_root, umask
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]
@@ -53,9 +53,11 @@ def test_the_file_s_mode_is_exact(tmp_path: Path, mask: int, mode: int, fds: lis
 
 @needs_root
 def test_the_file_s_group(tmp_path: Path, fds: list[int]) -> None:
-    fds.append(claim.open_claims(str(tmp_path / "new"), create=True, gid=NOBODY))
-    found = os.stat(tmp_path / "new")
-    assert (found.st_uid, found.st_gid) == (0, NOBODY)
+    for own, gid, wanted in ((0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)):
+        path = tmp_path / f"{own}-{gid}"
+        with group(own):
+            fds.append(claim.open_claims(str(path), create=True, gid=gid))
+        assert (path.stat().st_uid, path.stat().st_gid) == (0, wanted)
 
 
 def test_held_and_dropped_between_processes(path: str, fds: list[int]) -> None:

@@ -89,6 +89,14 @@ def test_every_kind_of_end_is_a_death(end: int) -> None:
         life.close()
 
 
+def test_to_ask_whether_it_has_died_waits_for_nothing() -> None:
+    life = Lifeline(os.getpid())
+    before = time.monotonic()
+    assert not any(life.dead() for _ in range(5))
+    assert time.monotonic() - before < 5
+    life.close()
+
+
 def test_an_end_is_waited_for_as_long_as_told() -> None:
     with Child(waiting) as child:
         assert child.receive() == "here"

@@ -164,6 +164,7 @@ def test_a_stranger_s_service_is_none_and_find_says_why(folder: Path, monkeypatc
     monkeypatch.setattr(instance, "_candidates", lambda: [str(folder.parent)])
     reading = os.open(folder / "stop", os.O_RDONLY | os.O_NONBLOCK)
     try:
+        assert f"; {folder.parent} belongs to uid {OTHER}: not trusted" in _not_found("robot")
         for uid in (0, NOBODY):
             said = call(lambda: _not_found("robot"), uid)
             assert said.startswith("no service named 'robot' is running")

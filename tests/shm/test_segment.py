@@ -17,7 +17,7 @@ from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, PROCESSES
 from failstop.shm.segment import AttachError
 from tests.waiting import until
 
-from .children import NOBODY, Child, call, needs_root, umask
+from .children import NOBODY, Child, call, group, needs_root, umask
 from .segments import (
     NAMES,
     PRIVATE_NAMES,
@@ -67,6 +67,18 @@ def test_modes_are_the_layout_s_whatever_the_umask(name: str, mask: int) -> None
         assert stat.S_IMODE(found.st_mode) == BY_NAME[of].mode
         assert found.st_uid == 0
         assert found.st_gid == (NOBODY if BY_NAME[of].mode & 0o060 == 0o060 else 0)
+
+
+@needs_root
+def test_a_client_s_segment_is_of_the_group_that_is_told(name: str) -> None:
+    for of, own, gid, wanted in (
+        ("client.0", NOBODY, 0, 0),
+        ("client.1", NOBODY, -1, NOBODY),
+        ("gate", NOBODY, 0, NOBODY),
+    ):
+        with group(own):
+            segment.create(name, of, RUN, client_gid=gid).close()
+        assert os.stat(path_of(name, of)).st_gid == wanted
 
 
 @needs_root
