@@ -93,7 +93,7 @@ class GateBox:
         if command is not None:
             age_us = min(max(0, now_ns - command.t_ns) // 1000, LONGEST)
             velocity = tuple(map(_single, command.velocity))
-            source, who = command.source.encode()[:16], command.who.encode("utf-8", "replace")[:36]
+            source, who = command.source.encode(), command.who.encode("utf-8", "replace")[:36]
             flags |= (MANUAL if command.manual else 0) | (DRIVES if core.sources.driving(now_ns) is command else 0)
         block = _BLOCK.get(core.blocked(now_ns), 1)
         numbers = (*velocity, *core.velocity, *core.speeds)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from failstop.shm import slot
-from failstop.shm.ring import RingWriter, newest
+from failstop.shm.ring import RingReader, RingWriter, newest
 
 from .memory import Memory, genuine
 from .rings import (
@@ -110,6 +110,7 @@ def test_where_readers_start(written: int) -> None:
     put(writer, 2)
     assert drain(latest) == drain(oldest) == [written + 1, written + 2]
     assert latest.lost == oldest.lost == 0
+    assert RingReader(memory, AT, CAPACITY, SLOTS, SEED).next() is None, "unless told"
 
 
 def test_many_readers_do_not_know_of_each_other() -> None:
