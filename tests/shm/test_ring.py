@@ -263,6 +263,14 @@ def test_a_successor_does_not_go_on_after_an_entry_in_the_wrong_slot() -> None:
     assert writer_of(memory).seq == 5
 
 
+def test_an_entry_whose_length_leads_into_the_next_slot_is_none_even_with_a_right_crc() -> None:
+    memory = ring_memory()
+    data = slot.build(1, 1, bytes(2 * CAPACITY), SEED, 2 * CAPACITY)
+    memory.data[place(1) : place(1) + len(data)] = data
+    assert newest(memory, AT, CAPACITY, SLOTS, SEED) == 0
+    assert reader_of(memory).next() is None
+
+
 def test_published_while_the_ring_is_looked_through_is_not_lost() -> None:
     """The reader meets a slot in mid-write, and the writer goes on while it looks for damage."""
     for at_copy in range(2, 2 * SLOTS + 3):
