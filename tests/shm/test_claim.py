@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import stat
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -58,6 +60,7 @@ def test_the_file_s_group(tmp_path: Path, fds: list[int]) -> None:
         with group(own):
             fds.append(claim.open_claims(str(path), create=True, gid=gid))
         assert (path.stat().st_uid, path.stat().st_gid) == (0, wanted)
+        assert stat.S_IMODE(path.stat().st_mode) == 0o660
 
 
 def test_held_and_dropped_between_processes(path: str, fds: list[int]) -> None:
@@ -155,6 +158,14 @@ def test_a_read_only_descriptor_can_look_but_not_take(path: str, fds: list[int])
         assert claim.held(fd, 0)
     with pytest.raises(OSError, match="Bad file descriptor"):
         claim.take(fd, 0)
+
+
+def test_who_only_reads_holds_nothing_that_a_writer_would_hold(path: str, fds: list[int]) -> None:
+    fds += [fd := claim.open_claims(path), reading := os.open(path, os.O_RDONLY)]
+    fcntl.fcntl(reading, claim.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 1, 0))
+    assert claim.held(fd, 0)
+    assert not claim.held(fd, 0, by_writer=True)
+    assert not claim.take(fd, 0)
 
 
 def test_of_two_that_race_exactly_one_wins(path: str) -> None:

@@ -444,7 +444,8 @@ def test_a_stranger_cannot_open_the_lock(bases: list[str], fds: list[int]) -> No
 
 
 def test_the_lock_does_not_cross_an_exec(bases: list[str], fds: list[int]) -> None:
-    fds.append(fd := instance.lock(instance.make_runtime_dir("robot")))
+    fds.append(fd := instance.lock(path := instance.make_runtime_dir("robot")))
+    assert instance.holder(path) == str(os.getpid())
     assert not os.get_inheritable(fd)
 
 

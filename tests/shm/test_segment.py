@@ -280,6 +280,10 @@ def test_what_is_not_the_service_s_is_refused_by_path_and_owner(name: str, of: s
         assert path_of(name, of) in message
         assert f"uid {NOBODY}" in message
         assert "remove it" in message
+    if of == "gate":
+        segment.attach(name, of, RUN, owner=NOBODY).close()
+    else:
+        segment.attach_client_slot(name, 0, RUN, owner=NOBODY).close()
 
 
 @needs_root
