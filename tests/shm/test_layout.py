@@ -125,6 +125,8 @@ def test_the_hash_is_reproducible() -> None:
     assert 0 < LAYOUT_HASH < 2**64
     same, here = ([(spec.name, spec.size, spec.offsets) for spec in of.SEGMENTS] for of in (module, layout))
     assert same == here
+    gate = module.BY_NAME["gate"].records
+    assert (gate["frames"].capacity, gate["frames"].slots, gate["state"].capacity) == (304, 64, 4096)
 
 
 @pytest.mark.parametrize(
@@ -148,13 +150,19 @@ def test_the_hash_is_reproducible() -> None:
     ],
 )
 def test_the_hash_changes_with_every_declaration(pattern: str, replacement: str) -> None:
-    assert variant(pattern, replacement).LAYOUT_HASH != LAYOUT_HASH
+    changed = variant(pattern, replacement).LAYOUT_HASH
+    assert changed >> 32 != LAYOUT_HASH >> 32
+    assert changed & 0xFFFFFFFF != LAYOUT_HASH & 0xFFFFFFFF
 
 
 def test_all_variants_of_one_number_have_their_own_hash() -> None:
     hashes = {variant(r'_latest\("hello", 128', f'_latest("hello", {size}').LAYOUT_HASH for size in range(129, 300)}
     assert len(hashes) == 171
     assert LAYOUT_HASH not in hashes
+    halves = [(number >> 32, number & 0xFFFFFFFF) for number in hashes]
+    assert all(high != low for high, low in halves), "two sums, and not one twice"
+    assert all(max(half) > 2**31 and any(number & 1 for number in half) for half in zip(*halves, strict=True))
+    assert max(hashes) < 2**64
 
 
 def test_importing_the_layout_loads_nothing_heavy() -> None:
