@@ -56,6 +56,8 @@ SHM: tuple[Reason, ...] = (
     Reason("shm/mutex.py", r"\n\+.*_mutexattr_destroy\(None\)", "nothing is to be given back: glibc's does nothing"),
     Reason("shm/ring.py", r"\n\+\s+laps = 1$", "in a chase it goes closer to the newest one step sooner", same=False),
     Reason("shm/ring.py", r"\n\+.*if seq >= self\._next\]", "found now, and not at the next look", same=False),
+    Reason("shm/segment.py", r"\n\+.*PROT_WRITE if write else 1\)", "1 is PROT_READ"),
+    Reason("shm/segment.py", r"\n\+.*mmap\(fd, spec\.size, prot=prot\)", "MAP_SHARED is the default"),
     Reason("shm/segment.py", r"\n\+.*found\.get\(.*, 1\)\)", "no file is of the first nanosecond of 1970"),
 )
 

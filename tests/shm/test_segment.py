@@ -39,6 +39,7 @@ def test_attach_finds_what_was_created(name: str, of: str) -> None:
         found = segment.attach(name, of, expected)
         assert found.incarnation == RUN
         assert found.spec is BY_NAME[of]
+        assert found.fileno() == -1, "a mapping needs no descriptor"
     assert os.stat(path_of(name, of)).st_size == BY_NAME[of].size
     made.close()
 
