@@ -93,7 +93,7 @@ class GateBox:
         if command is not None:
             age_us = min(max(0, now_ns - command.t_ns) // 1000, LONGEST)
             velocity = tuple(map(_single, command.velocity))
-            source, who = command.source.encode()[:16], command.who.encode("utf-8", "replace")[:36]
+            source, who = command.source.encode(), command.who.encode("utf-8", "replace")[:36]
             flags |= (MANUAL if command.manual else 0) | (DRIVES if core.sources.driving(now_ns) is command else 0)
         block = _BLOCK.get(core.blocked(now_ns), 1)
         numbers = (*velocity, *core.velocity, *core.speeds)
@@ -103,8 +103,8 @@ class GateBox:
 
 
 def _single(value: float) -> float:
-    """What fits a float of four bytes: a client's command may be any double."""
-    return min(max(value, -3e38), 3e38) if value == value else value
+    """What fits a float of four bytes: a client's command may be any double. NaN, beyond neither bound, stays."""
+    return min(max(value, -3e38), 3e38)
 
 
 def pack_wire(kind: int, data: bytes, taken: int) -> bytes:

@@ -250,7 +250,7 @@ def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
 
 def no_client_slot(index: int, incarnation: int) -> Segment:
     """In the place of a client's segment that can't be opened: nothing is ever in it."""
-    fd = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
+    fd = os.open(os.devnull, os.O_RDONLY)
     return Segment(BY_NAME[f"client.{index}"], incarnation, FileView(fd), None, fd)
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import mmap
 import os
 from math import inf, isnan, nan
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board.interface import BOARD
+from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
 from failstop.procs.port_owner.wire import Wire
 from failstop.shm import box, layout
@@ -51,7 +53,19 @@ def test_every_decision_has_its_word(block: str, wanted: str) -> None:
     if block == "scan":
         made.command(1, (0.1, 0, 0))
     made.tick(2)
-    assert made.incident().ticks[-1].block == wanted
+    last = made.incident().ticks[-1]
+    assert last.block == wanted
+    assert last.enabled == made.core.enabled
+
+
+def test_the_commands_since_the_tick_before_are_counted() -> None:
+    made = Recorder()
+    counts = (0, 1, 2, 0, 300)
+    for turn, count in enumerate(counts):
+        for _ in range(count):
+            made.command(turn, (0.1, 0, 0))
+        made.tick(turn)
+    assert [tick.commands for tick in made.incident().ticks] == [0, 1, 2, 0, 255]
 
 
 any_float = st.floats(width=64)
@@ -133,3 +147,61 @@ def test_what_is_no_record_is_refused(payload: bytes) -> None:
     if len(payload) < 40:
         with pytest.raises(ValueError, match="record"):
             box.unpack_gate(payload)
+    if len(payload) < 5:
+        with pytest.raises(ValueError, match="record"):
+            box.unpack_wire(payload)
+
+
+def told(gate: box.GateBox, reader: RingReader, core: GateCore, now_ns: int) -> dict[str, Any]:
+    """What a tick tells."""
+    gate.tick(now_ns, core, 7)
+    entry = reader.next()
+    assert entry is not None
+    return box.unpack_gate(entry[2])
+
+
+def test_a_tick_tells_whether_the_newest_command_is_the_one_that_drives() -> None:
+    core = Recorder().core
+    writer, reader = ring(box.GATE_BYTES, 8)
+    gate = box.GateBox(writer)
+    none = told(gate, reader, core, at(0))
+    assert (none["command"], none["age_us"], none["source"], none["who"]) == ((0, 0, 0), None, "", "")
+    assert not none["drives"]
+    for number, (taken, manual) in enumerate([(True, False), (False, False), (True, True), (False, True)]):
+        source = "cmd_vel" if taken else "cmd_vel_and_much_more"
+        command = Command(1, "nav \udcff" + "x" * 60, at(number), (0.1, 0, 0), manual=manual, source=source)
+        if taken:
+            core.sources.put(command, at(number))
+        gate.command(command)
+        found = told(gate, reader, core, at(number))
+        assert (found["drives"], found["manual"], found["enabled"]) == (taken, manual, False)
+        assert (found["source"], found["age_us"]) == (source[:16], 0)
+        assert found["who"] == "nav ?" + "x" * 31
+
+
+def test_a_decision_of_another_version_is_shown_by_its_number() -> None:
+    made = Recorder()
+    writer, reader = ring(box.GATE_BYTES, 8)
+    box.GateBox(writer).tick(at(0), made.core, 7)
+    entry = reader.next()
+    assert entry is not None
+    for number in (len(box.BLOCKS), 200):
+        assert box.unpack_gate(entry[2][:4] + bytes([number]) + entry[2][5:])["block"] == f"unknown {number}"
+
+
+def test_of_what_was_written_a_frame_s_first_bytes_are_kept() -> None:
+    data = bytes(range(100))
+    assert box.unpack_wire(box.pack_wire(box.FRAME, data, 7)) == (box.FRAME, 100, 7, data[: box.WIRE_HEAD])
+    assert box.unpack_wire(box.pack_wire(box.REST, data, 0)) == (box.REST, 100, 0, b"")
+    assert box.unpack_wire(box.pack_wire(box.REST, bytes(70_000), 70_000)) == (box.REST, 65_535, 65_535, b"")
+
+
+def test_what_the_board_sent_comes_back_as_what_it_was() -> None:
+    imu = box.pack_imu((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+    assert box.unpack_board(imu) == (box.IMU, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    assert box.unpack_board(box.pack_battery(12_345, 2)) == (box.BATTERY, (12_345, 2))
+    pad = box.pack_pad((0xFFFF, 255, -128, 127, 0, 1), 1)
+    assert box.unpack_board(pad) == (box.PAD, (0xFFFF, 255, -128, 127, 0, 1, 1))
+    for wrong in (imu[:-1], imu + b"x", bytes([box.PAD]) + imu[1:]):
+        with pytest.raises(ValueError, match="record of the board"):
+            box.unpack_board(wrong)

@@ -33,6 +33,7 @@ type_check_command = [
     {python}, "-m", "mypy", "--output", "json", "--no-warn-unused-ignores", "--disable-error-code", "no-redef"
 ]
 use_git_change_detection = false
+process_isolation = "forkserver"
 """
 # Run in the copy. Texts are left as they are: tests/docs holds what is said, and "XX..." is no decision.
 # What the tests start finds the copy first.

@@ -74,7 +74,21 @@ def test_fields_without_end_are_left_out() -> None:
     assert Note.unpack(data).fields == {}
 
 
+def test_fields_that_just_fit_are_kept() -> None:
+    room = NOTE_BYTES - len(Note("note", "text", {"a": "x" * 275, "b": "x" * 260}).pack())
+    for more, kept in ((room, True), (room + 1, False)):
+        fields = {"a": "x" * 275, "b": "x" * (260 + more)}
+        data = Note("note", "text", fields).pack()
+        assert (len(data) == NOTE_BYTES) == kept
+        assert (Note.unpack(data).fields == fields) == kept
+
+
 @pytest.mark.parametrize("payload", [b"", b"gyro bias", b"\x90", b"\x94\xa1a\xa1b\xa1c\xa1d", b"\xc1", b"\x94\xa1a"])
 def test_what_is_no_note_is_refused(payload: bytes) -> None:
     with pytest.raises(ValueError):  # noqa: PT011
         Note.unpack(payload)
+
+
+def test_packed_values_of_another_shape_are_no_note() -> None:
+    with pytest.raises(ValueError, match="a payload that is no note"):
+        Note.unpack(b"\x90")

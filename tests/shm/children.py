@@ -145,6 +145,17 @@ def reachable(path: Path) -> None:
 
 
 @contextlib.contextmanager
+def group(gid: int) -> Iterator[None]:
+    """Run in this group."""
+    before = os.getegid()
+    os.setegid(gid)
+    try:
+        yield
+    finally:
+        os.setegid(before)
+
+
+@contextlib.contextmanager
 def umask(mask: int) -> Iterator[None]:
     """Run with this umask."""
     before = os.umask(mask)

@@ -14,7 +14,7 @@ import pytest
 from failstop.shm import bell
 from failstop.shm.bell import EventBell
 
-from .children import NOBODY, Child, call, needs_root, umask
+from .children import NOBODY, Child, call, group, needs_root, umask
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]
@@ -113,9 +113,25 @@ def test_the_mode_is_exact_whatever_the_umask(place: str, mask: int, mode: int) 
 
 @needs_root
 def test_the_group_is_given(place: str) -> None:
-    bell.make_pipe(f"{place}/bell", 0o660, NOBODY)
-    found = os.lstat(f"{place}/bell")
-    assert (found.st_uid, found.st_gid, stat.S_IMODE(found.st_mode)) == (0, NOBODY, 0o660)
+    for own, gid, wanted in ((0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)):
+        with group(own):
+            bell.make_pipe(f"{place}/bell", 0o660, gid)
+        found = os.lstat(f"{place}/bell")
+        assert (found.st_uid, found.st_gid, stat.S_IMODE(found.st_mode)) == (0, wanted, 0o660)
+
+
+def test_it_is_nobody_else_s_until_it_has_its_group_and_mode(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    chmod = os.chmod
+
+    def look(name: str, mode: int, *, dir_fd: int) -> None:
+        found.append(stat.S_IMODE(os.stat(name, dir_fd=dir_fd).st_mode))
+        chmod(name, mode, dir_fd=dir_fd)
+
+    monkeypatch.setattr(os, "chmod", look)
+    with umask(0):
+        bell.make_pipe(f"{place}/bell", 0o660)
+    assert found == [0o600]
 
 
 @pytest.mark.parametrize("old", ["pipe", "file", "link", "dangling link"])
@@ -218,8 +234,9 @@ def test_a_service_that_goes_is_a_broken_pipe(place: str, fds: list[int]) -> Non
     reading = bell.open_pipe(f"{place}/stop")
     fds.append(writing := bell.open_pipe_to_write(f"{place}/stop"))
     os.close(reading)
-    with pytest.raises(BrokenPipeError, match="the service has gone"):
+    with pytest.raises(BrokenPipeError, match="the service has gone") as refused:
         bell.send(writing, b"x")
+    assert refused.value.errno == errno.EPIPE
 
 
 def test_the_reader_never_sees_an_end_of_file_as_clients_come_and_go(place: str, fds: list[int]) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import stat
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import pytest
 from failstop.shm import claim
 from tests.waiting import until
 
-from .children import NOBODY, Child, call, needs_root, umask
+from .children import NOBODY, Child, call, group, needs_root, umask
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]
@@ -53,9 +55,12 @@ def test_the_file_s_mode_is_exact(tmp_path: Path, mask: int, mode: int, fds: lis
 
 @needs_root
 def test_the_file_s_group(tmp_path: Path, fds: list[int]) -> None:
-    fds.append(claim.open_claims(str(tmp_path / "new"), create=True, gid=NOBODY))
-    found = os.stat(tmp_path / "new")
-    assert (found.st_uid, found.st_gid) == (0, NOBODY)
+    for own, gid, wanted in ((0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)):
+        path = tmp_path / f"{own}-{gid}"
+        with group(own):
+            fds.append(claim.open_claims(str(path), create=True, gid=gid))
+        assert (path.stat().st_uid, path.stat().st_gid) == (0, wanted)
+        assert stat.S_IMODE(path.stat().st_mode) == 0o660
 
 
 def test_held_and_dropped_between_processes(path: str, fds: list[int]) -> None:
@@ -153,6 +158,14 @@ def test_a_read_only_descriptor_can_look_but_not_take(path: str, fds: list[int])
         assert claim.held(fd, 0)
     with pytest.raises(OSError, match="Bad file descriptor"):
         claim.take(fd, 0)
+
+
+def test_who_only_reads_holds_nothing_that_a_writer_would_hold(path: str, fds: list[int]) -> None:
+    fds += [fd := claim.open_claims(path), reading := os.open(path, os.O_RDONLY)]
+    fcntl.fcntl(reading, claim.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 1, 0))
+    assert claim.held(fd, 0)
+    assert not claim.held(fd, 0, by_writer=True)
+    assert not claim.take(fd, 0)
 
 
 def test_of_two_that_race_exactly_one_wins(path: str) -> None:

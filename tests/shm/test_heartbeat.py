@@ -30,7 +30,7 @@ def test_beats(name: str) -> None:
     beats.state(RUNNING)
     assert seen.running(77)
     assert not seen.running(78)
-    for i, (now_ns, worst_ns) in enumerate([(1_010, 10), (1_050, 40), (1_060, 40)], 1):
+    for i, (now_ns, worst_ns) in enumerate([(1_001, 1), (1_050, 49), (1_060, 49)], 1):
         beats.beat(now_ns, epoch=i * 100)
         assert (seen.ns.get(), seen.loops.get(), seen.epoch.get(), seen.worst_ns.get()) == (
             now_ns,

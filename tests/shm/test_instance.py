@@ -5,7 +5,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import resource
+import signal
 import stat
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,6 +18,8 @@ from hypothesis import strategies as st
 
 from failstop.shm import bell, instance, root
 from failstop.shm.instance import InstanceError, NoService
+from failstop.shm.lifeline import Lifeline
+from failstop.shm.place import Untrusted
 
 from .children import NOBODY, Child, call, needs_root, reachable, umask
 
@@ -317,6 +322,115 @@ def test_of_two_that_start_at_once_one_runs(bases: list[str]) -> None:
                 assert racer.receive() == "gone"
 
 
+@contextlib.contextmanager
+def died_with_a_copy(path: str) -> Iterator[Lifeline]:
+    """The service has died, and a copy of it, which has exec'd nothing, still has its lock."""
+
+    def work(send: Send, wait: Wait) -> None:
+        instance.lock(path)
+        copy = os.fork()
+        if not copy:
+            signal.alarm(60)
+            signal.pause()
+        send(copy)
+        wait()
+
+    with Child(work) as dead:
+        copy = Lifeline(dead.receive())
+    try:
+        yield copy
+    finally:
+        copy.kill()
+        copy.close()
+
+
+def test_a_lock_whose_owner_has_died_is_waited_for(
+    bases: list[str], fds: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A supervisor that dies while it starts a process: that one lets go at its exec."""
+    path = instance.make_runtime_dir("robot")
+    with died_with_a_copy(path) as copy:
+        assert instance.holder(path) == "", "no living process's"
+        instance.refuse_locked("robot")
+        monkeypatch.setattr(instance, "LETTING_GO_S", 60)
+        monkeypatch.setattr(time, "sleep", lambda _: copy.kill())
+        fds.append(instance.lock(path))
+    assert Path(instance.lock_path(path)).read_text() == f"{os.getpid()}\n"
+
+
+def test_it_is_not_waited_for_without_end(bases: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    path = instance.make_runtime_dir("robot")
+    monkeypatch.setattr(instance, "LETTING_GO_S", 0.01)
+    with died_with_a_copy(path), pytest.raises(InstanceError, match="is already running"):
+        instance.lock(path)
+
+
+def test_a_living_holder_is_refused_by_its_pid_in_whatever_place(bases: list[str]) -> None:
+    instance.refuse_locked("robot")
+    for base in bases:
+        path = os.path.join(base, "robot")
+        os.makedirs(path)
+        assert instance.holder(path) == ""
+        with holder(path) as first:
+            assert instance.holder(path) == str(first.pid)
+            with pytest.raises(InstanceError, match=rf"'robot' is already running \(pid {first.pid}\)"):
+                instance.refuse_locked("robot")
+        assert instance.holder(path) == ""
+        instance.refuse_locked("robot")
+
+
+def test_who_listens_in_another_directory_is_refused(bases: list[str]) -> None:
+    instance.refuse_listening("robot")
+    path = os.path.join(bases[1], "robot")
+    os.makedirs(path)
+    with holder(path):
+        instance.refuse_listening("robot", but=path)
+        for but in ("", os.path.join(bases[0], "robot")):
+            with pytest.raises(InstanceError, match="'robot' is already running"):
+                instance.refuse_listening("robot", but)
+    instance.refuse_listening("robot")
+
+
+@needs_root
+def test_what_is_not_believed_does_not_listen(bases: list[str]) -> None:
+    path = os.path.join(bases[1], "robot")
+    os.makedirs(path)
+    with holder(path):
+        os.chmod(path, 0o777)
+        instance.refuse_listening("robot")
+
+
+def test_all_that_listen_are_found_by_name(bases: list[str]) -> None:
+    assert instance.listening() == []
+    for base, name in ((bases[2], "alpha"), (bases[1], "robot"), (bases[1], "silent"), (bases[1], "No name")):
+        os.makedirs(os.path.join(base, name))
+    with holder(os.path.join(bases[1], "robot")), holder(os.path.join(bases[2], "alpha")):
+        assert instance.listening() == ["alpha", "robot"]
+        assert [instance.listens(name) for name in ("robot", "silent", "No name", "absent")] == [True, *[False] * 3]
+    assert instance.listening() == []
+
+
+def test_a_command_names_every_instance_but_the_default_one() -> None:
+    assert instance.option("failstop") == ""
+    assert instance.option("robot") == " --name robot"
+
+
+def test_a_lock_that_can_not_be_made_or_written_is_told_and_nothing_stays_open(bases: list[str]) -> None:
+    path = os.path.join(bases[0], "robot")
+    with pytest.raises(InstanceError, match=rf"the lock {path}/lock can't be made: No such file or directory"):
+        instance.lock(path)
+    os.makedirs(path)
+
+    def attempt() -> tuple[str, int]:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+        before = len(os.listdir("/proc/self/fd"))
+        with pytest.raises(InstanceError) as refused:
+            instance.lock(path)
+        return str(refused.value), len(os.listdir("/proc/self/fd")) - before
+
+    assert call(attempt) == (f"the lock {path}/lock can't be written: File too large", 0)
+
+
 def test_instances_do_not_lock_each_other(bases: list[str], fds: list[int]) -> None:
     fds.append(instance.lock(instance.make_runtime_dir("one")))
     fds.append(instance.lock(instance.make_runtime_dir("two")))
@@ -330,7 +444,8 @@ def test_a_stranger_cannot_open_the_lock(bases: list[str], fds: list[int]) -> No
 
 
 def test_the_lock_does_not_cross_an_exec(bases: list[str], fds: list[int]) -> None:
-    fds.append(fd := instance.lock(instance.make_runtime_dir("robot")))
+    fds.append(fd := instance.lock(path := instance.make_runtime_dir("robot")))
+    assert instance.holder(path) == str(os.getpid())
     assert not os.get_inheritable(fd)
 
 
@@ -379,6 +494,52 @@ def test_the_run_that_is_published_is_the_one_that_is_read(bases: list[str], fds
     assert os.fstat(fds[0]).st_nlink == 0
     instance.clear(path)
     assert os.listdir(path) == []
+
+
+def test_a_run_that_can_not_be_published_leaves_nothing_open_and_the_one_before(
+    bases: list[str], fds: list[int]
+) -> None:
+    path = instance.make_runtime_dir("robot")
+    fds.append(instance.publish(path, 7))
+
+    def attempt() -> int:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+        before = len(os.listdir("/proc/self/fd"))
+        with pytest.raises(OSError, match="File too large"):
+            instance.publish(path, 8)
+        return len(os.listdir("/proc/self/fd")) - before
+
+    assert call(attempt) == 0
+    assert instance.run(path) == (7, os.geteuid())
+    os.unlink(f"{instance.run_path(path)}.new")
+    os.symlink(bases[0], f"{instance.run_path(path)}.new")
+    before = os.listdir("/proc/self/fd")
+    with pytest.raises(Untrusted, match="is a link"):
+        instance.publish(path, 8)
+    assert os.listdir("/proc/self/fd") == before
+
+
+def test_what_a_run_has_left_is_cleared_but_for_the_lock(bases: list[str], fds: list[int]) -> None:
+    path = instance.make_runtime_dir("robot")
+    each = (instance.lock_path, instance.claims_path, instance.stop_path, instance.bell_path, instance.run_path)
+    for place in each:
+        Path(place(path)).write_text("")
+    Path(f"{instance.run_path(path)}.new").write_text("")
+    Path(path, "kept").write_text("somebody else's")
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(2):
+        instance.clear(path)
+        assert sorted(os.listdir(path)) == ["kept", "lock"]
+    instance.clear(f"{path}-absent")
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_a_run_that_somebody_has_planted_is_not_believed(bases: list[str], tmp_path: Path) -> None:
+    path = instance.make_runtime_dir("robot")
+    (tmp_path / "planted").write_text("0000000000000007")
+    os.symlink(tmp_path / "planted", instance.run_path(path))
+    with pytest.raises(InstanceError, match="run is a link: remove it"):
+        instance.run(path)
 
 
 @pytest.mark.parametrize("junk", [b"", b"\xff\xfe\0", b"not a number", b"-"])

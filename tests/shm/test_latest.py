@@ -63,8 +63,9 @@ def test_one_store_and_one_copy() -> None:
     write(writer, 2, 13)
     assert [(at, len(data)) for at, data in memory.stores] == [(AT + slot_bytes(40), 64), (AT, 37)]
     assert memory.copies == []
-    reader.read()
-    assert memory.copies == [slice(AT, AT + record_bytes(40))]
+    for _ in range(3):
+        reader.read()
+    assert memory.copies == [slice(AT, AT + record_bytes(40))] * 3
 
 
 def test_nothing_outside_the_record_is_touched() -> None:
@@ -120,6 +121,15 @@ def test_both_damaged_is_none() -> None:
     memory.data[AT] ^= 1
     memory.data[AT + slot_bytes(40)] ^= 1
     assert reader.read() is None
+
+
+@pytest.mark.parametrize("filler", [b"\0", b"\xff"])
+def test_a_length_that_leads_into_the_other_slot_is_no_value_even_with_a_right_crc(filler: bytes) -> None:
+    """Whichever slot is looked at first: the bytes in the other one's place say a number below or above."""
+    memory = Memory(AT + record_bytes(40))
+    data = slot.build(2, 1, filler * 80, SEED, 80)
+    memory.data[AT : AT + len(data)] = data
+    assert LatestReader(memory, AT, 40, SEED).read() is None
 
 
 def test_a_death_at_every_byte_of_a_write_leaves_the_value_before_and_a_successor_goes_on() -> None:

@@ -20,11 +20,11 @@ SOURCE = Path(layout.__file__).read_text()
 
 
 def variant(pattern: str, replacement: str) -> ModuleType:
-    """The layout module with one declaration changed."""
-    text, count = re.subn(pattern, replacement, SOURCE, count=1)
-    assert count == 1, f"{pattern} is not in the layout any more"
+    """The layout module with one declaration changed, wherever it stands."""
+    text, count = re.subn(pattern, replacement, SOURCE)
+    assert count, f"{pattern} is not in the layout any more"
     assert text != SOURCE
-    spec = importlib.util.spec_from_loader("failstop.shm.layout_variant", loader=None)
+    spec = importlib.util.spec_from_loader(layout.__name__, loader=None)
     assert spec is not None
     module = importlib.util.module_from_spec(spec)
     exec(compile(text, "layout_variant.py", "exec"), module.__dict__)
@@ -123,6 +123,10 @@ def test_the_hash_is_reproducible() -> None:
     module = variant(r'"""The layout', '"""the layout')
     assert module.LAYOUT_HASH == LAYOUT_HASH
     assert 0 < LAYOUT_HASH < 2**64
+    same, here = ([(spec.name, spec.size, spec.offsets) for spec in of.SEGMENTS] for of in (module, layout))
+    assert same == here
+    gate = module.BY_NAME["gate"].records
+    assert (gate["frames"].capacity, gate["frames"].slots, gate["state"].capacity) == (304, 64, 4096)
 
 
 @pytest.mark.parametrize(
@@ -146,13 +150,19 @@ def test_the_hash_is_reproducible() -> None:
     ],
 )
 def test_the_hash_changes_with_every_declaration(pattern: str, replacement: str) -> None:
-    assert variant(pattern, replacement).LAYOUT_HASH != LAYOUT_HASH
+    changed = variant(pattern, replacement).LAYOUT_HASH
+    assert changed >> 32 != LAYOUT_HASH >> 32
+    assert changed & 0xFFFFFFFF != LAYOUT_HASH & 0xFFFFFFFF
 
 
 def test_all_variants_of_one_number_have_their_own_hash() -> None:
     hashes = {variant(r'_latest\("hello", 128', f'_latest("hello", {size}').LAYOUT_HASH for size in range(129, 300)}
     assert len(hashes) == 171
     assert LAYOUT_HASH not in hashes
+    halves = [(number >> 32, number & 0xFFFFFFFF) for number in hashes]
+    assert all(high != low for high, low in halves), "two sums, and not one twice"
+    assert all(max(half) > 2**31 and any(number & 1 for number in half) for half in zip(*halves, strict=True))
+    assert max(hashes) < 2**64
 
 
 def test_importing_the_layout_loads_nothing_heavy() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import contextlib
 import os
 import select
 import shutil
@@ -10,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -87,6 +88,28 @@ def test_every_kind_of_end_is_a_death(end: int) -> None:
         until(life.dead, "seen dead")
         child.wait()
         assert life.dead(), "still dead once it was reaped"
+        life.close()
+
+
+def test_to_ask_whether_it_has_died_waits_for_nothing() -> None:
+    life = Lifeline(os.getpid())
+    before = time.monotonic()
+    assert not any(life.dead() for _ in range(5))
+    assert time.monotonic() - before < 5
+    life.close()
+
+
+def test_an_end_is_waited_for_as_long_as_told() -> None:
+    with Child(waiting) as child:
+        assert child.receive() == "here"
+        life = Lifeline(child.pid)
+        before = time.monotonic()
+        assert not life.wait(0.05)
+        assert 0.05 <= time.monotonic() - before < 20
+        life.kill()
+        assert life.wait(20)
+        assert child.wait() == -signal.SIGKILL
+        life.kill()  # nobody is left, and nobody else is meant
         life.close()
 
 
@@ -262,6 +285,66 @@ def test_every_watcher_gets_the_early_news(name: str, held: Segment, block: int)
             finally:
                 for watcher in watchers:
                     watcher.close()
+
+
+def threads() -> set[int]:
+    """Those of this process."""
+    return {int(thread) for thread in os.listdir("/proc/self/task")}
+
+
+def test_the_news_comes_by_one_thread_for_each_lifeline(name: str, held: Segment) -> None:
+    """In the process that holds the lifeline, as the port owner does, however often it is armed."""
+    for index in range(PER_BLOCK):
+        news = EarlyNews(held)
+        before = threads()
+        with holding(name, 2) as holder:
+            life = Lifeline(holder.pid)
+            for _ in range(3):
+                news.arm(life, 2, index)
+            assert len(threads() - before) == 1
+            assert not life.down({})
+            os.kill(holder.pid, signal.SIGKILL)
+            assert select.select([news.bell.fd], [], [], 20)[0]
+            assert life.fallen
+            assert life.down({})
+            assert life.dead()
+            life.close()
+        os.close(news.bell.fd)
+
+
+@contextlib.contextmanager
+def scheduled(policy: int, priority: int = 0) -> Iterator[None]:
+    """Run with this scheduling."""
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    os.sched_setscheduler(0, policy, os.sched_param(priority))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)
+
+
+def test_a_waiting_thread_takes_the_scheduling_of_before_and_not_that_of_its_starter(name: str, held: Segment) -> None:
+    """A process that has real-time rights hands none of them on to a thread that it starts."""
+    news = EarlyNews(held)
+    with holding(name, 2) as holder:
+        life = Lifeline(holder.pid)
+        before = threads()
+        with scheduled(os.SCHED_BATCH):
+            news.arm(life, 2, 0)
+        (thread,) = threads() - before
+        until(lambda: os.sched_getscheduler(thread) == os.SCHED_OTHER, "its own scheduling")
+        os.kill(holder.pid, signal.SIGKILL)
+        assert select.select([news.bell.fd], [], [], 20)[0]
+        life.close()
+    os.close(news.bell.fd)
+
+
+@needs_root
+def test_real_time_rights_are_remembered_for_the_threads(held: Segment) -> None:
+    with scheduled(os.SCHED_FIFO, 5):
+        news = EarlyNews(held)
+    assert news._policy == (os.SCHED_FIFO, os.sched_param(5))
+    os.close(news.bell.fd)
 
 
 def test_no_news_while_the_holder_lives(name: str, held: Segment) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from collections.abc import Callable, Iterator
@@ -57,6 +58,8 @@ def refused(folder: Path, *ways: str) -> list[str]:
             with pytest.raises(Untrusted) as caught:
                 attempt()
             assert "\n" not in str(caught.value.strerror), way
+            assert caught.value.errno == errno.EBADF
+            assert str(caught.value.strerror).startswith(caught.value.filename)
             found.append(str(caught.value.strerror))
     assert found
     return found
@@ -161,6 +164,7 @@ def test_a_stranger_s_service_is_none_and_find_says_why(folder: Path, monkeypatc
     monkeypatch.setattr(instance, "_candidates", lambda: [str(folder.parent)])
     reading = os.open(folder / "stop", os.O_RDONLY | os.O_NONBLOCK)
     try:
+        assert f"; {folder.parent} belongs to uid {OTHER}: not trusted" in _not_found("robot")
         for uid in (0, NOBODY):
             said = call(lambda: _not_found("robot"), uid)
             assert said.startswith("no service named 'robot' is running")
@@ -175,6 +179,11 @@ def _not_found(name: str) -> str:
         return f"found {instance.find(name)}"
     except instance.NoService as error:
         return str(error)
+
+
+def test_a_user_is_told_by_name_and_number_where_there_is_a_name() -> None:
+    assert place.user(0) == "root (uid 0)"
+    assert place.user(OTHER) == f"uid {OTHER}"
 
 
 def test_a_new_pipe_takes_the_place_of_a_link(folder: Path, tmp_path: Path) -> None:

@@ -124,6 +124,16 @@ def test_imu(samples: list[float]) -> None:
     assert records.unpack_imu(records.pack_imu((ax, ay, az), (gx, gy, gz))) == tuple(samples)
 
 
+@given(bias=st.tuples(SPEED, SPEED, SPEED), tracking=st.booleans(), calibrated=st.booleans())
+def test_bias(bias: tuple[float, float, float], tracking: bool, calibrated: bool) -> None:
+    assert records.unpack_bias(records.pack_bias(bias, tracking, calibrated)) == (bias, tracking, calibrated)
+
+
+@pytest.mark.parametrize("names", [[], ["bumper"], ["front left", "lid", "e-stop of the arm"]])
+def test_held(names: list[str]) -> None:
+    assert records.unpack_held(records.pack_held(7, names)) == (7, names)
+
+
 @given(millivolts=U32)
 def test_battery(millivolts: int) -> None:
     assert records.unpack_battery(records.pack_battery(millivolts, 2)) == (millivolts, 2)
@@ -279,6 +289,21 @@ def test_any_bytes_are_unpacked_or_a_value_error(kind: str, payload: bytes) -> N
         unpack(payload)
 
 
+@pytest.mark.parametrize("kind", ["stop", "port", "cause", "hello", "reply", "held", "said"])
+def test_a_text_that_is_no_utf_8_is_shown_as_far_as_it_goes(kind: str) -> None:
+    unpack, size, _ = SIZES[kind]
+    assert "\ufffd" in str(unpack(bytes(size) + b"\xff"))
+
+
+def test_no_bytes_of_a_client_are_too_strange_to_be_read() -> None:
+    assert records.unpack_cause(struct.pack("<QQH", 1, 2, 1) + b"\xff")[2] == "\ufffd"
+    command = records.pack_command(1, 0.0, 0.0, 0.0, False, "teleop")
+    assert records.unpack_command(command[:-16] + b"\xff" * 16)[-1] == "\ufffd" * 16
+    session = struct.pack("<Q", 7)
+    assert records.unpack_said(session + b"one\ntwo\nthree") == (7, "one", "two three")
+    assert records.unpack_said(session + b"one") == (7, "one", "")
+
+
 @given(words=st.text(max_size=400), who=st.text(max_size=100), pid=st.integers(1, 2**22))
 def test_a_request_is_one_line_that_a_pipe_takes_whole_and_a_record_holds(words: str, who: str, pid: int) -> None:
     line = records.asking(words, who, pid)
@@ -308,3 +333,48 @@ def test_payloads_are_little_endian_without_padding() -> None:
     assert records.pack_pad(0x0102, 3, -1, 4, 5, 6, 1) == bytes([2, 1, 3, 255, 4, 5, 6, 1])
     command = struct.pack("<QdddB16s", 1, 0.2, 0.0, 0.0, 1, b"cmd_vel")
     assert records.pack_command(1, 0.2, 0.0, 0.0, True) == command
+
+
+def test_why_the_epoch_was_raised_is_the_first_cause_since_the_last_reset() -> None:
+    cause = records.pack_cause(5, 1, "gate died", "stop request")
+    assert [records.raised_for(cause, reset) for reset in (0, 4, 5, 6)] == [
+        "gate died",
+        "gate died",
+        "stop request",
+        "stop request",
+    ]
+    assert records.raised_for(None, 0) == "stopped by the supervisor"
+    assert "its reason is damaged" in records.raised_for(b"short", 0)
+
+
+@pytest.mark.parametrize("state", range(len(records.PORT_STATES)))
+def test_a_port_is_lost_when_its_owner_has_said_so_since_it_was_opened(state: int) -> None:
+    entry = (1, 1, records.pack_port(1, 50, state, "/dev/ttyACM0"))
+    lost = state == records.PORT_LOST
+    assert [records.lost_since(entry, opened_ns) for opened_ns in (49, 50, 51)] == [lost, False, False]
+    assert not records.lost_since(None, 0)
+
+
+def test_what_can_not_be_printed_is_not_shown() -> None:
+    assert records.printable("a\x1b[2J\u00e9\n\u202e\U0001f916") == "a?[2J\u00e9??\U0001f916"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "stop request"),
+        (" (nav, pid 7)", "stop request (nav, pid 7)"),
+        ("wall ahead", "stop request: wall ahead"),
+        ("wall\x07", "stop request: wall?"),
+    ],
+)
+def test_a_request_s_words_come_after_what_it_is(text: str, told: str) -> None:
+    assert records.requested(text) == told
+
+
+def test_who_asks_for_a_stop_is_told_only_where_somebody_is_named() -> None:
+    assert records.asking(" wall \n ahead ", " nav\t2 ", 7) == b"wall ahead (nav 2, pid 7)\n"
+    assert records.asking("wall") == b"wall\n"
+    assert records.asking("wall", "nav") == b"wall (nav, pid 0)\n"
+    assert records.asking("", "n" * 100, 7) == b" (" + b"n" * records.WHO_BYTES + b", pid 7)\n"
+    assert records.asking("x" * records.ASKED_BYTES) == b"x" * records.ASKED_BYTES + b"\n", "just fits"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from failstop.shm import slot
-from failstop.shm.ring import RingWriter, newest
+from failstop.shm.ring import RingReader, RingWriter, newest
 
 from .memory import Memory, genuine
 from .rings import (
@@ -110,6 +110,7 @@ def test_where_readers_start(written: int) -> None:
     put(writer, 2)
     assert drain(latest) == drain(oldest) == [written + 1, written + 2]
     assert latest.lost == oldest.lost == 0
+    assert RingReader(memory, AT, CAPACITY, SLOTS, SEED).next() is None, "unless told"
 
 
 def test_many_readers_do_not_know_of_each_other() -> None:
@@ -260,6 +261,14 @@ def test_a_successor_does_not_go_on_after_an_entry_in_the_wrong_slot() -> None:
     damage(memory, 6)
     assert newest(memory, AT, CAPACITY, SLOTS, SEED) == 5
     assert writer_of(memory).seq == 5
+
+
+def test_an_entry_whose_length_leads_into_the_next_slot_is_none_even_with_a_right_crc() -> None:
+    memory = ring_memory()
+    data = slot.build(1, 1, bytes(2 * CAPACITY), SEED, 2 * CAPACITY)
+    memory.data[place(1) : place(1) + len(data)] = data
+    assert newest(memory, AT, CAPACITY, SLOTS, SEED) == 0
+    assert reader_of(memory).next() is None
 
 
 def test_published_while_the_ring_is_looked_through_is_not_lost() -> None:

@@ -13,10 +13,11 @@ from collections.abc import Callable
 import pytest
 
 from failstop.shm import claim, segment
-from failstop.shm.layout import BY_NAME
+from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, PROCESSES
 from failstop.shm.segment import AttachError
+from tests.waiting import until
 
-from .children import NOBODY, Child, call, needs_root, umask
+from .children import NOBODY, Child, call, group, needs_root, umask
 from .segments import (
     NAMES,
     PRIVATE_NAMES,
@@ -38,6 +39,7 @@ def test_attach_finds_what_was_created(name: str, of: str) -> None:
         found = segment.attach(name, of, expected)
         assert found.incarnation == RUN
         assert found.spec is BY_NAME[of]
+        assert found.fileno() == -1, "a mapping needs no descriptor"
     assert os.stat(path_of(name, of)).st_size == BY_NAME[of].size
     made.close()
 
@@ -66,6 +68,18 @@ def test_modes_are_the_layout_s_whatever_the_umask(name: str, mask: int) -> None
         assert stat.S_IMODE(found.st_mode) == BY_NAME[of].mode
         assert found.st_uid == 0
         assert found.st_gid == (NOBODY if BY_NAME[of].mode & 0o060 == 0o060 else 0)
+
+
+@needs_root
+def test_a_client_s_segment_is_of_the_group_that_is_told(name: str) -> None:
+    for of, own, gid, wanted in (
+        ("client.0", NOBODY, 0, 0),
+        ("client.1", NOBODY, -1, NOBODY),
+        ("gate", NOBODY, 0, NOBODY),
+    ):
+        with group(own):
+            segment.create(name, of, RUN, client_gid=gid).close()
+        assert os.stat(path_of(name, of)).st_gid == wanted
 
 
 @needs_root
@@ -151,6 +165,54 @@ def test_client_segments_are_not_mapped(name: str) -> None:
         seen.close()
 
 
+CLIENT_RECORDS = [name for name, record in BY_NAME["client.0"].records.items() if record.kind == "latest"]
+
+
+def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str) -> None:
+    segment.create(name, "client.0", RUN).close()
+    new = content(path_of(name, "client.0"))
+    own, seen = segment.attach_client_slot(name, 0, RUN), segment.read_client_slot(name, 0, RUN)
+    for record in CLIENT_RECORDS:
+        own.latest_writer(record).write(b"left by its holder before", 1)
+    own.wipe()
+    assert content(path_of(name, "client.0")) == new
+    for record in CLIENT_RECORDS:
+        assert seen.latest_reader(record).read() is None
+        assert own.latest_writer(record).write(b"new", 1) == 1
+        assert seen.latest_reader(record).read() == (1, 1, b"new")
+    own.close()
+    seen.close()
+
+
+def test_a_slot_that_can_not_be_opened_is_always_empty() -> None:
+    for index in range(CLIENT_SLOTS):
+        none = segment.no_client_slot(index, RUN)
+        assert none.spec is BY_NAME[f"client.{index}"]
+        assert none.incarnation == RUN
+        assert not os.get_inheritable(none.fileno())
+        for record in CLIENT_RECORDS:
+            assert none.latest_reader(record).read() is None
+            with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
+                none.latest_writer(record).write(b"x")
+        none.close()
+
+
+def test_a_closed_slot_writes_to_no_file_that_has_its_number_by_now(name: str) -> None:
+    segment.create(name, "client.0", RUN).close()
+    own = segment.attach_client_slot(name, 0, RUN)
+    writer, number = own.latest_writer("hello"), own.fileno()
+    own.close()
+    assert own.fileno() == -1
+    other = os.memfd_create("other")
+    try:
+        assert other == number
+        with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
+            writer.write(b"x")
+        assert os.fstat(other).st_size == 0
+    finally:
+        os.close(other)
+
+
 def test_records_are_reached_as_what_they_are(name: str) -> None:
     segment.create(name, "gate", RUN).close()
     own = segment.attach(name, "gate", RUN, write=True)
@@ -164,6 +226,19 @@ def test_records_are_reached_as_what_they_are(name: str) -> None:
             wrong()
     with pytest.raises(KeyError):
         own.word("no_such_record")
+    made = segment.create(name, "telemetry", RUN)
+    with pytest.raises(TypeError, match="words are only read through a mapping"):
+        made.word("beat_ns")
+    made.close()
+
+
+def test_a_ring_is_read_from_now_on_or_from_its_oldest_entry(name: str) -> None:
+    segment.create(name, "gate", RUN).close()
+    own = segment.attach(name, "gate", RUN, write=True)
+    own.ring_writer("frames").put(b"before", 1)
+    now, oldest = own.ring_reader("frames"), own.ring_reader("frames", from_oldest=True)
+    assert now.next() is None
+    assert oldest.next() == (1, 1, b"before")
 
 
 def test_create_takes_nothing_that_is_there(name: str) -> None:
@@ -209,6 +284,10 @@ def test_what_is_not_the_service_s_is_refused_by_path_and_owner(name: str, of: s
         assert path_of(name, of) in message
         assert f"uid {NOBODY}" in message
         assert "remove it" in message
+    if of == "gate":
+        segment.attach(name, of, RUN, owner=NOBODY).close()
+    else:
+        segment.attach_client_slot(name, 0, RUN, owner=NOBODY).close()
 
 
 @needs_root
@@ -226,6 +305,55 @@ def test_a_dead_run_is_one_s_own(name: str) -> None:
     finally:
         segment.unlink_all(run)
         segment.unlink_all(other)
+
+
+def test_dead_runs_are_found_by_whatever_they_have_left_the_newest_last(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    older, newer = segment.memory(name, RUN + 1), segment.memory(name, RUN)
+    strange = [f"/dev/shm/{name}.gate", f"/dev/shm/failstop.{name}.gate", f"/dev/shm/failstop.{name}.1234.unknown"]
+    listed = os.listdir
+    monkeypatch.setattr(os, "listdir", lambda path: [f"failstop.{name}.gone.gate", *listed(path)])
+    try:
+        for path in strange:
+            open(path, "w").close()
+        assert segment.dead_runs(name) == []
+        segment.create(older, "client.3", RUN + 1).close()
+        segment.create(newer, "client.0", RUN).close()
+
+        def touched() -> bool:
+            os.utime(path_of(newer, "client.0"))
+            return os.stat(path_of(newer, "client.0")).st_ctime_ns > os.stat(path_of(older, "client.3")).st_ctime_ns
+
+        until(touched, "the clock of the file system has gone on")
+        assert segment.dead_runs(name) == [older, newer]
+    finally:
+        for path in strange:
+            os.unlink(path)
+        segment.unlink_all(older)
+        segment.unlink_all(newer)
+
+
+def test_what_is_left_of_a_run_is_opened_whatever_is_missing(name: str, fds: list[int]) -> None:
+    create_all(name)
+    segment.unlink(name, PROCESSES[0])
+    segment.unlink(name, PROCESSES[2])
+    found = segment.open_all(name)
+    fds += found.values()
+    assert list(found) == [PROCESSES[1], *PROCESSES[3:]]
+
+
+def test_a_run_without_its_supervisor_s_segment_does_not_live(name: str) -> None:
+    assert not segment.living(name)
+
+
+def test_a_lock_that_can_not_be_asked_for_is_nobody_s(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    segment.create(name, "supervisor", RUN).close()
+    monkeypatch.setattr(fcntl, "fcntl", refuse)
+    assert not segment.living(name)
 
 
 def test_a_run_lives_as_long_as_its_supervisor(name: str) -> None:

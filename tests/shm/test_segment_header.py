@@ -77,9 +77,15 @@ def test_another_layout_is_another_version(name: str, of: str) -> None:
         write_header(name, of, layout=LAYOUT_HASH ^ 1, version="9.8.7", **other)
         kind, message = refusal(lambda: attach_any(name, of))
         assert kind == "version"
-        assert "failstop 9.8.7" in message
+        assert "is of failstop 9.8.7, this program is" in message
         assert VERSION in message
         assert "restart the service" in message
+
+
+def test_another_version_is_told_whatever_it_is_made_of(name: str) -> None:
+    segment.create(name, "gate", RUN).close()
+    write_header(name, "gate", layout=LAYOUT_HASH ^ 1, version="9\u00e4")
+    assert "is of failstop 9\ufffd\ufffd, this program is" in refusal(lambda: attach_any(name, "gate"))[1]
 
 
 @pytest.mark.parametrize("of", ["gate", "client.0"])

@@ -67,6 +67,7 @@ def test_a_copy_of_a_truncated_file_is_short() -> None:
     view[0:8] = b"12345678"
     assert view[0:8] == b"12345678"
     assert view[4:100] == b"5678"
+    assert view[2:4] == b"34"
     os.ftruncate(fd, 3)
     assert view[0:8] == b"123"
     assert view[3:8] == b""
