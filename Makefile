@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test campaigns lint bench soak chaos model mutants deb clean
+.PHONY: demo test campaigns lint bench soak chaos model mutants deb wheels clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -50,6 +50,10 @@ mutants: $(VENV)/.dev
 
 deb: $(VENV)/.installed
 	@$(BIN)/python packaging/deb/build.py
+
+# Whether it installs on ARM without a compiler: asks the package index for a wheel of each dependency.
+wheels: $(VENV)/.dev
+	@$(BIN)/python packaging/wheels.py
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache

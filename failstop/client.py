@@ -8,6 +8,7 @@ import weakref
 
 from failstop.errors import FailstopError, NoService
 from failstop.shm import bell, claim, instance, layout, records, segment
+from failstop.shm.barrier import Barrier
 from failstop.shm.lifeline import HeldByThread, pid_namespace
 
 TYPE_CHECKING = False
@@ -213,10 +214,12 @@ class Client:
         return self._number
 
     def answer(self, asked: int) -> tuple[bool, str] | None:
-        """The gate's answer to a request, (done, text); None while there is none."""
+        """The gate's answer to a request, (done, text); None while there is none. What the request has changed is in
+        the gate's state from then on."""
         if (entry := self._reply.read()) is not None:
             session, number, done, text = records.unpack_reply(entry[2])
             if (session, number) == (self._session, asked):
+                Barrier()()
                 return done, text
         return None
 

@@ -2,7 +2,8 @@
 
 There is no shared head or tail, no reader state in shared memory and no lock: entry `n` lives in slot `n % slots`.
 
-Writing entry n: (1) build the slot with seq n privately, (2) one slice assignment.
+Writing entry n: (1) build the slot with seq n privately, (2) a barrier, (3) one slice assignment: whoever sees an entry
+                 sees what its writer stored before it, and the entries before it among that.
 Reading entry n: (1) one slice copy of slot n % slots, (2) check it:
     its seq is n                       -> the entry
     its seq is below n, or never used  -> not published yet
@@ -17,6 +18,7 @@ from __future__ import annotations
 from time import monotonic_ns
 
 from failstop.shm import slot
+from failstop.shm.barrier import Barrier
 from failstop.shm.latest import slot_bytes
 
 TYPE_CHECKING = False
@@ -43,7 +45,7 @@ def newest(view: View, offset: int, capacity: int, slots: int, crc_seed: int) ->
 class RingWriter:
     """The ring's one writer."""
 
-    __slots__ = ("_at", "_capacity", "_seed", "_size", "_slots", "_view", "seq")
+    __slots__ = ("_at", "_barrier", "_capacity", "_seed", "_size", "_slots", "_view", "seq")
 
     def __init__(self, view: View, offset: int, capacity: int, slots: int, crc_seed: int) -> None:
         self._view = view
@@ -52,6 +54,7 @@ class RingWriter:
         self._slots = slots
         self._size = slot_bytes(capacity)
         self._seed = crc_seed
+        self._barrier = Barrier()
         self.seq = newest(view, offset, capacity, slots, crc_seed)
 
     def put(self, payload: bytes, t_ns: int | None = None) -> int:
@@ -59,6 +62,7 @@ class RingWriter:
         seq = self.seq + 1
         data = slot.build(seq, monotonic_ns() if t_ns is None else t_ns, payload, self._seed, self._capacity)
         at = self._at + (seq % self._slots) * self._size
+        self._barrier()
         self._view[at : at + len(data)] = data
         self.seq = seq
         return seq
@@ -124,6 +128,7 @@ class RingReader:
         if not later:
             return False
         # It may have been published, and others after it, while the ring was looked through.
+        Barrier()()
         if self._copy()[1] is None:
             self._resume(min(later))
         return True

@@ -1,7 +1,8 @@
 """Words: lone aligned u64 values, each alone in a 64-byte line, one writer each.
 
 A store or load of one through a memoryview cast to 'Q' is a single machine access, so a reader sees the old or the new
-value and nothing between. What needs more than one word to be true at once belongs in a slot.
+value and nothing between. What needs more than one word to be true at once belongs in a slot. Two words may be seen in
+another order than they were stored in, but for a barrier between them on both sides (barrier.py).
 """
 
 from __future__ import annotations

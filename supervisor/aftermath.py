@@ -10,6 +10,7 @@ import signal
 import time
 
 from failstop.shm import layout, records
+from failstop.shm.barrier import Barrier
 from failstop.shm.packing import pack
 from failstop.supervisor.causes import Cause
 from failstop.supervisor.link import ALIVE, DEAF, Link
@@ -37,6 +38,7 @@ class Aftermath:
         self._pong = telemetry.word("pong")
         self._still = telemetry.word("still_ns")
         self._judged = telemetry.word("judged_ns")
+        self._barrier = Barrier()
         self._reset_word = views[layout.GATE].word("reset_epoch")
         self._port_record = port_owner.latest_reader("port")
         self._written = port_owner.word("written_ns")
@@ -132,7 +134,9 @@ class Aftermath:
             return False
         known = last.observed_ns is not None
         judged_ns = self._judged.get()
+        self._barrier()
         still_ns = self._still.get()
+        self._barrier()
         if self._judged.get() != judged_ns:
             return False  # judged anew meanwhile: next time
         unstill = last.judged(still_ns, judged_ns, now_ns)

@@ -13,6 +13,7 @@ from time import monotonic_ns, sleep
 from failstop.procs import rights, starved
 from failstop.procs.loop import READ, Loop
 from failstop.shm import heartbeat, layout, records, segment
+from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import pid_namespace
 from failstop.shm.packing import pack
@@ -83,6 +84,7 @@ class Supervisor:
         own.latest_writer("rules").write(pack(_rules(settings)))
         self._epoch_word = own.word("epoch")
         self._ready_word = own.word("ready")
+        self._barrier = Barrier()
         lifelines = segment.attach_unmapped(memory, "lifelines", run)
         self._events = Events(name, own.ring_writer("events"), journal)
         realtime = bool(self._granted & heartbeat.REALTIME)
@@ -247,12 +249,14 @@ class Supervisor:
         return causes
 
     def _raise_epoch(self, causes: list[Cause]) -> None:
-        """A stop: the cause first, then the epoch that refers to it, then the bells."""
+        """A stop: the cause first, then the epoch that refers to it, then the bells. Whoever sees the epoch, with its
+        bell or without, finds the cause of it, and a service that is not ready."""
         self.epoch += 1
         standing, newest = self._causes.add(causes, self.epoch, self._reset_word.get())
         record = records.pack_cause(self._causes.since, standing.t_ns, standing.reason, newest.reason)
         self._cause_record.write(record)
         self._ready_word.set(0)
+        self._barrier()
         self._epoch_word.set(self.epoch)
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.GATE].ring()

@@ -16,6 +16,7 @@ import msgpack
 
 from failstop.procs import starved
 from failstop.shm import layout
+from failstop.shm.barrier import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ class Silence:
         """`advice`: what to do against it, for people."""
         self._gate_record = views[layout.GATE].latest_reader("state")
         self._moving_word = views[layout.PORT_OWNER].word("moving")
+        self._barrier = Barrier()
         self._bells = bells
         self._events = events
         self._advice = advice
@@ -48,6 +50,7 @@ class Silence:
     def motion(self, epoch: int) -> bool:
         """True while motion is enabled in this epoch, or the wheels were last told to turn. Read after whatever it is
         to be compared with: the port owner says that it moves before it looks at the epoch for the last time."""
+        self._barrier()
         if self._moving_word.get():
             return True
         entry = self._gate_record.read()

@@ -14,6 +14,7 @@ from failstop.procs.gate.said import Said
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
 from failstop.procs.loop import READ, Loop
 from failstop.shm import bell, box, instance, layout, place, records
+from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.notes import Note
 from failstop.shm.packing import pack
@@ -50,6 +51,7 @@ class Gate:
 
         self._epoch_word = supervisor.word("epoch")
         self._ready_word = supervisor.word("ready")
+        self._barrier = Barrier()
         self._supervisor_heart = HeartbeatReader(supervisor)
         self._lease_ns = settings.ns("gate.lease_s")
         self._cause = supervisor.latest_reader("cause")
@@ -92,6 +94,8 @@ class Gate:
                 self.core.trip(self._why(), self.epoch - 1)
 
     def _note_stop(self) -> None:
+        """A new epoch was seen: from here on its cause is, and that the service was not ready."""
+        self._barrier()
         entry = self._cause.read()
         self._stopped_ns = entry[1] if entry else monotonic_ns()
 
@@ -248,6 +252,7 @@ class Gate:
         else:
             done, text = False, f"unknown request {verb}"
         self._publish(now_ns)
+        self._barrier()
         self._replies[slot.index].write(records.pack_reply(slot.session, number, done, text))
         self._remark(verb, slot.name, slot.pid, done, text, now_ns, enabled=enabled, latched=latched)
 

@@ -17,6 +17,7 @@ from failstop.procs.port_owner.pings import Pings
 from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell, heartbeat, layout, records
+from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
@@ -62,6 +63,7 @@ class PortOwner:
         self._stopped_word = own.word("stopped_epoch")
         self._written_word = own.word("written_ns")
         self._moving_word = own.word("moving")
+        self._barrier = Barrier()
         self._ping_words = [own.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._port_record = own.latest_writer("port")
         self._stops = own.ring_writer("stops")
@@ -303,6 +305,7 @@ class PortOwner:
         raised the epoch or not, knows that no frame is about to be written that would not be good then. So one that is
         starved here, for however long, may live."""
         self._moving_word.set(1)
+        self._barrier()
         now_ns = monotonic_ns()
         if self._epoch_word.get() != frame_epoch:
             self._follow_epoch(now_ns)

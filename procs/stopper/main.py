@@ -21,6 +21,7 @@ from failstop.procs.handover import OPENING_NS, Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
 from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
 from failstop.shm import heartbeat, layout, records
+from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
@@ -53,6 +54,7 @@ class Stopper:
         self._port_owner_heart = HeartbeatReader(port_owner)
         self._port_owner_written = port_owner.word("written_ns")
         self._port_owner_moving = port_owner.word("moving")
+        self._barrier = Barrier()
         self._port_owner_bell = context.bell("port_owner_bell")
         self._port_record = port_owner.latest_reader("port")
         self._written_word = context.own.word("written_ns")
@@ -195,7 +197,9 @@ class Stopper:
         if not life or heart.age_ns(now_ns) >= HANG_NS + starved.LONGEST_NS:
             return False
         # The word last: what the port owner was about to write when it was looked at has been told by then.
-        return starved.look(life.pid, heart, HANG_NS, self._port_owner_bell) and not self._port_owner_moving.get()
+        is_starved = starved.look(life.pid, heart, HANG_NS, self._port_owner_bell)
+        self._barrier()
+        return is_starved and not self._port_owner_moving.get()
 
     def _fence(self) -> None:
         """SIGKILL the port owner; its death is then answered like any other."""

@@ -22,6 +22,7 @@ from failstop.procs.telemetry.still import StillJudge
 from failstop.procs.telemetry.tones import Tones
 from failstop.procs.telemetry.trips import Trips
 from failstop.shm import box, records
+from failstop.shm.barrier import Barrier
 from failstop.shm.notes import Note
 from failstop.shm.packing import pack
 
@@ -84,6 +85,7 @@ class Telemetry:
         self._still = StillJudge(settings["still.std_radps"])
         self._still_word = own.word("still_ns")
         self._judged_word = own.word("judged_ns")
+        self._barrier = Barrier()
         self._publish_still()
         self._inherit(own)
         folder = state_files.state_directory(context.instance, os.environ, settings.text("battery.directory"))
@@ -158,7 +160,9 @@ class Telemetry:
         # lack of a verdict never with a time.
         if not self._still.judged_ns:
             self._judged_word.set(0)
+            self._barrier()
         self._still_word.set(self._still.still_ns)
+        self._barrier()
         self._judged_word.set(self._still.judged_ns)
 
     def _publish(self, now_ns: int) -> None:
