@@ -144,15 +144,16 @@ class Supervisor:
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
+        # Before what they are rung for is looked at: news that came in between would wait for another wake-up.
+        for rung in (self._bell, self._early.bell):
+            if rung.fd in ready:
+                rung.clear()
         fallen = self.family.fallen(ready)
         port_owner = self.family[layout.PORT_OWNER]
         written_ns = self._burst() if port_owner in fallen else 0
         for child in fallen:
             if child.fence:
                 child.fence.gone(now_ns, written_ns if child is port_owner else 0)
-        for rung in (self._bell, self._early.bell):
-            if rung.fd in ready:
-                rung.clear()
         causes = self._collect(fallen, now_ns, written_ns)
         causes += self._held_up(now_ns)
         if causes:

@@ -109,6 +109,10 @@ class PortOwner:
             self._stop_request(now_ns)
         elif now_ns >= self._pipe_rests_until_ns:
             self._wake_pipe()
+        # Before what they are rung for is looked at: news that came in between would wait for another wake-up.
+        for rung in (self._bell, self._early.bell):
+            if rung.fd in ready:
+                rung.clear()
         while trip := self._trips.next():
             self.stop(trip[1], trip[2].decode("utf-8", "replace"))
         if self._gate_life and self._gate_life.down(ready):
@@ -121,9 +125,6 @@ class PortOwner:
                 self._gate_life.demote()  # it dies with its parent
             self._own_stop(now_ns, monotonic_ns(), "supervisor died")
             self.loop.forget(self._supervisor_life.fd)
-        for rung in (self._bell, self._early.bell):
-            if rung.fd in ready:
-                rung.clear()
         self._follow_epoch(now_ns)
         self._check_suspend(now_ns)
         self._check_leases(now_ns)

@@ -87,6 +87,10 @@ class Stopper:
         if now_ns - self._turned_ns > HELD_UP_NS:
             self._excused_ns = now_ns
         self._turned_ns = now_ns
+        # Before what they are rung for is looked at: news that came in between would wait for another wake-up.
+        for rung in (self._bell, self._early.bell):
+            if rung.fd in ready:
+                rung.clear()
         if self._port_owner_life and self._port_owner_life.down(ready):
             self._port_owner_died(now_ns)
         if not self._orphaned_ns and self._supervisor_life.down(ready):
@@ -94,9 +98,6 @@ class Stopper:
             self.loop.forget(self._supervisor_life.fd)
             self._first_go_until_ns = now_ns + FIRST_GO_NS if self._port_owner_life else now_ns
         self._write_due(now_ns)
-        for rung in (self._bell, self._early.bell):
-            if rung.fd in ready:
-                rung.clear()
         if ready.get(self._port, 0) & GONE or records.lost_since(self._port_record.read(), self._port_since_ns):
             self.close_port()
         if self._control.fd in ready:

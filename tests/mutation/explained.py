@@ -112,6 +112,14 @@ SHM: tuple[Reason, ...] = (
 )
 
 SUPERVISOR = (
+    Reason("supervisor/main.py", r"\n\+.*self\._burst\(\) > 1$", "it is 0 or a time"),
+    Reason("supervisor/main.py", r"\n\+.*\(heard_ns > 1 or", "it is 0 or as long as an answer takes"),
+    Reason("supervisor/main.py", r"\n\+.*wait\(monotonic_ns\(\) - HURRY_NS\)", "it looks without a rest", same=False),
+    Reason(
+        "supervisor/sharing.py",
+        r"\n\+.*ready\.get\(self\._port\.fd, 1\) & GONE",
+        "1 is READ, and GONE has not that bit",
+    ),
     Reason("supervisor/*.py", r"/ (1000001|1000000001)\.0", "a millionth is not seen in what is rounded", same=False),
     Reason(
         "supervisor/blackbox.py",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -67,6 +68,22 @@ def unplugged_first(fd: int, _written: object = None) -> wire_module.Wire:
 def test_it_waits_for_both_deaths_at_the_futexes_that_are_the_port_owner_s(scene: Scene) -> None:
     scene.turn()
     assert scene.early.armed == [(scene.supervisor.pid, layout.SUPERVISOR_BLOCK, 0), (scene.gate.pid, 3, 1)]
+
+
+def test_what_comes_while_it_looks_wakes_it_again(scene: Scene) -> None:
+    """A key that is pressed just after the keys were looked at: its bell is not taken for one of before."""
+    trips = scene.owner._trips
+
+    class Pressed:
+        def next(self) -> object:
+            found = trips.next()
+            scene.bell("bell").ring()
+            return found
+
+    scene.owner._trips = Pressed()  # type: ignore[assignment]
+    scene.bell("bell").ring()
+    scene.turn()
+    assert select.select([scene.bell("bell").fd], [], [], 0)[0]
 
 
 def test_a_bell_that_was_rung_does_not_keep_it_awake(scene: Scene) -> None:

@@ -14,6 +14,7 @@ import pytest
 from failstop.procs.loop import READ
 from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS
+from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.supervisor import children
 from failstop.supervisor.family import TRY_AGAIN_NS
 from failstop.supervisor.starter import Starter
@@ -157,3 +158,34 @@ def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monk
     assert telemetry.state() == "down"
     family.recall(7, scene.now_ns)
     assert (telemetry.state(), telemetry.restart_ns) == ("waiting", scene.now_ns)
+
+
+def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    family = scene.supervisor.family
+    gate, stopper = family[layout.GATE], family[layout.STOPPER]
+    asked: list[tuple[int, int, int]] = []
+
+    def arm(_news: EarlyNews, life: Lifeline, block: int, watcher: int) -> None:
+        life.armed = True
+        asked.append((life.pid, block, watcher))
+
+    monkeypatch.setattr(EarlyNews, "arm", arm)
+    monkeypatch.setattr(children.Child, "running", lambda child: child is gate)
+    for child, block in ((gate, 5), (stopper, 6)):
+        child.started(os.posix_spawnp("sleep", ["sleep", "120"], os.environ), block, scene.now_ns)
+    family.arm()
+    family.arm()
+    assert asked == [(gate.pid, 5, 0)], "one that starts holds nothing yet"
+    for child in (gate, stopper):
+        child.kill(20.0)
+
+
+def test_every_restart_is_counted(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    family, gate = scene.supervisor.family, scene.supervisor.family[layout.GATE]
+    monkeypatch.setattr(type(family), "start", lambda _family, child, _port: setattr(child, "restart_ns", None))
+    for _ in range(3):
+        gate.restart_ns = scene.now_ns
+        family.restart_due(-1, scene.now_ns)
+    assert gate.times_restarted == 3
