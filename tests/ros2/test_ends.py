@@ -85,7 +85,8 @@ def test_a_service_that_was_started_anew_is_found_again(ros: Ros) -> None:
         scene.trial.service.start()
         scene.enable()
         scene.moving()
-        assert any(client["name"] == "ros2" for client in scene.trial.robot.state.clients)
+        robot = scene.trial.robot
+        wait_for("the gate to name it", lambda: any(client["name"] == "ros2" for client in robot.state.clients))
 
 
 def test_without_a_service_it_waits_and_says_so(ros: Ros) -> None:
