@@ -116,13 +116,16 @@ def ordinary(name: str) -> Iterator[Trial]:
 
 
 def test_a_service_without_rights_says_how_to_get_them_and_outlives_its_starving(ordinary: Trial) -> None:
-    assert re.search(r"no real-time rights .*; give it real-time rights: .*rtprio=40", ordinary.service.said())
+    # It is written in the same turn in which the service is ready, a moment later.
+    line = r"no real-time rights .*; give it real-time rights: .*rtprio=40"
+    wait_for("the advice", lambda: re.search(line, ordinary.service.said()) is not None)
     before = ordinary.service.pids()
     for process in (PORT_OWNER, TELEMETRY):
         starve(ordinary, process, 0)  # gently: nobody else of it has rights either
     assert ordinary.service.pids() == before, ordinary.service.said()
     assert ordinary.robot.state.estop is None
-    assert "give it real-time rights" in ordinary.service.said().partition("the machine starves the service")[2]
+    starved = "the machine starves the service"
+    wait_for("it again", lambda: "give it real-time rights" in ordinary.service.said().partition(starved)[2])
 
 
 def test_one_that_is_stopped_by_a_signal_is_not_starved(trial: Trial) -> None:
