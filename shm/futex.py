@@ -13,6 +13,7 @@ Source: Linux, Documentation/locking/robust-futex-ABI.rst; set_robust_list(2), f
 from __future__ import annotations
 
 import _thread
+import contextlib
 import ctypes
 import errno
 import mmap
@@ -74,7 +75,7 @@ class Futex:
 
     def hold(self, lines: int = 1) -> object:
         """Let the death of the calling thread be told here, on so many lines. Returns what has to be kept as long as
-        the thread lives, or until let_go(); None where the kernel can't."""
+        the thread lives, or until let_go(); None where the kernel can't. Raises OSError."""
         kept = ctypes.create_string_buffer(_HEAD.size + lines * LINE_BYTES)
         head = ctypes.addressof(kept)
         entries = [head + _HEAD.size + line * LINE_BYTES for line in range(lines)]
@@ -83,8 +84,12 @@ class Futex:
         if _set_robust_list(kept):
             return None
         word = (_thread.get_native_id() | _WAITERS).to_bytes(4, "little")
-        for line in range(lines):
-            os.pwrite(self._fd, word, self._offset + line * LINE_BYTES)
+        try:
+            for line in range(lines):
+                os.pwrite(self._fd, word, self._offset + line * LINE_BYTES)
+        except OSError:
+            let_go()
+            raise
         return kept
 
     def held(self) -> bool:
@@ -156,12 +161,15 @@ def _dies_holding(word: Futex) -> bool:
     ended.acquire()
 
     def hold() -> None:
-        told.append(word.hold())
-        ended.release()
+        try:
+            with contextlib.suppress(OSError):
+                told.append(word.hold())
+        finally:
+            ended.release()
 
     _thread.start_new_thread(hold, ())
     ended.acquire()
-    if told[0] is None:
+    if not any(told):
         return False
     until_ns = monotonic_ns() + _PROOF_NS
     while word.held() and monotonic_ns() < until_ns:

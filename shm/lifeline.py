@@ -112,15 +112,15 @@ class EarlyNews:
 
     def arm(self, life: Lifeline, block: int, watcher: int) -> None:
         """Wait for the death of the process of the service that holds this block already."""
-        self.watch(life, self._lifelines, "held", block * futex.PER_BLOCK + watcher)
+        self.watch(life, self._lifelines, block * futex.PER_BLOCK + watcher)
 
-    def watch(self, life: Lifeline, segment: Segment, name: str, line: int = 0) -> None:
+    def watch(self, life: Lifeline, segment: Segment, line: int = 0) -> None:
         """Wait in a thread of its own for the death of who holds this line. Once a lifeline; until it is closed."""
         if not life.armed:
             life.armed = True
             # A machine that is out of threads or memory still has the late news.
             with contextlib.suppress(RuntimeError, OSError):
-                life.early = segment.futex(name, line)
+                life.early = segment.futex("held", line)
                 _thread.start_new_thread(self._wait, (life, life.early))
 
     def _wait(self, life: Lifeline, word: Futex) -> None:
@@ -148,8 +148,12 @@ class HeldByThread:
 
     def _live(self, word: Futex, held: _thread.LockType) -> None:
         _signal.pthread_sigmask(_signal.SIG_BLOCK, _signal.valid_signals())  # they are for the program's own threads
-        kept = word.hold()
-        held.release()
+        kept = None
+        try:
+            with contextlib.suppress(OSError):  # without it there is the late news
+                kept = word.hold()
+        finally:
+            held.release()
         self._until.acquire()
         futex.let_go()
         del kept

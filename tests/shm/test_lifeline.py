@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import _thread
 import contextlib
+import errno
 import os
 import select
 import shutil
@@ -502,6 +503,39 @@ def test_a_kernel_that_takes_the_list_and_marks_nothing_is_not(monkeypatch: pyte
 def test_nor_one_that_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(futex, "_SET_ROBUST_LIST", -1)
     assert not futex.proven()
+
+
+@pytest.fixture
+def refused(held: Segment, monkeypatch: pytest.MonkeyPatch) -> Segment:
+    """Its words can be read, and not written."""
+
+    def pwrite(*_args: object) -> int:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(os, "pwrite", pwrite)
+    return held
+
+
+@pytest.mark.timeout(20)
+def test_a_word_that_can_t_be_written_keeps_nobody_waiting(refused: Segment) -> None:
+    """Neither who joins, nor who starts: both have the late news."""
+    word = refused.futex("held", 60, write=True)
+    threads = _thread._count()
+    one = HeldByThread(word)
+    one.let_go()
+    until(lambda: _thread._count() == threads, "its thread has ended")
+    assert not word.held()
+    assert not futex.proven()
+
+
+def test_nor_is_it_looked_into_later(refused: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the kernel was given to look into is taken back before its memory is."""
+    given: list[object] = []
+    monkeypatch.setattr(futex, "_set_robust_list", lambda kept: given.append(kept) or 0)
+    with pytest.raises(OSError, match=r"Input/output"):
+        refused.futex("held", 70, write=True).hold()
+    assert len(given) == 2
+    assert given[1] is futex._NOTHING
 
 
 def select_poll(fd: int) -> list[tuple[int, int]]:
