@@ -4,7 +4,8 @@ for sample in robot.samples():
     if isinstance(sample, ImuSample):
         print(sample.t_ns, sample.rate_radps)
 
-The state has the newest value of each alone; the times here are CLOCK_MONOTONIC in ns.
+The state has the newest value of each alone. The times here are CLOCK_MONOTONIC in ns, of the read that brought the
+sample: what one read brought has one time.
 """
 
 from __future__ import annotations

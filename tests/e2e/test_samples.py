@@ -31,8 +31,9 @@ def test_every_imu_sample_comes_once_and_in_order(trial: Trial) -> None:
     robot.samples()  # the first call begins
     times = [sample.t_ns for sample in read_until(robot, ImuSample, 100) if isinstance(sample, ImuSample)]
     written = [entry[1] for entry in iter(ring.next, None) if box.unpack_board(entry[2])[0] == box.IMU]
-    assert times == sorted(set(times))
-    assert times == [t_ns for t_ns in written if times[0] <= t_ns <= times[-1]]
+    assert times == sorted(times)
+    # What came in one read has one time, so the times alone do not tell a sample that is given twice.
+    assert any(written[start : start + len(times)] == times for start in range(len(written)))
     assert len(times) >= 100
 
 
