@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 # The board's USB serial chip (udev identity 1a86:55d4).
 BOARD_VID = 0x1A86
 BOARD_PID = 0x55D4
@@ -11,22 +13,27 @@ LINK = "/dev/failstop"
 
 def board_there() -> bool:
     """A controller board is plugged in."""
-    from serial.tools import list_ports
-
-    return any((port.vid, port.pid) == (BOARD_VID, BOARD_PID) for port in list_ports.comports())
+    return any(rank == BOARDS for rank, *_ in _ranked())
 
 
 def candidates() -> list[tuple[str, str]]:
     """(path, description) of each serial device: controller boards first, then other USB devices, then the rest."""
+    return [(path, description) for _, path, description in sorted(_ranked())]
+
+
+BOARDS, OTHER_USB, NO_USB = range(3)
+
+
+def _ranked() -> Iterator[tuple[int, str, str]]:
     # Imported here: listing is slow, and nothing on the stop path asks for it.
     from serial.tools import list_ports
 
-    found: list[tuple[int, str, str]] = []
     for port in list_ports.comports():
         if port.vid is None or port.pid is None:
-            found.append((2, str(port.device), str(port.description)))
-        elif (port.vid, port.pid) == (BOARD_VID, BOARD_PID):
-            found.append((0, str(port.device), f"{port.description}, USB {port.vid:04x}:{port.pid:04x}: the board's"))
+            yield NO_USB, str(port.device), str(port.description)
+            continue
+        described = f"{port.description}, USB {port.vid:04x}:{port.pid:04x}"
+        if (port.vid, port.pid) == (BOARD_VID, BOARD_PID):
+            yield BOARDS, str(port.device), f"{described}: the board's"
         else:
-            found.append((1, str(port.device), f"{port.description}, USB {port.vid:04x}:{port.pid:04x}"))
-    return [(path, description) for _, path, description in sorted(found)]
+            yield OTHER_USB, str(port.device), described

@@ -12,6 +12,10 @@ import os
 
 from failstop.shm import place
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
 _ONE = (1).to_bytes(8, "little")
 
 
@@ -42,6 +46,16 @@ class EventBell:
             os.read(self.fd, 8)
         except BlockingIOError:
             pass
+
+
+def clear_rung(bells: Iterable[EventBell], ready: dict[int, int]) -> None:
+    """Clear those of the bells that are among what is ready; call it first in a turn.
+
+    News of what was looked at before its bell is cleared waits for another wake-up.
+    """
+    for bell in bells:
+        if bell.fd in ready:
+            bell.clear()
 
 
 def make_pipe(path: str, mode: int, gid: int = -1) -> None:

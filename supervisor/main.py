@@ -12,7 +12,7 @@ from time import monotonic_ns, sleep
 
 from failstop.procs import rights, starved
 from failstop.procs.loop import READ, Loop
-from failstop.shm import heartbeat, layout, records, segment
+from failstop.shm import bell, heartbeat, layout, records, segment
 from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import pid_namespace
@@ -144,10 +144,7 @@ class Supervisor:
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
-        # Before what they are rung for is looked at: news that came in between would wait for another wake-up.
-        for rung in (self._bell, self._early.bell):
-            if rung.fd in ready:
-                rung.clear()
+        bell.clear_rung((self._bell, self._early.bell), ready)
         fallen = self.family.fallen(ready)
         port_owner = self.family[layout.PORT_OWNER]
         written_ns = self._burst() if port_owner in fallen else 0

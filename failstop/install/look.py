@@ -8,25 +8,20 @@ import os
 from failstop.board import discovery
 from failstop.install import bridge, machine, tree
 from failstop.install.layout import (
-    CATALOG,
     COMMAND_LINK,
-    COMPLETIONS,
     MANIFEST,
     MANIFEST_NAME,
-    MANUAL,
     PACKAGE_UNIT,
     PREFIX,
     STATE,
-    SYSUSERS,
-    UDEV,
     UNITS,
     Manifest,
     configuration_of,
     parents,
     unit_of,
 )
-from failstop.install.parts import SERVICE, SLEEP, TEMPLATE, wanted_by
-from failstop.install.plan import Found, Wish
+from failstop.install.parts import SLEEP, wanted_by
+from failstop.install.plan import Found, Wish, files_of
 
 SETUPS = "/opt/ros/*/setup.sh"
 UDEV_CONTROL = "/run/udev/control"
@@ -41,17 +36,9 @@ def look(wish: Wish, units: dict[str, str]) -> Found:
 
     targets = {target for unit in units.values() for target in wanted_by(unit)}
     wants = [f"{UNITS}/{target}.wants/{unit}" for target in targets for unit in (unit_of(wish.name), SLEEP)]
-    paths = [
-        *(f"{UNITS}/{name}" for name in (SERVICE, TEMPLATE, SLEEP)),
-        SYSUSERS,
-        UDEV,
-        CATALOG,
-        COMMAND_LINK,
-        MANIFEST,
-        *wants,
-    ]
+    paths = [*files_of(), COMMAND_LINK, MANIFEST, *wants]
     paths += [bridge.PLACE, *(f"{UNITS}/{target}.wants/{bridge.UNIT}" for target in targets)]
-    paths += [MANUAL, *COMPLETIONS.values(), configuration_of(wish.name), "/etc/passwd", "/etc/group"]
+    paths += [configuration_of(wish.name), "/etc/passwd", "/etc/group"]
     files, links = {}, {}
     for path in [*paths, PREFIX]:
         if os.path.islink(at(path)):

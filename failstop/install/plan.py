@@ -25,7 +25,7 @@ from failstop.install.layout import (
     unit_file,
     unit_of,
 )
-from failstop.install.parts import SERVICE, SLEEP, TEMPLATE, UNIT_COMMAND, Parts, accounts, wanted_by
+from failstop.install.parts import OWN_UNITS, SLEEP, UNIT_COMMAND, Parts, accounts, wanted_by
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
 from failstop.shm.instance import DEFAULT_NAME
 
@@ -162,7 +162,7 @@ def _refuse(parts: Parts, wish: Wish, found: Found) -> None:
             f"an installation that runs {found.manifest.command} is here, this one would run {wish.command}: "
             "`failstop uninstall` first; it keeps your configuration"
         )
-    for path in (*_files_of(), unit_file(unit_of(wish.name)), configuration_of(wish.name)):
+    for path in (*files_of(), unit_file(unit_of(wish.name)), configuration_of(wish.name)):
         if (target := found.links.get(path)) == MASK:
             raise InstallError(f"{path} is masked: systemctl unmask {unit_of(wish.name)}")
         if target is not None:
@@ -181,11 +181,10 @@ def _refuse(parts: Parts, wish: Wish, found: Found) -> None:
         )
 
 
-def _files_of() -> tuple[str, ...]:
+def files_of() -> tuple[str, ...]:
+    """The files that every installation has, whatever its settings."""
     return (
-        f"{UNITS}/{SERVICE}",
-        f"{UNITS}/{TEMPLATE}",
-        f"{UNITS}/{SLEEP}",
+        *(f"{UNITS}/{name}" for name in OWN_UNITS),
         SYSUSERS,
         UDEV,
         CATALOG,
@@ -196,7 +195,7 @@ def _files_of() -> tuple[str, ...]:
 
 def _files(parts: Parts, wish: Wish) -> dict[str, tuple[bytes, str]]:
     """Content and remark of every file but the configuration."""
-    units = [parts.units[name].replace(UNIT_COMMAND, wish.command).encode() for name in (SERVICE, TEMPLATE, SLEEP)]
+    units = [parts.units[name].replace(UNIT_COMMAND, wish.command).encode() for name in OWN_UNITS]
     shells = [parts.completions[shell] for shell in COMPLETIONS]
     rest = [text.encode() for text in (parts.sysusers, parts.udev, parts.catalog, parts.manual, *shells)]
     remarks = (
@@ -209,7 +208,7 @@ def _files(parts: Parts, wish: Wish) -> dict[str, tuple[bytes, str]]:
         "the manual, man failstop",
         *(f"completion for {shell}" for shell in COMPLETIONS),
     )
-    return dict(zip(_files_of(), zip((*units, *rest), remarks, strict=True), strict=True))
+    return dict(zip(files_of(), zip((*units, *rest), remarks, strict=True), strict=True))
 
 
 def _links(parts: Parts, wish: Wish) -> dict[str, str]:

@@ -227,7 +227,7 @@ class ClientTable:
         except (OSError, OverflowError):
             return  # a lie, or a process that is gone already
         self._loop.watch(slot.life.fd, READ)
-        self._early.watch(slot.life, slot.segment, "held")
+        self._early.watch(slot.life, slot.segment)
 
     def _stop_watching(self, slot: Slot) -> None:
         if slot.life:

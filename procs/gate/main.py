@@ -106,9 +106,7 @@ class Gate:
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = self._turned_ns = monotonic_ns()
-        for rung in (self._bell, self._early):
-            if rung.fd in ready:
-                rung.clear()
+        bell.clear_rung((self._bell, self._early), ready)
         self._follow_epoch()
         self.clients.lives_ended(ready, now_ns)
         if self._client_bell in ready:  # last: who joins may get the number of a descriptor that was closed above

@@ -109,10 +109,7 @@ class PortOwner:
             self._stop_request(now_ns)
         elif now_ns >= self._pipe_rests_until_ns:
             self._wake_pipe()
-        # Before what they are rung for is looked at: news that came in between would wait for another wake-up.
-        for rung in (self._bell, self._early.bell):
-            if rung.fd in ready:
-                rung.clear()
+        bell.clear_rung((self._bell, self._early.bell), ready)
         while trip := self._trips.next():
             self.stop(trip[1], trip[2].decode("utf-8", "replace"))
         if self._gate_life and self._gate_life.down(ready):

@@ -20,7 +20,7 @@ from failstop.procs import starved
 from failstop.procs.handover import OPENING_NS, Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
 from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
-from failstop.shm import heartbeat, layout, records
+from failstop.shm import bell, heartbeat, layout, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
@@ -87,10 +87,7 @@ class Stopper:
         if now_ns - self._turned_ns > HELD_UP_NS:
             self._excused_ns = now_ns
         self._turned_ns = now_ns
-        # Before what they are rung for is looked at: news that came in between would wait for another wake-up.
-        for rung in (self._bell, self._early.bell):
-            if rung.fd in ready:
-                rung.clear()
+        bell.clear_rung((self._bell, self._early.bell), ready)
         if self._port_owner_life and self._port_owner_life.down(ready):
             self._port_owner_died(now_ns)
         if not self._orphaned_ns and self._supervisor_life.down(ready):

@@ -2,33 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+
+from tests.commands import script
 
 ROOT = Path(__file__).resolve().parents[2]
 BARRIER = ("STLR WZR,[X9]", "LDAR W10,[X9]")
 
-
-def load() -> ModuleType:
-    """model/arm/explore.py, which is in no package."""
-    spec = importlib.util.spec_from_file_location("arm_explore", ROOT / "model" / "arm" / "explore.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.dont_write_bytecode, before = True, sys.dont_write_bytecode
-    try:
-        spec.loader.exec_module(module)
-    finally:
-        sys.dont_write_bytecode = before
-    return module
-
-
-explore = load()
+explore = script(ROOT / "model" / "arm" / "explore.py")
 TESTS = explore.litmus_tests()
 NAMES = [path.stem for path in TESTS]
 BARRIERS = "barrier", "barrier-exclusives"

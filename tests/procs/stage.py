@@ -39,7 +39,7 @@ class Early:
         life.armed = True
         self.armed.append((life.pid, block, index))
 
-    def watch(self, life: Lifeline, segment: Segment, name: str, line: int = 0) -> None:
+    def watch(self, life: Lifeline, segment: Segment, line: int = 0) -> None:
         """Nor here."""
 
 
