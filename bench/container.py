@@ -36,7 +36,8 @@ SHELL_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 NAMESPACES = ("--pid", "--mount", "--uts", "--ipc", "--net", "--cgroup")
 DIRECTORY = "failstop-container-"
 END_S = 10.0
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0
+"""Of a command inside: an installation waits for the disk."""
 POLL_S = 0.01
 
 BASE = (

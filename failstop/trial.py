@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping
 from types import TracebackType
 
 from failstop.board.sim.client import Event, SimBoard
-from failstop.errors import FailstopError
+from failstop.errors import FailstopError, Refused
 from failstop.robot import Robot
 from failstop.shm import instance, layout, segment
 
@@ -222,10 +222,16 @@ class Trial:
             self._robot = None
 
     def enable(self) -> None:
-        """Reset what is latched and enable motion."""
+        """Reset what is latched, as soon as its stop has been carried out, and enable motion."""
         if self.robot.state.estop:
-            self.robot.reset()
+            wait_for("a reset to be taken", self._reset)
         self.robot.enable()
+
+    def _reset(self) -> bool:
+        with contextlib.suppress(Refused):
+            self.robot.reset()
+            return True
+        return False
 
     def drive(
         self,

@@ -26,6 +26,7 @@ _SIGKILL = 9
 _ORDINARY = os.sched_param(0)
 _DEMOTED = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
 """With the flag that the processes have (procs/rights.py): only CAP_SYS_NICE may clear it."""
+_FIRST = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 _STACK_BYTES = 128 * 1024
 
 
@@ -148,6 +149,9 @@ class HeldByThread:
 
     def _live(self, word: Futex, held: _thread.LockType) -> None:
         _signal.pthread_sigmask(_signal.SIG_BLOCK, _signal.valid_signals())  # they are for the program's own threads
+        # Of a process's dying threads the kernel then runs this one first. It sleeps until then, and delays nobody.
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, _FIRST, os.sched_param(1))
         kept = None
         try:
             with contextlib.suppress(OSError):  # without it there is the late news

@@ -23,6 +23,7 @@ BEFORE_S = (0.02, 0.12)
 """How long the wheels turn before the fault: a random moment of the 20 ms tick."""
 AFTER_RESET_S = 0.03
 SEEN_S = 3.0
+SETUPS = 3
 ENDS = {"service-stopped": 0, "names-removed": 1}
 """The exit code of a service that ends by itself, by the row's injector."""
 STORY_BEFORE = 5
@@ -95,6 +96,8 @@ class _Injection:
             scene.driver.run(scene.chance.uniform(*BEFORE_S))
             self._see()
             scene.was_moving = scene.trial.moving()
+            if not scene.was_moving:
+                raise TrialError("the wheels were not turning before the fault")
             self.outcome.struck = True
             fault_ns = self.injector.strike(scene)
             scene.driver.each = lambda: self.injector.during(scene)
@@ -202,7 +205,15 @@ def _velocity(chance: random.Random) -> tuple[float, float, float]:
 
 def inject_one(scene: Scene, fault: Fault, index: int = 0, seed: object = 0, *, seen_s: float = SEEN_S) -> Outcome:
     """Inject one fault and judge it; what the row says must be seen within `seen_s`. A scene in which anything was
-    wrong is made anew."""
+    wrong is made anew, and a robot that was stopped before the fault is driven again, SETUPS times in all."""
+    for _ in range(SETUPS):
+        outcome = _inject_one(scene, fault, index, seed, seen_s)
+        if outcome.struck or outcome.skipped:
+            break
+    return outcome
+
+
+def _inject_one(scene: Scene, fault: Fault, index: int, seed: object, seen_s: float) -> Outcome:
     outcome = Outcome(fault, index, struck=False)
     # Of the row too: the same row at the same index is the same fault, whatever else a campaign draws.
     scene.chance = random.Random(f"{seed} {index} {fault.name}")

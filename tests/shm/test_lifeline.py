@@ -447,6 +447,25 @@ def test_a_thread_of_its_own_holds_and_lets_go(held: Segment) -> None:
     assert word.held(), "the word is the caller's to clear: the end of the thread is no death"
 
 
+@pytest.mark.parametrize("may", [True, False])
+def test_that_thread_dies_first_where_the_process_may_have_it_so(
+    held: Segment, monkeypatch: pytest.MonkeyPatch, may: bool
+) -> None:
+    asked: list[tuple[int, int, int]] = []
+
+    def setscheduler(pid: int, policy: int, parameter: os.sched_param) -> None:
+        asked.append((pid, policy, parameter.sched_priority))
+        if not may:
+            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(os, "sched_setscheduler", setscheduler)
+    word = held.futex("held", 25)
+    one = HeldByThread(held.futex("held", 25, write=True))
+    assert asked == [(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 1)]
+    assert word.held()
+    one.let_go()
+
+
 def test_a_large_process_is_known_to_be_dead_before_its_memory_is_gone(name: str, held: Segment) -> None:
     """Which the pidfd waits for. This process may be held up longer than that takes: then it tries again."""
 
