@@ -8,6 +8,7 @@ import sys
 import time
 
 from bench import cost, hangs, kills, latency, oneway, peers, report, service
+from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
 from failstop.trial import Trial
@@ -35,23 +36,25 @@ def main() -> int:
         file.write(OPTIONS_TOML)
     rows: list[Row] = []
     start_s = time.monotonic()
-    with Trial(options=("--config", config)) as trial:
+    carriers = Carriers()
+    with carriers, Trial(options=("--config", config)) as trial:
         realtime = all(process.realtime for process in trial.robot.state.processes.values())
         rows += cost.measure(trial, arguments.seconds, progress)
         rows.append(latency.stop_requests(trial, arguments.samples, arguments.seed, progress))
         rows.append(latency.first_commands(trial, arguments.samples, arguments.seed, progress))
         rows.append(latency.direction_changes(trial, arguments.samples, arguments.seed, progress))
         rows.append(latency.command_timeouts(trial, max(3, arguments.samples // 4), arguments.seed, progress))
-        rows += kills.measure(trial, arguments.kills, arguments.seed, progress)
+        rows += kills.measure(trial, arguments.kills, arguments.seed, progress, carriers)
         rows += hangs.measure(trial, arguments.hangs, arguments.seed, progress)
         rows.append(hangs.replugs(trial, arguments.kills // 2, arguments.seed, progress))
         rows.append(latency.starts(trial, max(3, arguments.samples // 10), progress))
-    with kills.heavy(), Trial(options=("--config", config)) as trial:
-        rows += kills.measure(trial, arguments.kills // 4, arguments.seed, progress, ballast_mb=kills.BALLAST_MB)
+    with carriers, kills.heavy(), Trial(options=("--config", config)) as trial:
+        quarter = arguments.kills // 4
+        rows += kills.measure(trial, quarter, arguments.seed, progress, carriers, ballast_mb=kills.BALLAST_MB)
     rows += service.measure(arguments.unit_kills, arguments.seed, progress)
     rows += peers.measure(arguments.peer_kills, arguments.seed, progress)
     rows += oneway.measure(arguments.messages, progress)
-    machine = {"realtime": realtime, "took_s": round(time.monotonic() - start_s)}
+    machine = {"realtime": realtime, "pty carriers": carriers.priority, "took_s": round(time.monotonic() - start_s)}
     return report.end(rows, arguments.out, machine)
 
 

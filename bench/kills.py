@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 
 from bench import floor, stats
+from bench.carriers import Carriers
 from failstop.board.sim.client import SimBoard
 from failstop.shm import layout
 from failstop.trial import Stopped, Trial
@@ -44,7 +45,7 @@ def heavy() -> Iterator[None]:
 
 
 def measure(
-    trial: Trial, kills: int, seed: int, progress: Callable[[str], None], *, ballast_mb: int = 0
+    trial: Trial, kills: int, seed: int, progress: Callable[[str], None], carriers: Carriers, *, ballast_mb: int = 0
 ) -> list[stats.Row]:
     """Kill each process `kills` times, floor samples beside each round; returns the rows. `ballast_mb`: what each of
     the trial's processes was given."""
@@ -58,6 +59,7 @@ def measure(
             if not ballast_mb:
                 pidfds.append(floor.pidfd_sample(bare))
             for process in layout.PROCESSES:
+                carriers.first()
                 floors.append(least.sample())
                 trial.enable()
                 pid = trial.service.pids()[process]

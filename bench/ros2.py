@@ -20,6 +20,7 @@ from collections.abc import Iterator
 import psutil
 
 from bench import report, stats
+from bench.carriers import Carriers
 from bench.report import progress
 from failstop.commands.ros2 import find_rclpy
 from failstop.errors import FailstopError
@@ -122,12 +123,13 @@ class Scene:
         return stop.arrival_ns - ns
 
 
-def kills(scene: Scene, count: int) -> stats.Row:
+def kills(scene: Scene, count: int, carriers: Carriers) -> stats.Row:
     """SIGKILL of the bridge while driving."""
     found = []
     for turn in range(count):
         progress(f"bridge killed, {turn + 1} of {count}")
         scene.moving()
+        carriers.first()
         time.sleep(random.uniform(0.1, 0.2))
         scene.trial.board.events()
         killed_ns = time.monotonic_ns()
@@ -278,7 +280,7 @@ def measure(arguments: argparse.Namespace) -> Iterator[stats.Row]:
         scene = Scene(rest)
         yield from cost(scene, arguments.seconds)
         yield latency(scene, arguments.seconds)
-        yield kills(scene, arguments.kills)
+        yield kills(scene, arguments.kills, rest.enter_context(Carriers()))
         yield hangs(scene, arguments.hangs)
         yield starts(scene)
         yield from seconds(scene, arguments.count, arguments.seed)
