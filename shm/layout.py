@@ -131,8 +131,9 @@ SEGMENTS = (
             *_beat(),
             _word("epoch", "port_owner, gate, stopper, clients"),
             _word("ready", "gate, clients"),  # 1 while every process beats and the port is open and stopped
-            _word("gate_life", "port_owner"),  # whom to watch (records.life): the newest gate that was started
-            _word("port_owner_life", "stopper"),  # whom to watch: the newest port owner that was started
+            # Whom to watch (records.life): the newest of each that was started.
+            *(_word(f"{process}_life", "port_owner") for process in (GATE, TELEMETRY, STOPPER)),
+            _word("port_owner_life", "stopper"),
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
             _latest("cause", 640, "gate"),  # what the epoch was raised for, and the first since a reset (records)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)

@@ -47,7 +47,7 @@ class Family:
         self._events = events
         self._loop = loop
         self._bells = resources.bells
-        self._life_words = {process: own.word(f"{process}_life") for process in (layout.GATE, layout.PORT_OWNER)}
+        self._life_words = {row.name: own.word(f"{row.name}_life") for row in PROCESSES}
         self._held = lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK, write=True).hold(PER_BLOCK)
         self._block = layout.SUPERVISOR_BLOCK
         self.early = EarlyNews(lifelines)
@@ -147,9 +147,8 @@ class Family:
             return
         if child.life:
             self._loop.watch(child.life.fd, READ)
-        if word := self._life_words.get(name):
-            word.set(records.life(pid, block))
-            self._tell_watchers()
+        self._life_words[name].set(records.life(pid, block))
+        self._tell_watchers()
 
     def _spawn(self, child: Child, block: int, descriptors: dict[str, int]) -> int:
         """Start a process and take it under watch; returns its pid. Raises OSError, and then there is none."""

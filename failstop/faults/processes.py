@@ -27,8 +27,8 @@ SPARE_S = 0.12
 DEATH_OF = {
     GATE: "port owner (its lifeline)",
     PORT_OWNER: "supervisor and stopper, own descriptors",
-    TELEMETRY: "supervisor, through the port owner",
-    STOPPER: "supervisor, through the port owner",
+    TELEMETRY: "port owner (its lifeline)",
+    STOPPER: "port owner (its lifeline)",
     SUPERVISOR: "port owner (its lifeline), then stopper",
 }
 HANG_OF = {

@@ -11,6 +11,7 @@ from failstop.board.finder import Finder
 from failstop.board.interface import BOARD
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, READ, WRITE, Loop
+from failstop.procs.peer import Peer
 from failstop.procs.port_owner import repeats
 from failstop.procs.port_owner.admission import Admission
 from failstop.procs.port_owner.pings import Pings
@@ -18,7 +19,6 @@ from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell, heartbeat, layout, records
 from failstop.shm.barrier import Barrier
-from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
@@ -55,9 +55,7 @@ class PortOwner:
         self.suspend = SuspendWatch()
 
         self._epoch_word = supervisor.word("epoch")
-        self._gate_life_word = supervisor.word("gate_life")
         self._supervisor_beat = supervisor.word("beat_ns")
-        self._gate_heart = HeartbeatReader(gate)
         self._frames = gate.ring_reader("frames")
         self._trips = telemetry.ring_reader("trips")
         self._stopped_word = own.word("stopped_epoch")
@@ -76,8 +74,8 @@ class PortOwner:
         self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
         self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 0)
-        self._gate_life: Lifeline | None = None
-        self._gate_named = 0
+        self._gate = Peer(layout.GATE, context, self.loop)
+        self._peers = (self._gate, *(Peer(name, context, self.loop) for name in (layout.TELEMETRY, layout.STOPPER)))
         self._pipe_rests_until_ns = 0
         self._moved_ns = 0
         self._silence_ns = 2 * settings.ns("gate.refresh_s")
@@ -112,14 +110,15 @@ class PortOwner:
         bell.clear_rung((self._bell, self._early.bell), ready)
         while trip := self._trips.next():
             self.stop(trip[1], trip[2].decode("utf-8", "replace"))
-        if self._gate_life and self._gate_life.down(ready):
-            self._gate_died(now_ns)
+        for peer in self._peers:
+            if peer.down(ready):
+                self._died(peer, now_ns)
         if not self._leave_ns and self._supervisor_life.down(ready):
             self._leave_ns = now_ns + repeats.LEAVE_AFTER_NS
             self.wire.burst()
             self._supervisor_life.demote()
-            if self._gate_life:
-                self._gate_life.demote()  # it dies with its parent
+            for peer in self._peers:
+                peer.demote()  # it dies with its parent
             self._own_stop(now_ns, monotonic_ns(), "supervisor died")
             self.loop.forget(self._supervisor_life.fd)
         self._follow_epoch(now_ns)
@@ -178,35 +177,11 @@ class PortOwner:
             self._pipe_rests_until_ns = 0
             self.loop.watch(self._stop_pipe, READ)
 
-    def _follow_gate(self, now_ns: int) -> None:
-        """Watch the gate that the supervisor names: by its pid at once, by its futex once it runs and so holds it."""
-        named = self._gate_life_word.get()
-        pid, block = records.unpack_life(named)
-        if named != self._gate_named:
-            if self._gate_life and self._gate_life.dead():
-                self._gate_died(now_ns)
-            self._drop_gate()
-            self._gate_named = named
-            try:
-                self._gate_life = Lifeline(pid)
-            except ProcessLookupError:
-                return
-            self.loop.watch(self._gate_life.fd, READ)
-        if self._gate_life and not self._gate_life.armed and self._gate_heart.running(pid):
-            self._early.arm(self._gate_life, block, 1)
-
-    def _drop_gate(self) -> None:
-        if self._gate_life:
-            self.loop.forget(self._gate_life.fd)
-            self._gate_life.close()
-            self._gate_life = None
-
-    def _gate_died(self, now_ns: int) -> None:
+    def _died(self, peer: Peer, now_ns: int) -> None:
         self.wire.burst()
-        if self._gate_life:
-            self._gate_life.demote()
-        self._own_stop(now_ns, monotonic_ns(), "gate died")
-        self._drop_gate()
+        peer.demote()
+        self._own_stop(now_ns, monotonic_ns(), peer.death)
+        peer.drop()
 
     def _follow_epoch(self, now_ns: int) -> None:
         """A raised epoch is a stop that somebody else noticed. The answer is always a burst, but for a stop of its own
@@ -221,11 +196,13 @@ class PortOwner:
                 self._stopped(monotonic_ns())
             self._stopped_word.set(epoch)
             self._supervisor_bell.ring()
-        self._follow_gate(now_ns)
+        for peer in self._peers:
+            if peer.follow():
+                self.stop(now_ns, peer.death)
 
     def _lapsed(self, now_ns: int) -> str:
         """Whose lease has run out, as a reason; empty when both are fresh."""
-        for beat, name in ((self._gate_heart.ns, "gate"), (self._supervisor_beat, "supervisor")):
+        for beat, name in ((self._gate.heart.ns, "gate"), (self._supervisor_beat, "supervisor")):
             beat_ns = beat.get()
             if self.admission.lapsed(beat_ns, now_ns):
                 return f"{name} hangs: silent for {(now_ns - beat_ns) / 1e6:.0f} ms"
@@ -285,7 +262,7 @@ class PortOwner:
         """The table of admission.py, row by row; the epoch is looked at again just before the write. The time is that
         of the write: a process that was held up since it woke must not pass what was young then."""
         now_ns = monotonic_ns()
-        if not self._gate_life or not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
+        if not self._gate.life or not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
             if frame == BOARD.stop and self.admission.moving:
                 # Never too old: the wheels would turn on until the next refresh.
                 self.wire.burst()
@@ -389,7 +366,7 @@ class PortOwner:
             times.append(self._pipe_rests_until_ns)
         if self.admission.moving:
             # At the moment when a lease runs out, not at a tick after it.
-            times.append(self.admission.lapses_ns(min(self._gate_heart.ns.get(), self._supervisor_beat.get())))
+            times.append(self.admission.lapses_ns(min(self._gate.heart.ns.get(), self._supervisor_beat.get())))
         return min(time for time in times if time is not None)
 
 

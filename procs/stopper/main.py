@@ -19,10 +19,10 @@ from failstop.board.port import close_port
 from failstop.procs import starved
 from failstop.procs.handover import OPENING_NS, Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
+from failstop.procs.peer import Peer
 from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
 from failstop.shm import bell, heartbeat, layout, records
 from failstop.shm.barrier import Barrier
-from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
 BURST = BOARD.burst
@@ -50,8 +50,7 @@ class Stopper:
         self.heartbeat = context.heartbeat
         self.loop = Loop()
         self._epoch_word = supervisor.word("epoch")
-        self._port_owner_life_word = supervisor.word("port_owner_life")
-        self._port_owner_heart = HeartbeatReader(port_owner)
+        self._port_owner = Peer(layout.PORT_OWNER, context, self.loop)
         self._port_owner_written = port_owner.word("written_ns")
         self._port_owner_moving = port_owner.word("moving")
         self._barrier = Barrier()
@@ -68,8 +67,6 @@ class Stopper:
         self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
         self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 1)
-        self._port_owner_life: Lifeline | None = None
-        self._port_owner_named = 0
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""
         self._port_owner_hangs = False
@@ -88,35 +85,35 @@ class Stopper:
             self._excused_ns = now_ns
         self._turned_ns = now_ns
         bell.clear_rung((self._bell, self._early.bell), ready)
-        if self._port_owner_life and self._port_owner_life.down(ready):
-            self._port_owner_died(now_ns)
+        if self._port_owner.life and self._port_owner.down(ready):
+            self._port_owner_died(self._port_owner.life.pid, now_ns)
+            self._port_owner.drop()
         if not self._orphaned_ns and self._supervisor_life.down(ready):
             self._orphaned_ns = now_ns
             self.loop.forget(self._supervisor_life.fd)
-            self._first_go_until_ns = now_ns + FIRST_GO_NS if self._port_owner_life else now_ns
+            self._first_go_until_ns = now_ns + FIRST_GO_NS if self._port_owner.life else now_ns
         self._write_due(now_ns)
         if ready.get(self._port, 0) & GONE or records.lost_since(self._port_record.read(), self._port_since_ns):
             self.close_port()
         if self._control.fd in ready:
             self._adopt_port()
         if not self._orphaned_ns:
-            self._follow_port_owner(now_ns)
+            if died := self._port_owner.follow():
+                self._port_owner_died(died, now_ns)
             self._answer_hang(now_ns)
         self.heartbeat.beat(now_ns, self._epoch_word.get())
         return not self._orphaned_ns or now_ns < self._orphaned_ns + LEAVE_AFTER_NS
 
-    def _port_owner_died(self, now_ns: int) -> None:
-        if self._port_owner_life:
-            self._stopped_for = self._port_owner_life.pid
-            if not self._succeeded():
-                self._burst(now_ns)
-        self._drop_port_owner()
+    def _port_owner_died(self, pid: int, now_ns: int) -> None:
+        self._stopped_for = pid
+        if not self._succeeded():
+            self._burst(now_ns)
 
     def _succeeded(self) -> bool:
         """True when a new port owner runs: it has stopped the wheels at its start, and by now they may have been
         enabled. A stopper that was held up must not cut into that motion for an old death."""
-        named, _ = records.unpack_life(self._port_owner_life_word.get())
-        return named != self._stopped_for and self._port_owner_heart.running(named)
+        named = self._port_owner.named()
+        return named != self._stopped_for and self._port_owner.heart.running(named)
 
     def _burst(self, now_ns: int) -> None:
         """Write the burst and plan its repeats."""
@@ -152,27 +149,10 @@ class Stopper:
             else:
                 self._write()
 
-    def _follow_port_owner(self, now_ns: int) -> None:
-        """Watch the port owner that the supervisor names: by its pid at once, by its futex once it runs."""
-        named = self._port_owner_life_word.get()
-        pid, block = records.unpack_life(named)
-        if named != self._port_owner_named:
-            if self._port_owner_life and self._port_owner_life.dead():
-                self._port_owner_died(now_ns)
-            self._drop_port_owner()
-            self._port_owner_named = named
-            try:
-                self._port_owner_life = Lifeline(pid)
-            except ProcessLookupError:
-                return
-            self.loop.watch(self._port_owner_life.fd, READ)
-        if self._port_owner_life and not self._port_owner_life.armed and self._port_owner_heart.running(pid):
-            self._early.arm(self._port_owner_life, block, 1)
-
     def _hangs_ns(self) -> int | None:
         """When the port owner counts as hanging unless it beats before; None: there is none that runs."""
-        heart = self._port_owner_heart
-        if self._port_owner_life is None or not heart.running(self._port_owner_life.pid):
+        heart, life = self._port_owner.heart, self._port_owner.life
+        if life is None or not heart.running(life.pid):
             return None
         return max(heart.ns.get(), self._excused_ns) + HANG_NS + (OPENING_NS if self._port < 0 else 0)
 
@@ -191,7 +171,7 @@ class Stopper:
 
     def _spares(self, now_ns: int) -> bool:
         """True when the silent port owner is starved, and the wheels were told to stand."""
-        heart, life = self._port_owner_heart, self._port_owner_life
+        heart, life = self._port_owner.heart, self._port_owner.life
         if not life or heart.age_ns(now_ns) >= HANG_NS + starved.LONGEST_NS:
             return False
         # The word last: what the port owner was about to write when it was looked at has been told by then.
@@ -201,15 +181,9 @@ class Stopper:
 
     def _fence(self) -> None:
         """SIGKILL the port owner; its death is then answered like any other."""
-        if self._port_owner_life:
-            self._stopped_for = self._port_owner_life.pid
-            self._port_owner_life.kill()
-
-    def _drop_port_owner(self) -> None:
-        if self._port_owner_life:
-            self.loop.forget(self._port_owner_life.fd)
-            self._port_owner_life.close()
-            self._port_owner_life = None
+        if life := self._port_owner.life:
+            self._stopped_for = life.pid
+            life.kill()
 
     def _adopt_port(self) -> None:
         fd = self._control.receive()

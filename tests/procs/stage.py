@@ -109,7 +109,7 @@ class Stage:
         self._port = os.dup(self.pty.slave) if open_port else -1
         self._fds = {"stop": bell.open_pipe(str(directory / "stop")), "control": theirs, "port": self._port}
         self._bells = {name: EventBell.create() for name in BELLS}
-        self._views = {name: self.owned(name) for name in (layout.SUPERVISOR, layout.GATE, layout.PORT_OWNER)}
+        self._views = {name: self.owned(name) for name in layout.PROCESSES}
         self.frames = self._views[layout.GATE].ring_writer("frames")
         self.raise_epoch(1)
         self.beat(layout.SUPERVISOR, layout.GATE)

@@ -65,6 +65,33 @@ def test_a_gate_that_died_before_it_was_watched_is_a_stop(scene: Scene) -> None:
     assert scene.reasons() == ["gate died"]
 
 
+@pytest.mark.parametrize("process", [layout.TELEMETRY, layout.STOPPER])
+def test_so_is_any_other_s_and_motion_goes_on_after_an_enable(scene: Scene, process: str) -> None:
+    other = scene.start(process)
+    scene.drive()
+    ready_after(scene, other)
+    scene.put()
+    assert scene.turn() == BURST
+    assert scene.reasons() == [f"{process} died"]
+    scene.put()
+    assert scene.turn() == b""
+    scene.raise_epoch(2)
+    scene.put(epoch=2)
+    assert scene.turn() == MOTION, "the epoch was raised for what it had stopped for, and motion needs the gate alone"
+
+
+@pytest.mark.parametrize("process", [layout.GATE, layout.TELEMETRY, layout.STOPPER])
+def test_a_death_that_is_known_by_the_successor_alone_is_a_stop(scene: Scene, process: str) -> None:
+    scene.drive()
+    before = scene.gate if process == layout.GATE else scene.start(process)
+    scene.turn()
+    before.kill()
+    scene.start(process)
+    assert scene.owner.turn({}), "its news has not come yet"
+    assert scene.pty.read() == BURST
+    assert scene.reasons() == [f"{process} died"]
+
+
 def test_before_the_first_gate_is_named_there_is_nobody_to_watch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -280,7 +280,7 @@ def test_a_hang_up_met_by_a_write_lets_the_port_go(scene: Scene) -> None:
     fd = scene.fd("port")
     scene.die(scene.port_owner)
     scene.pty.unplug()
-    scene.stopper.turn({scene.stopper._port_owner_life.fd: 1})  # type: ignore[union-attr]
+    scene.stopper.turn({scene.stopper._port_owner.life.fd: 1})  # type: ignore[union-attr]
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(fd)
     assert scene.own.word("written_ns").get() == 0

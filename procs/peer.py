@@ -1,0 +1,71 @@
+"""Peer: another process of the service, under watch from the moment the supervisor names it until it has died."""
+
+from __future__ import annotations
+
+from failstop.procs.loop import READ
+from failstop.shm import records
+from failstop.shm.heartbeat import HeartbeatReader
+from failstop.shm.lifeline import Lifeline
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.procs.context import Context
+    from failstop.procs.loop import Loop
+
+_LINE = 1
+"""In each process's block of futexes; line 0 is the supervisor's to wait on."""
+
+
+class Peer:
+    """`life` is None while there is none, or none whose death has not been answered."""
+
+    __slots__ = ("_early", "_loop", "_named", "_word", "death", "heart", "life")
+
+    def __init__(self, name: str, context: Context, loop: Loop) -> None:
+        self.death = f"{name} died"
+        """The cause of a stop for it."""
+        self.heart = HeartbeatReader(context.segment(name))
+        self.life: Lifeline | None = None
+        self._word = context.segment("supervisor").word(f"{name}_life")
+        self._early = context.early
+        self._loop = loop
+        self._named = 0
+
+    def named(self) -> int:
+        """The pid that the supervisor names; 0 before the first."""
+        return records.unpack_life(self._word.get())[0]
+
+    def follow(self) -> int:
+        """Watch whom the supervisor names: by its pid at once, by its futex once it runs and so holds it. Returns the
+        pid of the one before when its death had not been noticed, else 0."""
+        named = self._word.get()
+        pid, block = records.unpack_life(named)
+        died = 0
+        if named != self._named:
+            self._named = named
+            died = self.life.pid if self.life and self.life.dead() else 0
+            self.drop()
+            try:
+                self.life = Lifeline(pid)
+            except ProcessLookupError:
+                return died
+            self._loop.watch(self.life.fd, READ)
+        if self.life and not self.life.armed and self.heart.running(pid):
+            self._early.arm(self.life, block, _LINE)
+        return died
+
+    def down(self, ready: dict[int, int]) -> bool:
+        """True when this wake-up, or the early news before it, says that it has died."""
+        return self.life is not None and self.life.down(ready)
+
+    def demote(self) -> None:
+        """Take its real-time rights: its end is to hold nobody up."""
+        if self.life:
+            self.life.demote()
+
+    def drop(self) -> None:
+        """Watch it no longer."""
+        if self.life:
+            self._loop.forget(self.life.fd)
+            self.life.close()
+            self.life = None
