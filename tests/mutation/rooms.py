@@ -36,6 +36,7 @@ ROOMS = {
         ("shm/*.py",),
         # Not those that read the sources, measure memory, or leave the work to programs that mutmut can't follow.
         (
+            "tests/arm/test_pairs.py",
             "tests/incidents/test_box.py",
             "tests/incidents/test_copying.py",
             "tests/procs/test_gate_halts.py",

@@ -1,0 +1,42 @@
+"""mutmut's command line, for run.py, in the copy: how its mutants are made here, and how each is tried."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+os.environ["PYTHONPATH"] = os.path.abspath("mutants")  # what the tests start finds the copy first
+
+from alone import alone, possible  # its neighbour: this file is run by its path
+from mutmut.__main__ import cli
+from mutmut.mutation import file_mutation, mutators
+from mutmut.runners.harness import PytestRunner
+from mutmut.state import state
+from mutmut.workers.isolation import ForkServerRunner
+
+# Texts are left as they are: tests/docs holds what is said, and "XX..." is no decision.
+file_mutation.mutation_operators = [it for it in mutators.mutation_operators if it[1] is not mutators.operator_string]
+
+_run_tests, _submit = PytestRunner.run_tests, ForkServerRunner.submit
+
+
+def run_tests(self: PytestRunner, *, mutant_name: str | None, tests: Iterable[str]) -> int:
+    """A mutant's tests run alone; those of the code as it is (no name) as always."""
+    if mutant_name is None:
+        return _run_tests(self, mutant_name=mutant_name, tests=tests)
+    return alone(lambda: _run_tests(self, mutant_name=mutant_name, tests=tests))
+
+
+def submit(self: ForkServerRunner, mutant_name: str, tests: list[str], *rest: Any) -> None:
+    """The fast tests first: the first failure is the end."""
+    _submit(self, mutant_name, sorted(tests, key=lambda test: state().duration_by_test[test]), *rest)
+
+
+PytestRunner.run_tests, ForkServerRunner.submit = run_tests, submit
+
+if __name__ == "__main__":
+    if sys.argv[1] == "run" and not possible():
+        print("no PID namespace for the mutants, which takes root: one may signal any process of this user", flush=True)
+    cli()
