@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import resource
 import signal
 import stat
@@ -152,6 +153,31 @@ def test_a_full_disk_is_told_and_not_passed_over(bases: list[str], monkeypatch: 
     with pytest.raises(InstanceError) as refused:
         instance.make_runtime_dir("robot")
     assert f"{bases[0]}/robot: No space left on device" in str(refused.value)
+
+
+@needs_root
+@pytest.mark.parametrize("second", ["everyone's", "full"])
+def test_every_place_that_is_no_good_is_told_of(
+    bases: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, second: str
+) -> None:
+    reachable(tmp_path)
+    os.mkdir(bases[0])
+    os.chmod(bases[0], 0o777)
+    real = os.mkdir
+
+    def mkdir(path: str, mode: int = 0o777, *, dir_fd: int | None = None) -> None:
+        if path == bases[1]:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path)
+        real(path, mode, dir_fd=dir_fd)
+
+    if second == "full":
+        monkeypatch.setattr(os, "mkdir", mkdir)
+        expected = rf"{bases[1]}/robot: No space left on device$"
+    else:
+        os.mkdir(bases[1])
+        os.chmod(bases[1], 0o777)
+        expected = rf"{bases[1]} may be written by others .*$"
+    assert re.search(rf"; {bases[0]} may be written by others .*; {expected}", made_as_stranger())
 
 
 @pytest.mark.parametrize("mask", [0o000, 0o077])
