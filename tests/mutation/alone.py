@@ -51,6 +51,7 @@ def _first(work: Callable[[], int]) -> None:
     _mount(b"none", b"/", None, _PRIVATE)
     _mount(b"proc", b"/proc", b"proc")
     _mount(b"tmpfs", b"/dev/shm", b"tmpfs")  # the names there are made of pids, which others use as well
+    os.environ["PYTEST_DEBUG_TEMPROOT"] = "/dev/shm"  # each pytest takes the rights of others off the one in /tmp
     tests = os.fork()
     if tests == 0:
         signal.signal(signal.SIGINT, signal.default_int_handler)
