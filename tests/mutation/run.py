@@ -22,7 +22,7 @@ if __package__ is None:
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.mutation.rooms import ROOMS
-from tests.mutation.survivors import NOT_CALLED, SURVIVED, Outcome, report
+from tests.mutation.survivors import NOT_CALLED, NOT_TRIED, SURVIVED, Outcome, report
 
 ROOT = Path(__file__).resolve().parents[2]
 MUTMUT = (sys.executable, "tests/mutation/mutate.py")
@@ -90,12 +90,12 @@ def settle(where: Path, rooms: list[str]) -> None:
 
 
 def retry(where: Path) -> None:
-    """Forget who survived an earlier run in this directory."""
+    """Forget who survived an earlier run in this directory, or was not tried."""
     for meta in (where / "mutants").rglob("*.py.meta"):
         data = json.loads(meta.read_text())
         codes = data["exit_code_by_key"]
         data["exit_code_by_key"] = {
-            name: None if code in (SURVIVED, NOT_CALLED) else code for name, code in codes.items()
+            name: None if code in (SURVIVED, NOT_CALLED, *NOT_TRIED) else code for name, code in codes.items()
         }
         meta.write_text(json.dumps(data))
 

@@ -775,6 +775,16 @@ def test_a_board_that_does_not_hear_the_last_stop_is_a_failure(ending: Ending) -
     assert ending.wrote(1)
 
 
+def test_a_board_that_goes_deaf_at_the_end_is_told_of(ending: Ending) -> None:
+    deaf_ns = Settings().ns("link.deaf_s")
+    ending.answer(ending.now_ns - 2 * deaf_ns)
+    ending.pass_time(0)
+    ending.port_owner.word("ping_1").set(ending.now_ns - deaf_ns)
+    well, told = ending.end()
+    assert not well
+    assert told[1][1].endswith("NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITCH")
+
+
 def test_a_second_stop_that_can_not_be_written_is_a_failure(ending: Ending) -> None:
     fill(ending.port.fd)
     ending.answer(ending.now_ns)
