@@ -23,9 +23,10 @@ _run_tests, _submit = PytestRunner.run_tests, ForkServerRunner.submit
 
 
 def run_tests(self: PytestRunner, *, mutant_name: str | None, tests: Iterable[str]) -> int:
-    """A mutant's tests run alone; those of the code as it is (no name) as always."""
+    """A mutant's tests run alone, none of them long; those of the code as it is (no name) as always."""
     if mutant_name is None:
         return _run_tests(self, mutant_name=mutant_name, tests=tests)
+    os.environ["PYTEST_TIMEOUT"] = "45"  # the longest takes a quarter of that
     return alone(lambda: _run_tests(self, mutant_name=mutant_name, tests=tests))
 
 

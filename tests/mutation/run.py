@@ -4,7 +4,7 @@ run.py [--at DIRECTORY] [ROOM[/FILE]...]
 
 Rooms of rooms.py, or single files of them (shm/ring); without any: all. Exit code 1 when a survivor is unexplained, or
 when more than 3 % of the mutants survive that are not the same program. With a directory the copy stays there, and
-a run that was ended goes on: what was killed stays so, what survived is tried again, by the tests as they are now.
+a run that was ended goes on: what was killed stays so, what survived without a row is tried anew, by the tests of now.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if __package__ is None:
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.mutation.rooms import ROOMS
-from tests.mutation.survivors import NOT_CALLED, NOT_TRIED, SURVIVED, Outcome, report
+from tests.mutation.survivors import NOT_CALLED, NOT_TRIED, SURVIVED, Outcome, reason, report
 
 ROOT = Path(__file__).resolve().parents[2]
 MUTMUT = (sys.executable, "tests/mutation/mutate.py")
@@ -89,17 +89,6 @@ def settle(where: Path, rooms: list[str]) -> None:
         file.write(SETTINGS.format(**wanted))
 
 
-def retry(where: Path) -> None:
-    """Forget who survived an earlier run in this directory, or was not tried."""
-    for meta in (where / "mutants").rglob("*.py.meta"):
-        data = json.loads(meta.read_text())
-        codes = data["exit_code_by_key"]
-        data["exit_code_by_key"] = {
-            name: None if code in (SURVIVED, NOT_CALLED, *NOT_TRIED) else code for name, code in codes.items()
-        }
-        meta.write_text(json.dumps(data))
-
-
 def outcomes(where: Path) -> list[Outcome]:
     """What became of each mutant, from mutmut's own records."""
     found = []
@@ -116,6 +105,20 @@ def outcomes(where: Path) -> list[Outcome]:
                 )
             found.append(Outcome(path, name, code, changed))
     return found
+
+
+def retry(where: Path) -> None:
+    """Forget which mutants no row explains that survived an earlier run in this directory, and which were not tried."""
+    again = {
+        it.name
+        for it in outcomes(where)
+        if it.code in (NOT_CALLED, *NOT_TRIED) or (it.code == SURVIVED and not reason(it))
+    }
+    for meta in (where / "mutants").rglob("*.py.meta"):
+        data = json.loads(meta.read_text())
+        codes = data["exit_code_by_key"]
+        data["exit_code_by_key"] = {name: None if name in again else code for name, code in codes.items()}
+        meta.write_text(json.dumps(data))
 
 
 def mutate(where: Path, rooms: list[str]) -> int:
