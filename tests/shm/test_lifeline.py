@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import _thread
 import contextlib
+import errno
 import os
 import select
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -440,10 +442,70 @@ def test_a_thread_of_its_own_holds_and_lets_go(held: Segment) -> None:
     threads = _thread._count()
     one = HeldByThread(held.futex("held", 20, write=True))
     assert word.held()
+    assert not held.futex("held", 21).held(), "one line alone"
     assert _thread._count() == threads + 1
     one.let_go()
     until(lambda: _thread._count() == threads, "its thread has ended")
     assert word.held(), "the word is the caller's to clear: the end of the thread is no death"
+
+
+def test_the_end_of_a_thread_is_told_on_each_of_its_lines_and_on_no_other(held: Segment) -> None:
+    word = held.futex("held", 60, write=True)
+    kept: list[object] = []
+    thread = threading.Thread(target=lambda: kept.append(word.hold(PER_BLOCK)))
+    thread.start()
+    thread.join()
+    lines = [held.futex("held", line) for line in range(59, 61 + PER_BLOCK)]
+    until(lambda: not any(line.held() for line in lines), "the kernel has marked them")
+    assert [line.wait_for_death() for line in lines] == [False, *[True] * PER_BLOCK, False]
+    assert kept != [None]
+
+
+def test_the_line_that_a_client_holds_is_the_first_where_none_is_named(name: str, held: Segment) -> None:
+    """By one line alone; the pidfd is that of this process, which lives."""
+
+    def work(send: Send, wait: Wait) -> None:
+        kept = lifelines(name).futex("held", write=True).hold()
+        send("held" if kept else "the kernel can't")
+        wait()
+
+    news = EarlyNews(held)
+    with Child(work) as holder:
+        assert holder.receive() == "held"
+        life = Lifeline(os.getpid())
+        news.watch(life, held, "held")
+        holder.kill()
+        assert select.select([news.bell.fd], [], [], 20)[0]
+        assert life.fallen
+        life.close()
+    os.close(news.bell.fd)
+
+
+@pytest.mark.parametrize("lacks", ["threads", "memory"])
+def test_a_machine_that_is_out_of_something_still_has_the_late_news(
+    held: Segment, monkeypatch: pytest.MonkeyPatch, lacks: str
+) -> None:
+    def no_thread(*_: object) -> int:
+        raise RuntimeError("can't start new thread")
+
+    def no_memory(*_: object) -> int:
+        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+    news = EarlyNews(held)
+    with Child(waiting) as child:
+        assert child.receive() == "here"
+        life = Lifeline(child.pid)
+        with monkeypatch.context() as patched:
+            if lacks == "threads":
+                patched.setattr(_thread, "start_new_thread", no_thread)
+            else:
+                patched.setattr(Segment, "futex", no_memory)
+            news.arm(life, 7, 0)
+        os.kill(child.pid, signal.SIGKILL)
+        assert life.down(dict(select_poll(life.fd)))
+        assert not life.fallen
+        life.close()
+    os.close(news.bell.fd)
 
 
 def test_a_large_process_is_known_to_be_dead_before_its_memory_is_gone(name: str, held: Segment) -> None:
@@ -497,6 +559,16 @@ def test_a_kernel_that_takes_the_list_and_marks_nothing_is_not(monkeypatch: pyte
     monkeypatch.setattr(futex, "_set_robust_list", lambda kept: 0)
     monkeypatch.setattr(futex, "_PROOF_NS", 20_000_000)
     assert not futex.proven()
+
+
+def test_a_machine_without_a_thread_to_spare_proves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> int:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(_thread, "start_new_thread", refused)
+    before = os.listdir("/proc/self/fd")
+    assert not futex.proven()
+    assert os.listdir("/proc/self/fd") == before
 
 
 def test_nor_one_that_refuses(monkeypatch: pytest.MonkeyPatch) -> None:

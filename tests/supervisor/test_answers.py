@@ -390,6 +390,18 @@ def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, t
     notify.close()
 
 
+def test_a_stop_that_the_port_owner_has_written_is_owed_no_more(scene: Scene, tmp_path: Path) -> None:
+    notify = Notify(str(tmp_path / "nobody"), 2)
+    scene.supervisor.herald.notify = notify
+    scene.trip()
+    scene.turn()
+    scene.answers(written_ns=scene.now_ns)
+    scene.turn(MS)
+    scene.turn(OWED_NS)
+    assert scene.supervisor.herald.fault == ""
+    notify.close()
+
+
 def test_a_killed_process_that_does_not_go_is_what_the_watchdog_is_for(scene: Scene, tmp_path: Path) -> None:
     notify = Notify(str(tmp_path / "nobody"), 2)
     scene.supervisor.herald.notify = notify

@@ -574,6 +574,15 @@ def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) ->
     assert STARTING_NS <= 10_000 * MS
 
 
+def test_one_that_starts_has_its_time_from_its_start_whatever_the_one_before_it_has_beaten(watching: Watching) -> None:
+    watching.employ(layout.GATE)
+    gate = watching.supervisor.family[layout.GATE]
+    watching.gate.word("beat_state").set(STARTING)
+    for beaten_ns in (watching.now_ns - 10**10, watching.now_ns + 10**10):
+        watching.beats[layout.GATE].set(beaten_ns)
+        assert gate.overdue_ns() == gate.started_ns + STARTING_NS
+
+
 def test_it_sleeps_until_what_is_due_next(watching: Watching) -> None:
     supervisor = watching.supervisor
     assert supervisor.next_ns(watching.now_ns) == watching.now_ns + TICK_NS
