@@ -461,6 +461,17 @@ def test_the_end_of_a_thread_is_told_on_each_of_its_lines_and_on_no_other(held: 
     assert kept != [None]
 
 
+def test_a_futex_that_is_closed_is_mapped_no_more(name: str, held: Segment) -> None:
+    def mapped() -> int:
+        return Path("/proc/self/maps").read_text().count(segment.path_of(name, "lifelines"))
+
+    words = [held.futex("held", line) for line in range(3)]
+    before = mapped()
+    words[1].close()
+    assert mapped() == before - 1
+    assert not words[0].held()
+
+
 def test_the_line_that_a_client_holds_is_the_first_where_none_is_named(name: str, held: Segment) -> None:
     """By one line alone; the pidfd is that of this process, which lives."""
 
