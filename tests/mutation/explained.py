@@ -92,7 +92,9 @@ SHM: tuple[Reason, ...] = (
         "where it then looks there is no memory",
         same=False,
     ),
-    Reason("shm/futex.py", r"\n\+.*to_bytes\(5,", "the rest of the line is nobody's, and 0"),
+    Reason("shm/futex.py", r"\n\+.*(to_bytes\(5,|os\.pread\(self\._fd, 5,)", "the rest of the line is nobody's, and 0"),
+    Reason("shm/futex.py", r"\n\+.*PROT_WRITE if write else 1\)", "1 is PROT_READ"),
+    Reason("shm/futex.py", r"\n\+.*_address\), None, ctypes\.c_uint\(held\)", "FUTEX_WAIT is 0"),
     Reason(
         "shm/futex.py",
         r"\n\+.*_WAKE, (None|ctypes\.c_int\((1 >> 30|2 << 30|1 << 31)\))?\)",
@@ -126,6 +128,7 @@ SHM: tuple[Reason, ...] = (
     Reason("shm/ring.py", r"\n\+\s+laps = 1$", "in a chase it goes closer to the newest one step sooner", same=False),
     Reason("shm/ring.py", r"\n\+.*if seq >= self\._next\]", "found now, and not at the next look", same=False),
     Reason("shm/segment.py", r"\n\+.*PROT_WRITE if write else 1\)", "1 is PROT_READ"),
+    Reason("shm/segment.py", r"\n\+.*line < record\.capacity / LINE_BYTES", "a record of lines is of whole lines"),
     Reason("shm/segment.py", r"\n\+.*mmap\(fd, spec\.size, prot=prot\)", "MAP_SHARED is the default"),
     Reason("shm/segment.py", r"\n\+.*found\.get\(.*, 1\)\)", "no file is of the first nanosecond of 1970"),
 )
@@ -152,6 +155,9 @@ SUPERVISOR = (
         same=False,
     ),
     Reason("supervisor/aftermath.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
+    Reason(
+        "supervisor/aftermath.py", r"_seen_pong = 1$|_heard = \(0, 1\)|_heard = \(1, 0\)", "nothing is asked so early"
+    ),
     Reason("supervisor/allowance.py", r"max\(1, now_ns", "a nanosecond's worth more", same=False),
     Reason(
         "supervisor/blackbox.py",
@@ -159,6 +165,7 @@ SUPERVISOR = (
         "a byte, a nanosecond more",
         same=False,
     ),
+    Reason("supervisor/blackbox.py", r"_seen_ns = \[1\]", "a nanosecond, of a time in microseconds", same=False),
     Reason("supervisor/blackbox.py", r"_hurry = -2", "any number below 0 is none"),
     Reason(
         "supervisor/config.py",
@@ -184,7 +191,7 @@ SUPERVISOR = (
     Reason("supervisor/main.py", r"silent_ns <= child\.allowed_ns", "two times in ns at exact equality"),
     Reason(
         "supervisor/*.py",
-        r"self\.(_(looked|beat|absent|answered|next|gate|shared|tried)|started|excused)_ns = 1$",
+        r"self\.(_(looked|beat|absent|answered|next|gate|shared|tried|sampled|missing)|started|excused)_ns = 1$",
         "the first nanosecond of the machine, which nobody looks at",
     ),
     Reason("supervisor/device.py", r"since_ns < self\._changed_ns", "two times in ns at exact equality"),

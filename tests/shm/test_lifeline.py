@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from failstop.shm import futex, segment
-from failstop.shm.futex import BLOCKS, PER_BLOCK
+from failstop.shm.futex import BLOCKS, PER_BLOCK, Futex
 from failstop.shm.lifeline import EarlyNews, HeldByThread, Lifeline, pid_namespace
 from failstop.shm.segment import Segment
 from tests.waiting import until
@@ -394,7 +394,7 @@ def test_blocks_do_not_touch_each_other(name: str, held: Segment) -> None:
 
 @pytest.mark.parametrize("line", [-1, BLOCKS * PER_BLOCK])
 def test_there_is_no_line_beyond_the_record(held: Segment, line: int) -> None:
-    with pytest.raises(IndexError, match="lines"):
+    with pytest.raises(IndexError, match=rf"held has {BLOCKS * PER_BLOCK} lines, none is {line}$"):
         held.futex("held", line)
 
 
@@ -450,26 +450,101 @@ def test_a_thread_of_its_own_holds_and_lets_go(held: Segment) -> None:
 
 
 def test_the_end_of_a_thread_is_told_on_each_of_its_lines_and_on_no_other(held: Segment) -> None:
-    word = held.futex("held", 60, write=True)
+    first = (BLOCKS - 2) * PER_BLOCK  # not in the file's first page
+    word = held.futex("held", first, write=True)
     kept: list[object] = []
     thread = threading.Thread(target=lambda: kept.append(word.hold(PER_BLOCK)))
     thread.start()
     thread.join()
-    lines = [held.futex("held", line) for line in range(59, 61 + PER_BLOCK)]
+    lines = [held.futex("held", line) for line in range(first - 1, first + PER_BLOCK + 1)]
     until(lambda: not any(line.held() for line in lines), "the kernel has marked them")
     assert [line.wait_for_death() for line in lines] == [False, *[True] * PER_BLOCK, False]
     assert kept != [None]
 
 
-def test_a_futex_that_is_closed_is_mapped_no_more(name: str, held: Segment) -> None:
-    def mapped() -> int:
-        return Path("/proc/self/maps").read_text().count(segment.path_of(name, "lifelines"))
+def test_a_futex_is_mapped_until_it_is_closed_and_for_writing_only_by_who_holds_it(name: str, held: Segment) -> None:
+    def mapped() -> list[str]:
+        maps = Path("/proc/self/maps").read_text().splitlines()
+        return [line.split()[1] for line in maps if line.endswith(segment.path_of(name, "lifelines"))]
 
-    words = [held.futex("held", line) for line in range(3)]
-    before = mapped()
-    words[1].close()
-    assert mapped() == before - 1
-    assert not words[0].held()
+    watching, holding = held.futex("held"), held.futex("held", write=True)
+    assert sorted(mapped()) == ["r--s", "rw-s"]
+    holding.close()
+    assert mapped() == ["r--s"]
+    watching.close()
+    assert mapped() == []
+
+
+def test_what_can_not_be_mapped_is_an_error(name: str, held: Segment) -> None:
+    with open(segment.path_of(name, "lifelines"), "rb") as file:
+        Futex(file.fileno(), 0, write=False).close()
+        with pytest.raises(PermissionError, match="a futex can't be mapped"):
+            Futex(file.fileno(), 0, write=True)
+
+
+def test_without_a_number_the_first_line_is_meant(held: Segment) -> None:
+    one = HeldByThread(held.futex("held", 0, write=True))
+    assert held.futex("held").held()
+    one.let_go()
+
+
+def test_a_file_that_was_closed_meanwhile_holds_nothing(held: Segment) -> None:
+    one = HeldByThread(held.futex("held", 0, write=True))
+    word = held.futex("held", 0)
+    held.close()
+    assert not word.held()
+    assert word.wait_for_death() is False
+    one.let_go()
+
+
+class Meanwhile:
+    """The kernel's part, before which something happens once."""
+
+    def __init__(self, happens: Callable[[], object]) -> None:
+        self.happens: Callable[[], object] | None = happens
+        self.real = futex._libc
+
+    def syscall(self, *arguments: object) -> int:
+        happens, self.happens = self.happens, None
+        if happens:
+            happens()
+        failed: int = self.real.syscall(*arguments)
+        return failed
+
+
+def test_a_death_between_the_look_and_the_wait_is_seen(held: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = HeldByThread(held.futex("held", 0, write=True))
+    word = held.futex("held", 0)
+    mark = (word._value() | futex._OWNER_DIED).to_bytes(4, "little")
+    with monkeypatch.context() as patched:
+        patched.setattr(futex, "_libc", Meanwhile(lambda: os.pwrite(held.fileno(), mark, word._offset)))
+        assert word.wait_for_death() is True
+    one.let_go()
+
+
+def test_a_file_that_is_cut_before_the_wait_is_nobody_s_death(
+    name: str, held: Segment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = HeldByThread(held.futex("held", 0, write=True))
+    word = held.futex("held", 0)
+    with monkeypatch.context() as patched:
+        patched.setattr(futex, "_libc", Meanwhile(lambda: os.truncate(segment.path_of(name, "lifelines"), 0)))
+        assert word.wait_for_death() is False
+    one.let_go()
+
+
+def test_who_waits_sleeps(held: Segment) -> None:
+    one = HeldByThread(held.futex("held", 0, write=True))
+    word, until_ns = held.futex("held", 0), time.monotonic_ns() + 200_000_000
+    thread = threading.Thread(target=word.wait_for_death, args=(lambda: time.monotonic_ns() < until_ns,))
+    thread.start()
+    clock = time.pthread_getcpuclockid(thread.ident)  # type: ignore[arg-type]
+    before_s = time.clock_gettime(clock)
+    until(lambda: time.monotonic_ns() >= until_ns, "the time to have passed")
+    assert time.clock_gettime(clock) - before_s < 0.01
+    until(lambda: word.wake() or not thread.is_alive(), "its end")
+    thread.join()
+    one.let_go()
 
 
 def test_the_line_that_a_client_holds_is_the_first_where_none_is_named(name: str, held: Segment) -> None:
