@@ -379,8 +379,10 @@ def test_a_lock_whose_owner_has_died_is_waited_for(
         assert instance.holder(path) == "", "no living process's"
         instance.refuse_locked("robot")
         monkeypatch.setattr(instance, "LETTING_GO_S", 60)
-        monkeypatch.setattr(time, "sleep", lambda _: copy.kill())
+        slept_s: list[float] = []
+        monkeypatch.setattr(time, "sleep", lambda seconds: (slept_s.append(seconds), copy.kill()))
         fds.append(instance.lock(path))
+        assert max(slept_s) < 0.1, "a start does not wait long for it"
     assert Path(instance.lock_path(path)).read_text() == f"{os.getpid()}\n"
 
 
@@ -582,5 +584,12 @@ def test_root_takes_over_no_directory_of_another_user(bases: list[str]) -> None:
     path = instance.make_runtime_dir("robot")
     os.chown(bases[0], NOBODY, NOBODY)
     os.chown(path, NOBODY, NOBODY)
-    with pytest.raises(InstanceError, match=r"belongs to .*uid 65534.*choose another --name"):
+    with pytest.raises(InstanceError, match=rf"; {path} belongs to .*uid 65534.*choose another --name"):
+        instance.make_runtime_dir("robot")
+
+
+def test_a_directory_that_others_may_write_is_not_taken_over(bases: list[str]) -> None:
+    path = instance.make_runtime_dir("robot")
+    os.chmod(path, 0o777)
+    with pytest.raises(InstanceError, match=rf"; {path} may be written by others"):
         instance.make_runtime_dir("robot")

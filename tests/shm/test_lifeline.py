@@ -136,6 +136,16 @@ def test_one_that_was_dead_before_and_not_reaped() -> None:
         life.close()
 
 
+def test_one_whose_number_is_not_known_here_has_the_early_news_alone() -> None:
+    life = Lifeline()
+    assert life.pid == 0
+    assert not os.get_inheritable(life.fd)
+    assert not life.dead()
+    life.fallen = True
+    assert life.dead()
+    life.close()
+
+
 def test_no_such_process() -> None:
     with Child(lambda send, wait: None) as child:
         child.result()
