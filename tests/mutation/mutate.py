@@ -1,7 +1,11 @@
-"""mutmut's command line, for run.py, in the copy: how its mutants are made here, and how each is tried."""
+"""mutmut's command line, for run.py, in the copy: how its mutants are made here, and how each is tried.
+
+And one command more: `changes` takes a JSON list of mutants' names from stdin, and prints an object of their diffs.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Iterable
@@ -12,6 +16,7 @@ os.environ["PYTHONPATH"] = os.path.abspath("mutants")  # what the tests start fi
 from alone import alone, possible  # its neighbour: this file is run by its path
 from mutmut.__main__ import cli
 from mutmut.mutation import file_mutation, mutators
+from mutmut.mutation.diff_apply import find_mutant, get_diff_for_mutant
 from mutmut.runners.harness import PytestRunner
 from mutmut.state import state
 from mutmut.workers.isolation import ForkServerRunner
@@ -40,4 +45,8 @@ PytestRunner.run_tests, ForkServerRunner.submit = run_tests, submit
 if __name__ == "__main__":
     if sys.argv[1] == "run" and not possible():
         print("no PID namespace for the mutants, which takes root: one may signal any process of this user", flush=True)
-    cli()
+    if sys.argv[1:] == ["changes"]:
+        names = json.load(sys.stdin)
+        print(json.dumps({name: get_diff_for_mutant(name, path=find_mutant(name).path) for name in names}))
+    else:
+        cli()

@@ -91,20 +91,19 @@ def settle(where: Path, rooms: list[str]) -> None:
 
 def outcomes(where: Path) -> list[Outcome]:
     """What became of each mutant, from mutmut's own records."""
-    found = []
-    for meta in sorted((where / "mutants").rglob("*.py.meta")):
-        for name, code in json.loads(meta.read_text())["exit_code_by_key"].items():
-            path = str(meta.relative_to(where / "mutants").with_suffix("")).removeprefix("failstop/")
-            changed = ""
-            if code == SURVIVED:
-                shown = subprocess.run(
-                    [*MUTMUT, "show", name], cwd=where, capture_output=True, text=True, check=True
-                ).stdout
-                changed = "\n".join(
-                    line for line in shown.splitlines() if line[:1] in ("+", "-") and line[:3] not in ("+++", "---")
-                )
-            found.append(Outcome(path, name, code, changed))
-    return found
+    codes = {
+        (str(meta.relative_to(where / "mutants").with_suffix("")).removeprefix("failstop/"), name): code
+        for meta in sorted((where / "mutants").rglob("*.py.meta"))
+        for name, code in json.loads(meta.read_text())["exit_code_by_key"].items()
+    }
+    survivors = json.dumps([name for (_, name), code in codes.items() if code == SURVIVED])
+    told = subprocess.run([*MUTMUT, "changes"], cwd=where, input=survivors, capture_output=True, text=True, check=True)
+    diffs = json.loads(told.stdout)
+    return [Outcome(path, name, code, _changed(diffs.get(name, ""))) for (path, name), code in codes.items()]
+
+
+def _changed(diff: str) -> str:
+    return "\n".join(line for line in diff.splitlines() if line[:1] in ("+", "-") and line[:3] not in ("+++", "---"))
 
 
 def retry(where: Path) -> None:
