@@ -43,6 +43,10 @@ def test_who_is_signalled_is_none_of_the_machine() -> None:
     assert call(lambda: alone(work)) == 7
 
 
+def test_without_a_namespace_it_has_a_session_of_its_own() -> None:
+    assert call(lambda: alone(lambda: 7 if os.getsid(0) == os.getpid() else 1, separate=False)) == 7
+
+
 @needs_namespaces
 def test_nothing_outlives_the_mutant() -> None:
     reading, writing = os.pipe()

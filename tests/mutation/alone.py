@@ -15,22 +15,15 @@ BROKEN = 35  # mutmut's "suspicious": the tests did not come to an end of their 
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
-def _separate() -> bool:
-    """Whether the next fork begins a PID namespace; this process gets mounts of its own at once."""
-    return _libc.unshare(_NEWPID | _NEWNS) == 0
+def _separate() -> None:
+    """The next fork begins a PID namespace; this process gets mounts of its own at once."""
+    if _libc.unshare(_NEWPID | _NEWNS) != 0:
+        raise OSError(ctypes.get_errno(), "no PID namespace")
 
 
 def _mount(what: bytes, where: bytes, kind: bytes | None, flags: int = 0) -> None:
     if _libc.mount(what, where, kind, ctypes.c_ulong(flags), None) != 0:
         raise OSError(ctypes.get_errno(), f"cannot mount {where.decode()}")
-
-
-def possible() -> bool:
-    """Whether the kernel lets this user make a PID namespace."""
-    pid = os.fork()
-    if pid == 0:
-        os._exit(not _separate())
-    return os.waitpid(pid, 0)[1] == 0
 
 
 def _work(work: Callable[[], int]) -> None:
@@ -63,12 +56,13 @@ def _first(work: Callable[[], int]) -> None:
             os._exit(code if code >= 0 else 128 - code)
 
 
-def alone(work: Callable[[], int]) -> int:
+def alone(work: Callable[[], int], *, separate: bool = True) -> int:
     """The exit code of this work, of a process in a PID namespace, a session and a /dev/shm of its own.
 
-    128 and the signal's number when a signal ended it. Where there are no namespaces to be had, only the session.
+    128 and the signal's number when a signal ended it. Not `separate`: it has only the session. Raises OSError.
     """
-    separate = _separate()
+    if separate:
+        _separate()
     pid = os.fork()
     if pid == 0:
         if separate:
@@ -80,3 +74,11 @@ def alone(work: Callable[[], int]) -> int:
         _work(work)
     code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     return code if code >= 0 else 128 - code
+
+
+def possible() -> bool:
+    """Whether this user may do so here: the kernel, or a container, may keep everybody but root from it, or all."""
+    pid = os.fork()
+    if pid == 0:
+        _work(lambda: alone(lambda: 0))
+    return os.waitpid(pid, 0)[1] == 0

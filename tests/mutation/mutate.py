@@ -32,7 +32,7 @@ def run_tests(self: PytestRunner, *, mutant_name: str | None, tests: Iterable[st
     if mutant_name is None:
         return _run_tests(self, mutant_name=mutant_name, tests=tests)
     os.environ["PYTEST_TIMEOUT"] = "45"  # the longest takes a quarter of that
-    return alone(lambda: _run_tests(self, mutant_name=mutant_name, tests=tests))
+    return alone(lambda: _run_tests(self, mutant_name=mutant_name, tests=tests), separate=SEPARATE)
 
 
 def submit(self: ForkServerRunner, mutant_name: str, tests: list[str], *rest: Any) -> None:
@@ -43,7 +43,8 @@ def submit(self: ForkServerRunner, mutant_name: str, tests: list[str], *rest: An
 PytestRunner.run_tests, ForkServerRunner.submit = run_tests, submit
 
 if __name__ == "__main__":
-    if sys.argv[1] == "run" and not possible():
+    SEPARATE = possible()
+    if sys.argv[1] == "run" and not SEPARATE:
         print("no PID namespace for the mutants, which takes root: one may signal any process of this user", flush=True)
     if sys.argv[1:] == ["changes"]:
         names = json.load(sys.stdin)
