@@ -13,17 +13,18 @@ from typing import Any
 
 os.environ["PYTHONPATH"] = os.path.abspath("mutants")  # what the tests start finds the copy first
 
-from alone import alone, possible  # its neighbour: this file is run by its path
+from alone import BROKEN, alone, possible  # its neighbour: this file is run by its path
 from mutmut.__main__ import cli
 from mutmut.mutation import file_mutation, mutators
 from mutmut.mutation.diff_apply import find_mutant, get_diff_for_mutant
-from mutmut.runners.harness import PytestRunner
+from mutmut.runners.harness import BadTestExecutionCommandsException, PytestRunner
 from mutmut.state import state
 from mutmut.workers.isolation import ForkServerRunner
 
 # Texts are left as they are: tests/docs holds what is said, and "XX..." is no decision.
 file_mutation.mutation_operators = [it for it in mutators.mutation_operators if it[1] is not mutators.operator_string]
 
+FAILED = 1
 _run_tests, _submit = PytestRunner.run_tests, ForkServerRunner.submit
 
 
@@ -32,7 +33,16 @@ def run_tests(self: PytestRunner, *, mutant_name: str | None, tests: Iterable[st
     if mutant_name is None:
         return _run_tests(self, mutant_name=mutant_name, tests=tests)
     os.environ["PYTEST_TIMEOUT"] = "45"  # the longest takes a quarter of that
-    return alone(lambda: _run_tests(self, mutant_name=mutant_name, tests=tests), separate=SEPARATE)
+
+    def tried() -> int:
+        try:
+            return _run_tests(self, mutant_name=mutant_name, tests=tests)
+        except BadTestExecutionCommandsException:
+            return BROKEN
+        except Exception:  # pytest's, of what a test that failed has left open
+            return FAILED
+
+    return alone(tried, separate=SEPARATE)
 
 
 def submit(self: ForkServerRunner, mutant_name: str, tests: list[str], *rest: Any) -> None:

@@ -113,6 +113,8 @@ def retry(where: Path) -> None:
         for it in outcomes(where)
         if it.code in (NOT_CALLED, *NOT_TRIED) or (it.code == SURVIVED and not reason(it))
     }
+    # Which test calls what is found out anew: one that was changed keeps its name.
+    (where / "mutants" / "mutmut-stats.json").unlink(missing_ok=True)
     for meta in (where / "mutants").rglob("*.py.meta"):
         data = json.loads(meta.read_text())
         codes = data["exit_code_by_key"]

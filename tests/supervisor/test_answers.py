@@ -149,10 +149,12 @@ def test_its_own_death_is_told_by_its_futexes(tmp_path: Path, monkeypatch: pytes
     (scene,) = made
     lifelines = segment.attach_unmapped(scene.resources.memory, "lifelines", scene.resources.incarnation)
     words = [lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK + index) for index in range(PER_BLOCK)]
-    until(lambda: not any(word.held() for word in words), "the kernel has marked them")
-    assert all(word.wait_for_death() for word in words)
-    lifelines.close()
-    scene.close()
+    try:
+        until(lambda: not any(word.held() for word in words), "the kernel has marked them")
+        assert all(word.wait_for_death() for word in words)
+    finally:
+        lifelines.close()
+        scene.close()
 
 
 @pytest.mark.parametrize("granted", [0, REALTIME])
