@@ -43,11 +43,12 @@ chaos: $(VENV)/.installed
 model:
 	model/check
 
-# All, or some: make mutants ROOMS="shm burst" (tests/mutation/rooms.py).
+# All, or some: make mutants ROOMS="gate shm/ring" (tests/mutation/rooms.py). With AT=DIRECTORY what is ended may be gone on with.
 ROOMS ?=
+AT ?=
 mutants: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check 'mutmut>=3.8'
-	$(BIN)/python tests/mutation/run.py $(ROOMS)
+	$(BIN)/python tests/mutation/run.py $(if $(AT),--at $(AT)) $(ROOMS)
 
 deb: $(VENV)/.installed
 	@$(BIN)/python packaging/deb/build.py

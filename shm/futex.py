@@ -123,13 +123,9 @@ def _set_robust_list(kept: ctypes.Array[ctypes.c_char]) -> int:
     return failed
 
 
-def _nothing() -> ctypes.Array[ctypes.c_char]:
-    kept = ctypes.create_string_buffer(_HEAD.size)
-    kept.raw = _HEAD.pack(ctypes.addressof(kept), 0, 0)
-    return kept
-
-
-_NOTHING = _nothing()
+_NOTHING = ctypes.create_string_buffer(_HEAD.size)
+"""The empty list: its first entry is itself."""
+_NOTHING.raw = _HEAD.pack(ctypes.addressof(_NOTHING), 0, 0)
 
 
 def let_go() -> None:

@@ -274,13 +274,13 @@ def copy(fd: int, memory: str, name: str) -> tuple[int, bytes]:
     return incarnation, data
 
 
-def _open_file(memory: str, name: str, flags: int, owner: int = -1) -> int:
-    """A segment's descriptor. Raises OSError; place.Untrusted for one that is not `owner`'s (-1: anybody's). Not by
+def _open_file(memory: str, name: str, flags: int, owner: int) -> int:
+    """A segment's descriptor. Raises OSError; place.Untrusted for one that is not `owner`'s. Not by
     shm_open, which waits for ever on a pipe that somebody has put there."""
     path = path_of(memory, name)
     fd = os.open(path, flags | _READ)
     found = os.fstat(fd)
-    if stat.S_ISREG(found.st_mode) and owner in (-1, found.st_uid):
+    if stat.S_ISREG(found.st_mode) and found.st_uid == owner:
         return fd
     os.close(fd)
     if stat.S_ISREG(found.st_mode):

@@ -87,9 +87,7 @@ class BlackBox:
         }
         self._environment = environment(settings)
         self._ring = own.ring_writer("box")
-        self._beats = [
-            (own if which == layout.SUPERVISOR else views[which]).word("beat_ns") for which in layout.PROCESSES
-        ]
+        self._beats = [views[which].word("beat_ns") for which in layout.PROCESSES]
         self._ages_ns = [0] * len(self._beats)
         """The longest silence of each process since the last sample."""
         self._seen_ns = [0] * len(self._beats)

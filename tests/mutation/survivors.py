@@ -10,7 +10,9 @@ from typing import NamedTuple
 from tests.mutation.explained import REASONS, Reason
 
 MOST = 0.03
-SURVIVED, NOT_CALLED = 0, 33  # mutmut's codes; the second: only the running service calls this function
+# mutmut's codes. Not called: only the running service calls this function. Not tried: the run or its tests went wrong.
+SURVIVED, NOT_CALLED = 0, 33
+NOT_TRIED = (None, 4, 35, 255)
 
 
 class Outcome(NamedTuple):
@@ -37,11 +39,14 @@ def report(outcomes: list[Outcome]) -> int:
     uncalled = Counter(it.path for it in outcomes if it.code == NOT_CALLED)
     for path, count in uncalled.items():
         print(f"{path}: {count} mutants of functions that only the running service calls, not judged")
-    judged = len(outcomes) - len(same) - uncalled.total()
+    untried = [it.name for it in outcomes if it.code in NOT_TRIED]
+    for name in untried:
+        print(f"{name}: its tests did not run")
+    judged = len(outcomes) - len(same) - uncalled.total() - len(untried)
     real = len(survived) - len(same)
     share = real / judged if judged else 1.0
     print(
         f"{judged} mutants judged, {real} survived: {share:.1%}, at most {MOST:.0%} may; "
         f"{len(unexplained)} of them unexplained; {len(same)} more are the same program"
     )
-    return 1 if share > MOST or unexplained else 0
+    return 1 if share > MOST or unexplained or untried else 0

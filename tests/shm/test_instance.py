@@ -154,6 +154,31 @@ def test_a_full_disk_is_told_and_not_passed_over(bases: list[str], monkeypatch: 
     assert f"{bases[0]}/robot: No space left on device" in str(refused.value)
 
 
+@pytest.mark.parametrize("second", ["everyone's", "full"])
+def test_every_place_that_is_no_good_is_told_of(bases: list[str], monkeypatch: pytest.MonkeyPatch, second: str) -> None:
+    """To a user: root has the first alone."""
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() or STRANGER)
+    Path(bases[2]).write_text("in the way")
+    os.mkdir(bases[0])
+    os.chmod(bases[0], 0o777)
+    real = os.mkdir
+
+    def mkdir(path: str, mode: int = 0o777, *, dir_fd: int | None = None) -> None:
+        if path == bases[1]:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path)
+        real(path, mode, dir_fd=dir_fd)
+
+    if second == "full":
+        monkeypatch.setattr(os, "mkdir", mkdir)
+        expected = rf"{bases[1]}/robot: No space left on device$"
+    else:
+        os.mkdir(bases[1])
+        os.chmod(bases[1], 0o777)
+        expected = rf"{bases[1]} may be written by others .*$"
+    with pytest.raises(InstanceError, match=rf"; {bases[0]} may be written by others .*; {expected}"):
+        instance.make_runtime_dir("robot")
+
+
 @pytest.mark.parametrize("mask", [0o000, 0o077])
 def test_other_directories_let_everyone_in_to_read(monkeypatch: pytest.MonkeyPatch, mask: int) -> None:
     """So that every local user can reach the stop pipe."""
@@ -353,8 +378,10 @@ def test_a_lock_whose_owner_has_died_is_waited_for(
         assert instance.holder(path) == "", "no living process's"
         instance.refuse_locked("robot")
         monkeypatch.setattr(instance, "LETTING_GO_S", 60)
-        monkeypatch.setattr(time, "sleep", lambda _: copy.kill())
+        slept_s: list[float] = []
+        monkeypatch.setattr(time, "sleep", lambda seconds: (slept_s.append(seconds), copy.kill()))
         fds.append(instance.lock(path))
+        assert max(slept_s) < 0.1, "a start does not wait long for it"
     assert Path(instance.lock_path(path)).read_text() == f"{os.getpid()}\n"
 
 
@@ -556,5 +583,12 @@ def test_root_takes_over_no_directory_of_another_user(bases: list[str]) -> None:
     path = instance.make_runtime_dir("robot")
     os.chown(bases[0], NOBODY, NOBODY)
     os.chown(path, NOBODY, NOBODY)
-    with pytest.raises(InstanceError, match=r"belongs to .*uid 65534.*choose another --name"):
+    with pytest.raises(InstanceError, match=rf"; {path} belongs to .*uid 65534.*choose another --name"):
+        instance.make_runtime_dir("robot")
+
+
+def test_a_directory_that_others_may_write_is_not_taken_over(bases: list[str]) -> None:
+    path = instance.make_runtime_dir("robot")
+    os.chmod(path, 0o777)
+    with pytest.raises(InstanceError, match=rf"; {path} may be written by others"):
         instance.make_runtime_dir("robot")

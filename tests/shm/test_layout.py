@@ -165,6 +165,13 @@ def test_all_variants_of_one_number_have_their_own_hash() -> None:
     assert max(hashes) < 2**64
 
 
+@pytest.mark.parametrize("pages", [1, 2, 5000])
+@pytest.mark.parametrize(("beyond", "more"), [(0, 0), (1, 1)])
+def test_a_segment_is_of_whole_pages_and_of_no_more_than_it_needs(pages: int, beyond: int, more: int) -> None:
+    record = layout.Record("futexes", "all", "", pages * 4096 - HEADER_BYTES + beyond)
+    assert layout.SegmentSpec("any", "", 0o600, (record,)).size == (pages + more) * 4096
+
+
 def test_importing_the_layout_loads_nothing_heavy() -> None:
     """Processes on the stop path import it first thing."""
     assert "failstop.shm.layout" in sys.modules

@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from failstop.shm import futex, segment
-from failstop.shm.futex import BLOCKS, PER_BLOCK
+from failstop.shm.futex import BLOCKS, PER_BLOCK, Futex
 from failstop.shm.lifeline import EarlyNews, HeldByThread, Lifeline, pid_namespace
 from failstop.shm.segment import Segment
 from tests.waiting import until
@@ -133,6 +134,16 @@ def test_one_that_was_dead_before_and_not_reaped() -> None:
         life = Lifeline(child.pid)
         assert life.dead()
         life.close()
+
+
+def test_one_whose_number_is_not_known_here_has_the_early_news_alone() -> None:
+    life = Lifeline()
+    assert life.pid == 0
+    assert not os.get_inheritable(life.fd)
+    assert not life.dead()
+    life.fallen = True
+    assert life.dead()
+    life.close()
 
 
 def test_no_such_process() -> None:
@@ -393,7 +404,7 @@ def test_blocks_do_not_touch_each_other(name: str, held: Segment) -> None:
 
 @pytest.mark.parametrize("line", [-1, BLOCKS * PER_BLOCK])
 def test_there_is_no_line_beyond_the_record(held: Segment, line: int) -> None:
-    with pytest.raises(IndexError, match="lines"):
+    with pytest.raises(IndexError, match=rf"held has {BLOCKS * PER_BLOCK} lines, none is {line}$"):
         held.futex("held", line)
 
 
@@ -441,6 +452,7 @@ def test_a_thread_of_its_own_holds_and_lets_go(held: Segment) -> None:
     threads = _thread._count()
     one = HeldByThread(held.futex("held", 20, write=True))
     assert word.held()
+    assert not held.futex("held", 21).held(), "one line alone"
     assert _thread._count() == threads + 1
     one.let_go()
     until(lambda: _thread._count() == threads, "its thread has ended")
@@ -464,6 +476,151 @@ def test_that_thread_dies_first_where_the_process_may_have_it_so(
     assert asked == [(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 1)]
     assert word.held()
     one.let_go()
+
+
+def test_the_end_of_a_thread_is_told_on_each_of_its_lines_and_on_no_other(held: Segment) -> None:
+    first = (BLOCKS - 2) * PER_BLOCK  # not in the file's first page
+    word = held.futex("held", first, write=True)
+    kept: list[object] = []
+    thread = threading.Thread(target=lambda: kept.append(word.hold(PER_BLOCK)))
+    thread.start()
+    thread.join()
+    lines = [held.futex("held", line) for line in range(first - 1, first + PER_BLOCK + 1)]
+    until(lambda: not any(line.held() for line in lines), "the kernel has marked them")
+    assert [line.wait_for_death() for line in lines] == [False, *[True] * PER_BLOCK, False]
+    assert kept != [None]
+
+
+def test_a_futex_is_mapped_until_it_is_closed_and_for_writing_only_by_who_holds_it(name: str, held: Segment) -> None:
+    def mapped() -> list[str]:
+        maps = Path("/proc/self/maps").read_text().splitlines()
+        return [line.split()[1] for line in maps if line.endswith(segment.path_of(name, "lifelines"))]
+
+    watching, holding = held.futex("held"), held.futex("held", write=True)
+    assert sorted(mapped()) == ["r--s", "rw-s"]
+    holding.close()
+    assert mapped() == ["r--s"]
+    watching.close()
+    assert mapped() == []
+
+
+def test_what_can_not_be_mapped_is_an_error(name: str, held: Segment) -> None:
+    with open(segment.path_of(name, "lifelines"), "rb") as file:
+        Futex(file.fileno(), 0, write=False).close()
+        with pytest.raises(PermissionError, match="a futex can't be mapped"):
+            Futex(file.fileno(), 0, write=True)
+
+
+def test_without_a_number_the_first_line_is_meant(held: Segment) -> None:
+    one = HeldByThread(held.futex("held", 0, write=True))
+    assert held.futex("held").held()
+    one.let_go()
+
+
+def test_a_file_that_was_closed_meanwhile_holds_nothing(held: Segment) -> None:
+    one = HeldByThread(held.futex("held", 0, write=True))
+    word = held.futex("held", 0)
+    held.close()
+    assert not word.held()
+    assert word.wait_for_death() is False
+    one.let_go()
+
+
+class Meanwhile:
+    """The kernel's part, before which something happens once."""
+
+    def __init__(self, happens: Callable[[], object]) -> None:
+        self.happens: Callable[[], object] | None = happens
+        self.real = futex._libc
+
+    def syscall(self, *arguments: object) -> int:
+        happens, self.happens = self.happens, None
+        if happens:
+            happens()
+        failed: int = self.real.syscall(*arguments)
+        return failed
+
+
+def test_a_death_between_the_look_and_the_wait_is_seen(held: Segment, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = HeldByThread(held.futex("held", 0, write=True))
+    word = held.futex("held", 0)
+    mark = (word._value() | futex._OWNER_DIED).to_bytes(4, "little")
+    with monkeypatch.context() as patched:
+        patched.setattr(futex, "_libc", Meanwhile(lambda: os.pwrite(held.fileno(), mark, word._offset)))
+        assert word.wait_for_death() is True
+    one.let_go()
+
+
+def test_a_file_that_is_cut_before_the_wait_is_nobody_s_death(
+    name: str, held: Segment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = HeldByThread(held.futex("held", 0, write=True))
+    word = held.futex("held", 0)
+    with monkeypatch.context() as patched:
+        patched.setattr(futex, "_libc", Meanwhile(lambda: os.truncate(segment.path_of(name, "lifelines"), 0)))
+        assert word.wait_for_death() is False
+    one.let_go()
+
+
+def test_who_waits_sleeps(held: Segment) -> None:
+    one = HeldByThread(held.futex("held", 0, write=True))
+    word, until_ns = held.futex("held", 0), time.monotonic_ns() + 200_000_000
+    thread = threading.Thread(target=word.wait_for_death, args=(lambda: time.monotonic_ns() < until_ns,))
+    thread.start()
+    clock = time.pthread_getcpuclockid(thread.ident)  # type: ignore[arg-type]
+    before_s = time.clock_gettime(clock)
+    until(lambda: time.monotonic_ns() >= until_ns, "the time to have passed")
+    assert time.clock_gettime(clock) - before_s < 0.01
+    until(lambda: word.wake() or not thread.is_alive(), "its end")
+    thread.join()
+    one.let_go()
+
+
+def test_the_line_that_a_client_holds_is_the_first_where_none_is_named(name: str, held: Segment) -> None:
+    """By one line alone; the pidfd is that of this process, which lives."""
+
+    def work(send: Send, wait: Wait) -> None:
+        kept = lifelines(name).futex("held", write=True).hold()
+        send("held" if kept else "the kernel can't")
+        wait()
+
+    news = EarlyNews(held)
+    with Child(work) as holder:
+        assert holder.receive() == "held"
+        life = Lifeline(os.getpid())
+        news.watch(life, held, "held")
+        holder.kill()
+        assert select.select([news.bell.fd], [], [], 20)[0]
+        assert life.fallen
+        life.close()
+    os.close(news.bell.fd)
+
+
+@pytest.mark.parametrize("lacks", ["threads", "memory"])
+def test_a_machine_that_is_out_of_something_still_has_the_late_news(
+    held: Segment, monkeypatch: pytest.MonkeyPatch, lacks: str
+) -> None:
+    def no_thread(*_: object) -> int:
+        raise RuntimeError("can't start new thread")
+
+    def no_memory(*_: object) -> int:
+        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+    news = EarlyNews(held)
+    with Child(waiting) as child:
+        assert child.receive() == "here"
+        life = Lifeline(child.pid)
+        with monkeypatch.context() as patched:
+            if lacks == "threads":
+                patched.setattr(_thread, "start_new_thread", no_thread)
+            else:
+                patched.setattr(Segment, "futex", no_memory)
+            news.arm(life, 7, 0)
+        os.kill(child.pid, signal.SIGKILL)
+        assert life.down(dict(select_poll(life.fd)))
+        assert not life.fallen
+        life.close()
+    os.close(news.bell.fd)
 
 
 def test_a_large_process_is_known_to_be_dead_before_its_memory_is_gone(name: str, held: Segment) -> None:
@@ -517,6 +674,16 @@ def test_a_kernel_that_takes_the_list_and_marks_nothing_is_not(monkeypatch: pyte
     monkeypatch.setattr(futex, "_set_robust_list", lambda kept: 0)
     monkeypatch.setattr(futex, "_PROOF_NS", 20_000_000)
     assert not futex.proven()
+
+
+def test_a_machine_without_a_thread_to_spare_proves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> int:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(_thread, "start_new_thread", refused)
+    before = os.listdir("/proc/self/fd")
+    assert not futex.proven()
+    assert os.listdir("/proc/self/fd") == before
 
 
 def test_nor_one_that_refuses(monkeypatch: pytest.MonkeyPatch) -> None:

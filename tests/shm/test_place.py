@@ -13,7 +13,7 @@ import pytest
 from failstop.shm import bell, claim, instance, place
 from failstop.shm.place import Untrusted
 
-from .children import NOBODY, call, needs_root, reachable
+from .children import NOBODY, call, needs_root, reachable, umask
 
 OTHER = 61_235
 
@@ -179,6 +179,69 @@ def _not_found(name: str) -> str:
         return f"found {instance.find(name)}"
     except instance.NoService as error:
         return str(error)
+
+
+@needs_root
+@pytest.mark.parametrize(
+    ("above", "mode", "owner", "looks", "trusted"),
+    [
+        (0, 0o1777, 0, 0, True),
+        (0, 0o1777, 0, NOBODY, True),
+        (0, 0o1777, NOBODY, NOBODY, True),
+        (0, 0o1777, NOBODY, 0, False),
+        (0, 0o1777, 1, 0, False),
+        (0, 0o1777, 1, NOBODY, False),
+        (0, 0o755, OTHER, 0, True),
+        (0, 0o755, OTHER, NOBODY, True),
+        (0, 0o775, OTHER, 0, False),
+        (OTHER, 0o755, OTHER, 0, False),
+        (OTHER, 0o755, NOBODY, 0, False),
+        (OTHER, 0o755, 0, NOBODY, True),
+    ],
+)
+def test_whose_base_is_trusted(folder: Path, above: int, mode: int, owner: int, looks: int, *, trusted: bool) -> None:
+    """Root's and one's own, and whosever root alone can have made it."""
+    base = folder.parent
+    os.chown(base, owner, owner)
+    os.chown(base.parent, above, above)
+    base.parent.chmod(mode)
+
+    def attempt() -> str:
+        try:
+            os.close(place.base_directory(str(base)))
+        except Untrusted as error:
+            return str(error.strerror)
+        return ""
+
+    said = call(attempt, looks)
+    if trusted:
+        assert said == ""
+    else:
+        assert said.startswith(f"{base} belongs to {place.user(owner)}: not trusted")
+
+
+@needs_root
+@pytest.mark.parametrize(("owner", "looks", "trusted"), [(OTHER, 0, True), (0, NOBODY, True), (1, 0, False)])
+def test_what_is_in_a_user_s_base_is_that_user_s_or_root_s(
+    folder: Path, owner: int, looks: int, *, trusted: bool
+) -> None:
+    os.chown(folder.parent, OTHER, OTHER)
+    os.chown(folder, owner, owner)
+
+    def attempt() -> bool:
+        try:
+            os.close(place.directory(str(folder)))
+        except Untrusted:
+            return False
+        return True
+
+    assert call(attempt, looks) is trusted
+
+
+def test_what_is_created_is_its_user_s_alone(folder: Path, fds: list[int]) -> None:
+    with umask(0):
+        fds.append(place.opened(str(folder / "new"), os.O_RDWR | os.O_CREAT))
+    assert stat.S_IMODE((folder / "new").stat().st_mode) == 0o600
 
 
 def test_a_user_is_told_by_name_and_number_where_there_is_a_name() -> None:

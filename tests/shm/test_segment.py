@@ -392,6 +392,17 @@ def test_unlink_of_what_is_not_there_is_fine(name: str) -> None:
     assert not [entry for entry in os.listdir("/dev/shm") if entry.startswith(f"failstop.{name}.")]
 
 
+@needs_root
+def test_what_can_not_be_unlinked_stays(name: str) -> None:
+    """Another user's, or a directory that somebody has put there: nobody needs the name again."""
+    segment.create(name, "gate", RUN).close()
+    os.mkdir(path_of(name, "stopper"))
+    call(lambda: segment.unlink(name, "gate"), NOBODY)
+    segment.unlink(name, "stopper")
+    assert os.path.exists(path_of(name, "gate"))
+    os.rmdir(path_of(name, "stopper"))
+
+
 def test_instances_do_not_see_each_other(name: str) -> None:
     """Nor one whose name begins with another's."""
     longer = name + "-2"

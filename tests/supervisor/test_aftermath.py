@@ -235,6 +235,15 @@ def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Watche
     assert outcome == ("stop_outcome", "notice", text, fields)
 
 
+def test_a_stop_from_before_the_first_port_is_that_of_who_opens_it(scene: Watched) -> None:
+    cause = Cause(scene.now_ns, layout.GATE, "the first")
+    scene.supervisor.aftermath.written(cause, 0, "supervisor", "the first", 1)
+    scene.now_ns += MS
+    scene.opens_the_port(1)
+    scene.follow(0)
+    assert scene.told() == {"reason": "the first", "written_by": "port owner", "written_us": 1_000.0}
+
+
 def test_a_stop_that_could_not_be_written_is_that_of_who_opens_the_port_anew(scene: Watched) -> None:
     noticed_ns = scene.now_ns
     scene.supervisor.aftermath.written(Cause(noticed_ns, layout.GATE, "the first"), 0, "supervisor", "the first", 1)

@@ -6,6 +6,8 @@ import itertools
 import os
 import pty
 import signal
+import socket
+import threading
 import tty
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,17 +19,20 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.procs import rights
 from failstop.shm import instance, layout, records, segment
-from failstop.shm.heartbeat import RUNNING
-from failstop.supervisor import main
+from failstop.shm.futex import PER_BLOCK
+from failstop.shm.heartbeat import REALTIME, RUNNING
+from failstop.supervisor import grant, main
 from failstop.supervisor.causes import Cause
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.health import OWED_NS, UNDYING_NS
+from failstop.supervisor.journal import Journal
 from failstop.supervisor.main import ALONE_EVERY_NS, ANSWER_NS, Supervisor
 from failstop.supervisor.names import LOOK_EVERY_NS
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
 from failstop.supervisor.settings import Settings
+from tests.waiting import until
 
 MS = 1_000_000
 _numbers = itertools.count()
@@ -36,17 +41,19 @@ _numbers = itertools.count()
 class Scene:
     """A supervisor without children on a pty, with a clock that the test moves; the test plays the port owner."""
 
-    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(
+        self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, granted: int = 0, journal: Journal | None = None
+    ) -> None:
         self.now_ns = 40_000 * MS
         monkeypatch.setattr(main, "monotonic_ns", lambda: self.now_ns)
-        monkeypatch.setattr(rights, "take_rights", lambda priority: 0)
+        monkeypatch.setattr(rights, "take_rights", lambda priority: granted)
         self.master, slave = pty.openpty()
         tty.setraw(slave)
         for fd in (self.master, slave):
             os.set_blocking(fd, False)
         self.resources = Resources(f"a{os.getpid()}x{next(_numbers)}", str(directory))
         self.port = OwnPort(slave)
-        self.supervisor = Supervisor(self.resources, self.port, Settings())
+        self.supervisor = Supervisor(self.resources, self.port, Settings(), None, journal)
         memory = self.resources.memory
         self.port_owner = segment.attach(memory, layout.PORT_OWNER, write=True)
         self.gate = segment.attach(memory, layout.GATE, write=True)
@@ -127,6 +134,52 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
     made = Scene(tmp_path, monkeypatch)
     yield made
     made.close()
+
+
+def test_the_first_epoch_is_told_before_any_stop(scene: Scene) -> None:
+    assert scene.word("epoch").get() == scene.supervisor.epoch == 1
+
+
+def test_its_own_death_is_told_by_its_futexes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are of the thread that made it, which is a process's first one, and here one that ends."""
+    made: list[Scene] = []
+    thread = threading.Thread(target=lambda: made.append(Scene(tmp_path, monkeypatch)))
+    thread.start()
+    thread.join()
+    (scene,) = made
+    lifelines = segment.attach_unmapped(scene.resources.memory, "lifelines", scene.resources.incarnation)
+    words = [lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK + index) for index in range(PER_BLOCK)]
+    try:
+        until(lambda: not any(word.held() for word in words), "the kernel has marked them")
+        assert all(word.wait_for_death() for word in words)
+    finally:
+        lifelines.close()
+        scene.close()
+
+
+@pytest.mark.parametrize("granted", [0, REALTIME])
+def test_what_helps_a_starved_service_depends_on_its_rights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, granted: int
+) -> None:
+    scene = Scene(tmp_path, monkeypatch, granted=granted)
+    expected = grant.advice(realtime=bool(granted), managed=False)
+    assert scene.supervisor._silence._advice == expected != grant.advice(realtime=not granted, managed=False)
+    scene.close()
+
+
+def test_what_people_are_told_goes_to_the_journal_where_there_is_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journald:
+        journald.bind(str(tmp_path / "journal"))
+        journal = Journal(str(tmp_path / "journal"))
+        scene = Scene(tmp_path, monkeypatch, journal=journal)
+        scene.supervisor._events.tell("note", "from the test")
+        scene.supervisor._events.flush()
+        assert b"MESSAGE=from the test\n" in journald.recv(65536, socket.MSG_DONTWAIT)
+        assert capfd.readouterr().err == ""
+        scene.close()
+        journal.close()
 
 
 def test_a_stop_that_the_port_owner_wrote(scene: Scene) -> None:
@@ -387,6 +440,18 @@ def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, t
     for _ in range(3):  # the first of them makes room
         scene.turn(ALONE_EVERY_NS)
     assert scene.supervisor.herald.fault == "", "written at last"
+    notify.close()
+
+
+def test_a_stop_that_the_port_owner_has_written_is_owed_no_more(scene: Scene, tmp_path: Path) -> None:
+    notify = Notify(str(tmp_path / "nobody"), 2)
+    scene.supervisor.herald.notify = notify
+    scene.trip()
+    scene.turn()
+    scene.answers(written_ns=scene.now_ns)
+    scene.turn(MS)
+    scene.turn(OWED_NS)
+    assert scene.supervisor.herald.fault == ""
     notify.close()
 
 

@@ -101,6 +101,24 @@ def test_the_group_is_the_client_s_where_it_exists(name: str, tmp_path: Path, mo
         close(made)
 
 
+@pytest.mark.parametrize(
+    ("gid", "user", "groups", "given"),
+    [(0, 0, [], 0), (4321, 0, [], 4321), (4321, 7, [4321], 4321), (4321, 7, [4322], -1), (-1, 0, [], -1)],
+)
+def test_only_who_may_gives_files_to_the_group(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gid: int, user: int, groups: list[int], given: int
+) -> None:
+    """Root, and a member; anybody else's service has the clients of its own group."""
+    found: list[int] = []
+    monkeypatch.setattr(module, "client_gid", lambda: gid)
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    monkeypatch.setattr(os, "getgroups", lambda: groups)
+    monkeypatch.setattr(Resources, "_refuse_living", lambda _: None)
+    monkeypatch.setattr(Resources, "_make", lambda _, gid: found.append(gid))
+    Resources(name, str(tmp_path))
+    assert found == [given]
+
+
 def test_a_group_that_does_not_exist_is_the_service_s_own(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str) -> grp.struct_group:
         raise KeyError(name)

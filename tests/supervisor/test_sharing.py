@@ -13,6 +13,7 @@ from failstop.board.finder import Finder
 from failstop.procs.handover import OPENING_NS, Control
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
+from failstop.supervisor import sharing
 from failstop.supervisor.main import ALONE_EVERY_NS
 from failstop.supervisor.port import REOPEN_NS
 from failstop.supervisor.settings import Settings
@@ -139,9 +140,20 @@ def test_a_port_owner_that_keeps_the_port_is_ended(three: Three) -> None:
     fence = three.supervisor.family[layout.PORT_OWNER].fence
     assert fence
     assert not fence.was_starved
+    assert fence.fields().keys() == {"silent_ms", "kill_us"}, "it is told of no stop: none was written for that"
     assert fence.fields()["silent_ms"] == 0.0
     three.turn(MS)
     assert three.killed == [NOBODY], "once"
+
+
+def test_what_the_port_owner_says_of_the_device_is_told(three: Three, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sharing, "monotonic_ns", lambda: three.now_ns)
+    for state in (records.PORT_LOST, records.PORT_OPEN):
+        three.now_ns += MS
+        three.record(state)
+        three.turn()
+    told = [event["kind"] for event in three.events()]
+    assert [kind for kind in told if kind.startswith("device_")] == ["device_lost", "device_back"]
 
 
 def test_but_not_for_what_it_said_before_the_port_was_lost(three: Three) -> None:

@@ -574,6 +574,15 @@ def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) ->
     assert STARTING_NS <= 10_000 * MS
 
 
+def test_one_that_starts_has_its_time_from_its_start_whatever_the_one_before_it_has_beaten(watching: Watching) -> None:
+    watching.employ(layout.GATE)
+    gate = watching.supervisor.family[layout.GATE]
+    watching.gate.word("beat_state").set(STARTING)
+    for beaten_ns in (watching.now_ns - 10**10, watching.now_ns + 10**10):
+        watching.beats[layout.GATE].set(beaten_ns)
+        assert gate.overdue_ns() == gate.started_ns + STARTING_NS
+
+
 def test_it_sleeps_until_what_is_due_next(watching: Watching) -> None:
     supervisor = watching.supervisor
     assert supervisor.next_ns(watching.now_ns) == watching.now_ns + TICK_NS
@@ -773,6 +782,16 @@ def test_a_board_that_does_not_hear_the_last_stop_is_a_failure(ending: Ending) -
     assert not well
     assert told[1][1].endswith("NOT acknowledged by the board (link alive); wheels that turn: POWER SWITCH")
     assert ending.wrote(1)
+
+
+def test_a_board_that_goes_deaf_at_the_end_is_told_of(ending: Ending) -> None:
+    deaf_ns = Settings().ns("link.deaf_s")
+    ending.answer(ending.now_ns - 2 * deaf_ns)
+    ending.pass_time(0)
+    ending.port_owner.word("ping_1").set(ending.now_ns - deaf_ns)
+    well, told = ending.end()
+    assert not well
+    assert told[1][1].endswith("NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITCH")
 
 
 def test_a_second_stop_that_can_not_be_written_is_a_failure(ending: Ending) -> None:
