@@ -588,7 +588,7 @@ def test_the_line_that_a_client_holds_is_the_first_where_none_is_named(name: str
     with Child(work) as holder:
         assert holder.receive() == "held"
         life = Lifeline(os.getpid())
-        news.watch(life, held, "held")
+        news.watch(life, held)
         holder.kill()
         assert select.select([news.bell.fd], [], [], 20)[0]
         assert life.fallen
