@@ -133,6 +133,12 @@ SHM: tuple[Reason, ...] = (
     Reason("shm/segment.py", r"\n\+.*line < record\.capacity / LINE_BYTES", "a record of lines is of whole lines"),
     Reason("shm/segment.py", r"\n\+.*mmap\(fd, spec\.size, prot=prot\)", "MAP_SHARED is the default"),
     Reason("shm/segment.py", r"\n\+.*found\.get\(.*, 1\)\)", "no file is of the first nanosecond of 1970"),
+    Reason("shm/segment.py", r"\n\+\s+self\.view\.fd = -2", "neither is a descriptor"),
+    Reason("shm/segment.py", r"\n\+.*O_CREX, (mode=385)?\)", "0600 is its default; fchmod follows before it is whole"),
+    Reason("shm/segment.py", r"\n\+.*slot\.build\((2, 0|1, 1), header", "nobody reads a header's number and time"),
+    Reason("shm/segment.py", r"\n\+.*HEADER_BYTES \+ slot\.HEADER_BYTES\)", "zeros more, where zeros are"),
+    Reason("shm/segment.py", r"\n\+.*spec\.mode & 17 and", "no segment is for others to execute"),
+    Reason("shm/segment.py", r"\n\+.*OSError\((None, .*, path|errno\.EINVAL, .*, None)\)", "its text alone is told"),
 )
 
 SUPERVISOR = (

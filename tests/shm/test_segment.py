@@ -376,6 +376,44 @@ def test_a_run_lives_as_long_as_its_supervisor(name: str) -> None:
         segment.unlink_all(run)
 
 
+def test_it_is_the_supervisor_s_segment_that_tells_so(name: str) -> None:
+    """Each is made and held by this process; its copies for other names are not asked."""
+    made = {of: segment.create(name, of, RUN) for of in ("gate", "supervisor")}
+    assert segment.living(name)
+    made["supervisor"].close()
+    assert not segment.living(name)
+    os.rename(path_of(name, "gate"), path_of(name, "supervisor"))
+    assert not segment.living(name), "the gate's is not locked"
+
+
+@pytest.mark.parametrize(("number", "look"), [(errno.EFBIG, "ulimit -f"), (errno.ENOSPC, "df /dev/shm")])
+def test_what_keeps_a_segment_from_its_size_is_told(
+    name: str, monkeypatch: pytest.MonkeyPatch, number: int, look: str
+) -> None:
+    def fallocate(*_: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "posix_fallocate", fallocate)
+    with pytest.raises(AttachError, match=rf"\({os.strerror(number)}\): look at `{look}`$"):
+        segment.create(name, "gate", RUN)
+    assert not os.path.exists(path_of(name, "gate"))
+
+
+@pytest.mark.parametrize(("number", "kind"), [(errno.EMFILE, "descriptors"), (errno.EIO, "damaged")])
+def test_a_program_without_descriptors_is_no_damage(
+    name: str, monkeypatch: pytest.MonkeyPatch, number: int, kind: str
+) -> None:
+    create_all(name)
+
+    def refused(*_: object) -> int:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "open", refused)
+    with pytest.raises(AttachError, match="can't be opened") as told:
+        segment.attach(name, "gate", RUN)
+    assert told.value.kind == kind
+
+
 def test_who_may_only_read_it_can_not_make_a_dead_run_look_alive(name: str) -> None:
     """Everyone may read the supervisor's segment, and lock what they may read, for reading."""
     create_all(name)
