@@ -18,7 +18,7 @@ ROOMS = {
         ("tests/procs/test_gate_*.py", "tests/procs/test_kinematics.py"),
     ),
     "port_owner": Room(
-        ("procs/port_owner/*.py",),
+        ("procs/peer.py", "procs/port_owner/*.py"),
         (
             "tests/procs/test_admission.py",
             "tests/procs/test_pings.py",

@@ -299,6 +299,15 @@ def test_what_nobody_may_do(place: str, fds: list[int], mode: int, rights: list[
         assert bell.take(reading) == b"stop\n"
 
 
+def test_of_several_bells_those_that_have_rung_are_cleared(fds: list[int]) -> None:
+    bells = [EventBell.create() for _ in range(3)]
+    fds += [each.fd for each in bells]
+    for each in bells:
+        each.ring()
+    bell.clear_rung(bells, {bells[0].fd: select.EPOLLIN, bells[2].fd: select.EPOLLIN})
+    assert select.select([each.fd for each in bells], [], [], 0)[0] == [bells[1].fd]
+
+
 @needs_root
 def test_nobody_can_not_replace_the_pipe(place: str, fds: list[int]) -> None:
     bell.make_pipe(f"{place}/stop", 0o666)
