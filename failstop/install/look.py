@@ -25,7 +25,7 @@ from failstop.install.layout import (
     parents,
     unit_of,
 )
-from failstop.install.parts import SERVICE, SLEEP, TEMPLATE, wanted_by
+from failstop.install.parts import LATE, SERVICE, SLEEP, TEMPLATE, wanted_by
 from failstop.install.plan import Found, Wish
 
 SETUPS = "/opt/ros/*/setup.sh"
@@ -42,7 +42,7 @@ def look(wish: Wish, units: dict[str, str]) -> Found:
     targets = {target for unit in units.values() for target in wanted_by(unit)}
     wants = [f"{UNITS}/{target}.wants/{unit}" for target in targets for unit in (unit_of(wish.name), SLEEP)]
     paths = [
-        *(f"{UNITS}/{name}" for name in (SERVICE, TEMPLATE, SLEEP)),
+        *(f"{UNITS}/{name}" for name in (SERVICE, TEMPLATE, SLEEP, LATE)),
         SYSUSERS,
         UDEV,
         CATALOG,

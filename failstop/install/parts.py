@@ -12,6 +12,7 @@ from failstop.version import VERSION
 SERVICE = "failstop.service"
 TEMPLATE = "failstop@.service"
 SLEEP = "failstop-sleep.service"
+LATE = "failstop-late@.service"
 UNIT_COMMAND = "/opt/failstop/bin/failstop"
 """What the units call; replaced when another environment is used."""
 
@@ -43,7 +44,7 @@ def of_this_version() -> Parts:
 
     return Parts(
         VERSION,
-        {name: _text(name) for name in (SERVICE, TEMPLATE, SLEEP)},
+        {name: _text(name) for name in (SERVICE, TEMPLATE, SLEEP, LATE)},
         _text("failstop.sysusers"),
         _text("failstop.udev"),
         _text("failstop.catalog"),

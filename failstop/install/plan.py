@@ -25,7 +25,7 @@ from failstop.install.layout import (
     unit_file,
     unit_of,
 )
-from failstop.install.parts import SERVICE, SLEEP, TEMPLATE, UNIT_COMMAND, Parts, accounts, wanted_by
+from failstop.install.parts import LATE, SERVICE, SLEEP, TEMPLATE, UNIT_COMMAND, Parts, accounts, wanted_by
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
 from failstop.shm.instance import DEFAULT_NAME
 
@@ -186,6 +186,7 @@ def _files_of() -> tuple[str, ...]:
         f"{UNITS}/{SERVICE}",
         f"{UNITS}/{TEMPLATE}",
         f"{UNITS}/{SLEEP}",
+        f"{UNITS}/{LATE}",
         SYSUSERS,
         UDEV,
         CATALOG,
@@ -196,13 +197,14 @@ def _files_of() -> tuple[str, ...]:
 
 def _files(parts: Parts, wish: Wish) -> dict[str, tuple[bytes, str]]:
     """Content and remark of every file but the configuration."""
-    units = [parts.units[name].replace(UNIT_COMMAND, wish.command).encode() for name in (SERVICE, TEMPLATE, SLEEP)]
+    units = [parts.units[name].replace(UNIT_COMMAND, wish.command).encode() for name in (SERVICE, TEMPLATE, SLEEP, LATE)]
     shells = [parts.completions[shell] for shell in COMPLETIONS]
     rest = [text.encode() for text in (parts.sysusers, parts.udev, parts.catalog, parts.manual, *shells)]
     remarks = (
         "the service",
         "services of further robots, failstop@NAME",
         "stops the wheels before the machine sleeps",
+        "goes on trying, where an ended service could not stop the wheels",
         "its user and group",
         "the board's port: a name, its rights, nobody else touches it",
         "explanations for journalctl -x",

@@ -74,6 +74,7 @@ def test_a_bare_machine_gets_everything_in_an_order_that_works() -> None:
         "create /etc/systemd/system/failstop.service",
         "create /etc/systemd/system/failstop@.service",
         "create /etc/systemd/system/failstop-sleep.service",
+        "create /etc/systemd/system/failstop-late@.service",
         "create /etc/sysusers.d/failstop.conf",
         "create /etc/udev/rules.d/90-failstop.rules",
         "create /usr/local/lib/systemd/catalog/failstop.catalog",
@@ -197,7 +198,7 @@ def test_another_environment_is_called_where_it_is() -> None:
     plan = install(PARTS, dataclasses.replace(LIVE, command="/srv/venv/bin/failstop"), "", BARE)
     assert not [step for step in plan.steps if isinstance(step, Tree)]
     units = [step for step in plan.steps if isinstance(step, File) and step.path.endswith(".service")]
-    assert len(units) == 3
+    assert len(units) == 4
     assert all(b"=/srv/venv/bin/failstop " in step.data and b"/opt" not in step.data for step in units)
     with pytest.raises(InstallError, match=r"runs /opt/failstop/bin/failstop is here, .*/srv/venv/bin/failstop"):
         install(PARTS, dataclasses.replace(LIVE, command="/srv/venv/bin/failstop"), "", installed())

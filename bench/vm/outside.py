@@ -1,0 +1,237 @@
+"""The trials whose board is out here, on the guest's xHCI by usbredir: it lives on when the guest sleeps or reboots."""
+
+from __future__ import annotations
+
+import bisect
+import socket
+import threading
+import time
+from collections.abc import Callable
+
+from bench.vm.guest import Guest, GuestError
+from bench.vm.table import Result
+from failstop.board.sim.client import Event, SimBoard
+from failstop.trial import TrialError, judge, wait_for
+
+PYTHON = "/srv/venv/bin/python"
+FAILSTOP = "/usr/local/bin/failstop"
+UNIT = "failstop.service"
+INSTALL_S = 400.0
+WAIT_S = 240.0
+"""Of this machine's time: the guest's is slower."""
+ASLEEP_S = 3.0
+SETTLE_S = 2.0
+
+
+class Clock:
+    """The guest's clock, as the client passes it on."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._ours: list[int] = []
+        self._theirs: list[int] = []
+        threading.Thread(target=self._follow, daemon=True).start()
+
+    def _follow(self) -> None:
+        waiting = b""
+        while data := self._connection.recv(4096):
+            now_ns = time.monotonic_ns()
+            *lines, waiting = (waiting + data).split(b"\n")
+            if lines and lines[-1].isdigit():
+                self._theirs.append(int(lines[-1]))
+                self._ours.append(now_ns)
+
+    def theirs(self, ours_ns: int) -> int:
+        """The guest's time at one of ours, between the two nearest that are known. Raises GuestError."""
+        at = bisect.bisect(self._ours, ours_ns)
+        if not 0 < at < len(self._ours):
+            raise GuestError("the guest's clock was not passed on")
+        before, after = self._ours[at - 1], self._ours[at]
+        part = (ours_ns - before) / (after - before)
+        return round(self._theirs[at - 1] + part * (self._theirs[at] - self._theirs[at - 1]))
+
+    def first_after(self, ours_ns: int) -> int:
+        """The guest's first word after one of our times. Raises GuestError."""
+        at = bisect.bisect(self._ours, ours_ns)
+        if at >= len(self._ours):
+            raise GuestError("the guest's clock was not passed on")
+        return self._theirs[at]
+
+
+class Scene:
+    """The board, the guest, and what can be asked of both."""
+
+    def __init__(self, machine: Guest, board: SimBoard) -> None:
+        self.machine, self.board = machine, board
+        self.clock = Clock(machine.dial("clock"))
+
+    def install(self) -> None:
+        """Put failstop in place and start the client. Raises GuestError."""
+        self.machine.must("/srv/venv/bin/failstop", "install", "--yes", timeout_s=INSTALL_S)
+        self.command()
+
+    def command(self) -> None:
+        """Start the client, beside everything that systemd ends."""
+        words = f"cd /srv/trials; setsid {PYTHON} -m bench.vm.client >/run/vm-client.log 2>&1 &"
+        self.machine.must("sh", "-c", words)
+
+    def moving(self) -> None:
+        """Have the wheels turn, and forget the events until then. Raises GuestError, TrialError."""
+        text = f"{FAILSTOP} reset; for n in $(seq 60); do {FAILSTOP} enable && exit 0; sleep 0.5; done; exit 1"
+        self.machine.must("sh", "-c", text, timeout_s=90.0)
+        wait_for("the wheels to turn", lambda: any(self.board.wheels()), 60.0)
+        self.board.events()
+
+    def shown(self, name: str) -> str:
+        """A property of the unit."""
+        return self.machine.must("systemctl", "show", UNIT, f"--property={name}", "--value")[0]
+
+    def status(self) -> str:
+        """Whether the guest runs, in qemu's word."""
+        return str(self.machine.qmp("query-status")["status"])
+
+
+def _stopped(scene: Scene, found: list[Event], since_ns: int) -> None:
+    def seen() -> bool:
+        found.extend(scene.board.events())
+        return any(event.is_stop and event.arrival_ns >= since_ns for event in found)
+
+    wait_for("a stop", seen, WAIT_S)
+
+
+def _sleep(scene: Scene, name: str, words: tuple[str, ...], *, stands: bool) -> Result:
+    """Sleep, wake up, and judge what comes after; `stands`: the wheels must be stopped before."""
+    scene.moving()
+    # The word's own end is known only when the machine is awake again.
+    scene.machine.must("sh", "-c", f"(sleep 0.5; {' '.join(words)}) >/dev/null 2>&1 &")
+    wait_for("the guest to sleep", lambda: scene.status() == "suspended", WAIT_S)
+    asleep = scene.board.events()
+    turning = any(scene.board.wheels())
+    time.sleep(ASLEEP_S)
+    since_ns = time.monotonic_ns()
+    scene.machine.qmp("system_wakeup")
+    found: list[Event] = []
+    result = Result(name)
+    try:
+        _stopped(scene, found, since_ns)
+    except TrialError as error:
+        result.wrong.append(str(error))
+    time.sleep(SETTLE_S)
+    found += scene.board.events()
+    seen = judge(found, since_ns, was_moving=turning)
+    result.missed, result.after = int(seen.stop_ns is None), seen.motion_after
+    if seen.stop_ns is not None:
+        woken_ns = scene.clock.first_after(since_ns)
+        result.ms = max(0.0, (scene.clock.theirs(since_ns + seen.stop_ns) - woken_ns) / 1e6)
+    if stands and (turning or not any(event.is_stop for event in asleep)):
+        result.wrong.append("the wheels were not stopped before the sleep")
+    if any(scene.board.wheels()):
+        result.wrong.append("the wheels turn at the end")
+    result.note = f"bus resets {scene.board.info()['bus_resets']}, noise {scene.board.info()['noise_bytes']} bytes"
+    return result
+
+
+def sleep(scene: Scene) -> Result:
+    """As people do it: the sleep unit stops the wheels before; the chip keeps its power."""
+    scene.board.keep_speed(True)
+    try:
+        return _sleep(scene, "sleep", ("systemctl", "suspend"), stands=True)
+    finally:
+        scene.board.keep_speed(False)
+
+
+def sleep_lost(scene: Scene) -> Result:
+    """Past systemd, so that the wheels turn over the sleep; the chip wakes at 9600 bit/s."""
+    return _sleep(scene, "sleep_lost", ("echo mem > /sys/power/state",), stands=False)
+
+
+def _ended(scene: Scene, name: str, since_ns: int, found: list[Event]) -> Result:
+    """Judge a guest that went away while its client commanded."""
+    seen = judge(found, since_ns, was_moving=True)
+    result = Result(name, missed=int(seen.stop_ns is None), after=seen.motion_after)
+    if seen.stop_ns is not None:
+        sent_ns = scene.clock.theirs(since_ns)
+        result.ms = (scene.clock.theirs(since_ns + seen.stop_ns) - sent_ns) / 1e6
+    if any(scene.board.wheels()):
+        result.wrong.append("the wheels turn at the end")
+    return result
+
+
+def _in_a_moment(scene: Scene, *words: str) -> int:
+    scene.machine.must("sh", "-c", f"({' '.join(words)}) >/dev/null 2>&1 &")
+    return time.monotonic_ns()
+
+
+def reboot(scene: Scene) -> Result:
+    """From the command to the agent of the next boot; what that boot writes is looked at too."""
+    scene.moving()
+    since_ns = _in_a_moment(scene, "systemctl", "reboot")
+    scene.machine.greeted()
+    found = scene.board.events()
+    until_s = time.monotonic() + WAIT_S
+    while scene.shown("ActiveState") != "active" and time.monotonic() < until_s:
+        time.sleep(1.0)
+    found += scene.board.events()
+    result = _ended(scene, "reboot", since_ns, found)
+    result.note = _readiness(scene, result)
+    return result
+
+
+def boot(scene: Scene) -> Result:
+    """The machine is reset, so nobody stops; the next boot finds the wheels turning."""
+    scene.command()
+    scene.moving()
+    since_ns = time.monotonic_ns()
+    scene.machine.qmp("system_reset")
+    scene.machine.greeted()
+    found = scene.board.events()
+    _stopped(scene, found, since_ns)
+    until_s = time.monotonic() + WAIT_S
+    while scene.shown("ActiveState") != "active" and time.monotonic() < until_s:
+        time.sleep(1.0)
+    found += scene.board.events()
+    seen = judge(found, since_ns, was_moving=True)
+    result = Result("boot", missed=int(seen.stop_ns is None), after=seen.motion_after)
+    if any(scene.board.wheels()):
+        result.wrong.append("the wheels turn at the end")
+    result.note = _readiness(scene, result)
+    return result
+
+
+def _readiness(scene: Scene, result: Result) -> str:
+    if (state := scene.shown("ActiveState")) != "active":
+        result.wrong.append(f"after the boot the unit is {state}")
+    if (restarts := scene.shown("NRestarts")) != "0":
+        result.wrong.append(f"not ready at the first try: {restarts} restarts")
+    started = int(scene.shown("ExecMainStartTimestampMonotonic")) / 1e6
+    ready = int(scene.shown("ActiveEnterTimestampMonotonic")) / 1e6
+    return f"started {started:.1f} s after the kernel, ready {ready - started:.1f} s later"
+
+
+def poweroff(scene: Scene) -> Result:
+    """To qemu's end."""
+    scene.command()
+    scene.moving()
+    since_ns = _in_a_moment(scene, "systemctl", "poweroff")
+    ended = scene.machine.ended(WAIT_S)
+    result = _ended(scene, "poweroff", since_ns, scene.board.events())
+    if not ended:
+        result.wrong.append("the guest did not power off")
+    return result
+
+
+DO: dict[str, Callable[[Scene], Result]] = {
+    "sleep": sleep,
+    "sleep_lost": sleep_lost,
+    "reboot": reboot,
+    "boot": boot,
+    "poweroff": poweroff,
+}
+
+
+def journal(scene: Scene) -> list[str]:
+    """The last lines of the service, for a trial that went wrong."""
+    return scene.machine.run("journalctl", "-b", "-u", UNIT, "-o", "short-monotonic", "--no-pager", "-n", "25")[1]
+
+
+__all__ = ["DO", "Scene", "journal"]
