@@ -66,7 +66,11 @@ def main() -> None:
         port.send(hello=file.read().strip())
     while True:
         message = port.receive()
-        run(port, message["id"], message["run"], message["timeout_s"])
+        try:
+            run(port, message["id"], message["run"], message["timeout_s"])
+        except OSError as error:
+            port.send(id=message["id"], line=str(error))
+            port.send(id=message["id"], code=-1)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
     python -m bench.vm.client
 
-The time, CLOCK_MONOTONIC in ns as a line of text, goes out by a virtio port every 10 ms, so that the board outside, whose
-clock is another and runs at another rate, can say when something came by the guest's.
+The time, CLOCK_MONOTONIC in ns as a line of text, goes out by a virtio port every 10 ms, so that the board outside,
+whose clock is another and runs at another rate, can say when something came by the guest's.
 """
 
 from __future__ import annotations

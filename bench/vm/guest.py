@@ -1,8 +1,8 @@
 """One virtual machine: qemu without /dev/kvm, with a clock that counts instructions, and the agent inside.
 
 Emulated, a guest is some twelve times as slow as the machine, and every deadline of the service is missed. With -icount
-its clock counts instructions instead: a second in there is a second of a machine of about this one's speed, however long
-it takes out here, and what is measured inside hardly depends on what else runs here. One processor is all that this offers.
+its clock counts instructions instead: a second in there is one of a machine a quarter as fast as this, however long it
+takes out here, and what is measured inside hardly depends on what else runs here. One processor is all that it offers.
 """
 
 from __future__ import annotations

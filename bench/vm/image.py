@@ -1,7 +1,7 @@
 """The guest's disk: a stock Debian with its own kernel, and a Python environment with what failstop needs.
 
-Each stage is kept under a name that says what it was made from, so that a change makes anew what depends on it:
-the packages (rootfs-KEY.tar), the disk with kernel and initrd (disk-KEY). Needs root, a Debian mirror and a package index.
+Each stage is kept under a name that says what it was made from, so that a change makes anew what depends on it: the
+packages (rootfs-KEY.tar), the disk with kernel and initrd (disk-KEY). Needs root, a Debian mirror, a package index.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
     python -m bench.vm.inside NAME...
 
-As root, with failstop's own interpreter of /srv/venv. The client commands all the while, whatever is done to the service.
+As root, with the interpreter of /srv/venv. The client commands all the while, whatever is done to the service.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import contextlib
 import dataclasses
 import json
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -21,10 +20,8 @@ import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from bench.vm import floor
 from bench.vm.table import BY_NAME, KILLED, Result
-from failstop.board.framing import PWM_SERVO
-from failstop.board.peripherals import pwm_servo_read
-from failstop.board.port import close_port, open_port
 from failstop.board.sim.client import Event, SimBoard
 from failstop.errors import FailstopError
 from failstop.faults.driving import Driver
@@ -36,7 +33,8 @@ UNIT = "failstop.service"
 LINK = "/dev/failstop"
 SETTINGS = "/etc/failstop/failstop.toml"
 WHOLE_S = 60.0
-AFTERMATH_S = 0.8
+AFTERMATH_S = 0.6
+COMMAND_EVERY_S = 0.05
 INTERRUPTS = 70
 """vhci_hcd completes transfers in threads of the kernel; a controller's interrupts come before every process."""
 
@@ -49,9 +47,27 @@ class Scene:
         self.driver = Driver("failstop", client="vm", interlocks=())
         self.floor_ms: list[float] = []
 
+    def run(self, seconds: float) -> None:
+        """Command for a while, as often as a robot's planner does: the guest's one processor is slow."""
+        until_s = time.monotonic() + seconds
+        while (left_s := until_s - time.monotonic()) > 0:
+            self.driver.step()
+            time.sleep(min(COMMAND_EVERY_S, left_s))
+
+    def until(self, what: str, check: Callable[[], bool], timeout_s: float = 10.0) -> None:
+        """Command until `check` is true; an error of the service counts as not yet. Raises TrialError."""
+        until_s = time.monotonic() + timeout_s
+        while True:
+            with contextlib.suppress(FailstopError):
+                if check():
+                    return
+            if time.monotonic() > until_s:
+                raise TrialError(f"waited {timeout_s:g} s for {what}")
+            self.run(COMMAND_EVERY_S)
+
     def whole(self) -> None:
         """Wait until the service runs and waits for nothing."""
-        self.driver.until("the service to be whole", self._whole, WHOLE_S)
+        self.until("the service to be whole", self._whole, WHOLE_S)
 
     def _whole(self) -> bool:
         state = self.driver.robot.state
@@ -61,8 +77,8 @@ class Scene:
         """Have the wheels turn, and forget the events until then."""
         self.whole()
         self.driver.enable()
-        self.driver.until("the wheels to turn", lambda: any(self.board.wheels()))
-        self.driver.run(0.1)
+        self.until("the wheels to turn", lambda: any(self.board.wheels()))
+        self.run(0.1)
         self.board.events()
 
     def pid(self, name: str) -> int:
@@ -77,7 +93,6 @@ class Scene:
 
     def judged(self, name: str, since_ns: int, wait_s: float = 10.0) -> Result:
         """Wait for the first stop after that time, command on for a moment, and judge."""
-        wait = self.driver.until
         found: list[Event] = []
 
         def stopped() -> bool:
@@ -85,8 +100,8 @@ class Scene:
             return any(event.is_stop and event.arrival_ns >= since_ns for event in found)
 
         with contextlib.suppress(TrialError):
-            wait("a stop", stopped, wait_s)
-        self.driver.run(AFTERMATH_S)
+            self.until("a stop", stopped, wait_s)
+        self.run(AFTERMATH_S)
         found.extend(self.board.events())
         seen = judge(found, since_ns, was_moving=True)
         result = Result(name, missed=int(seen.stop_ns is None), after=seen.motion_after)
@@ -115,13 +130,13 @@ def sh(*words: str, timeout_s: float = 60.0) -> tuple[int, str, float]:
     return done.returncode, done.stdout.strip(), time.monotonic() - start_s
 
 
-def beside(driver: Driver, *words: str, timeout_s: float = 60.0) -> tuple[int, str, float]:
+def beside(scene: Scene, *words: str, timeout_s: float = 60.0) -> tuple[int, str, float]:
     """The same while the client goes on commanding."""
     answer: list[tuple[int, str, float]] = []
     thread = threading.Thread(target=lambda: answer.append(sh(*words, timeout_s=timeout_s)))
     thread.start()
     while thread.is_alive():
-        driver.run(0.05)
+        scene.run(COMMAND_EVERY_S)
     return answer[0] if answer else (-1, f"not done within {timeout_s:g} s", timeout_s)
 
 
@@ -172,49 +187,21 @@ def plug(scene: Scene) -> Iterator[Result]:
         scene.board.replug()
         found = scene.judged("plug", seen.allowed_ns(), 60.0)
     scene.whole()
-    found.note = f"ready {scene_ready_s(seen):.1f} s after the node"
+    ready_us = int(shown("ActiveEnterTimestampMonotonic")["ActiveEnterTimestampMonotonic"])
+    found.note = f"ready {ready_us / 1e6 - seen.node_ns / 1e9:.1f} s after the node"
     yield found
-
-
-def scene_ready_s(seen: Watched) -> float:
-    """When the unit became active, from the node on."""
-    at_us = int(shown("ActiveEnterTimestampMonotonic")["ActiveEnterTimestampMonotonic"])
-    return at_us / 1e6 - seen.node_ns / 1e9
 
 
 # The floor, and the kills.
 
 
-def floor(scene: Scene) -> Iterator[Result]:
-    """What noticing a death and writing to this port takes at least, in Python: the same frame's way, no service's work."""
+def least(scene: Scene) -> Iterator[Result]:
+    """The floor, beside the service that stands."""
     scene.whole()
-    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(33))
-    fd = open_port(LINK, exclusive=False)
-    frame = pwm_servo_read(2)
-    try:
-        for _ in range(9):
-            words = [sys.executable, "-I", "-S", "-c", "import time; print(flush=True); time.sleep(99)"]
-            with subprocess.Popen(words, stdout=subprocess.PIPE) as idle:
-                assert idle.stdout is not None
-                idle.stdout.readline()
-                pidfd = os.pidfd_open(idle.pid)
-                time.sleep(0.03)
-                since_ns = time.monotonic_ns()
-                idle.kill()
-                select.select([pidfd], [], [])
-                os.write(fd, frame)
-                os.close(pidfd)
-            event = scene.board.wait_for(_is_of_floor(since_ns), 5.0)
-            scene.board.events()
-            yield Result("floor", ms=(event.arrival_ns - since_ns) / 1e6)
-    finally:
-        close_port(fd)
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
-
-def _is_of_floor(since_ns: int) -> Callable[[Event], bool]:
-    data = pwm_servo_read(2)[4:-1]
-    return lambda event: event.arrival_ns >= since_ns and event.func == PWM_SERVO and event.data == data
+    for since_ns in floor.rounds():
+        event = scene.board.wait_for(lambda one, ns=since_ns: one.arrival_ns >= ns and floor.is_of_floor(one), 5.0)  # type: ignore[misc]
+        scene.board.events()
+        yield Result("floor", ms=(event.arrival_ns - since_ns) / 1e6)
 
 
 def kill_one(name: str) -> Callable[[Scene], Iterator[Result]]:
@@ -245,7 +232,7 @@ def systemctl(verb: str) -> Callable[[Scene], Iterator[Result]]:
     def trial(scene: Scene) -> Iterator[Result]:
         scene.moving()
         since_ns = time.monotonic_ns()
-        code, said, _ = beside(scene.driver, "systemctl", verb, UNIT)
+        code, said, _ = beside(scene, "systemctl", verb, UNIT)
         found = scene.judged(verb, since_ns)
         if code:
             found.wrong.append(said)
@@ -332,11 +319,11 @@ def _replug(scene: Scene, name: str, away_s: float, node: str = "") -> Result:
     scene.board.unplug()
     plug_s = time.monotonic() + away_s
     while time.monotonic() < plug_s:
-        scene.driver.run(min(0.02, away_s))
+        scene.run(min(0.02, away_s))
     scene.board.events()
     with watched(scene) as seen:
         scene.board.replug()
-        scene.driver.until("the new node's rights", lambda: bool(seen.rights_ns), 20.0)
+        scene.until("the new node's rights", lambda: bool(seen.rights_ns), 20.0)
         found = scene.judged(name, seen.node_ns)
     if found.ms is not None:
         from_node_ms = found.ms
@@ -365,7 +352,7 @@ def renumber(scene: Scene) -> Iterator[Result]:
 def _stall(scene: Scene, seconds: float) -> None:
     scene.moving()
     scene.board.stop_draining()
-    scene.driver.run(seconds)
+    scene.run(seconds)
     scene.board.events()
 
 
@@ -389,14 +376,14 @@ def drain_kill(scene: Scene) -> Iterator[Result]:
     """Who could have written dies meanwhile."""
     _stall(scene, 0.5)
     os.kill(scene.pid("port_owner"), signal.SIGKILL)
-    scene.driver.run(1.0)
+    scene.run(1.0)
     yield _again(scene, "drain_kill")
 
 
 def drain_tool(scene: Scene) -> Iterator[Result]:
     """The stop tool says what it could not do, in its time."""
     _stall(scene, 0.5)
-    code, said, took_s = beside(scene.driver, FAILSTOP, "stop", "--device", LINK, "--wait", "2")
+    code, said, took_s = beside(scene, FAILSTOP, "stop", "--device", LINK, "--wait", "2")
     found = _again(scene, "drain_tool")
     found.note = f"ended after {took_s:.1f} s"
     if took_s > 5.0:
@@ -407,7 +394,7 @@ def drain_tool(scene: Scene) -> Iterator[Result]:
 def drain_stop(scene: Scene) -> Iterator[Result]:
     """The service ends in its time, and somebody stops the board when it takes bytes again."""
     _stall(scene, 0.5)
-    code, said, took_s = beside(scene.driver, "systemctl", "stop", UNIT, timeout_s=120.0)
+    code, said, took_s = beside(scene, "systemctl", "stop", UNIT, timeout_s=120.0)
     found = _again(scene, "drain_stop")
     found.note = f"ended after {took_s:.1f} s, {shown('Result')['Result']}"
     if took_s > 5.0:
@@ -426,7 +413,7 @@ def clock(scene: Scene) -> Iterator[Result]:
     found = Result("clock")
     for step in ("+1 hour", "-2 hours", "+1 hour"):
         sh("date", "--set", step)
-        scene.driver.run(0.7)
+        scene.run(0.7)
         events = scene.board.events()
         stops = sum(event.is_stop for event in events)
         if stops or not any(scene.board.wheels()) or not any(event.is_motion for event in events):
@@ -437,7 +424,7 @@ def clock(scene: Scene) -> Iterator[Result]:
 
 DO: dict[str, Callable[[Scene], Iterator[Result]]] = {
     "install": install,
-    "floor": floor,
+    "floor": least,
     "plug": plug,
     **{f"kill_{name}": kill_one(name) for name in KILLED},
     "kill_all": kill_all,

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from bench.vm.floor import is_of_floor
 from bench.vm.guest import Guest, GuestError
 from bench.vm.table import Result
 from failstop.board.sim.client import Event, SimBoard
@@ -89,6 +90,18 @@ class Scene:
     def status(self) -> str:
         """Whether the guest runs, in qemu's word."""
         return str(self.machine.qmp("query-status")["status"])
+
+
+def floor_outside(scene: Scene) -> list[Result]:
+    """The floor; the times are as exact as the clock is passed on, some milliseconds."""
+    lines = scene.machine.must("env", "-C", "/srv/trials", PYTHON, "-m", "bench.vm.floor", timeout_s=60.0)
+    time.sleep(SETTLE_S)
+    arrived = [event.arrival_ns for event in scene.board.events() if is_of_floor(event)]
+    killed = [int(line) for line in lines if line.isdigit()]
+    if len(arrived) != len(killed):
+        return [Result("floor_outside", wrong=[f"{len(killed)} kills, {len(arrived)} frames"])]
+    pairs = zip(arrived, killed, strict=True)
+    return [Result("floor_outside", ms=(scene.clock.theirs(ours) - theirs) / 1e6) for ours, theirs in pairs]
 
 
 def _stopped(scene: Scene, found: list[Event], since_ns: int) -> None:
@@ -220,7 +233,8 @@ def poweroff(scene: Scene) -> Result:
     return result
 
 
-DO: dict[str, Callable[[Scene], Result]] = {
+DO: dict[str, Callable[[Scene], Result | list[Result]]] = {
+    "floor_outside": floor_outside,
     "sleep": sleep,
     "sleep_lost": sleep_lost,
     "reboot": reboot,

@@ -16,7 +16,7 @@ TRIALS = ("bench/__init__.py", "bench/vm")
 UNPACK = f"""set -e
 blockdev --flushbufs {DISK}
 mkdir -p /srv/trials
-tar --extract --file {DISK} --directory /srv/trials
+tar --extract --touch --file {DISK} --directory /srv/trials
 /srv/venv/bin/pip install --quiet --disable-pip-version-check --no-index --no-deps --no-compile /srv/trials/*.whl
 """
 

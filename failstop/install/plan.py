@@ -197,7 +197,9 @@ def _files_of() -> tuple[str, ...]:
 
 def _files(parts: Parts, wish: Wish) -> dict[str, tuple[bytes, str]]:
     """Content and remark of every file but the configuration."""
-    units = [parts.units[name].replace(UNIT_COMMAND, wish.command).encode() for name in (SERVICE, TEMPLATE, SLEEP, LATE)]
+    units = [
+        parts.units[name].replace(UNIT_COMMAND, wish.command).encode() for name in (SERVICE, TEMPLATE, SLEEP, LATE)
+    ]
     shells = [parts.completions[shell] for shell in COMPLETIONS]
     rest = [text.encode() for text in (parts.sysusers, parts.udev, parts.catalog, parts.manual, *shells)]
     remarks = (
