@@ -1,4 +1,4 @@
-"""`make vm`: the image, a guest for each place of the board, the trials, the table. Exit code 1 when a row is missed.
+"""`make vm`: the image, the guests, the trials, the table. Exit code 1 when a row is missed.
 
 python -m bench.vm [--only NAME ...] [--keep] [--json FILE]
 """
@@ -14,27 +14,28 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from bench.vm import guest, image, payload, table
 from bench.vm.guest import Guest, GuestError
 from bench.vm.image import ImageError
-from bench.vm.outside import DO, Scene, journal
+from bench.vm.outside import DO, IMU_HZ, Scene, journal
 from bench.vm.table import INSIDE, OUTSIDE, Result
 from failstop.board.sim.client import SimBoard, SimBoardError
-from failstop.trial import TrialError, wait_for
+from failstop.trial import TrialError
 
 UNPACK_S = 200.0
+INSTALLED = "installed"
+"""The state of the guest with failstop installed."""
 PYTHON = "/srv/venv/bin/python"
 
 
 class Run:
     """One run: what it found, and who says what."""
 
-    def __init__(self, verbose: bool) -> None:
+    def __init__(self) -> None:
         self.results: list[Result] = []
-        self._verbose = verbose
         self._lock = threading.Lock()
         self._start_s = time.monotonic()
 
@@ -61,31 +62,30 @@ class Run:
         self.say(f"{found.trial}:{ms} missed {found.missed} after {found.after} {found.note}{wrong}")
 
 
-def prepared(machine: Guest, run: Run) -> None:
-    """The guest goes on from its saved state, and has what is to be tried."""
+def install(machine: Guest, run: Run) -> None:
+    """The guest goes on from its saved state, gets what is to be tried, and installs it: the first trial."""
     machine.start(guest.STATE)
     machine.must("date", "--set", f"@{int(time.time())}")
     machine.must("sh", "-c", payload.UNPACK, timeout_s=UNPACK_S)
     run.say("the guest is ready")
+    inside(machine, ["install"], run)
 
 
 def inside(machine: Guest, names: list[str], run: Run) -> None:
     """The trials in the guest."""
-    prepared(machine, run)
     words = ("env", "-C", "/srv/trials", PYTHON, "-u", "-m", "bench.vm.inside", *names)
-    for line in machine.lines(*words, timeout_s=1500.0, wait_s=900.0):
+    for line in machine.lines(*words, timeout_s=1500.0, wait_s=1800.0) if names else ():
         if isinstance(line, str):
             run.take(line)
 
 
 def outside(machine: Guest, names: list[str], run: Run) -> None:
     """The trials from out here."""
-    prepared(machine, run)
-    with SimBoard(machine.place / "board", usb=str(machine.board)) as board:
+    machine.start(INSTALLED)
+    with SimBoard(machine.place / "board", usb=str(machine.board), imu_hz=IMU_HZ) as board:
         scene = Scene(machine, board)
-        wait_for("the board in the guest", lambda: board.info()["codings"] > 0 or board.info()["connected"], 60.0)
-        scene.install()
-        run.say("installed in the guest of the boots")
+        scene.found()
+        scene.command()
         for name in names:
             try:
                 found = DO[name](scene)
@@ -97,14 +97,12 @@ def outside(machine: Guest, names: list[str], run: Run) -> None:
                     run.say(f"  | {line}")
 
 
-PLACES: dict[str, Callable[[Guest, list[str], Run], None]] = {INSIDE: inside, OUTSIDE: outside}
-
-
 def main() -> int:
     """Run what is asked for."""
     arguments = _parser().parse_args()
-    names = arguments.only or [trial.name for trial in table.TRIALS]
-    run = Run(arguments.verbose)
+    wanted = {"install", *(arguments.only or table.BY_NAME)}
+    names = [name for name in table.BY_NAME if name in wanted]
+    run = Run()
     try:
         made = image.make()
         with _place(arguments.keep) as place:
@@ -122,22 +120,30 @@ def main() -> int:
 
 
 def _run(made: image.Image, saved: Path, place: Path, disk: Path, names: list[str], run: Run) -> None:
-    """Every place in a guest of its own, side by side."""
+    """Install in one guest; from there on a guest for each place of the board, side by side."""
+    mine = {
+        where: [name for name in names if table.BY_NAME[name].where == where and name != "install"]
+        for where in (INSIDE, OUTSIDE)
+    }
 
-    def serve(where: str) -> None:
-        mine = [name for name in names if table.BY_NAME[name].where == where]
-        if not mine:
-            return
+    def serve_outside(state: Path) -> None:
         try:
-            with Guest(made, place / where, disk, disk=saved) as machine:
-                PLACES[where](machine, mine, run)
-        except (GuestError, OSError) as error:
-            run.say(f"{where}: {error}")
+            with Guest(made, place / OUTSIDE, disk, disk=state) as machine:
+                outside(machine, mine[OUTSIDE], run)
+        except (GuestError, SimBoardError, OSError) as error:
+            run.say(f"{OUTSIDE}: {error}")
 
-    threads = [threading.Thread(target=serve, args=(where,)) for where in PLACES]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
+    with Guest(made, place / INSIDE, disk, disk=saved) as machine:
+        install(machine, run)
+        thread = None
+        if mine[OUTSIDE]:
+            thread = threading.Thread(target=serve_outside, args=(machine.fork(INSTALLED),))
+            thread.start()
+        try:
+            inside(machine, mine[INSIDE], run)
+        except GuestError as error:
+            run.say(f"{INSIDE}: {error}")
+    if thread is not None:
         thread.join()
 
 
@@ -157,10 +163,11 @@ def _place(keep: bool) -> Iterator[Path]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="make vm", description="The service on a stock Debian with a real USB port.")
-    parser.add_argument("--only", nargs="+", metavar="NAME", choices=list(table.BY_NAME), help="only these trials")
+    parser.add_argument(
+        "--only", nargs="+", metavar="NAME", choices=list(table.BY_NAME), help="only these trials, after `install`"
+    )
     parser.add_argument("--keep", action="store_true", help="keep the guests' disks")
     parser.add_argument("--json", metavar="FILE", help="write the results there too")
-    parser.add_argument("--verbose", action="store_true", help="all that the guests say")
     return parser
 
 

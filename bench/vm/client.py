@@ -13,9 +13,12 @@ import threading
 import time
 
 from failstop.faults.driving import Driver
-from failstop.trial import COMMAND_EVERY_S
+from failstop.trial import TrialError
 
 PORT = "/dev/virtio-ports/failstop.clock"
+ENABLE = "/run/vm-enable"
+"""When this is there, motion is enabled, and it is removed: to start the command for that takes the guest a second."""
+COMMAND_EVERY_S = 0.05
 EVERY_S = 0.01
 PRIORITY = 50
 
@@ -34,6 +37,12 @@ def main() -> None:
     threading.Thread(target=tell_time, args=(PORT,), daemon=True).start()
     driver = Driver("failstop", client="vm", interlocks=())
     while True:
+        if os.path.exists(ENABLE):
+            try:
+                driver.enable()
+                os.unlink(ENABLE)
+            except TrialError as error:
+                print(error, flush=True)
         driver.step()
         time.sleep(COMMAND_EVERY_S)
 

@@ -183,6 +183,15 @@ class Guest:
         if said.strip():
             raise GuestError(f"qemu can't save the guest: {said.strip()}")
 
+    def fork(self, state: str) -> Path:
+        """Save the state, and go on; returns a disk of its own with it, for another guest."""
+        self.save(state)
+        copy = self.place / f"{state}.qcow2"
+        self.qmp("stop")
+        shutil.copyfile(self.place / "disk.qcow2", copy)
+        self.qmp("cont")
+        return copy
+
     def ended(self, wait_s: float) -> bool:
         """Whether qemu ends by itself, as it does when the guest turns the machine off."""
         assert self._process is not None

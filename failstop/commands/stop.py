@@ -24,7 +24,7 @@ DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT)}
 END_SERVICE_S = 12.0
 """With --end-service everything is through by then: below the unit's TimeoutStopSec, at which systemd would kill this
 program and leave what it has not killed yet alive."""
-STALLED_S = 2.0
+STALLED_S = 1.0
 """Of these, for a port that is there and takes nothing: another unit goes on trying after the service's end."""
 REST_S = 1.0
 """How long killed processes may take to end: a write to a port that hangs can hold one up."""
