@@ -267,7 +267,9 @@ class Watched:
                     if found.st_ctime_ns != before.get(path):
                         self.node, self.node_ns = path, self.node_ns or time.monotonic_ns()
                         if found.st_mode & 0o060 == 0o060:
-                            self.rights_ns = time.monotonic_ns()
+                            # When they were changed, not when this thread came to see it.
+                            since_ns = time.time_ns() - found.st_ctime_ns
+                            self.rights_ns = max(self.node_ns, time.monotonic_ns() - since_ns)
             time.sleep(0.001)
 
     def allowed_ns(self) -> int:

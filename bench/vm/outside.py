@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+import contextlib
 import socket
 import threading
 import time
@@ -13,7 +14,7 @@ from bench.vm.floor import is_of_floor
 from bench.vm.guest import Guest, GuestError
 from bench.vm.table import Result
 from failstop.board.sim.client import Event, SimBoard
-from failstop.trial import TrialError, judge, wait_for
+from failstop.trial import TrialError, judge
 
 PYTHON = "/srv/venv/bin/python"
 UNIT = "failstop.service"
@@ -22,6 +23,7 @@ WAIT_S = 240.0
 IMU_HZ = 10.0
 """The board's second is several times shorter than the guest's, so that this is more in there."""
 ASLEEP_S = 3.0
+LOOK_S = 0.1
 SETTLE_S = 2.0
 
 
@@ -69,7 +71,7 @@ class Scene:
 
     def found(self) -> None:
         """Wait until the service has the board. Raises TrialError."""
-        wait_for("the board to be opened", lambda: self.board.info()["codings"] > 0, WAIT_S)
+        self.until("the board to be opened", lambda: self.board.info()["codings"] > 0)
 
     def command(self) -> None:
         """Start the client, beside everything that systemd ends."""
@@ -79,12 +81,25 @@ class Scene:
     def moving(self) -> None:
         """Have the wheels turn, and forget the events until then. Raises GuestError, TrialError."""
         self.machine.must("touch", ENABLE)
-        wait_for("the wheels to turn", lambda: any(self.board.wheels()), WAIT_S)
+        self.until("the wheels to turn", lambda: any(self.board.wheels()))
         self.board.events()
+
+    def until(self, what: str, check: Callable[[], bool], wait_s: float = WAIT_S) -> None:
+        """Wait for it, and leave the guest its processor meanwhile. Raises TrialError."""
+        until_s = time.monotonic() + wait_s
+        while not check():
+            if time.monotonic() > until_s:
+                raise TrialError(f"waited {wait_s:g} s for {what}")
+            time.sleep(LOOK_S)
 
     def shown(self, name: str) -> str:
         """A property of the unit."""
         return self.machine.must("systemctl", "show", UNIT, f"--property={name}", "--value")[0]
+
+    def ready(self) -> None:
+        """Wait until the unit is active, if it will be."""
+        with contextlib.suppress(TrialError):
+            self.until("the unit", lambda: self.shown("ActiveState") == "active")
 
     def status(self) -> str:
         """Whether the guest runs, in qemu's word."""
@@ -108,7 +123,7 @@ def _stopped(scene: Scene, found: list[Event], since_ns: int) -> None:
         found.extend(scene.board.events())
         return any(event.is_stop and event.arrival_ns >= since_ns for event in found)
 
-    wait_for("a stop", seen, WAIT_S)
+    scene.until("a stop", seen)
 
 
 def _sleep(scene: Scene, name: str, words: tuple[str, ...], *, stands: bool) -> Result:
@@ -116,7 +131,7 @@ def _sleep(scene: Scene, name: str, words: tuple[str, ...], *, stands: bool) -> 
     scene.moving()
     # The word's own end is known only when the machine is awake again.
     scene.machine.must("sh", "-c", f"(sleep 0.5; {' '.join(words)}) >/dev/null 2>&1 &")
-    wait_for("the guest to sleep", lambda: scene.status() == "suspended", WAIT_S)
+    scene.until("the guest to sleep", lambda: scene.status() == "suspended")
     asleep = scene.board.events()
     turning = any(scene.board.wheels())
     time.sleep(ASLEEP_S)
@@ -180,9 +195,7 @@ def reboot(scene: Scene) -> Result:
     since_ns = _in_a_moment(scene, "systemctl", "reboot")
     scene.machine.greeted()
     found = scene.board.events()
-    until_s = time.monotonic() + WAIT_S
-    while scene.shown("ActiveState") != "active" and time.monotonic() < until_s:
-        time.sleep(1.0)
+    scene.ready()
     found += scene.board.events()
     result = _ended(scene, "reboot", since_ns, found)
     result.note = _readiness(scene, result)
@@ -198,9 +211,7 @@ def boot(scene: Scene) -> Result:
     scene.machine.greeted()
     found = scene.board.events()
     _stopped(scene, found, since_ns)
-    until_s = time.monotonic() + WAIT_S
-    while scene.shown("ActiveState") != "active" and time.monotonic() < until_s:
-        time.sleep(1.0)
+    scene.ready()
     found += scene.board.events()
     seen = judge(found, since_ns, was_moving=True)
     result = Result("boot", missed=int(seen.stop_ns is None), after=seen.motion_after)
