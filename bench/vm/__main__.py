@@ -10,6 +10,7 @@ import contextlib
 import dataclasses
 import json
 import shutil
+import signal
 import sys
 import tempfile
 import threading
@@ -103,6 +104,8 @@ def main() -> int:
     wanted = {"install", *(arguments.only or table.BY_NAME)}
     names = [name for name in table.BY_NAME if name in wanted]
     run = Run()
+    # However it is ended, the guests end with it.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         made = image.make()
         with _place(arguments.keep) as place:

@@ -54,13 +54,6 @@ class Clock:
         part = (ours_ns - before) / (after - before)
         return round(self._theirs[at - 1] + part * (self._theirs[at] - self._theirs[at - 1]))
 
-    def first_after(self, ours_ns: int) -> int:
-        """The guest's first word after one of our times. Raises GuestError."""
-        at = bisect.bisect(self._ours, ours_ns)
-        if at >= len(self._ours):
-            raise GuestError("the guest's clock was not passed on")
-        return self._theirs[at]
-
 
 class Scene:
     """The board, the guest, and what can be asked of both."""
@@ -100,6 +93,11 @@ class Scene:
         """Wait until the unit is active, if it will be."""
         with contextlib.suppress(TrialError):
             self.until("the unit", lambda: self.shown("ActiveState") == "active")
+
+    def resumed_s(self) -> float:
+        """When the kernel let the processes run again after the last sleep, by the guest's clock."""
+        last = self.machine.must("sh", "-c", "dmesg | grep 'Restarting tasks' | tail -n 1")[0]
+        return float(last[1 : last.index("]")])
 
     def status(self) -> str:
         """Whether the guest runs, in qemu's word."""
@@ -148,8 +146,7 @@ def _sleep(scene: Scene, name: str, words: tuple[str, ...], *, stands: bool) -> 
     seen = judge(found, since_ns, was_moving=turning)
     result.missed, result.after = int(seen.stop_ns is None), seen.motion_after
     if seen.stop_ns is not None:
-        woken_ns = scene.clock.first_after(since_ns)
-        result.ms = max(0.0, (scene.clock.theirs(since_ns + seen.stop_ns) - woken_ns) / 1e6)
+        result.ms = scene.clock.theirs(since_ns + seen.stop_ns) / 1e6 - scene.resumed_s() * 1e3
     if stands and (turning or not any(event.is_stop for event in asleep)):
         result.wrong.append("the wheels were not stopped before the sleep")
     if any(scene.board.wheels()):
