@@ -130,11 +130,12 @@ def _run(made: image.Image, saved: Path, place: Path, disk: Path, names: list[st
     }
 
     def serve_outside(state: Path) -> None:
-        try:
-            with Guest(made, place / OUTSIDE, disk, disk=state) as machine:
-                outside(machine, mine[OUTSIDE], run)
-        except (GuestError, SimBoardError, OSError) as error:
-            run.say(f"{OUTSIDE}: {error}")
+        for number, life in enumerate(table.lives(mine[OUTSIDE])):
+            try:
+                with Guest(made, place / f"{OUTSIDE}{number}", disk, disk=state) as machine:
+                    outside(machine, life, run)
+            except (GuestError, SimBoardError, TrialError, OSError) as error:
+                run.say(f"{OUTSIDE}: {error}")
 
     with Guest(made, place / INSIDE, disk, disk=saved) as machine:
         install(machine, run)

@@ -30,6 +30,12 @@ def test_every_trial_is_one_that_can_be_run() -> None:
     assert next(iter(table.BY_NAME)) == "install", "the others need it"
 
 
+def test_a_trial_that_wants_a_guest_of_its_own_has_one() -> None:
+    assert table.lives(["sleep", "sleep_lost", "reboot"]) == [["sleep"], ["sleep_lost", "reboot"]]
+    assert table.lives(["sleep_lost"]) == [["sleep_lost"]]
+    assert table.lives([]) == []
+
+
 def row(name: str, *results: Result, floor_ms: float = 5.0) -> table.Row:
     floor = Result(table.FLOORS[table.BY_NAME[name].where], ms=floor_ms)
     [found] = table.rows([floor, *results], [name])
