@@ -141,7 +141,7 @@ def _run(made: image.Image, saved: Path, place: Path, disk: Path, names: list[st
         install(machine, run)
         thread = None
         if mine[OUTSIDE]:
-            thread = threading.Thread(target=serve_outside, args=(machine.fork(INSTALLED),))
+            thread = threading.Thread(target=serve_outside, args=(machine.fork(INSTALLED),), daemon=True)
             thread.start()
         try:
             inside(machine, mine[INSIDE], run)

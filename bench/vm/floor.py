@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 
 from failstop.board.framing import PWM_SERVO
-from failstop.board.peripherals import pwm_servo_read
+from failstop.board.peripherals import pwm_servo_read_deviation
 from failstop.board.port import close_port, open_port
 from failstop.board.sim.client import Event
 
@@ -22,7 +22,7 @@ ROUNDS = 9
 SETTLE_S = 0.05
 PRIORITY = 33
 """The port owner's."""
-FRAME = pwm_servo_read(2)
+FRAME = pwm_servo_read_deviation(2)
 """One that nobody else writes."""
 IDLE = (sys.executable, "-I", "-S", "-c", "import time; print(flush=True); time.sleep(99)")
 

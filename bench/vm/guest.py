@@ -102,6 +102,8 @@ class Guest:
             subprocess.run(["qemu-img", "create", "-q", "-f", "qcow2", *backing, str(disk)], check=True)
         words = command(self._image, self.place, disk, self._payload, self._shift, state)
         with (self.place / "qemu.log").open("wb") as log:
+            # It ends with the thread that started it, however that ends.
+            words = ["setpriv", "--pdeathsig", "KILL", *words]
             self._process = subprocess.Popen(words, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
         self._agent = self.dial("agent")
         self._qmp = self.dial("qmp").makefile("rw")

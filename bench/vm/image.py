@@ -45,6 +45,7 @@ NEEDED = {
     "qemu-img": "qemu-utils",
     "mmdebstrap": "mmdebstrap",
     "mke2fs": "e2fsprogs",
+    "setpriv": "util-linux",
 }
 """Programs of this machine, and the Debian packages that have them."""
 DISK_SIZE = "2G"
