@@ -22,6 +22,7 @@ WAIT_S = 240.0
 """Of this machine's time: the guest's is slower."""
 IMU_HZ = 10.0
 """The board's second is several times shorter than the guest's, so that this is more in there."""
+CLOCK_S = 60.0
 ASLEEP_S = 3.0
 LOOK_S = 0.1
 SETTLE_S = 2.0
@@ -45,11 +46,20 @@ class Clock:
                 self._theirs.append(int(lines[-1]))
                 self._ours.append(now_ns)
 
+    def passed(self, ours_ns: int) -> None:
+        """Wait until a word of it has come after one of our times. Raises GuestError."""
+        until_s = time.monotonic() + CLOCK_S
+        while not self._ours or self._ours[-1] <= ours_ns:
+            if time.monotonic() > until_s:
+                raise GuestError("the guest's clock is not passed on")
+            time.sleep(LOOK_S)
+
     def theirs(self, ours_ns: int) -> int:
         """The guest's time at one of ours, between the two nearest that are known. Raises GuestError."""
+        self.passed(ours_ns)
         at = bisect.bisect(self._ours, ours_ns)
-        if not 0 < at < len(self._ours):
-            raise GuestError("the guest's clock was not passed on")
+        if at == 0:
+            raise GuestError("the guest's clock was not passed on before")
         before, after = self._ours[at - 1], self._ours[at]
         part = (ours_ns - before) / (after - before)
         return round(self._theirs[at - 1] + part * (self._theirs[at] - self._theirs[at - 1]))
@@ -70,6 +80,7 @@ class Scene:
         """Start the client, beside everything that systemd ends."""
         words = f"cd /srv/trials; setsid {PYTHON} -m bench.vm.client >/run/vm-client.log 2>&1 &"
         self.machine.must("sh", "-c", words)
+        self.clock.passed(time.monotonic_ns())
 
     def moving(self) -> None:
         """Have the wheels turn, and forget the events until then. Raises GuestError, TrialError."""

@@ -271,6 +271,13 @@ def test_purge_takes_the_rest_too_and_a_foreign_user_of_that_name_stays() -> Non
     assert "remove user failstop" not in shown(uninstall(LIVE, foreign, purge=True))
 
 
+def test_who_still_tries_to_stop_a_board_is_ended_between_the_service_and_its_files() -> None:
+    """Its start may be the doing of the service's own end, when the board is away; it runs as the user that goes."""
+    plan = uninstall(LIVE, dataclasses.replace(installed(), active=("failstop.service",)))
+    steps = [step.words if isinstance(step, Command) else type(step) for step in plan.steps]
+    assert steps[:2] == [("systemctl", "stop", "failstop.service"), ("systemctl", "stop", "failstop-late@*.service")]
+
+
 def test_purge_after_an_uninstall_removes_what_that_left() -> None:
     left = dataclasses.replace(BARE, files={"/etc/passwd": PASSWD, "/etc/group": GROUP})
     assert shown(uninstall(LIVE, left, purge=True)) == [
