@@ -90,11 +90,11 @@ def outside(machine: Guest, names: list[str], run: Run) -> None:
         for name in names:
             try:
                 found = DO[name](scene)
-                for one in found if isinstance(found, list) else [found]:
-                    run.add(one)
             except (TrialError, SimBoardError) as error:
-                run.add(Result(name, wrong=[str(error)]))
-                for line in journal(scene):
+                found = Result(name, wrong=[str(error)])
+            for one in found if isinstance(found, list) else [found]:
+                run.add(one)
+                for line in journal(scene) if one.wrong and not machine.ended(0.0) else ():
                     run.say(f"  | {line}")
 
 

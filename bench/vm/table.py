@@ -78,7 +78,7 @@ TRIALS = (
         fresh=True,
     ),
     Trial("reboot", "`systemctl reboot` while driving", OUTSIDE, "its exec", 10000.0),
-    Trial("boot", "boot, the board plugged in and its wheels turning", OUTSIDE, "the kernel's start", None),
+    Trial("boot", "reset of the machine while driving, and boot", OUTSIDE),
     Trial("poweroff", "`systemctl poweroff` while driving", OUTSIDE, "its exec", 10000.0),
 )
 BY_NAME = {trial.name: trial for trial in TRIALS}

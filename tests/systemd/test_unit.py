@@ -42,7 +42,7 @@ BY_VERSION = (
         239,
         "ProtectSystem ProtectHome ProtectKernelTunables ProtectKernelModules ProtectControlGroups RestrictNamespaces",
     ),
-    (239, "KeyringMode RestrictNamespaces OnFailure Conflicts After"),
+    (239, "KeyringMode RestrictNamespaces OnFailure Conflicts After Wants"),
     (239, "StartLimitIntervalSec StartLimitBurst MemoryDenyWriteExecute RemoveIPC LockPersonality IPAddressDeny"),
     (242, "RestrictSUIDSGID ProtectHostname"),
     (243, "OOMPolicy TimeoutAbortSec"),
@@ -157,6 +157,16 @@ def test_the_wheels_stand_before_the_machine_sleeps() -> None:
     assert (found["Before"], found["WantedBy"], found["Type"]) == ("sleep.target", "sleep.target", "oneshot")
     assert found["ExecStart"].startswith("/opt/failstop/bin/failstop stop --services ")
     assert float(found["TimeoutStartSec"]) > 2 * ask.LATCH_S
+
+
+@pytest.mark.parametrize("name", [ONE, MANY, LATE])
+def test_the_drivers_of_the_device_classes_are_loaded_before(name: str) -> None:
+    """Else the port is refused to the service, and to its stop tool, until the next start."""
+    classes = [value.split("-")[1].split()[0] for key, value in settings(name) if key == "DeviceAllow"]
+    drivers = {"ttyACM": "cdc_acm", "ttyUSB": "usbserial"}
+    wanted = " ".join(f"modprobe@{drivers[found]}.service" for found in classes)
+    assert ("Wants", wanted) in settings(name)
+    assert ("After", wanted) in settings(name)
 
 
 @pytest.mark.parametrize("name", [ONE, MANY])
