@@ -33,6 +33,8 @@ UNIT = "failstop.service"
 LINK = "/dev/failstop"
 SETTINGS = "/etc/failstop/failstop.toml"
 WHOLE_S = 60.0
+HAND_S = 1.0
+"""From a command to the plug, at a person's fastest."""
 IMU_HZ = 50.0
 """Less than the board's 110: the guest's one processor serves board, client and service."""
 AFTERMATH_S = 0.6
@@ -184,6 +186,7 @@ def plug(scene: Scene) -> Iterator[Result]:
     scene.moving()
     scene.board.unplug()
     sh("systemctl", "stop", UNIT)
+    time.sleep(HAND_S)
     scene.board.events()
     with watched(scene) as seen:
         scene.board.replug()

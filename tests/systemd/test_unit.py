@@ -159,7 +159,7 @@ def test_the_wheels_stand_before_the_machine_sleeps() -> None:
     assert float(found["TimeoutStartSec"]) > 2 * ask.LATCH_S
 
 
-@pytest.mark.parametrize("name", [ONE, MANY, LATE])
+@pytest.mark.parametrize("name", [ONE, MANY])
 def test_the_drivers_of_the_device_classes_are_loaded_before(name: str) -> None:
     """Else the port is refused to the service, and to its stop tool, until the next start."""
     classes = [value.split("-")[1].split()[0] for key, value in settings(name) if key == "DeviceAllow"]
