@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test campaigns lint bench soak chaos model mutants deb wheels clean
+.PHONY: demo test campaigns lint bench soak chaos model mutants deb vm wheels clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -49,6 +49,11 @@ AT ?=
 mutants: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check 'mutmut>=3.8'
 	$(BIN)/python tests/mutation/run.py $(if $(AT),--at $(AT)) $(ROOMS)
+
+# A stock Debian in a virtual machine, the board on USB (docs/usb.md). Needs root, and qemu, which it names. TRIALS: some of them.
+TRIALS ?=
+vm: $(VENV)/.dev
+	@$(BIN)/python -m bench.vm $(if $(TRIALS),--only $(TRIALS))
 
 deb: $(VENV)/.installed
 	@$(BIN)/python packaging/deb/build.py

@@ -82,6 +82,7 @@ class SimBoard:
         first_invalid_func: int = 12,
         mode: int | None = None,
         cooked: bool = False,
+        usb: str = "",
     ) -> None:
         self.link = os.fspath(link)
         self._control = self.link + SUFFIX
@@ -91,6 +92,7 @@ class SimBoard:
         self._command += ["--record", os.fspath(record)] if record is not None else []
         self._command += ["--mode", f"{mode:o}"] if mode is not None else []
         self._command += ["--cooked"] if cooked else []
+        self._command += ["--usb", usb] if usb else []
         self._process: subprocess.Popen[bytes] | None = None
         self._stderr: IO[bytes] | None = None
         # One connection a thread, so that one may wait while another works.
@@ -258,6 +260,10 @@ class SimBoard:
     def drain(self) -> None:
         """Read again, beginning with what was left."""
         self._ask("drain")
+
+    def keep_speed(self, on: bool) -> None:
+        """On USB: the chip keeps its line coding over a reset of the bus, as one with power of its own may."""
+        self._ask("keep_speed", on=on)
 
     def deaf(self, on: bool) -> None:
         """The receiver drops every byte while telemetry goes on."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 
+from failstop.board.sim.usb.port import VHCI
+
 IMU_HZ = 110.0
 BATTERY_MV = 12_000
 
@@ -21,6 +23,8 @@ class Options:
     first_invalid_func: int = 12
     mode: int | None = None
     cooked: bool = False
+    usb: str = ""
+    """Where the plug goes in: `vhci`, or a usbredir host; empty: the port is a pty."""
     verbose: bool = False
     until_eof: bool = False
 
@@ -42,6 +46,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--first-invalid-func", type=int, choices=(10, 11, 12), default=12, help="by firmware (default %(default)s)")
     add("--mode", type=_octal, metavar="OCTAL", help="permissions of the port, 0660 for one (default: the system's)")
     add("--cooked", action="store_true", help="begin in the kernel's terminal mode, echo and all, as a real port does")
+    add(
+        "--usb",
+        nargs="?",
+        const=VHCI,
+        default="",
+        metavar="PLACE",
+        help="a USB board with the kernel's own driver before it, instead of a pty: by this machine's vhci_hcd (root), "
+        "or on the virtual machine whose usb-redir listens at PLACE (HOST:PORT, or a socket's path)",
+    )
     add("--verbose", action="store_true", help="tell what the wheels do, stop bursts, and how much else came in 10 s")
     add("--until-eof", action="store_true", help="end when standard input is closed")
 

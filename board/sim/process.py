@@ -1,7 +1,7 @@
-"""The simulated board as a process: one loop that reads the pty, lets the model's time pass and serves the control
+"""The simulated board as a process: one loop that reads the port, lets the model's time pass and serves the control
 socket.
 
-Whatever is read is stamped before anything else is done with it, the pty comes before the control socket, and all
+Whatever is read is stamped before anything else is done with it, the port comes before the control socket, and all
 formatting and writing comes last. The process asks for SCHED_FIFO above what it judges, so that a busy machine does not
 make its times late; without the right to that it goes on, and says so in its info.
 """
@@ -25,6 +25,7 @@ from failstop.board.sim.model import BoardModel, Frame
 from failstop.board.sim.options import Options
 from failstop.board.sim.pty_port import PtyPort, SimError, check_link
 from failstop.board.sim.recorder import Recorder
+from failstop.board.sim.usb.port import UsbPort
 
 PRIORITY = 60
 # In one answer; a frame is at most some 800 bytes of JSON, and a message of more than 200 KB is refused.
@@ -71,14 +72,19 @@ class Simulator:
             if self._recorder is not None:
                 undo.callback(self._recorder.close)
             # Last: who sees the link finds everything else in place.
-            self._port = PtyPort(self._epoll, options.link, mode=options.mode, cooked=options.cooked)
+            self._port = self._make_port(options)
+            undo.callback(self._port.close)
             self._port.plug()
-            undo.callback(self._port.unplug)
             self._undo = undo.pop_all()
+
+    def _make_port(self, options: Options) -> PtyPort | UsbPort:
+        if options.usb:
+            return UsbPort(self._epoll, options.link, options.usb)
+        return PtyPort(self._epoll, options.link, mode=options.mode, cooked=options.cooked)
 
     @property
     def node(self) -> str:
-        """The pty that the link points to."""
+        """The terminal that is the port; empty while the kernel has made none."""
         return self._port.node
 
     def run(self) -> None:
@@ -96,7 +102,7 @@ class Simulator:
     # The loop.
 
     def _sleep(self) -> None:
-        due_ns = self._model.next_ns
+        due_ns = min(self._model.next_ns, self._port.next_ns)
         wait_ns = self._control.next_ns
         if wait_ns is not None and wait_ns < due_ns:
             due_ns = wait_ns
@@ -106,14 +112,13 @@ class Simulator:
 
     def _serve_descriptors(self) -> None:
         port = self._port
-        if port.more:
+        if port.more or port.next_ns <= time.monotonic_ns():
             self._receive()
         ready = self._epoll.poll(0)
         for descriptor, mask in ready:
-            if descriptor == port.master:
+            if port.owns(descriptor):
                 self._receive()
-                if mask & select.EPOLLHUP:
-                    port.free()
+                port.reported(mask)
         for descriptor, _ in ready:
             if descriptor == self._wakeup.fileno():
                 self._wakeup.recv(64)
@@ -194,13 +199,14 @@ class Simulator:
             "start_ns": self.start_ns,
             "scheduling": self.scheduling,
             "link": port.link,
-            "node": port.node if port.plugged else None,
+            "node": (port.node or None) if port.plugged else None,
             "opened": port.opened,
             "draining": port.draining,
             "waiting": self._control.waiting,
             "executed": self._model.executed_total,
             "imu_sent": self._model.imu_sent,
             "lost_up_bytes": port.lost_up_bytes,
+            **port.info(),
         }
 
     def _wheels(self, _request: Answer) -> Answer:
@@ -240,6 +246,8 @@ class Simulator:
         elif operation == "drain":
             port.draining = True
             port.more = True
+        elif operation == "keep_speed" and isinstance(port, UsbPort):
+            port.device.keeps_speed = _flag(request, "on")
         elif operation == "quit":
             self._ending = True
         else:

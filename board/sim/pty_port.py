@@ -20,6 +20,7 @@ _READ_SIZE = 65536
 # Reads in one go, so that a host that never stops writing cannot keep the board from doing anything else.
 _READS = 64
 _ALWAYS = select.EPOLLHUP | select.EPOLLERR
+NEVER = 1 << 63
 
 
 class SimError(Exception):
@@ -56,6 +57,7 @@ class PtyPort:
         # More may be waiting than the last take() read.
         self.more = False
         self.lost_up_bytes = 0
+        self.next_ns = NEVER
         self._epoll = epoll
         self._mode = mode
         self._cooked = cooked
@@ -70,6 +72,10 @@ class PtyPort:
     def opened(self) -> bool:
         """Whether any client has the port open."""
         return self.plugged and not self._poll.poll(0)
+
+    def info(self) -> dict[str, object]:
+        """Nothing beyond what every port tells."""
+        return {}
 
     def plug(self, link: str | None = None) -> None:
         """Make the device appear, as a new pty, at the former link or at another one. Raises SimError."""
@@ -87,6 +93,10 @@ class PtyPort:
         self.remove_link()
         self._close()
 
+    def close(self) -> None:
+        """Take the device away for good."""
+        self.unplug()
+
     def remove_link(self) -> None:
         """Remove the link, if it is still this board's."""
         try:
@@ -95,6 +105,15 @@ class PtyPort:
         except OSError:
             # Not there, or something else by now: nothing of this board's.
             pass
+
+    def owns(self, descriptor: int) -> bool:
+        """Whether a descriptor that epoll reported is this port's."""
+        return descriptor == self.master
+
+    def reported(self, mask: int) -> None:
+        """Of this descriptor; a hang-up may be the last client's."""
+        if mask & select.EPOLLHUP:
+            self.free()
 
     def take(self) -> list[tuple[int, bytes]]:
         """Read what has arrived: (time at which the read returned, bytes) each. Nothing while not draining."""

@@ -9,6 +9,7 @@ from failstop.board.sim.options import Options
 from failstop.board.sim.process import Simulator
 from failstop.board.sim.pty_port import SimError
 from failstop.board.sim.teller import Teller
+from failstop.board.sim.usb.port import VHCI
 
 
 def serve(options: Options) -> int:
@@ -16,12 +17,20 @@ def serve(options: Options) -> int:
     on_frame = Teller(_say).frame if options.verbose else None
     try:
         simulator = Simulator(options, on_frame=on_frame)
-        _say(f"simulated board at {options.link} ({simulator.node}): failstop run --device {options.link}")
+        _say(_where(options, simulator))
         simulator.run()
     except SimError as error:
         print(f"failstop sim: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def _where(options: Options, simulator: Simulator) -> str:
+    if not options.usb:
+        return f"simulated board at {options.link} ({simulator.node}): failstop run --device {options.link}"
+    if options.usb != VHCI:
+        return f"simulated board on USB, for the machine at {options.usb}: its kernel names the port"
+    return "simulated board on USB: failstop run --device /dev/ttyACM0, or as the kernel names it (failstop doctor)"
 
 
 def _say(line: str) -> None:

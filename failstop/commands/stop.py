@@ -24,6 +24,8 @@ DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT)}
 END_SERVICE_S = 12.0
 """With --end-service everything is through by then: below the unit's TimeoutStopSec, at which systemd would kill this
 program and leave what it has not killed yet alive."""
+STALLED_S = 1.0
+"""Of these, for a port that is there and takes nothing: another unit goes on trying after the service's end."""
 REST_S = 1.0
 """How long killed processes may take to end: a write to a port that hangs can hold one up."""
 
@@ -189,7 +191,7 @@ class Port:
                 standard.say(self._explained(error))
             found_s = float(self._value(WAIT))
             self.complain()
-            return min(found_s, most_s)
+            return min(found_s, most_s, STALLED_S if error.kind == "io" and most_s < inf else inf)
 
         try:
             return tool.stop(self.device(), wait_s, standard.say)

@@ -12,7 +12,8 @@ from failstop.version import VERSION
 SERVICE = "failstop.service"
 TEMPLATE = "failstop@.service"
 SLEEP = "failstop-sleep.service"
-OWN_UNITS = (SERVICE, TEMPLATE, SLEEP)
+LATE = "failstop-late@.service"
+OWN_UNITS = (SERVICE, TEMPLATE, SLEEP, LATE)
 UNIT_COMMAND = "/opt/failstop/bin/failstop"
 """What the units call; replaced when another environment is used."""
 

@@ -202,6 +202,7 @@ def _files(parts: Parts, wish: Wish) -> dict[str, tuple[bytes, str]]:
         "the service",
         "services of further robots, failstop@NAME",
         "stops the wheels before the machine sleeps",
+        "goes on trying, where an ended service could not stop the wheels",
         "its user and group",
         "the board's port: a name, its rights, nobody else touches it",
         "explanations for journalctl -x",

@@ -19,6 +19,7 @@ from failstop.install.layout import (
     configuration_of,
     unit_of,
 )
+from failstop.install.parts import LATE
 from failstop.install.plan import Found, Wish
 from failstop.install.steps import Command, File, Plan, Remove, Step
 
@@ -37,7 +38,7 @@ def uninstall(wish: Wish, found: Found, purge: bool = False) -> Plan:
     files = [*manifest.links, *manifest.files]
     steps: list[Step] = [*_stops(found.active)]
     if wish.live:
-        steps.append(Command("", "", "", (), reload))
+        steps += [_given_up("*"), Command("", "", "", (), reload)]
     steps += [Remove("remove", path, "", path) for path in files]
     whole = "the Python environment" if manifest.tree else "the list of what was installed"
     steps.append(Remove("remove", PREFIX, whole, PREFIX))
@@ -71,7 +72,7 @@ def uninstall_instance(wish: Wish, found: Found, purge: bool = False) -> Plan:
     reload = ("systemctl", "daemon-reload")
     steps: list[Step] = [*_stops(active)]
     if wish.live:
-        steps.append(Command("", "", "", (), reload))
+        steps += [_given_up(wish.name), Command("", "", "", (), reload)]
     steps += [Remove("remove", path, "no longer starts at boot", path) for path in links]
     if purge:
         steps.append(Remove("remove", configuration_of(wish.name), "your settings", configuration_of(wish.name)))
@@ -95,6 +96,11 @@ def _stops(units: tuple[str, ...]) -> list[Command]:
         )
         for unit in units
     ]
+
+
+def _given_up(name: str) -> Command:
+    """Whoever still tries to stop a board that could not be stopped, because of the end just now for one."""
+    return Command("", f"who tries to stop {name}", "", ("systemctl", "stop", LATE.replace("@", f"@{name}")))
 
 
 def _purge(wish: Wish, found: Found) -> list[Step]:

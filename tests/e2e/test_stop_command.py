@@ -188,6 +188,21 @@ def test_the_end_of_the_service_has_its_own_deadline(service: list[object], aske
     assert stop.END_SERVICE_S - 1.0 < wait_s <= stop.END_SERVICE_S
 
 
+def test_at_the_end_of_the_service_a_port_that_takes_nothing_is_left_to_another_unit(
+    service: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits: list[float] = []
+
+    def stalled(path: str, wait: Callable[[PortError], float], say: Callable[[str], None]) -> float:
+        waits.append(wait(PortError("io", f"{path} takes no bytes")))
+        return 0.0
+
+    monkeypatch.setattr(tool, "stop", stalled)
+    assert cli.main(["stop", "--end-service", "--device", "/dev/board"]) == 0
+    assert cli.main(["stop", "--device", "/dev/board", "--wait", "3600"]) == 0
+    assert waits == [stop.STALLED_S, 3600.0], "that unit goes on for as long as it is told to"
+
+
 def test_a_shorter_wait_stays(service: list[object], asked: Waits) -> None:
     assert cli.main(["stop", "--end-service", "--wait", "3"]) == 0
     assert asked == [("/dev/ttyACM0", 3.0)]

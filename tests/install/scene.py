@@ -17,13 +17,19 @@ SYSUSERS = '# who\nu failstop - "the service" /var/lib/failstop\ng dialout -\nm 
 PASSWD = b"root:x:0:0:root:/root:/bin/sh\nfailstop:x:990:990:the service:/var/lib/failstop:/usr/sbin/nologin\n"
 GROUP = b"root:x:0:\ndialout:x:20:failstop\nfailstop:x:990:\n"
 SLEEP = "[Service]\nExecStart=/opt/failstop/bin/failstop stop --services\n[Install]\nWantedBy=sleep.target\n"
+LATE = "[Service]\nExecStart=/opt/failstop/bin/failstop stop --name %i\n"
 EXAMPLE = '# Every setting.\n[device]\n# the board\'s port\npath = "/dev/ttyACM0"\n'
 CATALOG = "-- 5d1bd76d7a4e4b0f9c1f0b3fae1c0e55\nSubject: a stop\nDefined-By: failstop\n\nIt stopped.\n"
 MANUAL = ".TH FAILSTOP 1\n"
 SHELLS = {shell: f"# {shell}\n" for shell in ("bash", "zsh", "fish")}
 PARTS = Parts(
     "1.0",
-    {"failstop.service": UNIT, "failstop@.service": TEMPLATE, "failstop-sleep.service": SLEEP},
+    {
+        "failstop.service": UNIT,
+        "failstop@.service": TEMPLATE,
+        "failstop-sleep.service": SLEEP,
+        "failstop-late@.service": LATE,
+    },
     SYSUSERS,
     "# udev\n",
     CATALOG,

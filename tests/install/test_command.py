@@ -44,6 +44,7 @@ def test_into_an_empty_directory_and_out_again(tmp_path: Path, capsys: pytest.Ca
         "etc/systemd/system/failstop.service",
         "etc/systemd/system/failstop@.service",
         "etc/systemd/system/failstop-sleep.service",
+        "etc/systemd/system/failstop-late@.service",
         "etc/systemd/system/multi-user.target.wants/failstop.service",
         "etc/systemd/system/sleep.target.wants/failstop-sleep.service",
         "etc/sysusers.d/failstop.conf",

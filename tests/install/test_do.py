@@ -56,6 +56,7 @@ def test_what_is_installed_and_nothing_else(root: Path) -> None:
         "etc/systemd/system/failstop.service",
         "etc/systemd/system/failstop@.service",
         "etc/systemd/system/failstop-sleep.service",
+        "etc/systemd/system/failstop-late@.service",
         "etc/sysusers.d/failstop.conf",
         "etc/udev/rules.d/90-failstop.rules",
         "opt/failstop/bin/failstop",

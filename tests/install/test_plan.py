@@ -74,6 +74,7 @@ def test_a_bare_machine_gets_everything_in_an_order_that_works() -> None:
         "create /etc/systemd/system/failstop.service",
         "create /etc/systemd/system/failstop@.service",
         "create /etc/systemd/system/failstop-sleep.service",
+        "create /etc/systemd/system/failstop-late@.service",
         "create /etc/sysusers.d/failstop.conf",
         "create /etc/udev/rules.d/90-failstop.rules",
         "create /usr/local/lib/systemd/catalog/failstop.catalog",
@@ -197,7 +198,7 @@ def test_another_environment_is_called_where_it_is() -> None:
     plan = install(PARTS, dataclasses.replace(LIVE, command="/srv/venv/bin/failstop"), "", BARE)
     assert not [step for step in plan.steps if isinstance(step, Tree)]
     units = [step for step in plan.steps if isinstance(step, File) and step.path.endswith(".service")]
-    assert len(units) == 3
+    assert len(units) == 4
     assert all(b"=/srv/venv/bin/failstop " in step.data and b"/opt" not in step.data for step in units)
     with pytest.raises(InstallError, match=r"runs /opt/failstop/bin/failstop is here, .*/srv/venv/bin/failstop"):
         install(PARTS, dataclasses.replace(LIVE, command="/srv/venv/bin/failstop"), "", installed())
@@ -268,6 +269,13 @@ def test_purge_takes_the_rest_too_and_a_foreign_user_of_that_name_stays() -> Non
     person = PASSWD.replace(b"/var/lib/failstop", b"/home/failstop")
     foreign = dataclasses.replace(found, files={**found.files, "/etc/passwd": person})
     assert "remove user failstop" not in shown(uninstall(LIVE, foreign, purge=True))
+
+
+def test_who_still_tries_to_stop_a_board_is_ended_between_the_service_and_its_files() -> None:
+    """Its start may be the doing of the service's own end, when the board is away; it runs as the user that goes."""
+    plan = uninstall(LIVE, dataclasses.replace(installed(), active=("failstop.service",)))
+    steps = [step.words if isinstance(step, Command) else type(step) for step in plan.steps]
+    assert steps[:2] == [("systemctl", "stop", "failstop.service"), ("systemctl", "stop", "failstop-late@*.service")]
 
 
 def test_purge_after_an_uninstall_removes_what_that_left() -> None:

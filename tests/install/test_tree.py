@@ -130,7 +130,13 @@ def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
     found = parts.of_this_version()
     for text in found.units.values():
         assert parts.UNIT_COMMAND in text
-        assert parts.wanted_by(text)[0] in ("multi-user.target", "sleep.target")
+    wanted = {name: parts.wanted_by(text)[:1] for name, text in found.units.items()}
+    assert wanted == {
+        parts.SERVICE: ["multi-user.target"],
+        parts.TEMPLATE: ["multi-user.target"],
+        parts.SLEEP: ["sleep.target"],
+        parts.LATE: [],
+    }
     users, memberships = parts.accounts(found.sysusers)
     assert users == ["failstop"]
     assert memberships == [("failstop", "dialout")]

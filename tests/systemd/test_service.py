@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from bench import installed
-from bench.service_scene import DRIVER, DROP_IN, HARDY, RIGHTS, STRANGER, UNIT, Scene
+from bench.service_scene import CONFIG, DRIVER, DROP_IN, HARDY, RIGHTS, STRANGER, UNIT, Scene
 from failstop.board.sim.client import SimBoard
 from failstop.shm import layout
 from failstop.trial import Stopped, wait_for
@@ -131,6 +131,37 @@ def test_before_a_sleep_the_wheels_are_stopped() -> None:
         scene.end()
         scene.box.ctl("start", SLEEP)
         assert scene.box.show(SLEEP, "Result")["Result"] == "success", "where nothing runs there is nothing to stop"
+
+
+def test_a_stop_that_could_not_be_written_is_written_when_the_board_is_back() -> None:
+    """The service is gone by then; who goes on trying ends when it is written, or when the service is started."""
+    late = "failstop-late@failstop.service"
+    setup = f"printf '[stop]\\nwait_s = 0.2\\n' >> {CONFIG}\n"
+    with Scene(
+        units={"failstop-late@.service": (SYSTEMD / "failstop-late@.service").read_text()}, setup=setup
+    ) as scene:
+
+        def state() -> str:
+            return scene.box.show(late, "ActiveState")["ActiveState"]
+
+        for by_start in (False, True):
+            scene.start()
+            scene.drive()
+            scene.board.unplug()
+            scene.leave()
+            scene.box.ctl("stop", UNIT, check=False)
+            assert scene.box.show(UNIT, "Result")["Result"] == "exit-code"
+            wait_for("who goes on trying", lambda: state() == "active")
+            assert any(scene.board.wheels())
+            scene.board.events()
+            if by_start:
+                scene.box.ctl("start", "--no-block", UNIT)
+                wait_for("it to leave the port to the service", lambda: state() == "inactive")
+            scene.board.replug()
+            assert scene.board.wait_for(lambda event: event.is_motor, 10.0).is_stop
+            wait_for("its end", lambda: state() == "inactive")
+            scene.box.ctl("stop", UNIT)
+            scene.box.ctl("reset-failed", UNIT, check=False)
 
 
 # One process dies.

@@ -18,13 +18,14 @@ from failstop.commands import stop
 from failstop.procs.port_owner.repeats import LEAVE_AFTER_NS
 from failstop.procs.telemetry.state_files import SYSTEM_BASE
 from failstop.supervisor.resources import GROUP
-from failstop.supervisor.settings import Settings
+from failstop.supervisor.settings import BY_KEY, Settings
 from failstop.supervisor.table import PROCESSES
 
 SYSTEMD = Path(str(importlib.resources.files("failstop.systemd")))
 ONE, MANY = "failstop.service", "failstop@.service"
 BRIDGE = "failstop-ros2.service"
 SLEEP = "failstop-sleep.service"
+LATE = "failstop-late@.service"
 EXPOSURE = 2.0
 OLDEST = 249
 """The systemd of Ubuntu 22.04."""
@@ -41,7 +42,7 @@ BY_VERSION = (
         239,
         "ProtectSystem ProtectHome ProtectKernelTunables ProtectKernelModules ProtectControlGroups RestrictNamespaces",
     ),
-    (239, "KeyringMode RestrictNamespaces"),
+    (239, "KeyringMode RestrictNamespaces OnFailure Conflicts After Wants"),
     (239, "StartLimitIntervalSec StartLimitBurst MemoryDenyWriteExecute RemoveIPC LockPersonality IPAddressDeny"),
     (242, "RestrictSUIDSGID ProtectHostname"),
     (243, "OOMPolicy TimeoutAbortSec"),
@@ -69,7 +70,7 @@ UNIT = dict(settings(ONE))
 @pytest.fixture
 def runnable(tmp_path: Path) -> Path:
     """The units with a command that is there: an absent one is all that would be found."""
-    for name in (ONE, MANY, SLEEP):
+    for name in (ONE, MANY, SLEEP, LATE):
         text = (SYSTEMD / name).read_text()
         (tmp_path / name).write_text(text.replace("/opt/failstop/bin/failstop", "/bin/true"))
     return tmp_path
@@ -81,11 +82,11 @@ def analyze(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 @needs_analyze
-@pytest.mark.parametrize("name", [ONE, "failstop@a.service", SLEEP])
+@pytest.mark.parametrize("name", [ONE, "failstop@a.service", SLEEP, "failstop-late@a.service"])
 def test_verify_finds_nothing(runnable: Path, name: str) -> None:
     """Its exit code is 0 for unknown keys and bad values too."""
     if "@" in name:
-        (runnable / name).symlink_to(MANY)
+        (runnable / name).symlink_to(re.sub("@.*[.]", "@.", name))
     done = analyze("verify", "--man=no", str(runnable / name))
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
@@ -137,6 +138,7 @@ def test_the_template_differs_in_the_name_alone() -> None:
         ("the robot's wheels are told to stop\n", "the wheels of robot %i are told to stop\n"),
         ("bin/failstop run --config", "bin/failstop run --name %i --config"),
         ("/etc/failstop/failstop.toml", "/etc/failstop/%i.toml"),
+        ("failstop-late@failstop.service", "failstop-late@%i.service"),
         ("StateDirectory=failstop/failstop\n", "StateDirectory=failstop/%i\n"),
     ):
         assert ours in one
@@ -155,6 +157,27 @@ def test_the_wheels_stand_before_the_machine_sleeps() -> None:
     assert (found["Before"], found["WantedBy"], found["Type"]) == ("sleep.target", "sleep.target", "oneshot")
     assert found["ExecStart"].startswith("/opt/failstop/bin/failstop stop --services ")
     assert float(found["TimeoutStartSec"]) > 2 * ask.LATCH_S
+
+
+@pytest.mark.parametrize("name", [ONE, MANY])
+def test_the_drivers_of_the_device_classes_are_loaded_before(name: str) -> None:
+    """Else the port is refused to the service, and to its stop tool, until the next start."""
+    classes = [value.split("-")[1].split()[0] for key, value in settings(name) if key == "DeviceAllow"]
+    drivers = {"ttyACM": "cdc_acm", "ttyUSB": "usbserial"}
+    wanted = " ".join(f"modprobe@{drivers[found]}.service" for found in classes)
+    assert ("Wants", wanted) in settings(name)
+    assert ("After", wanted) in settings(name)
+
+
+@pytest.mark.parametrize("name", [ONE, MANY])
+def test_a_stop_that_was_not_written_is_somebody_elses_until_the_service_runs_again(name: str) -> None:
+    found = settings(name)
+    late = "failstop-late@%i.service" if name == MANY else "failstop-late@failstop.service"
+    for key in ("OnFailure", "Conflicts", "After"):
+        assert (key, late) in found, "ordered, so that it has let go of the port before the service opens it"
+    command = dict(settings(LATE))["ExecStart"]
+    assert command.startswith("/opt/failstop/bin/failstop stop --name %i --config /etc/failstop/%i.toml --wait ")
+    BY_KEY["stop.wait_s"].check(float(command.split()[-1]))
 
 
 @pytest.mark.parametrize("name", [ONE, MANY])

@@ -1,0 +1,179 @@
+"""`make vm`: the image, the guests, the trials, the table. Exit code 1 when a row is missed.
+
+python -m bench.vm [--only NAME ...] [--keep] [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import json
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from bench.vm import guest, image, payload, table
+from bench.vm.guest import Guest, GuestError
+from bench.vm.image import ImageError
+from bench.vm.outside import DO, IMU_HZ, Scene, journal
+from bench.vm.table import INSIDE, OUTSIDE, Result
+from failstop.board.sim.client import SimBoard, SimBoardError
+from failstop.trial import TrialError
+
+UNPACK_S = 200.0
+INSTALLED = "installed"
+"""The state of the guest with failstop installed."""
+PYTHON = "/srv/venv/bin/python"
+
+
+class Run:
+    """One run: what it found, and who says what."""
+
+    def __init__(self) -> None:
+        self.results: list[Result] = []
+        self._lock = threading.Lock()
+        self._start_s = time.monotonic()
+
+    def say(self, line: str) -> None:
+        """A line for who watches, with the time."""
+        with self._lock:
+            print(f"[{time.monotonic() - self._start_s:5.0f} s] {line}", flush=True)
+
+    def take(self, line: str) -> None:
+        """What the trials in a guest print."""
+        try:
+            fields = json.loads(line)
+            found = table.result(fields)
+        except (ValueError, TypeError):
+            self.say(line)
+            return
+        self.add(found)
+
+    def add(self, found: Result) -> None:
+        """A result."""
+        self.results.append(found)
+        ms = "" if found.ms is None else f" {found.ms:.1f} ms"
+        wrong = f" WRONG: {'; '.join(found.wrong)}" if found.wrong else ""
+        self.say(f"{found.trial}:{ms} missed {found.missed} after {found.after} {found.note}{wrong}")
+
+
+def install(machine: Guest, run: Run) -> None:
+    """The guest goes on from its saved state, gets what is to be tried, and installs it: the first trial."""
+    machine.start(guest.STATE)
+    machine.must("date", "--set", f"@{int(time.time())}")
+    machine.must("sh", "-c", payload.UNPACK, timeout_s=UNPACK_S)
+    run.say("the guest is ready")
+    inside(machine, ["install"], run)
+
+
+def inside(machine: Guest, names: list[str], run: Run) -> None:
+    """The trials in the guest."""
+    words = ("env", "-C", "/srv/trials", PYTHON, "-u", "-m", "bench.vm.inside", *names)
+    for line in machine.lines(*words, timeout_s=1500.0, wait_s=1800.0) if names else ():
+        if isinstance(line, str):
+            run.take(line)
+
+
+def outside(machine: Guest, names: list[str], run: Run) -> None:
+    """The trials from out here."""
+    machine.start(INSTALLED)
+    with SimBoard(machine.place / "board", usb=str(machine.board), imu_hz=IMU_HZ) as board:
+        scene = Scene(machine, board)
+        scene.found()
+        scene.command()
+        for name in names:
+            try:
+                found = DO[name](scene)
+            except (TrialError, SimBoardError) as error:
+                found = Result(name, wrong=[str(error)])
+            for one in found if isinstance(found, list) else [found]:
+                run.add(one)
+                for line in journal(scene) if one.wrong and not machine.ended(0.0) else ():
+                    run.say(f"  | {line}")
+
+
+def main() -> int:
+    """Run what is asked for."""
+    arguments = _parser().parse_args()
+    wanted = {"install", *(arguments.only or table.BY_NAME)}
+    names = [name for name in table.BY_NAME if name in wanted]
+    run = Run()
+    # However it is ended, the guests end with it.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    try:
+        made = image.make()
+        with _place(arguments.keep) as place:
+            disk = payload.make(place / "payload.img")
+            saved = guest.state(made, payload.blank(place / "blank.img"))
+            _run(made, saved, place, disk, names, run)
+    except (ImageError, GuestError) as error:
+        print(f"make vm: {error}", file=sys.stderr)
+        return 2
+    rows = table.rows(run.results, names)
+    print(table.markdown(rows))
+    if arguments.json:
+        Path(arguments.json).write_text(json.dumps([dataclasses.asdict(found) for found in run.results], indent=2))
+    return int(any(row.problems for row in rows))
+
+
+def _run(made: image.Image, saved: Path, place: Path, disk: Path, names: list[str], run: Run) -> None:
+    """Install in one guest; from there on a guest for each place of the board, side by side."""
+    mine = {
+        where: [name for name in names if table.BY_NAME[name].where == where and name != "install"]
+        for where in (INSIDE, OUTSIDE)
+    }
+
+    def serve_outside(state: Path) -> None:
+        for number, life in enumerate(table.lives(mine[OUTSIDE])):
+            try:
+                with Guest(made, place / f"{OUTSIDE}{number}", disk, disk=state) as machine:
+                    outside(machine, life, run)
+            except (GuestError, SimBoardError, TrialError, OSError) as error:
+                run.say(f"{OUTSIDE}: {error}")
+
+    with Guest(made, place / INSIDE, disk, disk=saved) as machine:
+        install(machine, run)
+        thread = None
+        if mine[OUTSIDE]:
+            thread = threading.Thread(target=serve_outside, args=(machine.fork(INSTALLED),), daemon=True)
+            thread.start()
+        try:
+            inside(machine, mine[INSIDE], run)
+        except GuestError as error:
+            run.say(f"{INSIDE}: {error}")
+    if thread is not None:
+        thread.join()
+
+
+@contextlib.contextmanager
+def _place(keep: bool) -> Iterator[Path]:
+    """A folder for the run's disks; kept for who wants to look at the journal in them."""
+    # Sockets have short names, so not below the cache.
+    place = Path(tempfile.mkdtemp(prefix="failstop-vm-"))
+    try:
+        yield place
+    finally:
+        if keep:
+            print(f"kept: {place}", flush=True)
+        else:
+            shutil.rmtree(place)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="make vm", description="The service on a stock Debian with a real USB port.")
+    parser.add_argument(
+        "--only", nargs="+", metavar="NAME", choices=list(table.BY_NAME), help="only these trials, after `install`"
+    )
+    parser.add_argument("--keep", action="store_true", help="keep the guests' disks")
+    parser.add_argument("--json", metavar="FILE", help="write the results there too")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

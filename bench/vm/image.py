@@ -1,0 +1,223 @@
+"""The guest's disk: a stock Debian with its own kernel, and a Python environment with what failstop needs.
+
+Each stage is kept under a name that says what it was made from, so that a change makes anew what depends on it: the
+packages (rootfs-KEY.tar), the disk with kernel and initrd (disk-KEY). Needs root, a Debian mirror, a package index.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).resolve().parents[2]
+HERE = Path(__file__).resolve().parent
+SUITE = "bookworm"
+PYTHON = "3.11"
+"""Of that Debian."""
+PACKAGES = (
+    "systemd",
+    "systemd-sysv",
+    "udev",
+    "dbus",
+    "kmod",
+    "procps",
+    "psmisc",
+    "python3",
+    "python3-venv",
+    "modemmanager",
+)
+KERNEL = ("linux-image-amd64", "initramfs-tools", "zstd")
+NEEDED = {
+    "qemu-system-x86_64": "qemu-system-x86",
+    "qemu-img": "qemu-utils",
+    "mmdebstrap": "mmdebstrap",
+    "mke2fs": "e2fsprogs",
+    "setpriv": "util-linux",
+}
+"""Programs of this machine, and the Debian packages that have them."""
+DISK_SIZE = "2G"
+BOOT_MODULES = "virtio_pci\nvirtio_blk\next4\n"
+"""All that the initrd needs to reach the disk: a stock one has everything, and takes half a minute to unpack there."""
+MASKED = (
+    *("apt-daily.timer", "apt-daily-upgrade.timer", "dpkg-db-backup.timer", "fstrim.timer", "e2scrub_all.timer"),
+    *("e2scrub_reap.service", "systemd-timesyncd.service", "getty@tty1.service", "systemd-pstore.service"),
+)
+"""Units that would only take the one processor from what is looked at."""
+AGENT_UNIT = """\
+[Unit]
+Description=commands from the machine outside
+DefaultDependencies=no
+After=systemd-udevd.service local-fs.target dev-virtio\\x2dports-failstop.vm.device
+Wants=dev-virtio\\x2dports-failstop.vm.device
+Conflicts=shutdown.target
+Before=shutdown.target
+
+[Service]
+ExecStart=/usr/bin/python3 /usr/local/sbin/vm-agent
+# What it started may be what ends the system.
+KillMode=process
+OOMScoreAdjust=-1000
+
+[Install]
+WantedBy=multi-user.target
+"""
+AGENT_RULE = 'SUBSYSTEM=="virtio-ports", TAG+="systemd"\n'
+
+
+class ImageError(Exception):
+    """The image can't be made; the message is one line with the remedy."""
+
+
+class Image(NamedTuple):
+    """What is booted. `key` says what all of it was made from."""
+
+    key: str
+    disk: Path
+    kernel: Path
+    initrd: Path
+
+
+def cache() -> Path:
+    """Where the stages are kept: FAILSTOP_VM_CACHE, or a folder among the user's caches."""
+    named = os.environ.get("FAILSTOP_VM_CACHE")
+    return Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "failstop-vm"
+
+
+def check() -> None:
+    """Raise ImageError, with the remedy, when something is missing."""
+    missing = sorted({package for program, package in NEEDED.items() if shutil.which(program) is None})
+    if missing:
+        raise ImageError(f"missing here: apt-get install --no-install-recommends {' '.join(missing)}")
+    if os.geteuid():
+        raise ImageError("a disk with the system's own owners is made by root alone: sudo make vm")
+
+
+def dependencies() -> list[str]:
+    """What failstop needs, and what its installation is built with."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    needed = [one for one in project["project"]["dependencies"] if "python_version" not in one]
+    return [*needed, *project["build-system"]["requires"], "wheel"]
+
+
+def make() -> Image:
+    """The image, made as far as it is not there. Raises ImageError."""
+    check()
+    cache().mkdir(parents=True, exist_ok=True)
+    packages = key(SUITE, *PACKAGES, *KERNEL, BOOT_MODULES)
+    name = key(packages, *dependencies(), AGENT_UNIT, AGENT_RULE, *MASKED, DISK_SIZE, (HERE / "agent.py").read_text())
+    place = cache() / f"disk-{name}"
+    if not place.is_dir():
+        with _new(place) as beside:
+            beside.mkdir()
+            _disk(_rootfs(packages), beside)
+    return Image(name, place / "disk.img", place / "vmlinuz", place / "initrd.img")
+
+
+def _rootfs(key: str) -> Path:
+    path = cache() / f"rootfs-{key}.tar"
+    if not path.exists():
+        _say(f"getting Debian ({SUITE}) ...")
+        modules = "/usr/share/initramfs-tools/modules.d"
+        hook = f"""mkdir -p "$1{modules}" "$1/etc/initramfs-tools/conf.d"
+            printf '{BOOT_MODULES.encode("unicode_escape").decode()}' > "$1{modules}/vm"
+            echo MODULES=list > "$1/etc/initramfs-tools/conf.d/vm" """
+        with _new(path) as beside:
+            _run(
+                *("mmdebstrap", "--quiet", "--mode=root", "--variant=minbase", "--format=tar"),
+                f"--include={','.join((*PACKAGES, *KERNEL))}",
+                '--aptopt=Acquire::Languages "none"',
+                *(f"--dpkgopt=path-exclude=/usr/share/{name}/*" for name in ("doc", "locale", "man")),
+                f"--essential-hook={hook}",
+                *(SUITE, str(beside)),
+            )
+    return path
+
+
+def _disk(rootfs: Path, place: Path) -> None:
+    _say("making the guest's disk ...")
+    with tempfile.TemporaryDirectory(dir=cache(), prefix="root-") as directory:
+        root = Path(directory)
+        root.chmod(0o755)
+        _run("tar", "--extract", "--numeric-owner", "--file", str(rootfs), "--directory", directory)
+        for name, pattern in (("vmlinuz", "vmlinuz-*"), ("initrd.img", "initrd.img-*")):
+            shutil.copy(next((root / "boot").glob(pattern)), place / name)
+        _environment(root)
+        _settle(root)
+        _run("truncate", "--size", DISK_SIZE, str(place / "disk.img"))
+        _run("mke2fs", "-q", "-t", "ext4", "-d", directory, str(place / "disk.img"))
+
+
+def _environment(root: Path) -> None:
+    """A venv with everything but failstop itself, which is another at each run."""
+    wheels = root / "srv" / "wheels"
+    wheels.mkdir(parents=True)
+    platforms = [word for glibc in ("2014", "_2_17", "_2_28") for word in ("--platform", f"manylinux{glibc}_x86_64")]
+    _run(
+        *(sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--dest", str(wheels)),
+        *("--only-binary=:all:", "--implementation", "cp", "--python-version", PYTHON, *platforms, *dependencies()),
+    )
+    inside = ("chroot", str(root), "env", "-i", "PATH=/usr/bin:/bin", "PIP_CONFIG_FILE=/dev/null")
+    _run(*inside, "python3", "-m", "venv", "/srv/venv")
+    pip = ("/srv/venv/bin/pip", "install", "--quiet", "--disable-pip-version-check", "--no-index")
+    _run(*inside, *pip, "--find-links", "/srv/wheels", *dependencies())
+    shutil.rmtree(wheels)
+
+
+def _settle(root: Path) -> None:
+    """The guest's own configuration."""
+    units = root / "etc/systemd/system"
+    shutil.copy(HERE / "agent.py", root / "usr/local/sbin/vm-agent")
+    (units / "vm-agent.service").write_text(AGENT_UNIT)
+    (root / "etc/udev/rules.d/99-vm-agent.rules").write_text(AGENT_RULE)
+    wants = units / "multi-user.target.wants"
+    wants.mkdir(exist_ok=True)
+    (wants / "vm-agent.service").symlink_to("../vm-agent.service")
+    for unit in MASKED:
+        (units / unit).unlink(missing_ok=True)
+        (units / unit).symlink_to("/dev/null")
+    (root / "etc/hostname").write_text("vm\n")
+    (root / "etc/fstab").write_text("/dev/vda / ext4 defaults,noatime 0 1\n")
+    (root / "var/log/journal").mkdir(exist_ok=True)
+
+
+def key(*parts: str) -> str:
+    """A short name of all these."""
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:12]
+
+
+@contextlib.contextmanager
+def _new(path: Path) -> Iterator[Path]:
+    """A name beside it that takes its place when all is well, and goes away otherwise."""
+    beside = path.with_name(f"{path.name}.{os.getpid()}.new")
+    try:
+        yield beside
+        beside.rename(path)
+    finally:
+        if beside.is_dir():
+            shutil.rmtree(beside)
+        else:
+            beside.unlink(missing_ok=True)
+
+
+def _run(*words: str) -> None:
+    done = subprocess.run(words, check=False, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    if done.returncode:
+        said = (done.stderr or done.stdout).strip().splitlines()[-5:]
+        raise ImageError(f"{' '.join(words[:2])} failed ({done.returncode}): {' | '.join(said)}")
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)

@@ -1,0 +1,478 @@
+"""In the guest: the trials with the board on vhci_hcd, one after the other. Prints a line of JSON for each round.
+
+    python -m bench.vm.inside NAME...
+
+As root, with the interpreter of /srv/venv. The client commands all the while, whatever is done to the service.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from bench.vm import floor
+from bench.vm.table import BY_NAME, KILLED, Result
+from failstop.board.sim.client import Event, SimBoard
+from failstop.errors import FailstopError
+from failstop.faults.driving import Driver
+from failstop.trial import TrialError, judge, wait_for
+
+FAILSTOP = "/usr/local/bin/failstop"
+VENV_FAILSTOP = "/srv/venv/bin/failstop"
+UNIT = "failstop.service"
+LINK = "/dev/failstop"
+SETTINGS = "/etc/failstop/failstop.toml"
+WHOLE_S = 60.0
+HAND_S = 1.0
+"""From a command to the plug, at a person's fastest."""
+IMU_HZ = 50.0
+"""Less than the board's 110: the guest's one processor serves board, client and service."""
+AFTERMATH_S = 0.6
+COMMAND_EVERY_S = 0.05
+INTERRUPTS = 70
+"""vhci_hcd completes transfers in threads of the kernel; a controller's interrupts come before every process."""
+
+
+class Scene:
+    """The board, the client, and what can be asked of the guest."""
+
+    def __init__(self) -> None:
+        self.board = SimBoard("/run/vm-board", usb="vhci", imu_hz=IMU_HZ)
+        self.driver = Driver("failstop", client="vm", interlocks=())
+        self.floor_ms: list[float] = []
+
+    def run(self, seconds: float) -> None:
+        """Command for a while, as often as a robot's planner does: the guest's one processor is slow."""
+        until_s = time.monotonic() + seconds
+        while (left_s := until_s - time.monotonic()) > 0:
+            self.driver.step()
+            time.sleep(min(COMMAND_EVERY_S, left_s))
+
+    def until(self, what: str, check: Callable[[], bool], timeout_s: float = 10.0) -> None:
+        """Command until `check` is true; an error of the service counts as not yet. Raises TrialError."""
+        until_s = time.monotonic() + timeout_s
+        while True:
+            with contextlib.suppress(FailstopError):
+                if check():
+                    return
+            if time.monotonic() > until_s:
+                raise TrialError(f"waited {timeout_s:g} s for {what}")
+            self.run(COMMAND_EVERY_S)
+
+    def whole(self) -> None:
+        """Wait until the service runs and waits for nothing."""
+        self.until("the service to be whole", self._whole, WHOLE_S)
+
+    def _whole(self) -> bool:
+        state = self.driver.robot.state
+        return state.waiting_for is None and all(process.state == "running" for process in state.processes.values())
+
+    def moving(self) -> None:
+        """Have the wheels turn, and forget the events until then."""
+        self.whole()
+        self.driver.enable()
+        self.until("the wheels to turn", lambda: any(self.board.wheels()))
+        self.run(0.1)
+        self.board.events()
+
+    def pid(self, name: str) -> int:
+        """Of a process of the service."""
+        return self.driver.robot.state.processes[name].pid
+
+    def node(self) -> str:
+        """The board's tty, waited for."""
+        wait_for("the board's node", lambda: bool(self.board.info()["node"]), 20.0)
+        hurry_transfers()
+        return str(self.board.info()["node"])
+
+    def judged(self, name: str, since_ns: int, wait_s: float = 10.0) -> Result:
+        """Wait for the first stop after that time, command on for a moment, and judge."""
+        found: list[Event] = []
+
+        def stopped() -> bool:
+            found.extend(self.board.events())
+            return any(event.is_stop and event.arrival_ns >= since_ns for event in found)
+
+        with contextlib.suppress(TrialError):
+            self.until("a stop", stopped, wait_s)
+        self.run(AFTERMATH_S)
+        found.extend(self.board.events())
+        seen = judge(found, since_ns, was_moving=True)
+        result = Result(name, missed=int(seen.stop_ns is None), after=seen.motion_after)
+        if seen.stop_ns is not None:
+            result.ms = seen.stop_ns / 1e6
+        if any(self.board.wheels()):
+            result.wrong.append("the wheels turn at the end")
+        return result
+
+
+def hurry_transfers() -> None:
+    """Give the threads that stand for a controller's interrupts the right to come first."""
+    for path in Path("/proc").glob("[0-9]*/comm"):
+        with contextlib.suppress(OSError):
+            if path.read_text().startswith(("vhci_rx", "vhci_tx")):
+                os.sched_setscheduler(int(path.parent.name), os.SCHED_FIFO, os.sched_param(INTERRUPTS))
+
+
+def sh(*words: str, timeout_s: float = 60.0) -> tuple[int, str, float]:
+    """Run a command; returns its exit code, what it said and how long it took."""
+    start_s = time.monotonic()
+    done = subprocess.run(
+        words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        timeout=timeout_s, check=False,
+    )  # fmt: skip
+    return done.returncode, done.stdout.strip(), time.monotonic() - start_s
+
+
+def beside(scene: Scene, *words: str, timeout_s: float = 60.0) -> tuple[int, str, float]:
+    """The same while the client goes on commanding."""
+    answer: list[tuple[int, str, float]] = []
+    thread = threading.Thread(target=lambda: answer.append(sh(*words, timeout_s=timeout_s)))
+    thread.start()
+    while thread.is_alive():
+        scene.run(COMMAND_EVERY_S)
+    return answer[0] if answer else (-1, f"not done within {timeout_s:g} s", timeout_s)
+
+
+def shown(*properties: str) -> dict[str, str]:
+    """Properties of the unit."""
+    _, text, _ = sh("systemctl", "show", UNIT, *(f"--property={name}" for name in properties))
+    return dict(line.split("=", 1) for line in text.splitlines())
+
+
+def wrong_unless(found: Result, **checks: bool) -> None:
+    """Note each check that is false, by its name."""
+    found.wrong += [name.replace("_", " ") for name, good in checks.items() if not good]
+
+
+# Installing.
+
+
+def install(scene: Scene) -> Iterator[Result]:
+    """The board is plugged in; nothing of failstop is there yet."""
+    found = Result("install")
+    node = scene.node()
+    code, said, took_s = sh(VENV_FAILSTOP, "install", "--yes", timeout_s=400.0)
+    mode = os.stat(node)
+    wrong_unless(
+        found,
+        install_failed=code == 0,
+        no_link=os.path.realpath(LINK) == node,
+        rights=mode.st_mode & 0o777 == 0o660,
+        settings_name_another_port=f'path = "{LINK}"' in Path(SETTINGS).read_text() if code == 0 else False,
+        ModemManager_may_open_it="ID_MM_PORT_IGNORE=1" in sh("udevadm", "info", node)[1],
+        not_ready=shown("ActiveState")["ActiveState"] == "active",
+        not_at_the_first_try=shown("NRestarts")["NRestarts"] == "0",
+        the_wheels_turn=not any(scene.board.wheels()),
+    )
+    if code:
+        found.wrong.append(said[-300:])
+    found.note = f"{took_s:.0f} s of the guest's time"
+    yield found
+
+
+def plug(scene: Scene) -> Iterator[Result]:
+    """The service is stopped, the board away; then it is plugged in, its wheels turning."""
+    scene.moving()
+    scene.board.unplug()
+    sh("systemctl", "stop", UNIT)
+    time.sleep(HAND_S)
+    scene.board.events()
+    with watched(scene) as seen:
+        scene.board.replug()
+        found = scene.judged("plug", seen.allowed_ns(), 60.0)
+    scene.whole()
+    ready_us = int(shown("ActiveEnterTimestampMonotonic")["ActiveEnterTimestampMonotonic"])
+    found.note = f"ready {ready_us / 1e6 - seen.node_ns / 1e9:.1f} s after the node"
+    yield found
+
+
+# The floor, and the kills.
+
+
+def least(scene: Scene) -> Iterator[Result]:
+    """The floor, beside the service that stands."""
+    scene.whole()
+    for since_ns in floor.rounds():
+        event = scene.board.wait_for(lambda one, ns=since_ns: one.arrival_ns >= ns and floor.is_of_floor(one), 5.0)  # type: ignore[misc]
+        scene.board.events()
+        yield Result("floor", ms=(event.arrival_ns - since_ns) / 1e6)
+
+
+def kill_one(name: str) -> Callable[[Scene], Iterator[Result]]:
+    """The trial of one process."""
+
+    def trial(scene: Scene) -> Iterator[Result]:
+        scene.moving()
+        victim = scene.pid(name)
+        since_ns = time.monotonic_ns()
+        os.kill(victim, signal.SIGKILL)
+        yield scene.judged(f"kill_{name}", since_ns)
+
+    return trial
+
+
+def kill_all(scene: Scene) -> Iterator[Result]:
+    """Nobody is left: systemd runs the stop tool."""
+    scene.moving()
+    group = shown("ControlGroup")["ControlGroup"]
+    since_ns = time.monotonic_ns()
+    Path(f"/sys/fs/cgroup{group}/cgroup.kill").write_text("1")
+    yield scene.judged("kill_all", since_ns)
+
+
+def systemctl(verb: str) -> Callable[[Scene], Iterator[Result]]:
+    """The trial of one verb."""
+
+    def trial(scene: Scene) -> Iterator[Result]:
+        scene.moving()
+        since_ns = time.monotonic_ns()
+        code, said, _ = beside(scene, "systemctl", verb, UNIT)
+        found = scene.judged(verb, since_ns)
+        if code:
+            found.wrong.append(said)
+        if verb == "stop":
+            sh("systemctl", "start", UNIT)
+        yield found
+
+    return trial
+
+
+# The plug.
+
+
+@dataclasses.dataclass
+class Watched:
+    """When a node was there, and when udev gave it to its group."""
+
+    node_ns: int = 0
+    rights_ns: int = 0
+    node: str = ""
+    _ended: threading.Event = dataclasses.field(default_factory=threading.Event)
+
+    def look(self) -> None:
+        """Look until all is seen."""
+        before = {path: os.stat(path).st_ctime_ns for path in _nodes()}
+        while not self._ended.is_set() and not self.rights_ns:
+            for path in _nodes():
+                with contextlib.suppress(OSError):
+                    found = os.stat(path)
+                    if found.st_ctime_ns != before.get(path):
+                        self.node, self.node_ns = path, self.node_ns or time.monotonic_ns()
+                        if found.st_mode & 0o060 == 0o060:
+                            # When they were changed, not when this thread came to see it.
+                            since_ns = time.time_ns() - found.st_ctime_ns
+                            self.rights_ns = max(self.node_ns, time.monotonic_ns() - since_ns)
+            time.sleep(0.001)
+
+    def allowed_ns(self) -> int:
+        """Wait for the rights."""
+        wait_for("udev's rights on the node", lambda: bool(self.rights_ns), 30.0)
+        return self.rights_ns
+
+
+def _nodes() -> list[str]:
+    return [str(path) for path in Path("/dev").glob("ttyACM*")]
+
+
+@contextlib.contextmanager
+def watched(scene: Scene) -> Iterator[Watched]:
+    """See a node come, while something else is done; the transfers' new threads are hurried meanwhile."""
+    seen = Watched()
+
+    def look() -> None:
+        seen.look()
+
+    def hurry() -> None:
+        while not seen.rights_ns and not seen._ended.is_set():
+            hurry_transfers()
+            time.sleep(0.1)
+
+    threads = [threading.Thread(target=work, daemon=True) for work in (look, hurry)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield seen
+    finally:
+        seen._ended.set()
+        for thread in threads:
+            thread.join()
+
+
+def replugged(name: str, away_s: float) -> Callable[[Scene], Iterator[Result]]:
+    """The trial of one time away."""
+
+    def trial(scene: Scene) -> Iterator[Result]:
+        scene.moving()
+        found = _replug(scene, name, away_s)
+        yield found
+
+    return trial
+
+
+def _replug(scene: Scene, name: str, away_s: float, node: str = "") -> Result:
+    """Unplug, plug after a while, and judge from the rights on. The time from the node is told."""
+    before = node or scene.node()
+    scene.board.unplug()
+    plug_s = time.monotonic() + away_s
+    while time.monotonic() < plug_s:
+        scene.run(min(0.02, away_s))
+    scene.board.events()
+    with watched(scene) as seen:
+        scene.board.replug()
+        scene.until("the new node's rights", lambda: bool(seen.rights_ns), 20.0)
+        found = scene.judged(name, seen.node_ns)
+    if found.ms is not None:
+        from_node_ms = found.ms
+        found.ms -= (seen.rights_ns - seen.node_ns) / 1e6
+        found.note = f"{from_node_ms:.0f} ms after the node"
+    same = seen.node == before
+    if same is bool(node):
+        found.wrong.append(f"the node was {before}, and is {seen.node}")
+    return found
+
+
+def renumber(scene: Scene) -> Iterator[Result]:
+    """The old number is taken, so the board gets another."""
+    scene.moving()
+    node = scene.node()
+    fd = os.open(node, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        yield _replug(scene, "renumber", 1.0, node)
+    finally:
+        os.close(fd)
+
+
+# The board that does not drain.
+
+
+def _stall(scene: Scene, seconds: float) -> None:
+    scene.moving()
+    scene.board.stop_draining()
+    scene.run(seconds)
+    scene.board.events()
+
+
+def _again(scene: Scene, name: str) -> Result:
+    since_ns = time.monotonic_ns()
+    scene.board.drain()
+    return scene.judged(name, since_ns)
+
+
+def drain(scene: Scene) -> Iterator[Result]:
+    """It is noticed and latched; the first bytes that are taken again may be the motion that was under way."""
+    _stall(scene, 2.0)
+    latched = scene.driver.robot.state.estop or ""
+    found = _again(scene, "drain")
+    if "drain" not in latched:
+        found.wrong.append(f"latched: {latched or 'nothing'}")
+    yield found
+
+
+def drain_kill(scene: Scene) -> Iterator[Result]:
+    """Who could have written dies meanwhile."""
+    _stall(scene, 0.5)
+    os.kill(scene.pid("port_owner"), signal.SIGKILL)
+    scene.run(1.0)
+    yield _again(scene, "drain_kill")
+
+
+def drain_tool(scene: Scene) -> Iterator[Result]:
+    """The stop tool says what it could not do, in its time."""
+    _stall(scene, 0.5)
+    code, said, took_s = beside(scene, FAILSTOP, "stop", "--device", LINK, "--wait", "2")
+    found = _again(scene, "drain_tool")
+    found.note = f"ended after {took_s:.1f} s"
+    if took_s > 5.0:
+        found.wrong.append(f"took {took_s:.1f} s: {code}, {said[-200:]}")
+    yield found
+
+
+def drain_stop(scene: Scene) -> Iterator[Result]:
+    """The service ends in its time, and somebody stops the board when it takes bytes again."""
+    _stall(scene, 0.5)
+    code, said, took_s = beside(scene, "systemctl", "stop", UNIT, timeout_s=120.0)
+    found = _again(scene, "drain_stop")
+    found.note = f"ended after {took_s:.1f} s, {shown('Result')['Result']}"
+    if took_s > 5.0:
+        found.wrong.append(f"took {took_s:.1f} s: {code} {said[-200:]}")
+    sh("systemctl", "start", UNIT)
+    yield found
+
+
+# Time.
+
+
+def clock(scene: Scene) -> Iterator[Result]:
+    """Nothing is to be stopped."""
+    scene.moving()
+    found = Result("clock")
+    for step in ("+1 hour", "-2 hours", "+1 hour"):
+        sh("date", "--set", step)
+        scene.run(0.7)
+        events = scene.board.events()
+        stops = sum(event.is_stop for event in events)
+        if stops or not any(scene.board.wheels()) or not any(event.is_motion for event in events):
+            found.wrong.append(f"{step}: {stops} stops, wheels {scene.board.wheels()[0]:+.2f}")
+    found.note = "drives on"
+    yield found
+
+
+DO: dict[str, Callable[[Scene], Iterator[Result]]] = {
+    "install": install,
+    "floor": least,
+    "plug": plug,
+    **{f"kill_{name}": kill_one(name) for name in KILLED},
+    "kill_all": kill_all,
+    "stop": systemctl("stop"),
+    "restart": systemctl("restart"),
+    "replug": replugged("replug", 1.5),
+    "replug_100": replugged("replug_100", 0.1),
+    "replug_20": replugged("replug_20", 0.02),
+    "renumber": renumber,
+    "drain": drain,
+    "drain_kill": drain_kill,
+    "drain_tool": drain_tool,
+    "drain_stop": drain_stop,
+    "clock": clock,
+}
+
+
+def run(scene: Scene, name: str) -> None:
+    """All rounds of one trial; one that breaks is a result too."""
+    for _ in range(BY_NAME[name].times):
+        # So many starts in so short a time are a crash loop otherwise.
+        sh("systemctl", "reset-failed", UNIT)
+        try:
+            for found in DO[name](scene):
+                print(json.dumps(dataclasses.asdict(found)), flush=True)
+        except (TrialError, FailstopError, OSError, subprocess.TimeoutExpired, TimeoutError) as error:
+            at = traceback.extract_tb(error.__traceback__)[-1]
+            text = f"{type(error).__name__} in {at.name}: {error}"
+            print(json.dumps(dataclasses.asdict(Result(name, wrong=[text]))), flush=True)
+
+
+def main() -> None:
+    """Run the trials that are named, in the order of the table."""
+    scene = Scene()
+    with scene.board:
+        scene.node()
+        for name in sys.argv[1:]:
+            start_s = time.monotonic()
+            run(scene, name)
+            print(f"{name}: {time.monotonic() - start_s:.1f} s of the guest's time", flush=True)
+        print(json.dumps({"board": scene.board.info()}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

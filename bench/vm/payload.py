@@ -1,0 +1,60 @@
+"""What is tried: this checkout as a wheel, with the trials, as a tar that the guest sees as a disk of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from bench.vm.image import ROOT, ImageError
+
+SIZE = 32 << 20
+"""The same each time: a saved guest knows its disks by their sizes."""
+DISK = "/dev/vdb"
+TRIALS = ("bench/__init__.py", "bench/vm")
+UNPACK = f"""set -e
+blockdev --flushbufs {DISK}
+mkdir -p /srv/trials
+tar --extract --touch --file {DISK} --directory /srv/trials
+/srv/venv/bin/pip install --quiet --disable-pip-version-check --no-index --no-deps --no-compile /srv/trials/*.whl
+"""
+
+
+def blank(path: Path) -> Path:
+    """A disk of that size with nothing on it, to boot with."""
+    with path.open("wb") as file:
+        file.truncate(SIZE)
+    return path
+
+
+def make(path: Path) -> Path:
+    """Build the wheel and write the disk. Raises ImageError."""
+    with tempfile.TemporaryDirectory() as directory:
+        tracked = _output("git", "-C", str(ROOT), "ls-files", "-z", "--cached", "--others", "--exclude-standard")
+        source = Path(directory, "source")
+        source.mkdir()
+        names = "\0".join(name for name in tracked.split("\0") if name and (ROOT / name).exists())
+        copied = subprocess.run(
+            ["tar", "-C", str(ROOT), "--null", "-T", "-", "-cf", "-"],
+            input=names.encode(),
+            stdout=subprocess.PIPE,
+            check=True,
+        )
+        subprocess.run(["tar", "-C", str(source), "-xf", "-"], input=copied.stdout, check=True)
+        pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps")
+        _output(*pip, "--wheel-dir", directory, str(source))
+        wheel = next(Path(directory).glob("*.whl"))
+        _output("tar", "-cf", str(path), "-C", directory, wheel.name, "-C", str(source), *TRIALS)
+    if path.stat().st_size > SIZE:
+        raise ImageError(f"{path} is larger than {SIZE} bytes: raise bench/vm/payload.py's SIZE")
+    with path.open("r+b") as file:
+        file.truncate(SIZE)
+    return path
+
+
+def _output(*words: str) -> str:
+    done = subprocess.run(words, check=False, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    if done.returncode:
+        raise ImageError(f"{' '.join(words[:3])} failed: {done.stderr.strip()[-500:]}")
+    return done.stdout

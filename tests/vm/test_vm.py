@@ -1,0 +1,153 @@
+"""What `make vm` is made of, as far as it needs no virtual machine: its table, its agent, its names."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bench.vm import guest, image, inside, outside, table
+from bench.vm.image import Image
+from bench.vm.table import INSIDE, OUTSIDE, Result
+
+AGENT = Path(image.HERE, "agent.py")
+
+
+# The table.
+
+
+def test_every_trial_is_one_that_can_be_run() -> None:
+    for where, do in ((INSIDE, inside.DO), (OUTSIDE, outside.DO)):
+        assert {trial.name for trial in table.TRIALS if trial.where == where} == set(do)
+    assert len(table.BY_NAME) == len(table.TRIALS)
+    assert next(iter(table.BY_NAME)) == "install", "the others need it"
+
+
+def test_a_trial_that_wants_a_guest_of_its_own_has_one() -> None:
+    assert table.lives(["sleep", "sleep_lost", "reboot"]) == [["sleep"], ["sleep_lost", "reboot"]]
+    assert table.lives(["sleep_lost"]) == [["sleep_lost"]]
+    assert table.lives([]) == []
+
+
+def row(name: str, *results: Result, floor_ms: float = 5.0) -> table.Row:
+    floor = Result(table.FLOORS[table.BY_NAME[name].where], ms=floor_ms)
+    [found] = table.rows([floor, *results], [name])
+    return found
+
+
+def test_a_row_is_met_when_nothing_is_wrong() -> None:
+    assert row("replug", Result("replug", ms=20.0), Result("replug", ms=30.0)).problems == []
+
+
+@pytest.mark.parametrize(
+    ("result", "problem"),
+    [
+        (Result("replug", ms=20.0, missed=1), "1 stops missed"),
+        (Result("replug", ms=20.0, after=2), "2 motion frames after the stop"),
+        (Result("replug", ms=101.0), "later than 100 ms"),
+        (Result("replug", ms=20.0, wrong=["the wheels turn at the end"]), "the wheels turn at the end"),
+    ],
+)
+def test_a_row_is_missed(result: Result, problem: str) -> None:
+    found = row("replug", Result("replug", ms=20.0), result)
+    assert found.problems == [problem]
+    assert f"| **missed**: {problem} |" in table.markdown([found])
+
+
+def test_a_kill_is_held_against_the_floor_of_its_guest() -> None:
+    assert row("kill_gate", Result("kill_gate", ms=14.9)).problems == []
+    assert row("kill_gate", Result("kill_gate", ms=15.1)).problems == ["later than 3 floors"]
+
+
+def test_a_trial_without_a_result_is_missed() -> None:
+    assert row("boot").problems == ["not run"]
+
+
+def test_a_result_survives_its_way_out_of_the_guest() -> None:
+    found = Result("replug", ms=1.5, wrong=["x"])
+    assert table.result(json.loads(json.dumps(found.__dict__))) == found
+    with pytest.raises(TypeError):
+        table.result({"board": {}})
+
+
+# The agent.
+
+
+@pytest.fixture
+def agent() -> Iterator[int]:
+    """The agent with a terminal for its virtio port; yields the machine's end."""
+    machine, guests = pty.openpty()
+    tty.setraw(guests)
+    process = subprocess.Popen([sys.executable, str(AGENT), os.ttyname(guests)])
+    try:
+        yield machine
+    finally:
+        os.close(guests)
+        os.close(machine)
+        process.kill()
+        process.wait()
+
+
+def lines(machine: int) -> Iterator[dict[str, object]]:
+    waiting = b""
+    while True:
+        while b"\n" not in waiting:
+            waiting += os.read(machine, 4096)
+        line, _, waiting = waiting.partition(b"\n")
+        yield json.loads(line)
+
+
+def test_the_agent_greets_runs_and_passes_on(agent: int) -> None:
+    heard = lines(agent)
+    boot_id = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    assert next(heard) == {"hello": boot_id}
+    for number, command in ((1, "echo one; echo two >&2; exit 3"), (2, "true")):
+        message = {"id": number, "run": ["sh", "-c", command], "timeout_s": 30}
+        os.write(agent, json.dumps(message).encode() + b"\n")
+        if number == 1:
+            assert [next(heard) for _ in range(2)] == [{"id": 1, "line": "one"}, {"id": 1, "line": "two"}]
+        assert next(heard) == {"id": number, "code": 3 if number == 1 else 0}
+
+
+def test_the_agent_ends_what_takes_too_long_and_lives_on(agent: int) -> None:
+    heard = lines(agent)
+    next(heard)
+    for number, words, code in ((1, ["sleep", "60"], -9), (2, ["/nonexistent"], -1)):
+        os.write(agent, json.dumps({"id": number, "run": words, "timeout_s": 0.1}).encode() + b"\n")
+        assert next(answer for answer in heard if "code" in answer) == {"id": number, "code": code}
+
+
+# Names.
+
+
+def test_a_state_is_of_one_machine() -> None:
+    nowhere = Path("-")
+    words = guest.command(Image("", nowhere, nowhere, nowhere), nowhere, nowhere, nowhere, 2, "")
+    assert image.key(*words) == image.key(*words)
+    assert image.key(*words) != image.key(*words, "-device", "another")
+    assert image.key("a", "b") != image.key("ab")
+
+
+def test_what_is_missing_is_named_with_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(image.shutil, "which", lambda program: None)
+    with pytest.raises(image.ImageError, match=r"apt-get install .*mmdebstrap .*qemu-system-x86"):
+        image.check()
+
+
+def test_the_cache_is_where_one_wants_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("FAILSTOP_VM_CACHE", str(tmp_path))
+    assert image.cache() == tmp_path
+
+
+def test_the_guest_has_what_failstop_needs() -> None:
+    found = image.dependencies()
+    assert any(one.startswith("posix-ipc") for one in found)
+    assert any(one.startswith("setuptools") for one in found)
+    assert not any("python_version" in one for one in found)
