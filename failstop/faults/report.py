@@ -148,7 +148,9 @@ def markdown(result: dict[str, Any]) -> str:
         "Times are in ms from the fault, or from what the row says, to the arrival of the last byte of that stop",
         "frame. The bar is for the p99. What is latched is the reason in `failstop status`; what is said is a line on",
         "stderr or in the journal; both are regular expressions here. Where nothing is latched after a new start,",
-        "motion is disabled. Clearing moves no wheel, but where it comes *by itself*.",
+        "motion is disabled. Clearing moves no wheel, but where it comes *by itself*. What is *not here* this",
+        "machine could not bring about: `make vm` puts one of its own to sleep and steps its clock",
+        "([usb.md](usb.md)).",
     ]
     for event in EVENTS:
         rows = [fault for fault in TABLE if fault.event == event]
