@@ -14,7 +14,7 @@ EXAMPLES = """\
 failstop sim --device /tmp/board
 failstop sim --device /tmp/board --verbose   # tells what the wheels do
 failstop sim --device /tmp/board --record board.jsonl --imu-hz 0
-sudo failstop sim --device /run/board --usb      # a USB board: /dev/ttyACM0, by the kernel's own driver
+failstop sim --device /run/board --usb   # as root: on USB (vhci_hcd)
 """
 
 
