@@ -44,17 +44,22 @@ def test_clients_killed_at_random_points_of_any_call(trial: Trial) -> None:
     trial.enable()
     with hostile(trial, "nursery") as nursery:
         nursery.says()
-        for _ in range(KILLS):
+        events, longest_s = trial.board.events(), 0.025
+        for turn in itertools.count():
+            if turn >= KILLS:
+                events += trial.board.events()
+                if any(event.is_motion for event in events):
+                    break
+                longest_s *= 2  # on a busy machine they need longer to drive at all
             pid = int(nursery.asks())
-            time.sleep(dice.uniform(0.0, 0.025))
+            time.sleep(dice.uniform(0.0, longest_s))
             os.kill(pid, signal.SIGKILL)
             wait_for("the slot to be free", lambda: not any(claim.held(claims, i) for i in range(1, 8)), 2.0)
             wait_for("the gate to see it", lambda: len(trial.robot.state.clients) == 1, 2.0)
     os.close(claims)
     killed_ns = time.monotonic_ns()
     trial.board.wait_wheels(moving=False, timeout_s=2.0)
-    events = trial.board.events()
-    assert any(event.is_motion for event in events), "the clients did drive"
+    events += trial.board.events()
     assert all(within_limits(event) for event in events if event.is_motor)
     assert not any(event.is_motion and event.arrival_ns > killed_ns + 50e6 for event in events)
     watch.holds()

@@ -21,6 +21,7 @@ from .memory import Memory, genuine, payload_of, time_of
 
 KILLS = amount(200, 1700)
 CONTROL_KILLS = 150
+ROUNDS = 5
 CASES = [
     ("latest", "gate.reply.0", 64),
     ("latest", "gate.state", 2048),
@@ -60,15 +61,18 @@ def test_enough_kills() -> None:
 @pytest.mark.parametrize(("kind", "where", "size"), CASES)
 def test_killed_writers_leave_no_torn_record(kind: str, where: str, size: int) -> None:
     """Also: never older than seen before, gaps are what was counted as lost, and each successor goes on by one."""
-    account = kill(kind, where, size, KILLS, "real")
-    assert account["torn_accepted"] == 0
-    assert account["faults"] == []
-    assert account["reads_while_writing"] > KILLS
-    assert account["accepted"] >= KILLS
-    assert account["written"] >= KILLS
-    if size == 65536:
-        # The kills did land in the middle of stores, and what they left was met by the readers.
-        assert account["kills_that_left_a_torn_slot"] > 0
+    left = 0
+    for _ in range(ROUNDS):
+        account = kill(kind, where, size, KILLS, "real")
+        assert account["torn_accepted"] == 0
+        assert account["faults"] == []
+        assert account["reads_while_writing"] > KILLS
+        assert account["accepted"] >= KILLS
+        assert account["written"] >= KILLS
+        left += account["kills_that_left_a_torn_slot"]
+        if left or size < 65536:
+            return
+    pytest.fail("no kill landed in the middle of a store")
 
 
 @pytest.mark.parametrize(("kind", "where", "size"), CASES)
