@@ -35,8 +35,10 @@ class Finding:
 
 
 def sources(root: str) -> Iterator[str]:
-    """Every Python file of the rooms, by its path from the root; links to rooms are not followed twice. Not the simulated
-    board, which shares no memory."""
+    """Every Python file of the rooms, by its path from the root; links to rooms are not followed twice.
+
+    Not the simulated board, which shares no memory.
+    """
     for room in ROOMS:
         for base, directories, files in os.walk(os.path.join(root, room)):
             directories[:] = [
