@@ -31,7 +31,8 @@ class Carriers:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         for pid in self._changed & set(workers()):
-            os.sched_setscheduler(pid, os.SCHED_OTHER, _ORDINARY)
+            with contextlib.suppress(ProcessLookupError):
+                os.sched_setscheduler(pid, os.SCHED_OTHER, _ORDINARY)
 
     def first(self) -> None:
         """Call before each measurement: workers come and go."""

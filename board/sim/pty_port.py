@@ -16,11 +16,12 @@ import termios
 import time
 import tty
 
+from failstop.board.sim.model import NEVER
+
 _READ_SIZE = 65536
 # Reads in one go, so that a host that never stops writing cannot keep the board from doing anything else.
 _READS = 64
 _ALWAYS = select.EPOLLHUP | select.EPOLLERR
-NEVER = 1 << 63
 
 
 class SimError(Exception):

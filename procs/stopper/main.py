@@ -85,8 +85,8 @@ class Stopper:
             self._excused_ns = now_ns
         self._turned_ns = now_ns
         bell.clear_rung((self._bell, self._early.bell), ready)
-        if self._port_owner.life and self._port_owner.down(ready):
-            self._port_owner_died(self._port_owner.life.pid, now_ns)
+        if died := self._port_owner.down(ready):
+            self._port_owner_died(died, now_ns)
             self._port_owner.drop()
         if not self._orphaned_ns and self._supervisor_life.down(ready):
             self._orphaned_ns = now_ns

@@ -12,6 +12,7 @@ import struct
 from collections import deque
 from typing import Any, NamedTuple
 
+from failstop.board.sim.model import NEVER
 from failstop.board.sim.usb import descriptors
 
 BAUD = 1_000_000
@@ -20,7 +21,6 @@ CHIP_OUT = 1024
 """Bytes that the chip takes ahead of its wire."""
 CHIP_IN = 4096
 """Bytes that it keeps for a host that does not ask; then it loses them."""
-NEVER = 1 << 63
 
 # Requests: the kind (direction, type) and the number.
 _GET_STATUS, _GET_DESCRIPTOR, _GET_CONFIGURATION, _SET_CONFIGURATION, _GET_INTERFACE = 0, 6, 8, 9, 10

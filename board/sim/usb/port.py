@@ -8,6 +8,7 @@ import socket
 import time
 from typing import Any
 
+from failstop.board.sim.model import NEVER
 from failstop.board.sim.pty_port import SimError
 from failstop.board.sim.usb import vhci
 from failstop.board.sim.usb.acm import Acm
@@ -18,7 +19,6 @@ VHCI = "vhci"
 """The place that is this machine's own virtual controller; every other is HOST:PORT of a usbredir host."""
 _READ_SIZE = 65536
 _RETRY_NS = 200_000_000
-NEVER = 1 << 63
 
 
 class UsbPort:
