@@ -13,7 +13,9 @@ MOTION = 1
 STOP = 2
 """Frame kind: write the stop burst now (latched or not); the text is the reason."""
 OTHER = 3
-"""Frame kind: a frame that is not motion (buzzer, servos, LEDs), in order."""
+"""Frame kind: a frame that is not motion (buzzer, LEDs), in order."""
+ARM = 4
+"""Frame kind: a frame for the arm's servos, in order; it dies with its epoch and the lease as motion does."""
 REQUESTED = "stop request"
 """The reason of every stop that was asked for through the stop pipe begins with it, and no other: whatever is typed
 into the pipe can't pose as a cause that the service has noticed itself."""

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from failstop.board.finder import Finder
 
-BURST = BOARD.burst
-
 REOPEN_NS = 10_000_000
 """How often a lost port is looked for: half of the time within which a board that is back is stopped."""
 BUSY_S = 1.0
@@ -34,10 +32,12 @@ stopper may be at the very same moment."""
 class OwnPort:
     """A duplicate of the port's descriptor; -1 while the port is gone."""
 
-    __slots__ = ("_next_ns", "fd", "since_ns", "stopped")
+    __slots__ = ("_next_ns", "_stop", "fd", "since_ns", "stopped")
 
-    def __init__(self, fd: int) -> None:
+    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
+        """`servos`: of the robot's arm, which every burst stops with the wheels; not known to a run's first burst."""
         self.fd = fd
+        self._stop = BOARD.burst_with(servos)
         self.stopped = False
         """The kernel has taken the whole of the run's first burst."""
         self.since_ns = time.monotonic_ns()
@@ -70,7 +70,7 @@ class OwnPort:
             return False
         for _ in range(TRIES):
             try:
-                return os.write(self.fd, BURST) == len(BURST)
+                return os.write(self.fd, self._stop) == len(self._stop)
             except BlockingIOError:
                 continue
             except OSError:

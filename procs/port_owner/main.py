@@ -15,6 +15,7 @@ from failstop.procs.peer import Peer
 from failstop.procs.port_owner import repeats
 from failstop.procs.port_owner.admission import Admission
 from failstop.procs.port_owner.pings import Pings
+from failstop.procs.port_owner.servo_bus import ServoBus
 from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell, heartbeat, layout, records
@@ -50,6 +51,7 @@ class PortOwner:
         self.heartbeat = context.heartbeat
         self.loop = Loop()
         self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
+        self.bus = ServoBus(settings.servos())
         self.repeats = repeats.Repeats(monotonic_ns())
         self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), monotonic_ns())
         self.suspend = SuspendWatch()
@@ -78,13 +80,15 @@ class PortOwner:
         self._peers = (self._gate, *(Peer(name, context, self.loop) for name in (layout.TELEMETRY, layout.STOPPER)))
         self._pipe_rests_until_ns = 0
         self._moved_ns = 0
+        self._arm_moved = False
+        """A servo was sent somewhere since the last stop."""
         self._silence_ns = 2 * settings.ns("gate.refresh_s")
         self._leave_ns = 0
         self._stuck = False
         self._watched = (-1, 0)
         self.epoch = self._epoch_word.get()
 
-        self.wire = Wire(context.fd("port"))
+        self.wire = Wire(context.fd("port"), BOARD.burst_with(self.bus.servos))
         self._finder = Finder(settings.text("device.path"))
         self._opened = 1
         """How many ports this process has had."""
@@ -149,7 +153,7 @@ class PortOwner:
 
     def _stopped(self, written_ns: int) -> int:
         """What follows every burst. Returns when it was written: 0 when the kernel did not take all of it."""
-        self.admission.moving = False
+        self.admission.moving = self._arm_moved = False
         self.repeats.restart(written_ns)
         self.pings.stopped(written_ns)
         if self.wire.lost or self.wire.unsent:
@@ -235,6 +239,7 @@ class PortOwner:
     def _forward_frames(self) -> None:
         """Drain the gate's ring: of motion the newest counts, a stop ends all motion queued before it."""
         motion = b""
+        arm: list[tuple[bytes, int, int]] = []
         motion_ns = 0
         motion_epoch = 0
         while entry := self._frames.next():
@@ -244,9 +249,14 @@ class PortOwner:
                 motion, motion_ns, motion_epoch = body, frame_ns, epoch
             elif kind == records.STOP:
                 motion = b""
+                arm.clear()
                 self._gate_stop()
+            elif kind == records.ARM:
+                arm.append((body, epoch, frame_ns))
             elif not BOARD.check_aux(body):
                 self.wire.frame(body, backlog=OTHER_BACKLOG)
+        for found in arm:
+            self._forward_arm(*found)
         if motion:
             self._forward_motion(motion, motion_epoch, motion_ns)
 
@@ -254,9 +264,43 @@ class PortOwner:
         """The gate wants a burst: at once while something moves, else not again so soon after the last: clients that
         disable again and again must not keep the wire full."""
         now_ns = monotonic_ns()
-        if self.admission.moving or now_ns - self._written_word.get() >= PIPE_REST_NS:
+        if self.admission.moving or self._arm_moved or now_ns - self._written_word.get() >= PIPE_REST_NS:
             self.wire.burst()
             self._stopped(monotonic_ns())
+
+    def _forward_arm(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
+        """As for motion; what is dropped is sent no more, since the next move of the stream follows."""
+        now_ns = monotonic_ns()
+        if not self._gate.life or not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
+            return
+        if self._pipe_rests_until_ns and self.loop.readable(self._stop_pipe):
+            self._stop_request(now_ns)
+        elif fault := self._lapsed(now_ns):
+            self.stop(now_ns, fault)
+        elif fault := self.bus.fault(frame):
+            self.stop(now_ns, f"frame for the arm: {fault}")
+        elif self.bus.admits(frame, now_ns, wheels_move=self.admission.moving):
+            self._write_arm(frame, frame_epoch, frame_ns)
+
+    def _write_arm(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
+        """Says that it moves while it writes, as for motion; afterwards no more, since a servo's move ends by itself."""
+        before = self._moving_word.get()
+        self._moving_word.set(1)
+        self._barrier()
+        now_ns = monotonic_ns()
+        if self._epoch_word.get() != frame_epoch:
+            self._follow_epoch(now_ns)
+        elif (
+            self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns)
+            and not self._check_suspend(now_ns)
+            and self.wire.frame(frame, backlog=OTHER_BACKLOG)
+            and self.bus.wrote(frame, now_ns)
+        ):
+            self._arm_moved = True
+            self.repeats.motion()
+            self._wake_pipe()
+        if not (before or self.wire.unsent or self.wire.lost):
+            self._moving_word.set(0)
 
     def _forward_motion(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
         """The table of admission.py, row by row; the epoch is looked at again just before the write. The time is that

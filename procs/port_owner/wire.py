@@ -22,10 +22,12 @@ DRAIN_NS = 100_000_000
 class Wire:
     """The open port. `lost` turns true when the device has gone; nothing is written from then on."""
 
-    __slots__ = ("_box", "_handed", "_held_since_ns", "_refused", "fd", "lost", "unsent")
+    __slots__ = ("_box", "_handed", "_held_since_ns", "_refused", "_stop", "fd", "lost", "unsent")
 
-    def __init__(self, fd: int) -> None:
+    def __init__(self, fd: int, stop: bytes = BURST) -> None:
+        """`stop`: the burst, and what stops the robot's arm behind it."""
         self._box: RingWriter | None = None
+        self._stop = stop
         self.fd = fd
         self.lost = fd < 0
         self.unsent = b""
@@ -66,8 +68,8 @@ class Wire:
         of an earlier burst goes first."""
         if self.lost:
             return
-        begun = self.unsent if BURST.endswith(self.unsent) else b""
-        data = begun + BURST
+        begun = self.unsent if self._stop.endswith(self.unsent) else b""
+        data = begun + self._stop
         taken = self._write(data)
         self.unsent = data[taken:]
         self._note(box.BURST, data, taken)
@@ -76,7 +78,7 @@ class Wire:
         """Tell the black box of the burst that was just written, and of everything from now on. Attaching its ring
         takes milliseconds, so the first burst does not wait for it."""
         self._box = ring
-        self._note(box.BURST, BURST, len(BURST) - len(self.unsent))
+        self._note(box.BURST, self._stop, len(self._stop) - len(self.unsent))
 
     def _note(self, kind: int, data: bytes, taken: int) -> None:
         if self._box and not self.lost:

@@ -25,8 +25,6 @@ from failstop.shm import bell, heartbeat, layout, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.lifeline import Lifeline
 
-BURST = BOARD.burst
-
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.context import Context
@@ -60,6 +58,7 @@ class Stopper:
         self._bell = context.bell("bell")
         self._control = Control(context.fd("control"))
         self._port = context.fd("port")
+        self._stop = BOARD.burst_with(context.settings.servos())
         self._port_since_ns = monotonic_ns()
         self._port_word = context.own.word("port_ns")
         self._port_word.set(self._port_since_ns if self._port >= 0 else 0)
@@ -125,7 +124,7 @@ class Stopper:
         if self._port < 0:
             return
         try:
-            os.write(self._port, BURST)
+            os.write(self._port, self._stop)
             self._written_word.set(monotonic_ns())
         except BlockingIOError:
             return

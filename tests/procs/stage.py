@@ -7,6 +7,7 @@ import itertools
 import os
 import signal
 from pathlib import Path
+from typing import ClassVar
 
 from failstop.procs import handover
 from failstop.procs.handover import Control
@@ -87,6 +88,9 @@ class Dummy:
 class Stage:
     """Plays supervisor, gate and clients around one process. The context that the process is given is this object."""
 
+    changed: ClassVar[dict[str, object]] = {}
+    """Settings that are not the defaults."""
+
     def __init__(self, process: str, directory: Path, *, open_port: bool = True) -> None:
         self.process = process
         self.name = f"s{os.getpid()}x{next(_numbers)}"
@@ -96,7 +100,7 @@ class Stage:
         self.pty = Pty()
         self.path = directory / "board"
         self.path.symlink_to(self.pty.link)
-        self.settings = Settings({"device.path": str(self.path)})
+        self.settings = Settings({"device.path": str(self.path), **self.changed})
         self.supervisor = Dummy()
         self.parent = self.supervisor.pid
         self.others: list[Dummy] = []
