@@ -164,9 +164,9 @@ def battery_alarm(millivolts: int) -> bytes:
 def check_aux(frame: bytes) -> str:
     """Why these bytes must not be written as a frame that is not motion, in a few words; "" when they may.
 
-    Accepted is exactly one frame of a function in AUX_FUNCS but the bus servos', of the right length and CRC, without the start of a
-    motor frame anywhere in it, and with nothing in it that makes the firmware's handler reach outside its tables
-    (which could change a wheel's set point as well as anything), whole or cut and completed by the stop burst. Never
+    Accepted is exactly one frame of a function in AUX_FUNCS but the bus servos', of the right length and CRC, without
+    the start of a motor frame anywhere in it, and with nothing in it that makes the firmware's handler reach outside
+    its tables (which could change a wheel's set point as well as anything), whole or cut and completed by the stop burst. Never
     raises on bytes.
     """
     size = len(frame)

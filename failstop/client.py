@@ -154,6 +154,8 @@ class Client:
         self._sensed = self._segment.latest_writer("sensed")
         self._interlocks = self._segment.latest_writer("interlocks")
         self._said = self._segment.latest_writer("said")
+        self._arm_goal = self._segment.latest_writer("arm_goal")
+        self._arm_path = self._segment.latest_writer("arm_path")
         self._reply = self._gate.latest_reader(f"reply.{self.slot}")
         self._hint = bytes([self.slot])
         self._segment.latest_writer("hello").write(self._hello(self._session))
@@ -213,9 +215,18 @@ class Client:
         self._ring()
         return self._number
 
-    def answer(self, asked: int) -> tuple[bool, str] | None:
-        """The gate's answer to a request, (done, text); None while there is none. What the request has changed is in
-        the gate's state from then on."""
+    def arm_goal(self, mode: int, values: dict[int, float]) -> None:
+        """Hand a goal of the arm to the gate; returns at once. Raises NoService, ValueError."""
+        self._arm_goal.write(records.pack_arm_goal(self._session, mode, values))
+        self._ring()
+
+    def arm_path(self, share: float, servos: list[int], rows: list[tuple[float, list[float]]]) -> None:
+        """Leave a trajectory for the request that follows. Raises ValueError."""
+        self._arm_path.write(records.pack_arm_path(self._session, share, servos, rows))
+
+    def answer(self, asked: int) -> tuple[int, str] | None:
+        """The gate's answer to a request, (records.DONE, REFUSED or UNDER_WAY, text); None while there is none. What
+        the request has changed is in the gate's state from then on."""
         if (entry := self._reply.read()) is not None:
             session, number, done, text = records.unpack_reply(entry[2])
             if (session, number) == (self._session, asked):

@@ -63,7 +63,7 @@ def cut_anywhere(frame: bytes) -> None:
 
 
 def test_the_arm_s_stop_is_the_end_of_one_write() -> None:
-    assert WRITE == BURST + bus_servo_stop((1, 2, 3)) + bus_servo_stop((4, 5, 10))
+    assert BURST + bus_servo_stop((1, 2, 3)) + bus_servo_stop((4, 5, 10)) == WRITE
     assert burst_with(()) == BURST == BOARD.burst
     assert BOARD.burst_with(ARM) == WRITE
 

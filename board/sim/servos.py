@@ -12,6 +12,7 @@ from struct import unpack_from
 
 from failstop.board import servos as wire
 from failstop.board import upward
+from failstop.board.framing import BUS_SERVO
 
 ARM = (1, 2, 3, 4, 5, 10)
 HOT_C = 85
@@ -24,6 +25,7 @@ PULSES_PER_S = 1400.0
 """Faster no servo turns, whatever it is told: 60 degrees in 0.18 s."""
 TRACK_KEPT = 100_000
 FAULTS = ("silent", "blocked", "unloaded", "late")
+READINGS = ("temperature_c", "supply_mv")
 
 
 @dataclass(slots=True)
@@ -79,7 +81,7 @@ class Servos:
             servo = self.by_id.get(data[1]) if len(data) > 1 else None
             quick = self._stale or (servo and not servo.silent and not servo.late)
             return ANSWER_NS if quick else wire.SILENT_NS
-        return wire.bus_ns(wire.BUS_SERVO, data)
+        return wire.bus_ns(BUS_SERVO, data)
 
     def execute(self, data: bytes, t_ns: int) -> bytes:
         """Carry out a frame's data; returns the answer's frame, or nothing. The firmware checks no count."""
@@ -148,9 +150,7 @@ class Servos:
             if name == "position" and isinstance(value, (int, float)):
                 found.leg = Leg(servo, t_ns, float(value), t_ns, float(value))
                 self.track.append(found.leg)
-            elif name in FAULTS and isinstance(value, bool):
-                setattr(found, name, value)
-            elif name in ("temperature_c", "supply_mv") and isinstance(value, int):
+            elif isinstance(value, bool if name in FAULTS else int) and name in (*FAULTS, *READINGS):
                 setattr(found, name, value)
             else:
                 raise ValueError(f"{name} = {value!r} is nothing of a servo's")

@@ -138,14 +138,16 @@ class GateCore:
         self.velocity = REST
         self.speeds = STILL
 
+    def refusal(self, missing: str, now_ns: int) -> str:
+        """Why motion can't be enabled now; empty when it can."""
+        if self.latch is not None:
+            return f"e-stop latched ({self.latch})"
+        return f"not ready: {missing}" if missing else self.interlocks.unmet(now_ns)
+
     def enable(self, epoch: int, missing: str, now_ns: int) -> tuple[bool, str]:
         """Allow motion in this epoch; `missing` names what is not ready. Returns (done, text)."""
-        if self.latch is not None:
-            return False, f"e-stop latched ({self.latch})"
-        if missing:
-            return False, f"not ready: {missing}"
-        if unmet := self.interlocks.unmet(now_ns):
-            return False, unmet
+        if refusal := self.refusal(missing, now_ns):
+            return False, refusal
         if not self.enabled:
             self.stand_still()
             self.enabled = True

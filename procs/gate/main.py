@@ -7,6 +7,7 @@ from time import monotonic_ns
 
 from failstop.board.interface import BOARD
 from failstop.procs.gate import kinematics
+from failstop.procs.gate.arm.shell import Arm
 from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.remarks import Budget, of_request
@@ -29,6 +30,8 @@ PUBLISH_NS = 80_000_000
 comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
+NO_ARM = "this robot has no arm: its settings name no joints"
+ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 LOOK_AT_ALL_EVERY = 10
 """Ticks between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
 
@@ -73,6 +76,7 @@ class Gate:
         self._pad_seq = seen(self._pad_command)
         self._wishes = telemetry.ring_reader("wishes")
         self._early = context.early.bell
+        self.arm = Arm(self, context, now_ns) if settings.servos() else None
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, self)
         self.epoch = self._epoch_word.get()
         self._stopped_ns = 0
@@ -116,6 +120,8 @@ class Gate:
             self._tick(now_ns)
         elif now_ns >= self._due_ns:
             self._step(now_ns)
+        if self.arm:
+            self.arm.turn(now_ns)
         self._tell()
         self._publish(now_ns)
         self.heartbeat.beat(now_ns, self.epoch)
@@ -184,6 +190,8 @@ class Gate:
             self.epoch = epoch
             self._note_stop()
             self.core.trip(self._why(), epoch - 1)
+            if self.arm:
+                self.arm.stopped(f"e-stop latched ({self.core.latch})")
 
     def _follow_telemetry(self, now_ns: int) -> None:
         """The gamepad's sticks, and what telemetry wishes: a reset, or a frame that is not motion."""
@@ -207,6 +215,11 @@ class Gate:
             self._reset_word.set(self.epoch)
         return done, text
 
+    def send(self, kind: int, body: bytes, now_ns: int) -> None:
+        """A frame of the current epoch for the port owner, or STOP."""
+        self._frames.put(records.pack_frame(self.epoch, kind, body), now_ns)
+        self._port_owner_bell.ring()
+
     def _write_stop(self, reason: str) -> None:
         self._frames.put(records.pack_frame(self.epoch, records.STOP, records.cut(reason, 200)))
         self._port_owner_bell.ring()
@@ -215,6 +228,8 @@ class Gate:
         """Latch a stop: burst at once, then the news to the supervisor, which raises the epoch."""
         if self.core.trip(reason, self.epoch):
             self._write_stop(reason)
+            if self.arm:
+                self.arm.stopped(f"e-stop latched ({reason})")
             self._trips.put(records.pack_stop(self.epoch, now_ns, 0, True, reason))
             self.supervisor_bell.ring()
 
@@ -233,26 +248,53 @@ class Gate:
         asserted_ns, names = slot.interlocks()
         if asserted_ns:
             self.core.interlocks.hold(names, asserted_ns, now_ns)
+        if self.arm:
+            self.arm.goal(slot, now_ns)
 
     def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
-        """Decide, act, answer. Who asked before a stop did not know of it."""
+        """Decide, act, answer. Who asked before a stop did not know of it. With an arm some answers take time."""
         enabled, latched = self.core.enabled, self.core.latch
+        done: int
         if verb in (records.ENABLE, records.RESET) and asked_ns < self._stopped_ns:
             done, text = False, f"asked before the last stop ({self._why()}): see to that, then ask again"
         elif verb == records.ENABLE:
-            missing = "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
-            done, text = self.core.enable(self.epoch, missing, now_ns)
+            done, text = self._enable(slot, number, now_ns)
         elif verb == records.DISABLE:
             done, text = self.core.disable()
             self._write_stop("disabled")
+            if self.arm:
+                self.arm.stopped("motion disabled")
         elif verb == records.RESET:
             done, text = self._reset()
+        elif verb in ARM_VERBS:
+            done, text = self.arm.request(slot, number, verb, now_ns) if self.arm else (records.REFUSED, NO_ARM)
         else:
             done, text = False, f"unknown request {verb}"
+        self.reply(slot, number, done, text, now_ns)
+        if done != records.UNDER_WAY:
+            self._remark(verb, slot.name, slot.pid, bool(done), text, now_ns, enabled=enabled, latched=latched)
+
+    def _enable(self, slot: Slot, number: int, now_ns: int) -> tuple[int, str]:
+        """Motion, if nothing is against it; with an arm that is to be folded, its way to the drive pose first."""
+        missing = "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
+        if self.arm and not self.core.enabled and not self.core.refusal(missing, now_ns):
+            return self.arm.enable(slot, number, now_ns) or self.core.enable(self.epoch, missing, now_ns)
+        return self.core.enable(self.epoch, missing, now_ns)
+
+    def enable_now(self, slot: Slot, number: int, now_ns: int) -> None:
+        """The arm is in the drive pose: enable, if still nothing is against it."""
+        missing = "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
+        done, text = self.core.enable(self.epoch, missing, now_ns)
+        if done and self.arm:
+            self.arm.core.forget()
+        self.reply(slot, number, done, text, now_ns)
+        self._remark(records.ENABLE, slot.name, slot.pid, done, text, now_ns, enabled=False, latched=self.core.latch)
+
+    def reply(self, slot: Slot, number: int, done: int, text: str, now_ns: int) -> None:
+        """Answer a request; what it has changed is in the state by then."""
         self._publish(now_ns)
         self._barrier()
         self._replies[slot.index].write(records.pack_reply(slot.session, number, done, text))
-        self._remark(verb, slot.name, slot.pid, done, text, now_ns, enabled=enabled, latched=latched)
 
     def _remark(
         self,
@@ -278,14 +320,18 @@ class Gate:
         """It has left, or its claim is gone: if it was the one that drives, the wheels stand at once."""
         if self.core.client_gone(slot.session, now_ns, parted=slot.parted):
             self._step(now_ns)
+        if self.arm:
+            self.arm.client_gone(slot.session, now_ns)
 
     def _publish(self, now_ns: int) -> None:
         """Publish the state when it has changed, and at least every PUBLISH_NS."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0
+        arm = {"arm": self.arm.state(now_ns)} if self.arm else {}
         state = pack(
             {
+                **arm,
                 "enabled": core.enabled,
                 "estop": core.latch,
                 "blocked": core.blocked(now_ns) or None,
@@ -310,7 +356,7 @@ class Gate:
         saw it: what has run out since is due now, and not forgotten until the tick."""
         due_ns = self.core.due_ns(self._turned_ns)
         self._due_ns = self._tick_ns if due_ns is None else min(self._tick_ns, due_ns)
-        return self._due_ns
+        return min(self._due_ns, self.arm.due_ns()) if self.arm else self._due_ns
 
 
 def run(context: Context) -> int:

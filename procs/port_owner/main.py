@@ -283,7 +283,7 @@ class PortOwner:
             self._write_arm(frame, frame_epoch, frame_ns)
 
     def _write_arm(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
-        """Says that it moves while it writes, as for motion; afterwards no more, since a servo's move ends by itself."""
+        """Says that it moves while it writes, as for motion; afterwards no more: a servo's move ends by itself."""
         before = self._moving_word.get()
         self._moving_word.set(1)
         self._barrier()

@@ -74,6 +74,9 @@ class Telemetry:
             framing.KEY: self._on_key,
             framing.PWM_SERVO: Pongs(own.word("pong"), self.supervisor_bell).take,
         }
+        self._servos = own.ring_writer("servos")
+        if settings.servos():
+            self._handlers[framing.BUS_SERVO] = self._on_servo
         self._decoder = decoder.Decoder()
         self._trips = Trips(int(settings["pad.mode_button"]), int(settings["key.stop"]))
         self._pad = Pad.of(settings, self._trips)
@@ -253,6 +256,11 @@ class Telemetry:
                 self._events.put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
                 text = f"{news.reason}; last frames: {self._pad.recent()}"
                 self._note("pad", text, {"reason": news.reason})
+
+    def _on_servo(self, data: bytes, t_ns: int) -> None:
+        if answer := decoder.servo_reply(framing.BUS_SERVO, data):
+            self._servos.put(records.pack_servo(*answer), t_ns)
+            self._gate_bell.ring()
 
     def _on_key(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.key(data):
