@@ -166,8 +166,8 @@ def check_aux(frame: bytes) -> str:
 
     Accepted is exactly one frame of a function in AUX_FUNCS but the bus servos', of the right length and CRC, without
     the start of a motor frame anywhere in it, and with nothing in it that makes the firmware's handler reach outside
-    its tables (which could change a wheel's set point as well as anything), whole or cut and completed by the stop burst. Never
-    raises on bytes.
+    its tables (which could change a wheel's set point as well as anything), whole or cut and completed by the stop
+    burst. Never raises on bytes.
     """
     size = len(frame)
     if size < 5 or frame[:2] != HEAD:

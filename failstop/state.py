@@ -10,13 +10,13 @@ import msgpack
 
 from failstop.client import attach
 from failstop.errors import FailstopError
+from failstop.policy.processes import BY_NAME
+from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.run import Run
 from failstop.shm import blocks, heartbeat, layout, records
-from failstop.supervisor.settings import Settings
-from failstop.supervisor.table import BY_NAME
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,6 +9,7 @@ import signal
 from pathlib import Path
 from typing import ClassVar
 
+from failstop.policy.settings import Settings
 from failstop.procs import handover
 from failstop.procs.handover import Control
 from failstop.shm import bell, heartbeat, layout, records, segment
@@ -16,7 +17,6 @@ from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import Lifeline
 from failstop.shm.segment import Segment
-from failstop.supervisor.settings import Settings
 from tests.waiting import until
 
 from .parts import Pty

@@ -19,8 +19,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
+    from failstop.policy.settings import Settings
     from failstop.procs.gate.arm.joints import Joint
-    from failstop.supervisor.settings import Settings
 
 SERVICE = 0
 """The session of the service's own journeys: to the drive pose, to the tuck pose."""

@@ -7,7 +7,7 @@ from math import copysign, pi, sqrt
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.supervisor.settings import Settings
+    from failstop.policy.settings import Settings
 
 PULSES_PER_RAD = 1500 / (2 * pi)
 """0.24 degrees each."""

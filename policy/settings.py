@@ -7,6 +7,8 @@ sources, interlocks and an arm's joints are tables with a name of the user's: [s
 
 from __future__ import annotations
 
+SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
+"""The environment variable in which a process finds them."""
 MOST_SHOWN = 160
 """Characters of a value in a message."""
 
@@ -359,7 +361,7 @@ class Settings:
 
     def max_wheel_rps(self) -> float:
         """The fastest that any wheel can turn within the limits, in revolutions per second."""
-        from failstop.procs.gate import kinematics
+        from failstop.policy import kinematics
 
         limits = self["limits.vx_mps"], self["limits.vy_mps"], self["limits.wz_radps"]
         return kinematics.from_settings(self).worst_rps(*limits)
