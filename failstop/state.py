@@ -101,10 +101,11 @@ class State:
     age_ms: float
     """Of the gate's record."""
     arm: dict[str, Any] | None = None
-    """None without an arm in the settings. mode (trajectory, follow, jog or nothing), phase, moving, by, closed
-    (why it takes no goal), refused (why the last goal of a stream was not taken), released, silent (servos that do not
-    answer), and joints by name: servo, angle_rad and pulses (measured; None before a reading), age_s of that,
-    commanded_rad and commanded_pulses (None while it is not known where it is), torque, temperature_c, supply_mv."""
+    """None without an arm in the settings. mode (trajectory, follow, jog or nothing), phase, moving, by, closed (why it
+    takes no goal), refused (why the last goal of a stream was not taken), released, silent (servos that do not answer),
+    wrong (in words), pose (drive, tuck or nothing), auto_tuck_s (until it tucks itself, or None), and joints by name:
+    servo, angle_rad and pulses (measured; None before a reading), age_s of that, commanded_rad and commanded_pulses
+    (None while it is not known where it is), torque, temperature_c, supply_mv."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as in `failstop status --json`; no word of an arm where there is none."""

@@ -10,7 +10,17 @@ if TYPE_CHECKING:
     from failstop.procs.gate.sources import Command
     from failstop.shm.notes import Fields
 
-VERBS = {records.ENABLE: "enable", records.DISABLE: "disable", records.RESET: "reset"}
+VERBS = {
+    records.ENABLE: "enable",
+    records.DISABLE: "disable",
+    records.RESET: "reset",
+    records.ARM_MOVE: "move the arm",
+    records.ARM_DRIVE: "move the arm to its drive pose",
+    records.ARM_TUCK: "tuck the arm",
+    records.ARM_HOLD: "hold the arm",
+    records.ARM_RELEASE: "release the arm",
+    records.ARM_READ: "read the arm",
+}
 MOST_AT_ONCE = 20
 EVERY_NS = 200_000_000
 """A program that asks without end is told of five times a second, not a thousand times."""
@@ -34,6 +44,8 @@ def of_request(
         return Note("enabled", f"motion enabled by {by}", fields)
     if verb == records.DISABLE and enabled:
         return Note("disabled", f"motion disabled by {by}", fields)
+    if verb == records.ARM_RELEASE:
+        return Note("arm", f"arm released by {by}", fields)
     if verb == records.RESET and latched is not None:
         return Note("reset", f"{by}: {text}", {**fields, "reason": latched})
     return None

@@ -131,7 +131,7 @@ class Telemetry:
             for func, data in self._decoder.feed(entry[2]):
                 if handler := self._handlers.get(func):
                     handler(data, entry[1])
-        if frame := self._tones.follow(self._gate.latched, self._pad.mode):
+        if frame := self._tones.follow(self._gate.latched, self._pad.mode, tucks=self._gate.tucks):
             self._wish(records.WISH_FRAME, frame)
         self._publish(now_ns)
         self._tell_pad_mode()

@@ -354,6 +354,15 @@ class ArmCore:
             joint.position = float(joint.measured or 0)
             joint.known = True
 
+    def pose_name(self) -> str:
+        """The pose that it was read to be in, drive or tuck; empty: another, or not known."""
+        for purpose in (goals.DRIVE, goals.TUCK):
+            joints = [joint for joint in self.joints if getattr(joint, purpose) >= 0 and joint.judged]
+            known = all(joint.known for joint in joints)
+            if joints and known and not self.off(joints, tuple(float(getattr(joint, purpose)) for joint in joints)):
+                return purpose
+        return ""
+
     def silent(self) -> list[int]:
         """The servos that do not answer."""
         return [joint.servo for joint in self.joints if joint.misses >= MOST_MISSES]

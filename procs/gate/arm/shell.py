@@ -9,6 +9,7 @@ from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import SERVICE, ArmCore
 from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.joints import Joint
+from failstop.procs.gate.arm.tuck import ANNOUNCE, GO, AutoTuck
 from failstop.shm import records
 from failstop.shm.notes import Note
 
@@ -73,7 +74,11 @@ class Arm:
         self._waiter: Waiter | None = None
         self._releasing: list[bytes] = []
         self._release_ns = 0
-        self._silent: list[int] = []
+        self._tuck = AutoTuck(context.settings)
+        self._notice_s = context.settings["arm.tuck_notice_s"]
+        self._hot_c, self._low_mv = int(context.settings["arm.hot_c"]), int(context.settings["arm.low_mv"])
+        self._told: dict[str, str] = {}
+        """What people were told last of each joint."""
         self._due_ns = now_ns
 
     # The gate's turn.
@@ -88,7 +93,8 @@ class Arm:
         if not gate.enabled:
             self._step(now_ns)
         self._answer_waiter(now_ns)
-        self._tell_silent()
+        self._follow_tuck(now_ns)
+        self._tell_joints()
         self._due_ns = now_ns + TELL_NS if gate.enabled else max(core.due_ns(), now_ns + 1)
         if self._releasing:
             self._due_ns = min(self._due_ns, self._release_ns)
@@ -268,13 +274,49 @@ class Arm:
 
     # For people.
 
-    def _tell_silent(self) -> None:
+    def _follow_tuck(self, now_ns: int) -> None:
+        """An arm that is left alone tucks itself; it is not left alone while it moves, or may not."""
+        core = self.core
+        if core.active_ns and (core.closed or core.mode() or core.released):
+            core.active_ns = 0 if core.released else now_ns
+        due = self._tuck.follow(core.active_ns, now_ns)
+        if not due or not (journey := core.pose(goals.TUCK, SERVICE, "auto-tuck", now_ns)):
+            return
+        if not core.off(journey.joints, journey.ends):
+            core.active_ns = 0  # it is there
+        elif due == ANNOUNCE:
+            self._tell(f"the arm was left alone: it goes to its tuck pose in {self._notice_s:g} s")
+        elif due == GO:
+            core.travel(journey, now_ns)
+            core.active_ns = 0
+
+    def _tell(self, text: str, level: str = "") -> None:
+        self._owner.core.notes.append(Note("arm", text, level=level))
+
+    def _tell_joints(self) -> None:
+        """What is wrong with a servo, once, and that it is well again."""
         silent = self.core.silent()
-        if silent != self._silent:
-            self._silent = silent
-            text = f"servos that do not answer: {' '.join(map(str, silent))}" if silent else "every servo answers again"
-            self._owner.core.notes.append(Note("arm", text, level="warning" if silent else ""))
+        for joint in self.core.joints:
+            text = ""
+            if joint.servo in silent:
+                text = "does not answer"
+            elif joint.temperature_c >= self._hot_c:
+                text = f"is hot: {self._hot_c} degrees or more; at 85 it lets go"
+            elif joint.supply_mv and joint.supply_mv < self._low_mv:
+                text = f"has less than {self._low_mv} mV; with little less it lets go"
+            if text != self._told.get(joint.name, ""):
+                self._told[joint.name] = text
+                self._tell(
+                    f"joint {joint.name} (servo {joint.servo}) {text or 'is well again'}", "warning" if text else ""
+                )
 
     def state(self, now_ns: int) -> dict[str, Any]:
         """Its part of the gate's state."""
-        return self.core.state(now_ns)
+        left_s, pose = self._tuck.left_s(self.core.active_ns, now_ns), self.core.pose_name()
+        return {
+            **self.core.state(now_ns),
+            "auto_tuck_s": None if left_s is None or self.core.mode() or pose == goals.TUCK else round(left_s),
+            "wrong": [f"joint {name} {text}" for name, text in self._told.items() if text],
+            "pose": pose,
+            "tucks": left_s is not None and left_s <= self._notice_s and not self.core.mode(),
+        }
