@@ -8,9 +8,9 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.commands import add_name
 from failstop.errors import FailstopError
-from failstop.supervisor.fold import fitted
 from failstop.robot import Robot
 from failstop.screen import arm as shown
+from failstop.supervisor.fold import fitted
 
 EXAMPLES = """\
 failstop arm                          # where each joint is, and what is wrong

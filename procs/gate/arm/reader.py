@@ -95,9 +95,12 @@ class Reader:
         if self._distrust:
             self._distrust = False
             return None
+        if what == POSITION and not value:
+            self._missed(joint)
+            return None
         joint.misses = 0
         if what == TORQUE:
-            joint.loaded = joint.loaded and value > 0
+            joint.loaded = value > 0
         elif what == TEMPERATURE:
             joint.temperature_c = value or joint.temperature_c
         elif what == SUPPLY:
@@ -108,8 +111,8 @@ class Reader:
 
     @staticmethod
     def _position(joint: Joint, value: int, t_ns: int) -> Joint | None:
-        before, joint.unpaired = joint.unpaired, value or None
-        if before is None or not value or abs(value - before) > AGREE:
+        before, joint.unpaired = joint.unpaired, value
+        if before is None or abs(value - before) > AGREE:
             return None
         joint.measured, joint.measured_ns = round((value + before) / 2), t_ns
         return joint
