@@ -95,17 +95,17 @@ class Reader:
         if self._distrust:
             self._distrust = False
             return None
-        if what == POSITION and not value:
-            self._missed(joint)
-            return None
-        joint.misses = 0
         if what == TORQUE:
             joint.loaded = value > 0
-        elif what == TEMPERATURE:
-            joint.temperature_c = value or joint.temperature_c
+        elif not value:
+            self._missed(joint)
+            return None
+        joint.misses = joint.misses if what == TORQUE else 0
+        if what == TEMPERATURE:
+            joint.temperature_c = value
         elif what == SUPPLY:
-            joint.supply_mv = value or joint.supply_mv
-        else:
+            joint.supply_mv = value
+        elif what == POSITION:
             return self._position(joint, value, t_ns)
         return None
 
