@@ -182,6 +182,11 @@ class SimBoard:
         """Where each of the arm's servos stands now, in pulses."""
         return {int(servo): position for servo, position in self._ask("joints")["positions"].items()}
 
+    def joint_legs(self) -> int:
+        """How many legs there have been: where a joint_track() from now on begins."""
+        found: int = self._ask("joints")["track"]
+        return found
+
     def limp(self) -> list[int]:
         """The servos that hold nothing."""
         found: list[int] = self._ask("joints")["limp"]

@@ -104,6 +104,8 @@ class ArmCore:
         self.drop("preempted")
         self.journey = journey
         journey.since_ns = now_ns
+        for joint in journey.joints:
+            joint.misses = 0  # what was silent before is asked again
         self._reader.hurry(now_ns)
         self.active_ns, self.released = now_ns, False
 

@@ -304,7 +304,7 @@ class Arm:
                 text = f"is hot: {self._hot_c} degrees or more; at 85 it lets go"
             elif joint.supply_mv and joint.supply_mv < self._low_mv:
                 text = f"has less than {self._low_mv} mV; with little less it lets go"
-            if text != self._told.get(joint.name, ""):
+            if text != self._told.get(joint.name, "") and (text or joint.known):
                 self._told[joint.name] = text
                 self._tell(
                     f"joint {joint.name} (servo {joint.servo}) {text or 'is well again'}", "warning" if text else ""
