@@ -14,7 +14,7 @@ from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.latest import record_bytes, slot_bytes
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 4
+LAYOUT_VERSION = 5
 SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
@@ -175,7 +175,7 @@ SEGMENTS = (
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _latest("state", 4096, "telemetry, clients"),  # msgpack
             _latest("said", 4096, "clients"),  # what clients say of themselves (msgpack, procs/gate/said.py)
-            *(_latest(f"reply.{i}", 320, "the client of that slot") for i in range(CLIENT_SLOTS)),
+            *(_latest(f"reply.{i}", 640, "the client of that slot") for i in range(CLIENT_SLOTS)),
             _ring("box", box.GATE_BYTES, box.GATE_SLOTS, "everyone"),  # every tick's command and decision (box.py)
         ),
     ),
@@ -194,7 +194,7 @@ SEGMENTS = (
             _latest("odometry", 64, "its successor, clients"),  # records
             _latest("pad", 32, "clients"),  # records: the last frame, the mode
             _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
-            _ring("trips", 64, 8, "port_owner"),  # the reason of each button and key that stops, in order (UTF-8)
+            _ring("trips", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
             _ring("wishes", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _ring("events", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)

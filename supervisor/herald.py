@@ -37,7 +37,7 @@ class Herald:
     def latched(self) -> str:
         """The reason of the latch; empty without one."""
         standing = self._causes.standing
-        return standing.reason if standing and self._reset_word.get() < self._causes.epoch else ""
+        return str(standing.cause) if standing and self._reset_word.get() < self._causes.epoch else ""
 
     def follow(self, now_ns: int, missing: str, owed_since_ns: int, *, port_open: bool) -> None:
         """Status, watchdog. `missing`: what motion waits for; `owed_since_ns`, `port_open`: as in health.fault."""

@@ -6,9 +6,9 @@ import os
 from time import monotonic_ns
 
 from failstop.board.interface import BOARD
-from failstop.policy import kinematics
+from failstop.policy import causes, kinematics
 from failstop.procs.gate.clients import ClientTable, seen
-from failstop.procs.gate.core import GateCore
+from failstop.procs.gate.core import Answer, GateCore
 from failstop.procs.gate.recorder import GateBox
 from failstop.procs.gate.remarks import Budget, of_request
 from failstop.procs.gate.said import Said
@@ -22,12 +22,14 @@ from failstop.shm.packing import pack
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
     from failstop.procs.context import Context
     from failstop.procs.gate.clients import Slot
 
 PUBLISH_NS = 80_000_000
 """State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
 comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
+MS = 1_000_000
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
 LOOK_AT_ALL_EVERY = 10
@@ -100,9 +102,9 @@ class Gate:
         entry = self._cause.read()
         self._stopped_ns = entry[1] if entry else monotonic_ns()
 
-    def _why(self) -> str:
+    def _why(self) -> Cause:
         entry = self._cause.read()
-        return records.raised_for(entry[2] if entry else None, self._reset_word.get())
+        return causes.standing(entry[2] if entry else None, self._reset_word.get())
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
@@ -146,7 +148,7 @@ class Gate:
             self.clients.look_at_all(now_ns)
             self._follow_said(now_ns)
         if self.core.check_interlocks(now_ns):
-            self._write_stop("an interlock was lost")
+            self._write_stop()
         self._check_supervisor(now_ns)
         self._step(now_ns)
         self._box.tick(now_ns, self.core, self.epoch)
@@ -155,7 +157,7 @@ class Gate:
         """The port owner admits nothing without it: then nobody is to be told that motion is enabled."""
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
-            self.trip(f"supervisor hangs: silent for {silent_ns / 1e6:.0f} ms", now_ns)
+            self.trip(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
 
     def _follow_said(self, now_ns: int) -> None:
         """What clients say of themselves, passed on unjudged."""
@@ -197,26 +199,26 @@ class Gate:
             kind, frame = records.unpack_wish(wish[2])
             if kind == records.WISH_RESET:
                 latched = self.core.latch
-                self._remark(records.RESET, "gamepad", 0, *self._reset(), now_ns, latched=latched)
+                self._remark(records.RESET, "gamepad", 0, self._reset(), now_ns, latched=latched)
             elif kind == records.WISH_FRAME:
                 self._frames.put(records.pack_frame(self.epoch, records.OTHER, frame), now_ns)
                 self._port_owner_bell.ring()
 
-    def _reset(self) -> tuple[bool, str]:
-        done, text = self.core.reset(self.epoch)
-        if done:
+    def _reset(self) -> Answer:
+        answer = self.core.reset(self.epoch)
+        if answer.done:
             self._reset_word.set(self.epoch)
-        return done, text
+        return answer
 
-    def _write_stop(self, reason: str) -> None:
-        self._frames.put(records.pack_frame(self.epoch, records.STOP, records.cut(reason, 200)))
+    def _write_stop(self) -> None:
+        self._frames.put(records.pack_frame(self.epoch, records.STOP, b""))
         self._port_owner_bell.ring()
 
-    def trip(self, reason: str, now_ns: int) -> None:
+    def trip(self, cause: Cause, now_ns: int) -> None:
         """Latch a stop: burst at once, then the news to the supervisor, which raises the epoch."""
-        if self.core.trip(reason, self.epoch):
-            self._write_stop(reason)
-            self._trips.put(records.pack_stop(self.epoch, now_ns, 0, True, reason))
+        if self.core.trip(cause, self.epoch):
+            self._write_stop()
+            self._trips.put(records.pack_stop(self.epoch, now_ns, 0, cause.pack()))
             self.supervisor_bell.ring()
 
     def client_command(self, command: Command, now_ns: int) -> None:
@@ -239,36 +241,38 @@ class Gate:
         """Decide, act, answer. Who asked before a stop did not know of it."""
         enabled, latched = self.core.enabled, self.core.latch
         if verb in (records.ENABLE, records.RESET) and asked_ns < self._stopped_ns:
-            done, text = False, f"asked before the last stop ({self._why()}): see to that, then ask again"
+            text = f"asked before the last stop ({records.CAUSE}): see to that, then ask again"
+            answer = Answer(False, text, self._why())
         elif verb == records.ENABLE:
             missing = "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
-            done, text = self.core.enable(self.epoch, missing, now_ns)
+            answer = self.core.enable(self.epoch, missing, now_ns)
         elif verb == records.DISABLE:
-            done, text = self.core.disable()
-            self._write_stop("disabled")
+            answer = self.core.disable()
+            self._write_stop()
         elif verb == records.RESET:
-            done, text = self._reset()
+            answer = self._reset()
         else:
-            done, text = False, f"unknown request {verb}"
+            answer = Answer(False, f"unknown request {verb}")
         self._publish(now_ns)
         self._barrier()
-        self._replies[slot.index].write(records.pack_reply(slot.session, number, done, text))
-        self._remark(verb, slot.name, slot.pid, done, text, now_ns, enabled=enabled, latched=latched)
+        cause = answer.cause.pack() if answer.cause else b""
+        reply = records.pack_reply(slot.session, number, answer.done, answer.text, cause)
+        self._replies[slot.index].write(reply)
+        self._remark(verb, slot.name, slot.pid, answer, now_ns, enabled=enabled, latched=latched)
 
     def _remark(
         self,
         verb: int,
         who: str,
         pid: int,
-        done: bool,
-        text: str,
+        answer: Answer,
         now_ns: int,
         *,
         enabled: bool = False,
-        latched: str | None,
+        latched: Cause | None,
     ) -> None:
         """Tell people who has asked for what, with what effect."""
-        note = of_request(verb, who, pid, done, text, enabled=enabled, latched=latched)
+        note = of_request(verb, who, pid, answer.done, str(answer), enabled=enabled, latched=latched)
         if note and self._budget.spend(now_ns):
             self.core.notes.append(note)
             if unsaid := self._budget.unsaid:
@@ -288,7 +292,7 @@ class Gate:
         state = pack(
             {
                 "enabled": core.enabled,
-                "estop": core.latch,
+                "estop": core.latch and core.latch.pack(),
                 "blocked": core.blocked(now_ns) or None,
                 "body_vel": core.velocity,
                 "wheels_rps": core.speeds,

@@ -7,6 +7,7 @@ from failstop.shm.notes import Note
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
     from failstop.procs.gate.sources import Command
     from failstop.shm.notes import Fields
 
@@ -21,7 +22,7 @@ and then."""
 
 
 def of_request(
-    verb: int, who: str, pid: int, done: bool, text: str, *, enabled: bool, latched: str | None
+    verb: int, who: str, pid: int, done: bool, text: str, *, enabled: bool, latched: Cause | None
 ) -> Note | None:
     """What a request has changed, or that it was refused; None when it has changed nothing. `enabled` and `latched`:
     as they were before it."""
@@ -35,7 +36,7 @@ def of_request(
     if verb == records.DISABLE and enabled:
         return Note("disabled", f"motion disabled by {by}", fields)
     if verb == records.RESET and latched is not None:
-        return Note("reset", f"{by}: {text}", {**fields, "reason": latched})
+        return Note("reset", f"{by}: {text}", {**fields, "reason": str(latched), "cause": latched.kind.name})
     return None
 
 
