@@ -15,6 +15,7 @@ import msgpack
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
 from failstop.procs import starved
@@ -274,7 +275,7 @@ def test_one_that_was_held_up_stops_motion_and_kills_nobody(watching: Watching) 
     entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader("cause").read()
     assert cause is not None
     assert entry is not None
-    assert records.unpack_cause(entry[2])[2] == "supervisor was held up for 250 ms"
+    assert str(causes.read(records.unpack_cause(entry[2])[2])) == "supervisor was held up for 250 ms"
     assert not any(child.fence for child in watching.supervisor.children)
 
 
@@ -305,9 +306,9 @@ def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(watching: Watc
     watching.notice("gate died", written_ns=watching.now_ns + 7)
     for noticed_by, written_ns in ((layout.PORT_OWNER, watching.now_ns + 7), (layout.SUPERVISOR, 5)):
         gate.fallen = False
-        (cause,) = supervisor._collect([gate], watching.now_ns, 5)
-        assert (cause.t_ns, cause.noticed_by, cause.reason) == (watching.now_ns, noticed_by, "gate died")
-        assert cause.written_ns == written_ns
+        (stop,) = supervisor._collect([gate], watching.now_ns, 5)
+        assert (stop.t_ns, stop.noticed_by, str(stop.cause)) == (watching.now_ns, noticed_by, "gate died")
+        assert stop.written_ns == written_ns
         assert gate.fallen
 
 
@@ -684,8 +685,8 @@ def test_what_the_service_manager_is_told(watching: Watching) -> None:
     watching.answers(written_ns=watching.now_ns)
     watching.pass_time(MS)
     assert heard.said[4:] == [
-        "STATUS=stop latched: bumper; waiting for a stop being carried out",
-        "STATUS=stop latched: bumper",
+        "STATUS=stop latched: stop request: bumper; waiting for a stop being carried out",
+        "STATUS=stop latched: stop request: bumper",
     ]
 
 
