@@ -10,13 +10,13 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.board.finder import Finder
+from failstop.policy.settings import Settings
 from failstop.procs.handover import OPENING_NS, Control
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import sharing
 from failstop.supervisor.main import ALONE_EVERY_NS
 from failstop.supervisor.port import REOPEN_NS
-from failstop.supervisor.settings import Settings
 from failstop.supervisor.sharing import KEPT_NS, SHARE_NS
 
 from .test_answers import MS, Scene
