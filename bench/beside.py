@@ -64,7 +64,8 @@ class Compared:
         for percentile, one in self.ratios.items():
             found = f"{samples} samples in {len(self.rounds)} rounds: too few"
             if one.interval is not None:
-                found = "{:.2f} to {:.2f}, {}".format(*one.interval, one.verdict)
+                low, high = one.interval
+                found = f"{low:.2f} to {high:.2f}, {one.verdict}"
             numbers = f"p{percentile} there {one.there:.2f}, here {one.here:.2f} {self.unit}"
             yield f"{numbers}: {one.value:.2f} x ({found})"
 
