@@ -13,12 +13,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from failstop.board.finder import Finder
-
 BURST = BOARD.burst
 
-REOPEN_NS = 10_000_000
-"""How often a lost port is looked for: half of the time within which a board that is back is stopped."""
 BUSY_S = 1.0
 """How long a port that a dead run's processes are just letting go of is waited for."""
 DRAIN_S = 0.1
@@ -34,15 +30,14 @@ stopper may be at the very same moment."""
 class OwnPort:
     """A duplicate of the port's descriptor; -1 while the port is gone."""
 
-    __slots__ = ("_next_ns", "fd", "since_ns", "stopped")
+    __slots__ = ("fd", "number", "stopped")
 
     def __init__(self, fd: int) -> None:
         self.fd = fd
         self.stopped = False
         """The kernel has taken the whole of the run's first burst."""
-        self.since_ns = time.monotonic_ns()
-        """When it was taken over, or let go."""
-        self._next_ns = 0
+        self.number = 1
+        """How many ports this run has had: the name of this one among those who share it."""
 
     @classmethod
     def open_and_stop(cls, path: str, held: Callable[[], None] = lambda: None) -> OwnPort:
@@ -90,23 +85,12 @@ class OwnPort:
             return False
         return True
 
-    def reopen(self, finder: Finder, now_ns: int) -> bool:
-        """Open a port that was lost, tried every REOPEN_NS; False when it is there already or not yet."""
-        if self.fd >= 0 or now_ns < self._next_ns:
-            return False
-        self._next_ns = now_ns + REOPEN_NS
-        fd = finder.open(now_ns)
-        if fd < 0:
-            return False
-        self.replace(fd)
-        return True
-
     def replace(self, fd: int) -> None:
         """Let the old descriptor go and keep another; -1 for none."""
         if self.fd >= 0:
             port.close_port(self.fd)
         self.fd = fd
-        self.since_ns = time.monotonic_ns()
+        self.number += fd >= 0
 
 
 def _is_new(path: str) -> bool:

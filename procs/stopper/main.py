@@ -17,7 +17,7 @@ from time import monotonic_ns
 from failstop.board.interface import BOARD
 from failstop.board.port import close_port
 from failstop.procs import starved
-from failstop.procs.handover import OPENING_NS, Control
+from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
 from failstop.procs.peer import Peer
 from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
@@ -60,9 +60,9 @@ class Stopper:
         self._bell = context.bell("bell")
         self._control = Control(context.fd("control"))
         self._port = context.fd("port")
-        self._port_since_ns = monotonic_ns()
-        self._port_word = context.own.word("port_ns")
-        self._port_word.set(self._port_since_ns if self._port >= 0 else 0)
+        self._number = context.port_number
+        self._number_word = context.own.word("port_number")
+        self._number_word.set(self._number if self._port >= 0 else 0)
         self._turned_ns = self._excused_ns = monotonic_ns()
         self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
@@ -91,9 +91,10 @@ class Stopper:
         if not self._orphaned_ns and self._supervisor_life.down(ready):
             self._orphaned_ns = now_ns
             self.loop.forget(self._supervisor_life.fd)
+            self.loop.forget(self._control.fd)
             self._first_go_until_ns = now_ns + FIRST_GO_NS if self._port_owner.life else now_ns
         self._write_due(now_ns)
-        if ready.get(self._port, 0) & GONE or records.lost_since(self._port_record.read(), self._port_since_ns):
+        if self._port >= 0 and (ready.get(self._port, 0) & GONE or self._is_given_up()):
             self.close_port()
         if self._control.fd in ready:
             self._adopt_port()
@@ -154,7 +155,7 @@ class Stopper:
         heart, life = self._port_owner.heart, self._port_owner.life
         if life is None or not heart.running(life.pid):
             return None
-        return max(heart.ns.get(), self._excused_ns) + HANG_NS + (OPENING_NS if self._port < 0 else 0)
+        return max(heart.ns.get(), self._excused_ns) + HANG_NS
 
     def _answer_hang(self, now_ns: int) -> None:
         """A port owner that has fallen silent gets one burst, and is fenced; one that the machine starves is given as
@@ -185,17 +186,21 @@ class Stopper:
             self._stopped_for = life.pid
             life.kill()
 
+    def _is_given_up(self) -> bool:
+        """True when the port owner has found this port gone."""
+        return records.port_state(self._port_record.read(), self._number) == records.PORT_LOST
+
     def _adopt_port(self) -> None:
-        fd = self._control.receive()
-        if fd < 0:
-            if self._orphaned_ns:
-                self.loop.forget(self._control.fd)
-            return
-        self.close_port()
-        self._port = fd
-        self._port_since_ns = monotonic_ns()
-        self._port_word.set(self._port_since_ns)
-        self.loop.watch(fd, HANGUP)
+        """One that is known already was sent twice."""
+        while sent := self._control.receive():
+            fd, number, _ = sent
+            if number <= self._number:
+                os.close(fd)
+                continue
+            self.close_port()
+            self._port, self._number = fd, number
+            self._number_word.set(number)
+            self.loop.watch(fd, HANGUP)
 
     def close_port(self) -> None:
         """At a hang-up everyone closes at once: a descriptor kept open over a USB drop renumbers the device."""
@@ -203,7 +208,7 @@ class Stopper:
             self.loop.forget(self._port)
             close_port(self._port)
             self._port = -1
-            self._port_word.set(0)
+            self._number_word.set(0)
 
     def next_ns(self, now_ns: int) -> int:
         """When to turn without any news."""

@@ -92,8 +92,10 @@ class Scene(Stage):
     def port_state(self) -> int:
         return self._newest_port()[2]
 
-    def ports_so_far(self) -> int:
-        return self._newest_port()[0]
+    def port(self) -> tuple[int, str]:
+        """Number and path of the port."""
+        number, _, _, path = self._newest_port()
+        return number, path
 
     def _newest_port(self) -> tuple[int, int, int, str]:
         entry = self.port_record.read()

@@ -12,9 +12,8 @@ import pytest
 
 from failstop.board import port
 from failstop.board.burst import BURST
-from failstop.board.finder import Finder
 from failstop.supervisor import port as own_port
-from failstop.supervisor.port import DRAIN_S, REOPEN_NS, OwnPort
+from failstop.supervisor.port import DRAIN_S, OwnPort
 from tests.procs.parts import Pty, new_pty
 from tests.unprivileged import unprivileged
 
@@ -215,27 +214,12 @@ def test_what_was_written_is_waited_for_but_not_for_ever(
     assert clock.now_s - began_s == pytest.approx(waited_s, abs=0.002)
 
 
-class Looking(Finder):
-    """Finds what it is told to, and counts how often it was asked."""
-
-    def __init__(self, *found: int) -> None:
-        super().__init__("/dev/board")
-        self.left = list(found)
-
-    def open(self, now_ns: int) -> int:
-        return self.left.pop(0)
-
-
-def test_a_lost_port_is_looked_for_at_its_rate_until_it_is_there() -> None:
+def test_each_port_of_a_run_has_a_number() -> None:
     with new_pty() as pty:
-        finder = Looking(-1, os.dup(pty.slave))
-        own = OwnPort(-1)
-        t_ns = 10**12
-        assert not own.reopen(finder, t_ns)
-        assert not own.reopen(finder, t_ns + REOPEN_NS - 1)
-        assert len(finder.left) == 1
-        assert own.reopen(finder, t_ns + REOPEN_NS)
-        assert own.burst()
-        assert pty.read() == BURST
-        assert not own.reopen(finder, t_ns + 2 * REOPEN_NS), "it is there"
+        own = OwnPort(os.dup(pty.slave))
+        numbers = [own.number]
+        for fd in (-1, os.dup(pty.slave), os.dup(pty.slave)):
+            own.replace(fd)
+            numbers.append(own.number)
+        assert numbers == [1, 1, 2, 3], "one that is lost is still known by it"
         own.replace(-1)
