@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable
 
 from bench import stats
+from failstop.policy.processes import BY_NAME
+from failstop.policy.settings import Settings
 from failstop.shm import layout
-from failstop.supervisor.settings import Settings
-from failstop.supervisor.table import BY_NAME
 from failstop.trial import Stopped, Trial, judge, wait_for
 
 MARGIN_MS = 10.0

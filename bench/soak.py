@@ -22,9 +22,9 @@ from bench import conditions, report, stalls, stats, ticks
 from failstop.board.sim.client import Event
 from failstop.client import attach
 from failstop.errors import FailstopError
+from failstop.policy.settings import Settings
 from failstop.shm import layout, records
 from failstop.shm.latest import LatestReader
-from failstop.supervisor.settings import Settings
 from failstop.trial import Trial, wait_for
 
 LATE_MS = 10.0

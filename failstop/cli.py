@@ -169,9 +169,9 @@ def _expected(error: Exception) -> bool:
     """Errors with a message made for people; anything else is a defect and shows its traceback."""
     from failstop.board.port import PortError
     from failstop.errors import FailstopError
+    from failstop.policy.settings import SettingError
     from failstop.shm.instance import InstanceError
     from failstop.shm.segment import AttachError
-    from failstop.supervisor.settings import SettingError
     from failstop.trial import TrialError
 
     return isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError, TrialError))

@@ -10,11 +10,11 @@ import msgpack
 
 from failstop.client import attach
 from failstop.errors import FailstopError
+from failstop.policy.processes import BY_NAME
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.run import Run
 from failstop.shm import blocks, heartbeat, layout, records
-from failstop.supervisor.table import BY_NAME
 
 
 @dataclasses.dataclass(frozen=True)

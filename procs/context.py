@@ -10,14 +10,13 @@ from __future__ import annotations
 import os
 from time import monotonic_ns
 
+from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import rights
-from failstop.procs.child import SETTINGS_VARIABLE
 from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import RUNNING, Heartbeat
 from failstop.shm.lifeline import EarlyNews
-from failstop.supervisor.settings import Settings
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from time import monotonic, sleep
 from typing import Any
 
 from failstop.errors import FailstopError
+from failstop.policy.settings import Settings
 from failstop.ros2 import leftovers, mirrors
 from failstop.ros2.contract import NODE, SETTINGS, Qos, Setting
 from failstop.ros2.inward import Inward
@@ -16,7 +17,6 @@ from failstop.ros2.link import Link
 from failstop.ros2.mirrors import BY_NAME
 from failstop.ros2.outward import Outward
 from failstop.ros2.shared import Shared
-from failstop.supervisor.settings import Settings
 
 CONNECT_S = 1.0
 """How long the start waits for a service, whose settings the parameters show."""

@@ -7,9 +7,9 @@ import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from failstop.policy.settings import Settings
 from failstop.ros2 import contract, mirrors
 from failstop.ros2.contract import INWARD, OUTWARD, SERVICES, SETTINGS, STATE_KEYS, TF
-from failstop.supervisor.settings import Settings
 
 BEGIN = "<!-- contract: made by `python -m failstop.ros2.page docs/ros2.md` -->"
 END = "<!-- end of contract -->"

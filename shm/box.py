@@ -15,9 +15,6 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    from failstop.procs.gate.core import GateCore
-    from failstop.procs.gate.sources import Command
-    from failstop.shm.ring import RingWriter
 
 SECONDS = 60
 """What each ring is made for, at the rates of its writer's defaults."""
@@ -37,7 +34,7 @@ BEATS_BYTES = 48
 
 BLOCKS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN)
 """The gate's decision: its index is in the record."""
-_BLOCK = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4}
+BLOCK = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4}
 ENABLED = 1
 MANUAL = 2
 DRIVES = 4
@@ -61,7 +58,7 @@ OWN_BURST = 2
 """Supervisor: a burst on its own descriptor, written at the entry's time."""
 LONGEST = 0xFFFFFFFF
 
-_GATE = struct.Struct("<IBBBxI3f3f4f16s")
+GATE = struct.Struct("<IBBBxI3f3f4f16s")
 _WIRE = struct.Struct("<BHH")
 _IMU = struct.Struct("<B6f")
 _BATTERY = struct.Struct("<BIB")
@@ -69,40 +66,7 @@ _PAD = struct.Struct("<BHB4bB")
 _BEATS = struct.Struct("<B10I")
 
 
-class GateBox:
-    """The gate's: one record a tick, of the newest command and of what became of it."""
-
-    __slots__ = ("_count", "_newest", "_ring")
-
-    def __init__(self, ring: RingWriter) -> None:
-        self._ring = ring
-        self._newest: Command | None = None
-        self._count = 0
-
-    def command(self, command: Command) -> None:
-        """A command came, good or bad."""
-        self._newest = command
-        self._count += 1
-
-    def tick(self, now_ns: int, core: GateCore, epoch: int) -> None:
-        """The end of a tick."""
-        command = self._newest
-        flags = ENABLED if core.enabled else 0
-        age_us, source, who = LONGEST, b"", b""
-        velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
-        if command is not None:
-            age_us = min(max(0, now_ns - command.t_ns) // 1000, LONGEST)
-            velocity = tuple(map(_single, command.velocity))
-            source, who = command.source.encode(), command.who.encode("utf-8", "replace")[:36]
-            flags |= (MANUAL if command.manual else 0) | (DRIVES if core.sources.driving(now_ns) is command else 0)
-        block = _BLOCK.get(core.blocked(now_ns), 1)
-        numbers = (*velocity, *core.velocity, *core.speeds)
-        head = _GATE.pack(epoch & LONGEST, block, flags, min(self._count, 255), age_us, *numbers, source)
-        self._ring.put(head + who, now_ns)
-        self._count = 0
-
-
-def _single(value: float) -> float:
+def single(value: float) -> float:
     """What fits a float of four bytes: a client's command may be any double. NaN, beyond neither bound, stays."""
     return min(max(value, -3e38), 3e38)
 
@@ -114,7 +78,7 @@ def pack_wire(kind: int, data: bytes, taken: int) -> bytes:
 
 def pack_imu(acceleration_mps2: tuple[float, ...], rate_radps: tuple[float, ...]) -> bytes:
     """A sample as it is published: corrected, the rate less its bias."""
-    return _IMU.pack(IMU, *map(_single, (*acceleration_mps2, *rate_radps)))
+    return _IMU.pack(IMU, *map(single, (*acceleration_mps2, *rate_radps)))
 
 
 def pack_battery(millivolts: int, plugged: int) -> bytes:
@@ -139,9 +103,9 @@ OWN_BURST_RECORD = bytes((OWN_BURST,))
 def unpack_gate(payload: bytes) -> dict[str, Any]:
     """A tick of the gate: epoch, block (a word of BLOCKS), enabled, manual, drives, commands (since the tick before),
     age_us (None: no command yet), command, velocity, wheels_rps, source, who. Raises ValueError."""
-    if len(payload) < _GATE.size:
-        raise ValueError(f"a gate's record of {len(payload)} bytes, at least {_GATE.size} expected")
-    epoch, block, flags, commands, age_us, *numbers, source = _GATE.unpack_from(payload)
+    if len(payload) < GATE.size:
+        raise ValueError(f"a gate's record of {len(payload)} bytes, at least {GATE.size} expected")
+    epoch, block, flags, commands, age_us, *numbers, source = GATE.unpack_from(payload)
     return {
         "epoch": epoch,
         "block": BLOCKS[block] if block < len(BLOCKS) else f"unknown {block}",
@@ -154,7 +118,7 @@ def unpack_gate(payload: bytes) -> dict[str, Any]:
         "velocity": tuple(numbers[3:6]),
         "wheels_rps": tuple(numbers[6:]),
         "source": source.rstrip(b"\0").decode("ascii", "replace"),
-        "who": payload[_GATE.size :].decode("utf-8", "replace"),
+        "who": payload[GATE.size :].decode("utf-8", "replace"),
     }
 
 

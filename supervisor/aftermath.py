@@ -19,9 +19,9 @@ from failstop.supervisor.stops import LastStop
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.settings import Settings
     from failstop.shm.segment import Segment
     from failstop.supervisor.events import Events
-    from failstop.supervisor.settings import Settings
 
 DEAF_REASON = "the board is deaf: use the POWER SWITCH"
 UNSTILL = "the wheels do not come to rest: use the POWER SWITCH"

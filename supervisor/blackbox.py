@@ -17,11 +17,11 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from failstop.policy.settings import Settings
     from failstop.shm.segment import Segment
     from failstop.supervisor.causes import Cause
     from failstop.supervisor.events import Events
     from failstop.supervisor.resources import Resources
-    from failstop.supervisor.settings import Settings
 
 SAMPLE_NS = 100_000_000
 START_NS = 150_000_000

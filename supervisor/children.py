@@ -9,10 +9,10 @@ from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.processes import Process
     from failstop.shm.heartbeat import HeartbeatReader
     from failstop.supervisor.fence import Fence
     from failstop.supervisor.restarts import Restarts
-    from failstop.supervisor.table import Process
 
 _SIGNALS = {found.value: found.name for found in signal.Signals}
 STARTING_NS = 5_000_000_000

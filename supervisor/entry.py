@@ -7,8 +7,8 @@ import contextlib
 import os
 import signal
 
+from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import limits, rights
-from failstop.procs.child import SETTINGS_VARIABLE
 from failstop.shm.instance import InstanceError
 from failstop.shm.segment import AttachError
 from failstop.supervisor import main
@@ -17,7 +17,6 @@ from failstop.supervisor.journal import Journal, is_stderr
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
-from failstop.supervisor.settings import Settings
 
 SUPERVISOR_COMM = "fs:supervisor"
 """What the kernel shows as the supervisor's name."""

@@ -9,10 +9,10 @@ import os
 import select
 import time
 
-from failstop.fold import PREFIX, fitted
 from failstop.shm import instance, layout, packing
 from failstop.shm.records import REQUESTED, cut
 from failstop.supervisor.allowance import ASKED_BYTES, OWN_BYTES, Allowance
+from failstop.supervisor.fold import PREFIX, fitted
 from failstop.supervisor.journal import encode
 from failstop.supervisor.kinds import BY_NAME, LEVELS
 

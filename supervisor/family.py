@@ -6,6 +6,7 @@ import os
 import signal
 from time import monotonic_ns
 
+from failstop.policy.processes import PROCESSES
 from failstop.procs.loop import READ
 from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS, PER_BLOCK
@@ -14,16 +15,15 @@ from failstop.shm.lifeline import EarlyNews
 from failstop.supervisor.children import Child
 from failstop.supervisor.restarts import Restarts
 from failstop.supervisor.starter import Starter
-from failstop.supervisor.table import PROCESSES
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.settings import Settings
     from failstop.procs.loop import Loop
     from failstop.shm.segment import Segment
     from failstop.supervisor.events import Events
     from failstop.supervisor.port import OwnPort
     from failstop.supervisor.resources import Resources
-    from failstop.supervisor.settings import Settings
 
 TRY_AGAIN_NS = 500_000_000
 GATE_AGAIN_NS = 60_000_000_000

@@ -10,6 +10,7 @@ import os
 import signal
 from time import monotonic_ns, sleep
 
+from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.procs import rights, starved
 from failstop.procs.loop import READ, Loop
 from failstop.shm import bell, heartbeat, layout, records, segment
@@ -30,17 +31,16 @@ from failstop.supervisor.names import Names
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.sharing import Sharing
 from failstop.supervisor.silence import Silence
-from failstop.supervisor.table import SUPERVISOR_PRIORITY
 from failstop.supervisor.teller import Teller
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.settings import Settings
     from failstop.shm.ring import RingReader
     from failstop.supervisor.children import Child
     from failstop.supervisor.journal import Journal
     from failstop.supervisor.port import OwnPort
     from failstop.supervisor.resources import Resources
-    from failstop.supervisor.settings import Settings
 
 TICK_NS = 20_000_000
 ANSWER_NS = 5_000_000

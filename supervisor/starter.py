@@ -9,13 +9,14 @@ from __future__ import annotations
 import os
 import sys
 
-from failstop.procs.child import PATH_VARIABLE, SETTINGS_VARIABLE
+from failstop.policy.settings import SETTINGS_VARIABLE
 from failstop.shm import root
+from failstop.supervisor.child import PATH_VARIABLE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.supervisor.settings import Settings
-    from failstop.supervisor.table import Process
+    from failstop.policy.processes import Process
+    from failstop.policy.settings import Settings
 
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
@@ -28,7 +29,7 @@ TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_
 
 def command(process: str, words: dict[str, str]) -> list[str]:
     """The command line of a process."""
-    return script_command(("procs", "child.py"), process, words=words)
+    return script_command(("supervisor", "child.py"), process, words=words)
 
 
 def script_command(script: tuple[str, ...], *arguments: str, words: dict[str, str]) -> list[str]:

@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from failstop import cli
-from failstop.procs.gate import kinematics
-from failstop.supervisor import config
-from failstop.supervisor.settings import DECLARED, FAMILIES, Settings
+from failstop.policy import config, kinematics
+from failstop.policy.settings import DECLARED, FAMILIES, Settings
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"

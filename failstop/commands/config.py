@@ -6,8 +6,8 @@ import os
 import sys
 from shutil import get_terminal_size
 
-from failstop.supervisor import config
-from failstop.supervisor.settings import (
+from failstop.policy import config
+from failstop.policy.settings import (
     BY_KEY,
     DECLARED,
     FAMILIES,

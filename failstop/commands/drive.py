@@ -7,10 +7,10 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.commands import add_name
 from failstop.errors import Refused
-from failstop.fold import fitted
 from failstop.robot import Robot
 from failstop.screen.verdict import next_step
 from failstop.screen.words import velocity
+from failstop.supervisor.fold import fitted
 
 EXAMPLES = """\
 failstop drive 0.1 0 0             # 0.1 m/s forward for 1 s

@@ -11,8 +11,8 @@ from failstop import style
 from failstop.commands import add_name
 from failstop.errors import FailstopError, NoService
 from failstop.events import Event, EventLog
-from failstop.fold import PREFIX, fitted
 from failstop.screen import host, left, told
+from failstop.supervisor.fold import PREFIX, fitted
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

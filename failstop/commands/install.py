@@ -13,9 +13,9 @@ from failstop.install.do import Doer
 from failstop.install.layout import PREFIX, unit_of
 from failstop.install.machine import READY_S, Machine
 from failstop.install.steps import Plan
+from failstop.policy.settings import BY_KEY
 from failstop.shm import instance
 from failstop.shm.instance import DEFAULT_NAME, option
-from failstop.supervisor.settings import BY_KEY
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

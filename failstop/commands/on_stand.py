@@ -16,13 +16,13 @@ from failstop.doctor.facts import User
 from failstop.doctor.gather import settings_of
 from failstop.doctor.system import System
 from failstop.errors import FailstopError, Refused
+from failstop.policy import config
 from failstop.prove import campaign, report
 from failstop.prove.campaign import Draw
 from failstop.prove.session import check_free, interruptible, session
 from failstop.prove.stand import Stand
 from failstop.prove.table import VELOCITIES, Path
 from failstop.shm.instance import DEFAULT_NAME
-from failstop.supervisor import config
 
 WARNING = """\
 THIS TURNS THE WHEELS and kills the programs that stop them, at random, on {device}. Ctrl-C stops the wheels; the POWER

@@ -15,13 +15,13 @@ from failstop.commands import add_name
 from failstop.doctor.gather import settings_of
 from failstop.doctor.system import System
 from failstop.errors import FailstopError, Refused
+from failstop.policy import config
 from failstop.procs.telemetry.state_files import state_directory
 from failstop.prove import report, table
 from failstop.prove.report import Evidence
 from failstop.prove.session import check_free, interruptible, session
 from failstop.prove.stand import Stand
 from failstop.prove.table import BY_PATH, BY_VELOCITY, Path, Velocity
-from failstop.supervisor import config
 
 EXAMPLES = """\
 failstop prove --sim --quick            # on a simulated board, half a minute

@@ -6,9 +6,9 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.commands import add_name
 from failstop.errors import Refused
-from failstop.fold import fitted
 from failstop.robot import Robot
 from failstop.screen.verdict import next_step
+from failstop.supervisor.fold import fitted
 
 EXAMPLES = {
     "enable": """\

@@ -5,11 +5,12 @@ from __future__ import annotations
 from failstop.board.port import PortError
 from failstop.commands import add_name
 from failstop.errors import FailstopError
+from failstop.policy import config
+from failstop.policy.settings import BY_KEY, SettingError
 from failstop.procs import limits
 from failstop.shm import instance
-from failstop.supervisor import config, starter
+from failstop.supervisor import starter
 from failstop.supervisor.port import OwnPort
-from failstop.supervisor.settings import BY_KEY, SettingError
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

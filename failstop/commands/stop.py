@@ -12,10 +12,10 @@ from failstop import standard
 from failstop.board.port import PortError
 from failstop.commands import add_name
 from failstop.errors import FailstopError
+from failstop.policy import config
+from failstop.policy.settings import BY_KEY, SettingError
 from failstop.procs.stopper import rest, tool
 from failstop.shm import instance
-from failstop.supervisor import config
-from failstop.supervisor.settings import BY_KEY, SettingError
 
 DEVICE = "device.path"
 WAIT = "stop.wait_s"

@@ -9,6 +9,7 @@ import time
 from failstop import style
 from failstop.commands import add_name
 from failstop.errors import FailstopError, NoService
+from failstop.policy.settings import BY_KEY
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.robot import Robot
 from failstop.screen import cockpit, keys
@@ -16,7 +17,6 @@ from failstop.screen.follow import Follower
 from failstop.screen.live import fit
 from failstop.screen.pilot import CLIENT, Pilot
 from failstop.screen.terminal import Terminal
-from failstop.supervisor.settings import BY_KEY
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from failstop.doctor import machine_facts, paste, port_facts, ros2_facts, servic
 from failstop.doctor.facts import NAMED, Facts, Holder, Node, Service, StopTest, Unit, User
 from failstop.doctor.system import System
 from failstop.errors import FailstopError
+from failstop.policy import config
+from failstop.policy.settings import SettingError, Settings
 from failstop.shm.instance import check_name
-from failstop.supervisor import config
-from failstop.supervisor.settings import SettingError, Settings
 
 ACCOUNT = "failstop"
 BOARD_USB = f"{BOARD_VID:04x}:{BOARD_PID:04x}"

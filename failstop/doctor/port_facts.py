@@ -147,7 +147,7 @@ def _open_files(system: System) -> Iterator[tuple[int, set[str] | None]]:
 def _instance(command_line: str) -> str:
     """The instance that a process of failstop's belongs to, from its arguments; empty for others."""
     words = command_line.split("\0")
-    if not any(word.endswith("/procs/child.py") for word in words):
+    if not any(word.endswith("/supervisor/child.py") for word in words):
         return ""
     return next((word.removeprefix("name=") for word in words if word.startswith("name=")), "")
 

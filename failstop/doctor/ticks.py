@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 from failstop.doctor.facts import Ticks
-from failstop.supervisor.table import BY_NAME
+from failstop.policy.processes import BY_NAME
 
 SECONDS = 5.0
 PERIOD_S = 0.01

@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 
 from failstop.faults.fault import CONTINUE, DEATH, HANG, HANGS, KILL, NEW_RUN, RESET, SEVERAL, SPIN, Fault
+from failstop.policy.processes import BY_NAME
+from failstop.policy.settings import BY_KEY
 from failstop.procs.stopper.main import HANG_NS
 from failstop.shm.layout import GATE, PORT_OWNER, PROCESSES, STOPPER, SUPERVISOR, TELEMETRY
-from failstop.supervisor.settings import BY_KEY
-from failstop.supervisor.table import BY_NAME
 
 AT_ONCE_MS = 5.0
 NO_ANSWER_MS = 10.0

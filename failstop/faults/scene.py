@@ -14,8 +14,8 @@ from failstop.board.sim.client import SimBoard
 from failstop.client import send_stop
 from failstop.errors import FailstopError
 from failstop.faults.driving import INTERLOCK, Driver
+from failstop.policy.config import read
 from failstop.shm.layout import SUPERVISOR
-from failstop.supervisor.config import read
 from failstop.trial import Trial, TrialError, write_settings
 
 SETTINGS: dict[str, object] = {

@@ -17,7 +17,7 @@ from zlib import error as ZlibError
 import msgpack
 
 from failstop.errors import FailstopError
-from failstop.procs import durable
+from failstop.shm import durable
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from failstop.incidents import file, report, shades, signals
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Event, Incident
 from failstop.incidents.palette import ALARM, BEATS, BLUE, FAINT, GREEN, INK, ORANGE, PAPER, PURPLE, STYLE
+from failstop.policy.settings import SettingError, Settings
 from failstop.shm import layout
-from failstop.supervisor.settings import SettingError, Settings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

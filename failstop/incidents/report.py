@@ -9,9 +9,9 @@ from typing import Any
 from failstop.incidents import brief, outcome, signals, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE, Line
+from failstop.policy.settings import BY_KEY, declaration
 from failstop.shm.records import printable
 from failstop.style import DIM, FAIL, STRONG, WARN, cut, paint
-from failstop.supervisor.settings import BY_KEY, declaration
 from failstop.supervisor.stops import wheels_seen
 
 NARROWEST = 60

@@ -11,9 +11,9 @@ from failstop.board import framing
 from failstop.board.interface import BOARD
 from failstop.board.motors import Motors
 from failstop.incidents.incident import Incident, Write
+from failstop.policy.processes import BY_NAME
 from failstop.procs.telemetry.still import HOLD_NS, LEAST_SAMPLES, WINDOW_NS, StillJudge
 from failstop.shm import box, layout
-from failstop.supervisor.table import BY_NAME
 
 Array = npt.NDArray[np.float64]
 

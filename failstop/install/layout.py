@@ -9,8 +9,8 @@ import os
 from typing import Any
 
 from failstop.install import InstallError
+from failstop.policy import config
 from failstop.shm.instance import DEFAULT_NAME
-from failstop.supervisor import config
 
 PREFIX = "/opt/failstop"
 MANIFEST_NAME = "install.json"

@@ -68,7 +68,7 @@ def _tree(path: str) -> str:
 def configured_device(wish: Wish) -> str:
     """What the instance's configuration says of the board's port; empty when there is none. Raises SettingError when
     this version refuses it."""
-    from failstop.supervisor import config
+    from failstop.policy import config
 
     path = os.path.join(wish.root, configuration_of(wish.name).lstrip("/"))
     return str(config.load(path).flat()["device.path"]) if os.path.exists(path) else ""

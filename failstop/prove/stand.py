@@ -16,12 +16,12 @@ from failstop.client import send_stop
 from failstop.errors import FailstopError
 from failstop.faults.driving import Driver
 from failstop.faults.scene import is_ours
+from failstop.policy import config
+from failstop.policy.settings import Settings
 from failstop.procs.stopper import tool
 from failstop.prove.table import VELOCITIES
 from failstop.prove.watch import Watch
 from failstop.shm.layout import SUPERVISOR
-from failstop.supervisor import config
-from failstop.supervisor.settings import Settings
 from failstop.trial import COMMAND_EVERY_S, Service, TrialError, write_settings
 
 LOOK_EVERY_S = 0.001

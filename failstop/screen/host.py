@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 
+from failstop.policy.settings import BY_KEY
 from failstop.screen import words
 from failstop.shm import instance, root
-from failstop.supervisor.settings import BY_KEY
 
 BOOTED = "/run/systemd/system"
 """There when systemd runs the machine (sd_booted(3))."""

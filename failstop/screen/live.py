@@ -6,10 +6,10 @@ from collections import deque
 from math import hypot, sqrt
 
 from failstop import style
+from failstop.policy.settings import BY_KEY
 from failstop.screen import host, summary, verdict, words
 from failstop.screen.sparkline import spark
 from failstop.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
-from failstop.supervisor.settings import BY_KEY
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

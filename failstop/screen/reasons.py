@@ -9,9 +9,9 @@ from __future__ import annotations
 import re
 
 from failstop.board.decoder import BUTTONS
+from failstop.policy.processes import BY_NAME
 from failstop.shm.layout import PROCESSES
 from failstop.shm.records import REQUESTED
-from failstop.supervisor.table import BY_NAME
 
 ROLES = {**{name: row.role for name, row in BY_NAME.items()}, "supervisor": "starts and watches the others"}
 _PROCESS = "(?P<process>" + "|".join(PROCESSES) + ")"

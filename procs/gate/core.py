@@ -22,8 +22,8 @@ from failstop.shm.notes import Note
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.procs.gate.kinematics import Differential, Mecanum
-    from failstop.supervisor.settings import Settings
+    from failstop.policy.kinematics import Differential, Mecanum
+    from failstop.policy.settings import Settings
 
     Speeds = tuple[float, float, float, float]
 

@@ -6,14 +6,15 @@ import os
 from time import monotonic_ns
 
 from failstop.board.interface import BOARD
-from failstop.procs.gate import kinematics
+from failstop.policy import kinematics
 from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
+from failstop.procs.gate.recorder import GateBox
 from failstop.procs.gate.remarks import Budget, of_request
 from failstop.procs.gate.said import Said
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
 from failstop.procs.loop import READ, Loop
-from failstop.shm import bell, box, instance, layout, place, records
+from failstop.shm import bell, instance, layout, place, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.notes import Note
@@ -61,7 +62,7 @@ class Gate:
         self._notes = own.ring_writer("notes")
         self._state = own.latest_writer("state")
         self._said_record = own.latest_writer("said")
-        self._box = box.GateBox(own.ring_writer("box"))
+        self._box = GateBox(own.ring_writer("box"))
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._port_owner_bell = context.bell("port_owner_bell")
         self.supervisor_bell = context.bell("supervisor_bell")

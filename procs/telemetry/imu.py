@@ -10,7 +10,7 @@ from math import pi, sqrt
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.supervisor.settings import Settings
+    from failstop.policy.settings import Settings
 
     Vector = tuple[float, float, float]
 

@@ -6,7 +6,7 @@ from math import cos, pi, remainder, sin
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.supervisor.settings import Settings
+    from failstop.policy.settings import Settings
 
 LONGEST_STEP_NS = 100_000_000
 """More time than this between two looks does not count: nobody knows what the wheels did in it."""

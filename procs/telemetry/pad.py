@@ -10,7 +10,7 @@ from failstop.procs.telemetry.trips import Trips
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.supervisor.settings import Settings
+    from failstop.policy.settings import Settings
 
     Velocity = tuple[float, float, float]
 

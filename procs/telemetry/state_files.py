@@ -10,8 +10,7 @@ import os
 from _queue import SimpleQueue
 from errno import ENOSPC
 
-from failstop.procs import durable
-from failstop.shm import root
+from failstop.shm import durable, root
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -117,7 +117,7 @@ def test_stop_tool_beside_a_running_service(trial: Trial) -> None:
 
 
 def test_config_lists_every_setting() -> None:
-    from failstop.supervisor.settings import DECLARED
+    from failstop.policy.settings import DECLARED
 
     text = failstop("config").stdout
     for setting in DECLARED:

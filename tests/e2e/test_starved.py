@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.faults.starve import SHARP, Starved
+from failstop.policy.processes import BY_NAME
 from failstop.shm.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
-from failstop.supervisor.table import BY_NAME
 from failstop.trial import Trial, wait_for
 from tests.commands import failstop
 

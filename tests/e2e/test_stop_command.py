@@ -18,9 +18,9 @@ from failstop import cli
 from failstop.board.burst import BURST
 from failstop.board.port import PortError
 from failstop.commands import stop
+from failstop.policy import config
 from failstop.procs.stopper import rest, tool
 from failstop.shm import instance, root
-from failstop.supervisor import config
 from tests.commands import FAILSTOP, failstop
 
 Waits = list[tuple[str, float]]

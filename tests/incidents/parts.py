@@ -10,11 +10,12 @@ import msgpack
 from failstop.board.interface import BOARD
 from failstop.incidents import file
 from failstop.incidents.incident import Incident
+from failstop.policy.kinematics import from_settings
+from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
-from failstop.procs.gate.kinematics import from_settings
+from failstop.procs.gate.recorder import GateBox
 from failstop.procs.gate.sources import Command
 from failstop.shm import box, layout, records
-from failstop.supervisor.settings import Settings
 
 CAUSE_NS = 5_000_000_000_000
 UNIX_NS = 1_790_000_000_000_000_000
@@ -54,7 +55,7 @@ class Recorder:
         self.rings: dict[tuple[str, str], KeptRing] = {}
         self.settings = Settings({"device.path": "/dev/pts/7"})
         self.core = GateCore(self.settings, from_settings(self.settings), 0)
-        self.gate = box.GateBox(self.ring(layout.GATE, "box"))  # type: ignore[arg-type]
+        self.gate = GateBox(self.ring(layout.GATE, "box"))  # type: ignore[arg-type]
 
     def ring(self, segment: str, name: str) -> KeptRing:
         return self.rings.setdefault((segment, name), KeptRing())

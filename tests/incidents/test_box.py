@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from failstop.board.interface import BOARD
 from failstop.procs.gate.core import GateCore
+from failstop.procs.gate.recorder import GateBox
 from failstop.procs.gate.sources import Command
 from failstop.procs.port_owner.wire import Wire
 from failstop.shm import box, layout
@@ -75,7 +76,7 @@ any_float = st.floats(width=64)
 def test_no_command_is_too_strange_to_be_recorded(velocity: tuple[float, float, float], who: str, source: str) -> None:
     made = Recorder()
     writer, reader = ring(box.GATE_BYTES, 8)
-    gate = box.GateBox(writer)
+    gate = GateBox(writer)
     gate.command(Command(1, who, at(0), velocity, source=source))
     gate.tick(at(5), made.core, 2**70)
     entry = reader.next()
@@ -152,7 +153,7 @@ def test_what_is_no_record_is_refused(payload: bytes) -> None:
             box.unpack_wire(payload)
 
 
-def told(gate: box.GateBox, reader: RingReader, core: GateCore, now_ns: int) -> dict[str, Any]:
+def told(gate: GateBox, reader: RingReader, core: GateCore, now_ns: int) -> dict[str, Any]:
     """What a tick tells."""
     gate.tick(now_ns, core, 7)
     entry = reader.next()
@@ -163,7 +164,7 @@ def told(gate: box.GateBox, reader: RingReader, core: GateCore, now_ns: int) -> 
 def test_a_tick_tells_whether_the_newest_command_is_the_one_that_drives() -> None:
     core = Recorder().core
     writer, reader = ring(box.GATE_BYTES, 8)
-    gate = box.GateBox(writer)
+    gate = GateBox(writer)
     none = told(gate, reader, core, at(0))
     assert (none["command"], none["age_us"], none["source"], none["who"]) == ((0, 0, 0), None, "", "")
     assert not none["drives"]
@@ -182,7 +183,7 @@ def test_a_tick_tells_whether_the_newest_command_is_the_one_that_drives() -> Non
 def test_a_decision_of_another_version_is_shown_by_its_number() -> None:
     made = Recorder()
     writer, reader = ring(box.GATE_BYTES, 8)
-    box.GateBox(writer).tick(at(0), made.core, 7)
+    GateBox(writer).tick(at(0), made.core, 7)
     entry = reader.next()
     assert entry is not None
     for number in (len(box.BLOCKS), 200):

@@ -18,10 +18,10 @@ import failstop
 from failstop.board.interface import BOARD
 from failstop.incidents import saver, store
 from failstop.incidents.incident import Incident
+from failstop.policy.settings import Settings
 from failstop.shm import box, layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
 from failstop.supervisor.blackbox import NOTHING
-from failstop.supervisor.settings import Settings
 from failstop.trial import wait_for
 
 _numbers = itertools.count()

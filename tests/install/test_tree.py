@@ -32,7 +32,13 @@ def test_the_running_environment_is_whole_and_nothing_of_the_checkout_but_the_pa
     assert tops >= {"failstop", "msgpack", "numpy", "posix_ipc", "psutil", "serial"}
     assert not tops & {"pytest", "hypothesis", "__editable__", "tests", "bench"}
     inside = f"{tree.SITE}/failstop"
-    for room in ("board/codec.py", "shm/ring.py", "supervisor/main.py", "procs/child.py", "systemd/failstop.service"):
+    for room in (
+        "board/codec.py",
+        "shm/ring.py",
+        "supervisor/main.py",
+        "supervisor/child.py",
+        "systemd/failstop.service",
+    ):
         assert f"{inside}/{room}" in paths
     assert not any("__pycache__" in path or "/tests/" in path for path in paths)
 

@@ -8,10 +8,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from failstop.policy.kinematics import Mecanum
+from failstop.policy.settings import Settings
 from failstop.procs.gate.core import REST, STILL, GateCore
-from failstop.procs.gate.kinematics import Mecanum
 from failstop.procs.gate.sources import Command
-from failstop.supervisor.settings import Settings
 
 MS = 1_000_000
 SCAN_NS = 500 * MS

@@ -8,6 +8,7 @@ import os
 import signal
 from pathlib import Path
 
+from failstop.policy.settings import Settings
 from failstop.procs import handover
 from failstop.procs.handover import Control
 from failstop.shm import bell, heartbeat, layout, records, segment
@@ -15,7 +16,6 @@ from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import Lifeline
 from failstop.shm.segment import Segment
-from failstop.supervisor.settings import Settings
 from tests.waiting import until
 
 from .parts import Pty

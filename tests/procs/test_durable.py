@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.procs import durable
+from failstop.shm import durable
 
 NOBODY = 65534
 FLAGS = {

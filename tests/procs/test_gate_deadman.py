@@ -6,9 +6,9 @@ from math import inf, nan
 
 import pytest
 
+from failstop.policy.settings import SettingError, Settings
 from failstop.procs.gate.core import STILL
 from failstop.procs.gate.sources import Command
-from failstop.supervisor.settings import SettingError, Settings
 
 from .gate_bench import MS, Gate, stands
 

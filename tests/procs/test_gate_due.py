@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from failstop.policy.kinematics import Mecanum
+from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
-from failstop.procs.gate.kinematics import Mecanum
 from failstop.procs.gate.sources import Command
-from failstop.supervisor.settings import Settings
 
 MS = 1_000_000
 T0 = 100_000 * MS

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.procs.gate import kinematics
+from failstop.policy import kinematics
+from failstop.policy.kinematics import Mecanum
+from failstop.policy.settings import Settings
 from failstop.procs.gate.core import REST, STILL, GateCore
-from failstop.procs.gate.kinematics import Mecanum
 from failstop.procs.gate.sources import PAD, PAD_PRIORITY, Command
 from failstop.procs.gate.stamps import AHEAD_NS
-from failstop.supervisor.settings import Settings
 
 MS = 1_000_000
 TICK = 20 * MS

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board import codec
-from failstop.procs.gate import kinematics
-from failstop.procs.gate.kinematics import Differential, Mecanum
-from failstop.supervisor.settings import Settings
+from failstop.policy import kinematics
+from failstop.policy.kinematics import Differential, Mecanum
+from failstop.policy.settings import Settings
 
 DIAMETER_M, WHEELBASE_M, TRACK_M = 0.08, 0.17706, 0.17165
 ROBOT = Mecanum(DIAMETER_M, WHEELBASE_M, TRACK_M)

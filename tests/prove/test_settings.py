@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from failstop.faults import scene
+from failstop.policy import config
 from failstop.prove import stand
-from failstop.supervisor import config
 from failstop.trial import write_settings
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))

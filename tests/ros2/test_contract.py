@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from failstop.policy.settings import Settings
 from failstop.ros2 import contract, mirrors, report, words
 from failstop.ros2.contract import INWARD, OUTWARD, SERVICES, Qos
-from failstop.supervisor.settings import Settings
 from tests.ros2.scene import NODE, Scene
 from tests.screen import states
 

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from failstop.policy.settings import BY_KEY, Settings
 from failstop.ros2 import diagnostics, leftovers, messages, mirrors, report, words
 from failstop.ros2.commanders import Publisher
 from failstop.ros2.scan import ScanLog, ScanWatch
 from failstop.samples import ImuSample, OdometrySample, PadSample
-from failstop.supervisor.settings import BY_KEY, Settings
 from tests.screen import states
 
 S = 1_000_000_000

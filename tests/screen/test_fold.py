@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop import style
-from failstop.fold import columns, fitted, fold
 from failstop.supervisor.events import say
+from failstop.supervisor.fold import columns, fitted, fold
 from tests.commands import FAILSTOP
 
 LINE = (

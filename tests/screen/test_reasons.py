@@ -11,11 +11,11 @@ import pytest
 import failstop
 from failstop.board.interface import BOARD
 from failstop.faults.table import TABLE as FAULTS
+from failstop.policy.settings import Settings
 from failstop.screen import reasons, verdict
 from failstop.shm.layout import PROCESSES
 from failstop.shm.records import REQUESTED, requested
 from failstop.supervisor import aftermath
-from failstop.supervisor.settings import Settings
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
 ANYTHING = reasons.TABLE[-1]

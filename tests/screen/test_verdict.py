@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from failstop.procs.gate import kinematics
+from failstop.policy import kinematics
+from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
 from failstop.screen import paragraph, verdict
 from failstop.shm import blocks
-from failstop.supervisor.settings import Settings
 
 from .states import driving, latched, process, state, stop
 

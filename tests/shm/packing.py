@@ -10,7 +10,7 @@ import ast
 import os
 from collections.abc import Iterator
 
-ROOMS = ("shm", "board", "supervisor", "procs", "failstop")
+ROOMS = ("shm", "board", "policy", "supervisor", "procs", "failstop")
 
 FORBIDDEN = frozenset(
     {"pack_into", "memmove", "memset", "from_buffer", "from_address", "write_byte", "string_at", "copyto", "putmask"}

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.policy.settings import LONGEST_NAME, MOST_OF_A_FAMILY
 from failstop.shm import records
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS
 from failstop.shm.packing import pack
 from failstop.shm.slot import HEADER_BYTES, build
-from failstop.supervisor.settings import LONGEST_NAME, MOST_OF_A_FAMILY
 
 U64 = st.integers(0, 2**64 - 1)
 U32 = st.integers(0, 2**32 - 1)

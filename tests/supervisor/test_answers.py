@@ -17,6 +17,7 @@ import msgpack
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.policy.settings import Settings
 from failstop.procs import rights
 from failstop.shm import instance, layout, records, segment
 from failstop.shm.futex import PER_BLOCK
@@ -31,7 +32,6 @@ from failstop.supervisor.names import LOOK_EVERY_NS
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
-from failstop.supervisor.settings import Settings
 from tests.waiting import until
 
 MS = 1_000_000

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from failstop.policy.settings import Settings
 from failstop.shm import box, layout, segment
 from failstop.supervisor import blackbox, starter
 from failstop.supervisor.blackbox import (
@@ -25,7 +26,6 @@ from failstop.supervisor.blackbox import (
 from failstop.supervisor.causes import Cause
 from failstop.supervisor.events import Events
 from failstop.supervisor.resources import Resources
-from failstop.supervisor.settings import Settings
 from tests.waiting import until
 
 MS = 1_000_000

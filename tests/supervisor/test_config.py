@@ -12,8 +12,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from failstop import cli
-from failstop.supervisor import config
-from failstop.supervisor.settings import DECLARED, SettingError, Settings
+from failstop.policy import config
+from failstop.policy.settings import DECLARED, SettingError, Settings
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.policy.processes import Process
 from failstop.procs.loop import READ
 from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS
@@ -18,7 +19,6 @@ from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.supervisor import children
 from failstop.supervisor.family import TRY_AGAIN_NS
 from failstop.supervisor.starter import Starter
-from failstop.supervisor.table import Process
 
 from .test_answers import Scene
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from failstop import cli
-from failstop.supervisor import config
-from failstop.supervisor.settings import SettingError
+from failstop.policy import config
+from failstop.policy.settings import SettingError
 
 KEY = "pad.mode_button"
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.policy.settings import FAMILIES, SettingError, Settings
 from failstop.procs.gate import sources
-from failstop.supervisor.settings import FAMILIES, SettingError, Settings
 
 BY_PRIORITY = FAMILIES["sources"][0]
 MS = 1_000_000

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from failstop.policy.processes import PROCESSES, Process
 from failstop.shm import bell, claim, instance, layout, segment
 from failstop.supervisor import resources as module
 from failstop.supervisor.resources import Resources, client_gid
-from failstop.supervisor.table import PROCESSES, Process
 
 _numbers = itertools.count()
 

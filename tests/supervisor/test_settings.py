@@ -10,10 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board.codec import RPS_CEILING
-from failstop.procs.gate import kinematics
-from failstop.supervisor.main import TICK_NS
-from failstop.supervisor.restarts import LONGEST_WAIT_NS
-from failstop.supervisor.settings import (
+from failstop.policy import kinematics
+from failstop.policy.settings import (
     BY_KEY,
     DECLARED,
     FAMILIES,
@@ -26,6 +24,8 @@ from failstop.supervisor.settings import (
     shortened,
     shown,
 )
+from failstop.supervisor.main import TICK_NS
+from failstop.supervisor.restarts import LONGEST_WAIT_NS
 
 CHOICES = [setting for setting in DECLARED if setting.allowed]
 NUMBERS = [setting for setting in DECLARED if not isinstance(setting.default, str) and not setting.allowed]

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.policy.settings import Settings
 from failstop.procs.handover import Control
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import sharing
 from failstop.supervisor.main import ALONE_EVERY_NS
 from failstop.supervisor.port import OwnPort
-from failstop.supervisor.settings import Settings
 from failstop.supervisor.sharing import SHARE_NS
 
 from .test_answers import MS, Scene

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from failstop.policy.processes import PROCESSES
+from failstop.policy.settings import Settings
 from failstop.supervisor import starter
-from failstop.supervisor.settings import Settings
 from failstop.supervisor.starter import Starter
-from failstop.supervisor.table import PROCESSES
 
 ROW = PROCESSES[0]
 SHOW = "import os, time; os.write(int(os.environ['OUT']), b'x'); time.sleep(120)"
@@ -79,7 +79,7 @@ def test_what_a_process_is_told_on_its_command_line(monkeypatch: pytest.MonkeyPa
     assert made.start(ROW, 3, 5, numbers) == 77
     ((arguments, passed),) = told
     assert arguments[:3] == [sys.executable, "-I", "-S"]
-    assert arguments[3].endswith("/procs/child.py")
+    assert arguments[3].endswith("/supervisor/child.py")
     assert os.path.exists(arguments[3])
     assert arguments[4] == ROW.name
     words = ["name=left", "run=1f", "dir=/run/x", f"parent={os.getpid()}", "block=3", "number=5"]

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from failstop.policy.settings import Settings
 from failstop.shm import layout, segment
 from failstop.supervisor.aftermath import UNSTILL, Aftermath
 from failstop.supervisor.causes import Cause
 from failstop.supervisor.events import Events
 from failstop.supervisor.resources import Resources
-from failstop.supervisor.settings import Settings
 from failstop.trial import wait_for
 
 S = 1_000_000_000

@@ -6,8 +6,8 @@ import importlib
 
 import pytest
 
+from failstop.policy.processes import BY_NAME, PROCESSES, SUPERVISOR_PRIORITY, Process
 from failstop.shm import layout
-from failstop.supervisor.table import BY_NAME, PROCESSES, SUPERVISOR_PRIORITY, Process
 
 each = pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
 STOPPING = {layout.PORT_OWNER, layout.STOPPER}

@@ -15,6 +15,8 @@ import msgpack
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.policy.processes import BY_NAME
+from failstop.policy.settings import Settings
 from failstop.procs import starved
 from failstop.procs.loop import GONE, READ
 from failstop.shm import heartbeat, layout, records, segment
@@ -28,8 +30,6 @@ from failstop.supervisor.fence import Fence
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
-from failstop.supervisor.settings import Settings
-from failstop.supervisor.table import BY_NAME
 from tests.procs.stage import Dummy
 from tests.supervisor.test_answers import MS, Scene, fill
 from tests.waiting import until

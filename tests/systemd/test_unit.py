@@ -15,11 +15,11 @@ import pytest
 from failstop import ask
 from failstop.board.discovery import BOARD_PID, BOARD_VID
 from failstop.commands import stop
+from failstop.policy.processes import PROCESSES
+from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs.port_owner.repeats import LEAVE_AFTER_NS
 from failstop.procs.telemetry.state_files import SYSTEM_BASE
 from failstop.supervisor.resources import GROUP
-from failstop.supervisor.settings import BY_KEY, Settings
-from failstop.supervisor.table import PROCESSES
 
 SYSTEMD = Path(str(importlib.resources.files("failstop.systemd")))
 ONE, MANY = "failstop.service", "failstop@.service"

@@ -13,6 +13,7 @@ import msgpack
 import pytest
 
 from failstop.board import framing
+from failstop.policy.settings import Settings
 from failstop.procs.telemetry import main
 from failstop.procs.telemetry.main import Telemetry
 from failstop.shm import layout, records, segment
@@ -20,7 +21,6 @@ from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.notes import Note
 from failstop.shm.segment import Segment
-from failstop.supervisor.settings import Settings
 from tests.waiting import until
 
 MS = 1_000_000

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from failstop.policy.settings import Settings
 from failstop.procs.telemetry.battery_log import HEADER, BatteryLog
-from failstop.supervisor.settings import Settings
 
 S = 1_000_000_000
 READING_NS = 1_050_000_000

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.policy.settings import Settings
 from failstop.procs.telemetry.charger import PLUGGED, UNKNOWN, UNPLUGGED, Charger
 from failstop.shm import records
-from failstop.supervisor.settings import Settings
 
 MS = 1_000_000
 S = 1_000 * MS

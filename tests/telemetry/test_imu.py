@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.policy.settings import Settings
 from failstop.procs.telemetry import imu
 from failstop.procs.telemetry.imu import Accelerometer, GyroBias
-from failstop.supervisor.settings import Settings
 
 from .still import PERIOD_NS, RATE_HZ, S, Vector, dps, gyro, samples
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.policy.settings import Settings
 from failstop.procs.telemetry import odometry
 from failstop.procs.telemetry.odometry import Odometry, wrapped
-from failstop.supervisor.settings import Settings
 
 MS = 1_000_000
 SPEED = st.floats(-1.0, 1.0)

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.policy.settings import Settings
 from failstop.procs.telemetry.pad import DRIVE, LOCKED, Pad, PadNews
 from failstop.procs.telemetry.trips import Trips
 from failstop.shm import records
-from failstop.supervisor.settings import Settings
 
 MS = 1_000_000
 FRAME_MS = 50

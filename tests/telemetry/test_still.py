@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from failstop.board.sim.imu import Imu
 from failstop.client import attach
+from failstop.policy.settings import Settings
 from failstop.procs.telemetry.still import GAP_NS, HOLD_NS, WINDOW_NS, StillJudge
 from failstop.shm import layout
-from failstop.supervisor.settings import Settings
 from failstop.trial import Trial, wait_for
 
 from .scene import MS, Scene

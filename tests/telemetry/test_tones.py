@@ -7,10 +7,10 @@ import struct
 import pytest
 
 from failstop.board.codec import BUZZER
+from failstop.policy.settings import Settings
 from failstop.procs.telemetry import pad, tones
 from failstop.procs.telemetry.tones import Tones
 from failstop.shm import records
-from failstop.supervisor.settings import Settings
 
 
 @pytest.fixture

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 
-from failstop.procs import durable
-from failstop.shm import root
-from failstop.supervisor.settings import SettingError, Settings, shortened, shown
+from failstop.policy.settings import SettingError, Settings, shortened, shown
+from failstop.shm import durable, root
 
 MOST_BYTES = 65536
 """Nine times a file that sets everything and explains it."""

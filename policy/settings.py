@@ -7,6 +7,8 @@ there, cmd_vel.
 
 from __future__ import annotations
 
+SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
+"""The environment variable in which a process finds them."""
 MOST_SHOWN = 160
 """Characters of a value in a message."""
 
@@ -324,7 +326,7 @@ class Settings:
 
     def max_wheel_rps(self) -> float:
         """The fastest that any wheel can turn within the limits, in revolutions per second."""
-        from failstop.procs.gate import kinematics
+        from failstop.policy import kinematics
 
         limits = self["limits.vx_mps"], self["limits.vy_mps"], self["limits.wz_radps"]
         return kinematics.from_settings(self).worst_rps(*limits)

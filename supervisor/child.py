@@ -10,7 +10,6 @@ import os
 import sys
 
 PATH_VARIABLE = "FAILSTOP_PATH"
-SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 
 
 def main(argv: list[str]) -> int:
@@ -21,8 +20,8 @@ def main(argv: list[str]) -> int:
         from failstop.supervisor import entry
 
         return entry.start(words)
+    from failstop.policy.processes import BY_NAME
     from failstop.procs.context import Context
-    from failstop.supervisor.table import BY_NAME
 
     row = BY_NAME[argv[1]]
     context = Context(row.name, words, row.priority, outlives_parent=row.outlives_supervisor)

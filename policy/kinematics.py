@@ -12,7 +12,7 @@ from math import pi
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.supervisor.settings import Settings
+    from failstop.policy.settings import Settings
 
     Four = tuple[float, float, float, float]
 

@@ -1,0 +1,50 @@
+"""The rooms point one way: whoever reads one of them needs no other but those below it."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+BELOW = {
+    "board": {"board"},
+    "shm": {"shm"},
+    "policy": {"policy", "board", "shm"},
+    "procs": {"procs", "policy", "board", "shm"},
+    "supervisor": {"supervisor", "procs", "policy", "board", "shm"},
+}
+"""What each room may import of failstop; the face (failstop, ros2) knows all of them."""
+EVERYBODYS = {"version"}
+
+
+def modules(room: str) -> list[Path]:
+    """Of the room itself: the simulated board is a program of its own."""
+    return [path for path in sorted((ROOT / room).rglob("*.py")) if "sim" not in path.relative_to(ROOT).parts]
+
+
+def imported(path: Path) -> Iterator[str]:
+    """The names after `failstop.` of all that a module imports, for types too."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module] if node.module != "failstop" else [f"failstop.{name.name}" for name in node.names]
+        elif isinstance(node, ast.Import):
+            names = [name.name for name in node.names]
+        else:
+            continue
+        yield from (name.removeprefix("failstop.") for name in names if name.startswith("failstop."))
+
+
+@pytest.mark.parametrize("room", BELOW)
+def test_a_room_imports_only_what_is_below_it(room: str) -> None:
+    found = modules(room)
+    assert found
+    upward = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in found
+        for name in imported(path)
+        if name.partition(".")[0] not in BELOW[room] | EVERYBODYS
+    ]
+    assert not upward
