@@ -12,7 +12,7 @@ import _thread
 import os
 from time import monotonic_ns, sleep
 
-from failstop.supervisor.port import OwnPort
+from failstop.board.stop_port import StopPort
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Opener:
             os.close(self._spare)
         fd = self.finder.open(monotonic_ns())
         if fd >= 0:
-            written = OwnPort(fd).burst()
+            written = StopPort(fd).burst()
             self._found = (fd, monotonic_ns() if written else 0)
             self._bell.ring()
         self._reserve()
@@ -77,9 +77,3 @@ class Opener:
             self._asked.acquire()
             while not self.attempt():
                 sleep(LOOK_NS / 1e9)
-
-    def close(self) -> None:
-        """Let the kept number go; only where no thread was begun."""
-        if self._spare >= 0:
-            os.close(self._spare)
-            self._spare = -1

@@ -7,33 +7,25 @@ import stat
 import time
 
 from failstop.board import port
-from failstop.board.interface import BOARD
+from failstop.board.stop_port import StopPort
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-BURST = BOARD.burst
-
 BUSY_S = 1.0
 """How long a port that a dead run's processes are just letting go of is waited for."""
-DRAIN_S = 0.1
-"""The burst takes 4 ms on the wire."""
 UDEV_S = 2.0
 """How long udev may take, at boot, to give a device that is there to its users."""
 
-TRIES = 3
-"""A non-blocking write is refused not only for want of room but also while another process is in its own write, as the
-stopper may be at the very same moment."""
 
-
-class OwnPort:
+class OwnPort(StopPort):
     """A duplicate of the port's descriptor; -1 while the port is gone."""
 
-    __slots__ = ("fd", "number", "stopped")
+    __slots__ = ("number", "stopped")
 
     def __init__(self, fd: int) -> None:
-        self.fd = fd
+        super().__init__(fd)
         self.stopped = False
         """The kernel has taken the whole of the run's first burst."""
         self.number = 1
@@ -59,37 +51,8 @@ class OwnPort:
                 own.stopped = own.burst()
                 return own
 
-    def burst(self) -> bool:
-        """Write the burst. False when the kernel did not take all of it, or the port is gone."""
-        if self.fd < 0:
-            return False
-        for _ in range(TRIES):
-            try:
-                return os.write(self.fd, BURST) == len(BURST)
-            except BlockingIOError:
-                continue
-            except OSError:
-                return False
-        return False
-
-    def drain(self) -> bool:
-        """Wait until what was written has left the kernel, which drops the rest when the port is closed; False: it has
-        not within DRAIN_S."""
-        until_s = time.monotonic() + DRAIN_S
-        try:
-            while port.unsent_bytes(self.fd):
-                if time.monotonic() > until_s:
-                    return False
-                time.sleep(0.0005)
-        except OSError:
-            return False
-        return True
-
-    def replace(self, fd: int) -> None:
-        """Let the old descriptor go and keep another; -1 for none."""
-        if self.fd >= 0:
-            port.close_port(self.fd)
-        self.fd = fd
+    def adopt(self, fd: int) -> None:
+        super().adopt(fd)
         self.number += fd >= 0
 
 

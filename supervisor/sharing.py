@@ -75,7 +75,7 @@ class Sharing:
         if self._port.fd < 0 or not (gone or self._port_owner_s() == records.PORT_LOST):
             return False
         self._loop.forget(self._port.fd)
-        self._port.replace(-1)
+        self._port.close()
         self._bell.ring()  # the stopper has the same to let go
         path = self.opener.finder.at
         text = f"{path} is gone; the stop is written the moment it is back; wheels that turn: POWER SWITCH"
@@ -91,7 +91,7 @@ class Sharing:
         if found is None:
             return None
         fd, written_ns = found
-        self._port.replace(fd)
+        self._port.adopt(fd)
         self._loop.watch(fd, HANGUP)
         self._share(list(self.controls), now_ns)
         path, away_s = self.opener.finder.at, (monotonic_ns() - self._lost_ns) / 1e9

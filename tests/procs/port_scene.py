@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import codec
+from failstop.board import codec, stop_port
 from failstop.board.interface import BOARD
 from failstop.procs.port_owner import main
-from failstop.procs.port_owner import wire as wire_module
 from failstop.procs.port_owner.main import PortOwner
 from failstop.shm import box, layout, records
 
@@ -117,10 +116,8 @@ class Kernel:
 
         class Os:
             write = staticmethod(self.write)
-            read = staticmethod(os.read)
-            close = staticmethod(os.close)
 
-        monkeypatch.setattr(wire_module, "os", Os)
+        monkeypatch.setattr(stop_port, "os", Os)
 
     def write(self, fd: int, data: bytes) -> int:
         if self.room is None:

@@ -226,7 +226,7 @@ def test_a_port_that_the_port_owner_has_given_up_is_let_go(scene: Scene) -> None
         lost = records.pack_port(number, scene.clock() + 1, records.PORT_LOST, "/dev/board")
         scene._views[layout.PORT_OWNER].latest_writer("port").write(lost)
         scene.turn(MS)
-        assert (scene.stopper._port == -1) is let_go
+        assert (scene.stopper._port.fd == -1) is let_go
 
 
 def test_a_port_owner_that_is_only_starting_does_not_hang(scene: Scene) -> None:
@@ -265,13 +265,26 @@ def test_a_descriptor_that_it_had_no_number_for_is_taken_when_it_is_sent_again(s
     assert scene.own.word("port_number").get() == 2
 
 
+def test_one_that_it_has_let_go_alone_is_taken_again(scene: Scene, other: Pty) -> None:
+    """A write of its own failed, and the others have kept it."""
+    scene.stopper._port.lost = True
+    scene.turn()
+    assert scene.own.word("port_number").get() == 0
+    scene.control.send(other.slave, 1, "")
+    scene.turn()
+    assert scene.own.word("port_number").get() == 1
+    scene.die(scene.port_owner)
+    scene.turn()
+    assert other.read() == BURST
+
+
 @pytest.mark.parametrize("number", [0, 1])
 def test_one_that_it_has_already_is_not_taken_again(scene: Scene, other: Pty, number: int) -> None:
     before = open_fds()
     scene.control.send(other.slave, number, "")
     scene.turn()
     assert open_fds() == before
-    assert scene.stopper._port == scene.fd("port")
+    assert scene.stopper._port.fd == scene.fd("port")
 
 
 def test_a_port_that_has_gone_is_let_go_at_once(scene: Scene) -> None:
@@ -299,7 +312,7 @@ def test_a_port_that_was_opened_anew_is_adopted(scene: Scene, other: Pty) -> Non
     old = scene.fd("port")
     scene.control.send(other.slave, 2, "")
     scene.turn()
-    assert scene.stopper._port != old
+    assert scene.stopper._port.fd != old
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(old)
     scene.die(scene.port_owner)

@@ -118,7 +118,7 @@ class Scene:
         self.resources.remove()
         for control in self.supervisor.sharing.controls.values():
             control.close()
-        self.supervisor.sharing.opener.close()
+        os.close(self.supervisor.sharing.opener._spare)
         for pair in self.resources.controls.values():
             os.close(pair[1])
         for fd in (self.master, self.resources.stop_pipe, self.resources.client_bell, self.resources.published):
@@ -129,7 +129,7 @@ class Scene:
             os.killpg(saver.pid, signal.SIGKILL)
             os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT)
             saver.ended()
-        self.port.replace(-1)
+        self.port.close()
 
 
 @pytest.fixture

@@ -38,7 +38,7 @@ def test_a_port_that_is_not_there_is_not_opened(bell: EventBell, tmp_path: Path)
     assert not opener.attempt()
     assert opener.take() is None
     assert open_fds() == before
-    opener.close()
+    os.close(opener._spare)
 
 
 def test_the_burst_is_its_first_bytes_and_it_is_taken_once(bell: EventBell, pty: Pty) -> None:
@@ -51,7 +51,7 @@ def test_the_burst_is_its_first_bytes_and_it_is_taken_once(bell: EventBell, pty:
     assert found[1] > 0
     assert opener.take() is None
     os.close(found[0])
-    opener.close()
+    os.close(opener._spare)
 
 
 def test_a_burst_that_was_not_written_is_not_said_to_be(bell: EventBell, pty: Pty) -> None:
@@ -62,7 +62,7 @@ def test_a_burst_that_was_not_written_is_not_said_to_be(bell: EventBell, pty: Pt
     assert found is not None
     assert found[1] == 0
     os.close(found[0])
-    opener.close()
+    os.close(opener._spare)
 
 
 def test_the_number_that_it_keeps_is_there_when_no_other_is(bell: EventBell, pty: Pty) -> None:
@@ -84,7 +84,7 @@ def test_the_number_that_it_keeps_is_there_when_no_other_is(bell: EventBell, pty
         os.close(found[0])
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
-        opener.close()
+        os.close(opener._spare) if opener._spare >= 0 else None
 
 
 class Slow(Finder):

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.board.stop_port import StopPort
 from failstop.policy.settings import Settings
 from failstop.procs.handover import Control
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import sharing
 from failstop.supervisor.main import ALONE_EVERY_NS
-from failstop.supervisor.port import OwnPort
 from failstop.supervisor.sharing import SHARE_NS
 
 from .test_answers import MS, Scene
@@ -204,7 +204,7 @@ def test_a_burst_that_the_opener_could_not_write_is_written_by_the_loop(
 ) -> None:
     three.lose()
     with monkeypatch.context() as patched:
-        patched.setattr(OwnPort, "burst", lambda _: False)
+        patched.setattr(StopPort, "burst", lambda _: False)
         master = three.comes_back()
     assert wrote(master) == b""
     three.turn()

@@ -207,7 +207,7 @@ def test_a_fenced_port_owner_is_stopped_for_again_when_it_is_gone_before_anythin
 def test_a_stop_that_nobody_wrote_is_not_told_of(watching: Watching) -> None:
     """The first burst after the fence was written, the second could not be, and zeros that were only tried are none."""
     fence(watching, layout.PORT_OWNER)
-    watching.port.replace(-1)
+    watching.port.close()
     assert watching.pass_time(MS) == b""
     assert fenced(watching)["text"] == (
         "port_owner was fenced: killed after 0.0 ms, stop written after 0.0 ms, gone after 1.0 ms"
@@ -568,7 +568,7 @@ def test_it_sleeps_until_what_is_due_next(watching: Watching) -> None:
     supervisor.family[layout.TELEMETRY].restart_ns = watching.now_ns + 3 * MS
     assert supervisor.next_ns(watching.now_ns) == watching.now_ns + 3 * MS
     supervisor.family[layout.TELEMETRY].restart_ns = None
-    watching.port.replace(-1)
+    watching.port.close()
     assert supervisor.next_ns(watching.now_ns) == watching.now_ns + TICK_NS, "a lost port is the opener's to look for"
 
 
