@@ -208,7 +208,7 @@ SEGMENTS = (
         (
             *_beat(),
             _word("written_ns", "everyone"),  # when it last wrote a burst
-            _word("port_ns", "supervisor"),  # since when it has the port that it holds; 0: it holds none
+            _word("port_number", "supervisor"),  # of the port that it holds; 0: it holds none
         ),
     ),
     SegmentSpec(

@@ -44,6 +44,7 @@ NOBODY = 0
 """No client's session. In a whole hello: who held the slot has left it in order."""
 SOURCE_BYTES = 16
 HELD_BYTES = 200
+PATH_BYTES = 300
 
 PORT_CLOSED = 0
 PORT_OPEN = 1
@@ -153,23 +154,23 @@ def unpack_cause(payload: bytes) -> tuple[int, int, bytes, bytes]:
     return epoch, cause_ns, both[:length], both[length:]
 
 
-def pack_port(generation: int, since_ns: int, state: int, path: str) -> bytes:
-    """The port: how often it was opened, since when it is in this state, PORT_OPEN or another, its path."""
-    return _PORT.pack(generation, since_ns, state) + cut(path, 300)
+def pack_port(number: int, since_ns: int, state: int, path: str) -> bytes:
+    """The port: its number in this run, since when it is in this state, PORT_OPEN or another, its path."""
+    return _PORT.pack(number, since_ns, state) + cut(path, PATH_BYTES)
 
 
 def unpack_port(payload: bytes) -> tuple[int, int, int, str]:
-    """Return (generation, since_ns, state, path)."""
-    (generation, since_ns, state), path = _head(_PORT, payload)
-    return generation, since_ns, state, path.decode("utf-8", "replace")
+    """Return (number, since_ns, state, path)."""
+    (number, since_ns, state), path = _head(_PORT, payload)
+    return number, since_ns, state, path.decode("utf-8", "replace")
 
 
-def lost_since(entry: tuple[int, int, bytes] | None, opened_ns: int) -> bool:
-    """True when the port owner's record of the port says that it was lost after `opened_ns`."""
+def port_state(entry: tuple[int, int, bytes] | None, number: int) -> int:
+    """What the port owner's record says of the port with this number; PORT_CLOSED when it is not about that one."""
     if entry is None:
-        return False
-    _, since_ns, state, _ = unpack_port(entry[2])
-    return state == PORT_LOST and since_ns > opened_ns
+        return PORT_CLOSED
+    told, _, state, _ = unpack_port(entry[2])
+    return state if told == number else PORT_CLOSED
 
 
 def pack_command(

@@ -13,6 +13,7 @@ from failstop.policy import causes
 from failstop.shm import layout, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.packing import pack
+from failstop.supervisor.answer import BY_SUPERVISOR
 from failstop.supervisor.link import ALIVE, DEAF, Link
 from failstop.supervisor.stops import Stop
 
@@ -38,9 +39,6 @@ class Aftermath:
         self._judged = telemetry.word("judged_ns")
         self._barrier = Barrier()
         self._reset_word = views[layout.GATE].word("reset_epoch")
-        self._port_record = port_owner.latest_reader("port")
-        self._written = port_owner.word("written_ns")
-        self._generation = 0
         self._after_ns = settings.ns("still.after_s")
         self._command = settings.text("still.command")
         self._command_pids: list[int] = []
@@ -67,7 +65,6 @@ class Aftermath:
     def follow(self, now_ns: int, *, listening: bool) -> list[Stop]:
         """Look at everything once; returns the stops that this brings. `listening`: telemetry runs, which decodes the
         answers, and so does the port owner, which asks."""
-        self._follow_port()
         stops = []
         self._take_answer()
         newest_ns = max(word.get() for word in self._pings)
@@ -85,27 +82,16 @@ class Aftermath:
             self._link_record.write(self._published.encode())
         return stops
 
-    def _follow_port(self) -> None:
-        """A port that was opened anew may be another board."""
-        entry = self._port_record.read()
-        generation, _, state, _ = records.unpack_port(entry[2]) if entry else (0, 0, records.PORT_OPEN, "")
-        if state == records.PORT_LOST:
-            self.link.opened()
-        if generation != self._generation:
-            self._generation = generation
-            self.link.opened()
-            # Whoever opens a port writes the burst before it says so.
-            self.opened(self._written.get(), "port owner")
-
     def heard_ns(self, since_ns: int) -> int:
         """When the board answered a ping that was sent at `since_ns` or later; 0: it has not."""
         sent_ns, arrival_ns = self._heard
         return arrival_ns if sent_ns >= since_ns else 0
 
-    def opened(self, written_ns: int, by: str) -> None:
-        """A port was opened anew; the last burst of who did it was at `written_ns`."""
+    def opened(self, written_ns: int) -> None:
+        """A port was opened anew, perhaps another board's; the supervisor's burst on it was at `written_ns`."""
+        self.link.opened()
         if self._last and not self._last.written_ns and written_ns > self._last.t_ns:
-            self._last.written_at_last(written_ns, by)
+            self._last.written_at_last(written_ns, BY_SUPERVISOR)
             self._publish()
 
     def _take_answer(self) -> None:

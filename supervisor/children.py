@@ -32,7 +32,6 @@ class Child:
         "fence",
         "last_exit",
         "life",
-        "patience_ns",
         "pid",
         "restart_ns",
         "restarts",
@@ -61,8 +60,6 @@ class Child:
         """It was killed for hanging: when and how."""
         self.excused_ns = 0
         """Silence before this is not its own."""
-        self.patience_ns = 0
-        """What it is given beyond its deadline."""
         self.spared_ns = 0
         """Its last sign of life before a silence that the machine explains, and that lasts; 0: there is none such."""
         self.down_in = 0
@@ -95,7 +92,7 @@ class Child:
 
     def allowed_ns(self) -> int:
         """How long it may be silent: when it runs, or until it says so."""
-        return self.row.deadline_ns + self.patience_ns if self.running() else STARTING_NS
+        return self.row.deadline_ns if self.running() else STARTING_NS
 
     def spare(self, now_ns: int) -> None:
         """Its silence is the machine's: as long again from now on."""

@@ -50,7 +50,7 @@ ANSWER_NS = 5_000_000
 """How long the port owner may take to answer a raised epoch before the supervisor writes the burst itself."""
 HURRY_NS = 1_000_000
 ALONE_EVERY_NS = 200_000_000
-"""While no port owner runs, who sends zeros at this rate, the supervisor bursts at it."""
+"""While no port owner with the port runs, who sends zeros at this rate, the supervisor bursts at it."""
 EXCUSE_NS = 60_000_000
 """A supervisor that itself was silent for this long judges nobody by it: the whole service may have been frozen. Two
 ticks less than the shortest deadline."""
@@ -126,7 +126,7 @@ class Supervisor:
         self._table = b""
         self._was_ready = False
         path = settings.text("device.path")
-        self._sharing = Sharing(port, path, resources, views, self.loop, self.family, self._events)
+        self.sharing = Sharing(port, path, resources, views, self.loop, self.family, self._events)
         self._turned_ns = self._watched_ns = monotonic_ns()
         self._tried_ns = 0
         """When it last tried to write a burst; when it last wrote one is `written_ns` of shared memory."""
@@ -164,7 +164,7 @@ class Supervisor:
             if child.life:
                 child.life.demote()
         self.family.bury(ready, now_ns, self.epoch)
-        self._sharing.serve(ready, now_ns)
+        self._follow_port(ready, now_ns)
         self._causes.settle(self._reset_word.get())
         self.family.recall(self._reset_word.get(), now_ns)
         self._follow_latch()
@@ -173,7 +173,7 @@ class Supervisor:
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
         self._follow_names(now_ns)
-        self.family.restart_due(self._port.fd, now_ns)
+        self.family.restart_due(self._port, now_ns)
         self.teller.pass_notes()
         self.family.arm()
         self._publish(now_ns)
@@ -185,23 +185,30 @@ class Supervisor:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
         written = self._port.burst()
         self._tried_ns = monotonic_ns()
-        if not written:
-            return 0
+        return self._wrote(self._tried_ns) if written else 0
+
+    def _wrote(self, written_ns: int) -> int:
+        """A burst went out on its own descriptor then, which is returned."""
         self._owed_ns = 0
-        self._written_word.set(self._tried_ns)
-        self.blackbox.wrote(self._tried_ns)
-        return self._tried_ns
+        self._written_word.set(written_ns)
+        self.blackbox.wrote(written_ns)
+        return written_ns
+
+    def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
+        """A port that has gone, and one that is back: the opener has written the burst on it, unless it could not."""
+        if self.sharing.lost(ready):
+            self.aftermath.link.opened()
+        opened_ns = self.sharing.opened(now_ns)
+        if opened_ns is not None:
+            self._tried_ns = opened_ns
+            self.aftermath.opened(self._wrote(opened_ns) if opened_ns else self._burst())
+        self.sharing.make_up(now_ns)
 
     def _stop_alone(self, now_ns: int) -> None:
-        """Nobody else says zero to the board while no port owner runs, or opens a port that comes back."""
-        port_owner = self.family[layout.PORT_OWNER]
-        opened = self._sharing.open_alone(now_ns)
-        if not opened and (port_owner.running() or now_ns - self._tried_ns < ALONE_EVERY_NS):
-            return
-        self._burst()
-        if opened:
-            self._sharing.opened_alone(now_ns)
-            self.aftermath.opened(self._written_word.get(), answer.BY_SUPERVISOR)
+        """Nobody else says zero to the board while no port owner runs that has the port."""
+        served = self.family[layout.PORT_OWNER].running() and self.sharing.has(layout.PORT_OWNER)
+        if not served and now_ns - self._tried_ns >= ALONE_EVERY_NS:
+            self._burst()
 
     def _held_up(self, now_ns: int) -> list[Stop]:
         """A stop for a supervisor that could not watch anybody, while motion is enabled; it kills nobody for a silence
@@ -309,7 +316,6 @@ class Supervisor:
 
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline."""
-        self.family[layout.PORT_OWNER].patience_ns = self._sharing.patience_ns(now_ns)
         for child in self.children:
             if child.hangs(now_ns):
                 is_starved = self._silence.starved(child)
@@ -339,7 +345,7 @@ class Supervisor:
     def _missing(self) -> str:
         """What motion is still waiting for; empty when nothing."""
         absent = [child.row.name for child in self.children if not child.well()]
-        if not absent and not self._sharing.complete():
+        if not absent and not self.sharing.complete():
             return "the port"
         # A stop that the supervisor wrote itself is still to be answered: a port owner that was held up would cut into
         # motion of a later enable, with frames of an older one perhaps before that.
@@ -383,8 +389,6 @@ class Supervisor:
         if self._unanswered:
             return min(self._answer_by_ns, now_ns + HURRY_NS)
         waits = [child.restart_ns for child in self.children if child.restart_ns is not None]
-        if look_ns := self._sharing.next_ns(now_ns):
-            waits.append(look_ns)
         # At the moment when a heartbeat is overdue, not at a tick after it.
         waits += [overdue_ns for child in self.children if (overdue_ns := child.overdue_ns())]
         return min([now_ns + TICK_NS, *waits])
@@ -402,6 +406,7 @@ class Supervisor:
         self.heartbeat.state(heartbeat.STOPPING)
         for child in reversed(self.children):
             child.kill(END_S)
+        self._follow_port({}, monotonic_ns())  # it may have come back meanwhile
         written = self._burst() > 0
         sent = written and self._port.drain()
         self.teller.ended(heard_ns, link, written=written, sent=sent)
@@ -436,10 +441,11 @@ def _rules(settings: Settings) -> dict[str, object]:
 def run(resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Journal | None) -> int:
     """Run the service until SIGTERM or SIGINT, or until it can't go on; returns the exit code."""
     supervisor = Supervisor(resources, port, settings, notify, journal)
+    supervisor.sharing.opener.begin()
     signal.signal(signal.SIGTERM, supervisor.end)
     signal.signal(signal.SIGINT, supervisor.end)
     for child in supervisor.children:
-        supervisor.family.start(child, port.fd)
+        supervisor.family.start(child, port)
     supervisor.blackbox.begin()
     rights.settle()
     ready: dict[int, int] = {}

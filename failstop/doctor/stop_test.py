@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 
 from failstop.board.port import PortError, release_exclusive
+from failstop.board.stop_port import StopPort
 from failstop.doctor.facts import StopTest
 from failstop.doctor.tap import Tap
 from failstop.errors import FailstopError
@@ -41,7 +42,7 @@ def by_hand(path: str) -> tuple[StopTest, ...]:
                 found.append(_written(writer, functools.partial(write, own, path), tap))
         return tuple(found)
     finally:
-        own.replace(-1)
+        own.close()
 
 
 def _written(writer: str, write: Callable[[], bool], tap: Tap) -> StopTest:
@@ -53,11 +54,11 @@ def _written(writer: str, write: Callable[[], bool], tap: Tap) -> StopTest:
 
 
 def _on_duplicate(own: OwnPort, _path: str) -> bool:
-    duplicate = OwnPort(os.dup(own.fd))
+    duplicate = StopPort(os.dup(own.fd))
     try:
         return duplicate.burst()
     finally:
-        duplicate.replace(-1)
+        duplicate.close()
 
 
 def _with_tool(own: OwnPort, path: str) -> bool:

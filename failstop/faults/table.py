@@ -26,6 +26,7 @@ from failstop.faults.fault import (
     USB,
     Fault,
 )
+from failstop.faults.inject_board import WATCHDOG_S
 from failstop.policy.causes import (
     BUTTON,
     DEAF,
@@ -162,21 +163,26 @@ REQUESTS = (
 
 PORT = (
     Fault(
-        "usb-drop", USB, "unplugged; back under the same name", "port owner, the moment it is back",
+        "usb-drop", USB, "unplugged; back under the same name", "supervisor, the moment it is back",
         ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop", counted_from=BACK,
     ),
     Fault(
-        "usb-drop-mid-frame", USB, "unplugged while a frame is half written", "port owner, the moment it is back",
+        "usb-drop-mid-frame", USB, "unplugged while a frame is half written", "supervisor, the moment it is back",
         ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop-mid-frame", counted_from=BACK,
     ),
     Fault(
-        "usb-drop-renamed", USB, "unplugged; back as another node behind the link", "port owner, the moment it is back",
+        "usb-drop-renamed", USB, "unplugged; back as another node behind the link", "supervisor, the moment it is back",
         ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop-renamed", counted_from=BACK,
     ),
     Fault(
-        "usb-drop-permission", USB, "unplugged; back, and the permission comes later", "port owner, once it may open",
+        "usb-drop-permission", USB, "unplugged; back, and the permission comes later", "supervisor, once it may open",
         ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop-permission",
         counted_from="the permission", weight=1,
+    ),
+    Fault(
+        "usb-drop-unwatched", USB, "unplugged, the supervisor stopped (SIGSTOP) meanwhile; back under the same name",
+        "systemd: its watchdog, then the stop tool (ExecStopPost)", (), NEW_RUN, processes.NEW_RUN_SAYS,
+        1000 * WATCHDOG_S + processes.TOOL_MS, "usb-drop-unwatched", counted_from=BACK, stop_tool=True, weight=1,
     ),
     Fault(
         "board-not-draining", BOARD, "the board takes no bytes", "nobody; port owner, once it takes bytes again",

@@ -5,9 +5,9 @@ Nothing between noticing a cause and the burst can block, log or build bytes: BU
 
 from __future__ import annotations
 
+import os
 from time import monotonic_ns
 
-from failstop.board.finder import Finder
 from failstop.board.interface import BOARD
 from failstop.policy import causes
 from failstop.procs.handover import Control
@@ -37,8 +37,6 @@ PING_BACKLOG = 2 * len(BOARD.burst)
 MOTION_BACKLOG = max((len(ping) for ping in BOARD.pings), default=0)
 """A ping (70 us of wire) is no backlog that motion has to stay behind."""
 PIPE_REST_NS = 20_000_000
-REOPEN_NS = 5_000_000
-"""How often a lost port is looked for."""
 
 
 class PortOwner:
@@ -88,19 +86,16 @@ class PortOwner:
         self.epoch = self._epoch_word.get()
 
         self.wire = Wire(context.fd("port"))
-        self._finder = Finder(settings.text("device.path"))
-        self._opened = 1
-        """How many ports this process has had."""
+        self._number = context.port_number
+        self._path = settings.text("device.path")
         self._control = Control(context.fd("control"))
         self.wire.burst()
         self._stopped(monotonic_ns())
         self._stopped_word.set(self.epoch)
-        if self.wire.fd >= 0:
-            self._finder.learn(self.wire.fd)
         self.wire.keep(own.ring_writer("box"))
         self._publish_port(monotonic_ns())
 
-        for fd in (self._bell.fd, self._early.bell.fd, self._stop_pipe, self._supervisor_life.fd):
+        for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._stop_pipe, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
 
     def turn(self, ready: dict[int, int]) -> bool:
@@ -125,12 +120,15 @@ class PortOwner:
                 peer.demote()  # it dies with its parent
             self._own_stop(now_ns, monotonic_ns(), causes.DIED(layout.SUPERVISOR))
             self.loop.forget(self._supervisor_life.fd)
+            self.loop.forget(self._control.fd)
         self._follow_epoch(now_ns)
         self._check_suspend(now_ns)
         self._check_leases(now_ns)
         self._check_drain(now_ns)
         self._forward_frames()
         self._serve_port(ready.get(self.wire.fd, 0), now_ns)
+        if self._control.fd in ready:
+            self._take_port(now_ns)
         self._repeat(now_ns)
         self._ping(now_ns)
         self._watch_port()
@@ -316,10 +314,19 @@ class PortOwner:
                 wire.lost = True
             if wire.lost:
                 self._port_lost(now_ns)
-        elif (fd := self._finder.open(now_ns)) >= 0:
-            wire.adopt(fd)
-            self._opened += 1
-            self._control.send(fd)
+
+    def _take_port(self, now_ns: int) -> None:
+        """The supervisor has opened a port and stopped on it. The loss of the one before is a stop of its own, seen
+        here by now or not; one that is known already was sent twice."""
+        while sent := self._control.receive():
+            fd, number, path = sent
+            if number <= self._number:
+                os.close(fd)
+                continue
+            if self.wire.fd >= 0:
+                self._port_lost(now_ns)
+            self._number, self._path = number, path
+            self.wire.adopt(fd)
             self._stopped(monotonic_ns())
             self._publish_port(now_ns)
 
@@ -334,13 +341,14 @@ class PortOwner:
     def _port_lost(self, now_ns: int) -> None:
         if self._watched[0] == self.wire.fd:
             self.loop.forget(self.wire.fd)
+        self._watched = (-1, 0)
         self.wire.close()
         self.stop(now_ns, causes.DEVICE_LOST())
         self._publish_port(now_ns)
 
     def _publish_port(self, now_ns: int) -> None:
         state = records.PORT_LOST if self.wire.lost else records.PORT_OPEN
-        self._port_record.write(records.pack_port(self._opened, now_ns, state, self._finder.at))
+        self._port_record.write(records.pack_port(self._number, now_ns, state, self._path))
         self._supervisor_bell.ring()
 
     def _repeat(self, now_ns: int) -> None:
@@ -364,7 +372,7 @@ class PortOwner:
     def next_ns(self, now_ns: int) -> int:
         """When to turn without any news."""
         if self.wire.lost:
-            return now_ns + REOPEN_NS
+            return now_ns + TICK_NS
         times = [now_ns + TICK_NS, self.pings.next_ns(), self.repeats.next_ns(moving=self.admission.moving)]
         if self._pipe_rests_until_ns:
             times.append(self._pipe_rests_until_ns)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import select
 from collections.abc import Iterator
 from pathlib import Path
@@ -40,14 +39,17 @@ def test_the_first_bytes_are_a_burst_for_the_epoch_it_finds(scene: Scene) -> Non
     assert scene.port_state() == records.PORT_OPEN
 
 
-def test_a_start_without_a_port_opens_it_and_stops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_start_without_a_port_takes_the_one_that_it_is_sent_and_stops(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene = Scene(tmp_path, monkeypatch, open_port=False)
     assert scene.port_state() == records.PORT_LOST
+    assert scene.turn(MS) == b"", "it opens none itself"
+    scene.control.send(scene.pty.slave, 2, "/dev/other")
     assert scene.turn() == BURST
     assert scene.port_state() == records.PORT_OPEN
-    passed_on = scene.control.receive()
-    assert os.ttyname(passed_on) == scene.pty.link
-    os.close(passed_on)
+    assert scene.port() == (2, "/dev/other")
+    assert scene.reasons() == []
     scene.close()
 
 

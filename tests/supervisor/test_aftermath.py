@@ -10,6 +10,7 @@ import msgpack
 import pytest
 
 from failstop.policy import causes
+from failstop.procs.loop import GONE
 from failstop.shm import layout, records, segment
 from failstop.supervisor.stops import Stop
 from tests.supervisor.test_answers import MS, Scene
@@ -68,12 +69,6 @@ class Watched(Scene):
         if answered:
             self.telemetry.word("pong").set(records.pong(self.now_ns + MS, index))
 
-    def opens_the_port(self, generation: int, state: int = records.PORT_OPEN) -> None:
-        """The port owner has written its burst, and says so."""
-        self.port_owner.word("written_ns").set(self.now_ns)
-        record = records.pack_port(generation, self.now_ns, state, "/dev/board")
-        self.port_owner.latest_writer("port").write(record)
-
     def reset(self) -> None:
         self.gate.word("reset_epoch").set(self.supervisor.epoch)
 
@@ -129,8 +124,7 @@ def test_a_port_that_was_opened_anew_may_be_another_board(scene: Watched) -> Non
     scene.telemetry.word("pong").set(records.pong(scene.now_ns + MS, 0))
     scene.turn(2 * MS)
     assert scene.link.read()[2] == b"alive"  # type: ignore[index]
-    port = scene.port_owner.latest_writer("port")
-    port.write(records.pack_port(2, scene.now_ns, records.PORT_OPEN, "/dev/board"))
+    scene.supervisor.aftermath.opened(scene.now_ns)
     scene.turn(2 * MS)
     assert scene.link.read()[2] == b"unproven"  # type: ignore[index]
 
@@ -193,7 +187,9 @@ def test_what_is_told_of_the_link(scene: Watched) -> None:
     scene.pings(3, answered=True)
     scene.follow(2 * MS)
     assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
-    scene.opens_the_port(0, records.PORT_LOST)
+    scene.supervisor.sharing.lost({scene.port.fd: GONE})
+    scene.supervisor.aftermath.link.opened()
+    scene.said()
     scene.follow(MS)
     text = "whether the board hears is not known until it answers"
     assert scene.said() == [("link", "info", text, {"state": "unproven"})]
@@ -240,26 +236,16 @@ def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Watche
     assert outcome == ("stop_outcome", "notice", text, fields)
 
 
-def test_a_stop_from_before_the_first_port_is_that_of_who_opens_it(scene: Watched) -> None:
-    stop = Stop(scene.now_ns, layout.GATE, why("the first"))
-    scene.supervisor.aftermath.written(stop, 0, "supervisor", stop.cause, 1)
-    scene.now_ns += MS
-    scene.opens_the_port(1)
-    scene.follow(0)
-    assert scene.told() == {"reason": "the first", "written_by": "port owner", "written_us": 1_000.0}
-
-
-def test_a_stop_that_could_not_be_written_is_that_of_who_opens_the_port_anew(scene: Watched) -> None:
+def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Watched) -> None:
+    opened = scene.supervisor.aftermath.opened
     noticed_ns = scene.now_ns
     stop = Stop(noticed_ns, layout.GATE, why("the first"))
     scene.supervisor.aftermath.written(stop, 0, "supervisor", stop.cause, 1)
     assert scene.told() == {"reason": "the first", "written_by": "supervisor", "written_us": None}
-    scene.port_owner.latest_writer("port").write(records.pack_port(2, scene.now_ns, records.PORT_OPEN, "/dev/board"))
-    scene.follow(MS)
-    assert scene.told()["written_us"] is None, "its last burst was before"
-    scene.opens_the_port(3)
-    scene.follow(MS)
-    assert scene.told() == {"reason": "the first", "written_by": "port owner", "written_us": 1_000.0}
-    scene.opens_the_port(4)
-    scene.follow(MS)
-    assert scene.told()["written_us"] == 1_000.0, "it was written once"
+    for burst_ns in (0, noticed_ns):
+        opened(burst_ns)
+        assert scene.told()["written_us"] is None, "no burst was written since"
+    for late_ms in (1, 2):
+        opened(noticed_ns + late_ms * MS)
+        told = {"reason": "the first", "written_by": "supervisor", "written_us": 1_000.0}
+        assert scene.told() == told, "once"

@@ -67,6 +67,8 @@ class Scene:
         self.port_owner.word("beat_pid").set(child.pid)
         self.port_owner.word("beat_state").set(RUNNING)
         self.port_owner.word("beat_ns").set(self.now_ns)
+        port = records.pack_port(1, self.now_ns, records.PORT_OPEN, "/dev/board")
+        self.port_owner.latest_writer("port").write(port)
         self.answers(written_ns=self.now_ns - 10_000 * MS)
 
     def answers(self, *, written_ns: int = 0) -> None:
@@ -117,8 +119,9 @@ class Scene:
 
     def close(self) -> None:
         self.resources.remove()
-        for control in self.supervisor._sharing.controls.values():
+        for control in self.supervisor.sharing.controls.values():
             control.close()
+        os.close(self.supervisor.sharing.opener._spare)
         for pair in self.resources.controls.values():
             os.close(pair[1])
         for fd in (self.master, self.resources.stop_pipe, self.resources.client_bell, self.resources.published):
@@ -129,7 +132,7 @@ class Scene:
             os.killpg(saver.pid, signal.SIGKILL)
             os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT)
             saver.ended()
-        self.port.replace(-1)
+        self.port.close()
 
 
 @pytest.fixture
@@ -397,7 +400,7 @@ def test_no_event_is_sent_before_the_burst(scene: Scene, monkeypatch: pytest.Mon
     real_burst, real_send = scene.supervisor._port.burst, scene.supervisor._events._send
 
     class Port:
-        fd, since_ns = scene.port.fd, scene.port.since_ns
+        fd, number = scene.port.fd, scene.port.number
 
         def burst(self) -> bool:
             order.append("burst")
