@@ -79,7 +79,7 @@ class Driver:
         self._trial = trial
         self._chance = random.Random(seed)
         self._epoch = attach(trial.name, layout.SUPERVISOR).word("epoch")
-        self._cause: LatestReader = attach(trial.name, layout.SUPERVISOR).latest_reader("cause")
+        self._cause: LatestReader = attach(trial.name, layout.SUPERVISOR).latest_reader("latch")
         self._imu: LatestReader = attach(trial.name, layout.TELEMETRY).latest_reader("imu")
         self._known_epoch = 0
         self._start_s = 0.0
@@ -141,8 +141,10 @@ class Driver:
         t_s = time.monotonic() - self._start_s
         wait_for("the gate to latch", lambda: robot.state.cause is not None, RECOVER_S)
         entry = self._cause.read()
-        self.soak.stops.append((round(t_s, 3), causes.standing(entry[2] if entry else None, 0)))
-        self.soak.caused_ns.append(records.unpack_cause(entry[2])[1] if entry else time.monotonic_ns())
+        self.soak.stops.append(
+            (round(t_s, 3), causes.read(records.unpack_latch(entry[2])[3]) if entry else causes.UNKNOWN())
+        )
+        self.soak.caused_ns.append(records.unpack_latch(entry[2])[1] if entry else time.monotonic_ns())
         wait_for("a motion enable after a false stop", self._enabled, RECOVER_S)
         self._known_epoch = self._epoch.get()
 

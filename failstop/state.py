@@ -141,10 +141,9 @@ class StateReader:
         self._settings = views[layout.SUPERVISOR].latest_reader("settings")
         self._stop = views[layout.SUPERVISOR].latest_reader("stop")
         self._link = views[layout.SUPERVISOR].latest_reader("link")
-        self._cause = views[layout.SUPERVISOR].latest_reader("cause")
+        self._latch = views[layout.SUPERVISOR].latest_reader("latch")
         self._gate = views[layout.GATE].latest_reader("state")
         self._said = views[layout.GATE].latest_reader("said")
-        self._reset_epoch = views[layout.GATE].word("reset_epoch")
         self._port = views[layout.PORT_OWNER].latest_reader("port")
         self._stops = views[layout.PORT_OWNER].ring_reader("stops", from_oldest=True)
         self._stopped: tuple[int, Cause | None] = (0, None)
@@ -206,16 +205,13 @@ class StateReader:
         in which it stopped by itself, and the gate's successor starts latched. The same holds for a gate that says on
         what it said before the supervisor died or fell silent."""
         decided: dict[str, Any] = msgpack.unpackb(payload)
-        latched = causes.read(decided["estop"]) if decided["estop"] else None
-        cause = latched
-        if not cause and epoch > decided["epoch"]:
-            entry = self._cause.read()
-            cause = causes.standing(entry[2] if entry else None, self._reset_epoch.get())
+        tripped = causes.read(decided["estop"]) if decided["estop"] else None
+        cause = self._latched() or tripped
         # Its death comes before what the port owner has noticed of it: the gate dies with it.
         cause = cause or (causes.DIED(layout.SUPERVISOR) if dead else self._own_stop(epoch))
         if not cause and decided["enabled"] and self.run.silent(now_ns):
             cause = causes.SILENT()
-        if cause and not latched:
+        if cause and not tripped:
             decided |= {
                 "enabled": False,
                 "blocked": f"{blocks.LATCHED}{cause}",
@@ -225,6 +221,12 @@ class StateReader:
                 "clients": [{**client, "driving": False} for client in decided["clients"]],
             }
         return decided, cause
+
+    def _latched(self) -> Cause | None:
+        """By the supervisor's word."""
+        entry = self._latch.read()
+        since, _, _, cause = records.unpack_latch(entry[2]) if entry else (0, 0, 0, b"")
+        return causes.read(cause) if since else None
 
     def _own_stop(self, epoch: int) -> Cause | None:
         """Why the port owner stopped by itself in this epoch, which the supervisor has not answered yet; else None.

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import struct
 
-from failstop.shm import records
 from failstop.shm.records import cut, printable
 
 TYPE_CHECKING = False
@@ -290,13 +289,3 @@ UNKNOWN = _row(
     "the supervisor stopped the wheels, and why can't be read any more",
     "look at `failstop events`, which may still know",
 )  # fmt: skip
-
-
-def standing(record: bytes | None, reset_epoch: int) -> Cause:
-    """Why the supervisor raised the epoch, of its record `cause`: the first cause since the last reset, which was in
-    `reset_epoch`. It may have raised it before it saw that reset."""
-    try:
-        since, _, first, newest = records.unpack_cause(record or b"")
-        return unpack(first if since > reset_epoch else newest)
-    except ValueError:
-        return UNKNOWN()

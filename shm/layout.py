@@ -135,7 +135,9 @@ SEGMENTS = (
             *(_word(f"{process}_life", "port_owner") for process in (GATE, TELEMETRY, STOPPER)),
             _word("port_owner_life", "stopper"),
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
-            _latest("cause", 640, "gate"),  # what the epoch was raised for, and the first since a reset (records)
+            _latest("latch", 320, "gate, clients"),  # what is latched, or was last (records)
+            _word("resets", "gate"),  # the number of the newest reset that was decided
+            _latest("reset", 640, "gate"),  # what became of it (records.reply)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
             _latest("link", 32, "clients"),  # whether the board answers: unproven, alive or deaf (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
@@ -169,7 +171,8 @@ SEGMENTS = (
         PUBLIC,
         (
             *_beat(),
-            _word("reset_epoch", "supervisor, its successor"),  # the epoch in which a reset last cleared the latch
+            _word("resets_asked", "supervisor, its successor"),  # the number of the newest reset that was asked for
+            _word("reset_asked_ns", "supervisor"),  # when that was asked for
             _ring("frames", 304, 64, "port_owner"),  # motion, stops, other frames for the wire (records)
             _ring("trips", 320, 32, "supervisor"),  # every latch that it made itself, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)

@@ -25,7 +25,7 @@ LEFT_OUT = b" ..."
 
 _FRAME = struct.Struct("<QB")
 _STOP = struct.Struct("<QQQ")
-_CAUSE = struct.Struct("<QQH")
+_LATCH = struct.Struct("<QQQ")
 _PORT = struct.Struct("<QQB")
 _COMMAND = struct.Struct("<QdddB16s")
 _SESSION = struct.Struct("<Q")
@@ -142,16 +142,16 @@ def unpack_stop(payload: bytes) -> tuple[int, int, int, bytes]:
     return epoch, cause_ns, written_ns, cause
 
 
-def pack_cause(epoch: int, cause_ns: int, standing: bytes, newest: bytes) -> bytes:
-    """What stands: the epoch that its stop was raised to, when it was noticed, its cause; and the cause of the newest
-    epoch, for a reader that knows of a reset which ended what stands here."""
-    return _CAUSE.pack(epoch, cause_ns, len(standing)) + standing + newest
+def pack_latch(since: int, noticed_ns: int, raised_ns: int, cause: bytes) -> bytes:
+    """The latch: the epoch that was raised for what is latched (0: nothing is), when that was noticed, when the epoch
+    was raised last; the cause that is latched, else that of the last stop, packed."""
+    return _LATCH.pack(since, noticed_ns, raised_ns) + cause
 
 
-def unpack_cause(payload: bytes) -> tuple[int, int, bytes, bytes]:
-    """Return (epoch, cause_ns, standing, newest)."""
-    (epoch, cause_ns, length), both = _head(_CAUSE, payload)
-    return epoch, cause_ns, both[:length], both[length:]
+def unpack_latch(payload: bytes) -> tuple[int, int, int, bytes]:
+    """Return (since, noticed_ns, raised_ns, cause)."""
+    (since, noticed_ns, raised_ns), cause = _head(_LATCH, payload)
+    return since, noticed_ns, raised_ns, cause
 
 
 def pack_port(number: int, since_ns: int, state: int, path: str) -> bytes:

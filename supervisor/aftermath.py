@@ -23,12 +23,13 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
     from failstop.shm.segment import Segment
     from failstop.supervisor.events import Events
+    from failstop.supervisor.latch import Latch
 
 
 class Aftermath:
     """Follows the last stop, and the link. One follow() a turn."""
 
-    def __init__(self, views: dict[str, Segment], settings: Settings, events: Events) -> None:
+    def __init__(self, views: dict[str, Segment], latch: Latch, settings: Settings, events: Events) -> None:
         self._events = events
         port_owner, telemetry = views[layout.PORT_OWNER], views[layout.TELEMETRY]
         self._record = views[layout.SUPERVISOR].latest_writer("stop")
@@ -38,7 +39,7 @@ class Aftermath:
         self._still = telemetry.word("still_ns")
         self._judged = telemetry.word("judged_ns")
         self._barrier = Barrier()
-        self._reset_word = views[layout.GATE].word("reset_epoch")
+        self._latch = latch
         self._after_ns = settings.ns("still.after_s")
         self._command = settings.text("still.command")
         self._command_pids: list[int] = []
@@ -55,7 +56,7 @@ class Aftermath:
         """A stop was written (`written_ns` 0: it could not be): follow it from now on. What comes while one is latched
         belongs to that: the first is the one that people look for."""
         last = self._last
-        if last and last.written_ns and self._reset_word.get() < last.epoch:
+        if last and last.written_ns and self._latch.reset_epoch < last.epoch:
             return
         self._tell()
         stop.answered_by(by, written_ns, latched, epoch, self._after_ns, time.time())
@@ -114,7 +115,7 @@ class Aftermath:
         self._reap()
         if last is None:
             return False
-        if self._reset_word.get() >= last.epoch:
+        if self._latch.reset_epoch >= last.epoch:
             self._command_ran = False
             return False
         known = last.observed_ns is not None

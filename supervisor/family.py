@@ -94,7 +94,7 @@ class Family:
         if wait_ns is not None:
             self._restart_in(child, wait_ns, now_ns)
             return
-        child.down_in = epoch
+        child.down = True
         todo = f"next: see to the cause, then {self._events.command('reset')} starts it anew"
         if name == layout.GATE:
             child.restart_ns = now_ns + GATE_AGAIN_NS
@@ -107,11 +107,11 @@ class Family:
         text = f"restarting {child.row.name} {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}"
         self._events.tell("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
 
-    def recall(self, reset_epoch: int, now_ns: int) -> None:
-        """Start those anew that are down, after a reset in `reset_epoch` by people who know of it."""
+    def recall(self, now_ns: int) -> None:
+        """Start those anew that are down, after a reset by people who know of it."""
         for child in self.children:
-            if child.down_in and reset_epoch >= child.down_in:
-                child.down_in = 0
+            if child.down:
+                child.down = False
                 child.restarts.forget()
                 self._restart_in(child, 0, now_ns)
 

@@ -22,11 +22,11 @@ from failstop.shm.packing import pack
 from failstop.supervisor import answer, grant
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
-from failstop.supervisor.causes import Causes
 from failstop.supervisor.events import Events
 from failstop.supervisor.family import Family
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.herald import Herald
+from failstop.supervisor.latch import Latch
 from failstop.supervisor.link import UNPROVEN
 from failstop.supervisor.names import Names
 from failstop.supervisor.notify import Notify
@@ -98,8 +98,13 @@ class Supervisor:
         self.children = self.family.children
         self._early = self.family.early
         self._written_word = own.word("written_ns")
-        self._cause_record = own.latest_writer("cause")
-        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings, self._events)
+        self._latch = Latch()
+        self._latch_record = own.latest_writer("latch")
+        gate = views[layout.GATE]
+        self._resets_asked_word, self._reset_asked_ns_word = gate.word("resets_asked"), gate.word("reset_asked_ns")
+        self._resets_word = own.word("resets")
+        self._reset_record = own.latest_writer("reset")
+        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, self._latch, settings, self._events)
         self._table_record = own.latest_writer("processes")
         own.latest_writer("settings").write(pack(settings.flat()))
         self.blackbox = BlackBox(resources, settings, own, views, self._events)
@@ -109,12 +114,10 @@ class Supervisor:
             (layout.PORT_OWNER, views[layout.PORT_OWNER].ring_reader("stops")),
             (layout.GATE, views[layout.GATE].ring_reader("trips")),
         )
-        self._reset_word = views[layout.GATE].word("reset_epoch")
         self._bells = resources.bells
-        self._causes = Causes()
-        self._latched: Stop | None = None
-        """The last cause that stood: a reset may have ended it."""
-        self.herald = Herald(notify or Notify(), self.family, self._causes, views)
+        self._told: Stop | None = None
+        """The last that was latched, and told of: a reset may have ended it."""
+        self.herald = Herald(notify or Notify(), self.family, self._latch, views)
         self.epoch = 1
         self._epoch_word.set(1)
         self._unanswered: Stop | None = None
@@ -165,10 +168,8 @@ class Supervisor:
                 child.life.demote()
         self.family.bury(ready, now_ns, self.epoch)
         self._follow_port(ready, now_ns)
-        self._causes.settle(self._reset_word.get())
-        self.family.recall(self._reset_word.get(), now_ns)
-        self._follow_latch()
         self._follow_answer(now_ns)
+        self._follow_reset(now_ns)
         self._silence.follow(self.children, now_ns)
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
@@ -260,10 +261,8 @@ class Supervisor:
         """A stop: the cause first, then the epoch that refers to it, then the bells. Whoever sees the epoch, with its
         bell or without, finds the cause of it, and a service that is not ready."""
         self.epoch += 1
-        standing, newest = self._causes.add(stops, self.epoch, self._reset_word.get())
-        packed = standing.cause.pack(), newest.cause.pack()
-        record = records.pack_cause(self._causes.since, standing.t_ns, *packed)
-        self._cause_record.write(record)
+        self._latch.add(stops, self.epoch, monotonic_ns())
+        self._latch_record.write(self._latch.as_record())
         self._ready_word.set(0)
         self._barrier()
         self._epoch_word.set(self.epoch)
@@ -273,20 +272,36 @@ class Supervisor:
         if self._unanswered is None:
             self._unanswered = min(stops, key=lambda stop: stop.t_ns)
             self._answer_by_ns = monotonic_ns() + ANSWER_NS
-        self._follow_latch()
+        self._tell_latch()
         for stop in stops:
             if stop is not self._unanswered:
                 self.teller.also(stop)
 
-    def _follow_latch(self) -> None:
-        """Another cause stands than before."""
-        standing = self._causes.standing
-        if standing is None or standing is self._latched:
+    def _tell_latch(self) -> None:
+        """Once for each stop that is latched."""
+        latched = self._latch.stop
+        if latched is None or latched is self._told:
             return
-        self._latched = standing
-        self.teller.latched(standing)
+        self._told = latched
+        self.teller.latched(latched)
         if not self.ending:
-            self.blackbox.latched(standing, self._causes.since)
+            self.blackbox.latched(latched, self._latch.since)
+
+    def _follow_reset(self, now_ns: int) -> None:
+        """Decide the reset that the gate passes on, once the last stop is carried out."""
+        number = self._resets_asked_word.get()
+        if number == self._resets_word.get() or self._unanswered:
+            return
+        self._barrier()
+        reply = self._latch.reset(self.epoch, self._reset_asked_ns_word.get())
+        if reply.cause and reply.done:
+            self._latch_record.write(self._latch.as_record())
+        if reply.done:
+            self.family.recall(now_ns)
+        self._reset_record.write(reply.pack(0, number))
+        self._barrier()
+        self._resets_word.set(number)
+        self._bells[layout.GATE].ring()
 
     def _follow_answer(self, now_ns: int) -> None:
         """The port owner answers a raised epoch with a stop. If it does not, or could not write it, the supervisor
@@ -310,7 +325,7 @@ class Supervisor:
 
     def _tell_stop(self, stop: Stop, written_ns: int, by: str) -> None:
         """Publish the stop for people, and log it."""
-        latched = self._latched or stop
+        latched = self._latch.stop or stop
         self.aftermath.written(stop, written_ns, by, latched.cause, self.epoch)
         self.teller.stopped(stop, written_ns, by, latched, self.epoch, ending=self.ending)
 

@@ -73,16 +73,15 @@ def merge(entries: list[list[Any]], earlier: list[Entry]) -> list[list[Any]]:
 def unsaved_cause(copies: Copies, start_ns: int) -> tuple[int, int, Cause] | None:
     """The stop that was latched when the run ended: (cause_ns, epoch, cause). None when nothing was, or when the
     supervisor lived on for `start_ns`, from a stop to its saver's start."""
-    found = whole(layout.SUPERVISOR, "cause", *copies[layout.SUPERVISOR])
+    found = whole(layout.SUPERVISOR, "latch", *copies[layout.SUPERVISOR])
     if not found:
         return None
     try:
-        epoch, cause_ns, packed, _ = records.unpack_cause(found[-1][2])
+        epoch, cause_ns, _, packed = records.unpack_latch(found[-1][2])
     except ValueError:
         return None
-    latched = epoch > words(layout.GATE, copies[layout.GATE][1])["reset_epoch"]
     beat_ns = words(layout.SUPERVISOR, copies[layout.SUPERVISOR][1])["beat_ns"]
-    return (cause_ns, epoch, causes.read(packed)) if latched and beat_ns < cause_ns + start_ns else None
+    return (cause_ns, epoch, causes.read(packed)) if epoch and beat_ns < cause_ns + start_ns else None
 
 
 def left_cause(copies: Copies) -> tuple[int, int, Cause]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from math import isfinite
 
 from failstop.policy import causes
+from failstop.policy.reply import Reply
 from failstop.procs.gate import remarks
 from failstop.procs.gate.interlocks import Interlocks
 from failstop.procs.gate.scan import ScanGate
@@ -36,20 +37,6 @@ MOST_IGNORED = 64
 """Sources that are no client's and are told of in the life of a gate."""
 
 
-class Answer:
-    """What becomes of a request: done or not, in a text that has CAUSE where the cause's own belongs."""
-
-    __slots__ = ("cause", "done", "text")
-
-    def __init__(self, done: bool, text: str, cause: Cause | None = None) -> None:
-        self.done = done
-        self.text = text
-        self.cause = cause
-
-    def __str__(self) -> str:
-        return self.text.replace(CAUSE, str(self.cause))
-
-
 class GateCore:
     """What the gate knows: enabled, the latch, who commands what, the velocity now."""
 
@@ -66,8 +53,9 @@ class GateCore:
         self.interlocks = Interlocks(settings.interlocks())
         self.enabled = False
         self.latch: Cause | None = None
-        self.latched_in = 0
-        """The epoch in which the latch was made; its stop is carried out once the epoch is newer."""
+        """What is latched by the supervisor's word, or by its own until the supervisor has answered that."""
+        self._tripped_in = 0
+        """The epoch in which it tripped by itself; answered once the epoch is newer."""
         self.epoch = 0
         """The epoch that motion was enabled in; every frame carries it."""
         self.velocity = REST
@@ -140,13 +128,21 @@ class GateCore:
         return self.sources.drop(session)
 
     def trip(self, cause: Cause, epoch: int) -> bool:
-        """Latch (the first cause stays), disable, stand still. True when the latch is new."""
+        """Stop by itself: disable, stand still, and say so until the supervisor has latched it. True when nothing is
+        latched yet, so that this is news."""
         self.stand_still()
         if self.latch is not None:
             return False
         self.latch = cause
-        self.latched_in = epoch
+        self._tripped_in = epoch
         return True
+
+    def follow(self, latched: Cause | None, epoch: int) -> None:
+        """What the supervisor has latched by now, in this epoch."""
+        if latched:
+            self.stand_still()
+        if latched or epoch > self._tripped_in:
+            self.latch = latched
 
     def stand_still(self) -> None:
         """Disable and set the velocity to zero at once."""
@@ -155,24 +151,24 @@ class GateCore:
         self.velocity = REST
         self.speeds = STILL
 
-    def enable(self, epoch: int, missing: str, now_ns: int) -> Answer:
+    def enable(self, epoch: int, missing: str, now_ns: int) -> Reply:
         """Allow motion in this epoch; `missing` names what is not ready."""
         if self.latch is not None:
-            return Answer(False, f"e-stop latched ({CAUSE})", self.latch)
+            return Reply(False, f"e-stop latched ({CAUSE})", self.latch)
         if missing:
-            return Answer(False, f"not ready: {missing}")
+            return Reply(False, f"not ready: {missing}")
         if unmet := self.interlocks.unmet(now_ns):
-            return Answer(False, unmet)
+            return Reply(False, unmet)
         if not self.enabled:
             self.stand_still()
             self.enabled = True
             self.epoch = epoch
-        return Answer(True, "motion enabled")
+        return Reply(True, "motion enabled")
 
-    def disable(self) -> Answer:
+    def disable(self) -> Reply:
         """Forbid motion."""
         self.stand_still()
-        return Answer(True, "motion disabled")
+        return Reply(True, "motion disabled")
 
     def check_interlocks(self, now_ns: int) -> str:
         """Once a tick: an interlock that is lost while enabled disables motion; returns which, in words."""
@@ -181,15 +177,6 @@ class GateCore:
             self.stand_still()
             self.notes.append(Note("disabled", f"motion disabled: {unmet}", {"reason": unmet}))
         return unmet
-
-    def reset(self, epoch: int) -> Answer:
-        """Clear the latch and nothing else."""
-        if self.latch is None:
-            return Answer(True, "no e-stop is latched")
-        if epoch <= self.latched_in:
-            return Answer(False, f"the stop is still being carried out ({CAUSE})", self.latch)
-        was, self.latch = self.latch, None
-        return Answer(True, f"e-stop cleared (was: {CAUSE}); motion still disabled", was)
 
     def step(self, now_ns: int) -> Speeds | None:
         """Move the velocity on; returns the wheel speeds (rps) to send now, or None when nothing is to be sent."""
