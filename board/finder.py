@@ -65,11 +65,6 @@ class Finder:
             self.learn(descriptor)
         return descriptor
 
-    def there(self) -> bool:
-        """True while there is a device to open."""
-        path = self._path if self._may_be_it(self._path) else self._found()
-        return bool(path) and os.access(path, os.R_OK | os.W_OK)
-
     def _of_number(self, number: int) -> Identity | None:
         return identity(f"{self._sysfs}/dev/char/{os.major(number)}:{os.minor(number)}/device")
 

@@ -156,9 +156,9 @@ class Robot:
             asked = client.ask(verb)
         until_s = time.monotonic() + self._answer_s
         said = ""
-        while (answer := client.answer(asked)) is None or answer[0] == records.UNDER_WAY:
-            if answer and answer[1] != said:
-                said, until_s = answer[1], time.monotonic() + self._answer_s
+        while (answer := client.answer(asked)) is None or answer.done == records.UNDER_WAY:
+            if answer and answer.text != said:
+                said, until_s = answer.text, time.monotonic() + self._answer_s
                 if told:
                     told(said)
             with self._lock:
@@ -169,10 +169,9 @@ class Robot:
                 text = f"the gate of {self.name!r} did not answer within {self._answer_s:g} s: see `failstop status`"
                 raise NoAnswer(text)
             time.sleep(POLL_S)
-        done, text = answer
-        if not done:
-            raise Refused(text)
-        return text
+        if not answer.done:
+            raise Refused(answer.text, answer.cause)
+        return str(answer)
 
     def enable(self, told: Callable[[str], None] | None = None) -> str:
         """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked

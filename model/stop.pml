@@ -42,8 +42,9 @@ bit request;            /* bytes in the stop FIFO */
 byte ring;              /* epoch of the newest motion frame in the gate's ring; 0: none */
 bit ring_stop;          /* a stop is in the ring, before that frame */
 byte fd[4];
-byte passed_sup, passed_stp;    /* the descriptor that waits in the control socket */
-bit port_open;          /* the port owner's port record */
+byte opened;            /* the port that the supervisor's opener has opened and stopped, and its loop has not taken yet */
+byte passed_po, passed_stp;     /* the descriptor that waits in the control socket */
+bit port_open;          /* the port owner's port record names the port that the supervisor has */
 bit fencing;            /* the stopper is about to do the second half of its fencing */
 bit answered_death;     /* the port owner has written since the supervisor died */
 bit po_died_sup, po_died_stp, gate_died_sup, gate_died_po, stp_died;    /* lifelines that have not been looked at */
@@ -101,22 +102,23 @@ inline wheels_off() {
 #endif
 }
 
-inline burst(p) {
-  if
-  :: usable(p) ->
+/* A burst that the board has got. */
+inline stopped(by_po) {
+  d_step {
     wheels_off();
     strayed = 0;
     if
-    :: p == PO || state[PO] == DEAD || state[PO] == STARTS ->
+    :: by_po || state[PO] == DEAD || state[PO] == STARTS ->
       gate_mark = (under -> FINAL : FRESH); ring_mark = (ring -> FINAL : FRESH); frame_mark = (frame -> FINAL : FRESH)
     :: else ->
       if :: under && gate_mark == FRESH -> gate_mark = EARLY :: else fi;
       if :: ring && ring_mark == FRESH -> ring_mark = EARLY :: else fi;
       if :: frame && frame_mark == FRESH -> frame_mark = EARLY :: else fi
     fi
-  :: else
-  fi
+  }
 }
+
+inline burst(p) { if :: usable(p) -> stopped(p == PO) :: else fi }
 
 /* The burst for the port owner's death. Where a successor has begun, it is the echo of a stop that was written before. */
 inline death_burst(p) {
@@ -214,9 +216,13 @@ lapse:
         fi };
       atomic { if :: recheck -> writing = 1 :: else -> no_frame(); goto end_turn fi };
       d_step { motion(); drives = 1; writing = 0; no_frame() }
-    :: d_step { beats(PO) && fd[PO] == NONE && plugged -> fd[PO] = GOOD; burst(PO) };
-      passed_sup = fd[PO];
-      port_open = 1
+#ifdef NEW_HIDES_LOSS
+    :: d_step { beats(PO) && passed_po && fd[PO] != GOOD -> fd[PO] = passed_po; passed_po = NONE; burst(PO) };
+#else
+    :: d_step { beats(PO) && passed_po && fd[PO] == NONE -> fd[PO] = passed_po; passed_po = NONE; burst(PO) };
+#endif
+      port_open = (fd[PO] == GOOD)
+    :: d_step { beats(PO) && passed_po && fd[PO] == GOOD -> passed_po = NONE }
     :: silent[PO] -> silent[PO] = 0
     fi;
     goto end_turn
@@ -300,7 +306,9 @@ raise:
       d_step { raise_epoch }
     :: atomic { beats(SUP) && (stops || gate_died_sup || stp_died) -> stops = 0; gate_died_sup = 0; stp_died = 0; goto raise }
     :: beats(SUP) && fd[SUP] == BROKEN -> fd[SUP] = NONE
-    :: d_step { beats(SUP) && passed_sup -> fd[SUP] = passed_sup; passed_stp = passed_sup; passed_sup = NONE }
+    :: d_step { beats(SUP) && opened ->
+        fd[SUP] = opened; passed_stp = opened; opened = NONE; port_open = 0;
+        if :: state[PO] != DEAD -> passed_po = fd[SUP] :: else fi }
     :: d_step { beats(SUP) && unanswered && stopped_word == epoch -> unanswered = 0 }
     :: d_step { beats(SUP) && unanswered && stopped_word != epoch -> unanswered = 0;
 #ifdef NO_SECOND_BURST
@@ -338,6 +346,20 @@ raise:
     goto end_turn
   } unless { state[SUP] == DEAD };
   d_step { kill_gate() }                        /* PR_SET_PDEATHSIG */
+}
+
+/* ---- supervisor/opener.py: a thread of the supervisor's, which stops the board before anybody hears of the port */
+
+proctype opener() provided (awake(SUP))
+{
+end_looks:
+  do
+  :: d_step { state[SUP] != DEAD && fd[SUP] == NONE && opened == NONE && plugged -> opened = GOOD;
+#ifndef NO_RETURN_BURST
+      stopped(false)
+#endif
+    }
+  od
 }
 
 /* ---- procs/stopper/main.py */
@@ -428,7 +450,8 @@ end_world:
       if :: fd[SUP] == GOOD -> fd[SUP] = BROKEN :: else fi;
       if :: fd[PO] == GOOD -> fd[PO] = BROKEN :: else fi;
       if :: fd[STP] == GOOD -> fd[STP] = BROKEN :: else fi;
-      if :: passed_sup == GOOD -> passed_sup = BROKEN :: else fi;
+      if :: opened == GOOD -> opened = BROKEN :: else fi;
+      if :: passed_po == GOOD -> passed_po = BROKEN :: else fi;
       if :: passed_stp == GOOD -> passed_stp = BROKEN :: else fi }
 #endif
   :: d_step { !plugged -> plugged = 1 }
@@ -449,7 +472,7 @@ end_world:
 init {
   atomic {
     fd[SUP] = GOOD; fd[PO] = GOOD; fd[STP] = GOOD;
-    run supervisor(); run port_owner(); run gate(); run stopper(); run systemd(); run world()
+    run supervisor(); run opener(); run port_owner(); run gate(); run stopper(); run systemd(); run world()
   }
 }
 

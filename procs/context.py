@@ -2,7 +2,7 @@
 
 It travels in the command line, where `ps` shows it, and for the settings in one environment variable:
 
-    child.py gate name=failstop run=8f3a... dir=/run/failstop/failstop parent=812 block=3 bell=5 port_bell=6 ...
+    child.py gate name=failstop run=8f3a... dir=/run/failstop/failstop parent=812 block=3 number=1 bell=5 ...
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ class Context:
         "memory",
         "own",
         "parent",
+        "port_number",
         "process",
         "runtime_dir",
         "settings",
@@ -49,6 +50,7 @@ class Context:
         self.runtime_dir = words.pop("dir")
         self.parent = int(words.pop("parent"))
         block = int(words.pop("block"))
+        self.port_number = int(words.pop("number"))
         self._fds = {key: int(value) for key, value in words.items()}
         for fd in self._fds.values():
             if fd >= 0:

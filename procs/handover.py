@@ -6,10 +6,10 @@ from __future__ import annotations
 import _socket
 import struct
 
+from failstop.shm.records import PATH_BYTES, cut
+
 _FD = struct.Struct("i")
-OPENING_NS = 2_000_000_000
-"""Without a port there is nothing to move, and opening one that comes back takes several USB transfers, of a board that
-may be slow to wake up. So the port owner is given this much beyond its deadlines."""
+_NUMBER = struct.Struct("<Q")
 
 
 class Control:
@@ -21,27 +21,28 @@ class Control:
         self.fd = fd
         self._socket = _socket.socket(_socket.AF_UNIX, _socket.SOCK_SEQPACKET, 0, fd)
 
-    def send(self, fd: int) -> None:
-        """Send a duplicate of a descriptor. A peer that has died does not need one: its successor inherits it. One that
-        has no free descriptor number gets none, and the duplicate is lost."""
+    def send(self, fd: int, number: int, path: str) -> None:
+        """Send a duplicate of the port's descriptor, its number in this run and its path. A peer that has died does not
+        need one: its successor inherits it. One that has no free descriptor number gets none: the duplicate is lost."""
         packed = [(_socket.SOL_SOCKET, _socket.SCM_RIGHTS, _FD.pack(fd))]
         try:
-            self._socket.sendmsg([b"port"], packed, _socket.MSG_DONTWAIT)
+            self._socket.sendmsg([_NUMBER.pack(number) + cut(path, PATH_BYTES)], packed, _socket.MSG_DONTWAIT)
         except OSError:
             return
 
-    def receive(self) -> int:
-        """Return a descriptor that was sent, or -1 when none waits, it was lost, or the peer is gone."""
+    def receive(self) -> tuple[int, int, str] | None:
+        """Return (descriptor, number, path) of a port that was sent; None when none waits, it was lost, or the peer is
+        gone."""
         flags = _socket.MSG_DONTWAIT | _socket.MSG_CMSG_CLOEXEC
         try:
-            data, ancillary, _, _ = self._socket.recvmsg(16, _socket.CMSG_LEN(_FD.size), flags)
+            data, ancillary, _, _ = self._socket.recvmsg(_NUMBER.size + PATH_BYTES, _socket.CMSG_LEN(_FD.size), flags)
         except OSError:
-            return -1
+            return None
         for level, kind, packed in ancillary:
             if data and level == _socket.SOL_SOCKET and kind == _socket.SCM_RIGHTS and len(packed) >= _FD.size:
-                fd: int = _FD.unpack_from(packed)[0]
-                return fd
-        return -1
+                (number,) = _NUMBER.unpack_from(data)
+                return _FD.unpack_from(packed)[0], number, data[_NUMBER.size :].decode("utf-8", "replace")
+        return None
 
     def close(self) -> None:
         """Close this end."""

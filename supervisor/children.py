@@ -25,14 +25,13 @@ class Child:
     __slots__ = (
         "beat",
         "block",
-        "down_in",
+        "down",
         "ended",
         "excused_ns",
         "fallen",
         "fence",
         "last_exit",
         "life",
-        "patience_ns",
         "pid",
         "restart_ns",
         "restarts",
@@ -61,11 +60,9 @@ class Child:
         """It was killed for hanging: when and how."""
         self.excused_ns = 0
         """Silence before this is not its own."""
-        self.patience_ns = 0
-        """What it is given beyond its deadline."""
         self.spared_ns = 0
         """Its last sign of life before a silence that the machine explains, and that lasts; 0: there is none such."""
-        self.down_in = 0
+        self.down = False
         """The epoch in which it had died too often, and is down since; 0: it is not."""
         self.times_restarted = 0
         self.last_exit = ""
@@ -79,7 +76,8 @@ class Child:
         self.fence = None
         self.started_ns = now_ns
         self.restart_ns = None
-        self.spared_ns = self.down_in = 0
+        self.spared_ns = 0
+        self.down = False
 
     def running(self) -> bool:
         """True when it has said that it runs."""
@@ -95,7 +93,7 @@ class Child:
 
     def allowed_ns(self) -> int:
         """How long it may be silent: when it runs, or until it says so."""
-        return self.row.deadline_ns + self.patience_ns if self.running() else STARTING_NS
+        return self.row.deadline_ns if self.running() else STARTING_NS
 
     def spare(self, now_ns: int) -> None:
         """Its silence is the machine's: as long again from now on."""
@@ -143,4 +141,4 @@ class Child:
         """In one word: running, starting, waiting (to be restarted) or down."""
         if self.pid:
             return "running" if self.running() else "starting"
-        return "down" if self.down_in else "waiting"
+        return "down" if self.down else "waiting"

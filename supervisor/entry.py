@@ -38,13 +38,13 @@ def start(words: dict[str, str]) -> int:
         events.tell("not_started", str(error), {"reason": str(error)})
         events.flush()
         port.drain()
-        port.replace(-1)
+        port.close()
         return 1
     try:
         return main.run(resources, port, settings, notify, journal)
     finally:
         resources.remove()
-        port.replace(-1)  # an exit would wait for a port that does not drain
+        port.close()  # an exit would wait for a port that does not drain
 
 
 def _take_signals() -> None:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from failstop.procs.loop import Loop
     from failstop.shm.segment import Segment
     from failstop.supervisor.events import Events
+    from failstop.supervisor.port import OwnPort
     from failstop.supervisor.resources import Resources
 
 TRY_AGAIN_NS = 500_000_000
@@ -93,7 +94,7 @@ class Family:
         if wait_ns is not None:
             self._restart_in(child, wait_ns, now_ns)
             return
-        child.down_in = epoch
+        child.down = True
         todo = f"next: see to the cause, then {self._events.command('reset')} starts it anew"
         if name == layout.GATE:
             child.restart_ns = now_ns + GATE_AGAIN_NS
@@ -106,11 +107,11 @@ class Family:
         text = f"restarting {child.row.name} {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}"
         self._events.tell("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
 
-    def recall(self, reset_epoch: int, now_ns: int) -> None:
-        """Start those anew that are down, after a reset in `reset_epoch` by people who know of it."""
+    def recall(self, now_ns: int) -> None:
+        """Start those anew that are down, after a reset by people who know of it."""
         for child in self.children:
-            if child.down_in and reset_epoch >= child.down_in:
-                child.down_in = 0
+            if child.down:
+                child.down = False
                 child.restarts.forget()
                 self._restart_in(child, 0, now_ns)
 
@@ -126,20 +127,19 @@ class Family:
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.STOPPER].ring()
 
-    def restart_due(self, port_fd: int, now_ns: int) -> None:
-        """Start those whose time has come; `port_fd`: the port to inherit, -1 for none."""
+    def restart_due(self, port: OwnPort, now_ns: int) -> None:
+        """Start those whose time has come, with the port to inherit."""
         for child in self.children:
             if child.restart_ns is not None and now_ns >= child.restart_ns:
                 child.times_restarted += 1
-                self.start(child, port_fd)
+                self.start(child, port)
 
-    def start(self, child: Child, port_fd: int) -> None:
+    def start(self, child: Child, port: OwnPort) -> None:
         """Start a process and name it to those who watch it."""
         name = child.row.name
-        descriptors = self._resources.descriptors(name, port_fd)
         block = self._free_block()
         try:
-            pid = self._spawn(child, block, descriptors)
+            pid = self._spawn(child, block, port)
         except OSError as error:
             text = f"cannot start {name}: {error}; trying again"
             self._events.tell("start_failed", text, {"process": name, "reason": str(error)})
@@ -150,9 +150,10 @@ class Family:
         self._life_words[name].set(records.life(pid, block))
         self._tell_watchers()
 
-    def _spawn(self, child: Child, block: int, descriptors: dict[str, int]) -> int:
+    def _spawn(self, child: Child, block: int, port: OwnPort) -> int:
         """Start a process and take it under watch; returns its pid. Raises OSError, and then there is none."""
-        pid = self._starter.start(child.row, block, descriptors)
+        descriptors = self._resources.descriptors(child.row.name, port.fd)
+        pid = self._starter.start(child.row, block, port.number, descriptors)
         try:
             child.started(pid, block, monotonic_ns())
         except OSError:

@@ -10,6 +10,7 @@ import os
 import signal
 from time import monotonic_ns, sleep
 
+from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.procs import rights, starved
 from failstop.procs.loop import READ, Loop
@@ -18,19 +19,20 @@ from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import pid_namespace
 from failstop.shm.packing import pack
-from failstop.supervisor import answer, grant, silence
+from failstop.supervisor import answer, grant
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
-from failstop.supervisor.causes import Cause, Causes
 from failstop.supervisor.events import Events
 from failstop.supervisor.family import Family
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.herald import Herald
+from failstop.supervisor.latch import Latch
 from failstop.supervisor.link import UNPROVEN
 from failstop.supervisor.names import Names
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.sharing import Sharing
 from failstop.supervisor.silence import Silence
+from failstop.supervisor.stops import Stop
 from failstop.supervisor.teller import Teller
 
 TYPE_CHECKING = False
@@ -42,12 +44,13 @@ if TYPE_CHECKING:
     from failstop.supervisor.port import OwnPort
     from failstop.supervisor.resources import Resources
 
-TICK_NS = 20_000_000
+MS = 1_000_000
+TICK_NS = 20 * MS
 ANSWER_NS = 5_000_000
 """How long the port owner may take to answer a raised epoch before the supervisor writes the burst itself."""
 HURRY_NS = 1_000_000
 ALONE_EVERY_NS = 200_000_000
-"""While no port owner runs, who sends zeros at this rate, the supervisor bursts at it."""
+"""While no port owner with the port runs, who sends zeros at this rate, the supervisor bursts at it."""
 EXCUSE_NS = 60_000_000
 """A supervisor that itself was silent for this long judges nobody by it: the whole service may have been frozen. Two
 ticks less than the shortest deadline."""
@@ -95,8 +98,13 @@ class Supervisor:
         self.children = self.family.children
         self._early = self.family.early
         self._written_word = own.word("written_ns")
-        self._cause_record = own.latest_writer("cause")
-        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings, self._events)
+        self._latch = Latch()
+        self._latch_record = own.latest_writer("latch")
+        gate = views[layout.GATE]
+        self._resets_asked_word, self._reset_asked_ns_word = gate.word("resets_asked"), gate.word("reset_asked_ns")
+        self._resets_word = own.word("resets")
+        self._reset_record = own.latest_writer("reset")
+        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, self._latch, settings, self._events)
         self._table_record = own.latest_writer("processes")
         own.latest_writer("settings").write(pack(settings.flat()))
         self.blackbox = BlackBox(resources, settings, own, views, self._events)
@@ -106,15 +114,13 @@ class Supervisor:
             (layout.PORT_OWNER, views[layout.PORT_OWNER].ring_reader("stops")),
             (layout.GATE, views[layout.GATE].ring_reader("trips")),
         )
-        self._reset_word = views[layout.GATE].word("reset_epoch")
         self._bells = resources.bells
-        self._causes = Causes()
-        self._latched: Cause | None = None
-        """The last cause that stood: a reset may have ended it."""
-        self.herald = Herald(notify or Notify(), self.family, self._causes, views)
+        self._told: Stop | None = None
+        """The last that was latched, and told of: a reset may have ended it."""
+        self.herald = Herald(notify or Notify(), self.family, self._latch, views)
         self.epoch = 1
         self._epoch_word.set(1)
-        self._unanswered: Cause | None = None
+        self._unanswered: Stop | None = None
         self._answer_by_ns = 0
         self._stop_ns = 0
         """When the last stop that was answered was written; 0: it could not be."""
@@ -123,7 +129,7 @@ class Supervisor:
         self._table = b""
         self._was_ready = False
         path = settings.text("device.path")
-        self._sharing = Sharing(port, path, resources, views, self.loop, self.family, self._events)
+        self.sharing = Sharing(port, path, resources, views, self.loop, self.family, self._events)
         self._turned_ns = self._watched_ns = monotonic_ns()
         self._tried_ns = 0
         """When it last tried to write a burst; when it last wrote one is `written_ns` of shared memory."""
@@ -151,26 +157,24 @@ class Supervisor:
         for child in fallen:
             if child.fence:
                 child.fence.gone(now_ns, written_ns if child is port_owner else 0)
-        causes = self._collect(fallen, now_ns, written_ns)
-        causes += self._held_up(now_ns)
-        if causes:
-            self._raise_epoch(causes)
+        stops = self._collect(fallen, now_ns, written_ns)
+        stops += self._held_up(now_ns)
+        if stops:
+            self._raise_epoch(stops)
         if seen := self.aftermath.follow(now_ns, listening=self._listening(now_ns)):
             self._raise_epoch(seen)
         for child in fallen:
             if child.life:
                 child.life.demote()
         self.family.bury(ready, now_ns, self.epoch)
-        self._sharing.serve(ready, now_ns)
-        self._causes.settle(self._reset_word.get())
-        self.family.recall(self._reset_word.get(), now_ns)
-        self._follow_latch()
+        self._follow_port(ready, now_ns)
         self._follow_answer(now_ns)
+        self._follow_reset(now_ns)
         self._silence.follow(self.children, now_ns)
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
         self._follow_names(now_ns)
-        self.family.restart_due(self._port.fd, now_ns)
+        self.family.restart_due(self._port, now_ns)
         self.teller.pass_notes()
         self.family.arm()
         self._publish(now_ns)
@@ -182,25 +186,32 @@ class Supervisor:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
         written = self._port.burst()
         self._tried_ns = monotonic_ns()
-        if not written:
-            return 0
+        return self._wrote(self._tried_ns) if written else 0
+
+    def _wrote(self, written_ns: int) -> int:
+        """A burst went out on its own descriptor then, which is returned."""
         self._owed_ns = 0
-        self._written_word.set(self._tried_ns)
-        self.blackbox.wrote(self._tried_ns)
-        return self._tried_ns
+        self._written_word.set(written_ns)
+        self.blackbox.wrote(written_ns)
+        return written_ns
+
+    def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
+        """A port that has gone, and one that is back: the opener has written the burst on it, unless it could not."""
+        if self.sharing.lost(ready):
+            self.aftermath.link.opened()
+        opened_ns = self.sharing.opened(now_ns)
+        if opened_ns is not None:
+            self._tried_ns = opened_ns
+            self.aftermath.opened(self._wrote(opened_ns) if opened_ns else self._burst())
+        self.sharing.make_up(now_ns)
 
     def _stop_alone(self, now_ns: int) -> None:
-        """Nobody else says zero to the board while no port owner runs, or opens a port that comes back."""
-        port_owner = self.family[layout.PORT_OWNER]
-        opened = self._sharing.open_alone(now_ns)
-        if not opened and (port_owner.running() or now_ns - self._tried_ns < ALONE_EVERY_NS):
-            return
-        self._burst()
-        if opened:
-            self._sharing.opened_alone(now_ns)
-            self.aftermath.opened(self._written_word.get(), answer.BY_SUPERVISOR)
+        """Nobody else says zero to the board while no port owner runs that has the port."""
+        served = self.family[layout.PORT_OWNER].running() and self.sharing.has(layout.PORT_OWNER)
+        if not served and now_ns - self._tried_ns >= ALONE_EVERY_NS:
+            self._burst()
 
-    def _held_up(self, now_ns: int) -> list[Cause]:
+    def _held_up(self, now_ns: int) -> list[Stop]:
         """A stop for a supervisor that could not watch anybody, while motion is enabled; it kills nobody for a silence
         that it did not hear."""
         self._watched_ns, self._turned_ns = self._turned_ns, now_ns
@@ -213,13 +224,13 @@ class Supervisor:
         if not self._silence.motion(self.epoch):
             self._silence.over(layout.SUPERVISOR, gap_ns, now_ns)
             return []
-        return [Cause(now_ns, layout.SUPERVISOR, f"supervisor was held up for {gap_ns / 1e6:.0f} ms")]
+        return [Stop(now_ns, layout.SUPERVISOR, causes.HELD_UP(gap_ns // MS))]
 
     def _follow_names(self, now_ns: int) -> None:
         """A stop, and the end, for a service that others can't find any more."""
-        if reason := self._names.lost(now_ns):
+        if cause := self._names.lost(now_ns):
             self.broken = True
-            self._raise_epoch([Cause(now_ns, layout.SUPERVISOR, reason)])
+            self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, cause)])
         self.ending |= self.broken and self._unanswered is None
 
     def _listening(self, now_ns: int) -> bool:
@@ -231,28 +242,27 @@ class Supervisor:
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
         return now_ns - heard_ns < LATE_NS or self._silence.motion(self.epoch)
 
-    def _collect(self, fallen: list[Child], now_ns: int, burst_ns: int) -> list[Cause]:
-        """Every cause that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
+    def _collect(self, fallen: list[Child], now_ns: int, burst_ns: int) -> list[Stop]:
+        """Every stop that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
         death was answered."""
-        causes = []
+        stops = []
         for process, ring in self._news:
             while entry := ring.next():
-                _, cause_ns, written_ns, _, reason = records.unpack_stop(entry[2])
-                causes.append(Cause(cause_ns, process, reason, written_ns))
+                _, cause_ns, written_ns, cause = records.unpack_stop(entry[2])
+                stops.append(Stop(cause_ns, process, causes.read(cause), written_ns))
         for child in fallen:
             child.fallen = True
-            death = f"{child.row.name} died"
-            if death not in (cause.reason for cause in causes):
-                causes.append(Cause(now_ns, layout.SUPERVISOR, death, burst_ns))
-        return causes
+            death = causes.DIED(child.row.name)
+            if death not in (stop.cause for stop in stops):
+                stops.append(Stop(now_ns, layout.SUPERVISOR, death, burst_ns))
+        return stops
 
-    def _raise_epoch(self, causes: list[Cause]) -> None:
+    def _raise_epoch(self, stops: list[Stop]) -> None:
         """A stop: the cause first, then the epoch that refers to it, then the bells. Whoever sees the epoch, with its
         bell or without, finds the cause of it, and a service that is not ready."""
         self.epoch += 1
-        standing, newest = self._causes.add(causes, self.epoch, self._reset_word.get())
-        record = records.pack_cause(self._causes.since, standing.t_ns, standing.reason, newest.reason)
-        self._cause_record.write(record)
+        self._latch.add(stops, self.epoch, monotonic_ns())
+        self._latch_record.write(self._latch.as_record())
         self._ready_word.set(0)
         self._barrier()
         self._epoch_word.set(self.epoch)
@@ -260,52 +270,67 @@ class Supervisor:
         self._bells[layout.GATE].ring()
         self._owed_ns = self._owed_ns or monotonic_ns()
         if self._unanswered is None:
-            self._unanswered = min(causes, key=lambda cause: cause.t_ns)
+            self._unanswered = min(stops, key=lambda stop: stop.t_ns)
             self._answer_by_ns = monotonic_ns() + ANSWER_NS
-        self._follow_latch()
-        for cause in causes:
-            if cause is not self._unanswered:
-                self.teller.also(cause)
+        self._tell_latch()
+        for stop in stops:
+            if stop is not self._unanswered:
+                self.teller.also(stop)
 
-    def _follow_latch(self) -> None:
-        """Another cause stands than before."""
-        standing = self._causes.standing
-        if standing is None or standing is self._latched:
+    def _tell_latch(self) -> None:
+        """Once for each stop that is latched."""
+        latched = self._latch.stop
+        if latched is None or latched is self._told:
             return
-        self._latched = standing
-        self.teller.latched(standing)
+        self._told = latched
+        self.teller.latched(latched)
         if not self.ending:
-            self.blackbox.latched(standing, self._causes.since)
+            self.blackbox.latched(latched, self._latch.since)
+
+    def _follow_reset(self, now_ns: int) -> None:
+        """Decide the reset that the gate passes on, once the last stop is carried out."""
+        number = self._resets_asked_word.get()
+        if number == self._resets_word.get() or self._unanswered:
+            return
+        self._barrier()
+        reply = self._latch.reset(self.epoch, self._reset_asked_ns_word.get())
+        if reply.cause and reply.done:
+            self._latch_record.write(self._latch.as_record())
+        if reply.done:
+            self.family.recall(now_ns)
+        self._reset_record.write(reply.pack(0, number))
+        self._barrier()
+        self._resets_word.set(number)
+        self._bells[layout.GATE].ring()
 
     def _follow_answer(self, now_ns: int) -> None:
         """The port owner answers a raised epoch with a stop. If it does not, or could not write it, the supervisor
         writes the burst itself."""
-        cause = self._unanswered
-        if cause is None:
+        stop = self._unanswered
+        if stop is None:
             return
         port_owner = self.family[layout.PORT_OWNER]
-        stop = answer.answer(
-            cause,
+        found = answer.answer(
+            stop,
             answered=self._stopped_word.get() >= self.epoch,
             may_answer=port_owner.pid != 0 and not port_owner.fallen and now_ns < self._answer_by_ns,
             port_owner_ns=self._port_owner_written.get(),
         )
-        if stop is None:
+        if found is None:
             return
-        by, written_ns = stop
+        by, written_ns = found
         self._unanswered = None
         self._stop_ns = written_ns or self._burst()
-        self._tell_stop(cause, self._stop_ns, by)
+        self._tell_stop(stop, self._stop_ns, by)
 
-    def _tell_stop(self, cause: Cause, written_ns: int, by: str) -> None:
+    def _tell_stop(self, stop: Stop, written_ns: int, by: str) -> None:
         """Publish the stop for people, and log it."""
-        standing = self._latched or cause
-        self.aftermath.written(cause, written_ns, by, standing.reason, self.epoch)
-        self.teller.stopped(cause, written_ns, by, standing, self.epoch, ending=self.ending)
+        latched = self._latch.stop or stop
+        self.aftermath.written(stop, written_ns, by, latched.cause, self.epoch)
+        self.teller.stopped(stop, written_ns, by, latched, self.epoch, ending=self.ending)
 
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline."""
-        self.family[layout.PORT_OWNER].patience_ns = self._sharing.patience_ns(now_ns)
         for child in self.children:
             if child.hangs(now_ns):
                 is_starved = self._silence.starved(child)
@@ -316,26 +341,26 @@ class Supervisor:
         """The table of silence.py. Who hangs is stopped for and killed; its death does the rest."""
         name = child.row.name
         silent_ns = now_ns - child.heard_ns()
-        reason = f"{name} hangs: {silent_ns / 1e6:.0f} ms silent{silence.SUFFIX if is_starved else ''}"
-        cause = Cause(now_ns, layout.SUPERVISOR, reason)
+        kind = causes.STARVED if is_starved else causes.HANGS
+        stop = Stop(now_ns, layout.SUPERVISOR, kind(name, silent_ns // MS))
         motion = self._silence.motion(self.epoch)
         spared = is_starved and silent_ns < child.allowed_ns() + starved.LONGEST_NS
         if spared and not (motion and name == layout.PORT_OWNER):
             child.spare(now_ns)
             if motion:
-                self._raise_epoch([cause])
+                self._raise_epoch([stop])
             return
         # Killed before the burst: a port owner that wakes up between the two could write one frame more.
         os.kill(child.pid, signal.SIGKILL)
         kill_ns = monotonic_ns()
-        cause.written_ns = self._burst() if name == layout.PORT_OWNER else 0
-        self._raise_epoch([cause])
-        child.fence = Fence(now_ns, kill_ns, cause.written_ns, silent_ns, was_starved=is_starved)
+        stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0
+        self._raise_epoch([stop])
+        child.fence = Fence(now_ns, kill_ns, stop.written_ns, silent_ns, was_starved=is_starved)
 
     def _missing(self) -> str:
         """What motion is still waiting for; empty when nothing."""
         absent = [child.row.name for child in self.children if not child.well()]
-        if not absent and not self._sharing.complete():
+        if not absent and not self.sharing.complete():
             return "the port"
         # A stop that the supervisor wrote itself is still to be answered: a port owner that was held up would cut into
         # motion of a later enable, with frames of an older one perhaps before that.
@@ -379,8 +404,6 @@ class Supervisor:
         if self._unanswered:
             return min(self._answer_by_ns, now_ns + HURRY_NS)
         waits = [child.restart_ns for child in self.children if child.restart_ns is not None]
-        if look_ns := self._sharing.next_ns(now_ns):
-            waits.append(look_ns)
         # At the moment when a heartbeat is overdue, not at a tick after it.
         waits += [overdue_ns for child in self.children if (overdue_ns := child.overdue_ns())]
         return min([now_ns + TICK_NS, *waits])
@@ -388,7 +411,7 @@ class Supervisor:
     def finish(self) -> bool:
         """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
         the own descriptor. False when a stop was not sent, or a board that had answered before did not."""
-        self._raise_epoch([Cause(monotonic_ns(), layout.SUPERVISOR, "service is stopping")])
+        self._raise_epoch([Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())])
         while self._unanswered:
             self.loop.wait(monotonic_ns() + HURRY_NS)
             self._follow_answer(monotonic_ns())
@@ -398,6 +421,7 @@ class Supervisor:
         self.heartbeat.state(heartbeat.STOPPING)
         for child in reversed(self.children):
             child.kill(END_S)
+        self._follow_port({}, monotonic_ns())  # it may have come back meanwhile
         written = self._burst() > 0
         sent = written and self._port.drain()
         self.teller.ended(heard_ns, link, written=written, sent=sent)
@@ -432,10 +456,11 @@ def _rules(settings: Settings) -> dict[str, object]:
 def run(resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Journal | None) -> int:
     """Run the service until SIGTERM or SIGINT, or until it can't go on; returns the exit code."""
     supervisor = Supervisor(resources, port, settings, notify, journal)
+    supervisor.sharing.opener.begin()
     signal.signal(signal.SIGTERM, supervisor.end)
     signal.signal(signal.SIGINT, supervisor.end)
     for child in supervisor.children:
-        supervisor.family.start(child, port.fd)
+        supervisor.family.start(child, port)
     supervisor.blackbox.begin()
     rights.settle()
     ready: dict[int, int] = {}

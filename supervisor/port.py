@@ -7,42 +7,30 @@ import stat
 import time
 
 from failstop.board import port
-from failstop.board.interface import BOARD
+from failstop.board.stop_port import StopPort
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from failstop.board.finder import Finder
-
-REOPEN_NS = 10_000_000
-"""How often a lost port is looked for: half of the time within which a board that is back is stopped."""
 BUSY_S = 1.0
 """How long a port that a dead run's processes are just letting go of is waited for."""
-DRAIN_S = 0.1
-"""The burst takes 4 ms on the wire."""
 UDEV_S = 2.0
 """How long udev may take, at boot, to give a device that is there to its users."""
 
-TRIES = 3
-"""A non-blocking write is refused not only for want of room but also while another process is in its own write, as the
-stopper may be at the very same moment."""
 
-
-class OwnPort:
+class OwnPort(StopPort):
     """A duplicate of the port's descriptor; -1 while the port is gone."""
 
-    __slots__ = ("_next_ns", "_stop", "fd", "since_ns", "stopped")
+    __slots__ = ("number", "stopped")
 
     def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
-        """`servos`: of the robot's arm, which every burst stops with the wheels; not known to a run's first burst."""
-        self.fd = fd
-        self._stop = BOARD.burst_with(servos)
+        """`servos`: of the robot's arm, which is stopped with the wheels; not known to a run's first burst."""
+        super().__init__(fd, servos)
         self.stopped = False
         """The kernel has taken the whole of the run's first burst."""
-        self.since_ns = time.monotonic_ns()
-        """When it was taken over, or let go."""
-        self._next_ns = 0
+        self.number = 1
+        """How many ports this run has had: the name of this one among those who share it."""
 
     @classmethod
     def open_and_stop(cls, path: str, held: Callable[[], None] = lambda: None) -> OwnPort:
@@ -64,49 +52,9 @@ class OwnPort:
                 own.stopped = own.burst()
                 return own
 
-    def burst(self) -> bool:
-        """Write the burst. False when the kernel did not take all of it, or the port is gone."""
-        if self.fd < 0:
-            return False
-        for _ in range(TRIES):
-            try:
-                return os.write(self.fd, self._stop) == len(self._stop)
-            except BlockingIOError:
-                continue
-            except OSError:
-                return False
-        return False
-
-    def drain(self) -> bool:
-        """Wait until what was written has left the kernel, which drops the rest when the port is closed; False: it has
-        not within DRAIN_S."""
-        until_s = time.monotonic() + DRAIN_S
-        try:
-            while port.unsent_bytes(self.fd):
-                if time.monotonic() > until_s:
-                    return False
-                time.sleep(0.0005)
-        except OSError:
-            return False
-        return True
-
-    def reopen(self, finder: Finder, now_ns: int) -> bool:
-        """Open a port that was lost, tried every REOPEN_NS; False when it is there already or not yet."""
-        if self.fd >= 0 or now_ns < self._next_ns:
-            return False
-        self._next_ns = now_ns + REOPEN_NS
-        fd = finder.open(now_ns)
-        if fd < 0:
-            return False
-        self.replace(fd)
-        return True
-
-    def replace(self, fd: int) -> None:
-        """Let the old descriptor go and keep another; -1 for none."""
-        if self.fd >= 0:
-            port.close_port(self.fd)
-        self.fd = fd
-        self.since_ns = time.monotonic_ns()
+    def adopt(self, fd: int) -> None:
+        super().adopt(fd)
+        self.number += fd >= 0
 
 
 def _is_new(path: str) -> bool:

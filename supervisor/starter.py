@@ -78,11 +78,11 @@ class Starter:
         self._common = {"name": name, "run": f"{incarnation:x}", "dir": runtime_dir, "parent": str(os.getpid())}
         self._environment = environment(settings)
 
-    def start(self, row: Process, block: int, descriptors: dict[str, int]) -> int:
-        """Start a process with its block of futexes and descriptors (-1: none); returns its pid. Raises OSError."""
+    def start(self, row: Process, block: int, port_number: int, descriptors: dict[str, int]) -> int:
+        """Start a process with its block of futexes and descriptors (-1: none), and the number in this run of the port
+        that is among them; returns its pid. Raises OSError."""
         given = {key: descriptors[key] for key in row.descriptors}
         passed = [fd for fd in given.values() if fd >= 0]
-        arguments = command(
-            row.name, {**self._common, "block": str(block), **{key: str(fd) for key, fd in given.items()}}
-        )
+        numbers = {"block": block, "number": port_number, **given}
+        arguments = command(row.name, {**self._common, **{key: str(value) for key, value in numbers.items()}})
         return spawn(arguments, self._environment, passed)

@@ -150,13 +150,5 @@ def test_what_is_no_usb_device_is_looked_for_by_its_path_alone(usb: Usb) -> None
     assert opened(finder, 20 * LOOK_NS) == ""
 
 
-def test_it_is_there_only_where_it_would_be_opened(usb: Usb, lost: Finder) -> None:
-    usb.plug("ttyACM0", GPS)
-    assert not lost.there()
-    usb.unplug("ttyACM0")
-    usb.plug("ttyACM0", BOARD)
-    assert lost.there()
-
-
 def test_a_device_without_usb_above_it_has_no_identity(tmp_path: Path) -> None:
     assert identity(str(tmp_path / "nothing")) is None

@@ -47,7 +47,7 @@ def main(arguments: Namespace) -> int:
         if port:
             written = port.stopped and port.drain()
             told = f"the stop is written to {device}" if written else f"{device} takes no bytes: use the POWER SWITCH"
-            port.replace(-1)
+            port.close()
         raise FailstopError(f"{_why(error)}; {told}") from None
     raise FailstopError(f"{lost}{_others(lost)}")
 

@@ -13,12 +13,12 @@ import time
 from collections.abc import Callable
 
 from failstop.board.port import PortError, release_exclusive
+from failstop.board.stop_port import StopPort
 from failstop.doctor.facts import StopTest
 from failstop.doctor.tap import Tap
 from failstop.errors import FailstopError
 from failstop.procs.stopper import tool
 from failstop.robot import Robot
-from failstop.shm.records import requested
 from failstop.supervisor.port import OwnPort
 
 ANSWER_S = 0.5
@@ -42,7 +42,7 @@ def by_hand(path: str) -> tuple[StopTest, ...]:
                 found.append(_written(writer, functools.partial(write, own, path), tap))
         return tuple(found)
     finally:
-        own.replace(-1)
+        own.close()
 
 
 def _written(writer: str, write: Callable[[], bool], tap: Tap) -> StopTest:
@@ -54,11 +54,11 @@ def _written(writer: str, write: Callable[[], bool], tap: Tap) -> StopTest:
 
 
 def _on_duplicate(own: OwnPort, _path: str) -> bool:
-    duplicate = OwnPort(os.dup(own.fd))
+    duplicate = StopPort(os.dup(own.fd))
     try:
         return duplicate.burst()
     finally:
-        duplicate.replace(-1)
+        duplicate.close()
 
 
 def _with_tool(own: OwnPort, path: str) -> bool:
@@ -100,7 +100,7 @@ def by_service(name: str) -> tuple[StopTest, ...]:
         while answered_ms is None and time.monotonic() < until_s:
             time.sleep(POLL_S)
             stop = robot.state.last_stop
-            if stop and stop.reason.startswith(requested(REASON)):
+            if stop and stop.cause.named().get("words") == REASON:
                 written = stop.written_us is not None
                 answered_ms = None if stop.acknowledged_us is None else stop.acknowledged_us / 1000
         problem = ""

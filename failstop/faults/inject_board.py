@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import tempfile
 import time
 from collections.abc import Callable
@@ -12,9 +13,12 @@ from failstop.board.codec import STOP
 from failstop.faults.fault import Fault
 from failstop.faults.inject import ASKED, AskedMeanwhile, Injector
 from failstop.faults.scene import Scene
+from failstop.shm.layout import SUPERVISOR
 from failstop.trial import TrialError
 
 GONE_S = (0.01, 0.15)
+WATCHDOG_S = 1.0
+"""Of the units (WatchdogSec)."""
 GARBLED = 0.01
 IDLE_KEY = 2
 PRESSED = 0x01
@@ -112,6 +116,29 @@ class UsbDropPermission(UsbDrop):
         now_ns = time.monotonic_ns()
         os.chmod(node, mode)
         return now_ns
+
+
+class UsbDropUnwatched(UsbDrop):
+    """The supervisor, which alone opens a port, hangs before the board is back: systemd's watchdog kills it."""
+
+    def __init__(self, fault: Fault) -> None:
+        super().__init__(fault)
+        self._supervisor = 0
+
+    def prepare(self, scene: Scene) -> None:
+        self._supervisor = scene.look_up_pids()[SUPERVISOR]
+
+    def strike(self, scene: Scene) -> int:
+        scene.board.unplug()
+        os.kill(self._supervisor, signal.SIGSTOP)
+        until_s = time.monotonic() + WATCHDOG_S
+        scene.driver.run(scene.chance.uniform(*GONE_S))
+        back_ns = time.monotonic_ns()
+        scene.board.replug()
+        scene.driver.run(max(0.0, until_s - time.monotonic()))
+        os.kill(self._supervisor, signal.SIGKILL)
+        scene.start_stop_tool()
+        return back_ns
 
 
 def _fill(fd: int) -> int:
@@ -243,6 +270,7 @@ INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "usb-drop-mid-frame": UsbDropMidFrame,
     "usb-drop-renamed": UsbDropRenamed,
     "usb-drop-permission": UsbDropPermission,
+    "usb-drop-unwatched": UsbDropUnwatched,
     "board-not-draining": NotDraining,
     "board-deaf": Deaf,
     "board-unproven": Unproven,

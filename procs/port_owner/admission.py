@@ -18,6 +18,11 @@ never too late.
 from __future__ import annotations
 
 from failstop.board.interface import BOARD
+from failstop.policy import causes
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
 
 
 class Admission:
@@ -33,9 +38,10 @@ class Admission:
         self.moving = False
         """A motion frame has been written since the last stop."""
 
-    def frame_fault(self, frame: bytes) -> str:
-        """Why this frame's content is a stop cause, or an empty text."""
-        return BOARD.check_motion(frame, self._max_rps)
+    def frame_fault(self, frame: bytes) -> Cause | None:
+        """The cause of a stop that this frame's content is; None: it may go out."""
+        fault = BOARD.check_motion(frame, self._max_rps)
+        return causes.BAD_FRAME(fault) if fault else None
 
     def current(self, frame_epoch: int, frame_ns: int, epoch: int, now_ns: int) -> bool:
         """True when the frame is of the current epoch, after any stop of its own, and young enough."""

@@ -5,10 +5,11 @@ Nothing between noticing a cause and the burst can block, log or build bytes: BU
 
 from __future__ import annotations
 
+import os
 from time import monotonic_ns
 
-from failstop.board.finder import Finder
 from failstop.board.interface import BOARD
+from failstop.policy import causes
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, READ, WRITE, Loop
 from failstop.procs.peer import Peer
@@ -24,9 +25,11 @@ from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
     from failstop.procs.context import Context
 
-TICK_NS = 20_000_000
+MS = 1_000_000
+TICK_NS = 20 * MS
 RECEIVED_CHUNK = 512
 OTHER_BACKLOG = 128
 """Bytes under way behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
@@ -35,8 +38,6 @@ PING_BACKLOG = 2 * len(BOARD.burst)
 MOTION_BACKLOG = max((len(ping) for ping in BOARD.pings), default=0)
 """A ping (70 us of wire) is no backlog that motion has to stay behind."""
 PIPE_REST_NS = 20_000_000
-REOPEN_NS = 5_000_000
-"""How often a lost port is looked for."""
 
 
 class PortOwner:
@@ -88,20 +89,17 @@ class PortOwner:
         self._watched = (-1, 0)
         self.epoch = self._epoch_word.get()
 
-        self.wire = Wire(context.fd("port"), BOARD.burst_with(self.bus.servos))
-        self._finder = Finder(settings.text("device.path"))
-        self._opened = 1
-        """How many ports this process has had."""
+        self.wire = Wire(context.fd("port"), self.bus.servos)
+        self._number = context.port_number
+        self._path = settings.text("device.path")
         self._control = Control(context.fd("control"))
         self.wire.burst()
         self._stopped(monotonic_ns())
         self._stopped_word.set(self.epoch)
-        if self.wire.fd >= 0:
-            self._finder.learn(self.wire.fd)
         self.wire.keep(own.ring_writer("box"))
         self._publish_port(monotonic_ns())
 
-        for fd in (self._bell.fd, self._early.bell.fd, self._stop_pipe, self._supervisor_life.fd):
+        for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._stop_pipe, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
 
     def turn(self, ready: dict[int, int]) -> bool:
@@ -113,7 +111,8 @@ class PortOwner:
             self._wake_pipe()
         bell.clear_rung((self._bell, self._early.bell), ready)
         while trip := self._trips.next():
-            self.stop(trip[1], trip[2].decode("utf-8", "replace"))
+            self.wire.burst()
+            self._own_stop(trip[1], monotonic_ns(), causes.read(trip[2]))
         for peer in self._peers:
             if peer.down(ready):
                 self._died(peer, now_ns)
@@ -123,32 +122,35 @@ class PortOwner:
             self._supervisor_life.demote()
             for peer in self._peers:
                 peer.demote()  # it dies with its parent
-            self._own_stop(now_ns, monotonic_ns(), "supervisor died")
+            self._own_stop(now_ns, monotonic_ns(), causes.DIED(layout.SUPERVISOR))
             self.loop.forget(self._supervisor_life.fd)
+            self.loop.forget(self._control.fd)
         self._follow_epoch(now_ns)
         self._check_suspend(now_ns)
         self._check_leases(now_ns)
         self._check_drain(now_ns)
         self._forward_frames()
         self._serve_port(ready.get(self.wire.fd, 0), now_ns)
+        if self._control.fd in ready:
+            self._take_port(now_ns)
         self._repeat(now_ns)
         self._ping(now_ns)
         self._watch_port()
         self.heartbeat.beat(now_ns, self.epoch)
         return not self._leave_ns or now_ns < self._leave_ns
 
-    def stop(self, cause_ns: int, reason: str) -> None:
+    def stop(self, cause_ns: int, cause: Cause) -> None:
         """Stop on its own: burst, refuse motion until a newer epoch, publish the cause."""
         self.wire.burst()
-        self._own_stop(cause_ns, monotonic_ns(), reason)
+        self._own_stop(cause_ns, monotonic_ns(), cause)
 
-    def _own_stop(self, cause_ns: int, written_ns: int, reason: str) -> None:
+    def _own_stop(self, cause_ns: int, written_ns: int, cause: Cause) -> None:
         """What follows a burst for a cause of its own. The epoch is the one in force now, seen or not: the supervisor
         answers the published cause with a newer one."""
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch, own=True)
         written_ns = self._stopped(written_ns)
-        self._stops.put(records.pack_stop(epoch, cause_ns, written_ns, True, reason))
+        self._stops.put(records.pack_stop(epoch, cause_ns, written_ns, cause.pack()))
         self._supervisor_bell.ring()
 
     def _stopped(self, written_ns: int) -> int:
@@ -170,8 +172,8 @@ class PortOwner:
         """
         self.wire.burst()
         written_ns = monotonic_ns()
-        text = bell.take(self._stop_pipe).split(b"\n", 1)[0].decode("utf-8", "replace")
-        self._own_stop(now_ns, written_ns, records.requested(text))
+        line = bell.take(self._stop_pipe).split(b"\n", 1)[0]
+        self._own_stop(now_ns, written_ns, causes.requested(line))
         if not self._pipe_rests_until_ns:
             self.loop.forget(self._stop_pipe)
         self._pipe_rests_until_ns = now_ns + PIPE_REST_NS
@@ -204,18 +206,18 @@ class PortOwner:
             if peer.follow():
                 self.stop(now_ns, peer.death)
 
-    def _lapsed(self, now_ns: int) -> str:
-        """Whose lease has run out, as a reason; empty when both are fresh."""
-        for beat, name in ((self._gate.heart.ns, "gate"), (self._supervisor_beat, "supervisor")):
+    def _lapsed(self, now_ns: int) -> Cause | None:
+        """Whose lease has run out; None when both are fresh."""
+        for beat, name in ((self._gate.heart.ns, layout.GATE), (self._supervisor_beat, layout.SUPERVISOR)):
             beat_ns = beat.get()
             if self.admission.lapsed(beat_ns, now_ns):
-                return f"{name} hangs: silent for {(now_ns - beat_ns) / 1e6:.0f} ms"
-        return ""
+                return causes.HANGS(name, (now_ns - beat_ns) // MS)
+        return None
 
     def _check_suspend(self, now_ns: int) -> bool:
         """On resume everything is older than it looks: commands, frames, and what people know of the robot's place."""
         if slept_ns := self.suspend.slept_ns():
-            self.stop(now_ns, f"the machine was suspended for {slept_ns / 1e9:.1f} s")
+            self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))
         return slept_ns > 0
 
     def _check_leases(self, now_ns: int) -> None:
@@ -226,14 +228,14 @@ class PortOwner:
             self.stop(now_ns, lapse)
         elif now_ns - self._moved_ns > self._silence_ns:
             # Its beat is fresh, its frames are not: the board would keep the last of them for ever.
-            self.stop(now_ns, f"gate beats but sends nothing: {(now_ns - self._moved_ns) / 1e6:.0f} ms")
+            self.stop(now_ns, causes.MUTE((now_ns - self._moved_ns) // MS))
 
     def _check_drain(self, now_ns: int) -> None:
         """A port that does not drain is a stop cause, once. Looked at before anything new is written: what was just
         added has had no time to drain."""
         stuck = self.wire.stuck(now_ns)
         if stuck and not self._stuck:
-            self.stop(now_ns, "port does not drain: use the POWER SWITCH")
+            self.stop(now_ns, causes.STUCK())
         self._stuck = stuck
 
     def _forward_frames(self) -> None:
@@ -275,10 +277,10 @@ class PortOwner:
             return
         if self._pipe_rests_until_ns and self.loop.readable(self._stop_pipe):
             self._stop_request(now_ns)
-        elif fault := self._lapsed(now_ns):
-            self.stop(now_ns, fault)
+        elif lapse := self._lapsed(now_ns):
+            self.stop(now_ns, lapse)
         elif fault := self.bus.fault(frame):
-            self.stop(now_ns, f"frame for the arm: {fault}")
+            self.stop(now_ns, causes.BAD_FRAME(f"for the arm, {fault}"))
         elif self.bus.admits(frame, now_ns, wheels_move=self.admission.moving):
             self._write_arm(frame, frame_epoch, frame_ns)
 
@@ -356,10 +358,19 @@ class PortOwner:
                 wire.lost = True
             if wire.lost:
                 self._port_lost(now_ns)
-        elif (fd := self._finder.open(now_ns)) >= 0:
-            wire.adopt(fd)
-            self._opened += 1
-            self._control.send(fd)
+
+    def _take_port(self, now_ns: int) -> None:
+        """The supervisor has opened a port and stopped on it. The loss of the one before is a stop of its own, seen
+        here by now or not; one that is known already was sent twice."""
+        while sent := self._control.receive():
+            fd, number, path = sent
+            if number <= self._number:
+                os.close(fd)
+                continue
+            if self.wire.fd >= 0:
+                self._port_lost(now_ns)
+            self._number, self._path = number, path
+            self.wire.adopt(fd)
             self._stopped(monotonic_ns())
             self._publish_port(now_ns)
 
@@ -374,13 +385,14 @@ class PortOwner:
     def _port_lost(self, now_ns: int) -> None:
         if self._watched[0] == self.wire.fd:
             self.loop.forget(self.wire.fd)
+        self._watched = (-1, 0)
         self.wire.close()
-        self.stop(now_ns, "device lost")
+        self.stop(now_ns, causes.DEVICE_LOST())
         self._publish_port(now_ns)
 
     def _publish_port(self, now_ns: int) -> None:
         state = records.PORT_LOST if self.wire.lost else records.PORT_OPEN
-        self._port_record.write(records.pack_port(self._opened, now_ns, state, self._finder.at))
+        self._port_record.write(records.pack_port(self._number, now_ns, state, self._path))
         self._supervisor_bell.ring()
 
     def _repeat(self, now_ns: int) -> None:
@@ -404,7 +416,7 @@ class PortOwner:
     def next_ns(self, now_ns: int) -> int:
         """When to turn without any news."""
         if self.wire.lost:
-            return now_ns + REOPEN_NS
+            return now_ns + TICK_NS
         times = [now_ns + TICK_NS, self.pings.next_ns(), self.repeats.next_ns(moving=self.admission.moving)]
         if self._pipe_rests_until_ns:
             times.append(self._pipe_rests_until_ns)

@@ -6,32 +6,25 @@ import os
 import select
 
 from failstop.board import port
-from failstop.board.interface import BOARD
+from failstop.board.stop_port import StopPort
 from failstop.shm import box
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.shm.ring import RingWriter
 
-BURST = BOARD.burst
-
 DRAIN_NS = 100_000_000
 """A port that holds bytes back for this long does not drain: a stop cause."""
 
 
-class Wire:
-    """The open port. `lost` turns true when the device has gone; nothing is written from then on."""
+class Wire(StopPort):
+    """The port owner's. Nothing is written to it from when it is lost."""
 
-    __slots__ = ("_box", "_handed", "_held_since_ns", "_refused", "_stop", "fd", "lost", "unsent")
+    __slots__ = ("_box", "_handed", "_held_since_ns", "_refused")
 
-    def __init__(self, fd: int, stop: bytes = BURST) -> None:
-        """`stop`: the burst, and what stops the robot's arm behind it."""
+    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
+        super().__init__(fd, servos)
         self._box: RingWriter | None = None
-        self._stop = stop
-        self.fd = fd
-        self.lost = fd < 0
-        self.unsent = b""
-        """What the kernel did not take yet; only ever the rest of a burst or of one frame."""
         self._handed = 0
         """Bytes handed to the kernel since it last held none."""
         self._held_since_ns = 0
@@ -39,17 +32,21 @@ class Wire:
         """The last write was not taken at all."""
 
     def _write(self, data: bytes) -> int:
-        try:
-            taken = os.write(self.fd, data)
-        except BlockingIOError:
-            self._refused = True
-            return 0
-        except OSError:
-            self.lost = True
-            return len(data)
-        self._refused = False
+        taken = super()._write(data)
+        self._refused = not (taken or self.lost)
         self._handed += taken
         return taken
+
+    def _put(self, data: bytes, *, rest: bool) -> bool:
+        whole = super()._put(data, rest=rest)
+        self._note(box.REST if rest else box.BURST, data, len(data) - len(self.unsent))
+        return whole
+
+    def burst(self) -> bool:
+        return not self.lost and super().burst()
+
+    def flush(self) -> bool:
+        return not self.lost and super().flush()
 
     def _holds(self) -> bool:
         """True while the kernel holds bytes, of whoever; a port that can't say has gone. How many is not asked: their
@@ -62,17 +59,6 @@ class Wire:
         if not held:
             self._handed = 0
         return held
-
-    def burst(self) -> None:
-        """Write the stop burst, now. The rest of a cut frame is dropped for it, since the burst heals any cut; the rest
-        of an earlier burst goes first."""
-        if self.lost:
-            return
-        begun = self.unsent if self._stop.endswith(self.unsent) else b""
-        data = begun + self._stop
-        taken = self._write(data)
-        self.unsent = data[taken:]
-        self._note(box.BURST, data, taken)
 
     def keep(self, ring: RingWriter) -> None:
         """Tell the black box of the burst that was just written, and of everything from now on. Attaching its ring
@@ -96,13 +82,6 @@ class Wire:
             return False
         self.unsent = data[taken:]
         return True
-
-    def flush(self) -> None:
-        """Go on with what the kernel did not take."""
-        if self.unsent and not self.lost:
-            taken = self._write(self.unsent)
-            self._note(box.REST, self.unsent, taken)
-            self.unsent = self.unsent[taken:]
 
     def stuck(self, now_ns: int) -> bool:
         """True when bytes have been held back for DRAIN_NS; asked once a tick."""
@@ -131,17 +110,8 @@ class Wire:
         return data
 
     def adopt(self, fd: int) -> None:
-        """Go on with a newly opened port; the first bytes are a burst."""
-        self.fd = fd
-        self.lost = False
-        self.unsent = b""
+        """Of a newly opened port the first bytes are a burst."""
+        super().adopt(fd)
         self._handed = self._held_since_ns = 0
+        self._refused = False
         self.burst()
-
-    def close(self) -> None:
-        """Let the port go at once: a descriptor kept open over a USB drop renumbers the device."""
-        if self.fd >= 0:
-            port.close_port(self.fd)
-            self.fd = -1
-        self.lost = True
-        self.unsent = b""

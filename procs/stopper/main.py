@@ -14,10 +14,9 @@ from __future__ import annotations
 import os
 from time import monotonic_ns
 
-from failstop.board.interface import BOARD
-from failstop.board.port import close_port
+from failstop.board.stop_port import StopPort
 from failstop.procs import starved
-from failstop.procs.handover import OPENING_NS, Control
+from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP, READ, Loop
 from failstop.procs.peer import Peer
 from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
@@ -57,11 +56,10 @@ class Stopper:
         self._written_word = context.own.word("written_ns")
         self._bell = context.bell("bell")
         self._control = Control(context.fd("control"))
-        self._port = context.fd("port")
-        self._stop = BOARD.burst_with(context.settings.servos())
-        self._port_since_ns = monotonic_ns()
-        self._port_word = context.own.word("port_ns")
-        self._port_word.set(self._port_since_ns if self._port >= 0 else 0)
+        self._port = StopPort(context.fd("port"), context.settings.servos())
+        self._number = context.port_number
+        self._number_word = context.own.word("port_number")
+        self._number_word.set(self._number if self._port.fd >= 0 else 0)
         self._turned_ns = self._excused_ns = monotonic_ns()
         self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
@@ -74,8 +72,8 @@ class Stopper:
         self._due: tuple[int, ...] = ()
         for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
-        if self._port >= 0:
-            self.loop.watch(self._port, HANGUP)
+        if self._port.fd >= 0:
+            self.loop.watch(self._port.fd, HANGUP)
 
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
@@ -90,9 +88,10 @@ class Stopper:
         if not self._orphaned_ns and self._supervisor_life.down(ready):
             self._orphaned_ns = now_ns
             self.loop.forget(self._supervisor_life.fd)
+            self.loop.forget(self._control.fd)
             self._first_go_until_ns = now_ns + FIRST_GO_NS if self._port_owner.life else now_ns
         self._write_due(now_ns)
-        if ready.get(self._port, 0) & GONE or records.lost_since(self._port_record.read(), self._port_since_ns):
+        if ready.get(self._port.fd, 0) & GONE or self._port.lost or self._is_given_up():
             self.close_port()
         if self._control.fd in ready:
             self._adopt_port()
@@ -120,16 +119,8 @@ class Stopper:
         self._due = tuple(now_ns + after for after in BURST_AFTER_NS)
 
     def _write(self) -> None:
-        """A short write needs no care: the kernel then holds bytes enough to say that the board takes none."""
-        if self._port < 0:
-            return
-        try:
-            os.write(self._port, self._stop)
+        if self._port.burst():
             self._written_word.set(monotonic_ns())
-        except BlockingIOError:
-            return
-        except OSError:
-            self.close_port()
 
     def _write_due(self, now_ns: int) -> None:
         """The burst after the port owner's first go, and the repeats of an earlier burst."""
@@ -153,7 +144,7 @@ class Stopper:
         heart, life = self._port_owner.heart, self._port_owner.life
         if life is None or not heart.running(life.pid):
             return None
-        return max(heart.ns.get(), self._excused_ns) + HANG_NS + (OPENING_NS if self._port < 0 else 0)
+        return max(heart.ns.get(), self._excused_ns) + HANG_NS
 
     def _answer_hang(self, now_ns: int) -> None:
         """A port owner that has fallen silent gets one burst, and is fenced; one that the machine starves is given as
@@ -184,25 +175,29 @@ class Stopper:
             self._stopped_for = life.pid
             life.kill()
 
+    def _is_given_up(self) -> bool:
+        """True when the port owner has found this port gone."""
+        return records.port_state(self._port_record.read(), self._number) == records.PORT_LOST
+
     def _adopt_port(self) -> None:
-        fd = self._control.receive()
-        if fd < 0:
-            if self._orphaned_ns:
-                self.loop.forget(self._control.fd)
-            return
-        self.close_port()
-        self._port = fd
-        self._port_since_ns = monotonic_ns()
-        self._port_word.set(self._port_since_ns)
-        self.loop.watch(fd, HANGUP)
+        """One that it has already was sent twice."""
+        while sent := self._control.receive():
+            fd, number, _ = sent
+            if number < self._number + (self._port.fd >= 0):
+                os.close(fd)
+                continue
+            self.close_port()
+            self._port.adopt(fd)
+            self._number = number
+            self._number_word.set(number)
+            self.loop.watch(fd, HANGUP)
 
     def close_port(self) -> None:
         """At a hang-up everyone closes at once: a descriptor kept open over a USB drop renumbers the device."""
-        if self._port >= 0:
-            self.loop.forget(self._port)
-            close_port(self._port)
-            self._port = -1
-            self._port_word.set(0)
+        if self._port.fd >= 0:
+            self.loop.forget(self._port.fd)
+            self._port.close()
+            self._number_word.set(0)
 
     def next_ns(self, now_ns: int) -> int:
         """When to turn without any news."""

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import time
 
-from failstop.board import port
-from failstop.board.interface import BOARD
 from failstop.board.port import PortError, open_port
-
-BURST = BOARD.burst
+from failstop.board.stop_port import StopPort
 
 RETRY_S = 0.02
 WARN_S = 1.0
-DRAIN_S = 0.1
-"""The burst takes 4 ms on the wire; a port that holds bytes for this long does not drain."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -25,7 +19,7 @@ if TYPE_CHECKING:
 def stop_arm(path: str, servos: tuple[int, ...]) -> None:
     """The burst once more, and behind it what stops the arm: which servos it has is in a file, and no file is read
     before the wheels were told to stop. Raises PortError."""
-    _write(path, BOARD.burst_with(servos))
+    _write(path, servos)
 
 
 def stop(path: str, wait: Callable[[PortError], float], say: Callable[[str], None]) -> float:
@@ -50,21 +44,14 @@ def stop(path: str, wait: Callable[[PortError], float], say: Callable[[str], Non
             return waited_s
 
 
-def _write(path: str, data: bytes = BURST) -> None:
+def _write(path: str, servos: tuple[int, ...] = ()) -> None:
     """Open without taking the port from anyone, write the whole burst, see it drained, close."""
-    fd = open_port(path, exclusive=False)
+    stop_port = StopPort(open_port(path, exclusive=False), servos)
     try:
-        left = data
-        until_s = time.monotonic() + DRAIN_S
-        while True:
-            with contextlib.suppress(BlockingIOError):
-                left = left[os.write(fd, left) :] if left else b""
-            if not left and not port.unsent_bytes(fd):
-                return
-            if time.monotonic() > until_s:
-                raise PortError("io", f"{path} takes no bytes: use the POWER SWITCH")
-            time.sleep(0.0005)
-    except OSError as error:
-        raise PortError("io", f"{path} went away while writing ({error.strerror})", error.errno or 0) from None
+        stop_port.burst()
+        if not stop_port.drain():
+            gone = f"went away while writing ({os.strerror(stop_port.errno)})"
+            why = gone if stop_port.lost else "takes no bytes: use the POWER SWITCH"
+            raise PortError("io", f"{path} {why}", stop_port.errno)
     finally:
-        port.close_port(fd)
+        stop_port.close()

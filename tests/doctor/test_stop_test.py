@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from failstop.board.stop_port import StopPort
 from failstop.doctor import stop_test
 from failstop.errors import FailstopError
 from failstop.robot import Robot
@@ -34,7 +35,7 @@ def test_a_duplicate_that_writes_nothing_says_so(monkeypatch: pytest.MonkeyPatch
     with new_pty() as pty:
         own = OwnPort(pty.slave)
         assert stop_test._on_duplicate(own, pty.link)
-        monkeypatch.setattr(OwnPort, "burst", lambda _: False)
+        monkeypatch.setattr(StopPort, "burst", lambda _: False)
         assert not stop_test._on_duplicate(own, pty.link)
 
 

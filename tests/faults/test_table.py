@@ -26,6 +26,7 @@ DESIGN = {
     "all of them": ("kill-supervisor+port_owner+gate+telemetry+stopper",),
     "client that drives dies": ("client-killed", "client-killed-large", "client-hung", "pad-silent"),
     "USB drop": ("usb-drop", "usb-drop-mid-frame", "usb-drop-renamed", "usb-drop-permission"),
+    "USB drop while the supervisor hangs": ("usb-drop-unwatched",),
     "board deaf, not draining": ("board-deaf", "board-not-draining", "board-unproven"),
     "out of file descriptors, memory, disk": ("no-descriptors", "no-descriptors-kill", "no-memory", "no-disk"),
     "shared memory scribbled, truncated, unlinked by a client": ("slot-scribbled", "slot-truncated", "slot-unlinked"),

@@ -160,7 +160,7 @@ def test_a_port_that_is_gone_for_longer_than_a_stop_is_watched(scene: Scene) -> 
     incident = scene.saved()
     stop = incident.head["stop"]
     assert incident.reason == "device lost"
-    assert stop["written_by"] == "port owner"
+    assert stop["written_by"] == "supervisor"
     assert 3e6 < stop["written_us"] < 12e6
     assert stop["acknowledged_us"] > stop["written_us"]
     assert any(event.kind == "device_back" for event in incident.events)

@@ -204,7 +204,6 @@ SUPERVISOR = (
         r"self\.(_(looked|beat|absent|answered|next|gate|shared|tried|sampled|missing)|started|excused)_ns = 1$",
         "the first nanosecond of the machine, which nobody looks at",
     ),
-    Reason("supervisor/device.py", r"since_ns < self\._changed_ns", "two times in ns at exact equality"),
     Reason("supervisor/notify.py", r"every_ns > 1 ", "it is 0, or half a microsecond at least"),
     Reason("supervisor/port.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
     Reason("supervisor/resources.py", r"create=True, gid=gid", "the mode is what it would be without"),

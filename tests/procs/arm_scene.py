@@ -4,6 +4,7 @@ rules and the simulated board's own servos, without processes between them."""
 from __future__ import annotations
 
 import heapq
+import os
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,26 +15,49 @@ from failstop.board import decoder, servos
 from failstop.board.framing import BUS_SERVO
 from failstop.board.interface import BOARD
 from failstop.board.sim.servos import Servos
+from failstop.policy.causes import Cause
+from failstop.policy.reply import Reply, unpack
+from failstop.procs.gate import main
+from failstop.procs.gate.main import Gate
 from failstop.procs.port_owner.servo_bus import ServoBus
-from failstop.shm import claim, layout, records, segment
+from failstop.shm import bell, claim, instance, layout, records, segment
+from failstop.shm.bell import EventBell
+from failstop.shm.segment import Segment
 from tests.arm_settings import ARM, SERVOS
 
-from .gate_scene import SESSION, Scene
-from .stage import INCARNATION, MS
+from .stage import INCARNATION, MS, Stage
 
+SESSION = 11
 OTHER = 12
 """The second client's session."""
 ANSWER_NS = 1 * MS
 """From the board through port owner and telemetry."""
 
 
-class ArmScene(Scene):
-    """Time passes by run(); what the wheels and the servos are told is judged by the board."""
+class ArmScene(Stage):
+    """The gate of a robot with an arm. Time passes by run(); what the wheels and the servos are told is judged by the
+    board. The test is the supervisor: it latches what it is told to (stop), and what the gate trips for."""
 
     changed: ClassVar[dict[str, object]] = ARM
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch, seed: int = 0) -> None:
-        super().__init__(directory, monkeypatch)
+        super().__init__(layout.GATE, directory)
+        monkeypatch.setattr(main, "monotonic_ns", self.clock)
+        self.runtime_dir = str(directory)
+        bell.make_pipe(instance.bell_path(self.runtime_dir), 0o600)
+        self._fds["client_bell"] = bell.open_pipe(instance.bell_path(self.runtime_dir))
+        self._bells["port_owner_bell"] = EventBell.create()
+        self._claims = claim.open_claims(instance.claims_path(self.runtime_dir), create=True)
+        supervisor = self._views[layout.SUPERVISOR]
+        self._latch, self._decided = supervisor.latest_writer("latch"), supervisor.latest_writer("reset")
+        self._resets = supervisor.word("resets")
+        self._asked = self.own.word("resets_asked")
+        self._epoch = 1
+        supervisor.word("ready").set(1)
+        self._made = self.own.ring_reader("frames")
+        self.gate = Gate(self)  # type: ignore[arg-type]
+        self._client = self._join(0, SESSION, "test")
+        self._other = self._join(1, OTHER, "other")
         self.servos = Servos(self.clock(), seed)
         self.bus = ServoBus(SERVOS)
         self.wheels_move = False
@@ -44,10 +68,34 @@ class ArmScene(Scene):
         self.dropped = 0
         self._telemetry = self._views[layout.TELEMETRY].ring_writer("servos")
         self._answers: list[tuple[int, bytes]] = []
-        self._other = segment.attach_client_slot(self.name, 1, INCARNATION)
-        assert claim.take(self._claims, 1)
-        self._other.latest_writer("hello").write(records.pack_hello(OTHER, 0, 0, "other"))
         self._numbers = [0, 0]
+
+    def client_slots(self) -> list[Segment]:
+        return [segment.read_client_slot(self.name, index, INCARNATION) for index in range(layout.CLIENT_SLOTS)]
+
+    def _join(self, index: int, session: int, who: str) -> Segment:
+        found = segment.attach_client_slot(self.name, index, INCARNATION)
+        assert claim.take(self._claims, index)
+        found.latest_writer("hello").write(records.pack_hello(session, 0, 0, who))
+        return found
+
+    def stop(self, cause: Cause) -> None:
+        """The supervisor latches and raises the epoch; the port owner's burst stops wheels and servos."""
+        self._epoch += 1
+        self._latch.write(records.pack_latch(self._epoch, self.clock(), self.clock(), cause.pack()), self.clock())
+        self.raise_epoch(self._epoch)
+        self._burst()
+
+    def _decide_resets(self) -> None:
+        if self._asked.get() != self._resets.get():
+            self._latch.write(records.pack_latch(0, 0, self.clock(), b""), self.clock())
+            self._decided.write(Reply(records.DONE, "reset").pack(0, 0), self.clock())
+            self._resets.set(self._asked.get())
+
+    def _burst(self) -> None:
+        self.wheels_move = False
+        for servo in SERVOS:
+            self.servos.execute(bytes((servos.STOP, 1, servo)), self.clock())
 
     def run(self, seconds: float) -> None:
         """Let time pass, as the gate asks for it."""
@@ -61,6 +109,7 @@ class ArmScene(Scene):
             while self._answers and self._answers[0][0] <= self.clock():
                 t_ns, answer = heapq.heappop(self._answers)
                 self._telemetry.put(answer, t_ns)
+            self._decide_resets()
             self.gate.turn({})
             self._carry_out()
 
@@ -69,9 +118,7 @@ class ArmScene(Scene):
         while entry := self._made.next():
             _, kind, body = records.unpack_frame(entry[2])
             if kind == records.STOP:
-                self.wheels_move = False
-                for servo in SERVOS:
-                    self.servos.execute(bytes((servos.STOP, 1, servo)), now_ns)
+                self._burst()
             elif kind == records.MOTION:
                 self.wheels_move = True
                 self.on_motion(body)
@@ -116,8 +163,8 @@ class ArmScene(Scene):
         entry = self.own.latest_reader(f"reply.{client}").read()
         if entry is None:
             return records.UNDER_WAY, ""
-        _, number, done, text = records.unpack_reply(entry[2])
-        return (done, text) if number == self._numbers[client] else (records.UNDER_WAY, "")
+        _, number, reply = unpack(entry[2])
+        return (reply.done, str(reply)) if number == self._numbers[client] else (records.UNDER_WAY, "")
 
     def goal(self, mode: int, values: dict[int, float], client: int = 0) -> None:
         """A goal of a stream."""
@@ -150,6 +197,9 @@ class ArmScene(Scene):
         return self.servos.by_id[servo].leg.at(self.clock())
 
     def close(self) -> None:
+        for fd in (self._claims, self._fds["client_bell"]):
+            os.close(fd)
+        self._client.close()
         self._other.close()
         super().close()
 

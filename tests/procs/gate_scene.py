@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from failstop.policy import causes
 from failstop.procs.gate import main
 from failstop.procs.gate.main import Gate
 from failstop.shm import bell, claim, instance, layout, records, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.segment import Segment
+from tests.why import said, why
 
 from .stage import INCARNATION, MS, Stage
 
@@ -54,7 +56,9 @@ class Scene(Stage):
 
     def stop(self, epoch: int, since: int, standing: str, newest: str) -> None:
         """The supervisor raises the epoch."""
-        self.cause.write(records.pack_cause(since, self.clock(), standing, newest), self.clock())
+        self.cause.write(
+            records.pack_cause(since, self.clock(), why(standing).pack(), why(newest).pack()), self.clock()
+        )
         self.raise_epoch(epoch)
 
     def reset(self) -> None:
@@ -66,7 +70,7 @@ class Scene(Stage):
         self.clock.now_ns += 20 * MS
         self.beat(layout.SUPERVISOR)
         self.gate.turn({})
-        return self.gate.core.latch
+        return said(self.gate.core.latch) if self.gate.core.latch else None
 
     def turn(self, elapsed_ns: int = 0, *, supervisor_beats: bool = True) -> list[int]:
         """Time passes, the client rings; returns the kinds of the frames that the gate made."""
@@ -83,7 +87,7 @@ class Scene(Stage):
     def tripped(self) -> str:
         """The reason of a stop that it has published."""
         entry = self._trips.next()
-        return records.unpack_stop(entry[2])[4] if entry else ""
+        return str(causes.read(records.unpack_stop(entry[2])[3])) if entry else ""
 
     def request(self, verb: int, asked_ns: int | None = None) -> None:
         """The client asks, and does not ring."""
@@ -94,9 +98,9 @@ class Scene(Stage):
     def answer(self) -> tuple[bool, str]:
         entry = self._reply.read()
         assert entry is not None
-        _, number, done, text = records.unpack_reply(entry[2])
+        _, number, done, text, cause = records.unpack_reply(entry[2])
         assert number == self._number
-        return done, text
+        return done, text.replace(records.CAUSE, said(causes.read(cause)) if cause else "")
 
     def ask(self, verb: int, asked_ns: int | None = None) -> tuple[bool, str]:
         """The client asks and rings; returns the answer."""

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import codec
+from failstop.board import codec, stop_port
 from failstop.board.interface import BOARD
+from failstop.policy import causes
 from failstop.procs.port_owner import main
-from failstop.procs.port_owner import wire as wire_module
 from failstop.procs.port_owner.main import PortOwner
 from failstop.shm import box, layout, records
 
@@ -69,9 +69,8 @@ class Scene(Stage):
         """Stops that it has published since the last call: (epoch, when written, reason). All of them latch."""
         found = []
         while entry := self.news.next():
-            epoch, _, written_ns, latches, reason = records.unpack_stop(entry[2])
-            assert latches
-            found.append((epoch, written_ns, reason))
+            epoch, _, written_ns, cause = records.unpack_stop(entry[2])
+            found.append((epoch, written_ns, str(causes.read(cause))))
         return found
 
     def reasons(self) -> list[str]:
@@ -92,8 +91,10 @@ class Scene(Stage):
     def port_state(self) -> int:
         return self._newest_port()[2]
 
-    def ports_so_far(self) -> int:
-        return self._newest_port()[0]
+    def port(self) -> tuple[int, str]:
+        """Number and path of the port."""
+        number, _, _, path = self._newest_port()
+        return number, path
 
     def _newest_port(self) -> tuple[int, int, int, str]:
         entry = self.port_record.read()
@@ -115,10 +116,8 @@ class Kernel:
 
         class Os:
             write = staticmethod(self.write)
-            read = staticmethod(os.read)
-            close = staticmethod(os.close)
 
-        monkeypatch.setattr(wire_module, "os", Os)
+        monkeypatch.setattr(stop_port, "os", Os)
 
     def write(self, fd: int, data: bytes) -> int:
         if self.room is None:

@@ -98,9 +98,7 @@ class Stage:
             segment.create(self.name, spec.name, INCARNATION).close()
         self.clock = Clock()
         self.pty = Pty()
-        self.path = directory / "board"
-        self.path.symlink_to(self.pty.link)
-        self.settings = Settings({"device.path": str(self.path), **self.changed})
+        self.settings = Settings({"device.path": self.pty.link, **self.changed})
         self.supervisor = Dummy()
         self.parent = self.supervisor.pid
         self.others: list[Dummy] = []
@@ -112,6 +110,7 @@ class Stage:
         self.control = Control(mine)
         self._port = os.dup(self.pty.slave) if open_port else -1
         self._fds = {"stop": bell.open_pipe(str(directory / "stop")), "control": theirs, "port": self._port}
+        self.port_number = 1
         self._bells = {name: EventBell.create() for name in BELLS}
         self._views = {name: self.owned(name) for name in layout.PROCESSES}
         self.frames = self._views[layout.GATE].ring_writer("frames")
@@ -159,12 +158,11 @@ class Stage:
     def ask_to_stop(self, message: bytes) -> None:
         os.write(self._fds["stop"], message)
 
-    def replug(self) -> Pty:
-        """The board comes back at the same path."""
+    def replug(self, number: int) -> Pty:
+        """The board comes back, and the supervisor has opened the port."""
         self.pty.close()
         self.pty = Pty()
-        self.path.unlink()
-        self.path.symlink_to(self.pty.link)
+        self.control.send(self.pty.slave, number, self.pty.link)
         return self.pty
 
     def close(self) -> None:

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from failstop.board import codec
 from failstop.board.burst import BURST
+from failstop.policy import causes
 from failstop.procs.port_owner.admission import Admission
 
 MS = 1_000_000
@@ -26,7 +27,7 @@ def admission() -> Admission:
 
 def test_a_young_frame_of_the_current_epoch_goes(admission: Admission) -> None:
     assert admission.current(1, NOW - 5 * MS, 1, NOW)
-    assert admission.frame_fault(FRAME) == ""
+    assert admission.frame_fault(FRAME) is None
 
 
 # Leases.
@@ -63,12 +64,12 @@ def test_a_beat_after_the_time_was_taken_is_fresh(admission: Admission) -> None:
     ],
 )
 def test_content_that_is_a_stop_cause(admission: Admission, frame: bytes, fault: str) -> None:
-    assert admission.frame_fault(frame) == fault
+    assert admission.frame_fault(frame) == causes.BAD_FRAME(fault)
 
 
 def test_zero_and_the_very_limit_are_no_fault(admission: Admission) -> None:
-    assert admission.frame_fault(codec.STOP) == ""
-    assert admission.frame_fault(codec.motor_speeds((MAX_RPS, -MAX_RPS, MAX_RPS, -MAX_RPS), MAX_RPS)) == ""
+    assert admission.frame_fault(codec.STOP) is None
+    assert admission.frame_fault(codec.motor_speeds((MAX_RPS, -MAX_RPS, MAX_RPS, -MAX_RPS), MAX_RPS)) is None
 
 
 # Epoch.

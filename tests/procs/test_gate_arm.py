@@ -11,6 +11,7 @@ from struct import unpack_from
 
 import pytest
 
+from failstop.policy import causes
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.shm import records
 from tests.amounts import amount
@@ -233,7 +234,7 @@ def test_an_enable_on_its_way_can_be_given_up(scene: ArmScene, verb: int) -> Non
 def test_a_stop_in_between_wins(scene: ArmScene) -> None:
     scene.ask_for(records.ENABLE)
     scene.run(0.6)
-    scene.stop(2, 2, "stop request", "stop request")
+    scene.stop(causes.PIPED(""))
     scene.run(0.1)
     assert scene.answered() == (records.REFUSED, "e-stop latched (stop request)")
     scene.run(3.0)
@@ -325,7 +326,6 @@ def test_no_motion_before_the_read_back_says_drive_pose(tmp_path: Path, monkeypa
     scene = Judged(tmp_path, monkeypatch)
     enabled = refused = 0
     try:
-        epoch = 1
         for _ in range(CASES):
             for servo in SERVOS:
                 scene.servos.change(servo, scene.clock(), silent=False, blocked=False, unloaded=False, late=False)
@@ -346,8 +346,7 @@ def test_no_motion_before_the_read_back_says_drive_pose(tmp_path: Path, monkeypa
                 if what < 0.01:
                     scene.servos.change(rng.choice(SERVOS), scene.clock(), position=float(rng.randrange(1, 1000)))
                 elif what < 0.015:
-                    epoch += 1
-                    scene.stop(epoch, epoch, "stop request", "stop request")
+                    scene.stop(causes.PIPED(""))
                 elif what < 0.02:
                     scene.ask_for(rng.choice((records.ARM_HOLD, records.ENABLE, records.DISABLE)), rng.randrange(2))
                 payload = records.pack_command(11, 0.1, 0.0, 0.0, True)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import pytest
 
 from failstop.procs.gate.core import REST
+from tests.why import said, told, why
 
 from .gate_bench import Gate, stands
 
 
 def test_a_trip_stands_disables_and_latches_at_once(driving: Gate) -> None:
-    assert driving.core.trip("key1", 3)
+    assert driving.core.trip(why("key1"), 3)
     assert stands(driving)
     assert not driving.core.enabled
     assert driving.blocked == "estop: key1"
@@ -19,20 +20,20 @@ def test_a_trip_stands_disables_and_latches_at_once(driving: Gate) -> None:
 
 
 def test_the_first_reason_is_kept(driving: Gate) -> None:
-    driving.core.trip("key1", 3)
-    assert not driving.core.trip("gamepad button 0x0100", 4)
-    assert driving.core.latch == "key1"
+    driving.core.trip(why("key1"), 3)
+    assert not driving.core.trip(why("another"), 4)
+    assert said(driving.core.latch) == "key1"
     assert driving.core.latched_in == 3
 
 
 def test_a_reason_without_words_latches_too(driving: Gate) -> None:
-    assert driving.core.trip("", 1)
-    assert driving.blocked == "estop: "
-    assert driving.core.enable(2, "", driving.now) == (False, "e-stop latched ()")
+    assert driving.core.trip(why(""), 1)
+    assert driving.blocked == "estop: stop request"
+    assert told(driving.core.enable(2, "", driving.now)) == (False, "e-stop latched (stop request)")
 
 
 def test_the_latch_is_told_before_everything_else(gate: Gate) -> None:
-    gate.core.trip("key1", 1)
+    gate.core.trip(why("key1"), 1)
     assert gate.blocked == "estop: key1"
     gate.core.reset(2)
     assert gate.blocked == "disabled"
@@ -43,13 +44,13 @@ def test_the_latch_is_told_before_everything_else(gate: Gate) -> None:
 
 
 def test_enable_is_refused_while_latched(driving: Gate) -> None:
-    driving.core.trip("key1", 3)
-    assert driving.core.enable(4, "", driving.now) == (False, "e-stop latched (key1)")
+    driving.core.trip(why("key1"), 3)
+    assert told(driving.core.enable(4, "", driving.now)) == (False, "e-stop latched (key1)")
     assert not driving.core.enabled
 
 
 def test_nothing_but_a_reset_ends_a_latch(driving: Gate) -> None:
-    driving.core.trip("key1", 3)
+    driving.core.trip(why("key1"), 3)
     driving.core.disable()
     driving.core.client_gone(1, driving.now)
     driving.core.enable(4, "", driving.now)
@@ -60,8 +61,8 @@ def test_nothing_but_a_reset_ends_a_latch(driving: Gate) -> None:
 
 
 def test_a_reset_clears_the_latch_and_nothing_else(driving: Gate) -> None:
-    driving.core.trip("key1", 3)
-    assert driving.core.reset(4) == (True, "e-stop cleared (was: key1); motion still disabled")
+    driving.core.trip(why("key1"), 3)
+    assert told(driving.core.reset(4)) == (True, "e-stop cleared (was: key1); motion still disabled")
     assert driving.core.latch is None
     assert driving.blocked == "disabled"
     driving.take((0.2, 0.0, 0.0))
@@ -70,20 +71,20 @@ def test_a_reset_clears_the_latch_and_nothing_else(driving: Gate) -> None:
 
 
 def test_a_reset_waits_until_the_stop_is_carried_out(driving: Gate) -> None:
-    driving.core.trip("key1", 3)
-    assert driving.core.reset(3) == (False, "the stop is still being carried out (key1)")
+    driving.core.trip(why("key1"), 3)
+    assert told(driving.core.reset(3)) == (False, "the stop is still being carried out (key1)")
     assert driving.blocked == "estop: key1"
-    assert driving.core.reset(4)[0]
+    assert driving.core.reset(4).done
 
 
 def test_a_reset_without_a_latch_changes_nothing(driving: Gate) -> None:
-    assert driving.core.reset(1) == (True, "no e-stop is latched")
+    assert told(driving.core.reset(1)) == (True, "no e-stop is latched")
     assert driving.core.enabled
     assert driving.core.velocity == (0.2, 0.0, 0.0)
 
 
 def test_after_reset_and_enable_the_ramp_starts_from_zero(driving: Gate) -> None:
-    driving.core.trip("key1", 3)
+    driving.core.trip(why("key1"), 3)
     driving.core.reset(4)
     driving.enable(4)
     assert driving.core.epoch == 4

@@ -10,6 +10,7 @@ import pytest
 
 from failstop.procs import handover
 from failstop.procs.handover import Control
+from failstop.shm.records import PATH_BYTES
 
 from .parts import open_fds
 
@@ -33,9 +34,12 @@ def pipe() -> Iterator[tuple[int, int]]:
 
 
 def test_a_duplicate_arrives_and_works(ends: tuple[Control, Control], pipe: tuple[int, int]) -> None:
-    ends[0].send(pipe[1])
-    received = ends[1].receive()
-    assert received not in (-1, *pipe)
+    ends[0].send(pipe[1], 7, "/dev/böard")
+    sent = ends[1].receive()
+    assert sent is not None
+    received, number, path = sent
+    assert received not in pipe
+    assert (number, path) == (7, "/dev/böard")
     os.close(pipe[1])
     os.write(received, b"stop")
     assert os.read(pipe[0], 10) == b"stop"
@@ -43,62 +47,67 @@ def test_a_duplicate_arrives_and_works(ends: tuple[Control, Control], pipe: tupl
     os.close(received)
 
 
-def test_both_ways(ends: tuple[Control, Control], pipe: tuple[int, int]) -> None:
-    ends[1].send(pipe[1])
-    received = ends[0].receive()
-    assert received >= 0
-    os.close(received)
+def test_nothing_waiting_is_nothing(ends: tuple[Control, Control]) -> None:
+    assert ends[1].receive() is None
 
 
-def test_nothing_waiting_is_minus_one(ends: tuple[Control, Control]) -> None:
-    assert ends[1].receive() == -1
+def test_a_path_that_is_too_long_is_cut_and_the_descriptor_arrives(
+    ends: tuple[Control, Control], pipe: tuple[int, int]
+) -> None:
+    ends[0].send(pipe[1], 2**64 - 1, "ä" * PATH_BYTES)
+    sent = ends[1].receive()
+    assert sent is not None
+    assert sent[1:] == (2**64 - 1, "ä" * (PATH_BYTES // 2))
+    os.close(sent[0])
 
 
 def test_in_order_one_at_a_time(ends: tuple[Control, Control]) -> None:
     pipes = [os.pipe() for _ in range(3)]
-    for _, into in pipes:
-        ends[0].send(into)
-    for out, into in pipes:
-        received = ends[1].receive()
+    for number, (_, into) in enumerate(pipes):
+        ends[0].send(into, number, "")
+    for number, (out, into) in enumerate(pipes):
+        sent = ends[1].receive()
+        assert sent is not None
+        assert sent[1] == number
         os.close(into)
-        os.write(received, b"!")
-        os.close(received)
+        os.write(sent[0], b"!")
+        os.close(sent[0])
         assert os.read(out, 2) == b"!"
         os.close(out)
-    assert ends[1].receive() == -1
+    assert ends[1].receive() is None
 
 
 def test_a_peer_that_is_gone_is_no_error(pipe: tuple[int, int]) -> None:
     mine, theirs = handover.pair()
     os.close(theirs)
     end = Control(mine)
-    end.send(pipe[1])
-    assert end.receive() == -1
+    end.send(pipe[1], 1, "")
+    assert end.receive() is None
     end.close()
 
 
 def test_what_was_sent_before_the_peer_died_still_arrives(pipe: tuple[int, int]) -> None:
     mine, theirs = handover.pair()
     sender, receiver = Control(mine), Control(theirs)
-    sender.send(pipe[1])
+    sender.send(pipe[1], 1, "")
     sender.close()
-    received = receiver.receive()
-    assert received >= 0
-    os.close(received)
-    assert receiver.receive() == -1
+    sent = receiver.receive()
+    assert sent is not None
+    os.close(sent[0])
+    assert receiver.receive() is None
     receiver.close()
 
 
 def test_a_peer_that_takes_nothing_does_not_block(ends: tuple[Control, Control], pipe: tuple[int, int]) -> None:
     before = open_fds()
     for _ in range(2000):
-        ends[0].send(pipe[1])
+        ends[0].send(pipe[1], 1, "")
     assert open_fds() == before, "the sender's own descriptors are not used up"
 
 
-def test_a_message_without_a_descriptor_is_minus_one(ends: tuple[Control, Control]) -> None:
+def test_a_message_without_a_descriptor_is_nothing(ends: tuple[Control, Control]) -> None:
     os.write(ends[0].fd, b"port")
-    assert ends[1].receive() == -1
+    assert ends[1].receive() is None
 
 
 def test_the_pair_is_closed_on_exec() -> None:

@@ -14,6 +14,7 @@ from failstop.procs.port_owner import main
 from failstop.shm import layout, records
 from tests.waiting import until
 
+from .parts import open_fds
 from .port_scene import MOTION, TICK, Kernel, Scene
 from .stage import MS, Dummy
 
@@ -130,7 +131,7 @@ def test_a_lease_that_runs_out_while_moving_is_a_stop(scene: Scene, gate_ms: int
     scene.beat(layout.SUPERVISOR, age_ns=supervisor_ms * MS)
     assert scene.turn(alive=False) == BURST
     name, silent_ms = ("gate", gate_ms) if gate_ms else ("supervisor", supervisor_ms)
-    assert scene.reasons() == [f"{name} hangs: silent for {silent_ms} ms"]
+    assert scene.reasons() == [f"{name} hangs: {silent_ms} ms silent"]
 
 
 def test_a_lease_is_good_until_the_last_nanosecond(scene: Scene) -> None:
@@ -147,7 +148,7 @@ def test_motion_does_not_begin_on_a_lease_that_has_run_out(scene: Scene) -> None
     scene.turn(alive=False)
     scene.put()
     assert MOTION not in scene.turn(alive=False)
-    assert scene.reasons() == ["gate hangs: silent for 1000 ms"]
+    assert scene.reasons() == ["gate hangs: 1000 ms silent"]
 
 
 def test_silence_without_motion_is_nothing(scene: Scene) -> None:
@@ -250,16 +251,13 @@ def test_a_device_lost_is_told_and_a_burst_waits_for_its_return(scene: Scene) ->
     assert scene.port_state() == records.PORT_LOST
     assert scene.owner.wire.fd == -1, "let go at once, or the device comes back under another name"
     assert scene.owner.loop.wait(0) == {}, "though others still hold it"
-    assert scene.ports_so_far() == 1
+    assert scene.port()[0] == 1
     for _ in range(3):
         scene.turn(5 * MS)
-    scene.replug()
+    scene.replug(2)
     assert scene.turn(5 * MS) == BURST
     assert scene.port_state() == records.PORT_OPEN
-    assert scene.ports_so_far() == 2
-    passed_on = scene.control.receive()
-    assert os.ttyname(passed_on) == scene.pty.link
-    os.close(passed_on)
+    assert scene.port() == (2, scene.pty.link)
     scene.put()
     assert scene.turn() == b"", "its epoch is over"
     scene.raise_epoch(2)
@@ -277,12 +275,54 @@ def test_a_frame_for_a_device_that_has_just_gone_is_a_device_lost(scene: Scene) 
     assert not scene.owner.admission.moving
 
 
-def test_a_device_is_looked_for_often(scene: Scene) -> None:
+@pytest.mark.parametrize("frame", [True, False])
+def test_a_new_port_that_comes_before_the_loss_of_the_old_is_seen_is_a_device_lost_too(
+    scene: Scene, frame: bool
+) -> None:
+    """Else what was let pass for the old one would go to the new one, behind the stop."""
+    scene.drive()
+    scene.replug(2)
+    if frame:
+        scene.put()
+    scene.stays = scene.owner.turn({scene.owner._control.fd: 1})
+    assert MOTION not in scene.pty.read()
+    assert scene.reasons() == ["device lost"]
+    assert not scene.owner.admission.moving
+    assert (scene.port_state(), scene.port()[0]) == (records.PORT_OPEN, 2)
+    os.write(scene.pty.master, b"x")
+    until(lambda: scene.owner.wire.fd in scene.owner.loop.wait(0), "what the board sends")
+    scene.put()
+    assert scene.turn() == b"", "its epoch is over"
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_port_that_is_known_already_changes_nothing(scene: Scene, number: int) -> None:
+    """Sent twice, or to the one before this process."""
+    scene.drive()
+    before = open_fds()
+    scene.control.send(scene.pty.slave, number, "/dev/other")
+    assert scene.turn() == b""
+    assert open_fds() == before
+    assert scene.reasons() == []
+    assert scene.owner.admission.moving
+
+
+def test_of_several_that_wait_the_newest_counts(scene: Scene) -> None:
+    scene.turn()
+    before = open_fds()
+    for number in (2, 3):
+        scene.control.send(scene.pty.slave, number, "/dev/board")
+    scene.turn()
+    assert (scene.port_state(), scene.port()[0]) == (records.PORT_OPEN, 3)
+    assert open_fds() == before
+
+
+def test_without_a_port_it_turns_at_its_tick(scene: Scene) -> None:
     scene.turn()
     scene.pty.unplug()
     until(lambda: scene.owner.loop.wait(0), "the hang-up")
     scene.turn()
-    assert 0 < scene.owner.next_ns(scene.clock()) - scene.clock() <= 5 * MS
+    assert scene.owner.next_ns(scene.clock()) == scene.clock() + TICK
 
 
 def test_bytes_from_the_board_go_into_the_ring_in_order(scene: Scene) -> None:

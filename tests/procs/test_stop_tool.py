@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import codec
+from failstop.board import codec, port, stop_port
 from failstop.board.burst import BURST
 from failstop.board.port import PortError, open_port
 from failstop.procs.stopper import tool
@@ -45,7 +45,8 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    monkeypatch.setattr(tool, "time", made)
+    for module in (tool, stop_port):
+        monkeypatch.setattr(module, "time", made)
     return made
 
 
@@ -229,7 +230,7 @@ def test_a_burst_that_is_taken_in_pieces_is_written_to_its_end(
         return write(fd, data[:room])
 
     os.write(pty.slave, MOTION[:15])
-    monkeypatch.setattr(tool.os, "write", taken)
+    monkeypatch.setattr(os, "write", taken)
     tool.stop(pty.link, 0.0, said.append)
     monkeypatch.undo()
     stream = pty.read()
@@ -244,7 +245,7 @@ def test_bytes_that_the_kernel_still_holds_are_no_stop(
     pty: Pty, clock: Clock, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     held = [59]
-    monkeypatch.setattr(tool.port, "unsent_bytes", lambda _: held[0])
+    monkeypatch.setattr(port, "unsent_bytes", lambda _: held[0])
     clock.after(0.05, lambda: held.__setitem__(0, 0))
     tool.stop(pty.link, wait(0.0), said.append)
     assert sum(clock.slept) >= 0.05

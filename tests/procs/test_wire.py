@@ -11,10 +11,9 @@ from typing import Any
 
 import pytest
 
-from failstop.board import codec, port
+from failstop.board import codec, port, stop_port
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
-from failstop.procs.port_owner import wire as wire_module
 from failstop.procs.port_owner.main import MOTION_BACKLOG, PING_BACKLOG
 from failstop.procs.port_owner.wire import DRAIN_NS, Wire
 from tests.waiting import until
@@ -61,10 +60,8 @@ def kernel(monkeypatch: pytest.MonkeyPatch) -> Kernel:
 
     class Os:
         write = staticmethod(made.write)
-        read = staticmethod(os.read)
-        close = staticmethod(os.close)
 
-    monkeypatch.setattr(wire_module, "os", Os)
+    monkeypatch.setattr(stop_port, "os", Os)
     return made
 
 
@@ -388,7 +385,7 @@ def test_a_full_port_is_not_waited_for(pty: Pty, wire: Wire, monkeypatch: pytest
         waited_s.append(given[3])
         return real(*given[:3], 0)
 
-    monkeypatch.setattr(wire_module.select, "select", timed)
+    monkeypatch.setattr(select, "select", timed)
     pty.fill()
     assert not wire.frame(MOTION)
     waited_s.clear()

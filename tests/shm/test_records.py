@@ -390,11 +390,11 @@ def test_why_the_epoch_was_raised_is_the_first_cause_since_the_last_reset() -> N
 
 
 @pytest.mark.parametrize("state", range(len(records.PORT_STATES)))
-def test_a_port_is_lost_when_its_owner_has_said_so_since_it_was_opened(state: int) -> None:
-    entry = (1, 1, records.pack_port(1, 50, state, "/dev/ttyACM0"))
-    lost = state == records.PORT_LOST
-    assert [records.lost_since(entry, opened_ns) for opened_ns in (49, 50, 51)] == [lost, False, False]
-    assert not records.lost_since(None, 0)
+def test_what_the_port_owner_says_of_one_port_is_not_said_of_another(state: int) -> None:
+    entry = (1, 1, records.pack_port(7, 50, state, "/dev/ttyACM0"))
+    closed = records.PORT_CLOSED
+    assert [records.port_state(entry, number) for number in (6, 7, 8)] == [closed, state, closed]
+    assert records.port_state(None, 7) == closed
 
 
 def test_what_can_not_be_printed_is_not_shown() -> None:

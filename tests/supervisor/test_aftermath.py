@@ -9,11 +9,17 @@ from typing import Any
 import msgpack
 import pytest
 
+from failstop.policy import causes
+from failstop.procs.loop import GONE
 from failstop.shm import layout, records, segment
-from failstop.supervisor.aftermath import DEAF_REASON, UNSTILL
-from failstop.supervisor.causes import Cause
+from failstop.supervisor.stops import Stop
 from tests.supervisor.test_answers import MS, Scene
 from tests.waiting import until
+from tests.why import why
+
+UNSTILL = str(causes.UNSTILL())
+DEAF_REASON = str(causes.DEAF())
+FIRST = str(why("the first"))
 
 
 class Watched(Scene):
@@ -49,8 +55,8 @@ class Watched(Scene):
     def follow(self, elapsed_ns: int, *, listening: bool = True) -> list[tuple[int, str, str]]:
         """Aftermath's own turn; returns the causes that it brought."""
         self.now_ns += elapsed_ns
-        causes = self.supervisor.aftermath.follow(self.now_ns, listening=listening)
-        return [(cause.t_ns, cause.noticed_by, cause.reason) for cause in causes]
+        stops = self.supervisor.aftermath.follow(self.now_ns, listening=listening)
+        return [(stop.t_ns, stop.noticed_by, str(stop.cause)) for stop in stops]
 
     def said(self) -> list[tuple[str, str, str, dict[str, Any]]]:
         """What people were told since the last call."""
@@ -62,12 +68,6 @@ class Watched(Scene):
         self.port_owner.word(f"ping_{index}").set(self.now_ns)
         if answered:
             self.telemetry.word("pong").set(records.pong(self.now_ns + MS, index))
-
-    def opens_the_port(self, generation: int, state: int = records.PORT_OPEN) -> None:
-        """The port owner has written its burst, and says so."""
-        self.port_owner.word("written_ns").set(self.now_ns)
-        record = records.pack_port(generation, self.now_ns, state, "/dev/board")
-        self.port_owner.latest_writer("port").write(record)
 
     def reset(self) -> None:
         self.gate.word("reset_epoch").set(self.supervisor.epoch)
@@ -124,8 +124,7 @@ def test_a_port_that_was_opened_anew_may_be_another_board(scene: Watched) -> Non
     scene.telemetry.word("pong").set(records.pong(scene.now_ns + MS, 0))
     scene.turn(2 * MS)
     assert scene.link.read()[2] == b"alive"  # type: ignore[index]
-    port = scene.port_owner.latest_writer("port")
-    port.write(records.pack_port(2, scene.now_ns, records.PORT_OPEN, "/dev/board"))
+    scene.supervisor.aftermath.opened(scene.now_ns)
     scene.turn(2 * MS)
     assert scene.link.read()[2] == b"unproven"  # type: ignore[index]
 
@@ -188,7 +187,9 @@ def test_what_is_told_of_the_link(scene: Watched) -> None:
     scene.pings(3, answered=True)
     scene.follow(2 * MS)
     assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
-    scene.opens_the_port(0, records.PORT_LOST)
+    scene.supervisor.sharing.lost({scene.port.fd: GONE})
+    scene.supervisor.aftermath.link.opened()
+    scene.said()
     scene.follow(MS)
     text = "whether the board hears is not known until it answers"
     assert scene.said() == [("link", "info", text, {"state": "unproven"})]
@@ -208,11 +209,11 @@ def test_what_is_told_of_wheels_that_do_not_rest(scene: Watched) -> None:
     scene.said()
     scene.telemetry.word("judged_ns").set(scene.now_ns + 1_600 * MS)
     assert scene.follow(1_600 * MS) == [(scene.now_ns, layout.SUPERVISOR, UNSTILL)]
-    told = {"reason": "the first", "epoch": 2}
-    outcome = {**told, "link": "unproven", "wheels": "unstill"}
+    told = {"reason": FIRST, "epoch": 2}
+    outcome = {**told, "cause": "piped", "link": "unproven", "wheels": "unstill"}
     assert scene.said() == [
-        ("unstill", "critical", f"CRITICAL: {UNSTILL} (the first; 1.6 s ago)", told),
-        ("stop_outcome", "error", "the first: not acknowledged (link unproven), wheels NOT seen still", outcome),
+        ("unstill", "critical", f"CRITICAL: {UNSTILL} ({FIRST}; 1.6 s ago)", told),
+        ("stop_outcome", "error", f"{FIRST}: not acknowledged (link unproven), wheels NOT seen still", outcome),
     ]
     scene.telemetry.word("still_ns").set(scene.now_ns)
     scene.telemetry.word("judged_ns").set(scene.now_ns + MS)
@@ -230,30 +231,21 @@ def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Watche
     outcome = next(event for event in scene.said() if event[0] == "stop_outcome")
     acknowledged_us = outcome[3].pop("acknowledged_us")
     assert acknowledged_us == 2_000.0
-    text = "the first: acknowledged by the board after 2.0 ms, not observed"
-    fields = {"reason": "the first", "epoch": 2, "link": "alive", "wheels": "unknown"}
+    text = f"{FIRST}: acknowledged by the board after 2.0 ms, not observed"
+    fields = {"reason": FIRST, "cause": "piped", "epoch": 2, "link": "alive", "wheels": "unknown"}
     assert outcome == ("stop_outcome", "notice", text, fields)
 
 
-def test_a_stop_from_before_the_first_port_is_that_of_who_opens_it(scene: Watched) -> None:
-    cause = Cause(scene.now_ns, layout.GATE, "the first")
-    scene.supervisor.aftermath.written(cause, 0, "supervisor", "the first", 1)
-    scene.now_ns += MS
-    scene.opens_the_port(1)
-    scene.follow(0)
-    assert scene.told() == {"reason": "the first", "written_by": "port owner", "written_us": 1_000.0}
-
-
-def test_a_stop_that_could_not_be_written_is_that_of_who_opens_the_port_anew(scene: Watched) -> None:
+def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Watched) -> None:
+    opened = scene.supervisor.aftermath.opened
     noticed_ns = scene.now_ns
-    scene.supervisor.aftermath.written(Cause(noticed_ns, layout.GATE, "the first"), 0, "supervisor", "the first", 1)
+    stop = Stop(noticed_ns, layout.GATE, why("the first"))
+    scene.supervisor.aftermath.written(stop, 0, "supervisor", stop.cause, 1)
     assert scene.told() == {"reason": "the first", "written_by": "supervisor", "written_us": None}
-    scene.port_owner.latest_writer("port").write(records.pack_port(2, scene.now_ns, records.PORT_OPEN, "/dev/board"))
-    scene.follow(MS)
-    assert scene.told()["written_us"] is None, "its last burst was before"
-    scene.opens_the_port(3)
-    scene.follow(MS)
-    assert scene.told() == {"reason": "the first", "written_by": "port owner", "written_us": 1_000.0}
-    scene.opens_the_port(4)
-    scene.follow(MS)
-    assert scene.told()["written_us"] == 1_000.0, "it was written once"
+    for burst_ns in (0, noticed_ns):
+        opened(burst_ns)
+        assert scene.told()["written_us"] is None, "no burst was written since"
+    for late_ms in (1, 2):
+        opened(noticed_ns + late_ms * MS)
+        told = {"reason": "the first", "written_by": "supervisor", "written_us": 1_000.0}
+        assert scene.told() == told, "once"

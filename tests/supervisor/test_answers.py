@@ -17,13 +17,13 @@ import msgpack
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.procs import rights
 from failstop.shm import instance, layout, records, segment
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import REALTIME, RUNNING
 from failstop.supervisor import grant, main
-from failstop.supervisor.causes import Cause
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.health import OWED_NS, UNDYING_NS
 from failstop.supervisor.journal import Journal
@@ -32,7 +32,9 @@ from failstop.supervisor.names import LOOK_EVERY_NS
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
+from failstop.supervisor.stops import Stop
 from tests.waiting import until
+from tests.why import said, why
 
 MS = 1_000_000
 _numbers = itertools.count()
@@ -65,6 +67,8 @@ class Scene:
         self.port_owner.word("beat_pid").set(child.pid)
         self.port_owner.word("beat_state").set(RUNNING)
         self.port_owner.word("beat_ns").set(self.now_ns)
+        port = records.pack_port(1, self.now_ns, records.PORT_OPEN, "/dev/board")
+        self.port_owner.latest_writer("port").write(port)
         self.answers(written_ns=self.now_ns - 10_000 * MS)
 
     def answers(self, *, written_ns: int = 0) -> None:
@@ -75,12 +79,12 @@ class Scene:
 
     def notice(self, reason: str = "key1", *, written_ns: int = 0) -> None:
         """The port owner has stopped for a cause of its own."""
-        stop = records.pack_stop(1, self.now_ns, written_ns, True, reason)
+        stop = records.pack_stop(1, self.now_ns, written_ns, why(reason).pack())
         self.port_owner.ring_writer("stops").put(stop)
 
     def trip(self, reason: str = "multiple cmd_vel publishers") -> None:
         """The gate has latched."""
-        self.gate.ring_writer("trips").put(records.pack_stop(1, self.now_ns, 0, True, reason))
+        self.gate.ring_writer("trips").put(records.pack_stop(1, self.now_ns, 0, why(reason).pack()))
 
     def turn(self, elapsed_ns: int = 0) -> bytes:
         """Time passes and the supervisor wakes up; returns what it wrote to the port."""
@@ -103,19 +107,21 @@ class Scene:
         entry = self.stop_record.read()
         assert entry is not None
         found: dict[str, Any] = msgpack.unpackb(entry[2])
-        return {key: found[key] for key in ("reason", "written_by", "written_us")}
+        times = {key: found[key] for key in ("written_by", "written_us")}
+        return {"reason": said(causes.read(found["cause"])), **times}
 
     def cause(self) -> tuple[int, str, str]:
         """What the gate reads: since which epoch what stands, and the newest."""
         entry = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("cause").read()
         assert entry is not None
         since, _, standing, newest = records.unpack_cause(entry[2])
-        return since, standing, newest
+        return since, said(causes.read(standing)), said(causes.read(newest))
 
     def close(self) -> None:
         self.resources.remove()
-        for control in self.supervisor._sharing.controls.values():
+        for control in self.supervisor.sharing.controls.values():
             control.close()
+        os.close(self.supervisor.sharing.opener._spare)
         for pair in self.resources.controls.values():
             os.close(pair[1])
         for fd in (self.master, self.resources.stop_pipe, self.resources.client_bell, self.resources.published):
@@ -126,7 +132,7 @@ class Scene:
             os.killpg(saver.pid, signal.SIGKILL)
             os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT)
             saver.ended()
-        self.port.replace(-1)
+        self.port.close()
 
 
 @pytest.fixture
@@ -293,7 +299,7 @@ def test_the_cause_is_there_before_the_epoch_and_ready_is_not(scene: Scene) -> N
 
     for attribute in ("_epoch_word", "_ready_word", "_cause_record"):
         setattr(scene.supervisor, attribute, Watched(attribute, getattr(scene.supervisor, attribute)))
-    scene.supervisor._raise_epoch([Cause(scene.now_ns, "gate", "x")])
+    scene.supervisor._raise_epoch([Stop(scene.now_ns, "gate", why("x"))])
     assert order == ["_cause_record", "_ready_word 0", "_epoch_word 2"]
 
 
@@ -303,7 +309,7 @@ def test_a_cause_that_comes_while_the_last_is_looked_at_is_not_slept_over(
     """It rings after the rings were read: that ring must still wake the supervisor."""
     real = scene.supervisor._collect
 
-    def then_another(*arguments: Any) -> list[Cause]:
+    def then_another(*arguments: Any) -> list[Stop]:
         found = real(*arguments)
         if found:
             scene.trip("the second")
@@ -342,10 +348,11 @@ def test_a_stop_that_crosses_a_reset_is_latched(scene: Scene) -> None:
     scene.turn(MS)
     assert scene.cause() == (2, "the first", "the second"), "by the older epoch the gate knows that it was reset"
     _, stop = scene.events()
-    assert (stop["kind"], stop["fields"]["reason"]) == ("stop", "the second")
+    assert (stop["kind"], stop["fields"]["reason"]) == ("stop", str(why("the second")))
     assert scene.told()["reason"] == "the second"
-    assert scene.supervisor.herald.latched() == "the second"
-    assert [words["reason"] for _, words in scene.supervisor.blackbox._waiting] == ["the first", "the second"]
+    assert scene.supervisor.herald.latched() == str(why("the second"))
+    waiting = [bytes.fromhex(words["cause"]) for _, words in scene.supervisor.blackbox._waiting]
+    assert [said(causes.read(cause)) for cause in waiting] == ["the first", "the second"]
     scene.trip("the third")
     scene.turn(MS)
     assert scene.cause() == (3, "the second", "the third")
@@ -356,9 +363,9 @@ def test_what_is_latched_until_the_reset(scene: Scene) -> None:
     assert herald.latched() == ""
     scene.trip("the first")
     scene.turn()
-    assert herald.latched() == "the first"
+    assert herald.latched() == str(why("the first"))
     scene.gate.word("reset_epoch").set(1)
-    assert herald.latched() == "the first"
+    assert herald.latched() == str(why("the first"))
     scene.gate.word("reset_epoch").set(2)
     assert herald.latched() == "", "and nobody waits for the supervisor's turn"
 
@@ -374,11 +381,12 @@ def test_people_are_told_when_the_stop_is_out_and_not_before(scene: Scene) -> No
     also, stop = scene.events()
     assert (also["kind"], also["fields"]) == (
         "stop_also",
-        {"reason": "multiple cmd_vel publishers", "noticed_by": "gate"},
+        {"reason": str(why("multiple cmd_vel publishers")), "cause": "piped", "noticed_by": "gate"},
     )
     assert (stop["kind"], stop["level"]) == ("stop", "warning")
     assert stop["fields"] == {
         "reason": "key1",
+        "cause": "key",
         "noticed_by": "port_owner",
         "written_by": "port owner",
         "latency_us": 50.0,
@@ -392,7 +400,7 @@ def test_no_event_is_sent_before_the_burst(scene: Scene, monkeypatch: pytest.Mon
     real_burst, real_send = scene.supervisor._port.burst, scene.supervisor._events._send
 
     class Port:
-        fd, since_ns = scene.port.fd, scene.port.since_ns
+        fd, number = scene.port.fd, scene.port.number
 
         def burst(self) -> bool:
             order.append("burst")

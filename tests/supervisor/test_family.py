@@ -45,7 +45,7 @@ def test_a_process_that_can_not_be_watched_is_not_left_running(scene: Scene, mon
     monkeypatch.setattr(children, "Lifeline", no_descriptor)
     gate = family[layout.GATE]
     before_ns = time.monotonic_ns()
-    family.start(gate, -1)
+    family.start(gate, scene.port)
     (pid,) = started
     assert not os.path.exists(f"/proc/{pid}")
     assert (gate.pid, gate.life, gate.state()) == (0, None, "waiting")
@@ -108,14 +108,15 @@ def test_a_process_that_starts_is_named_to_those_who_watch_it(scene: Scene, monk
     family, gate = scene.supervisor.family, scene.supervisor.family[layout.GATE]
     told: list[tuple[str, int, int]] = []
 
-    def start(_starter: Starter, row: Process, block: int, descriptors: dict[str, int]) -> int:
-        told.append((row.name, block, descriptors["port"]))
-        assert descriptors == scene.resources.descriptors(row.name, 55)
+    def start(_starter: Starter, row: Process, block: int, number: int, descriptors: dict[str, int]) -> int:
+        told.append((row.name, block, number))
+        assert descriptors == scene.resources.descriptors(row.name, scene.port.fd)
         return os.posix_spawnp("sleep", ["sleep", "120"], os.environ)
 
     monkeypatch.setattr(Starter, "start", start)
     before_ns = time.monotonic_ns()
-    family.start(gate, 55)
+    scene.port.number = 55
+    family.start(gate, scene.port)
     assert told == [("gate", 1, 55)]
     assert (gate.block, gate.state(), gate.restart_ns) == (1, "starting", None)
     assert before_ns <= gate.started_ns <= time.monotonic_ns()

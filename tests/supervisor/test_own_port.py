@@ -12,9 +12,8 @@ import pytest
 
 from failstop.board import port
 from failstop.board.burst import BURST
-from failstop.board.finder import Finder
 from failstop.supervisor import port as own_port
-from failstop.supervisor.port import DRAIN_S, REOPEN_NS, OwnPort
+from failstop.supervisor.port import OwnPort
 from tests.procs.parts import Pty, new_pty
 from tests.unprivileged import unprivileged
 
@@ -24,49 +23,11 @@ def test_the_first_bytes_of_a_run_are_a_burst() -> None:
         own = OwnPort.open_and_stop(pty.link)
         assert own.stopped
         assert pty.read() == BURST
-        own.replace(-1)
+        own.close()
 
 
-@pytest.mark.parametrize(
-    ("answers", "written"),
-    [((397,), True), ((396,), False), ((None, 397), True), ((None, None, None), False)],
-    ids=["whole", "cut", "refused once", "refused"],
-)
-def test_only_a_whole_burst_was_written(
-    monkeypatch: pytest.MonkeyPatch, answers: tuple[int | None, ...], written: bool
-) -> None:
-    left = iter(answers)
-
-    def write(_fd: int, data: bytes) -> int:
-        assert data == BURST
-        taken = next(left)
-        if taken is None:
-            raise BlockingIOError
-        return taken
-
-    with new_pty() as pty, monkeypatch.context() as patch:
-        patch.setattr(os, "write", write)
-        assert OwnPort(pty.slave).burst() is written
-
-
-def test_nothing_is_written_to_a_port_that_has_gone() -> None:
-    with new_pty() as pty:
-        own = OwnPort(os.dup(pty.slave))
-        assert not own.stopped, "before its first burst"
-        pty.unplug()
-        assert not own.burst()
-        own.replace(-1)
-        assert not own.burst()
-
-
-def test_the_old_descriptor_is_closed() -> None:
-    with new_pty() as old, new_pty() as new:
-        fd = os.dup(old.slave)
-        own = OwnPort(fd)
-        own.replace(os.dup(new.slave))
-        with pytest.raises(OSError, match="Bad file descriptor"):
-            os.fstat(fd)
-        own.replace(-1)
+def test_before_its_first_burst_it_has_not_stopped() -> None:
+    assert not OwnPort(-1).stopped
 
 
 def opened_by_nobody(path: str, tried: int) -> str:
@@ -194,48 +155,12 @@ def test_a_device_that_is_not_there_is_not_new(tmp_path: Path) -> None:
     assert not own_port._is_new(str(tmp_path / "board"))
 
 
-@pytest.mark.parametrize(
-    ("unsent", "drained", "waited_s"),
-    [([0], True, 0.0), ([1280, 1280, 0], True, 0.001), ([1280], False, DRAIN_S), ([None], False, 0.0)],
-    ids=["nothing", "soon", "never", "gone"],
-)
-def test_what_was_written_is_waited_for_but_not_for_ever(
-    clock: Clock, monkeypatch: pytest.MonkeyPatch, unsent: list[int | None], drained: bool, waited_s: float
-) -> None:
-    def unsent_bytes(fd: int) -> int:
-        assert fd == 55
-        left = unsent.pop(0) if len(unsent) > 1 else unsent[0]
-        if left is None:
-            raise OSError
-        return left
-
-    monkeypatch.setattr(port, "unsent_bytes", unsent_bytes)
-    began_s = clock.now_s
-    assert OwnPort(55).drain() is drained
-    assert clock.now_s - began_s == pytest.approx(waited_s, abs=0.002)
-
-
-class Looking(Finder):
-    """Finds what it is told to, and counts how often it was asked."""
-
-    def __init__(self, *found: int) -> None:
-        super().__init__("/dev/board")
-        self.left = list(found)
-
-    def open(self, now_ns: int) -> int:
-        return self.left.pop(0)
-
-
-def test_a_lost_port_is_looked_for_at_its_rate_until_it_is_there() -> None:
+def test_each_port_of_a_run_has_a_number() -> None:
     with new_pty() as pty:
-        finder = Looking(-1, os.dup(pty.slave))
-        own = OwnPort(-1)
-        t_ns = 10**12
-        assert not own.reopen(finder, t_ns)
-        assert not own.reopen(finder, t_ns + REOPEN_NS - 1)
-        assert len(finder.left) == 1
-        assert own.reopen(finder, t_ns + REOPEN_NS)
-        assert own.burst()
-        assert pty.read() == BURST
-        assert not own.reopen(finder, t_ns + 2 * REOPEN_NS), "it is there"
-        own.replace(-1)
+        own = OwnPort(os.dup(pty.slave))
+        numbers = [own.number]
+        for fd in (-1, os.dup(pty.slave), os.dup(pty.slave)):
+            own.adopt(fd)
+            numbers.append(own.number)
+        assert numbers == [1, 1, 2, 3], "one that is lost is still known by it"
+        own.close()

@@ -1,4 +1,4 @@
-"""One port for all three, or none: what the supervisor does when a descriptor is missing somewhere."""
+"""One port for all three, or none: what the supervisor does when it is lost, back, or missing somewhere."""
 
 from __future__ import annotations
 
@@ -9,71 +9,78 @@ from pathlib import Path
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.board.finder import Finder
+from failstop.board.stop_port import StopPort
 from failstop.policy.settings import Settings
-from failstop.procs.handover import OPENING_NS, Control
+from failstop.procs.handover import Control
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import sharing
 from failstop.supervisor.main import ALONE_EVERY_NS
-from failstop.supervisor.port import REOPEN_NS
-from failstop.supervisor.sharing import KEPT_NS, SHARE_NS
+from failstop.supervisor.sharing import SHARE_NS
 
 from .test_answers import MS, Scene
 
 NOBODY = 2**31 - 1
+OTHERS = (layout.PORT_OWNER, layout.STOPPER)
 
 
 class Three(Scene):
-    """A supervisor whose port owner and stopper the test plays."""
+    """A supervisor whose port owner and stopper the test plays, and the opener's thread."""
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)
+        monkeypatch.setattr(sharing, "monotonic_ns", lambda: self.now_ns)
         self._held = [os.dup(self.port.fd)]  # else the board's side of a pty reads an error
-        self.killed: list[int] = []
-        monkeypatch.setattr(os, "kill", lambda pid, number: self.killed.append(pid))
         self.path = directory / "board"
-        self.sharing = self.supervisor._sharing
-        self.sharing._finder = Finder(str(self.path))
-        self.port.since_ns = self.now_ns
+        self.sharing = self.supervisor.sharing
+        self.sharing.opener.finder._path = self.sharing.opener.finder.at = str(self.path)
         self.stopper = segment.attach(self.resources.memory, layout.STOPPER, write=True)
         self.supervisor.family[layout.STOPPER].pid = NOBODY
         self.stopper.word("beat_pid").set(NOBODY)
         self.stopper.word("beat_state").set(RUNNING)
-        self.control = Control(os.dup(self.resources.controls[layout.STOPPER][1]))
+        self.ends = {name: Control(os.dup(self.resources.controls[name][1])) for name in OTHERS}
         self.record(records.PORT_OPEN)
+        self.stopper_has(1)
+        self.turn()
 
-    def record(self, state: int) -> None:
-        """What the port owner says of its port."""
-        packed = records.pack_port(1, self.now_ns, state, str(self.path))
+    def record(self, state: int, number: int = 1) -> None:
+        """What the port owner says of a port."""
+        packed = records.pack_port(number, self.now_ns, state, str(self.path))
         self.port_owner.latest_writer("port").write(packed)
 
-    def stopper_has(self) -> None:
-        self.stopper.word("port_ns").set(self.now_ns)
+    def stopper_has(self, number: int) -> None:
+        self.stopper.word("port_number").set(number)
 
-    def received(self) -> int:
-        """How many descriptors have been sent to the stopper."""
-        count = 0
-        while (fd := self.control.receive()) >= 0:
-            os.close(fd)
-            count += 1
-        return count
+    def has(self, name: str, number: int) -> None:
+        self.record(records.PORT_OPEN, number) if name == layout.PORT_OWNER else self.stopper_has(number)
+
+    def received(self, name: str) -> list[tuple[int, str]]:
+        """Number and path of each port that was sent to it."""
+        found = []
+        while sent := self.ends[name].receive():
+            os.close(sent[0])
+            found.append(sent[1:])
+        return found
 
     def turn(self, elapsed_ns: int = 0) -> bytes:
         self.stopper.word("beat_ns").set(self.now_ns + elapsed_ns)
         return super().turn(elapsed_ns)
 
     def lose(self) -> None:
-        """The device has gone, and the supervisor has seen it."""
-        self.sharing._let_go()
-        self.port.since_ns = self.now_ns
+        """The port owner finds it gone, and the supervisor sees that."""
+        self.record(records.PORT_LOST)
+        self.stopper_has(0)
+        self.turn()
+        assert self.port.fd < 0
 
     def comes_back(self) -> int:
-        """The device is there again, as another pty; returns the board's side."""
+        """The device is there again, as another pty, and opened; returns the board's side."""
         master, slave = os.openpty()
         self._held += [master, slave]
         os.set_blocking(master, False)
         self.path.symlink_to(os.ttyname(slave))
+        assert self.sharing.opener._asked.acquire(False), "it is looked for"
+        assert self.sharing.opener.attempt()
         return master
 
     def waits_for_its_restart(self) -> None:
@@ -82,7 +89,8 @@ class Three(Scene):
         child.pid, child.restart_ns = 0, self.now_ns + 10**12
 
     def close(self) -> None:
-        self.control.close()
+        for end in self.ends.values():
+            end.close()
         for fd in self._held:
             os.close(fd)
         super().close()
@@ -95,149 +103,147 @@ def three(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Three]:
     made.close()
 
 
-def test_complete_only_with_the_stopper_s_own_descriptor(three: Three) -> None:
-    assert not three.sharing.complete()
-    three.stopper_has()
+def wrote(master: int) -> bytes:
+    try:
+        return os.read(master, 65536)
+    except BlockingIOError:
+        return b""
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_complete_only_with_everybody_s_own_descriptor_of_this_very_port(three: Three, name: str) -> None:
+    assert three.sharing.complete()
+    for number in (0, 2):
+        three.has(name, number)
+        assert not three.sharing.complete()
+    three.has(name, 1)
     assert three.sharing.complete()
     three.record(records.PORT_LOST)
     assert not three.sharing.complete()
 
 
-def test_a_stopper_with_the_port_of_before_does_not_count(three: Three) -> None:
-    three.stopper_has()
-    three.port.since_ns = three.now_ns + 1
-    assert not three.sharing.complete()
-
-
-def test_the_stopper_is_sent_the_port_until_it_has_it(three: Three) -> None:
+def test_a_port_that_is_back_is_stopped_before_the_supervisor_turns(three: Three) -> None:
+    three.lose()
+    three.turn(100 * MS)
+    master = three.comes_back()
+    assert wrote(master) == BURST
+    assert three.supervisor.loop.wait(0), "its bell has rung"
+    before_ns = three.word("written_ns").get()
     three.turn()
-    assert three.received() == 1, "it did not arrive: no number was free, say"
-    three.turn(SHARE_NS - 1)
-    assert three.received() == 0
-    three.turn(1)
-    assert three.received() == 1
-    three.stopper_has()
-    three.turn(SHARE_NS)
-    assert three.received() == 0
-
-
-def test_one_that_is_starting_inherits_it(three: Three) -> None:
-    three.stopper.word("beat_state").set(RUNNING - 1)
-    three.turn(SHARE_NS)
-    assert three.received() == 0
-
-
-def test_a_port_owner_that_keeps_the_port_is_ended(three: Three) -> None:
-    three.lose()
-    three.record(records.PORT_OPEN)
-    three.turn(KEPT_NS - 1)
-    assert three.killed == []
-    three.turn(1)
-    assert three.killed == [NOBODY]
-    told = three.events()[-1]
-    text = "the port did not get to the supervisor: port_owner is ended, so that the supervisor can open it"
-    assert (told["kind"], told["text"], told["fields"]) == ("waiting", text, {"for": "the port"})
-    fence = three.supervisor.family[layout.PORT_OWNER].fence
-    assert fence
-    assert not fence.was_starved
-    assert fence.fields().keys() == {"silent_ms", "kill_us"}, "it is told of no stop: none was written for that"
-    assert fence.fields()["silent_ms"] == 0.0
-    three.turn(MS)
-    assert three.killed == [NOBODY], "once"
-
-
-def test_what_the_port_owner_says_of_the_device_is_told(three: Three, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sharing, "monotonic_ns", lambda: three.now_ns)
-    for state in (records.PORT_LOST, records.PORT_OPEN):
-        three.now_ns += MS
-        three.record(state)
-        three.turn()
-    told = [event["kind"] for event in three.events()]
-    assert [kind for kind in told if kind.startswith("device_")] == ["device_lost", "device_back"]
-
-
-def test_but_not_for_what_it_said_before_the_port_was_lost(three: Three) -> None:
-    three.now_ns += 2 * KEPT_NS
-    three.lose()
-    three.turn(KEPT_NS - 1)
-    assert three.killed == []
-
-
-def test_nor_while_the_supervisor_could_not_open_it(three: Three, monkeypatch: pytest.MonkeyPatch) -> None:
-    three.lose()
-
-    def no_number(fd: int) -> int:
-        raise OSError(24, "Too many open files")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "dup", no_number)
-        three.turn(KEPT_NS)
-        assert three.killed == []
-    three.turn(MS)
-    assert three.killed == [NOBODY]
-
-
-def test_nobody_is_ended_while_the_device_is_away(three: Three) -> None:
-    three.lose()
-    three.record(records.PORT_LOST)
-    three.turn(3 * KEPT_NS)
-    assert three.killed == []
-
-
-def test_a_port_that_is_back_is_opened_while_the_port_owner_waits_for_its_restart(three: Three) -> None:
-    three.lose()
-    three.waits_for_its_restart()
-    three.turn()
-    assert three.supervisor.next_ns(three.now_ns) <= three.now_ns + REOPEN_NS
-    three.comes_back()
-    three.turn(REOPEN_NS)
     assert three.port.fd >= 0
-    assert three.received() == 1, "and the stopper has it too"
+    assert wrote(master) == b""
+    assert three.word("written_ns").get() > before_ns, "the opener's burst is the supervisor's"
 
 
-def test_at_once_and_then_at_its_own_pace(three: Three) -> None:
-    """The burst does not wait for the rate of the bursts."""
+@pytest.mark.parametrize("name", OTHERS)
+def test_and_sent_to_each_until_it_has_it(three: Three, name: str) -> None:
     three.lose()
+    three.comes_back()
+    (other,) = set(OTHERS) - {name}
+    three.turn()
+    three.has(other, 2)
+    assert three.received(name) == [(2, str(three.path))], "it did not arrive: no number was free, say"
+    assert three.received(other) == [(2, str(three.path))]
+    three.turn(SHARE_NS - 1)
+    assert three.received(name) == []
+    three.turn(1)
+    assert len(three.received(name)) == 1
+    three.has(name, 2)
+    three.turn(SHARE_NS)
+    assert (three.received(name), three.received(other)) == ([], [])
+    assert three.sharing.complete()
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_one_that_is_starting_inherits_it_and_gets_it_when_it_runs_without(three: Three, name: str) -> None:
+    segment.attach(three.resources.memory, name, write=True).word("beat_state").set(RUNNING - 1)
+    three.has(name, 0)
+    three.turn(SHARE_NS)
+    assert three.received(name) == []
+    segment.attach(three.resources.memory, name, write=True).word("beat_state").set(RUNNING)
+    three.turn()
+    assert len(three.received(name)) == 1
+
+
+def test_one_that_waits_for_its_restart_is_sent_nothing(three: Three) -> None:
     three.waits_for_its_restart()
+    three.lose()
+    three.comes_back()
+    three.turn()
+    assert three.received(layout.PORT_OWNER) == [], "it would stay open in the queue"
+    assert len(three.received(layout.STOPPER)) == 1
+
+
+def test_its_loss_and_its_return_are_told_once_each(three: Three) -> None:
+    three.events()
+    three.lose()
+    three.turn(MS)
+    three.turn(1_233 * MS)
+    three.comes_back()
+    for _ in range(3):
+        three.turn()
+    told = [event for event in three.events() if event["kind"].startswith("device_")]
+    path = three.path
+    assert [(event["kind"], event["text"]) for event in told] == [
+        ("device_lost", f"{path} is gone; the stop is written the moment it is back; wheels that turn: POWER SWITCH"),
+        ("device_back", f"{path} is back after 1.2 s; the stop is written"),
+    ]
+    assert [event["fields"] for event in told] == [{"path": str(path)}, {"path": str(path), "away_s": 1.234}]
+
+
+@pytest.mark.parametrize(("number", "lost"), [(0, False), (1, True), (2, False)])
+def test_what_the_port_owner_says_of_another_port_is_no_loss_of_this_one(three: Three, number: int, lost: bool) -> None:
+    """It may be late, and speak of the one before."""
+    three.record(records.PORT_LOST, number)
+    three.turn()
+    assert (three.port.fd < 0) is lost
+
+
+def test_a_burst_that_the_opener_could_not_write_is_written_by_the_loop(
+    three: Three, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    three.lose()
+    with monkeypatch.context() as patched:
+        patched.setattr(StopPort, "burst", lambda _: False)
+        master = three.comes_back()
+    assert wrote(master) == b""
+    three.turn()
+    assert wrote(master) == BURST
+
+
+def test_while_the_port_owner_has_no_port_the_supervisor_repeats_the_stop(three: Three) -> None:
+    """At its pace, from the burst of the opener on."""
+    three.lose()
     three.turn(ALONE_EVERY_NS)
     master = three.comes_back()
-    three.turn(REOPEN_NS)
-    assert os.read(master, 65536) == BURST
+    three.turn()
+    assert wrote(master) == BURST
+    opened_ns = three.supervisor._tried_ns
+    three.now_ns = opened_ns
     three.turn(ALONE_EVERY_NS - 1)
-    with pytest.raises(BlockingIOError):
-        os.read(master, 65536)
+    assert wrote(master) == b""
     three.turn(1)
-    assert os.read(master, 65536) == BURST
-
-
-def test_one_that_lives_opens_it_itself(three: Three) -> None:
-    three.lose()
-    three.port_owner.word("beat_state").set(RUNNING - 1)
-    three.comes_back()
+    assert wrote(master) == BURST
+    three.has(layout.PORT_OWNER, 2)
     three.turn(ALONE_EVERY_NS)
-    assert three.port.fd < 0
+    assert wrote(master) == b"", "it says zero itself"
 
 
-def test_a_lost_port_is_looked_for_only_while_no_port_owner_lives(three: Three) -> None:
-    assert three.sharing.next_ns(three.now_ns) is None
+def test_a_port_that_has_gone_again_before_anybody_heard_of_it_is_lost_again(three: Three) -> None:
     three.lose()
-    assert three.sharing.next_ns(three.now_ns) is None, "that one opens it"
-    three.waits_for_its_restart()
-    assert three.sharing.next_ns(three.now_ns) == three.now_ns + REOPEN_NS
-
-
-def test_patience_is_for_an_opening_alone(three: Three) -> None:
-    assert three.sharing.patience_ns(three.now_ns) == 0
-    three.lose()
-    three.path.symlink_to("/dev/null")
-    assert three.sharing.patience_ns(three.now_ns + 150 * MS) == OPENING_NS
+    master = three.comes_back()
+    three.turn()
+    os.close(master)
+    three._held.remove(master)
     three.path.unlink()
-    assert three.sharing.patience_ns(three.now_ns + 150 * MS) == 0
-    three.path.symlink_to("/dev/null")
-    assert three.sharing.patience_ns(three.now_ns + 200 * MS) == 0, "it was silent before the device was back"
+    three.turn()
+    assert three.port.fd < 0
+    three.comes_back()
+    three.turn()
+    assert three.received(layout.STOPPER) == [(2, str(three.path)), (3, str(three.path))]
 
 
 def test_the_settings_name_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(tmp_path, monkeypatch)
-    assert scene.supervisor._sharing._finder.at == Settings().text("device.path")
+    assert scene.supervisor.sharing.opener.finder.at == Settings().text("device.path")
     scene.close()

@@ -39,7 +39,7 @@ def child(monkeypatch: pytest.MonkeyPatch, pipe: tuple[int, int]) -> Iterator[in
     monkeypatch.setattr(starter, "command", lambda *_: [sys.executable, "-I", "-S", "-c", SHOW])
     made = Starter("none", 1, "/nowhere", Settings())
     made._environment["OUT"] = str(pipe[1])
-    pid = made.start(ROW, 1, {key: pipe[1] if key == "stop" else -1 for key in ROW.descriptors})
+    pid = made.start(ROW, 1, 1, {key: pipe[1] if key == "stop" else -1 for key in ROW.descriptors})
     yield pid
     os.kill(pid, 9)
     os.waitpid(pid, 0)
@@ -76,13 +76,13 @@ def test_what_a_process_is_told_on_its_command_line(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(starter, "spawn", spawn)
     made = Starter("left", 0x1F, "/run/x", Settings())
     numbers = {key: number for number, key in enumerate(ROW.descriptors, 40)} | {"port": -1, "unknown": 99}
-    assert made.start(ROW, 3, numbers) == 77
+    assert made.start(ROW, 3, 5, numbers) == 77
     ((arguments, passed),) = told
     assert arguments[:3] == [sys.executable, "-I", "-S"]
     assert arguments[3].endswith("/supervisor/child.py")
     assert os.path.exists(arguments[3])
     assert arguments[4] == ROW.name
-    words = ["name=left", "run=1f", "dir=/run/x", f"parent={os.getpid()}", "block=3"]
+    words = ["name=left", "run=1f", "dir=/run/x", f"parent={os.getpid()}", "block=3", "number=5"]
     assert arguments[5:] == [*words, *(f"{key}={numbers[key]}" for key in ROW.descriptors)]
     assert passed == [numbers[key] for key in ROW.descriptors if key != "port"]
 

@@ -9,15 +9,18 @@ from pathlib import Path
 
 import pytest
 
+from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.shm import layout, segment
-from failstop.supervisor.aftermath import UNSTILL, Aftermath
-from failstop.supervisor.causes import Cause
+from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.events import Events
 from failstop.supervisor.resources import Resources
+from failstop.supervisor.stops import Stop
 from failstop.trial import wait_for
+from tests.why import why
 
 S = 1_000_000_000
+UNSTILL = str(causes.UNSTILL())
 MS = 1_000_000
 NEVER_ENDS = "echo $$ >> {file}; while :; do sleep 120; done"
 
@@ -51,7 +54,7 @@ class Scene:
         self.now_ns += elapsed_ns
         self.telemetry.word("still_ns").set(self.now_ns if still else 0)
         self.telemetry.word("judged_ns").set(self.now_ns)
-        return [cause.reason for cause in self.aftermath.follow(self.now_ns, listening=False)]
+        return [str(stop.cause) for stop in self.aftermath.follow(self.now_ns, listening=False)]
 
     def stop_unheeded(self) -> None:
         """People have reset, and a new stop is not obeyed."""
@@ -62,8 +65,8 @@ class Scene:
 
     def stop(self) -> None:
         self.epoch += 1
-        cause = Cause(self.now_ns, layout.GATE, f"stop {self.epoch}")
-        self.aftermath.written(cause, self.now_ns, "port owner", cause.reason, self.epoch)
+        stop = Stop(self.now_ns, layout.GATE, why(f"stop {self.epoch}"))
+        self.aftermath.written(stop, self.now_ns, "port owner", stop.cause, self.epoch)
         self.follow(MS)
 
     def runs(self) -> list[int]:

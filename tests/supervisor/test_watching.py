@@ -15,11 +15,11 @@ import msgpack
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
 from failstop.procs import starved
-from failstop.procs.handover import Control
-from failstop.procs.loop import READ
+from failstop.procs.loop import GONE, READ
 from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
 from failstop.shm.packing import pack
@@ -30,8 +30,7 @@ from failstop.supervisor.family import GATE_AGAIN_NS
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS
 from failstop.supervisor.notify import Notify
-from failstop.supervisor.port import REOPEN_NS, OwnPort
-from tests.procs.parts import Pty, new_pty
+from failstop.supervisor.port import OwnPort
 from tests.procs.stage import Dummy
 from tests.supervisor.test_answers import MS, Scene, fill
 from tests.waiting import until
@@ -209,7 +208,7 @@ def test_a_fenced_port_owner_is_stopped_for_again_when_it_is_gone_before_anythin
 def test_a_stop_that_nobody_wrote_is_not_told_of(watching: Watching) -> None:
     """The first burst after the fence was written, the second could not be, and zeros that were only tried are none."""
     fence(watching, layout.PORT_OWNER)
-    watching.port.replace(-1)
+    watching.port.close()
     assert watching.pass_time(MS) == b""
     assert fenced(watching)["text"] == (
         "port_owner was fenced: killed after 0.0 ms, stop written after 0.0 ms, gone after 1.0 ms"
@@ -274,7 +273,7 @@ def test_one_that_was_held_up_stops_motion_and_kills_nobody(watching: Watching) 
     entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader("cause").read()
     assert cause is not None
     assert entry is not None
-    assert records.unpack_cause(entry[2])[2] == "supervisor was held up for 250 ms"
+    assert str(causes.read(records.unpack_cause(entry[2])[2])) == "supervisor was held up for 250 ms"
     assert not any(child.fence for child in watching.supervisor.children)
 
 
@@ -305,9 +304,9 @@ def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(watching: Watc
     watching.notice("gate died", written_ns=watching.now_ns + 7)
     for noticed_by, written_ns in ((layout.PORT_OWNER, watching.now_ns + 7), (layout.SUPERVISOR, 5)):
         gate.fallen = False
-        (cause,) = supervisor._collect([gate], watching.now_ns, 5)
-        assert (cause.t_ns, cause.noticed_by, cause.reason) == (watching.now_ns, noticed_by, "gate died")
-        assert cause.written_ns == written_ns
+        (stop,) = supervisor._collect([gate], watching.now_ns, 5)
+        assert (stop.t_ns, stop.noticed_by, str(stop.cause)) == (watching.now_ns, noticed_by, "gate died")
+        assert stop.written_ns == written_ns
         assert gate.fallen
 
 
@@ -345,7 +344,7 @@ def starving(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> Watching:
 def test_who_is_starved_while_motion_is_disabled_is_left_alone_until_it_beats(starving: Watching) -> None:
     supervisor = starving.supervisor
     starving.port_open()
-    segment.attach(starving.resources.memory, layout.STOPPER, write=True).word("port_ns").set(2**62)
+    segment.attach(starving.resources.memory, layout.STOPPER, write=True).word("port_number").set(1)
     starving.answers()
     for _ in range(40):
         starving.pass_time(20 * MS)
@@ -471,7 +470,7 @@ def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open(watching
         watching.employ(name)
     watching.port_open()
     stopper = segment.attach(watching.resources.memory, layout.STOPPER, write=True)
-    stopper.word("port_ns").set(2**62)
+    stopper.word("port_number").set(1)
     watching.answers()
     watching.turn()
     assert watching.word("ready").get() == 1
@@ -479,7 +478,7 @@ def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open(watching
     assert watching.supervisor._missing() == "a stop being carried out", "answered for an older epoch only"
     watching.answers()
     assert watching.supervisor._missing() == ""
-    watching.supervisor._sharing._let_go()
+    watching.supervisor.sharing.lost({watching.port.fd: GONE})
     assert watching.supervisor._missing() == "the port"
 
 
@@ -499,28 +498,6 @@ def test_a_port_that_has_gone_is_let_go_and_the_stopper_told(watching: Watching,
         os.fstat(fd)
     assert watching.port.fd == -1
     assert watching.rung(layout.STOPPER)
-
-
-@pytest.fixture
-def other() -> Iterator[Pty]:
-    with new_pty() as made:
-        yield made
-
-
-def test_a_port_that_was_opened_anew_is_kept_and_passed_on(watching: Watching, other: Pty) -> None:
-    watching.employ(layout.STOPPER)
-    watching.employ(layout.PORT_OWNER)
-    opener, stopper = (
-        Control(os.dup(watching.resources.controls[name][1])) for name in (layout.PORT_OWNER, layout.STOPPER)
-    )
-    opener.send(other.slave)
-    watching.pass_time(0)
-    opener.close()
-    passed = stopper.receive()
-    stopper.close()
-    assert passed >= 0
-    assert os.ttyname(passed) == os.ttyname(watching.port.fd) == other.link
-    os.close(passed)
 
 
 def test_the_wait_before_a_restart_is_kept(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -591,9 +568,9 @@ def test_it_sleeps_until_what_is_due_next(watching: Watching) -> None:
     assert supervisor.next_ns(overdue_ns - MS) == overdue_ns, "who hangs is not waited for until a tick"
     supervisor.family[layout.TELEMETRY].restart_ns = watching.now_ns + 3 * MS
     assert supervisor.next_ns(watching.now_ns) == watching.now_ns + 3 * MS
-    watching.port.replace(-1)
     supervisor.family[layout.TELEMETRY].restart_ns = None
-    assert supervisor.next_ns(watching.now_ns) == watching.now_ns + REOPEN_NS
+    watching.port.close()
+    assert supervisor.next_ns(watching.now_ns) == watching.now_ns + TICK_NS, "a lost port is the opener's to look for"
 
 
 def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(watching: Watching) -> None:
@@ -667,7 +644,7 @@ def test_what_the_service_manager_is_told(watching: Watching) -> None:
     for name in BY_NAME:
         watching.employ(name)
     watching.port_open()
-    segment.attach(watching.resources.memory, layout.STOPPER, write=True).word("port_ns").set(2**62)
+    segment.attach(watching.resources.memory, layout.STOPPER, write=True).word("port_number").set(1)
     watching.answers()
     watching.pass_time(MS)
     assert watching.supervisor._was_ready
@@ -684,8 +661,8 @@ def test_what_the_service_manager_is_told(watching: Watching) -> None:
     watching.answers(written_ns=watching.now_ns)
     watching.pass_time(MS)
     assert heard.said[4:] == [
-        "STATUS=stop latched: bumper; waiting for a stop being carried out",
-        "STATUS=stop latched: bumper",
+        "STATUS=stop latched: stop request: bumper; waiting for a stop being carried out",
+        "STATUS=stop latched: stop request: bumper",
     ]
 
 

@@ -369,7 +369,7 @@ class ArmCore:
         """The servos that do not answer."""
         return [joint.servo for joint in self.joints if joint.misses >= MOST_MISSES]
 
-    def state(self, now_ns: int) -> dict[str, Any]:
+    def state(self) -> dict[str, Any]:
         """What people and programs are told."""
         journey = self.journey
         return {
@@ -377,7 +377,6 @@ class ArmCore:
             "phase": journey.phase if journey and not journey.done else "",
             "moving": self.moving(),
             "by": self._by(),
-            "closed": self.closed,
             "refused": self.refused,
             "released": self.released,
             "silent": self.silent(),

@@ -5,6 +5,8 @@ A request that takes time is answered more than once: how far it is (records.UND
 
 from __future__ import annotations
 
+from failstop.policy import causes
+from failstop.policy.reply import Reply
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import SERVICE, ArmCore
 from failstop.procs.gate.arm.goals import Goal, Journey
@@ -12,11 +14,13 @@ from failstop.procs.gate.arm.joints import Joint
 from failstop.procs.gate.arm.tuck import ANNOUNCE, GO, AutoTuck
 from failstop.shm import records
 from failstop.shm.notes import Note
+from failstop.shm.records import CAUSE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any, Protocol
 
+    from failstop.policy.causes import Cause
     from failstop.procs.context import Context
     from failstop.procs.gate.clients import Slot
     from failstop.procs.gate.core import GateCore
@@ -32,9 +36,9 @@ if TYPE_CHECKING:
         core: GateCore
         epoch: int
 
-        def trip(self, reason: str, now_ns: int) -> None: ...
+        def trip(self, cause: Cause, now_ns: int) -> None: ...
 
-        def reply(self, slot: Slot, number: int, done: int, text: str, now_ns: int) -> None: ...
+        def reply(self, slot: Slot, session: int, number: int, reply: Reply, now_ns: int) -> None: ...
 
         def send(self, kind: int, body: bytes, now_ns: int) -> None: ...
 
@@ -43,6 +47,7 @@ if TYPE_CHECKING:
 
 NOT_IN_POSE = "arm is not in the drive pose"
 ENABLED = "wheels enabled"
+LATCHED = f"e-stop latched ({CAUSE})"
 TELL_NS = 200_000_000
 """How often who waits is told how far it is."""
 MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
@@ -88,7 +93,7 @@ class Arm:
         core, gate = self.core, self._owner.core
         while entry := self._answers.next():
             core.answer(*records.unpack_servo(entry[2]), entry[1])
-        latched = f"e-stop latched ({gate.latch})" if gate.latch is not None else ""
+        latched = LATCHED if gate.latch is not None else ""
         core.closed = latched or (ENABLED if gate.enabled else "")
         if not gate.enabled:
             self._step(now_ns)
@@ -107,16 +112,16 @@ class Arm:
             return
         frame, hold = self.core.step(now_ns)
         if hold:
-            self._hold("arm: the goal was not renewed", now_ns)
+            self._hold(now_ns)
         if frame:
             self._send(frame, now_ns)
 
     def _send(self, frame: bytes, now_ns: int) -> None:
         self._owner.send(records.ARM, frame, now_ns)
 
-    def _hold(self, why: str, now_ns: int) -> None:
+    def _hold(self, now_ns: int) -> None:
         """Stop it where it is, by the write that stops everything: the wheels stand while an arm moves."""
-        self._owner.send(records.STOP, records.cut(why, 200), now_ns)
+        self._owner.send(records.STOP, b"", now_ns)
 
     def due_ns(self) -> int:
         """When to turn without any news."""
@@ -132,13 +137,13 @@ class Arm:
     def client_gone(self, session: int, now_ns: int) -> None:
         """A client has left or died: what it moved is held, what it waited for is given up."""
         if self.core.client_gone(session):
-            self._hold("arm: its client has gone", now_ns)
+            self._hold(now_ns)
         if self._waiter and self._waiter.session == session:
             self._give_up("given up: its client has gone", now_ns)
 
     def _give_up(self, why: str, now_ns: int) -> None:
         if self.core.drop(why):
-            self._hold(f"arm: {why}", now_ns)
+            self._hold(now_ns)
 
     def goal(self, slot: Slot, now_ns: int) -> None:
         """A new goal of a stream, if the slot has one."""
@@ -157,33 +162,36 @@ class Arm:
         """A second publisher of goals latches."""
         other = self.core.publisher(slot.session, now_ns)
         if other and not self.core.closed:
-            self._owner.trip(f"multiple arm/goal publishers: {other}, {slot.who()}", now_ns)
+            self._owner.trip(causes.TWO_MOVE_THE_ARM(other, slot.who()), now_ns)
         return bool(other)
 
-    def request(self, slot: Slot, number: int, verb: int, now_ns: int) -> tuple[int, str]:
-        """A client's request about the arm. Returns (done, text)."""
+    def _said(self, done: int, text: str) -> Reply:
+        return Reply(done, text, self._owner.core.latch if CAUSE in text else None)
+
+    def request(self, slot: Slot, number: int, verb: int, now_ns: int) -> Reply:
+        """A client's request about the arm."""
         if verb == records.ARM_HOLD:
             self._give_up(f"held by {slot.who()}", now_ns)
             self._releasing.clear()
-            self._hold("arm hold", now_ns)
-            return records.DONE, "arm held"
+            self._hold(now_ns)
+            return Reply(records.DONE, "arm held")
         if closed := self.core.closed:
-            return records.REFUSED, closed
+            return self._said(records.REFUSED, closed)
         if self._rival(slot, now_ns):
-            return records.REFUSED, "e-stop latched: another client moves the arm"
+            return self._said(records.REFUSED, LATCHED)
         if verb == records.ARM_RELEASE:
-            self._hold("arm release", now_ns)
+            self._hold(now_ns)
             self._releasing, self._release_ns = self.core.release(), now_ns + RELEASE_APART_NS
-            return records.DONE, "arm released: its torque is off"
+            return Reply(records.DONE, "arm released: its torque is off")
         if verb == records.ARM_READ:
             self.core.forget()
             journey: Journey | str = Journey("read", slot.session, slot.who(), self.core.joints, [])
         else:
             journey = self._journey(slot, verb, now_ns)
         if isinstance(journey, str):
-            return records.REFUSED, journey
+            return Reply(records.REFUSED, journey)
         self._travel(journey, Waiter(slot, number, self._moved), "preempted", now_ns)
-        return records.UNDER_WAY, self._progress(now_ns)
+        return Reply(records.UNDER_WAY, self._progress(now_ns))
 
     def _journey(self, slot: Slot, verb: int, now_ns: int) -> Journey | str:
         """The way that is asked for, or why there is none."""
@@ -214,7 +222,10 @@ class Arm:
 
     def _moved(self, waiter: Waiter, outcome: str, now_ns: int, *, dropped: bool) -> None:
         done = records.REFUSED if outcome or dropped else records.DONE
-        self._owner.reply(waiter.slot, waiter.number, done, outcome or "arm is there", now_ns)
+        self._answer(waiter, self._said(done, outcome or "arm is there"), now_ns)
+
+    def _answer(self, waiter: Waiter, reply: Reply, now_ns: int) -> None:
+        self._owner.reply(waiter.slot, waiter.session, waiter.number, reply, now_ns)
 
     def _progress(self, now_ns: int) -> str:
         journey = self.core.journey
@@ -235,30 +246,30 @@ class Arm:
                 waiter.done(waiter, outcome, now_ns, dropped=journey is None)
         elif now_ns - waiter.told_ns >= TELL_NS:
             waiter.told_ns = now_ns
-            self._owner.reply(waiter.slot, waiter.number, records.UNDER_WAY, self._progress(now_ns), now_ns)
+            self._answer(waiter, Reply(records.UNDER_WAY, self._progress(now_ns)), now_ns)
 
     # Enabling motion.
 
-    def enable(self, slot: Slot, number: int, now_ns: int) -> tuple[int, str] | None:
-        """To the drive pose, and then the gate enables motion, if that is what was read back. Returns (done, text);
-        None: the settings have no drive pose, so nothing is asked of the arm."""
+    def enable(self, slot: Slot, number: int, now_ns: int) -> Reply | None:
+        """To the drive pose, and then the gate enables motion, if that is what was read back. None: the settings have
+        no drive pose, so nothing is asked of the arm."""
         if self._waiter and self._purpose() == goals.DRIVE and self._waiter.session != slot.session:
-            return records.REFUSED, f"{self._waiter.slot.who()} is enabling motion"
+            return Reply(records.REFUSED, f"{self._waiter.slot.who()} is enabling motion")
         journey = self.core.pose(goals.DRIVE, SERVICE, slot.who(), now_ns)
         if journey is None:
             return None
         self._travel(journey, Waiter(slot, number, self._posed), ENABLED, now_ns)
         self.core.forget()
-        return records.UNDER_WAY, self._progress(now_ns)
+        return Reply(records.UNDER_WAY, self._progress(now_ns))
 
     def _purpose(self) -> str:
         return self.core.journey.purpose if self.core.journey else ""
 
     def _posed(self, waiter: Waiter, outcome: str, now_ns: int, *, dropped: bool) -> None:
         """The end of the way to the drive pose: what was read back decides, unless it was given up, or a stop came."""
-        core, slot, number = self.core, waiter.slot, waiter.number
+        core = self.core
         if dropped:
-            self._owner.reply(slot, number, records.REFUSED, outcome, now_ns)
+            self._answer(waiter, self._said(records.REFUSED, outcome), now_ns)
             return
         judged = [joint for joint in core.joints if joint.drive >= 0 and joint.judged]
         absent = len(core.silent()) == len(core.joints)
@@ -268,9 +279,9 @@ class Arm:
             fault = outcome or core.off(judged, tuple(float(joint.drive) for joint in judged))
         if fault:
             hint = '; without the arm: arm.absent = "ignore"' if absent else ""
-            self._owner.reply(slot, number, records.REFUSED, f"{NOT_IN_POSE}: {fault}{hint}", now_ns)
+            self._answer(waiter, Reply(records.REFUSED, f"{NOT_IN_POSE}: {fault}{hint}"), now_ns)
         else:
-            self._owner.enable_now(slot, number, now_ns)
+            self._owner.enable_now(waiter.slot, waiter.number, now_ns)
 
     # For people.
 
@@ -314,7 +325,8 @@ class Arm:
         """Its part of the gate's state."""
         left_s, pose = self._tuck.left_s(self.core.active_ns, now_ns), self.core.pose_name()
         return {
-            **self.core.state(now_ns),
+            **self.core.state(),
+            "closed": "e-stop latched" if self.core.closed == LATCHED else self.core.closed,
             "auto_tuck_s": None if left_s is None or self.core.mode() or pose == goals.TUCK else round(left_s),
             "wrong": [f"joint {name} {text}" for name, text in self._told.items() if text],
             "pose": pose,
