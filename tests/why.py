@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.procs.gate.core import Answer
+from failstop.policy.reply import Reply
 
 KNOWN = {
     str(cause): cause
@@ -26,6 +26,6 @@ def said(cause: Cause) -> str:
     return str(cause.named()["words"]) if cause.kind is causes.PIPED else str(cause)
 
 
-def told(answer: Answer) -> tuple[bool, str]:
+def told(reply: Reply) -> tuple[bool, str]:
     """What became of a request, in plain values."""
-    return answer.done, str(answer)
+    return reply.done, str(reply)

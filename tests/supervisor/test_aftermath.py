@@ -69,9 +69,6 @@ class Watched(Scene):
         if answered:
             self.telemetry.word("pong").set(records.pong(self.now_ns + MS, index))
 
-    def reset(self) -> None:
-        self.gate.word("reset_epoch").set(self.supervisor.epoch)
-
 
 @pytest.fixture
 def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Watched]:
