@@ -12,6 +12,7 @@ import pytest
 from failstop.incidents import export, messages, plot, shades, signals
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
+from failstop.policy import causes
 from failstop.shm import box
 from tests.incidents.parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
 
@@ -125,7 +126,7 @@ def test_an_export_that_fails_leaves_nothing(incident: Incident, tmp_path: Path)
 
 
 def test_where_the_gate_was_silent_the_picture_says_so_and_draws_no_decision() -> None:
-    made = Recorder("gate hangs")
+    made = Recorder(causes.HANGS("gate", 360))
     made.core.enable(7, "", at(-1000))
     for ms in (*range(-1000, -60, 20), *range(300, 1000, 20)):
         made.core.scan.deliver(at(ms), at(ms))
