@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from .gate_bench import Gate, stands
 from .gate_machine import GateMachine
 
-test_any_sequence_keeps_the_rules = GateMachine.TestCase
+test_any_sequence_keeps_the_rules = pytest.mark.slow(GateMachine.TestCase)
 
 
 def test_disabled_at_start(gate: Gate) -> None:
