@@ -25,6 +25,7 @@ def incident() -> Incident:
 
 
 @pytest.mark.parametrize(("name", "magic"), [("a.png", b"\x89PNG"), ("a.svg", b"<?xml"), ("a.pdf", b"%PDF")])
+@pytest.mark.slow
 def test_a_picture(incident: Incident, tmp_path: Path, name: str, magic: bytes) -> None:
     pytest.importorskip("matplotlib")
     path = tmp_path / name
@@ -33,6 +34,7 @@ def test_a_picture(incident: Incident, tmp_path: Path, name: str, magic: bytes) 
     assert path.stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_a_picture_of_next_to_nothing(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     made = Recorder()
@@ -41,6 +43,7 @@ def test_a_picture_of_next_to_nothing(tmp_path: Path) -> None:
     assert (tmp_path / "empty.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_svg_says_what_happened(incident: Incident, tmp_path: Path) -> None:
     matplotlib = pytest.importorskip("matplotlib")
     with matplotlib.rc_context({"svg.fonttype": "none"}):
@@ -156,6 +159,7 @@ def test_a_curve_is_broken_where_the_board_was_silent() -> None:
     assert repr(values.tolist()) == "[1.0, 2.0, 3.0, nan, 4.0, 5.0]"
 
 
+@pytest.mark.slow
 def test_a_picture_that_fails_leaves_nothing(incident: Incident, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     (tmp_path / "a.png").mkdir()
