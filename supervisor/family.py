@@ -67,9 +67,8 @@ class Family:
         """Those whose death this wake-up, or the early news before it, tells; each once."""
         return [child for child in self.children if child.life and not child.fallen and child.life.down(ready)]
 
-    def bury(self, ready: dict[int, int], now_ns: int, epoch: int) -> None:
-        """Collect the processes that have died, and plan their restarts; `epoch`: the one in force, raised for their
-        deaths."""
+    def bury(self, ready: dict[int, int], now_ns: int) -> None:
+        """Collect the processes that have died, and plan their restarts."""
         for child in self.children:
             if child.life and child.life.fd in ready:
                 child.ended = True
@@ -77,7 +76,7 @@ class Family:
             pid = child.pid
             if child.ended and (death := child.buried()):
                 self._tell_death(child, pid, death)
-                self._plan_restart(child, now_ns, epoch)
+                self._plan_restart(child, now_ns)
 
     def _tell_death(self, child: Child, pid: int, death: str) -> None:
         name = child.row.name
@@ -87,7 +86,7 @@ class Family:
         how = f"was {death}" if death.startswith("killed") else death
         self._events.tell("died", f"{name} (pid {pid}) {how}", {**told, "how": how})
 
-    def _plan_restart(self, child: Child, now_ns: int, epoch: int) -> None:
+    def _plan_restart(self, child: Child, now_ns: int) -> None:
         name = child.row.name
         starved = child.fence is not None and child.fence.was_starved
         wait_ns = TRY_AGAIN_NS if starved else child.restarts.died(now_ns)

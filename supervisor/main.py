@@ -166,7 +166,7 @@ class Supervisor:
         for child in fallen:
             if child.life:
                 child.life.demote()
-        self.family.bury(ready, now_ns, self.epoch)
+        self.family.bury(ready, now_ns)
         self._follow_port(ready, now_ns)
         self._follow_answer(now_ns)
         self._follow_reset(now_ns)

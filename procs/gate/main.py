@@ -63,6 +63,7 @@ class Gate:
         self._lease_ns = settings.ns("gate.lease_s")
         self._latch = supervisor.latest_reader("latch")
         self._decided_word = supervisor.word("resets")
+        self._decided_seen = self._decided_word.get()
         self._decided = supervisor.latest_reader("reset")
         self._asked_word = own.word("resets_asked")
         self._asked_ns_word = own.word("reset_asked_ns")
@@ -230,16 +231,17 @@ class Gate:
         self.supervisor_bell.ring()
 
     def _follow_resets(self, now_ns: int) -> None:
-        """What the supervisor has decided: follow it, then tell who asked."""
-        if not self._resets or self._decided_word.get() != self._asked_word.get():
+        """What the supervisor has decided, for whomever: follow it, then tell who asked."""
+        decided = self._decided_word.get()
+        if decided == self._decided_seen:
             return
-        self._barrier()
+        self._decided_seen = decided
+        self._follow_latch()
         entry = self._decided.read()
-        if entry is None:
+        if not self._resets or decided != self._asked_word.get() or entry is None:
             return
         reply = unpack(entry[2])[2]
         slot, session, number, _ = self._resets.pop(0)
-        self._follow_latch()
         if slot:
             self.reply(slot, session, number, reply, now_ns)
         who, pid = (slot.name, slot.pid) if slot else (PAD, 0)

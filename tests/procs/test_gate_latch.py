@@ -15,7 +15,6 @@ def test_a_trip_stands_disables_and_latches_at_once(driving: Gate) -> None:
     assert stands(driving)
     assert not driving.core.enabled
     assert driving.blocked == "estop: key1"
-    assert driving.core.latched_in == 3
     assert driving.step() is None
 
 
@@ -23,7 +22,6 @@ def test_the_first_reason_is_kept(driving: Gate) -> None:
     driving.core.trip(why("key1"), 3)
     assert not driving.core.trip(why("another"), 4)
     assert said(driving.core.latch) == "key1"
-    assert driving.core.latched_in == 3
 
 
 def test_a_reason_without_words_latches_too(driving: Gate) -> None:
@@ -35,7 +33,7 @@ def test_a_reason_without_words_latches_too(driving: Gate) -> None:
 def test_the_latch_is_told_before_everything_else(gate: Gate) -> None:
     gate.core.trip(why("key1"), 1)
     assert gate.blocked == "estop: key1"
-    gate.core.reset(2)
+    gate.core.follow(None, 2)
     assert gate.blocked == "disabled"
     gate.enable()
     assert gate.blocked == "cmd timeout"
@@ -60,9 +58,9 @@ def test_nothing_but_a_reset_ends_a_latch(driving: Gate) -> None:
     assert driving.blocked == "estop: key1"
 
 
-def test_a_reset_clears_the_latch_and_nothing_else(driving: Gate) -> None:
+def test_the_end_of_the_latch_enables_nothing(driving: Gate) -> None:
     driving.core.trip(why("key1"), 3)
-    assert told(driving.core.reset(4)) == (True, "e-stop cleared (was: key1); motion still disabled")
+    driving.core.follow(None, 4)
     assert driving.core.latch is None
     assert driving.blocked == "disabled"
     driving.take((0.2, 0.0, 0.0))
@@ -70,22 +68,35 @@ def test_a_reset_clears_the_latch_and_nothing_else(driving: Gate) -> None:
     assert stands(driving)
 
 
-def test_a_reset_waits_until_the_stop_is_carried_out(driving: Gate) -> None:
+def test_its_own_trip_holds_until_the_supervisor_has_answered_it(driving: Gate) -> None:
     driving.core.trip(why("key1"), 3)
-    assert told(driving.core.reset(3)) == (False, "the stop is still being carried out (key1)")
+    driving.core.follow(None, 3)
     assert driving.blocked == "estop: key1"
-    assert driving.core.reset(4).done
+    driving.core.follow(None, 4)
+    assert driving.blocked == "disabled"
 
 
-def test_a_reset_without_a_latch_changes_nothing(driving: Gate) -> None:
-    assert told(driving.core.reset(1)) == (True, "no e-stop is latched")
+def test_what_the_supervisor_has_latched_is_what_counts(driving: Gate) -> None:
+    driving.core.trip(why("key1"), 3)
+    driving.core.follow(why("gate died"), 3)
+    assert driving.blocked == "estop: gate died"
+
+
+def test_what_the_supervisor_has_latched_stands_at_once(driving: Gate) -> None:
+    driving.core.follow(why("gate died"), 1)
+    assert stands(driving)
+    assert not driving.core.enabled
+
+
+def test_nothing_latched_is_no_news_for_who_drives(driving: Gate) -> None:
+    driving.core.follow(None, 1)
     assert driving.core.enabled
     assert driving.core.velocity == (0.2, 0.0, 0.0)
 
 
 def test_after_reset_and_enable_the_ramp_starts_from_zero(driving: Gate) -> None:
     driving.core.trip(why("key1"), 3)
-    driving.core.reset(4)
+    driving.core.follow(None, 4)
     driving.enable(4)
     assert driving.core.epoch == 4
     assert driving.drive((0.2, 0.0, 0.0), 1)[0][0] == pytest.approx(0.01)

@@ -14,7 +14,7 @@ from .stage import MS
 @pytest.mark.parametrize("verb", [records.ENABLE, records.RESET])
 def test_who_asked_before_the_last_stop_did_not_know_of_it(gate_scene: Scene, verb: int) -> None:
     asked_ns = gate_scene.clock() - 1
-    gate_scene.stop(2, 2, "key1", "key1")
+    gate_scene.stop(2, "key1")
     gate_scene.turn()
     done, text = gate_scene.ask(verb, asked_ns)
     assert not done
@@ -56,6 +56,6 @@ def test_disabling_writes_a_stop(gate_scene: Scene) -> None:
 
 
 def test_a_successor_starts_latched(gate_scene: Scene) -> None:
-    gate_scene.stop(2, 2, "key1", "key1")
+    gate_scene.stop(2, "key1")
     gate_scene.start_gate()
     assert said(gate_scene.gate.core.latch) == "key1"

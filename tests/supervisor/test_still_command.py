@@ -14,6 +14,7 @@ from failstop.policy.settings import Settings
 from failstop.shm import layout, segment
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.events import Events
+from failstop.supervisor.latch import Latch
 from failstop.supervisor.resources import Resources
 from failstop.supervisor.stops import Stop
 from failstop.trial import wait_for
@@ -39,9 +40,9 @@ class Scene:
         self.told: list[tuple[str, object, str]] = []
         events = Events(self.resources.name)
         events.tell = self._tell  # type: ignore[method-assign,assignment]
-        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings, events)
+        self.latch = Latch()
+        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, self.latch, settings, events)
         self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
-        self.reset_word = segment.attach(self.resources.memory, layout.GATE, write=True).word("reset_epoch")
         self.now_ns = 100 * S
         self.epoch = 1
 
@@ -58,7 +59,7 @@ class Scene:
 
     def stop_unheeded(self) -> None:
         """People have reset, and a new stop is not obeyed."""
-        self.reset_word.set(self.epoch)
+        self.latch.reset(self.epoch, self.now_ns)
         self.follow(MS)
         self.stop()
         assert self.follow(S) == [UNSTILL]
@@ -132,7 +133,7 @@ def test_again_for_the_next_stop_once_the_wheels_were_still(scene_of: Callable[[
     scene.stop_unheeded()
     wait_for("the command", lambda: len(scene.runs()) == 1)
     scene.follow(MS, still=True)
-    scene.reset_word.set(scene.epoch)
+    scene.latch.reset(scene.epoch, scene.now_ns)
     scene.stop()
     assert scene.follow(S) == [UNSTILL]
     wait_for("the command anew", lambda: len(scene.runs()) == 2)

@@ -269,11 +269,11 @@ def test_one_that_was_held_up_stops_motion_and_kills_nobody(watching: Watching) 
     watching.enabled()
     watching.pass_time(HELD_UP_NS)
     assert watching.supervisor.epoch == 2
-    cause = watching.supervisor._cause_record
-    entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader("cause").read()
+    cause = watching.supervisor._latch_record
+    entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader("latch").read()
     assert cause is not None
     assert entry is not None
-    assert str(causes.read(records.unpack_cause(entry[2])[2])) == "supervisor was held up for 250 ms"
+    assert str(causes.read(records.unpack_latch(entry[2])[3])) == "supervisor was held up for 250 ms"
     assert not any(child.fence for child in watching.supervisor.children)
 
 
@@ -368,7 +368,7 @@ def test_who_is_starved_while_motion_is_enabled_is_stopped_for_once_and_left_alo
     child = starving.supervisor.family[name]
     while starving.supervisor.epoch == 1:
         starving.beat_but(name)
-    _, standing, _ = starving.cause()
+    _, standing = starving.cause()
     assert standing == f"{name} hangs: {child.row.deadline_ns // MS} ms silent (the machine is starved)"
     for _ in range(80):
         starving.beat_but(name)
@@ -387,7 +387,7 @@ def test_a_starved_port_owner_is_fenced_while_it_may_move(starving: Watching, si
         starving.beat_but(layout.PORT_OWNER)
     assert port_owner.fence
     assert "burst_us" in port_owner.fence.fields()
-    _, standing, _ = starving.cause()
+    _, standing = starving.cause()
     assert standing == "port_owner hangs: 100 ms silent (the machine is starved)"
 
 
@@ -429,15 +429,15 @@ def test_a_reset_starts_one_anew_that_is_down(watching: Watching, name: str, mon
     started: list[str] = []
     die_too_often(watching, name)
     child = watching.supervisor.family[name]
-    down_in = watching.supervisor.epoch
     monkeypatch.setattr(
         family_module.Family, "start", lambda _, found, fd: (started.append(name), setattr(found, "restart_ns", None))
     )
-    watching.gate.word("reset_epoch").set(down_in - 1)
+    watching.answers(written_ns=watching.now_ns)
+    watching.ask_reset(1)
     for _ in range(10):
         watching.pass_time(20 * MS)
     assert (started, child.state()) == ([], "down"), "a reset from before it was down is not for it"
-    watching.gate.word("reset_epoch").set(down_in)
+    watching.ask_reset()
     watching.pass_time(20 * MS)
     assert started == [name]
     watching.employ(name).kill()
@@ -670,7 +670,6 @@ def test_who_is_down_is_in_the_status(watching: Watching) -> None:
     heard = Heard()
     die_too_often(watching, layout.TELEMETRY)
     watching.supervisor.herald.notify = heard
-    watching.gate.word("reset_epoch").set(1)
     watching.pass_time(MS)
     (said,) = heard.said
     assert said.startswith("STATUS=stop latched: telemetry died; telemetry died too often and is down until a reset")
