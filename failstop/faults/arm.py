@@ -19,6 +19,7 @@ from failstop.board.sim.client import Event
 from failstop.board.sim.servos import Leg
 from failstop.errors import FailstopError, Refused
 from failstop.faults.processes import DEADLINES_MS, HANG_OF
+from failstop.policy import causes
 from failstop.shm.layout import PROCESSES, SUPERVISOR
 from failstop.trial import Trial, wait_for, write_settings
 
@@ -37,6 +38,10 @@ SETTINGS: dict[str, object] = {
 }
 BY_ITSELF_MS = float(LONGEST_MOVE_MS)
 """What a servo goes on for when nobody sends it anything any more."""
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.policy.causes import Cause, Kind
+
 FOLLOWER = """
 import sys, time
 from failstop.robot import Robot
@@ -67,8 +72,8 @@ class ArmFault:
     cause: str
     what: str
     process: str = ""
-    latched: str = ""
-    """How the latched reason begins; empty: nothing is latched."""
+    latched: Kind | None = None
+    """The row of the cause that is latched; None: nothing is."""
     bar_ms: float = BY_ITSELF_MS
     """To the last joint at rest."""
 
@@ -80,7 +85,7 @@ def _rows() -> tuple[ArmFault, ...]:
             f"SIGKILL of the {process} while the arm follows",
             KILL,
             process,
-            "" if process == SUPERVISOR else f"{process} died",
+            None if process == SUPERVISOR else causes.DIED,
             BY_ITSELF_MS + 5.0,
         )
         for process in PROCESSES
@@ -91,7 +96,7 @@ def _rows() -> tuple[ArmFault, ...]:
             f"SIGSTOP of the {process} while the arm follows",
             HANG,
             process,
-            "" if process == SUPERVISOR else f"{process} hangs",
+            None if process == SUPERVISOR else causes.HANGS,
             BY_ITSELF_MS + _deadline_ms(process),
         )
         for process in PROCESSES
@@ -103,8 +108,10 @@ def _rows() -> tuple[ArmFault, ...]:
         ArmFault(
             "arm-client-hung", "SIGSTOP of the client that moves the arm", CLIENT_HANG, bar_ms=BY_ITSELF_MS + 500.0
         ),
-        ArmFault("arm-stop-request", "a stop request while the arm follows", REQUEST, "", "stop request", BY_ITSELF_MS),
-        ArmFault("arm-usb-drop", "unplugged in mid-move", UNPLUG, "", "device lost", BY_ITSELF_MS),
+        ArmFault(
+            "arm-stop-request", "a stop request while the arm follows", REQUEST, "", causes.REQUESTED, BY_ITSELF_MS
+        ),
+        ArmFault("arm-usb-drop", "unplugged in mid-move", UNPLUG, "", causes.DEVICE_LOST, BY_ITSELF_MS),
     ]
     return (*kills, *hangs, *others)
 
@@ -128,7 +135,7 @@ class Rested:
     """To the arrival of the arm's stop, behind the first burst."""
     moves_after: int
     """Frames that moved servos, executed after that stop."""
-    latched: str | None
+    latched: Cause | None
     wrong: tuple[str, ...]
 
 
@@ -217,14 +224,14 @@ def _begin(trial: ArmTrial, fault: ArmFault, client: int, pids: dict[str, int]) 
         trial.board.unplug()
 
 
-def _latched(trial: ArmTrial, fault: ArmFault) -> str | None:
+def _latched(trial: ArmTrial, fault: ArmFault) -> Cause | None:
     if fault.latched:
         with contextlib.suppress(Exception):
             wait_for("the latch", lambda: bool(trial.robot.state.estop), 3.0)
-    return trial.robot.state.estop
+    return trial.robot.state.cause
 
 
-def judge(fault: ArmFault, fault_ns: int, events: list[Event], track: list[Leg], latched: str | None) -> Rested:
+def judge(fault: ArmFault, fault_ns: int, events: list[Event], track: list[Leg], latched: Cause | None) -> Rested:
     """What the board's servos say; it asks the code under test nothing but what it latched."""
     # Of zero frames there are five a second while the wheels stand: the arm's stop follows a burst alone.
     arms = [event for event in events if event.func == BUS_SERVO and event.arrival_ns >= fault_ns]
@@ -239,12 +246,19 @@ def judge(fault: ArmFault, fault_ns: int, events: list[Event], track: list[Leg],
         wrong.append(f"a joint turned until {rest_ms:.0f} ms, the limit is {1.5 * fault.bar_ms + 100.0:.0f}")
     if after:
         wrong.append(f"{after} moves after the stop")
-    if fault.latched and not (latched or "").startswith(fault.latched):
+    if fault.latched is not (latched and latched.kind) or (
+        fault.latched and fault.process not in ("", *_process(latched))
+    ):
         wrong.append(f"latched: {latched}")
     if not any(leg.begin_ns < fault_ns < leg.end_ns and leg.begin != leg.end for leg in track):
         wrong.append("no joint was turning at the fault")
     stop_ms = None if stop is None else (stop.arrival_ns - fault_ns) / 1e6
     return Rested(fault, rest_ms, stop_ms, after, latched, tuple(wrong))
+
+
+def _process(cause: Cause | None) -> tuple[object, ...]:
+    """Whose death or silence it is; of no process, whatever the row says."""
+    return tuple(cause.named().get("process", "") for cause in (cause,) if cause)
 
 
 def _turned_ns(leg: Leg, track: list[Leg]) -> int:

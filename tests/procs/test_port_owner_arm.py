@@ -156,14 +156,14 @@ BAD = [
 def test_a_frame_that_is_none_for_this_arm_stops(scene: Scene, frame: bytes) -> None:
     settle(scene)
     assert arm(scene, frame) == STOP
-    assert [reason.partition(":")[0] for reason in scene.reasons()] == ["frame for the arm"]
+    assert [reason.partition(":")[0] for reason in scene.reasons()] == ["the gate's frame was refused"]
 
 
 def test_without_an_arm_no_such_frame_goes_out_and_stops_are_as_they_were(armless: Scene) -> None:
     assert armless.turn() == BURST
     settle(armless)
     assert arm(armless) == BURST
-    assert armless.reasons() == ["frame for the arm: this robot has no arm"]
+    assert armless.reasons() == ["the gate's frame was refused: for the arm, this robot has no arm"]
     for frame in (MOVE, READ, bus_servo_stop([1])):
         armless.put(frame, epoch=1, kind=records.OTHER)
     assert armless.turn() == b""

@@ -233,7 +233,10 @@ class ArmCore:
         journey = self.journey
         if journey is None or journey.done:
             return []
-        if silent := [joint for joint in journey.joints if joint.misses >= MOST_MISSES]:
+        silent = [joint for joint in journey.joints if joint.misses >= MOST_MISSES]
+        # All are asked before the answer is that some are silent: it tells a cable from an arm that is not there.
+        asked = all(joint.known or joint in silent for joint in journey.joints)
+        if silent and (asked or journey.phase != goals.FINDING):
             journey.finish(f"{named(silent)}: no answer from {servos(silent)}")
             self._end_stream()
             return []
