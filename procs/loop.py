@@ -1,4 +1,7 @@
-"""Loop: waits for descriptors or a point in time, with microsecond time-outs.
+"""Loop: waits for descriptors or the next deadline, with microsecond time-outs.
+
+Whoever sets a deadline also asks whether it is due, and the loop that made it waits for it: none is forgotten. One that
+is due and not taken or set anew keeps the loop awake.
 
 `epoll.poll` takes whole milliseconds; `select` is finer, but can't watch a port for its hang-up alone, and costs a call
 more. So the descriptors are in an epoll set, which waits by itself for the whole milliseconds, and `select` waits for
@@ -17,14 +20,40 @@ HANGUP = 0
 
 GONE = select.EPOLLHUP | select.EPOLLERR
 MS = 1_000_000
+NEVER = 2**63 - 1
+
+
+class Deadline:
+    """A point in time (CLOCK_MONOTONIC ns), or NEVER; and those after it."""
+
+    __slots__ = ("_then", "ns")
+
+    def __init__(self) -> None:
+        self.set(NEVER)
+
+    def set(self, ns: int, *then: int) -> None:
+        """Wait for this one, and once it is taken for the next."""
+        self.ns, self._then = ns, then
+
+    def due(self, now_ns: int) -> bool:
+        """True from that point in time on."""
+        return now_ns >= self.ns
+
+    def take(self, now_ns: int) -> bool:
+        """True when it is due; it is then waited for the next one."""
+        if now_ns < self.ns:
+            return False
+        self.set(*self._then, NEVER)
+        return True
 
 
 class Loop:
-    """One process's set of descriptors."""
+    """One process's set of descriptors, and its deadlines."""
 
-    __slots__ = ("_epoll", "_poll", "_set")
+    __slots__ = ("_deadlines", "_epoll", "_poll", "_set")
 
     def __init__(self) -> None:
+        self._deadlines: list[Deadline] = []
         self._epoll = select.epoll()
         self._poll = self._epoll.poll
         self._set = [self._epoll.fileno()]
@@ -45,8 +74,18 @@ class Loop:
         """True when a descriptor, in the set or not, can be read now."""
         return bool(select.select((fd,), (), (), 0)[0])
 
-    def wait(self, until_ns: int) -> dict[int, int]:
-        """Block until a descriptor is ready or CLOCK_MONOTONIC reaches `until_ns`; return {fd: events}."""
+    def deadline(self) -> Deadline:
+        """One more point in time to wait for; for as long as the loop lives."""
+        self._deadlines.append(Deadline())
+        return self._deadlines[-1]
+
+    def until_ns(self, now_ns: int, longest_ns: int) -> int:
+        """How long wait() waits that begins now."""
+        return min([now_ns + longest_ns, *[deadline.ns for deadline in self._deadlines]])
+
+    def wait(self, longest_ns: int) -> dict[int, int]:
+        """Block until a descriptor is ready, a deadline has come, or this time is over; return {fd: events}."""
+        until_ns = self.until_ns(monotonic_ns(), longest_ns)
         left_ns = until_ns - monotonic_ns()
         if left_ns > MS:
             # Half a millisecond less, which the call rounds up again: the whole milliseconds that are left.

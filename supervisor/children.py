@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 
+from failstop.procs.loop import NEVER, Deadline
 from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
@@ -33,7 +34,7 @@ class Child:
         "last_exit",
         "life",
         "pid",
-        "restart_ns",
+        "restart",
         "restarts",
         "row",
         "spared_ns",
@@ -41,7 +42,7 @@ class Child:
         "times_restarted",
     )
 
-    def __init__(self, row: Process, beat: HeartbeatReader, restarts: Restarts) -> None:
+    def __init__(self, row: Process, beat: HeartbeatReader, restarts: Restarts, restart: Deadline) -> None:
         self.row = row
         self.beat = beat
         self.restarts = restarts
@@ -54,8 +55,8 @@ class Child:
         """Its pidfd has said so."""
         self.life: Lifeline | None = None
         self.started_ns = 0
-        self.restart_ns: int | None = None
-        """When it is to be started again; None: it runs, or is down until a reset."""
+        self.restart = restart
+        """When it is to be started again; never: it runs, or is down until a reset."""
         self.fence: Fence | None = None
         """It was killed for hanging: when and how."""
         self.excused_ns = 0
@@ -75,7 +76,7 @@ class Child:
         self.fallen = self.ended = False
         self.fence = None
         self.started_ns = now_ns
-        self.restart_ns = None
+        self.restart.set(NEVER)
         self.spared_ns = 0
         self.down = False
 
@@ -102,13 +103,12 @@ class Child:
 
     def hangs(self, now_ns: int) -> bool:
         """True when its heartbeat, or its first one, is overdue."""
-        overdue_ns = self.overdue_ns()
-        return overdue_ns is not None and now_ns >= overdue_ns
+        return now_ns >= self.overdue_ns()
 
-    def overdue_ns(self) -> int | None:
-        """When it counts as hanging unless it beats before; None: there is nothing to wait for."""
+    def overdue_ns(self) -> int:
+        """When it counts as hanging unless it beats before; NEVER: there is nothing to wait for."""
         if not self.pid or self.fence or self.fallen:
-            return None
+            return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns
         return max(sign_ns, self.excused_ns) + self.allowed_ns()
 

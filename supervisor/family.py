@@ -56,7 +56,8 @@ class Family:
         deaths, window_ns = int(settings["restart.deaths"]), settings.ns("restart.window_s")
         backoff_ns = settings.ns("restart.backoff_s")
         self.children = [
-            Child(row, HeartbeatReader(views[row.name]), Restarts(deaths, window_ns, backoff_ns)) for row in PROCESSES
+            Child(row, HeartbeatReader(views[row.name]), Restarts(deaths, window_ns, backoff_ns), loop.deadline())
+            for row in PROCESSES
         ]
         self._by_name = {child.row.name: child for child in self.children}
 
@@ -96,13 +97,13 @@ class Family:
         child.down = True
         todo = f"next: see to the cause, then {self._events.command('reset')} starts it anew"
         if name == layout.GATE:
-            child.restart_ns = now_ns + GATE_AGAIN_NS
+            child.restart.set(now_ns + GATE_AGAIN_NS)
             todo = f"it is started anew in {GATE_AGAIN_NS / 1e9:g} s, since nobody else could hear a reset"
         text = f"{name} died too often and is down, the wheels stopped; {todo}"
         self._events.tell("down", text, {"process": name})
 
     def _restart_in(self, child: Child, wait_ns: int, now_ns: int) -> None:
-        child.restart_ns = now_ns + wait_ns
+        child.restart.set(now_ns + wait_ns)
         text = f"restarting {child.row.name} {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}"
         self._events.tell("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
 
@@ -129,7 +130,7 @@ class Family:
     def restart_due(self, port: OwnPort, now_ns: int) -> None:
         """Start those whose time has come, with the port to inherit."""
         for child in self.children:
-            if child.restart_ns is not None and now_ns >= child.restart_ns:
+            if child.restart.due(now_ns):
                 child.times_restarted += 1
                 self.start(child, port)
 
@@ -142,7 +143,7 @@ class Family:
         except OSError as error:
             text = f"cannot start {name}: {error}; trying again"
             self._events.tell("start_failed", text, {"process": name, "reason": str(error)})
-            child.restart_ns = monotonic_ns() + TRY_AGAIN_NS
+            child.restart.set(monotonic_ns() + TRY_AGAIN_NS)
             return
         if child.life:
             self._loop.watch(child.life.fd, READ)

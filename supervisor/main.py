@@ -13,7 +13,7 @@ from time import monotonic_ns, sleep
 from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.procs import rights, starved
-from failstop.procs.loop import READ, Loop
+from failstop.procs.loop import NEVER, READ, Loop
 from failstop.shm import bell, heartbeat, layout, records, segment
 from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import Heartbeat
@@ -121,7 +121,9 @@ class Supervisor:
         self.epoch = 1
         self._epoch_word.set(1)
         self._unanswered: Stop | None = None
-        self._answer_by_ns = 0
+        self._answer_by = self.loop.deadline()
+        self._overdue = self.loop.deadline()
+        """When the first of the processes counts as hanging unless it beats before."""
         self._stop_ns = 0
         """When the last stop that was answered was written; 0: it could not be."""
         self._owed_ns = 0
@@ -271,7 +273,7 @@ class Supervisor:
         self._owed_ns = self._owed_ns or monotonic_ns()
         if self._unanswered is None:
             self._unanswered = min(stops, key=lambda stop: stop.t_ns)
-            self._answer_by_ns = monotonic_ns() + ANSWER_NS
+            self._answer_by.set(monotonic_ns() + ANSWER_NS)
         self._tell_latch()
         for stop in stops:
             if stop is not self._unanswered:
@@ -313,11 +315,12 @@ class Supervisor:
         found = answer.answer(
             stop,
             answered=self._stopped_word.get() >= self.epoch,
-            may_answer=port_owner.pid != 0 and not port_owner.fallen and now_ns < self._answer_by_ns,
+            may_answer=port_owner.pid != 0 and not port_owner.fallen and not self._answer_by.due(now_ns),
             port_owner_ns=self._port_owner_written.get(),
         )
         if found is None:
             return
+        self._answer_by.set(NEVER)
         by, written_ns = found
         self._unanswered = None
         self._stop_ns = written_ns or self._burst()
@@ -330,12 +333,13 @@ class Supervisor:
         self.teller.stopped(stop, written_ns, by, latched, self.epoch, ending=self.ending)
 
     def _fence_hangs(self, now_ns: int) -> None:
-        """A process that has not beaten within its deadline."""
+        """A process that has not beaten within its deadline: at that moment, not at a tick after it."""
         for child in self.children:
             if child.hangs(now_ns):
                 is_starved = self._silence.starved(child)
                 if child.hangs(now_ns):  # else it has just beaten
                     self._answer_silence(child, now_ns, is_starved=is_starved)
+        self._overdue.set(min(child.overdue_ns() for child in self.children))
 
     def _answer_silence(self, child: Child, now_ns: int, *, is_starved: bool) -> None:
         """The table of silence.py. Who hangs is stopped for and killed; its death does the rest."""
@@ -399,21 +403,12 @@ class Supervisor:
             self._owed_ns = 0
         self.herald.follow(now_ns, missing, self._owed_ns, port_open=self._port.fd >= 0)
 
-    def next_ns(self, now_ns: int) -> int:
-        """When to turn without any news."""
-        if self._unanswered:
-            return min(self._answer_by_ns, now_ns + HURRY_NS)
-        waits = [child.restart_ns for child in self.children if child.restart_ns is not None]
-        # At the moment when a heartbeat is overdue, not at a tick after it.
-        waits += [overdue_ns for child in self.children if (overdue_ns := child.overdue_ns())]
-        return min([now_ns + TICK_NS, *waits])
-
     def finish(self) -> bool:
         """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
         the own descriptor. False when a stop was not sent, or a board that had answered before did not."""
         self._raise_epoch([Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())])
         while self._unanswered:
-            self.loop.wait(monotonic_ns() + HURRY_NS)
+            self.loop.wait(HURRY_NS)
             self._follow_answer(monotonic_ns())
         heard_ns = self._hear()
         link = self.aftermath.link.state
@@ -466,6 +461,6 @@ def run(resources: Resources, port: OwnPort, settings: Settings, notify: Notify,
     ready: dict[int, int] = {}
     while not supervisor.ending:
         supervisor.turn(ready)
-        ready = supervisor.loop.wait(supervisor.next_ns(monotonic_ns()))
+        ready = supervisor.loop.wait(TICK_NS)
     well = supervisor.finish()
     return int(supervisor.broken or not well)

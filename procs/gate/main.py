@@ -15,7 +15,7 @@ from failstop.procs.gate.recorder import GateBox
 from failstop.procs.gate.remarks import Budget, of_request
 from failstop.procs.gate.said import Said
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
-from failstop.procs.loop import READ, Loop
+from failstop.procs.loop import NEVER, READ, Loop
 from failstop.shm import bell, instance, layout, place, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import HeartbeatReader
@@ -49,7 +49,7 @@ class Gate:
         supervisor = context.segment("supervisor")
         self.heartbeat = context.heartbeat
         self.loop = Loop()
-        self._period_ns = settings.ns("gate.period_s")
+        self.period_ns = settings.ns("gate.period_s")
         self._max_rps = settings.max_wheel_rps() * 1.0005
         now_ns = monotonic_ns()
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
@@ -87,7 +87,7 @@ class Gate:
         self._pad_seq = seen(self._pad_command)
         self._wishes = telemetry.ring_reader("wishes")
         self._early = context.early.bell
-        self.arm = Arm(self, context, now_ns) if settings.servos() else None
+        self.arm = Arm(self, context, self.loop.deadline(), now_ns) if settings.servos() else None
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, self)
         self.epoch = self._epoch_word.get()
         self._raised_ns = 0
@@ -98,7 +98,8 @@ class Gate:
         self._rings = 0
         for fd in (self._bell.fd, self._early.fd, self._client_bell):
             self.loop.watch(fd, READ)
-        self._tick_ns = self._due_ns = self._turned_ns = now_ns
+        self._next_tick, self._due = self.loop.deadline(), self.loop.deadline()
+        self._next_tick.set(now_ns)
         self._ticks = 0
         self._published_ns = 0
         self._published = b""
@@ -113,7 +114,7 @@ class Gate:
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
-        now_ns = self._turned_ns = monotonic_ns()
+        now_ns = monotonic_ns()
         bell.clear_rung((self._bell, self._early), ready)
         self._follow_epoch()
         self._follow_resets(now_ns)
@@ -121,10 +122,12 @@ class Gate:
         if self._client_bell in ready:  # last: who joins may get the number of a descriptor that was closed above
             self._client_rang(now_ns)
         self._follow_telemetry(now_ns)
-        if now_ns >= self._tick_ns:
+        if self._next_tick.due(now_ns):
             self._tick(now_ns)
-        elif now_ns >= self._due_ns:
+        elif self._due.due(now_ns):
             self._step(now_ns)
+        # When what drives the wheels stops counting, as this turn saw it: it is not forgotten until the tick.
+        self._due.set(self.core.due_ns(now_ns) or NEVER)
         if self.arm:
             self.arm.turn(now_ns)
         self._tell()
@@ -148,7 +151,7 @@ class Gate:
     def _tick(self, now_ns: int) -> None:
         """The periodic part; a tick that was missed is left out, not made up for."""
         self._hear_clients()
-        self._tick_ns = max(self._tick_ns + self._period_ns, now_ns + self._period_ns // 2)
+        self._next_tick.set(max(self._next_tick.ns + self.period_ns, now_ns + self.period_ns // 2))
         self._ticks += 1
         if self._ticks % LOOK_AT_ALL_EVERY:
             self.clients.look_at_active(now_ns)
@@ -372,13 +375,6 @@ class Gate:
             self._published_ns = now_ns
             self._state.write(state, now_ns)
 
-    def next_ns(self) -> int:
-        """When to turn without any news: at the tick, or when what drives the wheels stops counting. As the last turn
-        saw it: what has run out since is due now, and not forgotten until the tick."""
-        due_ns = self.core.due_ns(self._turned_ns)
-        self._due_ns = self._tick_ns if due_ns is None else min(self._tick_ns, due_ns)
-        return min(self._due_ns, self.arm.due_ns()) if self.arm else self._due_ns
-
 
 def run(context: Context) -> int:
     """Run for ever: the gate dies with the supervisor."""
@@ -387,4 +383,4 @@ def run(context: Context) -> int:
     ready: dict[int, int] = {}
     while True:
         gate.turn(ready)
-        ready = gate.loop.wait(gate.next_ns())
+        ready = gate.loop.wait(gate.period_ns)

@@ -11,7 +11,7 @@ from time import monotonic_ns
 from failstop.board.interface import BOARD
 from failstop.policy import causes
 from failstop.procs.handover import Control
-from failstop.procs.loop import GONE, READ, WRITE, Loop
+from failstop.procs.loop import GONE, NEVER, READ, WRITE, Deadline, Loop
 from failstop.procs.peer import Peer
 from failstop.procs.port_owner import repeats
 from failstop.procs.port_owner.admission import Admission
@@ -53,8 +53,9 @@ class PortOwner:
         self.loop = Loop()
         self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
         self.bus = ServoBus(settings.servos())
-        self.repeats = repeats.Repeats(monotonic_ns())
-        self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), monotonic_ns())
+        self.repeats = repeats.Repeats(self.loop.deadline(), monotonic_ns())
+        ping = self.loop.deadline() if BOARD.pings else Deadline()
+        self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), ping, monotonic_ns())
         self.suspend = SuspendWatch()
 
         self._epoch_word = supervisor.word("epoch")
@@ -79,12 +80,16 @@ class PortOwner:
         self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 0)
         self._gate = Peer(layout.GATE, context, self.loop)
         self._peers = (self._gate, *(Peer(name, context, self.loop) for name in (layout.TELEMETRY, layout.STOPPER)))
-        self._pipe_rests_until_ns = 0
+        self._pipe_rests = self.loop.deadline()
+        """Until then, after a request."""
+        self._lapse = self.loop.deadline()
+        """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
         self._moved_ns = 0
         self._arm_moved = False
         """A servo was sent somewhere since the last stop."""
         self._silence_ns = 2 * settings.ns("gate.refresh_s")
-        self._leave_ns = 0
+        self._leave = self.loop.deadline()
+        """Once the supervisor has died."""
         self._stuck = False
         self._watched = (-1, 0)
         self.epoch = self._epoch_word.get()
@@ -107,7 +112,7 @@ class PortOwner:
         now_ns = monotonic_ns()
         if self._stop_pipe in ready:
             self._stop_request(now_ns)
-        elif now_ns >= self._pipe_rests_until_ns:
+        elif self._pipe_rests.due(now_ns):
             self._wake_pipe()
         bell.clear_rung((self._bell, self._early.bell), ready)
         while trip := self._trips.next():
@@ -116,8 +121,8 @@ class PortOwner:
         for peer in self._peers:
             if peer.down(ready):
                 self._died(peer, now_ns)
-        if not self._leave_ns and self._supervisor_life.down(ready):
-            self._leave_ns = now_ns + repeats.LEAVE_AFTER_NS
+        if self._leave.ns == NEVER and self._supervisor_life.down(ready):
+            self._leave.set(now_ns + repeats.LEAVE_AFTER_NS)
             self.wire.burst()
             self._supervisor_life.demote()
             for peer in self._peers:
@@ -137,7 +142,7 @@ class PortOwner:
         self._ping(now_ns)
         self._watch_port()
         self.heartbeat.beat(now_ns, self.epoch)
-        return not self._leave_ns or now_ns < self._leave_ns
+        return not self._leave.due(now_ns)
 
     def stop(self, cause_ns: int, cause: Cause) -> None:
         """Stop on its own: burst, refuse motion until a newer epoch, publish the cause."""
@@ -156,6 +161,7 @@ class PortOwner:
     def _stopped(self, written_ns: int) -> int:
         """What follows every burst. Returns when it was written: 0 when the kernel did not take all of it."""
         self.admission.moving = self._arm_moved = False
+        self._lapse.set(NEVER)
         self.repeats.restart(written_ns)
         self.pings.stopped(written_ns)
         if self.wire.lost or self.wire.unsent:
@@ -174,13 +180,13 @@ class PortOwner:
         written_ns = monotonic_ns()
         line = bell.take(self._stop_pipe).split(b"\n", 1)[0]
         self._own_stop(now_ns, written_ns, causes.requested(line))
-        if not self._pipe_rests_until_ns:
+        if self._pipe_rests.ns == NEVER:
             self.loop.forget(self._stop_pipe)
-        self._pipe_rests_until_ns = now_ns + PIPE_REST_NS
+        self._pipe_rests.set(now_ns + PIPE_REST_NS)
 
     def _wake_pipe(self) -> None:
-        if self._pipe_rests_until_ns:
-            self._pipe_rests_until_ns = 0
+        if self._pipe_rests.ns != NEVER:
+            self._pipe_rests.set(NEVER)
             self.loop.watch(self._stop_pipe, READ)
 
     def _died(self, peer: Peer, now_ns: int) -> None:
@@ -221,7 +227,7 @@ class PortOwner:
         return slept_ns > 0
 
     def _check_leases(self, now_ns: int) -> None:
-        """Without motion there is nothing to stop."""
+        """At the moment when one runs out, not at a tick after it. Without motion there is nothing to stop."""
         if not self.admission.moving:
             return
         if lapse := self._lapsed(now_ns):
@@ -229,6 +235,12 @@ class PortOwner:
         elif now_ns - self._moved_ns > self._silence_ns:
             # Its beat is fresh, its frames are not: the board would keep the last of them for ever.
             self.stop(now_ns, causes.MUTE((now_ns - self._moved_ns) // MS))
+        else:
+            self._await_lapse()
+
+    def _await_lapse(self) -> None:
+        lapses_ns = self.admission.lapses_ns(min(self._gate.heart.ns.get(), self._supervisor_beat.get()))
+        self._lapse.set(min(lapses_ns, self._moved_ns + self._silence_ns + 1))
 
     def _check_drain(self, now_ns: int) -> None:
         """A port that does not drain is a stop cause, once. Looked at before anything new is written: what was just
@@ -275,7 +287,7 @@ class PortOwner:
         now_ns = monotonic_ns()
         if not self._gate.life or not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
             return
-        if self._pipe_rests_until_ns and self.loop.readable(self._stop_pipe):
+        if self._pipe_rests.ns != NEVER and self.loop.readable(self._stop_pipe):
             self._stop_request(now_ns)
         elif lapse := self._lapsed(now_ns):
             self.stop(now_ns, lapse)
@@ -314,7 +326,7 @@ class PortOwner:
                 self.wire.burst()
                 self._stopped(monotonic_ns())
             return
-        if self._pipe_rests_until_ns and self.loop.readable(self._stop_pipe):
+        if self._pipe_rests.ns != NEVER and self.loop.readable(self._stop_pipe):
             self._stop_request(now_ns)
         elif fault := self._lapsed(now_ns) or self.admission.frame_fault(frame):
             self.stop(now_ns, fault)
@@ -338,6 +350,7 @@ class PortOwner:
         elif self.wire.frame(frame, backlog=MOTION_BACKLOG):
             self.admission.moving = True
             self._moved_ns = now_ns
+            self._await_lapse()
             self.repeats.motion()
             self._wake_pipe()  # from here on the next request counts at once
         elif frame == BOARD.stop:
@@ -396,7 +409,7 @@ class PortOwner:
         self._supervisor_bell.ring()
 
     def _repeat(self, now_ns: int) -> None:
-        due = self.repeats.due(now_ns, moving=self.admission.moving)
+        due = self.repeats.take(now_ns)
         if due == repeats.BURST:
             self.wire.burst()
         elif due == repeats.ZERO:
@@ -404,7 +417,7 @@ class PortOwner:
 
     def _ping(self, now_ns: int) -> None:
         """The time is that before the write: an answer never seems to come before its question."""
-        if self.wire.lost or not self.pings.due(now_ns):
+        if not self.pings.due(now_ns):
             return
         asked_ns = monotonic_ns()
         if self.wire.frame(BOARD.pings[self.pings.index], backlog=PING_BACKLOG):
@@ -413,18 +426,6 @@ class PortOwner:
         else:
             self.pings.failed(now_ns)
 
-    def next_ns(self, now_ns: int) -> int:
-        """When to turn without any news."""
-        if self.wire.lost:
-            return now_ns + TICK_NS
-        times = [now_ns + TICK_NS, self.pings.next_ns(), self.repeats.next_ns(moving=self.admission.moving)]
-        if self._pipe_rests_until_ns:
-            times.append(self._pipe_rests_until_ns)
-        if self.admission.moving:
-            # At the moment when a lease runs out, not at a tick after it.
-            times.append(self.admission.lapses_ns(min(self._gate.heart.ns.get(), self._supervisor_beat.get())))
-        return min(time for time in times if time is not None)
-
 
 def run(context: Context) -> int:
     """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
@@ -432,7 +433,7 @@ def run(context: Context) -> int:
     context.runs()
     ready: dict[int, int] = {}
     while owner.turn(ready):
-        ready = owner.loop.wait(owner.next_ns(monotonic_ns()))
+        ready = owner.loop.wait(TICK_NS)
     context.heartbeat.state(heartbeat.STOPPING)
     owner.wire.close()
     return 0

@@ -17,7 +17,7 @@ from time import monotonic_ns
 from failstop.board.stop_port import StopPort
 from failstop.procs import starved
 from failstop.procs.handover import Control
-from failstop.procs.loop import GONE, HANGUP, READ, Loop
+from failstop.procs.loop import GONE, HANGUP, NEVER, READ, Loop
 from failstop.procs.peer import Peer
 from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
 from failstop.shm import bell, heartbeat, layout, records
@@ -66,10 +66,9 @@ class Stopper:
         self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 1)
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""
-        self._port_owner_hangs = False
         self._orphaned_ns = 0
-        self._first_go_until_ns = 0
-        self._due: tuple[int, ...] = ()
+        self._leave, self._first_go, self._look_again = (self.loop.deadline() for _ in range(3))
+        self._repeat, self._hang = self.loop.deadline(), self.loop.deadline()
         for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
         if self._port.fd >= 0:
@@ -89,7 +88,9 @@ class Stopper:
             self._orphaned_ns = now_ns
             self.loop.forget(self._supervisor_life.fd)
             self.loop.forget(self._control.fd)
-            self._first_go_until_ns = now_ns + FIRST_GO_NS if self._port_owner.life else now_ns
+            self._leave.set(now_ns + LEAVE_AFTER_NS)
+            self._hang.set(NEVER)
+            self._first_go.set(now_ns + FIRST_GO_NS if self._port_owner.life else now_ns)
         self._write_due(now_ns)
         if ready.get(self._port.fd, 0) & GONE or self._port.lost or self._is_given_up():
             self.close_port()
@@ -100,7 +101,7 @@ class Stopper:
                 self._port_owner_died(died, now_ns)
             self._answer_hang(now_ns)
         self.heartbeat.beat(now_ns, self._epoch_word.get())
-        return not self._orphaned_ns or now_ns < self._orphaned_ns + LEAVE_AFTER_NS
+        return not self._leave.due(now_ns)
 
     def _port_owner_died(self, pid: int, now_ns: int) -> None:
         self._stopped_for = pid
@@ -116,7 +117,7 @@ class Stopper:
     def _burst(self, now_ns: int) -> None:
         """Write the burst and plan its repeats."""
         self._write()
-        self._due = tuple(now_ns + after for after in BURST_AFTER_NS)
+        self._repeat.set(*(now_ns + after for after in BURST_AFTER_NS))
 
     def _write(self) -> None:
         if self._port.burst():
@@ -124,40 +125,41 @@ class Stopper:
 
     def _write_due(self, now_ns: int) -> None:
         """The burst after the port owner's first go, and the repeats of an earlier burst."""
-        if self._first_go_until_ns:
-            if self._port_owner_written.get() >= self._orphaned_ns or now_ns >= self._first_go_until_ns:
-                self._first_go_until_ns = 0
+        if self._first_go.ns != NEVER:
+            self._look_again.set(now_ns + LOOK_AGAIN_NS)
+            if self._port_owner_written.get() >= self._orphaned_ns or self._first_go.due(now_ns):
+                self._first_go.set(NEVER)
+                self._look_again.set(NEVER)
                 self._burst(now_ns)
-        elif self._due and now_ns >= self._due[0]:
-            self._due = self._due[1:]
+        elif self._repeat.take(now_ns):
             if self._orphaned_ns:
                 if self._port_owner_written.get() < self._orphaned_ns:
                     self._fence()
                 self._write()
             elif self._succeeded():
-                self._due = ()  # the new one repeats its stop itself
+                self._repeat.set(NEVER)  # the new one repeats its stop itself
             else:
                 self._write()
 
-    def _hangs_ns(self) -> int | None:
-        """When the port owner counts as hanging unless it beats before; None: there is none that runs."""
+    def _hangs_ns(self) -> int:
+        """When the port owner counts as hanging unless it beats before; NEVER: none runs, or it is fenced already."""
         heart, life = self._port_owner.heart, self._port_owner.life
-        if life is None or not heart.running(life.pid):
-            return None
+        if life is None or life.pid == self._stopped_for or not heart.running(life.pid):
+            return NEVER
         return max(heart.ns.get(), self._excused_ns) + HANG_NS
 
     def _answer_hang(self, now_ns: int) -> None:
         """A port owner that has fallen silent gets one burst, and is fenced; one that the machine starves is given as
         long again, while it moves nothing."""
-        hangs_ns = self._hangs_ns()
-        hangs = hangs_ns is not None and now_ns >= hangs_ns
-        if hangs and not self._port_owner_hangs and self._spares(now_ns):
-            self._excused_ns = now_ns
+        self._hang.set(self._hangs_ns())
+        if not self._hang.due(now_ns):
             return
-        if hangs and not self._port_owner_hangs:
+        if self._spares(now_ns):
+            self._excused_ns = now_ns
+        else:
             self._fence()  # before the burst: it may wake up between the two
             self._burst(now_ns)
-        self._port_owner_hangs = hangs
+        self._hang.set(self._hangs_ns())
 
     def _spares(self, now_ns: int) -> bool:
         """True when the silent port owner is starved, and the wheels were told to stand."""
@@ -199,13 +201,6 @@ class Stopper:
             self._port.close()
             self._number_word.set(0)
 
-    def next_ns(self, now_ns: int) -> int:
-        """When to turn without any news."""
-        if self._first_go_until_ns:
-            return now_ns + LOOK_AGAIN_NS
-        hangs_ns = None if self._port_owner_hangs or self._orphaned_ns else self._hangs_ns()
-        return min([now_ns + TICK_NS, *self._due[:1], *([hangs_ns] if hangs_ns else [])])
-
 
 def run(context: Context) -> int:
     """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
@@ -213,7 +208,7 @@ def run(context: Context) -> int:
     context.runs()
     ready: dict[int, int] = {}
     while stopper.turn(ready):
-        ready = stopper.loop.wait(stopper.next_ns(monotonic_ns()))
+        ready = stopper.loop.wait(TICK_NS)
     stopper.close_port()  # an exit would wait for a port that does not drain
     context.heartbeat.state(heartbeat.STOPPING)
     return 0

@@ -276,4 +276,4 @@ def run(context: Context) -> int:
     ready: dict[int, int] = {}
     while True:
         telemetry.turn(ready)
-        ready = telemetry.loop.wait(monotonic_ns() + TICK_NS)
+        ready = telemetry.loop.wait(TICK_NS)

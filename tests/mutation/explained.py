@@ -28,7 +28,6 @@ PROCS: tuple[Reason, ...] = (
     Reason("procs/stopper/main.py", r"\+.*ready\.get\(self\._port, 1\) & GONE", "1 is none of GONE's bits"),
     Reason("procs/stopper/main.py", r"\+.*\*self\._due\[:2\],", "they are in order, and min() takes the first"),
     Reason("procs/stopper/main.py", r"\+\s+self\._stopped_for = 1$", "each burst for a port owner sets it"),
-    Reason("procs/stopper/main.py", r"\+.*_port_owner_hangs = True$", "the first turn clears it: nobody hangs so soon"),
     Reason("procs/stopper/rest.py", r"\+.*_wait\(\[fd\], 1\.0\)", "a second after the boot is over as well"),
     Reason("procs/stopper/rest.py", r'\+.*line\.split\(b":", (3)?\)\[1\]', "what is cut off behind is not looked at"),
     Reason(

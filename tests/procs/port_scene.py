@@ -14,7 +14,7 @@ from failstop.procs.port_owner import main
 from failstop.procs.port_owner.main import PortOwner
 from failstop.shm import box, layout, records
 
-from .stage import MS, Stage
+from .stage import MOST_LATE, MS, Stage
 
 MAX_RPS = 2.0
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), MAX_RPS)
@@ -36,6 +36,7 @@ class Scene(Stage):
         self.black_box = self.segment(layout.PORT_OWNER).ring_reader("box")
         self.port_record = self.segment(layout.PORT_OWNER).latest_reader("port")
         self.stays = True
+        self.late = 0
         self.asked: list[int] = []
         self.owner = PortOwner(self)  # type: ignore[arg-type]
 
@@ -45,7 +46,13 @@ class Scene(Stage):
         if alive:
             self.beat(layout.SUPERVISOR, layout.GATE)
         self.stays = self.owner.turn(self.owner.loop.wait(0))
+        self.late = self.late + 1 if self.stays and self.next_ns() <= self.clock() else 0
+        assert self.late <= MOST_LATE, "a deadline was left behind: the loop would spin"
         return self._without_pings(self.pty.read() if self.pty.master >= 0 else b"")
+
+    def next_ns(self) -> int:
+        """When it turns without any news."""
+        return self.owner.loop.until_ns(self.clock(), main.TICK_NS)
 
     def _without_pings(self, wrote: bytes) -> bytes:
         """They have tests of their own; `asked` keeps their indices, in order."""

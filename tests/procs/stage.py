@@ -22,6 +22,8 @@ from tests.waiting import until
 from .parts import Pty
 
 MS = 1_000_000
+MOST_LATE = 3
+"""Turns in a row that are due at once: one for each thing that is overdue."""
 INCARNATION = 0xFA11_5709
 BELLS = ("bell", "supervisor_bell", "telemetry_bell", "port_owner_bell")
 _numbers = itertools.count()

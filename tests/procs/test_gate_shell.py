@@ -36,7 +36,7 @@ def test_a_supervisor_that_is_silent_while_motion_is_enabled_is_a_stop(gate_scen
     assert gate_scene.gate.core.latch is None, "nothing was enabled"
     gate_scene.turn()
     assert gate_scene.ask(records.ENABLE)[0]
-    assert gate_scene.turn(lease_ns, supervisor_beats=False) == []
+    assert gate_scene.turn(lease_ns, supervisor_beats=False) == [records.MOTION]
     assert records.STOP in gate_scene.turn(20 * MS, supervisor_beats=False)
     assert gate_scene.tripped().startswith("supervisor hangs: ")
     assert not gate_scene.gate.core.enabled

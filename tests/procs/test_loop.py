@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.procs.loop import GONE, HANGUP, READ, WRITE, Loop
+from failstop.procs.loop import GONE, HANGUP, NEVER, READ, WRITE, Deadline, Loop
 
 LATER_NS = 20_000_000_000
 
@@ -28,7 +28,7 @@ def test_ready_descriptors_with_their_events(pipe: tuple[int, int]) -> None:
     loop.watch(pipe[0], READ)
     assert loop.wait(0) == {}
     os.write(pipe[1], b"x")
-    assert loop.wait(time.monotonic_ns() + LATER_NS) == {pipe[0]: READ}
+    assert loop.wait(LATER_NS) == {pipe[0]: READ}
     assert loop.wait(0) == {pipe[0]: READ}, "it stays ready until it is read"
     os.read(pipe[0], 1)
     assert loop.wait(0) == {}
@@ -37,13 +37,13 @@ def test_ready_descriptors_with_their_events(pipe: tuple[int, int]) -> None:
 def test_a_time_that_is_over_returns_at_once(pipe: tuple[int, int]) -> None:
     loop = Loop()
     loop.watch(pipe[0], READ)
-    assert loop.wait(time.monotonic_ns() - LATER_NS) == {}
+    assert loop.wait(-LATER_NS) == {}
 
 
 def test_waits_until_the_time_and_no_shorter() -> None:
     loop = Loop()
     until_ns = time.monotonic_ns() + 2_000_000
-    assert loop.wait(until_ns) == {}
+    assert loop.wait(2_000_000) == {}
     assert time.monotonic_ns() >= until_ns
 
 
@@ -52,7 +52,7 @@ def test_time_outs_are_finer_than_a_millisecond() -> None:
     shortest_ns = LATER_NS
     for _ in range(200):
         start_ns = time.monotonic_ns()
-        loop.wait(start_ns + 100_000)
+        loop.wait(100_000)
         shortest_ns = min(shortest_ns, time.monotonic_ns() - start_ns)
     assert 100_000 <= shortest_ns < 1_000_000
 
@@ -83,8 +83,51 @@ def test_hang_up_alone_ignores_bytes_but_not_the_end() -> None:
     loop = Loop()
     loop.watch(slave, HANGUP)
     os.write(master, b"telemetry")
-    assert loop.wait(time.monotonic_ns() + 5_000_000) == {}
+    assert loop.wait(5_000_000) == {}
     os.close(master)
-    assert loop.wait(time.monotonic_ns() + LATER_NS)[slave] & GONE
+    assert loop.wait(LATER_NS)[slave] & GONE
     loop.forget(slave)
     os.close(slave)
+
+
+def test_the_first_deadline_ends_the_wait() -> None:
+    loop = Loop()
+    deadlines = [loop.deadline() for _ in range(3)]
+    assert [deadline.ns for deadline in deadlines] == [NEVER] * 3
+    until_ns = time.monotonic_ns() + 2_000_000
+    deadlines[1].set(until_ns)
+    deadlines[2].set(until_ns + LATER_NS)
+    assert loop.wait(LATER_NS) == {}
+    assert time.monotonic_ns() >= until_ns
+    start_ns = time.monotonic_ns()
+    assert loop.wait(LATER_NS) == {}, "one that is due is not waited for"
+    assert time.monotonic_ns() - start_ns < LATER_NS
+
+
+@pytest.mark.parametrize(
+    ("deadlines", "longest", "until"), [((), 5, 105), ((103, 104), 5, 103), ((NEVER, 106), 5, 105), ((99,), 5, 99)]
+)
+def test_how_long_it_waits(deadlines: tuple[int, ...], longest: int, until: int) -> None:
+    loop = Loop()
+    for ns in deadlines:
+        loop.deadline().set(ns)
+    assert loop.until_ns(100, longest) == until
+
+
+def test_a_deadline_is_due_from_its_time_on_and_taken_once() -> None:
+    deadline = Deadline()
+    assert not deadline.due(NEVER - 1)
+    deadline.set(10)
+    assert [deadline.due(ns) for ns in (9, 10, 11)] == [False, True, True]
+    assert [deadline.take(ns) for ns in (9, 10, 10)] == [False, True, False]
+    assert deadline.ns == NEVER
+
+
+def test_one_after_the_other() -> None:
+    deadline = Deadline()
+    deadline.set(10, 20, 30)
+    assert [deadline.take(ns) for ns in (10, 19, 35, 35, 35)] == [True, False, True, True, False]
+    deadline.set(10, 20)
+    deadline.set(15)
+    assert deadline.take(15)
+    assert deadline.ns == NEVER, "what was set before is forgotten"

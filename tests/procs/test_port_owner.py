@@ -414,7 +414,7 @@ def test_a_flood_of_requests_is_no_flood_of_bursts(scene: Scene) -> None:
         bursts += scene.turn(MS).count(BURST)
     assert 5 <= bursts <= 12
     assert set(scene.reasons()) == {"stop request: first", "stop request: again"}
-    assert scene.owner.next_ns(scene.clock()) > scene.clock()
+    assert scene.next_ns() > scene.clock()
 
 
 def test_a_request_that_waits_at_the_start_is_a_stop_and_then_the_pipe_rests(scene: Scene) -> None:
@@ -433,7 +433,7 @@ def test_the_next_request_is_looked_at_when_the_pipe_s_rest_is_over(scene: Scene
     scene.owned(layout.TELEMETRY).ring_writer("trips").put(causes.KEY(1).pack())
     scene.ask_to_stop(b"second\n")
     scene.turn(10 * MS)
-    assert scene.owner.next_ns(scene.clock()) == scene.clock() + 10 * MS
+    assert scene.next_ns() == scene.clock() + 10 * MS
     scene.turn(10 * MS)
     scene.turn()
     assert scene.reasons() == ["stop request: first", "key1", "stop request: second"]
@@ -518,11 +518,11 @@ def test_it_wakes_for_its_repeats_and_does_not_spin(scene: Scene) -> None:
     scene.drive()
     scene.turn(300 * MS)
     now_ns = scene.clock()
-    assert scene.owner.next_ns(now_ns) == now_ns + TICK
+    assert scene.next_ns() == now_ns + TICK
     scene.ask_to_stop(b"x")
     scene.turn()
     scene.turn(15 * MS)
-    assert scene.owner.next_ns(scene.clock()) == now_ns + 20 * MS
+    assert scene.next_ns() == now_ns + 20 * MS
 
 
 # The black box.

@@ -137,7 +137,7 @@ def test_a_lease_that_runs_out_while_moving_is_a_stop(scene: Scene, gate_ms: int
 def test_a_lease_is_good_until_the_last_nanosecond(scene: Scene) -> None:
     scene.drive()
     assert scene.turn(50 * MS, alive=False) == b""
-    assert scene.owner.next_ns(scene.clock()) == scene.clock() + 10 * MS, "it wakes just then"
+    assert scene.next_ns() == scene.clock() + 10 * MS, "it wakes just then"
     assert scene.turn(10 * MS - 1, alive=False) == b""
     assert scene.turn(1, alive=False) == BURST
 
@@ -322,7 +322,7 @@ def test_without_a_port_it_turns_at_its_tick(scene: Scene) -> None:
     scene.pty.unplug()
     until(lambda: scene.owner.loop.wait(0), "the hang-up")
     scene.turn()
-    assert scene.owner.next_ns(scene.clock()) == scene.clock() + TICK
+    assert scene.next_ns() == scene.clock() + TICK
 
 
 def test_bytes_from_the_board_go_into_the_ring_in_order(scene: Scene) -> None:

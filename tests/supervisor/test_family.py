@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from failstop.policy.processes import Process
-from failstop.procs.loop import READ
+from failstop.procs.loop import NEVER, READ
 from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS
 from failstop.shm.lifeline import EarlyNews, Lifeline
@@ -49,8 +49,7 @@ def test_a_process_that_can_not_be_watched_is_not_left_running(scene: Scene, mon
     (pid,) = started
     assert not os.path.exists(f"/proc/{pid}")
     assert (gate.pid, gate.life, gate.state()) == (0, None, "waiting")
-    assert gate.restart_ns is not None
-    assert before_ns + TRY_AGAIN_NS <= gate.restart_ns <= time.monotonic_ns() + TRY_AGAIN_NS
+    assert before_ns + TRY_AGAIN_NS <= gate.restart.ns <= time.monotonic_ns() + TRY_AGAIN_NS
     scene.supervisor._events.flush()
     (event,) = scene.events()
     reason = "[Errno 24] Too many open files"
@@ -67,7 +66,7 @@ def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene) -> 
     assert gate.life
     scene.supervisor.loop.watch(gate.life.fd, READ)
     family.bury({gate.life.fd: READ}, scene.now_ns)
-    assert (gate.pid, gate.restart_ns) == (pid, None)
+    assert (gate.pid, gate.restart.ns) == (pid, NEVER)
     os.kill(pid, signal.SIGKILL)
     assert gate.life.wait(20.0)
     assert gate.life.fd not in scene.supervisor.loop.wait(0), "it would wake the supervisor without end"
@@ -118,7 +117,7 @@ def test_a_process_that_starts_is_named_to_those_who_watch_it(scene: Scene, monk
     scene.port.number = 55
     family.start(gate, scene.port)
     assert told == [("gate", 1, 55)]
-    assert (gate.block, gate.state(), gate.restart_ns) == (1, "starting", None)
+    assert (gate.block, gate.state(), gate.restart.ns) == (1, "starting", NEVER)
     assert before_ns <= gate.started_ns <= time.monotonic_ns()
     assert scene.word("gate_life").get() == records.life(gate.pid, 1)
     for process in (layout.PORT_OWNER, layout.STOPPER):
@@ -154,9 +153,9 @@ def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monk
     todo = f"next: see to the cause, then `failstop reset --name {scene.resources.name}` starts it anew"
     text = f"telemetry died too often and is down, the wheels stopped; {todo}"
     assert told == [*restarts, ("down", text, {"process": "telemetry"})]
-    assert (telemetry.down, telemetry.state(), telemetry.restart_ns) == (True, "down", None)
+    assert (telemetry.down, telemetry.state(), telemetry.restart.ns) == (True, "down", NEVER)
     family.recall(scene.now_ns)
-    assert (telemetry.state(), telemetry.restart_ns) == ("waiting", scene.now_ns)
+    assert (telemetry.state(), telemetry.restart.ns) == ("waiting", scene.now_ns)
 
 
 def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
@@ -183,8 +182,8 @@ def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
 
 def test_every_restart_is_counted(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     family, gate = scene.supervisor.family, scene.supervisor.family[layout.GATE]
-    monkeypatch.setattr(type(family), "start", lambda _family, child, _port: setattr(child, "restart_ns", None))
+    monkeypatch.setattr(type(family), "start", lambda _family, child, _port: child.restart.set(NEVER))
     for _ in range(3):
-        gate.restart_ns = scene.now_ns
+        gate.restart.set(scene.now_ns)
         family.restart_due(-1, scene.now_ns)
     assert gate.times_restarted == 3

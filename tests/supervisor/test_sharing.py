@@ -86,7 +86,8 @@ class Three(Scene):
     def waits_for_its_restart(self) -> None:
         """The port owner has died."""
         child = self.supervisor.family[layout.PORT_OWNER]
-        child.pid, child.restart_ns = 0, self.now_ns + 10**12
+        child.pid = 0
+        child.restart.set(self.now_ns + 10**12)
 
     def close(self) -> None:
         for end in self.ends.values():

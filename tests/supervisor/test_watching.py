@@ -19,7 +19,7 @@ from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
 from failstop.procs import starved
-from failstop.procs.loop import GONE, READ
+from failstop.procs.loop import GONE, NEVER, READ
 from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
 from failstop.shm.packing import pack
@@ -31,7 +31,7 @@ from failstop.supervisor.fence import Fence
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
-from tests.procs.stage import Dummy
+from tests.procs.stage import MOST_LATE, Dummy
 from tests.supervisor.test_answers import MS, Scene, fill
 from tests.waiting import until
 
@@ -41,7 +41,7 @@ class Watching(Scene):
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)
-        monkeypatch.setattr(family_module.Family, "start", lambda *_: None)
+        monkeypatch.setattr(family_module.Family, "start", lambda _, child, port: child.restart.set(NEVER))
         self.supervisor.family[layout.PORT_OWNER].pid = 0
         self.dummies: list[Dummy] = []
         self.beats = {name: segment.attach(self.resources.memory, name, write=True).word("beat_ns") for name in BY_NAME}
@@ -64,6 +64,8 @@ class Watching(Scene):
         """A turn in which nobody beats."""
         self.now_ns += elapsed_ns
         self.supervisor.turn(self.supervisor.loop.wait(0))
+        self.late = self.late + 1 if self.next_ns() <= self.now_ns else 0
+        assert self.late <= MOST_LATE, "a deadline was left behind: the loop would spin"
         try:
             return os.read(self.master, 65536)
         except OSError:  # nothing, or nobody has the port open any more
@@ -395,7 +397,7 @@ def test_nobody_is_spared_for_ever_and_none_is_down_for_it(starving: Watching) -
     family = starving.supervisor.family
     for _ in range(6):
         starving.employ(layout.TELEMETRY)
-        family[layout.TELEMETRY].restart_ns = None
+        family[layout.TELEMETRY].restart.set(NEVER)
         turns = 0
         while not family[layout.TELEMETRY].fence:
             starving.beat_but(layout.TELEMETRY)
@@ -418,7 +420,7 @@ def test_who_has_just_beaten_after_all_is_left_alone(watching: Watching, monkeyp
 def die_too_often(watching: Watching, name: str) -> None:
     child = watching.supervisor.family[name]
     while child.state() != "down":
-        child.restart_ns = None
+        child.restart.set(NEVER)
         watching.employ(name).kill()
         until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
         watching.pass_time(0)
@@ -430,7 +432,7 @@ def test_a_reset_starts_one_anew_that_is_down(watching: Watching, name: str, mon
     die_too_often(watching, name)
     child = watching.supervisor.family[name]
     monkeypatch.setattr(
-        family_module.Family, "start", lambda _, found, fd: (started.append(name), setattr(found, "restart_ns", None))
+        family_module.Family, "start", lambda _, found, fd: (started.append(name), found.restart.set(NEVER))
     )
     watching.answers(written_ns=watching.now_ns)
     watching.ask_reset(1)
@@ -457,7 +459,7 @@ def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(
     monkeypatch.setattr(
         family_module.Family,
         "start",
-        lambda _, child, fd: (started.append(watching.now_ns), setattr(child, "restart_ns", None)),
+        lambda _, child, fd: (started.append(watching.now_ns), child.restart.set(NEVER)),
     )
     while not started and watching.now_ns < down_ns + 2 * GATE_AGAIN_NS:
         assert watching.supervisor.family[layout.GATE].state() == "down"
@@ -505,7 +507,7 @@ def test_the_wait_before_a_restart_is_kept(watching: Watching, monkeypatch: pyte
     monkeypatch.setattr(
         family_module.Family,
         "start",
-        lambda _, child, fd: (started.append(watching.now_ns), setattr(child, "restart_ns", None)),
+        lambda _, child, fd: (started.append(watching.now_ns), child.restart.set(NEVER)),
     )
     for _ in range(2):
         watching.employ(layout.TELEMETRY).kill()
@@ -562,15 +564,19 @@ def test_one_that_starts_has_its_time_from_its_start_whatever_the_one_before_it_
 
 def test_it_sleeps_until_what_is_due_next(watching: Watching) -> None:
     supervisor = watching.supervisor
-    assert supervisor.next_ns(watching.now_ns) == watching.now_ns + TICK_NS
+    assert watching.next_ns() == watching.now_ns + TICK_NS
     watching.employ(layout.GATE)
     overdue_ns = watching.now_ns + BY_NAME[layout.GATE].deadline_ns
-    assert supervisor.next_ns(overdue_ns - MS) == overdue_ns, "who hangs is not waited for until a tick"
-    supervisor.family[layout.TELEMETRY].restart_ns = watching.now_ns + 3 * MS
-    assert supervisor.next_ns(watching.now_ns) == watching.now_ns + 3 * MS
-    supervisor.family[layout.TELEMETRY].restart_ns = None
+    supervisor._turned_ns = overdue_ns - 2 * MS  # it was not held up itself
+    watching.pass_time(BY_NAME[layout.GATE].deadline_ns - MS)
+    assert watching.next_ns() == overdue_ns, "who hangs is not waited for until a tick"
+    watching.beats[layout.GATE].set(watching.now_ns)
+    watching.pass_time(0)
+    supervisor.family[layout.TELEMETRY].restart.set(watching.now_ns + 3 * MS)
+    assert watching.next_ns() == watching.now_ns + 3 * MS
+    supervisor.family[layout.TELEMETRY].restart.set(NEVER)
     watching.port.close()
-    assert supervisor.next_ns(watching.now_ns) == watching.now_ns + TICK_NS, "a lost port is the opener's to look for"
+    assert watching.next_ns() == watching.now_ns + TICK_NS, "a lost port is the opener's to look for"
 
 
 def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(watching: Watching) -> None:
@@ -605,7 +611,7 @@ def test_the_process_table_is_written_anew_when_it_changes(watching: Watching) -
     watching.employ(layout.PORT_OWNER).kill()
     until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
     watching.pass_time(0)
-    watching.supervisor.family[layout.PORT_OWNER].restart_ns = None
+    watching.supervisor.family[layout.PORT_OWNER].restart.set(NEVER)
     gate = watching.employ(layout.GATE)
     watching.pass_time(MS)
     number, table = read(watching, "processes")

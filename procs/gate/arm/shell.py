@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from failstop.procs.context import Context
     from failstop.procs.gate.clients import Slot
     from failstop.procs.gate.core import GateCore
+    from failstop.procs.loop import Deadline
 
     class End(Protocol):
         """What is done at the end of a journey."""
@@ -71,7 +72,8 @@ class Waiter:
 class Arm:
     """The arm of a gate whose robot has one."""
 
-    def __init__(self, owner: Owner, context: Context, now_ns: int) -> None:
+    def __init__(self, owner: Owner, context: Context, due: Deadline, now_ns: int) -> None:
+        """`due`: when to turn without any news."""
         self.core = ArmCore(context.settings, now_ns)
         self._owner = owner
         self._answers = context.segment("telemetry").ring_reader("servos")
@@ -84,7 +86,7 @@ class Arm:
         self._hot_c, self._low_mv = int(context.settings["arm.hot_c"]), int(context.settings["arm.low_mv"])
         self._told: dict[str, str] = {}
         """What people were told last of each joint."""
-        self._due_ns = now_ns
+        self._due = due
 
     # The gate's turn.
 
@@ -100,9 +102,8 @@ class Arm:
         self._answer_waiter(now_ns)
         self._follow_tuck(now_ns)
         self._tell_joints()
-        self._due_ns = now_ns + TELL_NS if gate.enabled else max(core.due_ns(), now_ns + 1)
-        if self._releasing:
-            self._due_ns = min(self._due_ns, self._release_ns)
+        due_ns = now_ns + TELL_NS if gate.enabled else max(core.due_ns(), now_ns + 1)
+        self._due.set(min(due_ns, self._release_ns) if self._releasing else due_ns)
 
     def _step(self, now_ns: int) -> None:
         if self._releasing:
@@ -122,10 +123,6 @@ class Arm:
     def _hold(self, now_ns: int) -> None:
         """Stop it where it is, by the write that stops everything: the wheels stand while an arm moves."""
         self._owner.send(records.STOP, b"", now_ns)
-
-    def due_ns(self) -> int:
-        """When to turn without any news."""
-        return self._due_ns
 
     # News.
 
@@ -218,7 +215,6 @@ class Arm:
         self._answer_waiter(now_ns)
         self._waiter = waiter
         self.core.travel(journey, now_ns)
-        self._due_ns = now_ns
 
     def _moved(self, waiter: Waiter, outcome: str, now_ns: int, *, dropped: bool) -> None:
         done = records.REFUSED if outcome or dropped else records.DONE
