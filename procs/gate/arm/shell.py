@@ -52,6 +52,7 @@ LATCHED = f"e-stop latched ({CAUSE})"
 TELL_NS = 200_000_000
 """How often who waits is told how far it is."""
 MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
+LONGEST_S = 600.0
 RELEASE_APART_NS = 4_000_000
 
 
@@ -200,6 +201,8 @@ class Arm:
         share, servos, rows = path
         if not set(servos) <= set(self._by_servo) or len(set(servos)) < len(servos) or not 0.0 < share <= 1.0:
             return "a trajectory for joints that the arm does not have"
+        if not all(0.0 <= t_s <= LONGEST_S for t_s, _ in rows) or (len(rows) > 1 and not rows[0][0]):
+            return f"a trajectory's times go up from more than 0 to {LONGEST_S:g} s"
         joints = [self._by_servo[servo] for servo in servos]
         for t_s, angles in rows:
             if fault := goals.too_far(joints, angles):
