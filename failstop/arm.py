@@ -6,6 +6,8 @@ from math import isfinite
 from typing import Any
 
 from failstop.errors import FailstopError, Refused
+from failstop.policy.capsules import Model
+from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import Joint
 from failstop.shm import records
 
@@ -38,6 +40,8 @@ class Arm:
             raise FailstopError(f"the robot of {robot.name!r} has no arm: its settings name no [joints.NAME]")
         self.joints = {name: Joint(index, name, table) for index, (name, table) in enumerate(tables.items())}
         """Each joint by name, with its range (range_rad)."""
+        settings = Settings(dict(robot.settings))
+        self._model = Model(settings) if settings.on("arm.collision") else None
 
     def move(
         self,
@@ -62,6 +66,7 @@ class Arm:
                 raise ValueError(f"the point at {t_s:g} s has other joints than the first: {', '.join(angles)}")
             self._check(angles)
             rows.append((float(t_s), [float(angles[name]) for name in names]))
+        self._check_way([(t_s, dict(zip(names, angles, strict=True))) for t_s, angles in rows])
         ask = self._robot._ask
         return ask(records.ARM_MOVE, told, lambda client: client.arm_path(speed, servos, rows))
 
@@ -110,6 +115,17 @@ class Arm:
         if found is None:
             raise FailstopError(f"the service {self._robot.name!r} tells nothing of an arm: see `failstop status`")
         return found
+
+    def _check_way(self, rows: list[tuple[float, dict[str, float]]]) -> None:
+        """Refused where the arm would hit something, from where it was read to be. Here and not in the gate: it takes
+        milliseconds, and the gate has wheels to stop."""
+        if self._model is None:
+            return
+        found = self.state["joints"].items()
+        start = {name: joint["commanded_rad"] or joint["angle_rad"] or 0.0 for name, joint in found}
+        if hit := self._model.on_the_way(start, rows):
+            when = f"after {hit[0]:.2f} s " if rows[-1][0] else ""
+            raise Refused(f"the arm would hit something {when}on its way: {hit[1]} and {hit[2]}")
 
     def _joint(self, name: str) -> Joint:
         if name not in self.joints:

@@ -89,6 +89,7 @@ class Setting:
 
 LONGEST_TEXT = 255
 SWITCH = ("on", "off")
+TURNS = ("none", "yaw", "pitch", "roll")
 LAYOUTS = ("mecanum", "differential")
 
 DECLARED = (
@@ -180,6 +181,12 @@ DECLARED = (
     Setting("arm.auto_tuck", "on", "", None, None, "an arm that is left alone goes to its tuck pose", SWITCH),
     Setting("arm.auto_tuck_s", 120.0, "s", 1.0, 86400.0, "left alone for this long, motion disabled, nothing latched"),
     Setting("arm.tuck_notice_s", 5.0, "s", 0.1, 60.0, "so long before that it is told, with a tone"),
+    Setting("arm.collision", "off", "", None, None, "a way on which the arm would hit something is refused", SWITCH),
+    Setting("arm.mount_x_m", 0.0, "m", -1.0, 1.0, "where the arm is mounted, forward of the chassis' middle"),
+    Setting("arm.mount_z_m", 0.1, "m", 0.0, 2.0, "and how high above the floor"),
+    Setting("arm.chassis_length_m", 0.3, "m", 0.0, 3.0, "the chassis as a capsule along the robot: its length"),
+    Setting("arm.chassis_radius_m", 0.08, "m", 0.0, 1.0, "its radius"),
+    Setting("arm.chassis_z_m", 0.08, "m", 0.0, 1.0, "how high its middle is above the floor"),
     Setting("arm.hot_c", 70, "degrees Celsius", 30, 84, "a servo as hot as this is told of: at 85 it lets go"),
     Setting("arm.low_mv", 6000, "mV", 1000, 30000, "a servo with less supply than this is told of: it lets go below"),
     Setting(
@@ -220,6 +227,9 @@ FAMILIES = {
         Setting("acceleration_radps2", 4.0, "rad/s2", 0.05, 50.0, "its ramp"),
         Setting("tuck", -1, "", -1, 1000, "pulses in the tuck pose; -1: it is no part of it"),
         Setting("drive", -1, "", -1, 1000, "pulses in the drive pose; -1: it is no part of it"),
+        Setting("turns", "none", "", None, None, "what is behind it: about the vertical, across, or itself", TURNS),
+        Setting("length_m", 0.0, "m", 0.0, 2.0, "from it to the next joint"),
+        Setting("radius_m", 0.03, "m", 0.0, 0.5, "of what is between"),
         Setting("judged", "on", "", None, None, "enabling motion asks whether it is in the drive pose", SWITCH),
     ),
 }

@@ -13,13 +13,13 @@ from failstop.screen import arm as shown
 from failstop.supervisor.fold import fitted
 
 EXAMPLES = """\
-failstop arm                          # where each joint is, and what is wrong
-failstop arm drive                    # to the drive pose, slowly; likewise tuck
-failstop arm move base=0.5 wrist=-0.3 # rad, as fast as the joints' speeds allow
-failstop arm move base=0 --over 3     # within 3 s
-failstop arm jog base=0.2 --for 1     # rad/s
-failstop arm hold                     # stop where it is; torque stays
-failstop arm release                  # torque off: it falls, and drops what it holds
+failstop arm                           # where each joint is, what is wrong
+failstop arm drive                     # to the drive pose, slowly; also tuck
+failstop arm move base=0.5 wrist=-0.3  # rad, as fast as the settings allow
+failstop arm move base=0 --over 3      # within 3 s
+failstop arm jog base=0.2 --for 1      # rad/s
+failstop arm hold                      # stop where it is; torque stays
+failstop arm release                   # torque off: it falls, and drops things
 """
 
 VERBS = ("status", "move", "jog", "drive", "tuck", "hold", "release", "read")

@@ -271,7 +271,7 @@ class Arm:
             self._answer(waiter, self._said(records.REFUSED, outcome), now_ns)
             return
         judged = [joint for joint in core.joints if joint.drive >= 0 and joint.judged]
-        absent = len(core.silent()) == len(core.joints)
+        absent = {joint.servo for joint in core.joints if joint.drive >= 0} <= set(core.silent())
         if absent and core.ignore_absent:
             fault = ""
         else:
