@@ -1,4 +1,7 @@
-"""`python -m bench`: measure everything in one run, print the table, write it as JSON."""
+"""`python -m bench`: measure everything in one run, print the table, write it as JSON.
+
+With --beside REF: only what is measured of one living service, here and at another commit in turn.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,11 @@ import os
 import sys
 import time
 
-from bench import cost, hangs, kills, latency, oneway, peers, report, service
+from bench import beside, kills, oneway, peers, report, service, visit
 from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
 from failstop.trial import Trial
-
-OPTIONS_TOML = "[restart]\ndeaths = 100000\nbackoff_s = 0.001\n"
-"""So many kills are no crash loop here."""
 
 
 def main() -> int:
@@ -28,26 +28,26 @@ def main() -> int:
     parser.add_argument("--messages", type=int, default=3000, help="through each channel (default: 3000)")
     parser.add_argument("--seconds", type=float, default=20, help="of driving for processor and memory (default: 20)")
     parser.add_argument("--seed", type=int, default=1, help="of the random moments")
-    parser.add_argument("--out", default="bench/out/bench.json", help="where the JSON goes")
+    parser.add_argument("--out", help="where the JSON goes (default: bench/out/bench.json, or beside.json there)")
+    parser.add_argument("--beside", metavar="REF", help="this tree beside another commit instead: what became slower?")
+    parser.add_argument("--rounds", type=int, default=10, help="visits to each commit (default: 10)")
+    parser.add_argument("--margin", type=float, default=0.1, help="what is slower by less is not (default: 0.1)")
     arguments = parser.parse_args()
+    much = visit.Amounts(arguments.kills, arguments.hangs, arguments.samples, arguments.seconds, arguments.seed)
+    if arguments.beside:
+        out = arguments.out or "bench/out/beside.json"
+        return beside.main(arguments.beside, much, arguments.rounds, arguments.margin, out)
+    arguments.out = arguments.out or "bench/out/bench.json"
     os.makedirs(os.path.dirname(arguments.out) or ".", exist_ok=True)
     config = arguments.out + ".toml"
     with open(config, "w", encoding="utf-8") as file:
-        file.write(OPTIONS_TOML)
+        file.write(visit.OPTIONS_TOML)
     rows: list[Row] = []
     start_s = time.monotonic()
     carriers = Carriers()
     with carriers, Trial(options=("--config", config)) as trial:
         realtime = all(process.realtime for process in trial.robot.state.processes.values())
-        rows += cost.measure(trial, arguments.seconds, progress)
-        rows.append(latency.stop_requests(trial, arguments.samples, arguments.seed, progress))
-        rows.append(latency.first_commands(trial, arguments.samples, arguments.seed, progress))
-        rows.append(latency.direction_changes(trial, arguments.samples, arguments.seed, progress))
-        rows.append(latency.command_timeouts(trial, max(3, arguments.samples // 4), arguments.seed, progress))
-        rows += kills.measure(trial, arguments.kills, arguments.seed, progress, carriers)
-        rows += hangs.measure(trial, arguments.hangs, arguments.seed, progress)
-        rows.append(hangs.replugs(trial, arguments.kills // 2, arguments.seed, progress))
-        rows.append(latency.starts(trial, max(3, arguments.samples // 10), progress))
+        rows += visit.rows(trial, carriers, much, progress)
     with carriers, kills.heavy(), Trial(options=("--config", config)) as trial:
         quarter = arguments.kills // 4
         rows += kills.measure(trial, quarter, arguments.seed, progress, carriers, ballast_mb=kills.BALLAST_MB)

@@ -9,7 +9,6 @@ import contextlib
 import dataclasses
 import os
 import random
-import re
 import sys
 import time
 from collections.abc import Callable
@@ -22,6 +21,8 @@ from bench import conditions, report, stalls, stats, ticks
 from failstop.board.sim.client import Event
 from failstop.client import attach
 from failstop.errors import FailstopError
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 from failstop.shm import layout, records
 from failstop.shm.latest import LatestReader
@@ -41,7 +42,7 @@ LEAST_S = 60.0
 RECOVER_S = 10.0
 LOOK_BACK_NS = 300_000_000
 """The cause of a stop lies at most this far back: the longest of the deadlines, and some."""
-SILENCE = "hangs|silent|held up"
+SILENCE = (causes.HANGS, causes.STARVED, causes.HELD_UP, causes.MUTE, causes.SILENT)
 EXPLAINS_MS = 30.0
 """A stall of half the shortest deadline, beside a tick of a third of it and work that it held up, is a process that is
 silent for too long."""
@@ -57,7 +58,7 @@ class Soak:
     seconds: float = 0.0
     commanded_ns: list[int] = dataclasses.field(default_factory=list)
     events: list[Event] = dataclasses.field(default_factory=list)
-    stops: list[tuple[float, str]] = dataclasses.field(default_factory=list)
+    stops: list[tuple[float, Cause]] = dataclasses.field(default_factory=list)
     """Stops that nobody asked for: seconds since the start, the reason."""
     caused_ns: list[int] = dataclasses.field(default_factory=list)
     """Of each of them: when its cause was noticed (CLOCK_MONOTONIC)."""
@@ -78,7 +79,7 @@ class Driver:
         self._trial = trial
         self._chance = random.Random(seed)
         self._epoch = attach(trial.name, layout.SUPERVISOR).word("epoch")
-        self._cause: LatestReader = attach(trial.name, layout.SUPERVISOR).latest_reader("cause")
+        self._cause: LatestReader = attach(trial.name, layout.SUPERVISOR).latest_reader("latch")
         self._imu: LatestReader = attach(trial.name, layout.TELEMETRY).latest_reader("imu")
         self._known_epoch = 0
         self._start_s = 0.0
@@ -138,10 +139,12 @@ class Driver:
         """Take down why, and go on as a person would."""
         robot = self._trial.robot
         t_s = time.monotonic() - self._start_s
-        wait_for("the gate to latch", lambda: robot.state.estop is not None, RECOVER_S)
-        self.soak.stops.append((round(t_s, 3), robot.state.estop or ""))
+        wait_for("the gate to latch", lambda: robot.state.cause is not None, RECOVER_S)
         entry = self._cause.read()
-        self.soak.caused_ns.append(records.unpack_cause(entry[2])[1] if entry else time.monotonic_ns())
+        self.soak.stops.append(
+            (round(t_s, 3), causes.read(records.unpack_latch(entry[2])[3]) if entry else causes.UNKNOWN())
+        )
+        self.soak.caused_ns.append(records.unpack_latch(entry[2])[1] if entry else time.monotonic_ns())
         wait_for("a motion enable after a false stop", self._enabled, RECOVER_S)
         self._known_epoch = self._epoch.get()
 
@@ -247,9 +250,10 @@ def memory_rows(soak: Soak) -> list[stats.Row]:
 
 def stop_row(soak: Soak, realtime: bool) -> stats.Row:
     """Stops that nobody asked for; their bar is zero where the service has real-time rights."""
-    reasons = sorted({reason for _, reason in soak.stops})
+    told = [(t_s, str(cause)) for t_s, cause in soak.stops]
+    reasons = sorted({text for _, text in told})
     result = f"{len(soak.stops)} in {soak.seconds / 60:.1f} min" + (f": {'; '.join(reasons)}" if reasons else "")
-    numbers = {"found": len(soak.stops), "per_hour": len(soak.stops) * 3600 / soak.seconds, "stops": soak.stops}
+    numbers = {"found": len(soak.stops), "per_hour": len(soak.stops) * 3600 / soak.seconds, "stops": told}
     met = not soak.stops if realtime else None
     return stats.Row("stops that nobody asked for", result, "0" if realtime else "-", met, numbers)
 
@@ -258,8 +262,8 @@ def explained(soak: Soak, control: stalls.Control) -> list[float]:
     """Of each stop that nobody asked for: the longest stall of the control in the time that its cause took, in ms. It
     explains nothing but silence."""
     return [
-        control.longest_ms(ns - LOOK_BACK_NS, ns) if re.search(SILENCE, reason) else 0.0
-        for (_, reason), ns in zip(soak.stops, soak.caused_ns, strict=True)
+        control.longest_ms(ns - LOOK_BACK_NS, ns) if cause.kind in SILENCE else 0.0
+        for (_, cause), ns in zip(soak.stops, soak.caused_ns, strict=True)
     ]
 
 
@@ -275,7 +279,7 @@ def stall_rows(soak: Soak, control: stalls.Control) -> list[stats.Row]:
     result = "; ".join(by_core) or "none"
     kept = {"stalls": [dataclasses.astuple(one) for one in control.stalls]}
     beside = explained(soak, control)
-    alone = [stop for stop, ms in zip(soak.stops, beside, strict=True) if ms < EXPLAINS_MS]
+    alone = [(t_s, str(cause)) for (t_s, cause), ms in zip(soak.stops, beside, strict=True) if ms < EXPLAINS_MS]
     numbers = {"found": len(alone), "of": len(beside), "stops": alone, "stall_ms": beside}
     return [
         stats.Row(f"stalls over {stalls.LONG_NS / 1e6:g} ms of the control", result, "-", None, kept),

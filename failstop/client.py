@@ -7,6 +7,7 @@ import os
 import weakref
 
 from failstop.errors import FailstopError, NoService
+from failstop.policy.reply import unpack
 from failstop.shm import bell, claim, instance, layout, records, segment
 from failstop.shm.barrier import Barrier
 from failstop.shm.lifeline import HeldByThread, pid_namespace
@@ -15,6 +16,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import TypeVar
+
+    from failstop.policy.reply import Reply
 
     T = TypeVar("T")
 
@@ -213,14 +216,14 @@ class Client:
         self._ring()
         return self._number
 
-    def answer(self, asked: int) -> tuple[bool, str] | None:
-        """The gate's answer to a request, (done, text); None while there is none. What the request has changed is in
-        the gate's state from then on."""
+    def answer(self, asked: int) -> Reply | None:
+        """The answer to a request; None while there is none. What the request has changed is in the state from then
+        on."""
         if (entry := self._reply.read()) is not None:
-            session, number, done, text = records.unpack_reply(entry[2])
+            session, number, reply = unpack(entry[2])
             if (session, number) == (self._session, asked):
                 Barrier()()
-                return done, text
+                return reply
         return None
 
     def close(self, *, in_order: bool = True) -> None:

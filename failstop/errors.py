@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from failstop.shm.records import CAUSE
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
+
 
 class FailstopError(Exception):
     """Base of all; the message is one line that names the thing and the remedy."""
@@ -13,6 +19,12 @@ class Refused(FailstopError):
     """The service answered, and said no. The message is "refused: " and the reason, which alone is in `args`."""
 
     exit_code = 2
+
+    def __init__(self, template: str, cause: Cause | None = None) -> None:
+        """`template`: the reason, with CAUSE in the place of the cause's own text."""
+        super().__init__(template.replace(CAUSE, str(cause)))
+        self.template = template
+        self.cause = cause
 
     def __str__(self) -> str:
         return f"refused: {super().__str__()}"

@@ -152,10 +152,9 @@ class Robot:
                 text = f"the gate of {self.name!r} did not answer within {self._answer_s:g} s: see `failstop status`"
                 raise NoAnswer(text)
             time.sleep(POLL_S)
-        done, text = answer
-        if not done:
-            raise Refused(text)
-        return text
+        if not answer.done:
+            raise Refused(answer.text, answer.cause)
+        return str(answer)
 
     def enable(self) -> str:
         """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked

@@ -10,6 +10,8 @@ import msgpack
 
 from failstop.client import attach
 from failstop.errors import FailstopError
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.policy.processes import BY_NAME
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
@@ -22,7 +24,9 @@ class Stop:
     """The last stop. Times are None where that level is not known: written (bytes handed to the kernel), acknowledged
     (the board's parser was in sync after it), observed (the IMU says that the wheels are still)."""
 
+    cause: Cause
     reason: str
+    """Its text."""
     t: float
     """Unix time."""
     noticed_by: str
@@ -60,7 +64,9 @@ class State:
     name: str
     enabled: bool
     estop: str | None
-    """The latch's first reason."""
+    """The text of `cause`."""
+    cause: Cause | None
+    """What is latched: the first cause since the last reset; None: nothing is."""
     blocked: str | None
     """Why the wheels may not turn; None when they may."""
     body_vel: tuple[float, float, float]
@@ -101,14 +107,19 @@ class State:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as in `failstop status --json`."""
-        return dataclasses.asdict(self)
+        plain = dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None))
+        return plain | {
+            "cause": _plain(self.cause),
+            "last_stop": self.last_stop and {**vars(self.last_stop), "cause": _plain(self.last_stop.cause)},
+        }
+
+
+def _plain(cause: Cause | None) -> dict[str, Any] | None:
+    """A cause for programs: the name of its row in policy/causes.py, and its arguments."""
+    return None if cause is None else {"name": cause.kind.name, **cause.named()}
 
 
 HANGING_MS = 500.0
-SILENT = "the supervisor is silent"
-"""Told as the latch's reason while nobody else can tell one: its lease has run out."""
-DIED = "supervisor died"
-"""Likewise: the kernel says so. The words of whoever stops for it."""
 
 
 class StateReader:
@@ -130,14 +141,13 @@ class StateReader:
         self._settings = views[layout.SUPERVISOR].latest_reader("settings")
         self._stop = views[layout.SUPERVISOR].latest_reader("stop")
         self._link = views[layout.SUPERVISOR].latest_reader("link")
-        self._cause = views[layout.SUPERVISOR].latest_reader("cause")
+        self._latch = views[layout.SUPERVISOR].latest_reader("latch")
         self._gate = views[layout.GATE].latest_reader("state")
         self._said = views[layout.GATE].latest_reader("said")
-        self._reset_epoch = views[layout.GATE].word("reset_epoch")
         self._port = views[layout.PORT_OWNER].latest_reader("port")
         self._stops = views[layout.PORT_OWNER].ring_reader("stops", from_oldest=True)
-        self._stopped = (0, "")
-        """The newest epoch in which the port owner stopped by itself, and its first reason there."""
+        self._stopped: tuple[int, Cause | None] = (0, None)
+        """The newest epoch in which the port owner stopped by itself, and its first cause there."""
         self._imu = views[layout.TELEMETRY].latest_reader("imu")
         self._battery = views[layout.TELEMETRY].latest_reader("battery")
         self._bias = views[layout.TELEMETRY].latest_reader("bias")
@@ -153,12 +163,13 @@ class StateReader:
             raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
         now_ns = time.monotonic_ns()
         battery = records.unpack_battery(found[2]) if (found := self._battery.read()) else None
-        decided = self._decided(gate[2], epoch, now_ns, dead=dead)
+        decided, cause = self._decided(gate[2], epoch, now_ns, dead=dead)
         known: dict[str, Any] = msgpack.unpackb(table[2])
         return State(
             name=self.name,
             enabled=decided["enabled"],
-            estop=decided["estop"],
+            estop=str(cause) if cause else None,
+            cause=cause,
             blocked=decided["blocked"],
             body_vel=tuple(decided["body_vel"]),
             wheels_rps=tuple(decided["wheels_rps"]),
@@ -188,40 +199,43 @@ class StateReader:
         found: dict[str, float | str] = msgpack.unpackb(entry[2])
         return found
 
-    def _decided(self, payload: bytes, epoch: int, now_ns: int, *, dead: bool) -> dict[str, Any]:
-        """What the gate has published. A stop that it has not followed yet, because it hangs or has just died, is in
-        force all the same: the port owner admits nothing of an older epoch, nor of the one in which it stopped by
-        itself, and the gate's successor starts latched. The same holds for a gate that says on what it said before the
-        supervisor died or fell silent."""
+    def _decided(self, payload: bytes, epoch: int, now_ns: int, *, dead: bool) -> tuple[dict[str, Any], Cause | None]:
+        """What the gate has published, and what is latched. A stop that it has not followed yet, because it hangs or
+        has just died, is in force all the same: the port owner admits nothing of an older epoch, nor of the one
+        in which it stopped by itself, and the gate's successor starts latched. The same holds for a gate that says on
+        what it said before the supervisor died or fell silent."""
         decided: dict[str, Any] = msgpack.unpackb(payload)
-        reason = decided["estop"]
-        if not reason and epoch > decided["epoch"]:
-            entry = self._cause.read()
-            reason = records.raised_for(entry[2] if entry else None, self._reset_epoch.get())
+        tripped = causes.read(decided["estop"]) if decided["estop"] else None
+        cause = self._latched() or tripped
         # Its death comes before what the port owner has noticed of it: the gate dies with it.
-        reason = reason or (DIED if dead else self._own_stop(epoch))
-        if not reason and decided["enabled"] and self.run.silent(now_ns):
-            reason = SILENT
-        if reason and reason != decided["estop"]:
+        cause = cause or (causes.DIED(layout.SUPERVISOR) if dead else self._own_stop(epoch))
+        if not cause and decided["enabled"] and self.run.silent(now_ns):
+            cause = causes.SILENT()
+        if cause and not tripped:
             decided |= {
                 "enabled": False,
-                "estop": reason,
-                "blocked": f"{blocks.LATCHED}{reason}",
+                "blocked": f"{blocks.LATCHED}{cause}",
                 "body_vel": (0.0, 0.0, 0.0),
                 "wheels_rps": (0.0, 0.0, 0.0, 0.0),
                 "sources": [],
                 "clients": [{**client, "driving": False} for client in decided["clients"]],
             }
-        return decided
+        return decided, cause
 
-    def _own_stop(self, epoch: int) -> str:
-        """Why the port owner stopped by itself in this epoch, which the supervisor has not answered yet; else empty.
+    def _latched(self) -> Cause | None:
+        """By the supervisor's word."""
+        entry = self._latch.read()
+        since, _, _, cause = records.unpack_latch(entry[2]) if entry else (0, 0, 0, b"")
+        return causes.read(cause) if since else None
+
+    def _own_stop(self, epoch: int) -> Cause | None:
+        """Why the port owner stopped by itself in this epoch, which the supervisor has not answered yet; else None.
         The first cause wins."""
         while entry := self._stops.next():
-            stopped_in, _, _, _, reason = records.unpack_stop(entry[2])
+            stopped_in, _, _, cause = records.unpack_stop(entry[2])
             if stopped_in > self._stopped[0]:
-                self._stopped = stopped_in, reason
-        return self._stopped[1] if self._stopped[0] >= epoch else ""
+                self._stopped = stopped_in, causes.read(cause)
+        return self._stopped[1] if self._stopped[0] >= epoch else None
 
     def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> list[dict[str, Any]]:
         entry = self._said.read()
@@ -272,6 +286,8 @@ class StateReader:
         if entry is None:
             return None
         found: dict[str, Any] = msgpack.unpackb(entry[2])
+        cause = causes.read(found["cause"])
+        found |= {"cause": cause, "reason": str(cause)}
         return Stop(**{field.name: found[field.name] for field in dataclasses.fields(Stop)})
 
     def _sample(self) -> dict[str, Any] | None:

@@ -70,3 +70,5 @@ PROCESSES = (
 )
 
 BY_NAME = {row.name: row for row in PROCESSES}
+ROLES = {**{row.name: row.role for row in PROCESSES}, "supervisor": "starts and watches the others"}
+"""What each process does, as the end of a sentence."""

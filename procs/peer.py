@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from failstop.policy import causes
 from failstop.procs.loop import READ
 from failstop.shm import records
 from failstop.shm.heartbeat import HeartbeatReader
@@ -22,7 +23,7 @@ class Peer:
     __slots__ = ("_early", "_loop", "_named", "_word", "death", "heart", "life")
 
     def __init__(self, name: str, context: Context, loop: Loop) -> None:
-        self.death = f"{name} died"
+        self.death = causes.DIED(name)
         """The cause of a stop for it."""
         self.heart = HeartbeatReader(context.segment(name))
         self.life: Lifeline | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from failstop.ros2 import words
+from failstop.ros2 import report, words
 from failstop.screen import summary, verdict
 from failstop.state import Process, State
 
@@ -40,14 +40,14 @@ def _stop_layer(state: State) -> Status:
     if state.age_ms > verdict.STALE_MS:
         level = STALE
     step = verdict.next_step(state)
-    message = words.plain(f"{word}: {verdict.headline(state)}") + (f"; next: {step}" if step else "")
+    message = f"{word}: {verdict.headline(state, report.blocked(state))}" + (f"; next: {step}" if step else "")
     return _status(
         "stop layer",
         level,
         message,
         enabled=state.enabled,
-        estop=words.plain(state.estop or ""),
-        blocked=words.plain(state.blocked or ""),
+        estop=words.plain(state.cause),
+        blocked=report.blocked(state) or "",
         waiting_for=state.waiting_for or "",
     )
 

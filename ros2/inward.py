@@ -8,6 +8,7 @@ from time import monotonic_ns
 from typing import Any
 
 from failstop.errors import FailstopError, NoAnswer, Refused
+from failstop.policy.causes import Cause
 from failstop.robot import Robot
 from failstop.ros2 import mirrors, report, words
 from failstop.ros2.commanders import Commanders, HeldUp, wrong_ends
@@ -206,18 +207,18 @@ class Inward:
         if now_ns - self._moving_ns < self._timeout_s * 1e9:
             who = self._commanders.names()
             raise Refused(f"{who} commands {words.velocity(*self._velocity)}: it would move at the next enable")
-        return words.reset(self._link.call(Robot.reset))
+        return words.reset(self._link.call(_reset))
 
     def _answer(self, response: Any, act: Any) -> Any:
         try:
             response.success, response.message = True, act()
         except Refused as error:
-            response.success, response.message = False, words.refused(str(error.args[0]))
+            response.success, response.message = False, words.refused(error)
         except NoAnswer:
             self._latch(words.NO_ANSWER)
             response.success, response.message = False, words.NO_ANSWER
         except FailstopError as error:
-            response.success, response.message = False, words.refused(str(error))
+            response.success, response.message = False, words.refused(error)
         return response
 
     async def _stop(self, _request: Any, response: Any) -> Any:
@@ -227,10 +228,17 @@ class Inward:
         try:
             self._link.call(lambda robot: robot.estop(words.SERVICE_CAUSE))
         except FailstopError as error:
-            response.success, response.message = False, words.refused(str(error))
+            response.success, response.message = False, words.refused(error)
             return response
         while not (said := report.proof(before, self._shared.state)) and monotonic_ns() - asked_ns < STOP_NS:
             await Turn()
         response.success = True
         response.message = said or report.proof(before, self._shared.state, final=True)
         return response
+
+
+def _reset(robot: Robot) -> Cause | None:
+    """Reset; returns what had been latched."""
+    was = robot.state.cause
+    robot.reset()
+    return was

@@ -8,6 +8,7 @@ from typing import Any
 
 from failstop.ros2 import words
 from failstop.screen import verdict
+from failstop.shm import blocks
 from failstop.state import State
 
 PLUGGED = {"plugged": True, "unplugged": False, "unknown": None}
@@ -16,7 +17,7 @@ NOBODY = "nobody publishes cmd_vel"
 
 def blocked(state: State) -> str | None:
     """Why the wheels may not turn, in the words of the driver before."""
-    return None if state.blocked is None else words.plain(state.blocked)
+    return f"{blocks.LATCHED}{words.plain(state.cause)}" if state.cause else state.blocked
 
 
 def driver(state: State) -> str | None:
@@ -30,7 +31,7 @@ def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> di
     stop = state.last_stop
     return {
         "enabled": state.enabled,
-        "estop": None if state.estop is None else words.plain(state.estop),
+        "estop": words.plain(state.cause) or None,
         "plugged": PLUGGED[state.plugged],
         "arm_enabled": False,
         "arm_moving": False,
@@ -57,7 +58,7 @@ def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> di
         },
         "last_stop": stop
         and {
-            "reason": words.plain(stop.reason),
+            "reason": words.plain(stop.cause),
             "written_us": stop.written_us,
             "acknowledged_us": stop.acknowledged_us,
             "observed_ms": stop.observed_ms,
@@ -104,12 +105,12 @@ def status(state: State) -> dict[str, Any]:
         "enabled": state.enabled,
         "blocked": blocked(state) or "",
         "latched": state.estop is not None,
-        "estop": words.plain(state.estop or ""),
+        "estop": words.plain(state.cause),
         "driver": driver(state) or "",
         "state_age_s": state.age_ms / 1000,
         "scan_age_s": _known(state.scan_age_s),
         "link": state.device["link"],
-        "last_stop": words.plain(stop.reason) if stop else "",
+        "last_stop": words.plain(stop.cause) if stop else "",
         "last_stop_written_s": _known(stop.written_us if stop else None, 1e6),
         "last_stop_acknowledged_s": _known(stop.acknowledged_us if stop else None, 1e6),
         "last_stop_observed_s": _known(stop.observed_ms if stop else None, 1e3),
@@ -137,7 +138,7 @@ def proof(before: State | None, now: State | None, *, final: bool = False) -> st
     if now is None or stop is None or not now.estop or (before and stop == before.last_stop and not before.estop):
         return "asked for a stop; the service has not told of it yet" if final else ""
     if stop.written_us is None:
-        return f"stop latched ({words.plain(now.estop)}), and it could NOT be written: use the POWER SWITCH"
+        return f"stop latched ({words.plain(now.cause)}), and it could NOT be written: use the POWER SWITCH"
     if stop.observed_ms is None and not final:
         return ""
     told = [f"written after {stop.written_us / 1000:.1f} ms"]
@@ -147,4 +148,4 @@ def proof(before: State | None, now: State | None, *, final: bool = False) -> st
         else f"acknowledged after {stop.acknowledged_us / 1000:.1f} ms"
     )
     told.append("not seen still yet" if stop.observed_ms is None else f"observed after {stop.observed_ms:.0f} ms")
-    return f"stop latched ({words.plain(now.estop)}): {', '.join(told)}"
+    return f"stop latched ({words.plain(now.cause)}): {', '.join(told)}"

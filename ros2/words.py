@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import re
-
+from failstop.errors import FailstopError, Refused
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.ros2.contract import CLIENT
-from failstop.shm.records import REQUESTED
+from failstop.shm.records import CAUSE
 
 TOPIC_CAUSE = "estop topic"
 SERVICE_CAUSE = "stop service"
@@ -14,25 +15,24 @@ ENABLED = "enabled"
 DISABLED = "disabled"
 HELD = "wheels held: no LiDAR scan for {:.1f} s while commanded"
 RELEASED = "LiDAR scan back: wheels released"
-_OWN = re.compile(rf"{REQUESTED}: (.*) \({re.escape(CLIENT)}, pid \d+\)")
-NOTHING_LATCHED = "no e-stop is latched"
 
 
-def plain(text: str) -> str:
-    """A reason of the bridge's own without what the service adds to every request."""
-    return _OWN.sub(r"\1", text)
+def plain(cause: Cause | None) -> str:
+    """A cause of the bridge's own without what the service adds to every request; empty: none."""
+    if cause and cause.kind is causes.REQUESTED and cause.named()["who"] == CLIENT:
+        return str(cause.named()["words"])
+    return str(cause or "")
 
 
-def refused(text: str) -> str:
-    """The answer to what the service did not do."""
-    return f"refused: {plain(text)}"
+def refused(error: FailstopError) -> str:
+    """The answer to what was not done."""
+    text = error.template.replace(CAUSE, plain(error.cause)) if isinstance(error, Refused) else str(error)
+    return f"refused: {text}"
 
 
-def reset(text: str) -> str:
-    """The answer to a reset that was done."""
-    if text == NOTHING_LATCHED:
-        return "e-stop cleared (was: None); motion still disabled"
-    return plain(text)
+def reset(was: Cause | None) -> str:
+    """The answer to a reset that was done; `was`: what had been latched."""
+    return f"e-stop cleared (was: {plain(was) or None}); motion still disabled"
 
 
 def velocity(linear_x: float, linear_y: float, angular_z: float) -> str:

@@ -14,7 +14,7 @@ from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.latest import record_bytes, slot_bytes
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 4
+LAYOUT_VERSION = 5
 SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
@@ -135,7 +135,9 @@ SEGMENTS = (
             *(_word(f"{process}_life", "port_owner") for process in (GATE, TELEMETRY, STOPPER)),
             _word("port_owner_life", "stopper"),
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
-            _latest("cause", 640, "gate"),  # what the epoch was raised for, and the first since a reset (records)
+            _latest("latch", 320, "gate, clients"),  # what is latched, or was last (records)
+            _word("resets", "gate"),  # the number of the newest reset that was decided
+            _latest("reset", 640, "gate"),  # what became of it (records.reply)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
             _latest("link", 32, "clients"),  # whether the board answers: unproven, alive or deaf (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
@@ -169,13 +171,14 @@ SEGMENTS = (
         PUBLIC,
         (
             *_beat(),
-            _word("reset_epoch", "supervisor, its successor"),  # the epoch in which a reset last cleared the latch
+            _word("resets_asked", "supervisor, its successor"),  # the number of the newest reset that was asked for
+            _word("reset_asked_ns", "supervisor"),  # when that was asked for
             _ring("frames", 304, 64, "port_owner"),  # motion, stops, other frames for the wire (records)
             _ring("trips", 320, 32, "supervisor"),  # every latch that it made itself, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _latest("state", 4096, "telemetry, clients"),  # msgpack
             _latest("said", 4096, "clients"),  # what clients say of themselves (msgpack, procs/gate/said.py)
-            *(_latest(f"reply.{i}", 320, "the client of that slot") for i in range(CLIENT_SLOTS)),
+            *(_latest(f"reply.{i}", 640, "the client of that slot") for i in range(CLIENT_SLOTS)),
             _ring("box", box.GATE_BYTES, box.GATE_SLOTS, "everyone"),  # every tick's command and decision (box.py)
         ),
     ),
@@ -194,7 +197,7 @@ SEGMENTS = (
             _latest("odometry", 64, "its successor, clients"),  # records
             _latest("pad", 32, "clients"),  # records: the last frame, the mode
             _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
-            _ring("trips", 64, 8, "port_owner"),  # the reason of each button and key that stops, in order (UTF-8)
+            _ring("trips", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
             _ring("wishes", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _ring("events", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)

@@ -11,26 +11,27 @@ import struct
 MOTION = 1
 """Frame kind: a motor frame; the newest wins and it dies with its epoch and the lease."""
 STOP = 2
-"""Frame kind: write the stop burst now (latched or not); the text is the reason."""
+"""Frame kind: write the stop burst now (latched or not)."""
 OTHER = 3
 """Frame kind: a frame that is not motion (buzzer, servos, LEDs), in order."""
-REQUESTED = "stop request"
-"""The reason of every stop that was asked for through the stop pipe begins with it, and no other: whatever is typed
-into the pipe can't pose as a cause that the service has noticed itself."""
 ASKED_BYTES = 180
 """Of the words in which a client asks for a stop, in UTF-8: with who asks they fit a record."""
 WHO_BYTES = 64
+CAUSE = "{cause}"
+"""In the text of a reply: the place of the cause's own."""
+REPLY_BYTES = 290
 LEFT_OUT = b" ..."
 """What such words end with where they were cut."""
 
 _FRAME = struct.Struct("<QB")
-_STOP = struct.Struct("<QQQB")
-_CAUSE = struct.Struct("<QQH")
+_STOP = struct.Struct("<QQQ")
+_LATCH = struct.Struct("<QQQ")
 _PORT = struct.Struct("<QQB")
 _COMMAND = struct.Struct("<QdddB16s")
 _SESSION = struct.Struct("<Q")
 _HELLO = struct.Struct("<QIQ")
 _REQUEST = struct.Struct("<QQB")
+_REPLY = struct.Struct("<QQBH")
 _IMU = struct.Struct("<6d")
 _PAD = struct.Struct("<HB4bB")
 _BATTERY = struct.Struct("<IB")
@@ -85,19 +86,13 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def requested(text: str) -> str:
-    """The reason of a stop that was asked for with this text in the stop pipe: why, or ` (WHO, pid N)` alone, or
-    nothing."""
-    return f"{REQUESTED}{': ' if text and not text.startswith(' ') else ''}{printable(text)}"
-
-
 def asking(words: str, who: str = "", pid: int = 0) -> bytes:
-    """The line for the stop pipe: why, in words that are cut to ASKED_BYTES, and who asks."""
+    """The line for the stop pipe: why, in words that are cut to ASKED_BYTES, and who asks, with tabs between them."""
     text, name = (" ".join(given.split()) for given in (words, who))
     kept = cut(text, ASKED_BYTES)
     if len(kept) < len(text.encode("utf-8", "replace")):
         kept = cut(text, ASKED_BYTES - len(LEFT_OUT)) + LEFT_OUT
-    return kept + (b" (%s, pid %d)" % (cut(name, WHO_BYTES), pid) if name else b"") + b"\n"
+    return kept + (b"\t%s\t%d" % (cut(name, WHO_BYTES), pid) if name else b"") + b"\n"
 
 
 def cut(text: str, room: int) -> bytes:
@@ -125,7 +120,7 @@ def _exact(form: struct.Struct, payload: bytes) -> tuple[float, ...]:
 
 
 def pack_frame(epoch: int, kind: int, body: bytes) -> bytes:
-    """An entry of the gate's ring: MOTION and OTHER carry a wire frame, STOP its reason as UTF-8."""
+    """An entry of the gate's ring: MOTION and OTHER carry a wire frame, STOP nothing."""
     return _FRAME.pack(epoch, kind) + body
 
 
@@ -135,40 +130,28 @@ def unpack_frame(payload: bytes) -> tuple[int, int, bytes]:
     return epoch, kind, body
 
 
-def pack_stop(epoch: int, cause_ns: int, written_ns: int, latches: bool, reason: str) -> bytes:
-    """A stop: the epoch it stopped, when it was noticed, when its burst was handed to the kernel (0: it was not)."""
-    return _STOP.pack(epoch, cause_ns, written_ns, latches) + cut(reason, 280)
+def pack_stop(epoch: int, cause_ns: int, written_ns: int, cause: bytes) -> bytes:
+    """A stop: the epoch it stopped, when it was noticed, when its burst was handed to the kernel (0: it was not), and
+    its cause, packed."""
+    return _STOP.pack(epoch, cause_ns, written_ns) + cause
 
 
-def unpack_stop(payload: bytes) -> tuple[int, int, int, bool, str]:
-    """Return (epoch, cause_ns, written_ns, latches, reason)."""
-    (epoch, cause_ns, written_ns, latches), text = _head(_STOP, payload)
-    return epoch, cause_ns, written_ns, bool(latches), text.decode("utf-8", "replace")
+def unpack_stop(payload: bytes) -> tuple[int, int, int, bytes]:
+    """Return (epoch, cause_ns, written_ns, cause)."""
+    (epoch, cause_ns, written_ns), cause = _head(_STOP, payload)
+    return epoch, cause_ns, written_ns, cause
 
 
-def pack_cause(epoch: int, cause_ns: int, standing: str, newest: str) -> bytes:
-    """What stands: the epoch that its stop was raised to, when it was noticed, its reason; and the reason of the newest
-    epoch, for a reader that knows of a reset which ended what stands here."""
-    first = cut(standing, 280)
-    return _CAUSE.pack(epoch, cause_ns, len(first)) + first + cut(newest, 280)
+def pack_latch(since: int, noticed_ns: int, raised_ns: int, cause: bytes) -> bytes:
+    """The latch: the epoch that was raised for what is latched (0: nothing is), when that was noticed, when the epoch
+    was raised last; the cause that is latched, else that of the last stop, packed."""
+    return _LATCH.pack(since, noticed_ns, raised_ns) + cause
 
 
-def unpack_cause(payload: bytes) -> tuple[int, int, str, str]:
-    """Return (epoch, cause_ns, standing, newest)."""
-    (epoch, cause_ns, length), texts = _head(_CAUSE, payload)
-    return epoch, cause_ns, texts[:length].decode("utf-8", "replace"), texts[length:].decode("utf-8", "replace")
-
-
-def raised_for(payload: bytes | None, reset_epoch: int) -> str:
-    """Why the supervisor raised the epoch, of its record: the first cause since the last reset, which was in
-    `reset_epoch`. It may have raised it before it saw that reset."""
-    if payload is None:
-        return "stopped by the supervisor"
-    try:
-        since, _, standing, newest = unpack_cause(payload)
-    except ValueError:
-        return "stopped by the supervisor (its reason is damaged)"
-    return standing if since > reset_epoch else newest
+def unpack_latch(payload: bytes) -> tuple[int, int, int, bytes]:
+    """Return (since, noticed_ns, raised_ns, cause)."""
+    (since, noticed_ns, raised_ns), cause = _head(_LATCH, payload)
+    return since, noticed_ns, raised_ns, cause
 
 
 def pack_port(number: int, since_ns: int, state: int, path: str) -> bytes:
@@ -253,15 +236,16 @@ def unpack_request(payload: bytes) -> tuple[int, int, int]:
     return int(session), int(number), int(verb)
 
 
-def pack_reply(session: int, number: int, done: bool, text: str) -> bytes:
-    """The answer to a request: done, or refused with the reason."""
-    return _REQUEST.pack(session, number, done) + cut(text, 290)
+def pack_reply(session: int, number: int, done: bool, text: str, cause: bytes = b"") -> bytes:
+    """The answer to a request: done, or refused with the reason; where that says CAUSE, the packed cause is meant."""
+    said = cut(text, REPLY_BYTES)
+    return _REPLY.pack(session, number, done, len(said)) + said + cause
 
 
-def unpack_reply(payload: bytes) -> tuple[int, int, bool, str]:
-    """Return (session, number, done, text)."""
-    (session, number, done), text = _head(_REQUEST, payload)
-    return session, number, bool(done), text.decode("utf-8", "replace")
+def unpack_reply(payload: bytes) -> tuple[int, int, bool, str, bytes]:
+    """Return (session, number, done, text, cause)."""
+    (session, number, done, length), rest = _head(_REPLY, payload)
+    return session, number, bool(done), rest[:length].decode("utf-8", "replace"), rest[length:]
 
 
 def pack_imu(acceleration_mps2: tuple[float, float, float], rate_radps: tuple[float, float, float]) -> bytes:

@@ -9,28 +9,27 @@ import os
 import signal
 import time
 
+from failstop.policy import causes
 from failstop.shm import layout, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.packing import pack
 from failstop.supervisor.answer import BY_SUPERVISOR
-from failstop.supervisor.causes import Cause
 from failstop.supervisor.link import ALIVE, DEAF, Link
-from failstop.supervisor.stops import LastStop
+from failstop.supervisor.stops import Stop
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
     from failstop.policy.settings import Settings
     from failstop.shm.segment import Segment
     from failstop.supervisor.events import Events
-
-DEAF_REASON = "the board is deaf: use the POWER SWITCH"
-UNSTILL = "the wheels do not come to rest: use the POWER SWITCH"
+    from failstop.supervisor.latch import Latch
 
 
 class Aftermath:
     """Follows the last stop, and the link. One follow() a turn."""
 
-    def __init__(self, views: dict[str, Segment], settings: Settings, events: Events) -> None:
+    def __init__(self, views: dict[str, Segment], latch: Latch, settings: Settings, events: Events) -> None:
         self._events = events
         port_owner, telemetry = views[layout.PORT_OWNER], views[layout.TELEMETRY]
         self._record = views[layout.SUPERVISOR].latest_writer("stop")
@@ -40,7 +39,7 @@ class Aftermath:
         self._still = telemetry.word("still_ns")
         self._judged = telemetry.word("judged_ns")
         self._barrier = Barrier()
-        self._reset_word = views[layout.GATE].word("reset_epoch")
+        self._latch = latch
         self._after_ns = settings.ns("still.after_s")
         self._command = settings.text("still.command")
         self._command_pids: list[int] = []
@@ -51,37 +50,38 @@ class Aftermath:
         """The newest ping that was answered: when it was sent, and when the answer came."""
         self.link = Link(settings.ns("link.deaf_s"))
         self._published = ""
-        self._last: LastStop | None = None
+        self._last: Stop | None = None
 
-    def written(self, cause: Cause, written_ns: int, by: str, latched: str, epoch: int) -> None:
+    def written(self, stop: Stop, written_ns: int, by: str, latched: Cause, epoch: int) -> None:
         """A stop was written (`written_ns` 0: it could not be): follow it from now on. What comes while one is latched
         belongs to that: the first is the one that people look for."""
         last = self._last
-        if last and last.written_ns and self._reset_word.get() < last.epoch:
+        if last and last.written_ns and self._latch.reset_epoch < last.epoch:
             return
         self._tell()
-        self._last = LastStop(cause, written_ns, by, latched, epoch, self._after_ns, time.time())
+        stop.answered_by(by, written_ns, latched, epoch, self._after_ns, time.time())
+        self._last = stop
         self._publish()
 
-    def follow(self, now_ns: int, *, listening: bool) -> list[Cause]:
-        """Look at everything once; returns the causes that this brings. `listening`: telemetry runs, which decodes the
+    def follow(self, now_ns: int, *, listening: bool) -> list[Stop]:
+        """Look at everything once; returns the stops that this brings. `listening`: telemetry runs, which decodes the
         answers, and so does the port owner, which asks."""
-        causes = []
+        stops = []
         self._take_answer()
         newest_ns = max(word.get() for word in self._pings)
         if not listening:
             self.link.listen(newest_ns)
         elif self.link.silent(newest_ns, now_ns):
-            causes.append(Cause(now_ns, layout.SUPERVISOR, DEAF_REASON))
+            stops.append(Stop(now_ns, layout.SUPERVISOR, causes.DEAF()))
         if self._follow_wheels(now_ns):
-            causes.append(Cause(now_ns, layout.SUPERVISOR, UNSTILL))
+            stops.append(Stop(now_ns, layout.SUPERVISOR, causes.UNSTILL()))
         if self._last and self._last.complete(now_ns):
             self._tell_outcome(self._last)
         if self.link.state != self._published:
             self._tell_link(self._published, self.link.state)
             self._published = self.link.state
             self._link_record.write(self._published.encode())
-        return causes
+        return stops
 
     def heard_ns(self, since_ns: int) -> int:
         """When the board answered a ping that was sent at `since_ns` or later; 0: it has not."""
@@ -91,7 +91,7 @@ class Aftermath:
     def opened(self, written_ns: int) -> None:
         """A port was opened anew, perhaps another board's; the supervisor's burst on it was at `written_ns`."""
         self.link.opened()
-        if self._last and not self._last.written_ns and written_ns > self._last.cause.t_ns:
+        if self._last and not self._last.written_ns and written_ns > self._last.t_ns:
             self._last.written_at_last(written_ns, BY_SUPERVISOR)
             self._publish()
 
@@ -106,7 +106,7 @@ class Aftermath:
             return  # an answer to a question that nobody has asked, or that was asked anew meanwhile
         self.link.answered(sent_ns)
         self._heard = max(self._heard, (sent_ns, arrival_ns))
-        if self._last and self._last.answered(sent_ns, arrival_ns):
+        if self._last and self._last.ponged(sent_ns, arrival_ns):
             self._publish()
 
     def _follow_wheels(self, now_ns: int) -> bool:
@@ -115,7 +115,7 @@ class Aftermath:
         self._reap()
         if last is None:
             return False
-        if self._reset_word.get() >= last.epoch:
+        if self._latch.reset_epoch >= last.epoch:
             self._command_ran = False
             return False
         known = last.observed_ns is not None
@@ -130,8 +130,8 @@ class Aftermath:
             self._command_ran = False
             self._publish()
         if unstill:
-            text = f"CRITICAL: {UNSTILL} ({last.cause.reason}; {(now_ns - last.cause.t_ns) / 1e9:.1f} s ago)"
-            self._events.tell("unstill", text, {"reason": last.cause.reason, "epoch": last.epoch})
+            text = f"CRITICAL: {causes.UNSTILL()} ({last.cause}; {(now_ns - last.t_ns) / 1e9:.1f} s ago)"
+            self._events.tell("unstill", text, {"reason": str(last.cause), "epoch": last.epoch})
             self._run_command()
         return unstill
 
@@ -177,7 +177,7 @@ class Aftermath:
         if self._last and not self._last.told:
             self._tell_outcome(self._last)
 
-    def _tell_outcome(self, stop: LastStop) -> None:
+    def _tell_outcome(self, stop: Stop) -> None:
         link = self.link.state
         level = "error" if stop.unstill and stop.observed_ns is None else ""
         self._events.tell("stop_outcome", stop.outcome(link), stop.fields(link), level=level)

@@ -18,7 +18,7 @@ from failstop.shm import layout
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.supervisor.causes import Cause
+    from failstop.supervisor.stops import Stop
 
 SOONER_NS = 20_000_000
 """The port owner may have noticed the cause this much sooner; its burst from before that is none for this cause."""
@@ -26,14 +26,14 @@ BY_PORT_OWNER = "port owner"
 BY_SUPERVISOR = "supervisor"
 
 
-def answer(cause: Cause, *, answered: bool, may_answer: bool, port_owner_ns: int) -> tuple[str, int] | None:
+def answer(stop: Stop, *, answered: bool, may_answer: bool, port_owner_ns: int) -> tuple[str, int] | None:
     """Return (by whom, when in ns; 0: the supervisor is to write it now), or None to wait. `answered`: the port owner
     has; `may_answer`: it lives and has had little time; `port_owner_ns`: its last burst."""
     if may_answer and not answered:
         return None
-    own = cause.noticed_by == layout.PORT_OWNER
-    if cause.written_ns:
-        return (BY_PORT_OWNER if own else BY_SUPERVISOR), cause.written_ns
-    if answered and not own and port_owner_ns >= cause.t_ns - SOONER_NS:
+    own = stop.noticed_by == layout.PORT_OWNER
+    if stop.written_ns:
+        return (BY_PORT_OWNER if own else BY_SUPERVISOR), stop.written_ns
+    if answered and not own and port_owner_ns >= stop.t_ns - SOONER_NS:
         return BY_PORT_OWNER, port_owner_ns
     return BY_SUPERVISOR, 0

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
     from failstop.policy.settings import Settings
     from failstop.shm.segment import Segment
-    from failstop.supervisor.causes import Cause
     from failstop.supervisor.events import Events
     from failstop.supervisor.resources import Resources
+    from failstop.supervisor.stops import Stop
 
 SAMPLE_NS = 100_000_000
 START_NS = 150_000_000
@@ -102,12 +102,12 @@ class BlackBox:
         """The supervisor has written a burst itself."""
         self._ring.put(box.OWN_BURST_RECORD, now_ns)
 
-    def latched(self, cause: Cause, epoch: int) -> None:
+    def latched(self, stop: Stop, epoch: int) -> None:
         """A stop is latched, the news is out: save what led to it, and what follows."""
         self._sample(monotonic_ns())
         if self._on and len(self._waiting) + len(self._savers) < MOST_SAVERS:
-            words = {"cause_ns": str(cause.t_ns), "epoch": str(epoch), "reason": records.printable(cause.reason)}
-            self._waiting.append((cause.t_ns + START_NS, words | {"until_ns": str(cause.t_ns + COPY_NS)}))
+            words = {"cause_ns": str(stop.t_ns), "epoch": str(epoch), "cause": stop.cause.pack().hex()}
+            self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": str(stop.t_ns + COPY_NS)}))
 
     def follow(self, now_ns: int, *, ready: bool) -> None:
         """Once a turn, at its end, and before the supervisor's own beat."""

@@ -26,7 +26,7 @@ class Child:
     __slots__ = (
         "beat",
         "block",
-        "down_in",
+        "down",
         "ended",
         "excused_ns",
         "fallen",
@@ -63,7 +63,7 @@ class Child:
         """Silence before this is not its own."""
         self.spared_ns = 0
         """Its last sign of life before a silence that the machine explains, and that lasts; 0: there is none such."""
-        self.down_in = 0
+        self.down = False
         """The epoch in which it had died too often, and is down since; 0: it is not."""
         self.times_restarted = 0
         self.last_exit = ""
@@ -77,7 +77,8 @@ class Child:
         self.fence = None
         self.started_ns = now_ns
         self.restart.set(NEVER)
-        self.spared_ns = self.down_in = 0
+        self.spared_ns = 0
+        self.down = False
 
     def running(self) -> bool:
         """True when it has said that it runs."""
@@ -140,4 +141,4 @@ class Child:
         """In one word: running, starting, waiting (to be restarted) or down."""
         if self.pid:
             return "running" if self.running() else "starting"
-        return "down" if self.down_in else "waiting"
+        return "down" if self.down else "waiting"

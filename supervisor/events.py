@@ -9,8 +9,9 @@ import os
 import select
 import time
 
+from failstop.policy import causes
 from failstop.shm import instance, layout, packing
-from failstop.shm.records import REQUESTED, cut
+from failstop.shm.records import cut
 from failstop.supervisor.allowance import ASKED_BYTES, OWN_BYTES, Allowance
 from failstop.supervisor.fold import PREFIX, fitted
 from failstop.supervisor.journal import encode
@@ -31,6 +32,7 @@ LONGEST_HOLD_NS = 50_000_000
 MOST_WAITING = 256
 CUTS = ((280, 280), (200, 60), (120, 24))
 """Bytes that are left of the text, and of each field's: the first that fit into the ring."""
+ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name))
 AGAIN = frozenset(("stop_again", "stop_also"))
 """What anybody can bring about without end; a stop that is latched anew takes somebody who resets."""
 ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
@@ -121,7 +123,7 @@ class Events:
 
 def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
     """True for what anybody may bring about without end."""
-    return kind in AGAIN and str(fields.get("reason", "")).startswith(REQUESTED)
+    return kind in AGAIN and fields.get("cause") in ASKED
 
 
 def entry(name: str, t_ns: int, kind: str, level: str, text: str, fields: dict[str, Value]) -> list[tuple[str, Value]]:

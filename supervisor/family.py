@@ -68,9 +68,8 @@ class Family:
         """Those whose death this wake-up, or the early news before it, tells; each once."""
         return [child for child in self.children if child.life and not child.fallen and child.life.down(ready)]
 
-    def bury(self, ready: dict[int, int], now_ns: int, epoch: int) -> None:
-        """Collect the processes that have died, and plan their restarts; `epoch`: the one in force, raised for their
-        deaths."""
+    def bury(self, ready: dict[int, int], now_ns: int) -> None:
+        """Collect the processes that have died, and plan their restarts."""
         for child in self.children:
             if child.life and child.life.fd in ready:
                 child.ended = True
@@ -78,7 +77,7 @@ class Family:
             pid = child.pid
             if child.ended and (death := child.buried()):
                 self._tell_death(child, pid, death)
-                self._plan_restart(child, now_ns, epoch)
+                self._plan_restart(child, now_ns)
 
     def _tell_death(self, child: Child, pid: int, death: str) -> None:
         name = child.row.name
@@ -88,14 +87,14 @@ class Family:
         how = f"was {death}" if death.startswith("killed") else death
         self._events.tell("died", f"{name} (pid {pid}) {how}", {**told, "how": how})
 
-    def _plan_restart(self, child: Child, now_ns: int, epoch: int) -> None:
+    def _plan_restart(self, child: Child, now_ns: int) -> None:
         name = child.row.name
         starved = child.fence is not None and child.fence.was_starved
         wait_ns = TRY_AGAIN_NS if starved else child.restarts.died(now_ns)
         if wait_ns is not None:
             self._restart_in(child, wait_ns, now_ns)
             return
-        child.down_in = epoch
+        child.down = True
         todo = f"next: see to the cause, then {self._events.command('reset')} starts it anew"
         if name == layout.GATE:
             child.restart.set(now_ns + GATE_AGAIN_NS)
@@ -108,11 +107,11 @@ class Family:
         text = f"restarting {child.row.name} {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}"
         self._events.tell("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
 
-    def recall(self, reset_epoch: int, now_ns: int) -> None:
-        """Start those anew that are down, after a reset in `reset_epoch` by people who know of it."""
+    def recall(self, now_ns: int) -> None:
+        """Start those anew that are down, after a reset by people who know of it."""
         for child in self.children:
-            if child.down_in and reset_epoch >= child.down_in:
-                child.down_in = 0
+            if child.down:
+                child.down = False
                 child.restarts.forget()
                 self._restart_in(child, 0, now_ns)
 

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from typing import Any
 
     from failstop.shm.segment import Segment
-    from failstop.supervisor.causes import Causes
     from failstop.supervisor.family import Family
+    from failstop.supervisor.latch import Latch
     from failstop.supervisor.notify import Notify
 
 GATE_EVERY_NS = 100_000_000
@@ -23,21 +23,15 @@ GATE_EVERY_NS = 100_000_000
 class Herald:
     """One follow() a turn, after everything else."""
 
-    def __init__(self, notify: Notify, family: Family, causes: Causes, views: dict[str, Segment]) -> None:
+    def __init__(self, notify: Notify, family: Family, latch: Latch, views: dict[str, Segment]) -> None:
         self.notify = notify
         self._family = family
-        self._causes = causes
-        self._reset_word = views[layout.GATE].word("reset_epoch")
+        self._latch = latch
         self._gate_record = views[layout.GATE].latest_reader("state")
         self._gate: dict[str, Any] = {}
         self._gate_ns = 0
         self.fault = ""
         """Why the supervisor does not do its job: the watchdog is left to bite."""
-
-    def latched(self) -> str:
-        """The reason of the latch; empty without one."""
-        standing = self._causes.standing
-        return standing.reason if standing and self._reset_word.get() < self._causes.epoch else ""
 
     def follow(self, now_ns: int, missing: str, owed_since_ns: int, *, port_open: bool) -> None:
         """Status, watchdog. `missing`: what motion waits for; `owed_since_ns`, `port_open`: as in health.fault."""
@@ -51,5 +45,6 @@ class Herald:
             self._gate_ns = now_ns
             if entry := self._gate_record.read():
                 self._gate = msgpack.unpackb(entry[2])
-        status = self.fault or health.status_line(missing, down, self.latched(), self._gate)
+        latched = str(self._latch.stop.cause) if self._latch.stop else ""
+        status = self.fault or health.status_line(missing, down, latched, self._gate)
         self.notify.follow(now_ns, status, healthy=not self.fault)

@@ -10,6 +10,7 @@ import os
 import signal
 from time import monotonic_ns, sleep
 
+from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.procs import rights, starved
 from failstop.procs.loop import NEVER, READ, Loop
@@ -18,19 +19,20 @@ from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import pid_namespace
 from failstop.shm.packing import pack
-from failstop.supervisor import answer, grant, silence
+from failstop.supervisor import answer, grant
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
-from failstop.supervisor.causes import Cause, Causes
 from failstop.supervisor.events import Events
 from failstop.supervisor.family import Family
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.herald import Herald
+from failstop.supervisor.latch import Latch
 from failstop.supervisor.link import UNPROVEN
 from failstop.supervisor.names import Names
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.sharing import Sharing
 from failstop.supervisor.silence import Silence
+from failstop.supervisor.stops import Stop
 from failstop.supervisor.teller import Teller
 
 TYPE_CHECKING = False
@@ -42,7 +44,8 @@ if TYPE_CHECKING:
     from failstop.supervisor.port import OwnPort
     from failstop.supervisor.resources import Resources
 
-TICK_NS = 20_000_000
+MS = 1_000_000
+TICK_NS = 20 * MS
 ANSWER_NS = 5_000_000
 """How long the port owner may take to answer a raised epoch before the supervisor writes the burst itself."""
 HURRY_NS = 1_000_000
@@ -95,8 +98,13 @@ class Supervisor:
         self.children = self.family.children
         self._early = self.family.early
         self._written_word = own.word("written_ns")
-        self._cause_record = own.latest_writer("cause")
-        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings, self._events)
+        self._latch = Latch()
+        self._latch_record = own.latest_writer("latch")
+        gate = views[layout.GATE]
+        self._resets_asked_word, self._reset_asked_ns_word = gate.word("resets_asked"), gate.word("reset_asked_ns")
+        self._resets_word = own.word("resets")
+        self._reset_record = own.latest_writer("reset")
+        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, self._latch, settings, self._events)
         self._table_record = own.latest_writer("processes")
         own.latest_writer("settings").write(pack(settings.flat()))
         self.blackbox = BlackBox(resources, settings, own, views, self._events)
@@ -106,15 +114,13 @@ class Supervisor:
             (layout.PORT_OWNER, views[layout.PORT_OWNER].ring_reader("stops")),
             (layout.GATE, views[layout.GATE].ring_reader("trips")),
         )
-        self._reset_word = views[layout.GATE].word("reset_epoch")
         self._bells = resources.bells
-        self._causes = Causes()
-        self._latched: Cause | None = None
-        """The last cause that stood: a reset may have ended it."""
-        self.herald = Herald(notify or Notify(), self.family, self._causes, views)
+        self._told: Stop | None = None
+        """The last that was latched, and told of: a reset may have ended it."""
+        self.herald = Herald(notify or Notify(), self.family, self._latch, views)
         self.epoch = 1
         self._epoch_word.set(1)
-        self._unanswered: Cause | None = None
+        self._unanswered: Stop | None = None
         self._answer_by = self.loop.deadline()
         self._overdue = self.loop.deadline()
         """When the first of the processes counts as hanging unless it beats before."""
@@ -153,21 +159,19 @@ class Supervisor:
         for child in fallen:
             if child.fence:
                 child.fence.gone(now_ns, written_ns if child is port_owner else 0)
-        causes = self._collect(fallen, now_ns, written_ns)
-        causes += self._held_up(now_ns)
-        if causes:
-            self._raise_epoch(causes)
+        stops = self._collect(fallen, now_ns, written_ns)
+        stops += self._held_up(now_ns)
+        if stops:
+            self._raise_epoch(stops)
         if seen := self.aftermath.follow(now_ns, listening=self._listening(now_ns)):
             self._raise_epoch(seen)
         for child in fallen:
             if child.life:
                 child.life.demote()
-        self.family.bury(ready, now_ns, self.epoch)
+        self.family.bury(ready, now_ns)
         self._follow_port(ready, now_ns)
-        self._causes.settle(self._reset_word.get())
-        self.family.recall(self._reset_word.get(), now_ns)
-        self._follow_latch()
         self._follow_answer(now_ns)
+        self._follow_reset(now_ns)
         self._silence.follow(self.children, now_ns)
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
@@ -209,7 +213,7 @@ class Supervisor:
         if not served and now_ns - self._tried_ns >= ALONE_EVERY_NS:
             self._burst()
 
-    def _held_up(self, now_ns: int) -> list[Cause]:
+    def _held_up(self, now_ns: int) -> list[Stop]:
         """A stop for a supervisor that could not watch anybody, while motion is enabled; it kills nobody for a silence
         that it did not hear."""
         self._watched_ns, self._turned_ns = self._turned_ns, now_ns
@@ -222,13 +226,13 @@ class Supervisor:
         if not self._silence.motion(self.epoch):
             self._silence.over(layout.SUPERVISOR, gap_ns, now_ns)
             return []
-        return [Cause(now_ns, layout.SUPERVISOR, f"supervisor was held up for {gap_ns / 1e6:.0f} ms")]
+        return [Stop(now_ns, layout.SUPERVISOR, causes.HELD_UP(gap_ns // MS))]
 
     def _follow_names(self, now_ns: int) -> None:
         """A stop, and the end, for a service that others can't find any more."""
-        if reason := self._names.lost(now_ns):
+        if cause := self._names.lost(now_ns):
             self.broken = True
-            self._raise_epoch([Cause(now_ns, layout.SUPERVISOR, reason)])
+            self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, cause)])
         self.ending |= self.broken and self._unanswered is None
 
     def _listening(self, now_ns: int) -> bool:
@@ -240,28 +244,27 @@ class Supervisor:
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
         return now_ns - heard_ns < LATE_NS or self._silence.motion(self.epoch)
 
-    def _collect(self, fallen: list[Child], now_ns: int, burst_ns: int) -> list[Cause]:
-        """Every cause that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
+    def _collect(self, fallen: list[Child], now_ns: int, burst_ns: int) -> list[Stop]:
+        """Every stop that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
         death was answered."""
-        causes = []
+        stops = []
         for process, ring in self._news:
             while entry := ring.next():
-                _, cause_ns, written_ns, _, reason = records.unpack_stop(entry[2])
-                causes.append(Cause(cause_ns, process, reason, written_ns))
+                _, cause_ns, written_ns, cause = records.unpack_stop(entry[2])
+                stops.append(Stop(cause_ns, process, causes.read(cause), written_ns))
         for child in fallen:
             child.fallen = True
-            death = f"{child.row.name} died"
-            if death not in (cause.reason for cause in causes):
-                causes.append(Cause(now_ns, layout.SUPERVISOR, death, burst_ns))
-        return causes
+            death = causes.DIED(child.row.name)
+            if death not in (stop.cause for stop in stops):
+                stops.append(Stop(now_ns, layout.SUPERVISOR, death, burst_ns))
+        return stops
 
-    def _raise_epoch(self, causes: list[Cause]) -> None:
+    def _raise_epoch(self, stops: list[Stop]) -> None:
         """A stop: the cause first, then the epoch that refers to it, then the bells. Whoever sees the epoch, with its
         bell or without, finds the cause of it, and a service that is not ready."""
         self.epoch += 1
-        standing, newest = self._causes.add(causes, self.epoch, self._reset_word.get())
-        record = records.pack_cause(self._causes.since, standing.t_ns, standing.reason, newest.reason)
-        self._cause_record.write(record)
+        self._latch.add(stops, self.epoch, monotonic_ns())
+        self._latch_record.write(self._latch.as_record())
         self._ready_word.set(0)
         self._barrier()
         self._epoch_word.set(self.epoch)
@@ -269,49 +272,65 @@ class Supervisor:
         self._bells[layout.GATE].ring()
         self._owed_ns = self._owed_ns or monotonic_ns()
         if self._unanswered is None:
-            self._unanswered = min(causes, key=lambda cause: cause.t_ns)
+            self._unanswered = min(stops, key=lambda stop: stop.t_ns)
             self._answer_by.set(monotonic_ns() + ANSWER_NS)
-        self._follow_latch()
-        for cause in causes:
-            if cause is not self._unanswered:
-                self.teller.also(cause)
+        self._tell_latch()
+        for stop in stops:
+            if stop is not self._unanswered:
+                self.teller.also(stop)
 
-    def _follow_latch(self) -> None:
-        """Another cause stands than before."""
-        standing = self._causes.standing
-        if standing is None or standing is self._latched:
+    def _tell_latch(self) -> None:
+        """Once for each stop that is latched."""
+        latched = self._latch.stop
+        if latched is None or latched is self._told:
             return
-        self._latched = standing
-        self.teller.latched(standing)
+        self._told = latched
+        self.teller.latched(latched)
         if not self.ending:
-            self.blackbox.latched(standing, self._causes.since)
+            self.blackbox.latched(latched, self._latch.since)
+
+    def _follow_reset(self, now_ns: int) -> None:
+        """Decide the reset that the gate passes on, once the last stop is carried out."""
+        number = self._resets_asked_word.get()
+        if number == self._resets_word.get() or self._unanswered:
+            return
+        self._barrier()
+        reply = self._latch.reset(self.epoch, self._reset_asked_ns_word.get())
+        if reply.cause and reply.done:
+            self._latch_record.write(self._latch.as_record())
+        if reply.done:
+            self.family.recall(now_ns)
+        self._reset_record.write(reply.pack(0, number))
+        self._barrier()
+        self._resets_word.set(number)
+        self._bells[layout.GATE].ring()
 
     def _follow_answer(self, now_ns: int) -> None:
         """The port owner answers a raised epoch with a stop. If it does not, or could not write it, the supervisor
         writes the burst itself."""
-        cause = self._unanswered
-        if cause is None:
+        stop = self._unanswered
+        if stop is None:
             return
         port_owner = self.family[layout.PORT_OWNER]
-        stop = answer.answer(
-            cause,
+        found = answer.answer(
+            stop,
             answered=self._stopped_word.get() >= self.epoch,
             may_answer=port_owner.pid != 0 and not port_owner.fallen and not self._answer_by.due(now_ns),
             port_owner_ns=self._port_owner_written.get(),
         )
-        if stop is None:
+        if found is None:
             return
         self._answer_by.set(NEVER)
-        by, written_ns = stop
+        by, written_ns = found
         self._unanswered = None
         self._stop_ns = written_ns or self._burst()
-        self._tell_stop(cause, self._stop_ns, by)
+        self._tell_stop(stop, self._stop_ns, by)
 
-    def _tell_stop(self, cause: Cause, written_ns: int, by: str) -> None:
+    def _tell_stop(self, stop: Stop, written_ns: int, by: str) -> None:
         """Publish the stop for people, and log it."""
-        standing = self._latched or cause
-        self.aftermath.written(cause, written_ns, by, standing.reason, self.epoch)
-        self.teller.stopped(cause, written_ns, by, standing, self.epoch, ending=self.ending)
+        latched = self._latch.stop or stop
+        self.aftermath.written(stop, written_ns, by, latched.cause, self.epoch)
+        self.teller.stopped(stop, written_ns, by, latched, self.epoch, ending=self.ending)
 
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline: at that moment, not at a tick after it."""
@@ -326,21 +345,21 @@ class Supervisor:
         """The table of silence.py. Who hangs is stopped for and killed; its death does the rest."""
         name = child.row.name
         silent_ns = now_ns - child.heard_ns()
-        reason = f"{name} hangs: {silent_ns / 1e6:.0f} ms silent{silence.SUFFIX if is_starved else ''}"
-        cause = Cause(now_ns, layout.SUPERVISOR, reason)
+        kind = causes.STARVED if is_starved else causes.HANGS
+        stop = Stop(now_ns, layout.SUPERVISOR, kind(name, silent_ns // MS))
         motion = self._silence.motion(self.epoch)
         spared = is_starved and silent_ns < child.allowed_ns() + starved.LONGEST_NS
         if spared and not (motion and name == layout.PORT_OWNER):
             child.spare(now_ns)
             if motion:
-                self._raise_epoch([cause])
+                self._raise_epoch([stop])
             return
         # Killed before the burst: a port owner that wakes up between the two could write one frame more.
         os.kill(child.pid, signal.SIGKILL)
         kill_ns = monotonic_ns()
-        cause.written_ns = self._burst() if name == layout.PORT_OWNER else 0
-        self._raise_epoch([cause])
-        child.fence = Fence(now_ns, kill_ns, cause.written_ns, silent_ns, was_starved=is_starved)
+        stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0
+        self._raise_epoch([stop])
+        child.fence = Fence(now_ns, kill_ns, stop.written_ns, silent_ns, was_starved=is_starved)
 
     def _missing(self) -> str:
         """What motion is still waiting for; empty when nothing."""
@@ -387,7 +406,7 @@ class Supervisor:
     def finish(self) -> bool:
         """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
         the own descriptor. False when a stop was not sent, or a board that had answered before did not."""
-        self._raise_epoch([Cause(monotonic_ns(), layout.SUPERVISOR, "service is stopping")])
+        self._raise_epoch([Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())])
         while self._unanswered:
             self.loop.wait(HURRY_NS)
             self._follow_answer(monotonic_ns())

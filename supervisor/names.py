@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import os
 
+from failstop.policy import causes
 from failstop.supervisor.resources import SHARED_MEMORY
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
     from failstop.supervisor.events import Events
 
 LOOK_EVERY_NS = 1_000_000_000
@@ -31,10 +33,10 @@ class Names:
         self._events = events
         self._looked_ns = 0
 
-    def lost(self, now_ns: int) -> str:
-        """Why the service can't go on, as the reason of a stop; empty while it can. Looks once a second."""
+    def lost(self, now_ns: int) -> Cause | None:
+        """Why the service can't go on; None while it can. Looks once a second."""
         if now_ns - self._looked_ns < LOOK_EVERY_NS:
-            return ""
+            return None
         self._looked_ns = now_ns
         gone = [name for name, fd in self._named.items() if not os.fstat(fd).st_nlink]
         for name in gone:
@@ -43,8 +45,8 @@ class Names:
             text = f"{', '.join(vital)}: removed; ending, for a new run to make it anew"
             doubt = "next: is RemoveIPC=yes in logind.conf? `failstop doctor` looks"
             self._events.tell("note", f"{text}; {doubt}", level="error")
-            return f"{vital[0]} was removed: restart the service"
+            return causes.REMOVED(vital[0])
         for name in gone:
             text = f"{name} was removed: that client slot is out of use; next: restart the service when it may stop"
             self._events.tell("note", text, level="warning")
-        return ""
+        return None

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from failstop.supervisor.events import Events
 
 TELL_EVERY_NS = 10_000_000_000
-SUFFIX = " (the machine is starved)"
-"""Of a stop's reason."""
 
 
 class Silence:

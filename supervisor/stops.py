@@ -1,18 +1,28 @@
-"""The last stop, and the three levels of its proof, which are kept apart everywhere. Pure.
+"""A stop and its life, from the moment somebody noticed a cause until all that can be known of it is known. Pure.
 
-written        its bytes were handed to the kernel
-acknowledged   the board answered a ping that was written after it: its receiver was in step by then
-observed       the IMU says that the wheels are still
+    RAISED         its cause was noticed
+    WRITTEN        its bytes were handed to the kernel (UNWRITTEN: they were not)
+    ACKNOWLEDGED   the board answered a ping that was written after it: its receiver was in step by then
+    OBSERVED       the IMU says that the wheels are still (UNSTILL: they are not)
+
+The last three are levels of proof, kept apart everywhere. What was not written may be written later, by whoever gets
+the port back; the board may be silent while the IMU sees the wheels come to rest.
 """
 
 from __future__ import annotations
-
-from failstop.supervisor.causes import Cause
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
+    from failstop.policy.causes import Cause
+
+RAISED = "raised"
+UNWRITTEN = "unwritten"
+WRITTEN = "written"
+ACKNOWLEDGED = "acknowledged"
+OBSERVED = "observed"
+UNSTILL = "unstill"
 ACKNOWLEDGE_NS = 1_500_000_000
 """A stop that the board has not acknowledged by then is told of without."""
 JUDGED_AFTER_NS = 800_000_000
@@ -38,8 +48,8 @@ def wheels_seen(seconds: float) -> str:
     return f"wheels still after {still_after(seconds)}" if seconds else "no shaking seen before or after"
 
 
-class LastStop:
-    """One stop from its writing until all that can be known of it is known."""
+class Stop:
+    """One stop. Times are CLOCK_MONOTONIC in ns."""
 
     __slots__ = (
         "_after_ns",
@@ -53,24 +63,29 @@ class LastStop:
         "cause",
         "epoch",
         "latched",
+        "noticed_by",
         "observed_ns",
+        "t_ns",
         "told",
         "unix_s",
         "unstill",
         "written_ns",
     )
 
-    def __init__(
-        self, cause: Cause, written_ns: int, by: str, latched: str, epoch: int, after_ns: int, unix_s: float
-    ) -> None:
-        """`written_ns`: 0 when it could not be written; `after_ns`: how long the wheels may take to be still;
-        `unix_s`: the wall clock, for people."""
+    def __init__(self, t_ns: int, noticed_by: str, cause: Cause, written_ns: int = 0) -> None:
+        """`t_ns`: when the process `noticed_by` noticed it; `written_ns`: when that wrote the burst, where it says."""
         self.cause = cause
+        self.noticed_by = noticed_by
+        self.t_ns = t_ns
         self.written_ns = written_ns
-        self.by = by
-        self.latched = latched
-        self.epoch = epoch
-        self.unix_s = unix_s
+        """When its burst was handed to the kernel; 0: not known, or not written."""
+        self.by = ""
+        """Who wrote it; empty while nobody has answered it."""
+        self.epoch = 0
+        """That was raised for it."""
+        self.latched = cause
+        """The cause that was latched then: this one, or the first before it."""
+        self.unix_s = 0.0
         self.acknowledged_ns: int | None = None
         """From the cause to the board's answer."""
         self.observed_ns: int | None = None
@@ -80,12 +95,34 @@ class LastStop:
         self.told = False
         """All that can be known of it was told."""
         self._was_still = True
-        self._looked_ns = 0
-        self._after_ns = after_ns
-        self._proved_ns = written_ns or cause.t_ns
-        self._since_ns = cause.t_ns
+        self._looked_ns = self._after_ns = self._proved_ns = self._again_ns = 0
+        self._since_ns = t_ns
         """What the board is given to obey and to answer counts from here."""
-        self._again_ns = cause.t_ns + after_ns
+
+    @property
+    def state(self) -> str:
+        """How far it has come: RAISED or one of those after it."""
+        if not self.by:
+            return RAISED
+        if not self.written_ns:
+            return UNWRITTEN
+        if self.observed_ns is not None:
+            return OBSERVED
+        if self.unstill:
+            return UNSTILL
+        return WRITTEN if self.acknowledged_ns is None else ACKNOWLEDGED
+
+    def answered_by(self, by: str, written_ns: int, latched: Cause, epoch: int, after_ns: int, unix_s: float) -> None:
+        """It was written (`written_ns` 0: it could not be): from here on it is followed. `after_ns`: how long the
+        wheels may take to be still; `unix_s`: the wall clock, for people."""
+        self.by = by
+        self.written_ns = written_ns
+        self.latched = latched
+        self.epoch = epoch
+        self.unix_s = unix_s
+        self._after_ns = after_ns
+        self._proved_ns = written_ns or self.t_ns
+        self._again_ns = self.t_ns + after_ns
 
     def written_at_last(self, written_ns: int, by: str) -> None:
         """It could not be written, and now it was: the port is back."""
@@ -95,11 +132,11 @@ class LastStop:
         self._proved_ns = self._since_ns = written_ns
         self._again_ns = written_ns + self._after_ns
 
-    def answered(self, sent_ns: int, arrival_ns: int) -> bool:
+    def ponged(self, sent_ns: int, arrival_ns: int) -> bool:
         """A ping was answered; True when this acknowledges the stop."""
         if self.acknowledged_ns is not None or sent_ns < self._proved_ns or not self.written_ns:
             return False
-        self.acknowledged_ns = arrival_ns - self.cause.t_ns
+        self.acknowledged_ns = arrival_ns - self.t_ns
         return True
 
     def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
@@ -108,17 +145,17 @@ class LastStop:
         self._looked_ns = self._looked_ns or now_ns
         if self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
             return False
-        late = self._looked_ns - self.cause.t_ns > LATE_LOOK_NS
+        late = self._looked_ns - self.t_ns > LATE_LOOK_NS
         if not still_ns:
             self._was_still = False
             if now_ns >= self._again_ns:
                 self._again_ns = now_ns + self._after_ns
                 self.unstill = True
                 return True
-        elif not self._was_still or (late and still_ns > self.cause.t_ns):
+        elif not self._was_still or (late and still_ns > self.t_ns):
             # A window may begin before the cause: they turned all the same.
-            self.observed_ns = max(LEAST_NS, still_ns - self.cause.t_ns)
-        elif judged_ns - self.cause.t_ns >= JUDGED_AFTER_NS:
+            self.observed_ns = max(LEAST_NS, still_ns - self.t_ns)
+        elif judged_ns - self.t_ns >= JUDGED_AFTER_NS:
             self.observed_ns = 0
         return False
 
@@ -140,13 +177,14 @@ class LastStop:
             seen = "wheels NOT seen still" if self.unstill else "not observed"
         else:
             seen = wheels_seen(self.observed_ns / 1e9)
-        return f"{self.cause.reason}: {heard}, {seen}"
+        return f"{self.cause}: {heard}, {seen}"
 
     def fields(self, link: str) -> dict[str, str | float | None]:
         """The same for programs."""
         seen = "unknown" if self.observed_ns is None else "still"
         return {
-            "reason": self.cause.reason,
+            "reason": str(self.cause),
+            "cause": self.cause.kind.name,
             "epoch": self.epoch,
             "link": link,
             **self._proofs(),
@@ -155,11 +193,11 @@ class LastStop:
 
     def as_record(self) -> dict[str, Any]:
         """What clients see."""
-        written_ns = max(0, self.written_ns - self.cause.t_ns) if self.written_ns else None
+        written_ns = max(0, self.written_ns - self.t_ns) if self.written_ns else None
         return {
-            "reason": self.cause.reason,
-            "latched": self.latched,
-            "noticed_by": self.cause.noticed_by,
+            "cause": self.cause.pack(),
+            "latched": self.latched.pack(),
+            "noticed_by": self.noticed_by,
             "written_by": self.by,
             "t": self.unix_s,
             "epoch": self.epoch,

@@ -8,9 +8,10 @@ from failstop.supervisor.link import UNPROVEN
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
     from failstop.shm.segment import Segment
-    from failstop.supervisor.causes import Cause
     from failstop.supervisor.events import Events
+    from failstop.supervisor.stops import Stop
 
 MOST_SAID = 64
 WAITED_NS = 2_000_000_000
@@ -33,53 +34,53 @@ class Teller:
         self._advice = advice
         self.events = events
         self._notes = [(process, views[process].ring_reader("notes")) for process in (layout.GATE, layout.TELEMETRY)]
-        self._said: set[str] = set()
-        """Reasons that were told of since the latch."""
+        self._said: set[Cause] = set()
+        """Those that were told of since the latch."""
         self._missing = ""
         self._missing_ns = 0
         self._told_missing = ""
 
-    def latched(self, cause: Cause) -> None:
+    def latched(self, stop: Stop) -> None:
         """A cause is the first since a reset: everything that follows may be news again."""
-        self._said = {cause.reason}
+        self._said = {stop.cause}
 
     def _news_of(self, cause: Cause) -> bool:
-        """True when this reason was not told of since the latch; several processes notice the same. Of more reasons
+        """True when this cause was not told of since the latch; several processes notice the same. Of more causes
         than are remembered the older may be told of again."""
-        if cause.reason in self._said:
+        if cause in self._said:
             return False
         if len(self._said) >= MOST_SAID:
             self._said.clear()
-        self._said.add(cause.reason)
+        self._said.add(cause)
         return True
 
-    def also(self, cause: Cause) -> None:
+    def also(self, stop: Stop) -> None:
         """A cause that came together with others, or before their stop was answered."""
-        if self._news_of(cause):
-            fields = {"reason": cause.reason, "noticed_by": cause.noticed_by}
-            self.events.tell("stop_also", f"also: {cause.reason}", fields)
+        if self._news_of(stop.cause):
+            fields = {**_named(stop.cause), "noticed_by": stop.noticed_by}
+            self.events.tell("stop_also", f"also: {stop.cause}", fields)
 
-    def stopped(self, cause: Cause, written_ns: int, by: str, standing: Cause, epoch: int, *, ending: bool) -> None:
-        """A stop was answered; `written_ns` 0: it could not be written. `standing`: the cause that is latched."""
-        written_us = max(0, written_ns - cause.t_ns) / 1000
+    def stopped(self, stop: Stop, written_ns: int, by: str, latched: Stop, epoch: int, *, ending: bool) -> None:
+        """A stop was answered; `written_ns` 0: it could not be written. `latched`: the one that is latched."""
+        written_us = max(0, written_ns - stop.t_ns) / 1000
         wrote = f"stop frame written by the {by} after {written_us:.0f} us" if written_ns else "stop frame NOT written"
         fields = {
-            "reason": cause.reason,
-            "noticed_by": cause.noticed_by,
+            **_named(stop.cause),
+            "noticed_by": stop.noticed_by,
             "written_by": by if written_ns else "nobody",
             "latency_us": round(written_us, 1) if written_ns else None,
             "epoch": epoch,
         }
         level = "" if written_ns else "critical"
         if ending:
-            self.events.tell("stopping", f"{cause.reason}; {wrote}", fields, level=level)
-        elif standing is cause:
+            self.events.tell("stopping", f"{stop.cause}; {wrote}", fields, level=level)
+        elif latched is stop:
             todo = f"{self.events.command('reset')}, then {self.events.command('enable')}"
-            text = f"E-STOP latched: {cause.reason}; {wrote}; next: {todo}"
+            text = f"E-STOP latched: {stop.cause}; {wrote}; next: {todo}"
             self.events.tell("stop", text, fields, level=level)
-        elif self._news_of(cause):
-            text = f"stopped again: {cause.reason}; {wrote}; latched is still: {standing.reason}"
-            self.events.tell("stop_again", text, {**fields, "latched": standing.reason}, level=level)
+        elif self._news_of(stop.cause):
+            text = f"stopped again: {stop.cause}; {wrote}; latched is still: {latched.cause}"
+            self.events.tell("stop_again", text, {**fields, "latched": str(latched.cause)}, level=level)
 
     def ready(self, granted: int) -> None:
         """Motion could be enabled, for the first time; `granted`: heartbeat bits, of what the supervisor has."""
@@ -129,3 +130,8 @@ class Teller:
         else:
             heard, level = f"NOT acknowledged by the board (link {link}); wheels that turn: POWER SWITCH", "critical"
         self.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if sent else "critical")
+
+
+def _named(cause: Cause) -> dict[str, str]:
+    """A cause as fields of an event: for people, and for programs."""
+    return {"reason": str(cause), "cause": cause.kind.name}

@@ -25,6 +25,7 @@ from bench.vm.table import BY_NAME, KILLED, Result
 from failstop.board.sim.client import Event, SimBoard
 from failstop.errors import FailstopError
 from failstop.faults.driving import Driver
+from failstop.policy import causes
 from failstop.trial import TrialError, judge, wait_for
 
 FAILSTOP = "/usr/local/bin/failstop"
@@ -372,9 +373,9 @@ def _again(scene: Scene, name: str) -> Result:
 def drain(scene: Scene) -> Iterator[Result]:
     """It is noticed and latched; the first bytes that are taken again may be the motion that was under way."""
     _stall(scene, 2.0)
-    latched = scene.driver.robot.state.estop or ""
+    latched = scene.driver.robot.state.cause
     found = _again(scene, "drain")
-    if "drain" not in latched:
+    if latched is None or latched.kind is not causes.STUCK:
         found.wrong.append(f"latched: {latched or 'nothing'}")
     yield found
 

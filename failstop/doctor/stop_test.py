@@ -19,7 +19,6 @@ from failstop.doctor.tap import Tap
 from failstop.errors import FailstopError
 from failstop.procs.stopper import tool
 from failstop.robot import Robot
-from failstop.shm.records import requested
 from failstop.supervisor.port import OwnPort
 
 ANSWER_S = 0.5
@@ -101,7 +100,7 @@ def by_service(name: str) -> tuple[StopTest, ...]:
         while answered_ms is None and time.monotonic() < until_s:
             time.sleep(POLL_S)
             stop = robot.state.last_stop
-            if stop and stop.reason.startswith(requested(REASON)):
+            if stop and stop.cause.named().get("words") == REASON:
                 written = stop.written_us is not None
                 answered_ms = None if stop.acknowledged_us is None else stop.acknowledged_us / 1000
         problem = ""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import random
-import re
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -13,9 +12,10 @@ from collections.abc import Callable, Iterator
 from failstop.board.sim.client import Event, SimBoardError
 from failstop.errors import FailstopError, Refused
 from failstop.faults import inject
-from failstop.faults.fault import HANG, ITSELF, KILL, RESET, SPIN, Fault
+from failstop.faults.fault import HANG, ITSELF, KILL, RESET, SPIN, Fault, fits
 from failstop.faults.judge import verdict
 from failstop.faults.scene import Scene
+from failstop.policy.causes import Cause
 from failstop.trial import Stopped, TrialError
 
 LIMITS = ((-0.2, 0.2), (-0.2, 0.2), (-1.0, 1.0))
@@ -81,6 +81,7 @@ class _Injection:
         self.injector = inject.injector(fault)
         self.pids: dict[str, int] = {}
         self.mark = 0
+        self.latched: Cause | None = None
 
     def run(self) -> None:
         """From enable to just before the next one; whatever is wrong goes into the outcome."""
@@ -149,15 +150,12 @@ class _Injection:
             scene.driver.until("the service to be whole", self._whole)
         else:
             self._end_run()
-        self._check(f"a line of the service with {fault.logged!r}", self._logged)
-        pattern = re.compile(fault.latched)
         if fault.latched:
-            self._check(
-                f"a latch {fault.latched!r}", lambda: bool(pattern.search(scene.driver.robot.state.estop or ""))
-            )
+            self._check(f"a latch {fault.latched!r}", self._latched)
             self._check_latch()
         elif reason := scene.driver.robot.state.estop:
             self.outcome.wrong.append(f"latched: {reason}")
+        self._check(f"the service to say {fault.logged or 'what is latched'!r}", self._logged)
         if fault.cleared == RESET:
             self._check("the reset", self._reset)
         if fault.cleared == ITSELF:
@@ -182,10 +180,12 @@ class _Injection:
 
     def _logged(self) -> bool:
         self.outcome.said = self.scene.trial.service.said(self.mark)
-        return bool(re.search(self.fault.logged, self.outcome.said))
+        latched = [f"E-STOP latched: {self.latched}"] if self.latched else []
+        return all(text in self.outcome.said for text in (self.fault.logged, *latched))
 
     def _latched(self) -> bool:
-        return bool(re.search(self.fault.latched, self.scene.driver.robot.state.estop or ""))
+        self.latched = self.scene.driver.robot.state.cause
+        return fits(self.latched, self.fault.latched)
 
     def _check_latch(self) -> None:
         """A latched stop refuses to be enabled."""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
+
+from failstop.policy.causes import Cause
 
 RESET = "reset, then enable"
 ENABLE = "enable"
@@ -33,11 +36,20 @@ LATE_MS = 100.0
 """Added to one and a half bars for the limit that a test asserts: machines that tests run on are shared and busy."""
 
 Step = tuple[str, str]
+Wanted = tuple[Any, ...]
+"""A row of the causes, and its first arguments, if they matter."""
+
+
+def fits(cause: Cause | None, wanted: tuple[Wanted, ...]) -> bool:
+    """True when this is one of the causes that are wanted."""
+    return cause is not None and any(
+        cause.kind is kind and cause.arguments[: len(first)] == tuple(first) for kind, *first in wanted
+    )
 
 
 @dataclasses.dataclass(frozen=True)
 class Fault:
-    """One row. `latched` and `logged` are regular expressions that are searched for."""
+    """One row."""
 
     name: str
     event: str
@@ -46,12 +58,12 @@ class Fault:
     """What goes wrong, in words."""
     first: str
     """Who stops first; "nobody" where nothing is to stop."""
-    latched: str
-    """Pattern of the reason that stays latched; empty: nothing does."""
+    latched: tuple[Wanted, ...]
+    """The cause that stays latched is one of these; empty: nothing does."""
     cleared: str
     """RESET, ENABLE, ITSELF or NEW_RUN."""
     logged: str
-    """Pattern of a line that the service says; empty: there is nothing to say."""
+    """What the service says, besides of the stop that is latched; empty: nothing more."""
     bar_ms: float | None
     """The time to the first stop frame that is aimed at (p99); None: this must not stop the wheels."""
     injector: str

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 
 from failstop.faults.fault import CONTINUE, DEATH, HANG, HANGS, KILL, NEW_RUN, RESET, SEVERAL, SPIN, Fault
+from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import BY_KEY
 from failstop.procs.stopper.main import HANG_NS
@@ -61,18 +62,19 @@ def _row(
 ) -> Fault:
     """What stays latched is the first cause; a service that lost its supervisor starts anew, with nothing latched.
     `fenced_s`: the hung hang until the supervisor has fenced them; 0: they are continued before."""
-    struck = {process: "died" if action == KILL else "hangs" for action, process in steps if action != CONTINUE}
+    fates = {KILL: (causes.DIED,), HANG: (causes.HANGS, causes.STARVED), SPIN: (causes.HANGS, causes.STARVED)}
+    struck = {process: fates[action] for action, process in steps if action != CONTINUE}
     continued = {process for action, process in steps if action == CONTINUE}
     anew = SUPERVISOR in struck and SUPERVISOR not in continued
-    reasons = "|".join(f"{process} {fate}" for process, fate in struck.items())
+    wanted = tuple((kind, process) for process, kinds in struck.items() for kind in kinds)
     return Fault(
         name=name,
         event=event,
         cause=cause,
         first=first,
-        latched="" if anew else f"^({reasons})",
+        latched=() if anew else wanted,
         cleared=NEW_RUN if anew else RESET,
-        logged=NEW_RUN_SAYS if anew else f"E-STOP latched: ({reasons})",
+        logged=NEW_RUN_SAYS if anew else "",
         bar_ms=bar_ms,
         injector="processes",
         steps=steps,

@@ -146,8 +146,8 @@ def markdown(result: dict[str, Any]) -> str:
         f"stop, {result['wrong']} not as the table says**.",
         "",
         "Times are in ms from the fault, or from what the row says, to the arrival of the last byte of that stop",
-        "frame. The bar is for the p99. What is latched is the reason in `failstop status`; what is said is a line on",
-        "stderr or in the journal; both are regular expressions here. Where nothing is latched after a new start,",
+        "frame. The bar is for the p99. What is latched is a row of policy/causes.py with its first arguments, and the",
+        "journal tells of it; what is said besides is in that column. Where nothing is latched after a new start,",
         "motion is disabled. Clearing moves no wheel, but where it comes *by itself*. What is *not here* this",
         "machine could not bring about: `make vm` puts one of its own to sleep and steps its clock",
         "([usb.md](usb.md)).",
@@ -165,7 +165,8 @@ def markdown(result: dict[str, Any]) -> str:
 
 def described(fault: Fault) -> str:
     """The part of a row that nothing is measured for."""
-    latched, logged = _pattern(fault.latched), _pattern(fault.logged)
+    latched = " or ".join(" ".join((kind.name, *map(str, first))) for kind, *first in fault.latched)
+    latched, logged = _code(latched), _code(fault.logged)
     return f"| `{fault.name}` | {fault.cause} | {fault.first} | {latched} | {fault.cleared} | {logged} |"
 
 
@@ -176,6 +177,5 @@ def _line(fault: Fault, row: dict[str, Any]) -> str:
     return f"{described(fault)} {' | '.join((str(count), *_times(row), bar + counted))} |"
 
 
-def _pattern(text: str) -> str:
-    escaped = text.replace("|", "\\|")
-    return f"`{escaped}`" if text else "nothing"
+def _code(text: str) -> str:
+    return f"`{text}`" if text else "nothing"

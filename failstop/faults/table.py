@@ -27,7 +27,23 @@ from failstop.faults.fault import (
     Fault,
 )
 from failstop.faults.inject_board import WATCHDOG_S
-from failstop.shm.layout import PORT_OWNER, SUPERVISOR
+from failstop.policy.causes import (
+    BUTTON,
+    DEAF,
+    DEVICE_LOST,
+    DIED,
+    HELD_UP,
+    KEY,
+    MUTE,
+    NOT_FINITE,
+    PIPED,
+    STARVED,
+    STUCK,
+    SUSPENDED,
+    TWO_PUBLISHERS,
+)
+from failstop.policy.causes import HANGS as HANGS_CAUSE
+from failstop.shm.layout import GATE, PORT_OWNER, SUPERVISOR
 
 BACK = "the device's return"
 ASKED = "a stop request meanwhile"
@@ -41,9 +57,9 @@ def _asked(name: str, event: str, cause: str, injector: str, logged: str = "", *
         event=event,
         cause=cause,
         first="port owner, when asked",
-        latched="^stop request: asked meanwhile",
+        latched=((PIPED, "asked meanwhile"),),
         cleared=RESET,
-        logged=logged or "E-STOP latched: stop request: asked meanwhile",
+        logged=logged,
         bar_ms=bar_ms,
         injector=injector,
         counted_from=ASKED,
@@ -55,7 +71,7 @@ WOKEN = (
     Fault(
         "hang-supervisor+port_owner-continued", SEVERAL,
         "SIGSTOP of supervisor and port_owner, SIGCONT once the stopper has stopped", "stopper",
-        "^(supervisor|port_owner) (hangs|died)", RESET, "E-STOP latched: (supervisor|port_owner) (hangs|died)",
+        ((HANGS_CAUSE, SUPERVISOR), (DIED, SUPERVISOR), (HANGS_CAUSE, PORT_OWNER), (DIED, PORT_OWNER)), RESET, "",
         processes.STOPPER_MS, "processes",
         steps=((HANG, SUPERVISOR), (HANG, PORT_OWNER), (CONTINUE, SUPERVISOR), (CONTINUE, PORT_OWNER)), weight=1,
     ),
@@ -64,83 +80,83 @@ WOKEN = (
 CLIENTS = (
     Fault(
         "client-killed", CLIENT, "SIGKILL of the client that drives", "gate (its lifeline)",
-        "", ITSELF, "", 5.0, "client-killed",
+        (), ITSELF, "", 5.0, "client-killed",
     ),
     Fault(
         "client-killed-large", CLIENT, "SIGKILL of a client of 300 MB that drives", "gate (its lifeline)",
-        "", ITSELF, "", 5.0, "client-killed-large", weight=1,
+        (), ITSELF, "", 5.0, "client-killed-large", weight=1,
     ),
     Fault(
         "client-hung", CLIENT, "SIGSTOP of the client that drives", "gate (command timeout)",
-        "", ITSELF, "", 320.0, "client-hung", counted_from="its last command", aftermath_s=0.45, weight=1,
+        (), ITSELF, "", 320.0, "client-hung", counted_from="its last command", aftermath_s=0.45, weight=1,
     ),
     Fault(
         "pad-silent", CLIENT, "the gamepad that drives falls silent", "gate (command timeout)",
-        "", ITSELF, "", 320.0, "pad-silent", aftermath_s=0.5, weight=1,
+        (), ITSELF, "", 320.0, "pad-silent", aftermath_s=0.5, weight=1,
     ),
     Fault(
         "client-nan", CLIENT, "a command that is not a number", "gate",
-        "^command from .* is not finite", RESET, "E-STOP latched: command from .* is not finite", 5.0, "client-nan",
+        ((NOT_FINITE,),), RESET, "", 5.0, "client-nan",
     ),
     Fault(
         "client-second", CLIENT, "a second publisher of one source", "gate",
-        "^multiple cmd_vel publishers", RESET, "E-STOP latched: multiple cmd_vel publishers", 5.0, "client-second",
+        ((TWO_PUBLISHERS, "cmd_vel"),), RESET, "", 5.0, "client-second",
     ),
     Fault(
         "client-gamepad", CLIENT, "a client commands zero as the gamepad", "nobody",
-        "", ITSELF, "the source 'gamepad' is the board's gamepad alone", None, "client-gamepad",
+        (), ITSELF, "the source 'gamepad' is the board's gamepad alone", None, "client-gamepad",
         aftermath_s=0.4, weight=1,
     ),
     Fault(
         "slot-scribbled", MEMORY, "the driving client's slot is overwritten", "gate (its session is gone)",
-        "", ITSELF, "", 50.0, "slot-scribbled", counted_from="its last command", aftermath_s=0.45, weight=1,
+        (), ITSELF, "", 50.0, "slot-scribbled", counted_from="its last command", aftermath_s=0.45, weight=1,
     ),
     Fault(
         "slot-truncated", MEMORY, "the driving client's slot is truncated", "gate (its session is gone)",
-        "", ITSELF, "", 50.0, "slot-truncated", counted_from="its last command", aftermath_s=0.45, weight=1,
+        (), ITSELF, "", 50.0, "slot-truncated", counted_from="its last command", aftermath_s=0.45, weight=1,
     ),
     Fault(
         "slot-unlinked", MEMORY, "the driving client's slot is unlinked", "nobody",
-        "", ITSELF, "", None, "slot-unlinked", aftermath_s=0.4, weight=1,
+        (), ITSELF, "", None, "slot-unlinked", aftermath_s=0.4, weight=1,
     ),
 )  # fmt: skip
 
 REQUESTS = (
     Fault(
         "service-stopped", SERVICE, "SIGTERM to the service", "supervisor, through the port owner",
-        "", NEW_RUN, "stopped; the stop was written twice", 20.0, "service-stopped",
+        (), NEW_RUN, "stopped; the stop was written twice", 20.0, "service-stopped",
     ),
     Fault(
         "stop-request", REQUEST, "a stop request by an unprivileged user", "port owner",
-        "^stop request: nobody says so", RESET, "E-STOP latched: stop request: nobody says so", 2.0, "stop-request",
+        ((PIPED, "nobody says so"),), RESET, "", 2.0, "stop-request",
     ),
     Fault(
         "stop-request-posing", REQUEST, "a stop request in the words of a cause of the service's own", "port owner",
-        "^stop request: gate died", RESET, "E-STOP latched: stop request: gate died", 2.0, "stop-request-posing",
+        ((PIPED, "gate died"),), RESET, "", 2.0, "stop-request-posing",
     ),
     Fault(
         "stop-pipe-garbage", REQUEST, "garbage in the stop FIFO", "port owner",
-        "^stop request", RESET, "E-STOP latched: stop request", 2.0, "stop-pipe-garbage",
+        ((PIPED,),), RESET, "", 2.0, "stop-pipe-garbage",
     ),
     Fault(
         "stop-pipe-flood", REQUEST, "the stop FIFO is kept full", "port owner",
-        "^stop request: flood", RESET, "E-STOP latched: stop request: flood", 2.0, "stop-pipe-flood",
+        ((PIPED, "flood"),), RESET, "", 2.0, "stop-pipe-flood",
     ),
     Fault(
         "pad-button", REQUEST, "a button of the gamepad, one frame", "port owner, asked by telemetry",
-        "^gamepad button 0x0100", RESET, "E-STOP latched: gamepad button 0x0100", 5.0, "pad-button",
+        ((BUTTON, 0x0100),), RESET, "", 5.0, "pad-button",
     ),
     Fault(
         "board-key", REQUEST, "the board's stop key", "port owner, asked by telemetry",
-        "^key1", RESET, "E-STOP latched: key1", 5.0, "board-key",
+        ((KEY, 1),), RESET, "", 5.0, "board-key",
     ),
     Fault(
         "scan-silent", SENSOR, "the obstacle sensor falls silent, and comes back", "gate (no scan)",
-        "", ITSELF, "no scan for", 520.0, "scan-silent", counted_from="its last delivery", aftermath_s=0.65, weight=1,
+        (), ITSELF, "no scan for", 520.0, "scan-silent", counted_from="its last delivery", aftermath_s=0.65, weight=1,
     ),
     Fault(
         "interlock-lost", SENSOR, "an interlock is no longer asserted", "gate",
-        "", ENABLE, "motion disabled: interlock arm", 525.0, "interlock-lost", counted_from="its last assertion",
+        (), ENABLE, "motion disabled: interlock arm", 525.0, "interlock-lost", counted_from="its last assertion",
         aftermath_s=0.65, weight=1,
     ),
 )  # fmt: skip
@@ -148,49 +164,49 @@ REQUESTS = (
 PORT = (
     Fault(
         "usb-drop", USB, "unplugged; back under the same name", "supervisor, the moment it is back",
-        "^device lost", RESET, "E-STOP latched: device lost", 20.0, "usb-drop", counted_from=BACK,
+        ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop", counted_from=BACK,
     ),
     Fault(
         "usb-drop-mid-frame", USB, "unplugged while a frame is half written", "supervisor, the moment it is back",
-        "^device lost", RESET, "E-STOP latched: device lost", 20.0, "usb-drop-mid-frame", counted_from=BACK,
+        ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop-mid-frame", counted_from=BACK,
     ),
     Fault(
         "usb-drop-renamed", USB, "unplugged; back as another node behind the link", "supervisor, the moment it is back",
-        "^device lost", RESET, "E-STOP latched: device lost", 20.0, "usb-drop-renamed", counted_from=BACK,
+        ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop-renamed", counted_from=BACK,
     ),
     Fault(
         "usb-drop-permission", USB, "unplugged; back, and the permission comes later", "supervisor, once it may open",
-        "^device lost", RESET, "E-STOP latched: device lost", 20.0, "usb-drop-permission",
+        ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop-permission",
         counted_from="the permission", weight=1,
     ),
     Fault(
         "usb-drop-unwatched", USB, "unplugged, the supervisor stopped (SIGSTOP) meanwhile; back under the same name",
-        "systemd: its watchdog, then the stop tool (ExecStopPost)", "", NEW_RUN, processes.NEW_RUN_SAYS,
+        "systemd: its watchdog, then the stop tool (ExecStopPost)", (), NEW_RUN, processes.NEW_RUN_SAYS,
         1000 * WATCHDOG_S + processes.TOOL_MS, "usb-drop-unwatched", counted_from=BACK, stop_tool=True, weight=1,
     ),
     Fault(
         "board-not-draining", BOARD, "the board takes no bytes", "nobody; port owner, once it takes bytes again",
-        "^port does not drain", RESET, "POWER SWITCH", 100.0, "board-not-draining", counted_from="taking bytes again",
+        ((STUCK,),), RESET, "POWER SWITCH", 100.0, "board-not-draining", counted_from="taking bytes again",
         weight=1,
     ),
     Fault(
         "board-deaf", BOARD, "the board hears nothing while its telemetry goes on", "nobody; its 5 Hz zeros, later",
-        "^the board is deaf", RESET, "POWER SWITCH", 210.0, "board-deaf", counted_from="hearing again",
+        ((DEAF,),), RESET, "POWER SWITCH", 210.0, "board-deaf", counted_from="hearing again",
         aftermath_s=0.3, weight=1,
     ),
     Fault(
         "board-unproven", BOARD, "the board has never answered a ping", "nobody",
-        "", ITSELF, "", None, "board-unproven", aftermath_s=1.6, link="unproven", weight=1,
+        (), ITSELF, "", None, "board-unproven", aftermath_s=1.6, link="unproven", weight=1,
     ),
     Fault(
         "board-garbles-up", BOARD, "1 % of the bytes from the board are garbled", "nobody",
-        "", ITSELF, "", None, "board-garbles-up", aftermath_s=0.4, weight=1,
+        (), ITSELF, "", None, "board-garbles-up", aftermath_s=0.4, weight=1,
     ),
     _asked("board-garbles-down", BOARD, "1 % of the bytes to the board are garbled", "board-garbles-down", bar_ms=250),
     _asked("board-floods", BOARD, "the board sends without pause", "board-floods"),
     Fault(
         "board-refuses", BOARD, "the board executes the stop, and the wheels turn on", "port owner, in vain",
-        "^stop request: asked meanwhile", RESET, "CRITICAL", 5.0, "board-refuses", counted_from=ASKED,
+        ((PIPED, "asked meanwhile"),), RESET, "CRITICAL", 5.0, "board-refuses", counted_from=ASKED,
         aftermath_s=2.0, weight=1,
     ),
 )  # fmt: skip
@@ -200,26 +216,26 @@ SURROUNDINGS = (
     _asked("no-descriptors", MACHINE, "no process may open another file", "no-descriptors"),
     Fault(
         "no-descriptors-kill", MACHINE, "no process may open another file; SIGKILL of the gate", "port owner",
-        "^gate died", RESET, "E-STOP latched: gate died", 10.0, "no-descriptors-kill", weight=1,
+        ((DIED, GATE),), RESET, "", 10.0, "no-descriptors-kill", weight=1,
     ),
     _asked("no-memory", MACHINE, "no process may have more memory", "no-memory"),
-    _asked("no-disk", MACHINE, "the state files can't grow", "no-disk", "can't be written: .*File too large"),
+    _asked("no-disk", MACHINE, "the state files can't grow", "no-disk", "can't be written"),
     Fault(
         "names-removed", MACHINE, "the names in /dev/shm are gone, as by logind's RemoveIPC=yes",
-        "port owner; the supervisor looks once a second", "", NEW_RUN, "was removed: restart the service; stop frame",
+        "port owner; the supervisor looks once a second", (), NEW_RUN, "was removed: restart the service",
         1020.0, "names-removed", aftermath_s=1.2, weight=1,
     ),
     Fault(
         "frozen", TIME, "every process frozen for 0.3 s and thawed together", "the first to wake",
-        r"^\w+ (hangs|beats|was held up)", RESET, "E-STOP latched: ", 65.0, "frozen", counted_from=THAWED, weight=1,
+        ((HANGS_CAUSE,), (MUTE,), (HELD_UP,), (STARVED,)), RESET, "", 65.0, "frozen", counted_from=THAWED, weight=1,
     ),
     Fault(
         "suspended", TIME, "the machine sleeps and wakes", "the first to wake",
-        "^the machine was suspended", RESET, "E-STOP latched: ", 65.0, "suspended", counted_from="waking", weight=1,
+        ((SUSPENDED,),), RESET, "", 65.0, "suspended", counted_from="waking", weight=1,
     ),
     Fault(
         "clock-stepped", TIME, "the wall clock is stepped by an hour, both ways", "nobody",
-        "", ITSELF, "", None, "clock-stepped", aftermath_s=0.5, weight=1,
+        (), ITSELF, "", None, "clock-stepped", aftermath_s=0.5, weight=1,
     ),
 )  # fmt: skip
 

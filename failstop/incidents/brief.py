@@ -75,7 +75,7 @@ def _key(line: Line) -> str:
 def _shorter(incident: Incident, line: Line) -> str:
     """In one row of a terminal, if that can be."""
     if line.what == CAUSE:
-        return outcome.asked(incident.reason)[0]
+        return outcome.short(incident.cause)
     if line.what == "command":
         return f"{line.text.rpartition(' as ')[0]} commands"
     if line.what == "gate":

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 
+from failstop.policy import causes
 from failstop.shm import box, layout, records, slot
 from failstop.shm.latest import slot_bytes
 
@@ -15,15 +16,15 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
+    from failstop.policy.causes import Cause
     from failstop.shm.slot import Entry
 
     Copies = dict[str, tuple[int, bytes]]
 
 LEFT_OUT = "reply."
 """Answers to clients: of no use to anybody else."""
-SUPERVISOR_DIED = "supervisor died"
-GATE_DIED = "gate died"
-SERVICE_DIED = "all of the service died"
+SUPERVISOR_DIED = causes.DIED(layout.SUPERVISOR)
+GATE_DIED = causes.DIED(layout.GATE)
 OUTLIVED_NS = 60_000_000
 """Between two beats of whoever lives; who has beaten so long after the supervisor has outlived it."""
 _WORD = struct.Struct("<Q")
@@ -69,50 +70,49 @@ def merge(entries: list[list[Any]], earlier: list[Entry]) -> list[list[Any]]:
     return [list(entry) for entry in earlier if oldest is None or entry[0] < oldest] + entries
 
 
-def unsaved_cause(copies: Copies, start_ns: int) -> tuple[int, int, str] | None:
-    """The stop that was latched when the run ended: (cause_ns, epoch, reason). None when nothing was, or when the
+def unsaved_cause(copies: Copies, start_ns: int) -> tuple[int, int, Cause] | None:
+    """The stop that was latched when the run ended: (cause_ns, epoch, cause). None when nothing was, or when the
     supervisor lived on for `start_ns`, from a stop to its saver's start."""
-    found = whole(layout.SUPERVISOR, "cause", *copies[layout.SUPERVISOR])
+    found = whole(layout.SUPERVISOR, "latch", *copies[layout.SUPERVISOR])
     if not found:
         return None
     try:
-        epoch, cause_ns, reason, _ = records.unpack_cause(found[-1][2])
+        epoch, cause_ns, _, packed = records.unpack_latch(found[-1][2])
     except ValueError:
         return None
-    latched = epoch > words(layout.GATE, copies[layout.GATE][1])["reset_epoch"]
     beat_ns = words(layout.SUPERVISOR, copies[layout.SUPERVISOR][1])["beat_ns"]
-    return (cause_ns, epoch, reason) if latched and beat_ns < cause_ns + start_ns else None
+    return (cause_ns, epoch, causes.read(packed)) if epoch and beat_ns < cause_ns + start_ns else None
 
 
-def left_cause(copies: Copies) -> tuple[int, int, str]:
-    """What ended a run that was not ended in order: (cause_ns, epoch, reason), by the port owner's word where it has
+def left_cause(copies: Copies) -> tuple[int, int, Cause]:
+    """What ended a run that was not ended in order: (cause_ns, epoch, cause), by the port owner's word where it has
     outlived the supervisor, else by the last sign of life."""
     beats = {name: words(name, data)["beat_ns"] for name, (_, data) in copies.items()}
     supervisor = words(layout.SUPERVISOR, copies[layout.SUPERVISOR][1])
     # An epoch that was raised answered its causes: those of the last one had nobody to answer them.
-    owed = [(ns, epoch, reason) for ns, epoch, reason in _causes(copies) if epoch >= supervisor["epoch"]]
+    owed = [(ns, epoch, cause) for ns, epoch, cause in _causes(copies) if epoch >= supervisor["epoch"]]
     if owed:
-        first_ns, epoch, reason = owed[0]
+        first_ns, epoch, cause = owed[0]
         # The gate is killed with its parent, and the news of its death may come first.
         together = [why for ns, _, why in owed if ns - first_ns < OUTLIVED_NS]
-        return first_ns, epoch, SUPERVISOR_DIED if reason == GATE_DIED and SUPERVISOR_DIED in together else reason
+        return first_ns, epoch, SUPERVISOR_DIED if cause == GATE_DIED and SUPERVISOR_DIED in together else cause
     outlived = any(beat_ns > supervisor["beat_ns"] + OUTLIVED_NS for beat_ns in beats.values())
     if outlived:
         return supervisor["beat_ns"], supervisor["epoch"], SUPERVISOR_DIED
-    return max(beats.values()), supervisor["epoch"], SERVICE_DIED
+    return max(beats.values()), supervisor["epoch"], causes.ALL_DIED()
 
 
-def _causes(copies: Copies) -> list[tuple[int, int, str]]:
-    """What the port owner noticed: (cause_ns, epoch, reason), in order."""
+def _causes(copies: Copies) -> list[tuple[int, int, Cause]]:
+    """What the port owner noticed: (cause_ns, epoch, cause), in order."""
     found = []
     if layout.PORT_OWNER in copies:
         for _, _, payload in whole(layout.PORT_OWNER, "stops", *copies[layout.PORT_OWNER]):
             try:
-                epoch, cause_ns, _, _, reason = records.unpack_stop(payload)
+                epoch, cause_ns, _, cause = records.unpack_stop(payload)
             except ValueError:
                 continue
-            found.append((cause_ns, epoch, reason))
-    return sorted(found)
+            found.append((cause_ns, epoch, causes.read(cause)))
+    return sorted(found, key=lambda noticed: noticed[:2])
 
 
 def left_stop(copies: Copies, cause_ns: int) -> dict[str, Any] | None:

@@ -11,6 +11,8 @@ from typing import Any, TypeVar
 import msgpack
 
 from failstop.incidents import file
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.shm import box, layout, records
 
 Payload = TypeVar("Payload")
@@ -71,7 +73,7 @@ class Stop:
 
     ns: int
     noticed_by: str
-    reason: str
+    cause: Cause
     written_ns: int
     """0: not known, or not written."""
 
@@ -95,6 +97,8 @@ class Incident:
         self.head = head
         self.cause_ns: int = head["cause_ns"]
         self.reason: str = head["reason"]
+        name, arguments = head["cause"]["name"], {key: value for key, value in head["cause"].items() if key != "name"}
+        self.cause = causes.of(name, arguments)
         self.settings: dict[str, str] = body["settings"]
         self.machine: dict[str, Any] = body["machine"]
         self._segments: dict[str, Any] = body["segments"]
@@ -209,8 +213,8 @@ class Incident:
         """Every cause that port owner and gate noticed."""
         found = []
         for segment, ring in ((layout.PORT_OWNER, "stops"), (layout.GATE, "trips")):
-            for _, (_, cause_ns, written_ns, _, reason) in self._entries(segment, ring, records.unpack_stop):
-                found.append(Stop(cause_ns, segment, reason, written_ns))
+            for _, (_, cause_ns, written_ns, cause) in self._entries(segment, ring, records.unpack_stop):
+                found.append(Stop(cause_ns, segment, causes.read(cause), written_ns))
         return sorted(found, key=lambda stop: stop.ns)
 
     @cached_property

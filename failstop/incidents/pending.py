@@ -11,6 +11,7 @@ import msgpack
 from failstop.client import last_run
 from failstop.errors import FailstopError
 from failstop.incidents import store
+from failstop.policy import causes
 from failstop.shm import layout, segment
 
 RECENT_S = 20.0
@@ -35,12 +36,12 @@ def unsaved(name: str, heads: list[dict[str, Any]], now_s: float) -> dict[str, A
     try:
         stop: dict[str, Any] = msgpack.unpackb(entry[2]) if entry else {}
         # What comes while a stop is latched belongs to that one's file.
-        if not stop or stop["latched"] != stop["reason"] or not 0 <= now_s - stop["t"] < RECENT_S:
+        if not stop or stop["latched"] != stop["cause"] or not 0 <= now_s - stop["t"] < RECENT_S:
             return None
         saved = any(head.get("run") == run and head["epoch"] >= stop["epoch"] for head in heads)
     except (ValueError, KeyError, TypeError, msgpack.UnpackException):
         return None
-    return None if saved else stop
+    return None if saved else {**stop, "reason": str(causes.read(stop["cause"]))}
 
 
 def wait(name: str, environ: Mapping[str, str], patience_s: float = PATIENCE_S) -> dict[str, Any] | None:

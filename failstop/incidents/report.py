@@ -9,6 +9,7 @@ from typing import Any
 from failstop.incidents import brief, outcome, signals, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE, Line
+from failstop.policy import causes
 from failstop.policy.settings import BY_KEY, declaration
 from failstop.shm.records import printable
 from failstop.style import DIM, FAIL, STRONG, WARN, cut, paint
@@ -150,12 +151,13 @@ def _facts(rows: list[Fact], columns: int) -> list[str]:
 def _head(incident: Incident, columns: int, now_s: float) -> list[str]:
     """The facts: what, when, and the three times of the stop, which are kept apart."""
     head = incident.head
-    reason, by, pid = outcome.asked(incident.reason)
+    who = incident.cause.named() if incident.cause.kind is causes.REQUESTED else {}
+    asked_by = f"{who['who']} (pid {who['pid']})" if who else ""
     rows: list[Fact] = [
-        ("why", reason, FAIL),
+        ("why", outcome.short(incident.cause), FAIL),
         ("when", f'{when(head["t"])}{ago(now_s - head["t"])}; service "{head["name"]}" on {head["host"]}', ""),
         ("before", _before(incident), ""),
-        ("noticed", _noticed(incident, f"{by} (pid {pid})" if by else ""), ""),
+        ("noticed", _noticed(incident, asked_by), ""),
         *_proofs(incident),
     ]
     if head["kind"] == "left":

@@ -15,6 +15,7 @@ from unicodedata import normalize
 
 from failstop.incidents import copying, file, outcome
 from failstop.incidents.prune import prune
+from failstop.policy import causes
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import STARTING
 from failstop.supervisor.blackbox import NOTHING, START_NS
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from failstop.incidents.copying import Copies
+    from failstop.policy.causes import Cause
 
 FOLDER = "incidents"
 SLUG_CHARACTERS = frozenset("abcdefghijklmnopqrstuvwxyz0123456789")
@@ -86,7 +88,7 @@ def _save(words: dict[str, str]) -> str:
     if not live and segments[layout.SUPERVISOR]["words"]["beat_state"] == STARTING:
         return ""  # it never was ready: why is in the journal, and a service that can't start must not fill the folder
     if live:
-        cause = int(words["cause_ns"]), int(words["epoch"]), words["reason"]
+        cause = int(words["cause_ns"]), int(words["epoch"]), causes.read(bytes.fromhex(words["cause"]))
     else:
         # What came before the end, if no other file has it, is what people look for.
         cause = copying.unsaved_cause(copies, START_NS) or copying.left_cause(copies)
@@ -127,10 +129,10 @@ def _state_directory(name: str) -> str:
 
 
 def _contents(
-    name: str, cause: tuple[int, int, str], live: bool, copies: Copies, segments: dict[str, Any]
+    name: str, cause: tuple[int, int, Cause], live: bool, copies: Copies, segments: dict[str, Any]
 ) -> tuple[str, bytes]:
     """The file's name, without its suffix, and its bytes."""
-    cause_ns, epoch, reason = cause
+    cause_ns, epoch, why = cause
     now_s = time.time()
     # One clock for all that is in the file; a wall clock that was set since the stop is off by as much.
     unix_minus_monotonic_ns = round(now_s * 1e9) - time.monotonic_ns()
@@ -140,7 +142,8 @@ def _contents(
         "name": name,
         "t": at_s,
         "saved": now_s,
-        "reason": reason,
+        "reason": str(why),
+        "cause": {"name": why.kind.name, **why.named()},
         "kind": "stop" if live else "left",
         "cause_ns": cause_ns,
         "epoch": epoch,
@@ -162,16 +165,16 @@ def _contents(
         "machine": machine(),
     }
     stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(at_s))
-    return f"{stamp}-{slug(reason)}", file.build(head, body)
+    return f"{stamp}-{slug(why)}", file.build(head, body)
 
 
-def _outcome(copies: Copies, segments: dict[str, Any], cause: tuple[int, int, str]) -> dict[str, Any] | None:
+def _outcome(copies: Copies, segments: dict[str, Any], cause: tuple[int, int, Cause]) -> dict[str, Any] | None:
     """What the supervisor has told; of a stop that was written later than it knew, what the rings hold."""
-    cause_ns, epoch, reason = cause
+    cause_ns, epoch, why = cause
     supervisor = segments[layout.SUPERVISOR]
     record = supervisor["latest"].get("stop")
     events = [payload for _, _, payload in supervisor["rings"]["events"]]
-    told = outcome.known(record[2] if record else None, events, epoch, reason)
+    told = outcome.known(record[2] if record else None, events, epoch, why)
     if told and told["written_us"] is not None:
         return told
     seen = copying.left_stop(copies, cause_ns)
@@ -180,13 +183,12 @@ def _outcome(copies: Copies, segments: dict[str, Any], cause: tuple[int, int, st
     return told or seen
 
 
-def slug(reason: str) -> str:
-    """A reason in a few whole words, as part of a file name: without who asked for it (`(..., pid 7)`), and what the
-    service itself says without the details after a colon."""
-    text, _, _ = outcome.asked(reason)
-    what = text.split(": ")[0]
-    if not text.startswith(records.REQUESTED) and " " in what:
-        text = what
+def slug(cause: Cause) -> str:
+    """A cause in a few whole words, as part of a file name: without who asked for it, and what the service itself says
+    without the details after a colon."""
+    text = outcome.short(cause)
+    if not outcome.asked(cause):
+        text = text.split(": ")[0]
     plain = normalize("NFKD", text.lower()).replace("'", "")
     words = "".join(c if c in SLUG_CHARACTERS else " " for c in plain if ord(c) < 0x300 or ord(c) > 0x36F).split()
     kept = words[:1]

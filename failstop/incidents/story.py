@@ -19,7 +19,7 @@ DETAIL_NS = 500_000_000
 QUIET_NS = 100_000_000
 """A board that sends 110 IMU samples a second and then nothing for this long has gone silent."""
 TELL_OF_STOPS = frozenset(("stop", "stop_again", "stop_also"))
-"""Events whose field `reason` is that of a stop, cut perhaps."""
+"""Events that tell of a stop's cause."""
 STEP = 0.05
 """Near the cause, a command that differs by more (m/s, rad/s) is told of its own."""
 STEP_RPS = 0.2
@@ -231,13 +231,13 @@ def _last_beats(incident: Incident) -> Iterator[Line]:
 
 def _events(incident: Incident) -> Iterator[Line]:
     stops = [event.fields for event in incident.events if event.kind in TELL_OF_STOPS]
-    told = tuple(fields["reason"] for fields in stops if fields.get("reason"))
+    told = {fields.get("cause") for fields in stops}
     for event in incident.events:
         mark = "! " if event.level in ("error", "critical") else ""
         yield Line(event.ns, event.kind, mark + event.text)
     for stop in incident.stops:
-        if stop.ns != incident.cause_ns and not stop.reason.startswith(told):
-            yield Line(stop.ns, "cause", f"{stop.reason} (noticed by the {name(stop.noticed_by)})")
+        if stop.ns != incident.cause_ns and stop.cause.kind.name not in told:
+            yield Line(stop.ns, "cause", f"{stop.cause} (noticed by the {name(stop.noticed_by)})")
 
 
 def within(lines: list[Line], since_ns: int) -> list[Line]:

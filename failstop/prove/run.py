@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import random
-import re
 import subprocess
 import time
 
 from failstop.errors import FailstopError
+from failstop.faults.fault import fits
 from failstop.faults.steps import Steps
 from failstop.prove import shake, table
 from failstop.prove.shake import Noise, Sample, Verdict
@@ -258,10 +258,11 @@ class Run:
 
     def _judge_latch(self) -> None:
         """With whatever the commands went on meanwhile."""
-        result, pattern = self.result, self.path.latched
-        result.latched = self.stand.driver.robot.state.estop
-        if not re.search(pattern, result.latched or "") if pattern else result.latched:
-            result.wrong.append(f"latched: {result.latched}" + (f", not {pattern}" if pattern else ""))
+        result, wanted = self.result, self.path.latched
+        state = self.stand.driver.robot.state
+        result.latched = state.estop
+        if not fits(state.cause, wanted) if wanted else state.cause:
+            result.wrong.append(f"latched: {result.latched}" + (f", not {wanted}" if wanted else ""))
 
     def _sense_again(self) -> None:
         """The commands have gone on: the wheels turn again by themselves."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 
-from failstop.faults.fault import Fault
+from failstop.faults.fault import Fault, Wanted
 from failstop.faults.table import BY_NAME
+from failstop.policy import causes
 from failstop.shm.layout import GATE, PORT_OWNER, PROCESSES, STOPPER, SUPERVISOR, TELEMETRY
 
 
@@ -75,8 +76,8 @@ class Path:
     """From the cause to the stop handed to the kernel: the bar of the fault table."""
     process: str = ""
     """Whom it strikes."""
-    latched: str = ""
-    """Pattern of the reason that stays latched; empty: nothing does."""
+    latched: tuple[Wanted, ...] = ()
+    """The cause that stays latched is one of these; empty: nothing does."""
     by_gate: bool = False
     """The gate stops with a zero frame of its own instead of a burst."""
     ends: bool = False
@@ -111,16 +112,16 @@ def _struck(kind: str, process: str) -> Path:
     row = BY_NAME[f"{kind}-{process}"]
     words = f"{process} killed (SIGKILL)" if kind == KILL else f"{process} hangs (SIGSTOP)"
     ends = kind == KILL and process == SUPERVISOR
-    latched = row.latched if row.survives else ""
+    latched = row.latched if row.survives else ()
     return Path(row.name, kind, words, _bar(row.name), process, latched, ends=ends, fault=row)
 
 
 PATHS = (
     Path(DEADMAN, DEADMAN, "the commands end", _bar("client-hung"), by_gate=True),
-    Path("stop-request", REQUEST, "a stop request", _bar("stop-request"), latched="^stop request: prove"),
+    Path("stop-request", REQUEST, "a stop request", _bar("stop-request"), latched=((causes.PIPED, "prove"),)),
     Path(DISABLE, DISABLE, "motion is disabled", DISABLE_MS),
     Path(SCAN, SCAN, "the obstacle sensor falls silent, and comes back", _bar("scan-silent"), by_gate=True),
-    Path(PAD, PAD, "a button of the gamepad", _bar("pad-button"), latched="^gamepad button"),
+    Path(PAD, PAD, "a button of the gamepad", _bar("pad-button"), latched=((causes.BUTTON,),)),
     *(_struck(KILL, process) for process in PROCESSES),
     *(_struck(HANG, process) for process in (PORT_OWNER, GATE, TELEMETRY, STOPPER, SUPERVISOR)),
     Path("service-stop", END, "the service is stopped (SIGTERM)", _bar("service-stopped"), ends=True),

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 class Left:
     """A run that was not ended in order. Its memory is there until the service is started again, or the machine is."""
 
-    __slots__ = ("device", "events", "name", "pid", "reason", "stop", "t")
+    __slots__ = ("cause", "device", "events", "name", "pid", "stop", "t")
 
     def __init__(self, name: str, copies: Copies, now_s: float, now_ns: int) -> None:
         """`now_s`, `now_ns`: Unix time and CLOCK_MONOTONIC of one moment."""
-        cause_ns, _, self.reason = copying.left_cause(copies)
+        cause_ns, _, self.cause = copying.left_cause(copies)
         self.name = name
         self.t = now_s - (now_ns - cause_ns) / 1e9
         """Unix time of the end."""
@@ -91,5 +91,5 @@ def refusal(name: str, error: NoService) -> NoService:
 
 def line(found: Left, now_s: float) -> str:
     """What happened and what to do, in one line."""
-    what = f"{found.reason} ({words.ago(found.t, now_s)}); {found.written()}"
+    what = f"{found.cause} ({words.ago(found.t, now_s)}); {found.written()}"
     return f"no service named {found.name!r} is running: {what}; next: {', then '.join(found.steps()[:-1])}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from failstop.policy.processes import ROLES
 from failstop.screen import history, reasons, verdict, words
 from failstop.shm import blocks
 from failstop.state import State, Stop
@@ -89,10 +90,10 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Explanation:
     stop = state.last_stop
     since, cause = _since(state, events, now_s)
     proof, see_to = "", ""
-    if state.estop:
-        told, see_to = reasons.explain(state.estop)
+    if state.cause:
+        told, see_to = reasons.explain(state.cause)
         cause = f"it was latched because {told}"
-    if stop and (state.blocked == blocks.DISABLED or stop.reason == state.estop):
+    if stop and (state.blocked == blocks.DISABLED or stop.cause == state.cause):
         proof = _proof(stop, state, now_s)
     head = _head(state, row, "" if since is None else f" since {words.ago(since, now_s)}")
     before = _before(state, events, now_s)
@@ -102,7 +103,7 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Explanation:
 
 def gone(found: Left, now_s: float) -> Explanation:
     """The same of a service that has died: `found` is what it has left."""
-    what = f"{found.reason} (pid {found.pid}; {words.ago(found.t, now_s)}) without being told to end"
+    what = f"{found.cause} (pid {found.pid}; {words.ago(found.t, now_s)}) without being told to end"
     cause = f"no service named {found.name!r} runs: {what}"
     doubt = "THE WHEELS MAY TURN. If they do, use the POWER SWITCH" if found.stop is None else ""
     todo = found.steps()
@@ -134,7 +135,7 @@ def _since(state: State, events: Sequence[Event], now_s: float) -> tuple[float |
     """Since when this block holds, as far as is known, and what began it."""
     stop = state.last_stop
     if state.estop:
-        return (stop.t if stop and stop.reason == state.estop else None), ""
+        return (stop.t if stop and stop.cause == state.cause else None), ""
     if state.blocked == blocks.NO_SCAN:
         if state.scan_age_s is None:
             return None, "it has not delivered once since the service was started"
@@ -243,4 +244,4 @@ def _sentences(*parts: str) -> str:
 
 def _capital(text: str) -> str:
     first = text.split(" ", 1)[0]
-    return text if first in reasons.ROLES else text[:1].upper() + text[1:]
+    return text if first in ROLES else text[:1].upper() + text[1:]

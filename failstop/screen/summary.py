@@ -92,7 +92,7 @@ def last_stop(state: State, now_s: float, earlier: Earlier | None = None) -> lis
             rows.append([*_row("before it", earlier.how, WARN), (f" ({words.ago(earlier.t, now_s)})", DIM)])
             rows.append(_row("", "") + commands(earlier.show(state.name)))
         return rows
-    what = "the one that is latched" if stop.reason == state.estop else stop.reason
+    what = "the one that is latched" if stop.cause == state.cause else stop.reason
     head: Line = [(f"{'last stop':<{LABEL}}", DIM), (what, PLAIN), (f" ({words.ago(stop.t, now_s)})", DIM)]
     return [head, [(f"{'':<{LABEL}}", PLAIN), *proofs(stop)]]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from failstop import style
+from failstop.policy import causes
 from failstop.screen import host, words
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
@@ -11,8 +12,6 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.state import State
 
-UNSTILL = "the wheels do not come to rest: use the POWER SWITCH"
-"""The latch's reason when the IMU contradicts a stop (supervisor/aftermath.py)."""
 DRIVING = "DRIVING"
 STANDING = "STANDING"
 STOPPED = "STOPPED"
@@ -33,7 +32,7 @@ def doubt(state: State) -> str:
         return f"the port {state.device['path'] or ''} is {state.device['state']}, so no stop reaches the board"
     if state.device["link"] == "deaf":
         return "the board does not answer, so a stop may not reach the wheels"
-    if state.estop == UNSTILL:
+    if state.cause and state.cause.kind is causes.UNSTILL:
         return "the IMU sees the robot shake on"
     return ""
 
@@ -49,10 +48,10 @@ def word(state: State) -> tuple[str, str]:
     return STOPPED, style.FAIL if state.estop else style.WARN
 
 
-def headline(state: State) -> str:
-    """What the wheels do and why, in a line."""
+def headline(state: State, blocked: str | None = None) -> str:
+    """What the wheels do and why, in a line; `blocked`: the same block in other words."""
     if state.blocked:
-        return f"blocked: {state.blocked}"
+        return f"blocked: {blocked or state.blocked}"
     return words.velocity(*state.body_vel) or "zero is commanded"
 
 

@@ -13,15 +13,19 @@ from __future__ import annotations
 
 from math import isfinite
 
+from failstop.policy import causes
+from failstop.policy.reply import Reply
 from failstop.procs.gate import remarks
 from failstop.procs.gate.interlocks import Interlocks
 from failstop.procs.gate.scan import ScanGate
 from failstop.procs.gate.sources import PAD, Command, Sources
 from failstop.shm.blocks import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
 from failstop.shm.notes import Note
+from failstop.shm.records import CAUSE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
     from failstop.policy.kinematics import Differential, Mecanum
     from failstop.policy.settings import Settings
 
@@ -48,9 +52,10 @@ class GateCore:
         self.scan = ScanGate(settings.ns("scan.timeout_s"), on=settings.text("scan.gate") == "on")
         self.interlocks = Interlocks(settings.interlocks())
         self.enabled = False
-        self.latch: str | None = None
-        self.latched_in = 0
-        """The epoch in which the latch was made; its stop is carried out once the epoch is newer."""
+        self.latch: Cause | None = None
+        """What is latched by the supervisor's word, or by its own until the supervisor has answered that."""
+        self._tripped_in = 0
+        """The epoch in which it tripped by itself; answered once the epoch is newer."""
         self.epoch = 0
         """The epoch that motion was enabled in; every frame carries it."""
         self.velocity = REST
@@ -86,20 +91,20 @@ class GateCore:
         stale_ns = self.sources.stale_ns(driving)
         return stale_ns if driving.manual or not self.scan.on else min(stale_ns, self.scan.silent_ns())
 
-    def take(self, command: Command, now_ns: int) -> str:
-        """A new command. Returns the reason to trip for, empty when it is a good one: non-finite values, a second
+    def take(self, command: Command, now_ns: int) -> Cause | None:
+        """A new command. Returns the cause to trip for, None when it is a good one: non-finite values, a second
         publisher of one source beside one whose command still counts. A stamp from the future counts as now; a source
         that no setting names, or that is the pad's, is noted and ignored."""
         if not all(map(isfinite, command.velocity)):
-            return f"command from {command.who} is not finite"
+            return causes.NOT_FINITE(command.who)
         if not self.sources.allows(command):
             self._note_ignored(command)
-            return ""
+            return None
         rival = self.sources.rival(command, now_ns)
         if rival is not None:
-            return f"multiple {command.source} publishers: {rival.who}, {command.who}"
+            return causes.TWO_PUBLISHERS(command.source, rival.who, command.who)
         self.sources.put(command, now_ns)
-        return ""
+        return None
 
     def _note_ignored(self, command: Command) -> None:
         """Once for each session and source; a session that makes up ever new ones is not told of for ever."""
@@ -122,14 +127,22 @@ class GateCore:
                 self._tell(remarks.gone(driving), self._halts, now_ns)
         return self.sources.drop(session)
 
-    def trip(self, reason: str, epoch: int) -> bool:
-        """Latch (the first reason stays), disable, stand still. True when the latch is new."""
+    def trip(self, cause: Cause, epoch: int) -> bool:
+        """Stop by itself: disable, stand still, and say so until the supervisor has latched it. True when nothing is
+        latched yet, so that this is news."""
         self.stand_still()
         if self.latch is not None:
             return False
-        self.latch = reason
-        self.latched_in = epoch
+        self.latch = cause
+        self._tripped_in = epoch
         return True
+
+    def follow(self, latched: Cause | None, epoch: int) -> None:
+        """What the supervisor has latched by now, in this epoch."""
+        if latched:
+            self.stand_still()
+        if latched or epoch > self._tripped_in:
+            self.latch = latched
 
     def stand_still(self) -> None:
         """Disable and set the velocity to zero at once."""
@@ -138,24 +151,24 @@ class GateCore:
         self.velocity = REST
         self.speeds = STILL
 
-    def enable(self, epoch: int, missing: str, now_ns: int) -> tuple[bool, str]:
-        """Allow motion in this epoch; `missing` names what is not ready. Returns (done, text)."""
+    def enable(self, epoch: int, missing: str, now_ns: int) -> Reply:
+        """Allow motion in this epoch; `missing` names what is not ready."""
         if self.latch is not None:
-            return False, f"e-stop latched ({self.latch})"
+            return Reply(False, f"e-stop latched ({CAUSE})", self.latch)
         if missing:
-            return False, f"not ready: {missing}"
+            return Reply(False, f"not ready: {missing}")
         if unmet := self.interlocks.unmet(now_ns):
-            return False, unmet
+            return Reply(False, unmet)
         if not self.enabled:
             self.stand_still()
             self.enabled = True
             self.epoch = epoch
-        return True, "motion enabled"
+        return Reply(True, "motion enabled")
 
-    def disable(self) -> tuple[bool, str]:
-        """Forbid motion. Returns (done, text)."""
+    def disable(self) -> Reply:
+        """Forbid motion."""
         self.stand_still()
-        return True, "motion disabled"
+        return Reply(True, "motion disabled")
 
     def check_interlocks(self, now_ns: int) -> str:
         """Once a tick: an interlock that is lost while enabled disables motion; returns which, in words."""
@@ -164,16 +177,6 @@ class GateCore:
             self.stand_still()
             self.notes.append(Note("disabled", f"motion disabled: {unmet}", {"reason": unmet}))
         return unmet
-
-    def reset(self, epoch: int) -> tuple[bool, str]:
-        """Clear the latch and nothing else. Returns (done, text)."""
-        if self.latch is None:
-            return True, "no e-stop is latched"
-        if epoch <= self.latched_in:
-            return False, f"the stop is still being carried out ({self.latch})"
-        text = f"e-stop cleared (was: {self.latch}); motion still disabled"
-        self.latch = None
-        return True, text
 
     def step(self, now_ns: int) -> Speeds | None:
         """Move the velocity on; returns the wheel speeds (rps) to send now, or None when nothing is to be sent."""

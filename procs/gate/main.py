@@ -6,7 +6,8 @@ import os
 from time import monotonic_ns
 
 from failstop.board.interface import BOARD
-from failstop.policy import kinematics
+from failstop.policy import causes, kinematics
+from failstop.policy.reply import Reply, unpack
 from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.recorder import GateBox
@@ -22,12 +23,14 @@ from failstop.shm.packing import pack
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
     from failstop.procs.context import Context
     from failstop.procs.gate.clients import Slot
 
 PUBLISH_NS = 80_000_000
 """State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
 comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
+MS = 1_000_000
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
 LOOK_AT_ALL_EVERY = 10
@@ -55,8 +58,15 @@ class Gate:
         self._barrier = Barrier()
         self._supervisor_heart = HeartbeatReader(supervisor)
         self._lease_ns = settings.ns("gate.lease_s")
-        self._cause = supervisor.latest_reader("cause")
-        self._reset_word = own.word("reset_epoch")
+        self._latch = supervisor.latest_reader("latch")
+        self._decided_word = supervisor.word("resets")
+        self._decided_seen = self._decided_word.get()
+        self._decided = supervisor.latest_reader("reset")
+        self._asked_word = own.word("resets_asked")
+        self._asked_ns_word = own.word("reset_asked_ns")
+        self._resets: list[tuple[Slot | None, int, int, int]] = []
+        """Who waits for a reset, the first of them being asked for: its slot (None: the gamepad), session, the number
+        of its request, and when it was made."""
         self._frames = own.ring_writer("frames")
         self._trips = own.ring_writer("trips")
         self._notes = own.ring_writer("notes")
@@ -76,10 +86,12 @@ class Gate:
         self._early = context.early.bell
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, self)
         self.epoch = self._epoch_word.get()
-        self._stopped_ns = 0
-        """When the epoch was raised last: requests from before that are refused."""
+        self._raised_ns = 0
+        """When the epoch was raised last: requests to enable from before that are refused."""
+        self._last = causes.UNKNOWN()
+        """The cause of the last stop."""
+        self._follow_latch()
         self._rings = 0
-        self._inherit_latch()
         for fd in (self._bell.fd, self._early.fd, self._client_bell):
             self.loop.watch(fd, READ)
         self._next_tick, self._due = self.loop.deadline(), self.loop.deadline()
@@ -88,28 +100,20 @@ class Gate:
         self._published_ns = 0
         self._published = b""
 
-    def _inherit_latch(self) -> None:
-        """A successor starts latched with whatever stopped the service since the last reset."""
-        if self.epoch > 1:
-            self._note_stop()
-            if self.epoch > self._reset_word.get():
-                self.core.trip(self._why(), self.epoch - 1)
-
-    def _note_stop(self) -> None:
-        """A new epoch was seen: from here on its cause is, and that the service was not ready."""
+    def _follow_latch(self) -> None:
+        """What is latched, by the supervisor's word, which a gate that was started anew reads too."""
         self._barrier()
-        entry = self._cause.read()
-        self._stopped_ns = entry[1] if entry else monotonic_ns()
-
-    def _why(self) -> str:
-        entry = self._cause.read()
-        return records.raised_for(entry[2] if entry else None, self._reset_word.get())
+        if entry := self._latch.read():
+            since, _, self._raised_ns, cause = records.unpack_latch(entry[2])
+            self._last = causes.read(cause)
+            self.core.follow(self._last if since else None, self.epoch)
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
         bell.clear_rung((self._bell, self._early), ready)
         self._follow_epoch()
+        self._follow_resets(now_ns)
         self.clients.lives_ended(ready, now_ns)
         if self._client_bell in ready:  # last: who joins may get the number of a descriptor that was closed above
             self._client_rang(now_ns)
@@ -149,7 +153,7 @@ class Gate:
             self.clients.look_at_all(now_ns)
             self._follow_said(now_ns)
         if self.core.check_interlocks(now_ns):
-            self._write_stop("an interlock was lost")
+            self._write_stop()
         self._check_supervisor(now_ns)
         self._step(now_ns)
         self._box.tick(now_ns, self.core, self.epoch)
@@ -158,7 +162,7 @@ class Gate:
         """The port owner admits nothing without it: then nobody is to be told that motion is enabled."""
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
-            self.trip(f"supervisor hangs: silent for {silent_ns / 1e6:.0f} ms", now_ns)
+            self.trip(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
 
     def _follow_said(self, now_ns: int) -> None:
         """What clients say of themselves, passed on unjudged."""
@@ -182,12 +186,12 @@ class Gate:
             self._port_owner_bell.ring()
 
     def _follow_epoch(self) -> None:
-        """Somebody stopped: latch."""
+        """Somebody stopped."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
             self.epoch = epoch
-            self._note_stop()
-            self.core.trip(self._why(), epoch - 1)
+            self.core.stand_still()
+            self._follow_latch()
 
     def _follow_telemetry(self, now_ns: int) -> None:
         """The gamepad's sticks, and what telemetry wishes: a reset, or a frame that is not motion."""
@@ -199,27 +203,57 @@ class Gate:
         while wish := self._wishes.next():
             kind, frame = records.unpack_wish(wish[2])
             if kind == records.WISH_RESET:
-                latched = self.core.latch
-                self._remark(records.RESET, "gamepad", 0, *self._reset(), now_ns, latched=latched)
+                self._ask_reset(None, 0, 0, now_ns)
             elif kind == records.WISH_FRAME:
                 self._frames.put(records.pack_frame(self.epoch, records.OTHER, frame), now_ns)
                 self._port_owner_bell.ring()
 
-    def _reset(self) -> tuple[bool, str]:
-        done, text = self.core.reset(self.epoch)
-        if done:
-            self._reset_word.set(self.epoch)
-        return done, text
+    def _ask_reset(self, slot: Slot | None, session: int, number: int, asked_ns: int) -> None:
+        """The supervisor decides, one at a time."""
+        self._resets.append((slot, session, number, asked_ns))
+        if len(self._resets) == 1:
+            self._pass_reset_on()
 
-    def _write_stop(self, reason: str) -> None:
-        self._frames.put(records.pack_frame(self.epoch, records.STOP, records.cut(reason, 200)))
+    def _pass_reset_on(self) -> None:
+        self._asked_ns_word.set(self._resets[0][3])
+        self._barrier()
+        self._asked_word.set(self._asked_word.get() + 1)
+        self.supervisor_bell.ring()
+
+    def _follow_resets(self, now_ns: int) -> None:
+        """What the supervisor has decided, for whomever: follow it, then tell who asked."""
+        decided = self._decided_word.get()
+        if decided == self._decided_seen:
+            return
+        self._decided_seen = decided
+        self._follow_latch()
+        entry = self._decided.read()
+        if not self._resets or decided != self._asked_word.get() or entry is None:
+            return
+        reply = unpack(entry[2])[2]
+        slot, session, number, _ = self._resets.pop(0)
+        if slot:
+            self._reply(slot, session, number, reply, now_ns)
+        who, pid = (slot.name, slot.pid) if slot else (PAD, 0)
+        self._remark(records.RESET, who, pid, reply, now_ns)
+        if self._resets:
+            self._pass_reset_on()
+
+    def _reply(self, slot: Slot, session: int, number: int, reply: Reply, now_ns: int) -> None:
+        """Tell a client, once the state that it reads is that of after its request."""
+        self._publish(now_ns)
+        self._barrier()
+        self._replies[slot.index].write(reply.pack(session, number))
+
+    def _write_stop(self) -> None:
+        self._frames.put(records.pack_frame(self.epoch, records.STOP, b""))
         self._port_owner_bell.ring()
 
-    def trip(self, reason: str, now_ns: int) -> None:
+    def trip(self, cause: Cause, now_ns: int) -> None:
         """Latch a stop: burst at once, then the news to the supervisor, which raises the epoch."""
-        if self.core.trip(reason, self.epoch):
-            self._write_stop(reason)
-            self._trips.put(records.pack_stop(self.epoch, now_ns, 0, True, reason))
+        if self.core.trip(cause, self.epoch):
+            self._write_stop()
+            self._trips.put(records.pack_stop(self.epoch, now_ns, 0, cause.pack()))
             self.supervisor_bell.ring()
 
     def client_command(self, command: Command, now_ns: int) -> None:
@@ -239,39 +273,29 @@ class Gate:
             self.core.interlocks.hold(names, asserted_ns, now_ns)
 
     def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
-        """Decide, act, answer. Who asked before a stop did not know of it."""
-        enabled, latched = self.core.enabled, self.core.latch
-        if verb in (records.ENABLE, records.RESET) and asked_ns < self._stopped_ns:
-            done, text = False, f"asked before the last stop ({self._why()}): see to that, then ask again"
+        """Decide, act, answer; a reset is the supervisor's. Who asked to enable before a stop did not know of it."""
+        enabled = self.core.enabled
+        if verb == records.RESET:
+            self._ask_reset(slot, slot.session, number, asked_ns)
+            return
+        if verb == records.ENABLE and asked_ns < self._raised_ns:
+            reply = Reply(
+                False, f"asked before the last stop ({records.CAUSE}): see to that, then ask again", self._last
+            )
         elif verb == records.ENABLE:
             missing = "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
-            done, text = self.core.enable(self.epoch, missing, now_ns)
+            reply = self.core.enable(self.epoch, missing, now_ns)
         elif verb == records.DISABLE:
-            done, text = self.core.disable()
-            self._write_stop("disabled")
-        elif verb == records.RESET:
-            done, text = self._reset()
+            reply = self.core.disable()
+            self._write_stop()
         else:
-            done, text = False, f"unknown request {verb}"
-        self._publish(now_ns)
-        self._barrier()
-        self._replies[slot.index].write(records.pack_reply(slot.session, number, done, text))
-        self._remark(verb, slot.name, slot.pid, done, text, now_ns, enabled=enabled, latched=latched)
+            reply = Reply(False, f"unknown request {verb}")
+        self._reply(slot, slot.session, number, reply, now_ns)
+        self._remark(verb, slot.name, slot.pid, reply, now_ns, enabled=enabled)
 
-    def _remark(
-        self,
-        verb: int,
-        who: str,
-        pid: int,
-        done: bool,
-        text: str,
-        now_ns: int,
-        *,
-        enabled: bool = False,
-        latched: str | None,
-    ) -> None:
+    def _remark(self, verb: int, who: str, pid: int, reply: Reply, now_ns: int, *, enabled: bool = False) -> None:
         """Tell people who has asked for what, with what effect."""
-        note = of_request(verb, who, pid, done, text, enabled=enabled, latched=latched)
+        note = of_request(verb, who, pid, reply, enabled=enabled)
         if note and self._budget.spend(now_ns):
             self.core.notes.append(note)
             if unsaid := self._budget.unsaid:
@@ -291,7 +315,7 @@ class Gate:
         state = pack(
             {
                 "enabled": core.enabled,
-                "estop": core.latch,
+                "estop": core.latch and core.latch.pack(),
                 "blocked": core.blocked(now_ns) or None,
                 "body_vel": core.velocity,
                 "wheels_rps": core.speeds,

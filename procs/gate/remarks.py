@@ -7,6 +7,7 @@ from failstop.shm.notes import Note
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.reply import Reply
     from failstop.procs.gate.sources import Command
     from failstop.shm.notes import Fields
 
@@ -20,22 +21,21 @@ HALTS_EVERY_NS = 10_000_000_000
 and then."""
 
 
-def of_request(
-    verb: int, who: str, pid: int, done: bool, text: str, *, enabled: bool, latched: str | None
-) -> Note | None:
-    """What a request has changed, or that it was refused; None when it has changed nothing. `enabled` and `latched`:
-    as they were before it."""
+def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) -> Note | None:
+    """What a request has changed, or that it was refused; None when it has changed nothing. `enabled`: as it was before
+    it."""
     by = f"{who} (pid {pid})" if pid else who
     fields: Fields = {"who": who, "pid": pid} if pid else {"who": who}
     named = VERBS.get(verb, str(verb))
-    if not done:
-        return Note("refused", f"refused to {named}, {by}: {text}", {**fields, "verb": named, "reason": text})
+    if not reply.done:
+        return Note("refused", f"refused to {named}, {by}: {reply}", {**fields, "verb": named, "reason": str(reply)})
     if verb == records.ENABLE and not enabled:
         return Note("enabled", f"motion enabled by {by}", fields)
     if verb == records.DISABLE and enabled:
         return Note("disabled", f"motion disabled by {by}", fields)
-    if verb == records.RESET and latched is not None:
-        return Note("reset", f"{by}: {text}", {**fields, "reason": latched})
+    if verb == records.RESET and reply.cause:
+        was = {"reason": str(reply.cause), "cause": reply.cause.kind.name}
+        return Note("reset", f"{by}: {reply}", {**fields, **was})
     return None
 
 

@@ -19,7 +19,14 @@ BURST instead of DROP for a frame of speeds zero while the wheels may turn: to s
 from __future__ import annotations
 
 from failstop.board.interface import BOARD
+from failstop.policy import causes
+from failstop.shm import layout
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
+
+MS = 1_000_000
 WRITE, DROP, BURST, REQUEST = range(4)
 Motion = tuple[bytes, int, int]
 """A motion frame of the gate's, the epoch in which motion was enabled, and when it was made."""
@@ -40,14 +47,17 @@ class Admission:
 
     def decide(
         self, motion: Motion, epoch: int, now_ns: int, gate_ns: int | None, supervisor_ns: int, *, requested: bool
-    ) -> int | str:
+    ) -> int | Cause:
         """One of WRITE, DROP, BURST and REQUEST, or the cause of a stop. `gate_ns`, `supervisor_ns`: when they have
         beaten last (None: no gate is watched); `requested`: a stop request waits."""
         if gate_ns is None or not self.current(motion, epoch, now_ns):
             return BURST if self.moving and motion[0] == BOARD.stop else DROP
         if requested:
             return REQUEST
-        return self.lapsed(gate_ns, supervisor_ns, now_ns) or BOARD.check_motion(motion[0], self._max_rps) or WRITE
+        if lapse := self.lapsed(gate_ns, supervisor_ns, now_ns):
+            return lapse
+        fault = BOARD.check_motion(motion[0], self._max_rps)
+        return causes.BAD_FRAME(fault) if fault else WRITE
 
     def current(self, motion: Motion, epoch: int, now_ns: int) -> bool:
         """True when the frame is of the current epoch, after any stop of its own, and young enough."""
@@ -58,12 +68,12 @@ class Admission:
         """When the first of the leases runs out that were last renewed then."""
         return min(gate_ns, supervisor_ns) + self._lease_ns
 
-    def lapsed(self, gate_ns: int, supervisor_ns: int, now_ns: int) -> str:
-        """Whose lease has run out, as a cause; empty: both are fresh."""
-        for name, beat_ns in (("gate", gate_ns), ("supervisor", supervisor_ns)):
+    def lapsed(self, gate_ns: int, supervisor_ns: int, now_ns: int) -> Cause | None:
+        """The cause of a stop: whose lease has run out; None: both are fresh."""
+        for name, beat_ns in ((layout.GATE, gate_ns), (layout.SUPERVISOR, supervisor_ns)):
             if now_ns - beat_ns >= self._lease_ns:
-                return f"{name} hangs: silent for {(now_ns - beat_ns) / 1e6:.0f} ms"
-        return ""
+                return causes.HANGS(name, (now_ns - beat_ns) // MS)
+        return None
 
     def stopped(self, epoch: int) -> None:
         """It has stopped in this epoch, for a cause that the supervisor has not raised it for."""

@@ -9,6 +9,7 @@ import os
 from time import monotonic_ns
 
 from failstop.board.interface import BOARD
+from failstop.policy import causes
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, NEVER, READ, WRITE, Deadline, Loop
 from failstop.procs.peer import Peer
@@ -23,10 +24,12 @@ from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
     from failstop.procs.context import Context
     from failstop.procs.port_owner.admission import Motion
 
-TICK_NS = 20_000_000
+MS = 1_000_000
+TICK_NS = 20 * MS
 RECEIVED_CHUNK = 512
 OTHER_BACKLOG = 128
 """Bytes under way behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
@@ -109,7 +112,8 @@ class PortOwner:
             self._wake_pipe()
         bell.clear_rung((self._bell, self._early.bell), ready)
         while trip := self._trips.next():
-            self.stop(trip[1], trip[2].decode("utf-8", "replace"))
+            self.wire.burst()
+            self._own_stop(trip[1], monotonic_ns(), causes.read(trip[2]))
         for peer in self._peers:
             if peer.down(ready):
                 self._died(peer, now_ns)
@@ -119,7 +123,7 @@ class PortOwner:
             self._supervisor_life.demote()
             for peer in self._peers:
                 peer.demote()  # it dies with its parent
-            self._own_stop(now_ns, monotonic_ns(), "supervisor died")
+            self._own_stop(now_ns, monotonic_ns(), causes.DIED(layout.SUPERVISOR))
             self.loop.forget(self._supervisor_life.fd)
             self.loop.forget(self._control.fd)
         self._follow_epoch(now_ns)
@@ -136,18 +140,18 @@ class PortOwner:
         self.heartbeat.beat(now_ns, self.epoch)
         return not self._leave.due(now_ns)
 
-    def stop(self, cause_ns: int, reason: str) -> None:
+    def stop(self, cause_ns: int, cause: Cause) -> None:
         """Stop on its own: burst, refuse motion until a newer epoch, publish the cause."""
         self.wire.burst()
-        self._own_stop(cause_ns, monotonic_ns(), reason)
+        self._own_stop(cause_ns, monotonic_ns(), cause)
 
-    def _own_stop(self, cause_ns: int, written_ns: int, reason: str) -> None:
+    def _own_stop(self, cause_ns: int, written_ns: int, cause: Cause) -> None:
         """What follows a burst for a cause of its own. The epoch is the one in force now, seen or not: the supervisor
         answers the published cause with a newer one."""
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch)
         written_ns = self._stopped(written_ns)
-        self._stops.put(records.pack_stop(epoch, cause_ns, written_ns, True, reason))
+        self._stops.put(records.pack_stop(epoch, cause_ns, written_ns, cause.pack()))
         self._supervisor_bell.ring()
 
     def _burst(self) -> None:
@@ -175,8 +179,8 @@ class PortOwner:
         """
         self.wire.burst()
         written_ns = monotonic_ns()
-        text = bell.take(self._stop_pipe).split(b"\n", 1)[0].decode("utf-8", "replace")
-        self._own_stop(now_ns, written_ns, records.requested(text))
+        line = bell.take(self._stop_pipe).split(b"\n", 1)[0]
+        self._own_stop(now_ns, written_ns, causes.requested(line))
         if self._pipe_rests.ns == NEVER:
             self.loop.forget(self._stop_pipe)
         self._pipe_rests.set(now_ns + PIPE_REST_NS)
@@ -210,7 +214,7 @@ class PortOwner:
     def _check_suspend(self, now_ns: int) -> bool:
         """On resume everything is older than it looks: commands, frames, and what people know of the robot's place."""
         if slept_ns := self.suspend.slept_ns():
-            self.stop(now_ns, f"the machine was suspended for {slept_ns / 1e9:.1f} s")
+            self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))
         return slept_ns > 0
 
     def _check_leases(self, now_ns: int) -> None:
@@ -221,7 +225,7 @@ class PortOwner:
             self.stop(now_ns, lapse)
         elif now_ns - self._moved_ns > self._silence_ns:
             # Its beat is fresh, its frames are not: the board would keep the last of them for ever.
-            self.stop(now_ns, f"gate beats but sends nothing: {(now_ns - self._moved_ns) / 1e6:.0f} ms")
+            self.stop(now_ns, causes.MUTE((now_ns - self._moved_ns) // MS))
         else:
             self._await_lapse()
 
@@ -234,7 +238,7 @@ class PortOwner:
         added has had no time to drain."""
         stuck = self.wire.stuck(now_ns)
         if stuck and not self._stuck:
-            self.stop(now_ns, "port does not drain: use the POWER SWITCH")
+            self.stop(now_ns, causes.STUCK())
         self._stuck = stuck
 
     def _forward_frames(self) -> None:
@@ -274,7 +278,7 @@ class PortOwner:
             self._burst()
         elif verdict == admission.REQUEST:
             self._stop_request(now_ns)
-        elif isinstance(verdict, str):
+        elif not isinstance(verdict, int):
             self.stop(now_ns, verdict)
 
     def _write_motion(self, motion: Motion) -> None:
@@ -344,7 +348,7 @@ class PortOwner:
             self.loop.forget(self.wire.fd)
         self._watched = (-1, 0)
         self.wire.close()
-        self.stop(now_ns, "device lost")
+        self.stop(now_ns, causes.DEVICE_LOST())
         self._publish_port(now_ns)
 
     def _publish_port(self, now_ns: int) -> None:

@@ -28,6 +28,7 @@ from failstop.shm.packing import pack
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
     from failstop.procs.context import Context
     from failstop.shm.notes import Fields
     from failstop.shm.segment import Segment
@@ -202,11 +203,11 @@ class Telemetry:
         self._wishes.put(records.pack_wish(kind, frame))
         self._gate_bell.ring()
 
-    def _trip(self, reason: str) -> None:
+    def _trip(self, cause: Cause | None) -> None:
         """The port owner stops before anyone decides anything. Not by the pipe that everybody may write to: who pressed
         is what telemetry has seen, not what somebody says."""
-        if reason:
-            self._trips_out.put(reason.encode())
+        if cause:
+            self._trips_out.put(cause.pack())
             self._port_owner_bell.ring()
 
     def _on_imu(self, data: bytes, t_ns: int) -> None:
@@ -240,7 +241,7 @@ class Telemetry:
     def _on_pad(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.gamepad(data):
             news = self._pad.take(sample, data, t_ns)
-            self._trip(news.reason)
+            self._trip(news.cause)
             if news.command:
                 self._command.write(records.pack_pad_command(*news.command), t_ns)
                 self._gate_bell.ring()
@@ -249,10 +250,10 @@ class Telemetry:
                 self._note("pad", "gamepad: MODE was held, reset requested")
             self._records["pad"].write(records.pack_pad(*sample, self._pad.mode), t_ns)
             self._box.put(box.pack_pad(sample, self._pad.mode), t_ns)
-            if news.reason:
+            if news.cause:
                 self._events.put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
-                text = f"{news.reason}; last frames: {self._pad.recent()}"
-                self._note("pad", text, {"reason": news.reason})
+                text = f"{news.cause}; last frames: {self._pad.recent()}"
+                self._note("pad", text, {"reason": str(news.cause)})
 
     def _on_key(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.key(data):

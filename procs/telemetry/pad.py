@@ -10,6 +10,7 @@ from failstop.procs.telemetry.trips import Trips
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
     from failstop.policy.settings import Settings
 
     Velocity = tuple[float, float, float]
@@ -29,13 +30,13 @@ STANDSTILL = (0.0, 0.0, 0.0)
 
 
 class PadNews:
-    """What one frame means: a reason to stop (or ""), a velocity to command (m/s, m/s, rad/s) or None, and whether to
+    """What one frame means: a cause of a stop or None, a velocity to command (m/s, m/s, rad/s) or None, and whether to
     wish a reset."""
 
-    __slots__ = ("command", "reason", "reset")
+    __slots__ = ("cause", "command", "reset")
 
-    def __init__(self, reason: str, command: Velocity | None, reset: bool) -> None:
-        self.reason = reason
+    def __init__(self, cause: Cause | None, command: Velocity | None, reset: bool) -> None:
+        self.cause = cause
         self.command = command
         self.reset = reset
 
@@ -115,17 +116,17 @@ class Pad:
         self._notice_silence(t_ns)
         self._raw = [*self._raw[1 - RAW_FRAMES :], (t_ns, raw)]
         buttons, _, lx, ly, rx, _ = sample
-        reason = self._trips.pad(buttons)
+        cause = self._trips.pad(buttons)
         was = self.mode
-        if reason:
+        if cause:
             self.mode = LOCKED
         self._follow_hold(buttons, t_ns)
         if self.mode == DRIVE:
             command: Velocity | None = self._sticks(lx, ly, rx)
         else:
             # Locked by MODE: stand still now, not when the command times out. A trip has stopped by itself.
-            command = STANDSTILL if was == DRIVE and not reason else None
-        return PadNews(reason, command, self._reset_is_due(buttons, t_ns))
+            command = STANDSTILL if was == DRIVE and not cause else None
+        return PadNews(cause, command, self._reset_is_due(buttons, t_ns))
 
     def recent(self) -> str:
         """The last raw frames in hex, the oldest first, each with its age in ms."""

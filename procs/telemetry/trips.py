@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from failstop.policy import causes
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
+
 PRESSES = frozenset((0x01, 0x02, 0x04, 0x20, 0x40, 0x80))
 """Key events that mean that a finger is or was on the key; releases (0x08, 0x10) are not."""
 
@@ -17,16 +23,16 @@ class Trips:
         self._stop_key = stop_key
         self._held = 0
 
-    def pad(self, buttons: int) -> str:
-        """The reason to stop for this pad frame, or an empty text."""
+    def pad(self, buttons: int) -> Cause | None:
+        """The cause of a stop that this pad frame is, or None."""
         pressed = buttons & ~self._held & ~self._mode
         self._held = buttons
-        return f"gamepad button 0x{pressed:04X}" if pressed else ""
+        return causes.BUTTON(pressed) if pressed else None
 
     def forget_held(self) -> None:
         """The pad was silent: a button that was held then must not mask the next tap."""
         self._held = 0
 
-    def key(self, key: int, event: int) -> str:
-        """The reason to stop for this key event, or an empty text."""
-        return f"key{key}" if key == self._stop_key and event in PRESSES else ""
+    def key(self, key: int, event: int) -> Cause | None:
+        """The cause of a stop that this key event is, or None."""
+        return causes.KEY(key) if key == self._stop_key and event in PRESSES else None

@@ -6,6 +6,7 @@ from failstop.policy.kinematics import Mecanum
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.sources import Command
+from tests.why import told
 
 MS = 1_000_000
 TICK = 20 * MS
@@ -27,7 +28,8 @@ class Gate:
         return self.core.step(self.now)
 
     def take(self, velocity: Velocity, session: int = 1, age_ns: int = 0) -> str:
-        return self.core.take(Command(session, f"client {session}", self.now - age_ns, velocity), self.now)
+        fault = self.core.take(Command(session, f"client {session}", self.now - age_ns, velocity), self.now)
+        return str(fault or "")
 
     def drive(self, velocity: Velocity, ticks: int) -> list[Velocity]:
         """A fresh command at every tick; returns the velocity after each."""
@@ -39,7 +41,7 @@ class Gate:
         return found
 
     def enable(self, epoch: int = 1) -> None:
-        assert self.core.enable(epoch, "", self.now) == (True, "motion enabled")
+        assert told(self.core.enable(epoch, "", self.now)) == (True, "motion enabled")
 
     @property
     def blocked(self) -> str:

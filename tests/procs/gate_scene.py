@@ -7,11 +7,16 @@ from pathlib import Path
 
 import pytest
 
+from failstop.policy import causes
+from failstop.policy.reply import unpack
 from failstop.procs.gate import main
 from failstop.procs.gate.main import Gate
 from failstop.shm import bell, claim, instance, layout, records, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.segment import Segment
+from failstop.supervisor.latch import Latch
+from failstop.supervisor.stops import Stop
+from tests.why import said, why
 
 from .stage import INCARNATION, MS, Stage
 
@@ -29,7 +34,10 @@ class Scene(Stage):
         self._fds["client_bell"] = bell.open_pipe(instance.bell_path(self.runtime_dir))
         self._bells["port_owner_bell"] = EventBell.create()
         self._claims = claim.open_claims(instance.claims_path(self.runtime_dir), create=True)
-        self.cause = self._views[layout.SUPERVISOR].latest_writer("cause")
+        supervisor = self._views[layout.SUPERVISOR]
+        self.latch = Latch()
+        self._latch_record, self._reset_record = supervisor.latest_writer("latch"), supervisor.latest_writer("reset")
+        self._resets_word = supervisor.word("resets")
         self._client = segment.attach_client_slot(self.name, 0, INCARNATION)
         self._reply = self.own.latest_reader("reply.0")
         self._made, self._trips = self.own.ring_reader("frames"), self.own.ring_reader("trips")
@@ -52,21 +60,33 @@ class Scene(Stage):
         """What the supervisor says of the service: 1 when motion may be enabled."""
         self._views[layout.SUPERVISOR].word("ready").set(word)
 
-    def stop(self, epoch: int, since: int, standing: str, newest: str) -> None:
+    def stop(self, epoch: int, text: str) -> None:
         """The supervisor raises the epoch."""
-        self.cause.write(records.pack_cause(since, self.clock(), standing, newest), self.clock())
+        self.latch.add([Stop(self.clock(), layout.SUPERVISOR, why(text))], epoch, self.clock())
+        self._latch_record.write(self.latch.as_record(), self.clock())
         self.raise_epoch(epoch)
 
-    def reset(self) -> None:
-        """The client's reset, before the gate looks at anything else."""
-        self.gate.client_request(self.gate.clients.slots[0], 1, records.RESET, self.clock(), self.clock())
+    def decide(self) -> None:
+        """The supervisor hears of a reset that the gate passes on, and the gate of what became of it."""
+        while (number := self.own.word("resets_asked").get()) != self._resets_word.get():
+            reply = self.latch.reset(self.gate.epoch, self.own.word("reset_asked_ns").get())
+            if self.latch.newest:
+                self._latch_record.write(self.latch.as_record(), self.clock())
+            self._reset_record.write(reply.pack(0, number), self.clock())
+            self._resets_word.set(number)
+            self.gate.turn({})
 
     def tick(self) -> str | None:
         """Time passes, a tick of the gate, which nobody rang; returns the latched reason."""
         self.clock.now_ns += 20 * MS
         self.beat(layout.SUPERVISOR)
         self.gate.turn({})
-        return self.gate.core.latch
+        self.decide()
+        return self.latched()
+
+    def latched(self) -> str | None:
+        """What the gate takes to be latched."""
+        return said(self.gate.core.latch) if self.gate.core.latch else None
 
     def turn(self, elapsed_ns: int = 0, *, supervisor_beats: bool = True) -> list[int]:
         """Time passes, the client rings; returns the kinds of the frames that the gate made."""
@@ -77,6 +97,7 @@ class Scene(Stage):
         self.gate.turn({})
         next_ns = self.gate.loop.until_ns(self.clock(), self.gate.period_ns)
         assert next_ns > self.clock(), "a deadline was left behind: the loop would spin"
+        self.decide()
         found = []
         while entry := self._made.next():
             found.append(records.unpack_frame(entry[2])[1])
@@ -85,7 +106,7 @@ class Scene(Stage):
     def tripped(self) -> str:
         """The reason of a stop that it has published."""
         entry = self._trips.next()
-        return records.unpack_stop(entry[2])[4] if entry else ""
+        return str(causes.read(records.unpack_stop(entry[2])[3])) if entry else ""
 
     def request(self, verb: int, asked_ns: int | None = None) -> None:
         """The client asks, and does not ring."""
@@ -93,12 +114,25 @@ class Scene(Stage):
         request = records.pack_request(SESSION, self._number, verb)
         self._client.latest_writer("request").write(request, asked_ns or self.clock())
 
-    def answer(self) -> tuple[bool, str]:
+    def replied(self) -> tuple[int, bool, str]:
+        """The last reply to the client: to which request, done, the text."""
         entry = self._reply.read()
         assert entry is not None
-        _, number, done, text = records.unpack_reply(entry[2])
+        _, number, reply = unpack(entry[2])
+        return number, reply.done, reply.text.replace(records.CAUSE, said(reply.cause) if reply.cause else "")
+
+    def no_reply(self) -> bool:
+        """True when nothing was said to the client."""
+        return self._reply.read() is None
+
+    def answer(self) -> tuple[bool, str]:
+        number, done, text = self.replied()
         assert number == self._number
         return done, text
+
+    def own_supervisor(self) -> Segment:
+        """The supervisor's segment, which is the test's to write."""
+        return self._views[layout.SUPERVISOR]
 
     def ask(self, verb: int, asked_ns: int | None = None) -> tuple[bool, str]:
         """The client asks and rings; returns the answer."""

@@ -9,6 +9,7 @@ import pytest
 
 from failstop.board import codec, stop_port
 from failstop.board.interface import BOARD
+from failstop.policy import causes
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner.main import PortOwner
 from failstop.shm import box, layout, records
@@ -75,9 +76,8 @@ class Scene(Stage):
         """Stops that it has published since the last call: (epoch, when written, reason). All of them latch."""
         found = []
         while entry := self.news.next():
-            epoch, _, written_ns, latches, reason = records.unpack_stop(entry[2])
-            assert latches
-            found.append((epoch, written_ns, reason))
+            epoch, _, written_ns, cause = records.unpack_stop(entry[2])
+            found.append((epoch, written_ns, str(causes.read(cause))))
         return found
 
     def reasons(self) -> list[str]:

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from failstop.board import codec
 from failstop.board.burst import BURST as BURST_BYTES
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.procs.port_owner.admission import BURST, DROP, REQUEST, WRITE, Admission, Motion
 
 MS = 1_000_000
@@ -36,20 +38,20 @@ def decided(
     gate_ns: int | None = NOW,
     supervisor_ns: int = NOW,
     requested: bool = False,
-) -> int | str:
+) -> int | Cause:
     return admission.decide(motion, epoch, NOW, gate_ns, supervisor_ns, requested=requested)
 
 
 GATE, DEAD_EPOCH, OWN_STOP, OLD, ASKED, GATE_LEASE, SUPERVISOR_LEASE, CONTENT = ROWS = range(8)
-ELSE: dict[int, int | str] = {
+ELSE: dict[int, int | Cause] = {
     GATE: DROP,
     DEAD_EPOCH: DROP,
     OWN_STOP: DROP,
     OLD: DROP,
     ASKED: REQUEST,
-    GATE_LEASE: "gate hangs: silent for 60 ms",
-    SUPERVISOR_LEASE: "supervisor hangs: silent for 61 ms",
-    CONTENT: "wheel 3 at 2.50 rps, limit 2.00",
+    GATE_LEASE: causes.HANGS("gate", 60),
+    SUPERVISOR_LEASE: causes.HANGS("supervisor", 61),
+    CONTENT: causes.BAD_FRAME("wheel 3 at 2.50 rps, limit 2.00"),
 }
 
 
@@ -83,8 +85,8 @@ def test_the_first_row_that_does_not_hold_decides(first: int | None, kind: str) 
 @pytest.mark.parametrize(("silent_ns", "lapsed"), [(0, False), (LEASE_NS - 1, False), (LEASE_NS, True), (NOW, True)])
 def test_a_lease_runs_out_exactly_then(admission: Admission, silent_ns: int, lapsed: bool) -> None:
     beat_ns = NOW - silent_ns
-    assert decided(admission, gate_ns=beat_ns) == (f"gate hangs: silent for {silent_ns // MS} ms" if lapsed else WRITE)
-    told = f"supervisor hangs: silent for {silent_ns // MS} ms"
+    assert decided(admission, gate_ns=beat_ns) == (causes.HANGS("gate", silent_ns // MS) if lapsed else WRITE)
+    told = causes.HANGS("supervisor", silent_ns // MS)
     assert decided(admission, supervisor_ns=beat_ns) == (told if lapsed else WRITE)
     assert bool(admission.lapsed(beat_ns, NOW, NOW)) is lapsed
     assert (admission.lapses_ns(beat_ns, NOW) <= NOW) is lapsed
@@ -115,7 +117,8 @@ def test_a_beat_after_the_time_was_taken_is_fresh(admission: Admission) -> None:
     ],
 )
 def test_content(admission: Admission, frame: bytes, fault: int | str) -> None:
-    assert decided(admission, (frame, EPOCH, NOW)) == fault
+    expected = causes.BAD_FRAME(fault) if isinstance(fault, str) else fault
+    assert decided(admission, (frame, EPOCH, NOW)) == expected
 
 
 # Epoch.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from tests.why import told
+
 from .gate_bench import Gate, stands
 from .gate_machine import GateMachine
 
@@ -27,12 +29,12 @@ def test_enable_takes_the_epoch(gate: Gate) -> None:
 
 
 def test_enable_is_refused_while_something_is_missing(gate: Gate) -> None:
-    assert gate.core.enable(1, "the port", gate.now) == (False, "not ready: the port")
+    assert told(gate.core.enable(1, "the port", gate.now)) == (False, "not ready: the port")
     assert gate.blocked == "disabled"
 
 
 def test_enable_while_enabled_changes_nothing(driving: Gate) -> None:
-    assert driving.core.enable(9, "", driving.now) == (True, "motion enabled")
+    assert told(driving.core.enable(9, "", driving.now)) == (True, "motion enabled")
     assert driving.core.epoch == 1
     assert driving.core.velocity == (0.2, 0.0, 0.0)
 
@@ -46,7 +48,7 @@ def test_a_command_from_before_the_enable_does_not_move(gate: Gate) -> None:
 
 
 def test_disable_stands_at_once(driving: Gate) -> None:
-    assert driving.core.disable() == (True, "motion disabled")
+    assert told(driving.core.disable()) == (True, "motion disabled")
     assert driving.blocked == "disabled"
     assert stands(driving)
     assert driving.step() is None

@@ -16,12 +16,12 @@ SCAN = 500 * MS
 def gate(*, scan_gate: str = "off", enabled: bool = True) -> GateCore:
     core = GateCore(Settings({"scan.gate": scan_gate}), Mecanum(0.08, 0.17706, 0.17165), T0)
     if enabled:
-        assert core.enable(1, "", T0)[0]
+        assert core.enable(1, "", T0).done
     return core
 
 
 def command(core: GateCore, t_ns: int, *, manual: bool = False) -> None:
-    assert core.take(Command(1, "test", t_ns, (0.1, 0.0, 0.0), manual=manual), t_ns) == ""
+    assert core.take(Command(1, "test", t_ns, (0.1, 0.0, 0.0), manual=manual), t_ns) is None
 
 
 def test_without_a_command_nothing_is_due() -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from failstop.procs.gate import main
-from failstop.shm import records
+from failstop.shm import layout, records
+from failstop.supervisor.stops import Stop
+from tests.why import why
 
 from .gate_scene import Scene
 from .stage import MS
@@ -13,48 +15,63 @@ from .stage import MS
 
 def test_the_first_cause_since_the_reset_is_latched(gate_scene: Scene) -> None:
     assert gate_scene.tick() is None
-    gate_scene.stop(2, 2, "key1", "key1")
+    gate_scene.stop(2, "key1")
     assert gate_scene.tick() == "key1"
-    gate_scene.stop(3, 2, "key1", "device lost")
+    gate_scene.stop(3, "device lost")
     assert gate_scene.tick() == "key1"
 
 
-def test_a_stop_that_crosses_the_reset_is_latched_with_its_own_cause(gate_scene: Scene) -> None:
-    """The supervisor raises the epoch before it sees the reset, and the gate resets before it sees that epoch."""
-    gate_scene.stop(2, 2, "key1", "key1")
+def test_a_stop_that_comes_with_the_decision_of_a_reset_is_latched_at_once(gate_scene: Scene) -> None:
+    """The gate looks at the latch for the reset before it has seen the epoch of a stop that came after it."""
+    gate_scene.stop(2, "key1")
     gate_scene.tick()
-    gate_scene.stop(3, 2, "key1", "device lost")
-    gate_scene.reset()
-    assert gate_scene.gate.core.latch is None
-    assert gate_scene.tick() == "device lost"
-    gate_scene.stop(4, 3, "device lost", "gate died")
-    assert gate_scene.tick() == "device lost"
-    gate_scene.start_gate()
-    assert gate_scene.gate.core.latch == "device lost"
+    gate_scene.ask(records.RESET)
+    assert gate_scene.ask(records.ENABLE)[0]
+    gate_scene.latch.add([Stop(gate_scene.clock(), layout.SUPERVISOR, why("device lost"))], 3, gate_scene.clock())
+    gate_scene.ask(records.RESET, gate_scene.clock() - 1)
+    assert gate_scene.latched() == "device lost"
+    assert not gate_scene.gate.core.enabled
 
 
-def test_a_successor_finds_what_crossed_the_reset(gate_scene: Scene) -> None:
-    gate_scene.stop(2, 2, "key1", "key1")
+@pytest.mark.parametrize("resets", [0, 1])
+def test_a_successor_finds_what_is_latched(gate_scene: Scene, resets: int) -> None:
+    gate_scene.stop(2, "key1")
+    gate_scene.stop(3, "gate died")
     gate_scene.tick()
-    gate_scene.stop(3, 2, "key1", "gate died")
-    gate_scene.reset()
+    for _ in range(resets):
+        gate_scene.ask(records.RESET)
     gate_scene.start_gate()
-    assert gate_scene.gate.core.latch == "gate died"
+    assert gate_scene.latched() == (None if resets else "key1")
+    assert not gate_scene.gate.core.enabled
 
 
-def test_a_successor_finds_both_causes_together(gate_scene: Scene) -> None:
-    gate_scene.stop(3, 2, "key1", "gate died")
+def test_a_reset_that_its_predecessor_asked_for_is_nobody_s(gate_scene: Scene) -> None:
+    gate_scene.stop(2, "key1")
+    gate_scene.tick()
+    gate_scene.gate.client_request(gate_scene.gate.clients.slots[0], 1, records.RESET, gate_scene.clock(), 0)
     gate_scene.start_gate()
-    assert gate_scene.gate.core.latch == "key1"
+    gate_scene.decide()
+    assert gate_scene.tick() is None, "but it is one all the same"
+    assert gate_scene.no_reply()
 
 
-def test_a_damaged_or_missing_cause_latches_too(gate_scene: Scene) -> None:
+def test_resets_are_decided_one_after_the_other(gate_scene: Scene) -> None:
+    slot = gate_scene.gate.clients.slots[0]
+    gate_scene.stop(2, "key1")
+    gate_scene.tick()
+    for number in (7, 8):
+        gate_scene.gate.client_request(slot, number, records.RESET, gate_scene.clock(), gate_scene.clock())
+    assert gate_scene.own.word("resets_asked").get() == 1
+    gate_scene.decide()
+    assert gate_scene.own.word("resets_asked").get() == 2
+    assert gate_scene.replied() == (8, True, "no e-stop is latched")
+
+
+def test_a_damaged_cause_latches_too(gate_scene: Scene) -> None:
+    record = records.pack_latch(2, gate_scene.clock(), gate_scene.clock(), b"?")
+    gate_scene.own_supervisor().latest_writer("latch").write(record, gate_scene.clock())
     gate_scene.raise_epoch(2)
     assert gate_scene.tick() == "stopped by the supervisor"
-    gate_scene.cause.write(b"short")
-    gate_scene.raise_epoch(3)
-    gate_scene.start_gate()
-    assert gate_scene.gate.core.latch == "stopped by the supervisor (its reason is damaged)"
 
 
 @pytest.mark.parametrize("successor", [False, True])
@@ -63,7 +80,7 @@ def test_who_asked_before_the_stop_did_not_know_of_it(
     gate_scene: Scene, successor: bool, after_ns: int, granted: bool
 ) -> None:
     """Of a gate that saw the stop, and of one that was started for it."""
-    gate_scene.stop(2, 2, "gate died", "gate died")
+    gate_scene.stop(2, "gate died")
     stopped_ns = gate_scene.clock()
     if successor:
         gate_scene.start_gate()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
+from tests.why import why
 
 from .gate_bench import MS, REST, TICK, Gate
 
@@ -49,7 +50,7 @@ def test_a_driver_that_parts_in_order_has_ended_its_command(driving: Gate) -> No
 
 def by_hand(gate: Gate, source: str = "cmd_vel", session: int = 1) -> None:
     """A person's command."""
-    assert gate.core.take(Command(session, "teleop", gate.now, VELOCITY, manual=True, source=source), gate.now) == ""
+    assert gate.core.take(Command(session, "teleop", gate.now, VELOCITY, manual=True, source=source), gate.now) is None
     gate.step()
 
 
@@ -94,7 +95,7 @@ def test_a_client_that_does_not_drive_leaves_without_a_word(driving: Gate) -> No
 
 def test_a_latched_or_disabled_robot_has_no_silent_driver(driving: Gate) -> None:
     driving.drive(VELOCITY, 3)
-    driving.core.trip("key1", 1)
+    driving.core.trip(why("key1"), 1)
     driving.step(301 * MS)
     assert told(driving) == []
 

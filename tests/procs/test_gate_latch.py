@@ -5,36 +5,35 @@ from __future__ import annotations
 import pytest
 
 from failstop.procs.gate.core import REST
+from tests.why import said, told, why
 
 from .gate_bench import Gate, stands
 
 
 def test_a_trip_stands_disables_and_latches_at_once(driving: Gate) -> None:
-    assert driving.core.trip("key1", 3)
+    assert driving.core.trip(why("key1"), 3)
     assert stands(driving)
     assert not driving.core.enabled
     assert driving.blocked == "estop: key1"
-    assert driving.core.latched_in == 3
     assert driving.step() is None
 
 
 def test_the_first_reason_is_kept(driving: Gate) -> None:
-    driving.core.trip("key1", 3)
-    assert not driving.core.trip("gamepad button 0x0100", 4)
-    assert driving.core.latch == "key1"
-    assert driving.core.latched_in == 3
+    driving.core.trip(why("key1"), 3)
+    assert not driving.core.trip(why("another"), 4)
+    assert said(driving.core.latch) == "key1"
 
 
 def test_a_reason_without_words_latches_too(driving: Gate) -> None:
-    assert driving.core.trip("", 1)
-    assert driving.blocked == "estop: "
-    assert driving.core.enable(2, "", driving.now) == (False, "e-stop latched ()")
+    assert driving.core.trip(why(""), 1)
+    assert driving.blocked == "estop: stop request"
+    assert told(driving.core.enable(2, "", driving.now)) == (False, "e-stop latched (stop request)")
 
 
 def test_the_latch_is_told_before_everything_else(gate: Gate) -> None:
-    gate.core.trip("key1", 1)
+    gate.core.trip(why("key1"), 1)
     assert gate.blocked == "estop: key1"
-    gate.core.reset(2)
+    gate.core.follow(None, 2)
     assert gate.blocked == "disabled"
     gate.enable()
     assert gate.blocked == "cmd timeout"
@@ -43,13 +42,13 @@ def test_the_latch_is_told_before_everything_else(gate: Gate) -> None:
 
 
 def test_enable_is_refused_while_latched(driving: Gate) -> None:
-    driving.core.trip("key1", 3)
-    assert driving.core.enable(4, "", driving.now) == (False, "e-stop latched (key1)")
+    driving.core.trip(why("key1"), 3)
+    assert told(driving.core.enable(4, "", driving.now)) == (False, "e-stop latched (key1)")
     assert not driving.core.enabled
 
 
 def test_nothing_but_a_reset_ends_a_latch(driving: Gate) -> None:
-    driving.core.trip("key1", 3)
+    driving.core.trip(why("key1"), 3)
     driving.core.disable()
     driving.core.client_gone(1, driving.now)
     driving.core.enable(4, "", driving.now)
@@ -59,9 +58,9 @@ def test_nothing_but_a_reset_ends_a_latch(driving: Gate) -> None:
     assert driving.blocked == "estop: key1"
 
 
-def test_a_reset_clears_the_latch_and_nothing_else(driving: Gate) -> None:
-    driving.core.trip("key1", 3)
-    assert driving.core.reset(4) == (True, "e-stop cleared (was: key1); motion still disabled")
+def test_the_end_of_the_latch_enables_nothing(driving: Gate) -> None:
+    driving.core.trip(why("key1"), 3)
+    driving.core.follow(None, 4)
     assert driving.core.latch is None
     assert driving.blocked == "disabled"
     driving.take((0.2, 0.0, 0.0))
@@ -69,22 +68,35 @@ def test_a_reset_clears_the_latch_and_nothing_else(driving: Gate) -> None:
     assert stands(driving)
 
 
-def test_a_reset_waits_until_the_stop_is_carried_out(driving: Gate) -> None:
-    driving.core.trip("key1", 3)
-    assert driving.core.reset(3) == (False, "the stop is still being carried out (key1)")
+def test_its_own_trip_holds_until_the_supervisor_has_answered_it(driving: Gate) -> None:
+    driving.core.trip(why("key1"), 3)
+    driving.core.follow(None, 3)
     assert driving.blocked == "estop: key1"
-    assert driving.core.reset(4)[0]
+    driving.core.follow(None, 4)
+    assert driving.blocked == "disabled"
 
 
-def test_a_reset_without_a_latch_changes_nothing(driving: Gate) -> None:
-    assert driving.core.reset(1) == (True, "no e-stop is latched")
+def test_what_the_supervisor_has_latched_is_what_counts(driving: Gate) -> None:
+    driving.core.trip(why("key1"), 3)
+    driving.core.follow(why("gate died"), 3)
+    assert driving.blocked == "estop: gate died"
+
+
+def test_what_the_supervisor_has_latched_stands_at_once(driving: Gate) -> None:
+    driving.core.follow(why("gate died"), 1)
+    assert stands(driving)
+    assert not driving.core.enabled
+
+
+def test_nothing_latched_is_no_news_for_who_drives(driving: Gate) -> None:
+    driving.core.follow(None, 1)
     assert driving.core.enabled
     assert driving.core.velocity == (0.2, 0.0, 0.0)
 
 
 def test_after_reset_and_enable_the_ramp_starts_from_zero(driving: Gate) -> None:
-    driving.core.trip("key1", 3)
-    driving.core.reset(4)
+    driving.core.trip(why("key1"), 3)
+    driving.core.follow(None, 4)
     driving.enable(4)
     assert driving.core.epoch == 4
     assert driving.drive((0.2, 0.0, 0.0), 1)[0][0] == pytest.approx(0.01)

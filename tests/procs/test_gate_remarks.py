@@ -4,39 +4,47 @@ from __future__ import annotations
 
 import pytest
 
+from failstop.policy.causes import Cause
+from failstop.policy.reply import Reply
 from failstop.procs.gate.remarks import EVERY_NS, MOST_AT_ONCE, Budget, of_request
 from failstop.shm import records
 from failstop.shm.layout import NOTE_BYTES
 from failstop.shm.notes import Note
+from tests.why import why
 
 WHO: dict[str, str | int] = {"who": "nav", "pid": 7}
 
 
 @pytest.mark.parametrize(
-    ("verb", "done", "enabled", "latched", "kind", "text"),
+    ("verb", "done", "enabled", "was", "kind", "text"),
     [
         (records.ENABLE, True, False, None, "enabled", "motion enabled by nav (pid 7)"),
         (records.ENABLE, True, True, None, "", ""),
-        (records.ENABLE, False, False, "key1", "refused", "refused to enable, nav (pid 7): answer"),
+        (records.ENABLE, False, False, why("key1"), "refused", "refused to enable, nav (pid 7): answer"),
         (records.DISABLE, True, True, None, "disabled", "motion disabled by nav (pid 7)"),
-        (records.DISABLE, True, False, "key1", "", ""),
-        (records.RESET, True, False, "key1", "reset", "nav (pid 7): answer"),
+        (records.DISABLE, True, False, None, "", ""),
+        (records.RESET, True, False, why("key1"), "reset", "nav (pid 7): answer"),
         (records.RESET, True, False, None, "", ""),
-        (records.RESET, True, False, "", "reset", "nav (pid 7): answer"),
-        (records.RESET, False, False, "key1", "refused", "refused to reset, nav (pid 7): answer"),
+        (records.RESET, False, False, why("key1"), "refused", "refused to reset, nav (pid 7): answer"),
         (99, False, False, None, "refused", "refused to 99, nav (pid 7): answer"),
     ],
 )
-def test_of_a_request(verb: int, done: bool, enabled: bool, latched: str | None, kind: str, text: str) -> None:
-    note = of_request(verb, "nav", 7, done, "answer", enabled=enabled, latched=latched)
+def test_of_a_request(verb: int, done: bool, enabled: bool, was: Cause | None, kind: str, text: str) -> None:
+    note = of_request(verb, "nav", 7, Reply(done, "answer", was), enabled=enabled)
     assert (note.kind if note else "", note.text if note else "") == (kind, text)
     assert note is None or WHO.items() <= note.fields.items()
 
 
+FIELDS = {"who": "gamepad", "reason": "key1", "cause": "key"}
+
+
 def test_the_gamepad_has_no_pid() -> None:
-    note = of_request(records.RESET, "gamepad", 0, True, "e-stop cleared", enabled=False, latched="key1")
+    note = of_request(records.RESET, "gamepad", 0, Reply(True, "e-stop cleared", why("key1")), enabled=False)
     assert note is not None
-    assert (note.text, note.fields) == ("gamepad: e-stop cleared", {"who": "gamepad", "reason": "key1"})
+    assert (note.text, note.fields) == (
+        "gamepad: e-stop cleared",
+        FIELDS,
+    )
 
 
 def test_a_flood_is_told_of_a_few_times_a_second() -> None:

@@ -10,6 +10,7 @@ from failstop.policy.settings import Settings
 from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.sources import PAD, PAD_PRIORITY, Command
 from failstop.procs.gate.stamps import AHEAD_NS
+from tests.why import told
 
 MS = 1_000_000
 TICK = 20 * MS
@@ -31,7 +32,7 @@ class Gate:
         self.core = GateCore(Settings(changed), ROBOT, T0)
         self.now = T0
         if enabled:
-            assert self.core.enable(1, "", self.now)[0]
+            assert self.core.enable(1, "", self.now).done
 
     def told(self) -> list[str]:
         """What people are told, in words."""
@@ -43,7 +44,8 @@ class Gate:
 
     def command(self, vx: float, source: str = "cmd_vel", session: int = 1, manual: bool = False) -> str:
         who = f"{source} {session}"
-        return self.core.take(Command(session, who, self.now, (vx, 0.0, 0.0), manual=manual, source=source), self.now)
+        command = Command(session, who, self.now, (vx, 0.0, 0.0), manual=manual, source=source)
+        return str(self.core.take(command, self.now) or "")
 
     def tick(self, ns: int = TICK) -> float:
         self.now += ns
@@ -235,9 +237,9 @@ def test_switched_off_by_a_word() -> None:
 
 def test_enabling_needs_every_interlock() -> None:
     gate = Gate(ARM, enabled=False)
-    assert gate.core.enable(1, "", gate.now) == (False, "arm is not in the drive pose")
+    assert told(gate.core.enable(1, "", gate.now)) == (False, "arm is not in the drive pose")
     gate.core.interlocks.hold(["arm"], gate.now, gate.now)
-    assert gate.core.enable(1, "", gate.now) == (True, "motion enabled")
+    assert told(gate.core.enable(1, "", gate.now)) == (True, "motion enabled")
 
 
 def test_losing_one_disables_and_does_not_latch() -> None:

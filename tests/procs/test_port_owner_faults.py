@@ -131,7 +131,7 @@ def test_a_lease_that_runs_out_while_moving_is_a_stop(scene: Scene, gate_ms: int
     scene.beat(layout.SUPERVISOR, age_ns=supervisor_ms * MS)
     assert scene.turn(alive=False) == BURST
     name, silent_ms = ("gate", gate_ms) if gate_ms else ("supervisor", supervisor_ms)
-    assert scene.reasons() == [f"{name} hangs: silent for {silent_ms} ms"]
+    assert scene.reasons() == [f"{name} hangs: {silent_ms} ms silent"]
 
 
 def test_a_lease_is_good_until_the_last_nanosecond(scene: Scene) -> None:
@@ -148,7 +148,7 @@ def test_motion_does_not_begin_on_a_lease_that_has_run_out(scene: Scene) -> None
     scene.turn(alive=False)
     scene.put()
     assert MOTION not in scene.turn(alive=False)
-    assert scene.reasons() == ["gate hangs: silent for 1000 ms"]
+    assert scene.reasons() == ["gate hangs: 1000 ms silent"]
 
 
 def test_silence_without_motion_is_nothing(scene: Scene) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.board.decoder import BUTTONS, KEY_EVENTS
+from failstop.policy import causes
 from failstop.procs.telemetry.trips import Trips
 
 MODE = 0x2000
@@ -18,16 +19,16 @@ def trips() -> Trips:
 
 @pytest.mark.parametrize("button", BUTTONS.values(), ids=BUTTONS.keys())
 def test_every_button_stops_on_its_first_frame(trips: Trips, button: int) -> None:
-    assert trips.pad(button) == f"gamepad button 0x{button:04X}"
+    assert trips.pad(button) == causes.BUTTON(button)
 
 
 def test_the_reason_as_people_read_it(trips: Trips) -> None:
-    assert trips.pad(0x0100) == "gamepad button 0x0100"
+    assert str(trips.pad(0x0100)) == "gamepad button 0x0100"
 
 
 def test_only_mode_does_not_stop(trips: Trips) -> None:
-    assert trips.pad(MODE) == ""
-    assert trips.pad(MODE | 0x0100) == "gamepad button 0x0100"
+    assert trips.pad(MODE) is None
+    assert str(trips.pad(MODE | 0x0100)) == "gamepad button 0x0100"
 
 
 @pytest.mark.parametrize("bit", range(16))
@@ -37,13 +38,13 @@ def test_a_bit_that_no_button_is_known_for_stops_too(trips: Trips, bit: int) -> 
 
 def test_mode_is_the_setting_s() -> None:
     trips = Trips(0x0008, 1)
-    assert trips.pad(0x0008) == ""
-    assert trips.pad(0x2008) == "gamepad button 0x2000"
-    assert Trips(0, 1).pad(MODE) == "gamepad button 0x2000"
+    assert trips.pad(0x0008) is None
+    assert str(trips.pad(0x2008)) == "gamepad button 0x2000"
+    assert str(Trips(0, 1).pad(MODE)) == "gamepad button 0x2000"
 
 
 def test_sticks_alone_do_not_stop(trips: Trips) -> None:
-    assert trips.pad(0) == ""
+    assert trips.pad(0) is None
 
 
 def test_a_held_button_is_one_request(trips: Trips) -> None:
@@ -56,20 +57,20 @@ def test_each_tap_is_a_request(trips: Trips) -> None:
 
 def test_another_button_while_one_is_held_is_a_request(trips: Trips) -> None:
     assert trips.pad(0x0100)
-    assert trips.pad(0x0102) == "gamepad button 0x0002"
-    assert trips.pad(0x0002) == ""
+    assert str(trips.pad(0x0102)) == "gamepad button 0x0002"
+    assert trips.pad(0x0002) is None
 
 
 @pytest.mark.parametrize(("event", "name"), KEY_EVENTS.items(), ids=KEY_EVENTS.values())
 def test_the_stop_key_s_presses_stop_and_its_releases_do_not(trips: Trips, event: int, name: str) -> None:
-    assert trips.key(1, event) == ("key1" if name in STOPPING_EVENTS else "")
+    assert trips.key(1, event) == (causes.KEY(1) if name in STOPPING_EVENTS else None)
 
 
 @pytest.mark.parametrize("key", [0, 2, 255])
 def test_other_keys_do_not_stop(trips: Trips, key: int) -> None:
-    assert [trips.key(key, event) for event in KEY_EVENTS] == [""] * len(KEY_EVENTS)
+    assert [trips.key(key, event) for event in KEY_EVENTS] == [None] * len(KEY_EVENTS)
 
 
 def test_the_stop_key_is_the_setting_s() -> None:
-    assert Trips(MODE, 2).key(2, 0x01) == "key2"
-    assert Trips(MODE, 2).key(1, 0x01) == ""
+    assert str(Trips(MODE, 2).key(2, 0x01)) == "key2"
+    assert Trips(MODE, 2).key(1, 0x01) is None

@@ -9,12 +9,17 @@ from typing import Any
 import msgpack
 import pytest
 
+from failstop.policy import causes
 from failstop.procs.loop import GONE
 from failstop.shm import layout, records, segment
-from failstop.supervisor.aftermath import DEAF_REASON, UNSTILL
-from failstop.supervisor.causes import Cause
+from failstop.supervisor.stops import Stop
 from tests.supervisor.test_answers import MS, Scene
 from tests.waiting import until
+from tests.why import why
+
+UNSTILL = str(causes.UNSTILL())
+DEAF_REASON = str(causes.DEAF())
+FIRST = str(why("the first"))
 
 
 class Watched(Scene):
@@ -50,8 +55,8 @@ class Watched(Scene):
     def follow(self, elapsed_ns: int, *, listening: bool = True) -> list[tuple[int, str, str]]:
         """Aftermath's own turn; returns the causes that it brought."""
         self.now_ns += elapsed_ns
-        causes = self.supervisor.aftermath.follow(self.now_ns, listening=listening)
-        return [(cause.t_ns, cause.noticed_by, cause.reason) for cause in causes]
+        stops = self.supervisor.aftermath.follow(self.now_ns, listening=listening)
+        return [(stop.t_ns, stop.noticed_by, str(stop.cause)) for stop in stops]
 
     def said(self) -> list[tuple[str, str, str, dict[str, Any]]]:
         """What people were told since the last call."""
@@ -63,9 +68,6 @@ class Watched(Scene):
         self.port_owner.word(f"ping_{index}").set(self.now_ns)
         if answered:
             self.telemetry.word("pong").set(records.pong(self.now_ns + MS, index))
-
-    def reset(self) -> None:
-        self.gate.word("reset_epoch").set(self.supervisor.epoch)
 
 
 @pytest.fixture
@@ -204,11 +206,11 @@ def test_what_is_told_of_wheels_that_do_not_rest(scene: Watched) -> None:
     scene.said()
     scene.telemetry.word("judged_ns").set(scene.now_ns + 1_600 * MS)
     assert scene.follow(1_600 * MS) == [(scene.now_ns, layout.SUPERVISOR, UNSTILL)]
-    told = {"reason": "the first", "epoch": 2}
-    outcome = {**told, "link": "unproven", "wheels": "unstill"}
+    told = {"reason": FIRST, "epoch": 2}
+    outcome = {**told, "cause": "piped", "link": "unproven", "wheels": "unstill"}
     assert scene.said() == [
-        ("unstill", "critical", f"CRITICAL: {UNSTILL} (the first; 1.6 s ago)", told),
-        ("stop_outcome", "error", "the first: not acknowledged (link unproven), wheels NOT seen still", outcome),
+        ("unstill", "critical", f"CRITICAL: {UNSTILL} ({FIRST}; 1.6 s ago)", told),
+        ("stop_outcome", "error", f"{FIRST}: not acknowledged (link unproven), wheels NOT seen still", outcome),
     ]
     scene.telemetry.word("still_ns").set(scene.now_ns)
     scene.telemetry.word("judged_ns").set(scene.now_ns + MS)
@@ -226,15 +228,16 @@ def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Watche
     outcome = next(event for event in scene.said() if event[0] == "stop_outcome")
     acknowledged_us = outcome[3].pop("acknowledged_us")
     assert acknowledged_us == 2_000.0
-    text = "the first: acknowledged by the board after 2.0 ms, not observed"
-    fields = {"reason": "the first", "epoch": 2, "link": "alive", "wheels": "unknown"}
+    text = f"{FIRST}: acknowledged by the board after 2.0 ms, not observed"
+    fields = {"reason": FIRST, "cause": "piped", "epoch": 2, "link": "alive", "wheels": "unknown"}
     assert outcome == ("stop_outcome", "notice", text, fields)
 
 
 def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Watched) -> None:
     opened = scene.supervisor.aftermath.opened
     noticed_ns = scene.now_ns
-    scene.supervisor.aftermath.written(Cause(noticed_ns, layout.GATE, "the first"), 0, "supervisor", "the first", 1)
+    stop = Stop(noticed_ns, layout.GATE, why("the first"))
+    scene.supervisor.aftermath.written(stop, 0, "supervisor", stop.cause, 1)
     assert scene.told() == {"reason": "the first", "written_by": "supervisor", "written_us": None}
     for burst_ns in (0, noticed_ns):
         opened(burst_ns)

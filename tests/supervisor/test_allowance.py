@@ -53,9 +53,8 @@ class Log:
 
     def request(self, number: int, kind: str = "stop_again") -> None:
         reason = f"stop request: {number:0100}"
-        self.events.tell(
-            kind, f"stopped again: {reason}; latched is still: key1", {"reason": reason, "latched": "key1"}
-        )
+        fields = {"reason": reason, "cause": "piped", "latched": "key1"}
+        self.events.tell(kind, f"stopped again: {reason}; latched is still: key1", fields)
 
     def close(self) -> None:
         os.close(self._out)

@@ -8,7 +8,8 @@ import pytest
 
 from failstop.shm import layout
 from failstop.supervisor.answer import SOONER_NS, answer
-from failstop.supervisor.causes import Cause
+from failstop.supervisor.stops import Stop
+from tests.why import why
 
 T = 10**12
 """When the cause was noticed."""
@@ -51,7 +52,7 @@ def test_table(
     port_owner_ns: int,
     told: tuple[str, int] | None,
 ) -> None:
-    cause = Cause(T, noticed_by, "x", written_ns)
+    cause = Stop(T, noticed_by, why("x"), written_ns)
     assert answer(cause, answered=answered, may_answer=may_answer, port_owner_ns=port_owner_ns) == told
 
 
@@ -60,7 +61,9 @@ def test_a_time_is_told_with_who_wrote_then() -> None:
     times = (0, T - SOONER_NS - 1, T + 1)
     for by, answered, may, port_owner_ns in itertools.product((OWN, OTHER), (True, False), (True, False), times):
         for written_ns in (0, WRITTEN):
-            told = answer(Cause(T, by, "x", written_ns), answered=answered, may_answer=may, port_owner_ns=port_owner_ns)
+            told = answer(
+                Stop(T, by, why("x"), written_ns), answered=answered, may_answer=may, port_owner_ns=port_owner_ns
+            )
             if told and told[1]:
                 of_port_owner = (by == OWN) if told[1] == WRITTEN else True
                 assert told[0] == ("port owner" if of_port_owner else "supervisor")

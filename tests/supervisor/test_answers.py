@@ -17,13 +17,14 @@ import msgpack
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.policy import causes
+from failstop.policy.reply import unpack
 from failstop.policy.settings import Settings
 from failstop.procs import rights
 from failstop.shm import instance, layout, records, segment
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import REALTIME, RUNNING
 from failstop.supervisor import grant, main
-from failstop.supervisor.causes import Cause
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.health import OWED_NS, UNDYING_NS
 from failstop.supervisor.journal import Journal
@@ -32,8 +33,10 @@ from failstop.supervisor.names import LOOK_EVERY_NS
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
+from failstop.supervisor.stops import Stop
 from tests.procs.stage import MOST_LATE
 from tests.waiting import until
+from tests.why import said, told, why
 
 MS = 1_000_000
 _numbers = itertools.count()
@@ -79,12 +82,12 @@ class Scene:
 
     def notice(self, reason: str = "key1", *, written_ns: int = 0) -> None:
         """The port owner has stopped for a cause of its own."""
-        stop = records.pack_stop(1, self.now_ns, written_ns, True, reason)
+        stop = records.pack_stop(1, self.now_ns, written_ns, why(reason).pack())
         self.port_owner.ring_writer("stops").put(stop)
 
     def trip(self, reason: str = "multiple cmd_vel publishers") -> None:
         """The gate has latched."""
-        self.gate.ring_writer("trips").put(records.pack_stop(1, self.now_ns, 0, True, reason))
+        self.gate.ring_writer("trips").put(records.pack_stop(1, self.now_ns, 0, why(reason).pack()))
 
     def turn(self, elapsed_ns: int = 0) -> bytes:
         """Time passes and the supervisor wakes up; returns what it wrote to the port."""
@@ -113,14 +116,34 @@ class Scene:
         entry = self.stop_record.read()
         assert entry is not None
         found: dict[str, Any] = msgpack.unpackb(entry[2])
-        return {key: found[key] for key in ("reason", "written_by", "written_us")}
+        times = {key: found[key] for key in ("written_by", "written_us")}
+        return {"reason": said(causes.read(found["cause"])), **times}
 
-    def cause(self) -> tuple[int, str, str]:
-        """What the gate reads: since which epoch what stands, and the newest."""
-        entry = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("cause").read()
+    def cause(self) -> tuple[int, str]:
+        """What everybody reads: since which epoch it is latched (0: it is not), and the cause."""
+        entry = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("latch").read()
         assert entry is not None
-        since, _, standing, newest = records.unpack_cause(entry[2])
-        return since, standing, newest
+        since, _, _, cause = records.unpack_latch(entry[2])
+        return since, said(causes.read(cause))
+
+    def ask_reset(self, asked_ns: int | None = None) -> None:
+        """The gate passes a reset on."""
+        self.gate.word("reset_asked_ns").set(asked_ns or self.now_ns)
+        self.gate.word("resets_asked").set(self.gate.word("resets_asked").get() + 1)
+
+    def decided(self) -> tuple[bool, str] | None:
+        """What became of the last reset; None: it is not decided."""
+        if self.word("resets").get() != self.gate.word("resets_asked").get():
+            return None
+        entry = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("reset").read()
+        assert entry is not None
+        return told(unpack(entry[2])[2])
+
+    def reset(self) -> None:
+        """Somebody resets, and it is done."""
+        self.ask_reset()
+        self.turn(MS)
+        assert self.decided() is not None
 
     def close(self) -> None:
         self.resources.remove()
@@ -301,10 +324,10 @@ def test_the_cause_is_there_before_the_epoch_and_ready_is_not(scene: Scene) -> N
             order.append(self.name)
             self.real.write(payload)
 
-    for attribute in ("_epoch_word", "_ready_word", "_cause_record"):
+    for attribute in ("_epoch_word", "_ready_word", "_latch_record"):
         setattr(scene.supervisor, attribute, Watched(attribute, getattr(scene.supervisor, attribute)))
-    scene.supervisor._raise_epoch([Cause(scene.now_ns, "gate", "x")])
-    assert order == ["_cause_record", "_ready_word 0", "_epoch_word 2"]
+    scene.supervisor._raise_epoch([Stop(scene.now_ns, "gate", why("x"))])
+    assert order == ["_latch_record", "_ready_word 0", "_epoch_word 2"]
 
 
 def test_a_cause_that_comes_while_the_last_is_looked_at_is_not_slept_over(
@@ -313,7 +336,7 @@ def test_a_cause_that_comes_while_the_last_is_looked_at_is_not_slept_over(
     """It rings after the rings were read: that ring must still wake the supervisor."""
     real = scene.supervisor._collect
 
-    def then_another(*arguments: Any) -> list[Cause]:
+    def then_another(*arguments: Any) -> list[Stop]:
         found = real(*arguments)
         if found:
             scene.trip("the second")
@@ -334,43 +357,60 @@ def test_the_first_cause_is_the_one_that_is_latched(scene: Scene) -> None:
     scene.turn(MS)
     scene.notice("the second", written_ns=scene.now_ns)
     scene.turn(MS)
-    assert scene.cause() == (2, "the first", "the second")
+    assert scene.cause() == (2, "the first")
     assert scene.supervisor.epoch == 3, "each is a stop of its own"
 
 
-def test_a_stop_that_crosses_a_reset_is_latched(scene: Scene) -> None:
-    """The gate resets the first in epoch 2 when epoch 3 is raised already for the second, and has not seen that yet."""
+def test_a_reset_clears_the_latch_and_says_so_once_it_is_done(scene: Scene) -> None:
     scene.trip("the first")
     scene.turn()
     scene.answers(written_ns=scene.now_ns)
     scene.turn(MS)
-    scene.notice("the second", written_ns=scene.now_ns + MS)
+    assert scene.cause() == (2, "the first")
+    scene.ask_reset()
     scene.turn(MS)
-    scene.gate.word("reset_epoch").set(2)
-    scene.events()
-    scene.answers()
-    scene.turn(MS)
-    assert scene.cause() == (2, "the first", "the second"), "by the older epoch the gate knows that it was reset"
-    _, stop = scene.events()
-    assert (stop["kind"], stop["fields"]["reason"]) == ("stop", "the second")
-    assert scene.told()["reason"] == "the second"
-    assert scene.supervisor.herald.latched() == "the second"
-    assert [words["reason"] for _, words in scene.supervisor.blackbox._waiting] == ["the first", "the second"]
-    scene.trip("the third")
-    scene.turn(MS)
-    assert scene.cause() == (3, "the second", "the third")
+    assert scene.decided() == (True, "e-stop cleared (was: stop request: the first); motion still disabled")
+    assert scene.cause() == (0, "the first"), "it was the last stop"
+    assert scene.supervisor.epoch == 2
 
 
-def test_what_is_latched_until_the_reset(scene: Scene) -> None:
-    herald = scene.supervisor.herald
-    assert herald.latched() == ""
+def test_a_reset_waits_for_the_stop_to_be_carried_out(scene: Scene) -> None:
     scene.trip("the first")
     scene.turn()
-    assert herald.latched() == "the first"
-    scene.gate.word("reset_epoch").set(1)
-    assert herald.latched() == "the first"
-    scene.gate.word("reset_epoch").set(2)
-    assert herald.latched() == "", "and nobody waits for the supervisor's turn"
+    scene.ask_reset(scene.now_ns + MS)
+    scene.turn(MS)
+    assert scene.decided() is None
+    scene.answers(written_ns=scene.now_ns)
+    scene.turn(MS)
+    decided = scene.decided()
+    assert decided is not None
+    assert decided[0]
+
+
+def test_a_stop_and_a_reset_that_did_not_know_of_it(scene: Scene) -> None:
+    """Whichever the supervisor hears first, the second stop is latched."""
+    scene.trip("the first")
+    scene.turn()
+    scene.answers(written_ns=scene.now_ns)
+    scene.turn(MS)
+    scene.ask_reset()
+    scene.notice("the second", written_ns=scene.now_ns + MS)
+    scene.turn(MS)
+    scene.answers()
+    scene.turn(MS)
+    assert scene.decided() == (
+        False,
+        "asked before the last stop (stop request: the second): see to that, then ask again",
+    )
+    assert scene.cause() == (2, "the first")
+    scene.reset()
+    scene.trip("the third")
+    scene.turn(MS)
+    scene.answers()
+    scene.turn(MS)
+    assert scene.cause() == (4, "the third")
+    waiting = [bytes.fromhex(words["cause"]) for _, words in scene.supervisor.blackbox._waiting]
+    assert [said(causes.read(cause)) for cause in waiting] == ["the first", "the third"]
 
 
 def test_people_are_told_when_the_stop_is_out_and_not_before(scene: Scene) -> None:
@@ -384,11 +424,12 @@ def test_people_are_told_when_the_stop_is_out_and_not_before(scene: Scene) -> No
     also, stop = scene.events()
     assert (also["kind"], also["fields"]) == (
         "stop_also",
-        {"reason": "multiple cmd_vel publishers", "noticed_by": "gate"},
+        {"reason": str(why("multiple cmd_vel publishers")), "cause": "piped", "noticed_by": "gate"},
     )
     assert (stop["kind"], stop["level"]) == ("stop", "warning")
     assert stop["fields"] == {
         "reason": "key1",
+        "cause": "key",
         "noticed_by": "port_owner",
         "written_by": "port owner",
         "latency_us": 50.0,

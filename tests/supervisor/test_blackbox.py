@@ -23,10 +23,11 @@ from failstop.supervisor.blackbox import (
     START_NS,
     BlackBox,
 )
-from failstop.supervisor.causes import Cause
 from failstop.supervisor.events import Events
 from failstop.supervisor.resources import Resources
+from failstop.supervisor.stops import Stop
 from tests.waiting import until
+from tests.why import why
 
 MS = 1_000_000
 T0 = 10**12
@@ -120,7 +121,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
     made.close()
 
 
-CAUSE = Cause(T0, layout.GATE, "gate\ndied")
+CAUSE = Stop(T0, layout.GATE, why("gate died"))
 
 
 def test_the_longest_silence_of_each_process_is_sampled_ten_times_a_second(scene: Scene) -> None:
@@ -159,7 +160,7 @@ def test_a_saver_is_started_a_while_after_a_latched_stop(scene: Scene) -> None:
     scene.box.follow(T0 + 2 * START_NS, ready=True)
     (words,) = scene.started
     fds = ",".join(f"{process}:{fd}" for process, fd in scene.resources.readable.items())
-    expected = {"name": scene.resources.name, "keep": "7", "max_mb": "8", "fds": fds, "reason": "gate?died"}
+    expected = {"name": scene.resources.name, "keep": "7", "max_mb": "8", "fds": fds, "cause": CAUSE.cause.pack().hex()}
     assert words.items() >= {**expected, "cause_ns": str(T0), "epoch": "7", "until_ns": str(T0 + COPY_NS)}.items()
 
 

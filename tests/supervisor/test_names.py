@@ -43,7 +43,7 @@ class Scene:
         for name in removed:
             self.paths[name].unlink()
         self.now_ns += elapsed_ns
-        return self.names.lost(self.now_ns)
+        return str(self.names.lost(self.now_ns) or "")
 
 
 @pytest.fixture

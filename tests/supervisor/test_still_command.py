@@ -9,15 +9,19 @@ from pathlib import Path
 
 import pytest
 
+from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.shm import layout, segment
-from failstop.supervisor.aftermath import UNSTILL, Aftermath
-from failstop.supervisor.causes import Cause
+from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.events import Events
+from failstop.supervisor.latch import Latch
 from failstop.supervisor.resources import Resources
+from failstop.supervisor.stops import Stop
 from failstop.trial import wait_for
+from tests.why import why
 
 S = 1_000_000_000
+UNSTILL = str(causes.UNSTILL())
 MS = 1_000_000
 NEVER_ENDS = "echo $$ >> {file}; while :; do sleep 120; done"
 
@@ -36,9 +40,9 @@ class Scene:
         self.told: list[tuple[str, object, str]] = []
         events = Events(self.resources.name)
         events.tell = self._tell  # type: ignore[method-assign,assignment]
-        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, settings, events)
+        self.latch = Latch()
+        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, self.latch, settings, events)
         self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
-        self.reset_word = segment.attach(self.resources.memory, layout.GATE, write=True).word("reset_epoch")
         self.now_ns = 100 * S
         self.epoch = 1
 
@@ -51,19 +55,19 @@ class Scene:
         self.now_ns += elapsed_ns
         self.telemetry.word("still_ns").set(self.now_ns if still else 0)
         self.telemetry.word("judged_ns").set(self.now_ns)
-        return [cause.reason for cause in self.aftermath.follow(self.now_ns, listening=False)]
+        return [str(stop.cause) for stop in self.aftermath.follow(self.now_ns, listening=False)]
 
     def stop_unheeded(self) -> None:
         """People have reset, and a new stop is not obeyed."""
-        self.reset_word.set(self.epoch)
+        self.latch.reset(self.epoch, self.now_ns)
         self.follow(MS)
         self.stop()
         assert self.follow(S) == [UNSTILL]
 
     def stop(self) -> None:
         self.epoch += 1
-        cause = Cause(self.now_ns, layout.GATE, f"stop {self.epoch}")
-        self.aftermath.written(cause, self.now_ns, "port owner", cause.reason, self.epoch)
+        stop = Stop(self.now_ns, layout.GATE, why(f"stop {self.epoch}"))
+        self.aftermath.written(stop, self.now_ns, "port owner", stop.cause, self.epoch)
         self.follow(MS)
 
     def runs(self) -> list[int]:
@@ -129,7 +133,7 @@ def test_again_for_the_next_stop_once_the_wheels_were_still(scene_of: Callable[[
     scene.stop_unheeded()
     wait_for("the command", lambda: len(scene.runs()) == 1)
     scene.follow(MS, still=True)
-    scene.reset_word.set(scene.epoch)
+    scene.latch.reset(scene.epoch, scene.now_ns)
     scene.stop()
     assert scene.follow(S) == [UNSTILL]
     wait_for("the command anew", lambda: len(scene.runs()) == 2)

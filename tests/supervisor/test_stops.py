@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.supervisor.causes import Cause
 from failstop.supervisor.fence import Fence
-from failstop.supervisor.stops import ACKNOWLEDGE_NS, JUDGED_AFTER_NS, JUDGED_WITHIN_NS, LastStop, still_after
+from failstop.supervisor.stops import ACKNOWLEDGE_NS, JUDGED_AFTER_NS, JUDGED_WITHIN_NS, Stop, still_after
+from tests.why import why
 
 MS = 1_000_000
 T0 = 10_000 * MS
 AFTER = 1_500 * MS
 
 
-def stop(written_ms: float = 0.5) -> LastStop:
+def stop(written_ms: float = 0.5) -> Stop:
     written_ns = T0 + round(written_ms * MS) if written_ms else 0
-    return LastStop(Cause(T0, "gate", "gate died"), written_ns, "port owner", "gate died", 2, AFTER, 1.0)
+    found = Stop(T0, "gate", why("gate died"))
+    found.answered_by("port owner", written_ns, found.cause, 2, AFTER, 1.0)
+    return found
 
 
 def test_written() -> None:
@@ -28,14 +30,14 @@ def test_written() -> None:
 
 def test_a_ping_from_before_the_stop_proves_nothing() -> None:
     last = stop()
-    assert not last.answered(T0 + MS // 2 - 1, T0 + 2 * MS)
-    assert last.answered(T0 + MS // 2, T0 + 3 * MS)
+    assert not last.ponged(T0 + MS // 2 - 1, T0 + 2 * MS)
+    assert last.ponged(T0 + MS // 2, T0 + 3 * MS)
     assert last.as_record()["acknowledged_us"] == 3_000.0
-    assert not last.answered(T0 + 5 * MS, T0 + 6 * MS), "the first answer counts"
+    assert not last.ponged(T0 + 5 * MS, T0 + 6 * MS), "the first answer counts"
 
 
 def test_what_was_not_written_is_not_acknowledged() -> None:
-    assert not stop(0).answered(T0 + 100 * MS, T0 + 101 * MS)
+    assert not stop(0).ponged(T0 + 100 * MS, T0 + 101 * MS)
 
 
 def test_wheels_that_come_to_rest() -> None:
@@ -98,16 +100,16 @@ def test_a_stop_that_could_be_written_only_later_is_proven_from_then_on() -> Non
     back_ns = T0 + 5_000 * MS
     last.written_at_last(back_ns, "port owner")
     assert last.as_record()["written_us"] == 5_000_000.0
-    assert not last.answered(back_ns - 1, back_ns + MS)
+    assert not last.ponged(back_ns - 1, back_ns + MS)
     assert not last.judged(0, back_ns + 1_400 * MS, back_ns + 1_400 * MS), "the wheels have their time from then"
     assert last.judged(0, back_ns + AFTER, back_ns + AFTER)
-    assert last.answered(back_ns, back_ns + 3 * MS)
+    assert last.ponged(back_ns, back_ns + 3 * MS)
     assert last.complete(back_ns + AFTER), "and it is told again"
 
 
 def test_it_is_told_once_when_all_is_known() -> None:
     last = stop()
-    last.answered(T0 + MS, T0 + 2 * MS)
+    last.ponged(T0 + MS, T0 + 2 * MS)
     assert not last.complete(T0 + 900 * MS)
     last.judged(0, T0 + 500 * MS, T0 + 500 * MS)
     last.judged(T0 + 300 * MS, T0 + 1_000 * MS, T0 + 1_000 * MS)
@@ -131,17 +133,17 @@ def test_a_rest_within_the_resolution_is_told_as_that() -> None:
 
 def test_what_programs_are_told_of_it() -> None:
     last = stop()
-    told = {"reason": "gate died", "epoch": 2, "link": "alive"}
+    told = {"reason": "gate died", "cause": "died", "epoch": 2, "link": "alive"}
     assert last.fields("alive") == {**told, "acknowledged_us": None, "observed_ms": None, "wheels": "unknown"}
-    assert last.answered(T0 + MS, T0 + 2 * MS)
+    assert last.ponged(T0 + MS, T0 + 2 * MS)
     last.judged(0, T0 + AFTER, T0 + AFTER)
     assert last.fields("alive") == {**told, "acknowledged_us": 2_000.0, "observed_ms": None, "wheels": "unstill"}
     last.judged(T0 + 2 * AFTER - 1, T0 + 2 * AFTER, T0 + 2 * AFTER)
     observed_ms = (2 * AFTER - 1) / 1e6
     assert last.fields("alive") == {**told, "acknowledged_us": 2_000.0, "observed_ms": observed_ms, "wheels": "still"}
     assert last.as_record() == {
-        "reason": "gate died",
-        "latched": "gate died",
+        "cause": why("gate died").pack(),
+        "latched": why("gate died").pack(),
         "noticed_by": "gate",
         "written_by": "port owner",
         "t": 1.0,

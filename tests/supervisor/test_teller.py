@@ -11,9 +11,10 @@ import pytest
 from failstop.shm import layout, segment
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
 from failstop.shm.notes import Note
-from failstop.supervisor.causes import Cause
 from failstop.supervisor.events import Events
+from failstop.supervisor.stops import Stop
 from failstop.supervisor.teller import MOST_SAID, NO_EARLY_NEWS, NO_REALTIME, WAITED_NS, Teller
+from tests.why import why
 
 T0 = 10**12
 
@@ -54,13 +55,13 @@ def teller(name: str, events: Told) -> Teller:
 def test_a_thousand_reasons_of_somebody_s_are_not_all_remembered_and_hide_no_death(
     teller: Teller, events: Told
 ) -> None:
-    teller.latched(Cause(T0, layout.PORT_OWNER, "key1"))
+    teller.latched(Stop(T0, layout.PORT_OWNER, why("key1")))
     for number in range(1000):
-        teller.also(Cause(T0, layout.PORT_OWNER, f"stop request: {number}"))
+        teller.also(Stop(T0, layout.PORT_OWNER, why(str(number))))
         assert len(teller._said) <= MOST_SAID
     before = len(events.kinds)
-    teller.also(Cause(T0, layout.PORT_OWNER, "gate died"))
-    teller.also(Cause(T0, layout.SUPERVISOR, "gate died"))
+    teller.also(Stop(T0, layout.PORT_OWNER, why("gate died")))
+    teller.also(Stop(T0, layout.SUPERVISOR, why("gate died")))
     assert len(events.kinds) == before + 1
 
 
@@ -87,13 +88,13 @@ def test_the_end_is_told_with_what_is_known_of_the_stop(
     assert events.whole == [("stopped", text, {"link": link, "acknowledged_us": acknowledged_us}, level)]
 
 
-KEY = Cause(T0, layout.PORT_OWNER, "key1")
-DEATH = Cause(T0 + 5, layout.SUPERVISOR, "gate died")
+KEY = Stop(T0, layout.PORT_OWNER, why("key1"))
+DEATH = Stop(T0 + 5, layout.SUPERVISOR, why("gate died"))
 NEXT = "next: `failstop reset --name x`, then `failstop enable --name x`"
 
 
 @pytest.mark.parametrize(
-    ("cause", "after_ns", "ending", "kind", "text", "level"),
+    ("stop", "after_ns", "ending", "kind", "text", "level"),
     [
         (KEY, 80_260, False, "stop", f"E-STOP latched: key1; {{wrote}} 80 us; {NEXT}", ""),
         (KEY, -1, False, "stop", f"E-STOP latched: key1; {{wrote}} 0 us; {NEXT}", ""),
@@ -112,14 +113,15 @@ NEXT = "next: `failstop reset --name x`, then `failstop enable --name x`"
     ],
 )
 def test_a_stop_is_told_with_who_wrote_it_and_when(
-    teller: Teller, events: Told, cause: Cause, after_ns: int | None, ending: bool, kind: str, text: str, level: str
+    teller: Teller, events: Told, stop: Stop, after_ns: int | None, ending: bool, kind: str, text: str, level: str
 ) -> None:
-    written_ns = 0 if after_ns is None else cause.t_ns + after_ns
+    written_ns = 0 if after_ns is None else stop.t_ns + after_ns
     teller.latched(KEY)
-    teller.stopped(cause, written_ns, "stopper", KEY, 7, ending=ending)
+    teller.stopped(stop, written_ns, "stopper", KEY, 7, ending=ending)
     fields = {
-        "reason": cause.reason,
-        "noticed_by": cause.noticed_by,
+        "reason": str(stop.cause),
+        "cause": stop.cause.kind.name,
+        "noticed_by": stop.noticed_by,
         "written_by": "nobody" if after_ns is None else "stopper",
         "latency_us": None if after_ns is None else max(0.0, round(after_ns / 1e3, 1)),
         "epoch": 7,
@@ -130,7 +132,12 @@ def test_a_stop_is_told_with_who_wrote_it_and_when(
 
 
 def test_what_came_together_is_told_once_until_the_next_latch(teller: Teller, events: Told) -> None:
-    also = ("stop_also", "also: gate died", {"reason": "gate died", "noticed_by": layout.SUPERVISOR}, "")
+    also = (
+        "stop_also",
+        "also: gate died",
+        {"reason": "gate died", "cause": "died", "noticed_by": layout.SUPERVISOR},
+        "",
+    )
     for count in (1, 2):
         teller.latched(KEY)
         for cause in (KEY, DEATH, DEATH):

@@ -15,6 +15,7 @@ import msgpack
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
 from failstop.procs import starved
@@ -270,11 +271,11 @@ def test_one_that_was_held_up_stops_motion_and_kills_nobody(watching: Watching) 
     watching.enabled()
     watching.pass_time(HELD_UP_NS)
     assert watching.supervisor.epoch == 2
-    cause = watching.supervisor._cause_record
-    entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader("cause").read()
+    cause = watching.supervisor._latch_record
+    entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader("latch").read()
     assert cause is not None
     assert entry is not None
-    assert records.unpack_cause(entry[2])[2] == "supervisor was held up for 250 ms"
+    assert str(causes.read(records.unpack_latch(entry[2])[3])) == "supervisor was held up for 250 ms"
     assert not any(child.fence for child in watching.supervisor.children)
 
 
@@ -305,9 +306,9 @@ def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(watching: Watc
     watching.notice("gate died", written_ns=watching.now_ns + 7)
     for noticed_by, written_ns in ((layout.PORT_OWNER, watching.now_ns + 7), (layout.SUPERVISOR, 5)):
         gate.fallen = False
-        (cause,) = supervisor._collect([gate], watching.now_ns, 5)
-        assert (cause.t_ns, cause.noticed_by, cause.reason) == (watching.now_ns, noticed_by, "gate died")
-        assert cause.written_ns == written_ns
+        (stop,) = supervisor._collect([gate], watching.now_ns, 5)
+        assert (stop.t_ns, stop.noticed_by, str(stop.cause)) == (watching.now_ns, noticed_by, "gate died")
+        assert stop.written_ns == written_ns
         assert gate.fallen
 
 
@@ -369,7 +370,7 @@ def test_who_is_starved_while_motion_is_enabled_is_stopped_for_once_and_left_alo
     child = starving.supervisor.family[name]
     while starving.supervisor.epoch == 1:
         starving.beat_but(name)
-    _, standing, _ = starving.cause()
+    _, standing = starving.cause()
     assert standing == f"{name} hangs: {child.row.deadline_ns // MS} ms silent (the machine is starved)"
     for _ in range(80):
         starving.beat_but(name)
@@ -388,7 +389,7 @@ def test_a_starved_port_owner_is_fenced_while_it_may_move(starving: Watching, si
         starving.beat_but(layout.PORT_OWNER)
     assert port_owner.fence
     assert "burst_us" in port_owner.fence.fields()
-    _, standing, _ = starving.cause()
+    _, standing = starving.cause()
     assert standing == "port_owner hangs: 100 ms silent (the machine is starved)"
 
 
@@ -430,15 +431,15 @@ def test_a_reset_starts_one_anew_that_is_down(watching: Watching, name: str, mon
     started: list[str] = []
     die_too_often(watching, name)
     child = watching.supervisor.family[name]
-    down_in = watching.supervisor.epoch
     monkeypatch.setattr(
         family_module.Family, "start", lambda _, found, fd: (started.append(name), found.restart.set(NEVER))
     )
-    watching.gate.word("reset_epoch").set(down_in - 1)
+    watching.answers(written_ns=watching.now_ns)
+    watching.ask_reset(1)
     for _ in range(10):
         watching.pass_time(20 * MS)
     assert (started, child.state()) == ([], "down"), "a reset from before it was down is not for it"
-    watching.gate.word("reset_epoch").set(down_in)
+    watching.ask_reset()
     watching.pass_time(20 * MS)
     assert started == [name]
     watching.employ(name).kill()
@@ -666,8 +667,8 @@ def test_what_the_service_manager_is_told(watching: Watching) -> None:
     watching.answers(written_ns=watching.now_ns)
     watching.pass_time(MS)
     assert heard.said[4:] == [
-        "STATUS=stop latched: bumper; waiting for a stop being carried out",
-        "STATUS=stop latched: bumper",
+        "STATUS=stop latched: stop request: bumper; waiting for a stop being carried out",
+        "STATUS=stop latched: stop request: bumper",
     ]
 
 
@@ -675,7 +676,6 @@ def test_who_is_down_is_in_the_status(watching: Watching) -> None:
     heard = Heard()
     die_too_often(watching, layout.TELEMETRY)
     watching.supervisor.herald.notify = heard
-    watching.gate.word("reset_epoch").set(1)
     watching.pass_time(MS)
     (said,) = heard.said
     assert said.startswith("STATUS=stop latched: telemetry died; telemetry died too often and is down until a reset")

@@ -10,6 +10,7 @@ import msgpack
 import pytest
 
 from failstop.board import codec, framing
+from failstop.policy import causes
 from failstop.procs.telemetry import tones
 from failstop.shm import records
 from tests.waiting import until
@@ -127,7 +128,7 @@ def test_odometry_stands_when_the_gate_is_silent(scene: Scene) -> None:
 def test_a_button_stops_and_its_raw_frames_are_in_the_log(scene: Scene) -> None:
     scene.pad(ly=5)
     scene.pad(X)
-    assert scene.told("trips") == [b"gamepad button 0x0100"]
+    assert scene.told("trips") == [causes.BUTTON(0x0100).pack()]
     assert scene.rung("port_owner_bell")
     assert scene.notes() == ["gamepad button 0x0100; last frames: 00000000050000 (-50 ms), 00010000000000 (-0 ms)"]
     assert [msgpack.unpackb(event) for event in scene.told("events")] == [
@@ -138,7 +139,7 @@ def test_a_button_stops_and_its_raw_frames_are_in_the_log(scene: Scene) -> None:
 @pytest.mark.parametrize("event", [0x01, 0x02, 0x04, 0x20, 0x40, 0x80])
 def test_key_1_s_presses_trip(scene: Scene, event: int) -> None:
     scene.key(1, event)
-    assert scene.told("trips") == [b"key1"]
+    assert scene.told("trips") == [causes.KEY(1).pack()]
 
 
 @pytest.mark.parametrize(("key", "event"), [(1, 0x08), (1, 0x10), (2, 0x01)])
@@ -170,7 +171,7 @@ def test_in_drive_mode_each_frame_is_a_command_and_rings_the_gate(scene: Scene) 
 
 def test_a_latch_ends_drive_mode(scene: Scene) -> None:
     scene.pad(MODE)
-    scene.gate["estop"] = "key1"
+    scene.gate["estop"] = causes.KEY(1).pack()
     scene.pad(ly=127)
     written = scene.commands()
     scene.pad(ly=127)
@@ -188,7 +189,7 @@ def test_a_latch_that_came_and_went_unseen_ends_drive_mode_too(scene: Scene) -> 
 
 
 def test_mode_held_since_before_a_newer_stop_resets_nothing(scene: Scene) -> None:
-    scene.gate["estop"] = "key1"
+    scene.gate["estop"] = causes.KEY(1).pack()
     for _ in range(38):
         scene.pad(MODE)
     scene.gate["epoch"] += 1
@@ -201,7 +202,7 @@ def test_mode_held_since_before_a_newer_stop_resets_nothing(scene: Scene) -> Non
 
 
 def test_mode_held_for_2_s_while_latched_wishes_one_reset(scene: Scene) -> None:
-    scene.gate["estop"] = "key1"
+    scene.gate["estop"] = causes.KEY(1).pack()
     for _ in range(60):
         scene.pad(MODE)
     assert [records.unpack_wish(wish) for wish in scene.told("wishes")] == [(records.WISH_RESET, b"")]
@@ -211,7 +212,7 @@ def test_mode_held_for_2_s_while_latched_wishes_one_reset(scene: Scene) -> None:
 
 def test_tones_are_wishes_for_frames_that_are_not_motion(sounding: Scene) -> None:
     sounding.pad(MODE)
-    sounding.gate["estop"] = "key1"
+    sounding.gate["estop"] = causes.KEY(1).pack()
     sounding.turn(elapsed_ns=20 * MS)
     wishes = [records.unpack_wish(wish) for wish in sounding.told("wishes")]
     assert wishes == [(records.WISH_FRAME, tones.MODES[1]), (records.WISH_FRAME, tones.TRIP)]
@@ -221,7 +222,7 @@ def test_tones_are_wishes_for_frames_that_are_not_motion(sounding: Scene) -> Non
 
 def test_off_by_default_nothing_sounds(scene: Scene) -> None:
     scene.pad(MODE)
-    scene.gate["estop"] = "key1"
+    scene.gate["estop"] = causes.KEY(1).pack()
     scene.turn(elapsed_ns=20 * MS)
     assert scene.told("wishes") == []
 

@@ -1,0 +1,291 @@
+"""Causes: everything that stops the robot, declared once: its words, who notices it, what clears it, what people do.
+
+A cause travels as the number of its row with its arguments (`pack`), from whoever notices it to whoever tells of it;
+its text is made at the end (`str`). In a template, what stands in brackets is left out when its arguments are empty.
+Every cause latches.
+
+`what` continues "stopped since ..." and `remedy` "first ...", with the same arguments, and `role`: that of the process.
+"""
+
+from __future__ import annotations
+
+import struct
+
+from failstop.shm.records import cut, printable
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+    Value = str | int | float
+
+ROOM = 280
+"""Bytes that the arguments of a cause take at most, in UTF-8; what is longer is cut."""
+BYTES = ROOM + 2
+BETWEEN = "\x1f"
+LONGEST_PID = 10
+RESET = "a reset"
+NEW_RUN = "a new start of the service"
+CLIENTS = "gate"
+"""Who notices what clients do."""
+_NUMBER = struct.Struct("<H")
+_TYPES = {"s": str, "d": int, "f": float}
+
+_TELL = "report it with its incident (`failstop incident list`), as it is a defect, or memory that somebody damaged"
+_AGAIN = "look at what came before it (`failstop events`) if it is not the first time"
+_BUSY = "look at the machine's load and at real-time rights (`failstop doctor`), since something held it up"
+_POWER = "turn the robot's POWER SWITCH off and on, since a stop may not have reached the wheels"
+
+
+class Kind:
+    """One row."""
+
+    __slots__ = ("cleared_by", "name", "noticed_by", "number", "parameters", "remedy", "template", "what")
+
+    def __init__(
+        self,
+        number: int,
+        name: str,
+        template: str,
+        parameters: str,
+        noticed_by: str,
+        what: str,
+        remedy: str,
+        cleared_by: str = RESET,
+    ) -> None:
+        """`number`: never given to another row; `parameters`: name:type, where the type is s, d or f; `noticed_by`:
+        processes."""
+        self.number = number
+        self.name = name
+        self.template = template
+        self.parameters = tuple((word[:-2], _TYPES[word[-1]]) for word in parameters.split())
+        self.noticed_by = tuple(noticed_by.split())
+        self.what = what
+        self.remedy = remedy
+        self.cleared_by = cleared_by
+
+    def __call__(self, *arguments: Value) -> Cause:
+        """A cause of this kind. Raises ValueError for arguments that are not those of the row."""
+        if len(arguments) != len(self.parameters):
+            raise ValueError(f"{self.name} takes {len(self.parameters)} arguments, not {len(arguments)}")
+        return Cause(self, tuple(of(given) for (_, of), given in zip(self.parameters, arguments, strict=True)))
+
+
+class Cause:
+    """Why the robot was stopped: the row, and what it says of this case. `str` of it is its text."""
+
+    __slots__ = ("arguments", "kind")
+
+    def __init__(self, kind: Kind, arguments: tuple[Value, ...]) -> None:
+        self.kind = kind
+        self.arguments = arguments
+
+    def named(self) -> dict[str, Value]:
+        """The arguments by name."""
+        return {name: value for (name, _), value in zip(self.kind.parameters, self.arguments, strict=True)}
+
+    def __str__(self) -> str:
+        return filled(self.kind.template, self.named())
+
+    def __repr__(self) -> str:
+        return f"{self.kind.name}{self.arguments!r}"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Cause) and (self.kind, self.arguments) == (other.kind, other.arguments)
+
+    def __hash__(self) -> int:
+        return hash((self.kind.number, self.arguments))
+
+    def pack(self) -> bytes:
+        """BYTES at most."""
+        texts = (str(value).replace(BETWEEN, "?") for value in self.arguments)
+        return _NUMBER.pack(self.kind.number) + cut(BETWEEN.join(texts), ROOM)
+
+
+def unpack(payload: bytes) -> Cause:
+    """Raises ValueError."""
+    if len(payload) < _NUMBER.size:
+        raise ValueError(f"a cause of {len(payload)} bytes")
+    (number,) = _NUMBER.unpack_from(payload)
+    if number not in BY_NUMBER:
+        raise ValueError(f"no cause has the number {number}")
+    kind = BY_NUMBER[number]
+    texts = payload[_NUMBER.size :].decode("utf-8", "replace").split(BETWEEN)
+    # What was cut off is empty.
+    texts += [""] * (len(kind.parameters) - len(texts))
+    pairs = zip(kind.parameters, texts, strict=False)
+    return Cause(kind, tuple(text if of is str else of(text or 0) for (_, of), text in pairs))
+
+
+def filled(template: str, arguments: dict[str, Value]) -> str:
+    """A text of a row with its arguments; every other part of it stands in brackets."""
+    parts = template.replace("]", "[").split("[")
+    return "".join(
+        part.format_map(arguments)
+        for at, part in enumerate(parts)
+        if not at % 2 or any(value for name, value in arguments.items() if f"{{{name}" in part)
+    )
+
+
+def read(payload: bytes) -> Cause:
+    """The same, and UNKNOWN for what is damaged: a stop is one whatever its cause."""
+    try:
+        return unpack(payload)
+    except ValueError:
+        return UNKNOWN()
+
+
+def of(name: str, arguments: dict[str, Value]) -> Cause:
+    """The cause that a program was told of by its name and its arguments; UNKNOWN where this version has no such."""
+    kind = BY_NAME.get(name)
+    if kind is None or {key for key, _ in kind.parameters} - set(arguments):
+        return UNKNOWN()
+    return kind(*(arguments[key] for key, _ in kind.parameters))
+
+
+def requested(line: bytes) -> Cause:
+    """The cause of a stop that was asked for with this line in the stop pipe (records.asking): whatever it says, it is
+    somebody's words."""
+    text = line.decode("utf-8", "replace")
+    words, _, rest = text.partition("\t")
+    who, _, pid = rest.partition("\t")
+    if who and pid.isascii() and pid.isdigit() and len(pid) <= LONGEST_PID:
+        return REQUESTED(printable(words), printable(who), int(pid))
+    return PIPED(printable(text))
+
+
+BY_NUMBER: dict[int, Kind] = {}
+BY_NAME: dict[str, Kind] = {}
+
+
+def _row(*columns: Any) -> Kind:
+    kind = Kind(*columns)
+    assert kind.number not in BY_NUMBER
+    assert kind.name not in BY_NAME
+    BY_NUMBER[kind.number] = BY_NAME[kind.name] = kind
+    return kind
+
+
+DIED = _row(
+    1, "died", "{process} died", "process:s",
+    "port_owner supervisor stopper",
+    "the process {process} died, which {role}", _AGAIN,
+)  # fmt: skip
+HANGS = _row(
+    2, "hangs", "{process} hangs: {ms} ms silent", "process:s ms:d",
+    "port_owner gate supervisor",
+    "the process {process}, which {role}, gave no sign of life for {ms} ms", _BUSY,
+)  # fmt: skip
+STARVED = _row(
+    3, "starved", "{process} hangs: {ms} ms silent (the machine is starved)", "process:s ms:d",
+    "supervisor",
+    "the machine was busy with other things and did not run the process {process}, which {role}, for {ms} ms",
+    "give the service real-time rights (`failstop doctor` has the command), or the machine less to do",
+)  # fmt: skip
+HELD_UP = _row(
+    4, "held_up", "supervisor was held up for {ms} ms", "ms:d",
+    "supervisor",
+    "the supervisor could not run for {ms} ms, so nobody watched the others", _BUSY,
+)  # fmt: skip
+MUTE = _row(
+    5, "mute", "gate beats but sends nothing: {ms} ms", "ms:d",
+    "port_owner",
+    "the gate was alive, but sent no motor frame for {ms} ms while the wheels turned", _TELL,
+)  # fmt: skip
+BAD_FRAME = _row(
+    6, "bad_frame", "the gate's frame was refused: {fault}", "fault:s",
+    "port_owner",
+    "the gate made a frame that must not reach the board ({fault}), and the port owner refused it", _TELL,
+)  # fmt: skip
+SUSPENDED = _row(
+    7, "suspended", "the machine was suspended for {s:.1f} s", "s:f",
+    "port_owner",
+    "the machine slept for {s:.1f} s, so everything that it knew of the robot was old",
+    "keep it from sleeping while the robot is on (`systemctl mask sleep.target`)",
+)  # fmt: skip
+REMOVED = _row(
+    8, "removed", "{name} was removed: restart the service", "name:s",
+    "supervisor",
+    "{name}, which others need to find the service, was removed while it ran",
+    "look at `failstop doctor`: logind's RemoveIPC=yes removes it when the service's user logs out",
+    NEW_RUN,
+)  # fmt: skip
+DEVICE_LOST = _row(
+    9, "device_lost", "device lost", "",
+    "port_owner supervisor",
+    "the board's USB connection was lost; the stop was to be written the moment that it is back",
+    "look at the cable, the plug and the board's power",
+)  # fmt: skip
+STUCK = _row(
+    10, "stuck", "port does not drain: use the POWER SWITCH", "",
+    "port_owner",
+    "the port took bytes, but they did not leave for the board within 0.1 s", _POWER,
+)  # fmt: skip
+DEAF = _row(
+    11, "deaf", "the board is deaf: use the POWER SWITCH", "",
+    "supervisor",
+    "the board had answered before and then answered no ping for a second, so it may not hear anything", _POWER,
+)  # fmt: skip
+UNSTILL = _row(
+    12, "unstill", "the wheels do not come to rest: use the POWER SWITCH", "",
+    "supervisor",
+    "the IMU saw the robot shake on after a stop, as it does while wheels turn",
+    f"{_POWER}; a robot that somebody carries or pushes looks the same",
+)  # fmt: skip
+NOT_FINITE = _row(
+    13, "not_finite", "command from {who} is not finite", "who:s",
+    CLIENTS,
+    "{who} commanded a velocity that is not a number",
+    "mend that program, a division by zero for one, before it drives again",
+)  # fmt: skip
+TWO_PUBLISHERS = _row(
+    14, "two_publishers", "multiple {source} publishers: {who}, {rival}", "source:s who:s rival:s",
+    CLIENTS,
+    "{who} and {rival} both commanded as {source}",
+    "end one of them, or give it a source of its own in the settings ([sources.NAME])",
+)  # fmt: skip
+BUTTON = _row(
+    15, "button", "gamepad button 0x{buttons:04X}", "buttons:d",
+    "telemetry",
+    "somebody pressed {names} on the gamepad", "ask whoever holds it",
+)  # fmt: skip
+KEY = _row(
+    16, "key", "key{key}", "key:d",
+    "telemetry",
+    "somebody pressed key {key} on the board", "ask whoever stands by the robot",
+)  # fmt: skip
+REQUESTED = _row(
+    17, "requested", "stop request[: {words}] ({who}, pid {pid})", "words:s who:s pid:d",
+    "port_owner",
+    '{who} (pid {pid}) asked for a stop[: "{words}"]',
+    "make sure that whatever it was for is over",
+)  # fmt: skip
+PIPED = _row(
+    18, "piped", "stop request[: {words}]", "words:s",
+    "port_owner",
+    'somebody wrote to the stop pipe[: "{words}"]',
+    "make sure that whatever it was for is over",
+)  # fmt: skip
+STOPPING = _row(
+    19, "stopping", "service is stopping", "",
+    "supervisor",
+    "the service was told to end", "start it again",
+    NEW_RUN,
+)  # fmt: skip
+ALL_DIED = _row(
+    20, "all_died", "all of the service died", "",
+    "",
+    "every process of the service died at once", _AGAIN,
+    NEW_RUN,
+)  # fmt: skip
+SILENT = _row(
+    21, "silent", "the supervisor is silent", "",
+    "",
+    "the supervisor, which starts and watches the others, is silent past its lease", _BUSY,
+)  # fmt: skip
+UNKNOWN = _row(
+    22, "unknown", "stopped by the supervisor", "",
+    "",
+    "the supervisor stopped the wheels, and why can't be read any more",
+    "look at `failstop events`, which may still know",
+)  # fmt: skip

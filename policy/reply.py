@@ -1,0 +1,35 @@
+"""Reply: what becomes of a request, from whoever decides it to whoever asked."""
+
+from __future__ import annotations
+
+from failstop.policy import causes
+from failstop.shm import records
+from failstop.shm.records import CAUSE
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
+
+
+class Reply:
+    """Done or not, in a text that has CAUSE where the cause's own belongs."""
+
+    __slots__ = ("cause", "done", "text")
+
+    def __init__(self, done: bool, text: str, cause: Cause | None = None) -> None:
+        self.done = done
+        self.text = text
+        self.cause = cause
+
+    def __str__(self) -> str:
+        return self.text.replace(CAUSE, str(self.cause))
+
+    def pack(self, session: int, number: int) -> bytes:
+        """For the request of this number, of this client's session."""
+        return records.pack_reply(session, number, self.done, self.text, self.cause.pack() if self.cause else b"")
+
+
+def unpack(payload: bytes) -> tuple[int, int, Reply]:
+    """Return (session, number, reply). Raises ValueError."""
+    session, number, done, text, cause = records.unpack_reply(payload)
+    return session, number, Reply(done, text, causes.read(cause) if cause else None)

@@ -1,0 +1,91 @@
+"""The first cause since the last reset is the one that is latched, and a reset clears it and nothing else."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.policy import causes
+from failstop.shm import records
+from failstop.supervisor.latch import Latch
+from failstop.supervisor.stops import Stop
+from tests.why import said, told, why
+
+MS = 1_000_000
+
+
+def stop(text: str, t_ns: int = 100) -> Stop:
+    return Stop(t_ns, "port_owner", why(text))
+
+
+def latched(latch: Latch) -> str | None:
+    return said(latch.stop.cause) if latch.stop else None
+
+
+def test_the_first_stays() -> None:
+    latch = Latch()
+    latch.add([stop("key1")], 2, 110)
+    latch.add([stop("gate died", 50)], 3, 120)
+    assert latched(latch) == "key1", "even when a later one was noticed sooner"
+    assert latch.since == 2
+    assert latch.newest is not None
+    assert said(latch.newest.cause) == "gate died"
+
+
+def test_of_those_that_come_together_the_one_noticed_first() -> None:
+    latch = Latch()
+    latch.add([stop("supervisor's", 300), stop("port owner's", 100), stop("gate's", 200)], 2, 400)
+    assert latched(latch) == "port owner's"
+
+
+def test_after_a_reset_the_next_is_latched() -> None:
+    latch = Latch()
+    latch.add([stop("key1")], 2, 110)
+    assert told(latch.reset(2, 111)) == (True, "e-stop cleared (was: key1); motion still disabled")
+    assert (latched(latch), latch.since, latch.reset_epoch) == (None, 0, 2)
+    latch.add([stop("gate died")], 3, 120)
+    assert (latched(latch), latch.since) == ("gate died", 3)
+
+
+def test_who_asked_before_the_last_stop_did_not_know_of_it() -> None:
+    latch = Latch()
+    latch.add([stop("key1")], 2, 110)
+    latch.add([stop("gate died")], 3, 200)
+    assert told(latch.reset(3, 199)) == (
+        False,
+        "asked before the last stop (gate died): see to that, then ask again",
+    )
+    assert latched(latch) == "key1"
+    assert latch.reset_epoch == 0
+    assert latch.reset(3, 200).done
+
+
+def test_a_reset_with_nothing_latched_changes_nothing_and_is_one_all_the_same() -> None:
+    latch = Latch()
+    assert told(latch.reset(1, 5)) == (True, "no e-stop is latched")
+    assert latch.reset(1, 5).cause is None
+    assert latch.reset_epoch == 1
+
+
+def test_what_everybody_reads() -> None:
+    latch = Latch()
+    latch.add([stop("key1", 100)], 2, 110)
+    latch.add([stop("gate died", 150)], 3, 160)
+    assert records.unpack_latch(latch.as_record()) == (2, 100, 160, causes.KEY(1).pack())
+    latch.reset(3, 170)
+    assert records.unpack_latch(latch.as_record()) == (0, 150, 160, causes.DIED("gate").pack()), "the last stop"
+
+
+@given(st.lists(st.tuples(st.booleans(), st.lists(st.integers(0, 1000), min_size=1, max_size=4)), max_size=20))
+def test_any_history(history: list[tuple[bool, list[int]]]) -> None:
+    """Each step: was there a reset before it, and the times of the stops that come together."""
+    latch = Latch()
+    expected = None
+    for epoch, (reset, times) in enumerate(history, start=2):
+        now_ns = epoch * 10_000
+        if reset:
+            assert latch.reset(epoch - 1, now_ns).done
+            expected = None
+        latch.add([Stop(t_ns, "gate", why(f"{epoch}:{t_ns}")) for t_ns in times], epoch, now_ns)
+        expected = expected or f"{epoch}:{min(times)}"
+        assert latched(latch) == expected
