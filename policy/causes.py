@@ -4,7 +4,8 @@ A cause travels as the number of its row with its arguments (`pack`), from whoev
 its text is made at the end (`str`). In a template, what stands in brackets is left out when its arguments are empty.
 Every cause latches.
 
-`what` continues "stopped since ..." and `remedy` "first ...", with the same arguments, and `role`: that of the process.
+`what` continues "stopped since ...", with the same arguments, and `role` of the process and `names` of the buttons;
+`remedy` continues "first ..." and takes no arguments.
 """
 
 from __future__ import annotations

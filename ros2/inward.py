@@ -8,6 +8,7 @@ from time import monotonic_ns
 from typing import Any
 
 from failstop.errors import FailstopError, NoAnswer, Refused
+from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.robot import Robot
 from failstop.ros2 import mirrors, report, words
@@ -153,7 +154,7 @@ class Inward:
         twist = message.twist if self._type == STAMPED else message
         velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
         if not all(map(isfinite, velocity)):
-            self._latch(f"command from {self._commanders.names()} is not finite")
+            self._latch(str(causes.NOT_FINITE(self._commanders.names())))
             return
         if self._type == STAMPED and (late := self._late(message.header.stamp)):
             self._complain("late", late)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,10 +14,49 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from failstop.shm import root
+from tests.support import starting
 
 # A loaded machine is no failure: the time limits are pytest's.
 settings.register_profile("failstop", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("failstop")
+settings.register_profile("quick", settings.get_profile("failstop"), max_examples=10)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """What `make quick` asks for."""
+    parser.addoption(
+        "--quick", action="store_true", help="only the tests that start no process (tests/support/starting.py)"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """With --quick little is tried of each property, and no process is started."""
+    settings.load_profile("quick" if config.getoption("quick") else "failstop")
+    if config.getoption("quick"):
+        sys.addaudithook(_refuse)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out what --quick does not want, unread."""
+    wanted = not config.getoption("quick") or collection_path.suffix != ".py" or not starting.starts(collection_path)
+    return None if wanted else True
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """With --quick, a test that starts a process all the same fails."""
+    _quick.append(item.config.getoption("quick"))
+    try:
+        return (yield)
+    finally:
+        _quick.clear()
+
+
+_quick: list[bool] = []
+
+
+def _refuse(event: str, _: object) -> None:
+    if event in starting.EVENTS and any(_quick):
+        pytest.fail(f"{event}: this test starts a process: mark it `starts`, or see tests/support/starting.py")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

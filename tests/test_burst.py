@@ -112,6 +112,7 @@ def test_stops_with_every_remainder_of_every_function(version: int) -> None:
             assert_stopped(receiver, None if remaining <= 31 else LAST_STOPS[0])
 
 
+@pytest.mark.slow
 def test_stops_with_every_remainder_and_every_crc_so_far_of_a_motor_frame() -> None:
     # What a receiver in DATA does next depends on what is left and on the CRC of what it has; one byte that takes all
     # its values gives the CRC all of its own.
@@ -192,6 +193,7 @@ def test_control_zeros_complete_a_cut_frame_whose_crc_is_zero_there() -> None:
     assert moved_by_cuts(codec.motor_speeds(FORWARD, MAX_RPS)) == 0
 
 
+@pytest.mark.slow
 def test_after_any_cut_of_any_motor_frame_no_wheel_moves() -> None:
     coincidences = 0
     for hundredth in range(1, 141):

@@ -19,6 +19,7 @@ from failstop.board.framing import AUX_FUNCS, MAX_DATA, PWM_SERVO, seal
 from failstop.board.motors import Motors
 from failstop.board.receiver import Receiver
 
+pytestmark = pytest.mark.slow  # they cut each frame at every byte
 VERSIONS = (10, 11, 12)
 STOP_DATA = STOP[4:-1]
 SPINNING = (0.5, -0.25, 0.75, -1.0)
@@ -157,6 +158,7 @@ def test_any_frame_that_can_be_encoded_cut_anywhere(name: str, data: st.DataObje
 @given(func=st.sampled_from(AUX_FUNCS), data=st.binary(max_size=MAX_DATA), command=st.integers(0, 12))
 @example(func=PWM_SERVO, data=b"\x01\x00\x00\x04" + bytes(12), command=1)
 @settings(max_examples=300, deadline=None)
+@pytest.mark.slow
 def test_whatever_passes_the_check_may_be_cut_anywhere(func: int, data: bytes, command: int) -> None:
     """The port owner asks nothing else of a frame that is not motion, whoever made it."""
     for body in (data, bytes((command,)) + data[1:], bytes((command,)) + data[1:16]):

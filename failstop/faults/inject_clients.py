@@ -15,8 +15,10 @@ from failstop.faults.crowd import ChildDriver, Nobody
 from failstop.faults.fault import Fault
 from failstop.faults.inject import Injector
 from failstop.faults.scene import Scene
+from failstop.policy import causes
 from failstop.procs.gate.sources import DEFAULT, PAD
 from failstop.shm import instance, segment
+from failstop.shm.layout import GATE
 
 CLAIM_SEEN_S = 0.06
 """The gate looks at claims once a tick."""
@@ -201,7 +203,7 @@ class StopRequest(Injector):
 class StopRequestPosing(StopRequest):
     """In the words that the service has for a cause of its own."""
 
-    words = "gate died"
+    words = str(causes.DIED(GATE))
 
 
 class StopPipe(Injector):

@@ -37,6 +37,7 @@ from failstop.policy.causes import (
     MUTE,
     NOT_FINITE,
     PIPED,
+    REMOVED,
     STARVED,
     STUCK,
     SUSPENDED,
@@ -132,7 +133,7 @@ REQUESTS = (
     ),
     Fault(
         "stop-request-posing", REQUEST, "a stop request in the words of a cause of the service's own", "port owner",
-        ((PIPED, "gate died"),), RESET, "", 2.0, "stop-request-posing",
+        ((PIPED, str(DIED(GATE))),), RESET, "", 2.0, "stop-request-posing",
     ),
     Fault(
         "stop-pipe-garbage", REQUEST, "garbage in the stop FIFO", "port owner",
@@ -222,7 +223,7 @@ SURROUNDINGS = (
     _asked("no-disk", MACHINE, "the state files can't grow", "no-disk", "can't be written"),
     Fault(
         "names-removed", MACHINE, "the names in /dev/shm are gone, as by logind's RemoveIPC=yes",
-        "port owner; the supervisor looks once a second", (), NEW_RUN, "was removed: restart the service",
+        "port owner; the supervisor looks once a second", (), NEW_RUN, str(REMOVED("")).lstrip(),
         1020.0, "names-removed", aftermath_s=1.2, weight=1,
     ),
     Fault(

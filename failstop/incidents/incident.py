@@ -264,5 +264,5 @@ def _event(payload: bytes) -> dict[str, Any]:
 
 def _button(event: dict[str, Any]) -> str:
     if event["kind"] == "pad":
-        return f"gamepad button 0x{event['buttons']:04X}"
+        return str(causes.BUTTON(event["buttons"]))
     return f"key {event['key']}, event 0x{event['event']:02X}"

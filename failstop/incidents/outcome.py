@@ -28,7 +28,7 @@ def known(record: bytes | None, events: list[bytes], epoch: int, cause: Cause) -
     for payload in events:
         event = _map(payload)
         fields = event.get("fields", {})
-        if not isinstance(fields, dict) or fields.get("cause") != cause.kind.name or fields.get("epoch", 0) < epoch:
+        if not isinstance(fields, dict) or not tells_of(fields, cause) or fields.get("epoch", 0) < epoch:
             continue
         if event.get("kind") == "stop":
             found.setdefault("noticed_by", fields.get("noticed_by"))
@@ -39,6 +39,11 @@ def known(record: bytes | None, events: list[bytes], epoch: int, cause: Cause) -
     if not found:
         return None
     return dict.fromkeys(LEVELS) | {"wheels": "unknown"} | found
+
+
+def tells_of(fields: dict[str, Any], cause: Cause) -> bool:
+    """True when an event with these fields is of this cause, as far as its text was not cut."""
+    return fields.get("cause") == cause.kind.name and str(cause).startswith(str(fields.get("reason", "")))
 
 
 def asked(cause: Cause) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from typing import TypeVar
 
-from failstop.incidents import signals
+from failstop.incidents import outcome, signals
 from failstop.incidents.incident import Incident, Tick, Write
 from failstop.shm import layout
 
@@ -231,12 +231,11 @@ def _last_beats(incident: Incident) -> Iterator[Line]:
 
 def _events(incident: Incident) -> Iterator[Line]:
     stops = [event.fields for event in incident.events if event.kind in TELL_OF_STOPS]
-    told = {fields.get("cause") for fields in stops}
     for event in incident.events:
         mark = "! " if event.level in ("error", "critical") else ""
         yield Line(event.ns, event.kind, mark + event.text)
     for stop in incident.stops:
-        if stop.ns != incident.cause_ns and stop.cause.kind.name not in told:
+        if stop.ns != incident.cause_ns and not any(outcome.tells_of(fields, stop.cause) for fields in stops):
             yield Line(stop.ns, "cause", f"{stop.cause} (noticed by the {name(stop.noticed_by)})")
 
 

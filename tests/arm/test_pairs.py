@@ -210,7 +210,7 @@ def test_the_reply_before_the_state(trace: Trace) -> None:
 
     client = Client.__new__(Client)
     client._session, client._reply = 7, Reply()  # type: ignore[assignment]
-    assert client.answer(3) == (True, "enabled")
+    assert client.answer(3) == (True, "enabled", None)
     assert trace.done == ["load reply", "barrier"]
 
 

@@ -10,6 +10,8 @@ import msgpack
 from failstop.board.interface import BOARD
 from failstop.incidents import file
 from failstop.incidents.incident import Incident
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.policy.kinematics import from_settings
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
@@ -19,6 +21,7 @@ from failstop.shm import box, layout, records
 
 CAUSE_NS = 5_000_000_000_000
 UNIX_NS = 1_790_000_000_000_000_000
+GATE_DIED = causes.DIED(layout.GATE)
 RATE_STILL, RATE_MOVING = 0.002, 0.006
 
 
@@ -42,8 +45,8 @@ class KeptRing:
 class Recorder:
     """What a run leaves; incident() or save() make a file of it."""
 
-    def __init__(self, reason: str = "gate died", kind: str = "stop") -> None:
-        self.reason = reason
+    def __init__(self, cause: Cause = GATE_DIED, kind: str = "stop") -> None:
+        self.why = cause
         self.kind = kind
         self.stop: dict[str, Any] | None = {
             "written_by": "port owner",
@@ -91,8 +94,8 @@ class Recorder:
         event = {"t": 0.0, "ns": at(ms), "kind": kind, "level": level, "text": text, "fields": fields}
         self.ring(layout.SUPERVISOR, "events").put(msgpack.packb(event), at(ms))
 
-    def cause(self, ms: float, reason: str) -> None:
-        payload = records.pack_stop(7, at(ms), at(ms + 0.2), True, reason)
+    def cause(self, ms: float, cause: Cause) -> None:
+        payload = records.pack_stop(7, at(ms), at(ms + 0.2), cause.pack())
         self.ring(layout.PORT_OWNER, "stops").put(payload, at(ms))
 
     def head(self, name: str = "failstop", unix_ns: int = UNIX_NS) -> dict[str, Any]:
@@ -100,7 +103,8 @@ class Recorder:
             "name": name,
             "t": unix_ns / 1e9,
             "saved": unix_ns / 1e9 + 2.2,
-            "reason": self.reason,
+            "reason": str(self.why),
+            "cause": {"name": self.why.kind.name, **self.why.named()},
             "kind": self.kind,
             "cause_ns": CAUSE_NS,
             "epoch": 7,
@@ -150,7 +154,7 @@ def drive_and_die() -> Recorder:
         made.imu(ms, RATE_MOVING if ms < 80 else RATE_STILL)
     for ms in range(-3000, 2200, 100):
         made.beats(ms, gate=190.0 if ms == 200 else 90.0 if ms == 100 else 5.0)
-    made.cause(0, "gate died")
+    made.cause(0, GATE_DIED)
     made.event(0.5, "stop", "E-STOP latched: gate died; stop frame written by the port owner after 212 us", "warning")
     made.event(1.0, "died", "gate (pid 102) was killed by SIGKILL", "error", process="gate", pid=102)
     return made

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board.interface import BOARD
+from failstop.policy import causes
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.recorder import GateBox
 from failstop.procs.gate.sources import Command
@@ -50,7 +51,7 @@ def test_every_decision_has_its_word(block: str, wanted: str) -> None:
     if block != "disabled":
         made.core.enable(7, "", at(0))
     if block == "latched":
-        made.core.trip("a reason of its own", 7)
+        made.core.trip(causes.KEY(1), 7)
     if block == "scan":
         made.command(1, (0.1, 0, 0))
     made.tick(2)

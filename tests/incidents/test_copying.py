@@ -10,11 +10,16 @@ import pytest
 
 from failstop.board.interface import BOARD
 from failstop.incidents import copying
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.shm import box, layout, records, segment
 from failstop.shm.latest import slot_bytes
 
 _numbers = itertools.count()
 RUN = 0x1234567890
+GATE_DIED = causes.DIED(layout.GATE)
+SUPERVISOR_DIED = causes.DIED(layout.SUPERVISOR)
+HANGS = causes.HANGS(layout.SUPERVISOR, 60)
 
 
 @pytest.fixture
@@ -128,58 +133,57 @@ def test_the_port_owner_says_what_ended_the_run(name: str) -> None:
     dead_run(name, dict.fromkeys(layout.PROCESSES, 1_000_000_000))
     port_owner = owned(name, layout.PORT_OWNER)
     stops, wire = port_owner.ring_writer("stops"), port_owner.ring_writer("box")
-    stops.put(records.pack_stop(2, 5, 6, True, "answered long ago"))
-    stops.put(records.pack_stop(3, 1_000_500_000, 1_000_600_000, True, "supervisor died"))
-    stops.put(records.pack_stop(3, 1_000_700_000, 1_000_700_000, True, "gate died"))
+    stops.put(records.pack_stop(2, 5, 6, causes.PIPED("answered long ago").pack()))
+    stops.put(records.pack_stop(3, 1_000_500_000, 1_000_600_000, SUPERVISOR_DIED.pack()))
+    stops.put(records.pack_stop(3, 1_000_700_000, 1_000_700_000, GATE_DIED.pack()))
     wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 900_000_000)
     wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 1_000_620_000)
     found = copies(name)
-    assert copying.left_cause(found) == (1_000_500_000, 3, "supervisor died")
+    assert copying.left_cause(found) == (1_000_500_000, 3, SUPERVISOR_DIED)
     stop = copying.left_stop(found, 1_000_500_000)
     assert stop is not None
     assert (stop["written_by"], stop["written_us"]) == ("port owner", 120.0)
 
 
 @pytest.mark.parametrize(
-    ("causes", "wanted"),
+    ("noticed", "wanted"),
     [
-        ([(100, "gate died"), (101, "supervisor died")], (100, "supervisor died")),
-        (
-            [(100, "supervisor hangs: silent for 60 ms"), (2000, "supervisor died")],
-            (100, "supervisor hangs: silent for 60 ms"),
-        ),
-        ([(100, "gate died")], (100, "gate died")),
-        ([(100, "key1"), (101, "gate died"), (102, "supervisor died")], (100, "key1")),
+        ([(100, GATE_DIED), (101, SUPERVISOR_DIED)], (100, SUPERVISOR_DIED)),
+        ([(100, HANGS), (2000, SUPERVISOR_DIED)], (100, HANGS)),
+        ([(100, GATE_DIED)], (100, GATE_DIED)),
+        ([(100, causes.KEY(1)), (101, GATE_DIED), (102, SUPERVISOR_DIED)], (100, causes.KEY(1))),
     ],
 )
 def test_the_first_cause_is_told_but_for_what_dies_with_its_parent(
-    name: str, causes: list[tuple[int, str]], wanted: tuple[int, str]
+    name: str, noticed: list[tuple[int, Cause]], wanted: tuple[int, Cause]
 ) -> None:
     dead_run(name, dict.fromkeys(layout.PROCESSES, 90_000_000))
     stops = owned(name, layout.PORT_OWNER).ring_writer("stops")
-    for ms, reason in causes:
-        stops.put(records.pack_stop(3, ms * 1_000_000, 0, True, reason))
-    cause_ns, _, reason = copying.left_cause(copies(name))
-    assert (cause_ns // 1_000_000, reason) == wanted
+    for ms, cause in noticed:
+        stops.put(records.pack_stop(3, ms * 1_000_000, 0, cause.pack()))
+    cause_ns, _, found = copying.left_cause(copies(name))
+    assert (cause_ns // 1_000_000, found) == wanted
 
 
 @pytest.mark.parametrize(
     ("beat_ms", "reset_epoch", "wanted"),
     [
-        (101, 0, (100_000_000, 3, "gate died")),
-        (249, 2, (100_000_000, 3, "gate died")),
+        (101, 0, (100_000_000, 3, GATE_DIED)),
+        (249, 2, (100_000_000, 3, GATE_DIED)),
         (250, 0, None),  # its saver was started
         (101, 3, None),
     ],
 )
 def test_a_stop_that_the_supervisor_did_not_live_to_have_saved(
-    name: str, beat_ms: int, reset_epoch: int, wanted: tuple[int, int, str] | None
+    name: str, beat_ms: int, reset_epoch: int, wanted: tuple[int, int, Cause] | None
 ) -> None:
     assert copying.unsaved_cause(copies(name), 150_000_000) is None, "there was none"
     supervisor = owned(name, layout.SUPERVISOR)
     supervisor.word("beat_ns").set(beat_ms * 1_000_000)
     owned(name, layout.GATE).word("reset_epoch").set(reset_epoch)
-    supervisor.latest_writer("cause").write(records.pack_cause(3, 100_000_000, "gate died", "device lost"))
+    supervisor.latest_writer("cause").write(
+        records.pack_cause(3, 100_000_000, GATE_DIED.pack(), causes.DEVICE_LOST().pack())
+    )
     assert copying.unsaved_cause(copies(name), 150_000_000) == wanted
     supervisor.latest_writer("cause").write(b"short")
     assert copying.unsaved_cause(copies(name), 150_000_000) is None
@@ -189,7 +193,7 @@ def test_without_its_word_the_last_sign_of_life_counts(name: str) -> None:
     dead_run(name, {**dict.fromkeys(layout.PROCESSES, 1_000_000_000), layout.STOPPER: 1_150_000_000})
     owned(name, layout.STOPPER).word("written_ns").set(1_051_000_000)
     found = copies(name)
-    assert copying.left_cause(found) == (1_000_000_000, 3, "supervisor died")
+    assert copying.left_cause(found) == (1_000_000_000, 3, SUPERVISOR_DIED)
     stop = copying.left_stop(found, 1_000_000_000)
     assert stop is not None
     assert (stop["written_by"], stop["written_us"]) == ("stopper", 51_000.0)
@@ -198,5 +202,5 @@ def test_without_its_word_the_last_sign_of_life_counts(name: str) -> None:
 def test_all_dead_at_once_and_nobody_wrote(name: str) -> None:
     dead_run(name, {**dict.fromkeys(layout.PROCESSES, 1_000_000_000), layout.TELEMETRY: 1_050_000_000})
     found = copies(name)
-    assert copying.left_cause(found) == (1_050_000_000, 3, "all of the service died")
+    assert copying.left_cause(found) == (1_050_000_000, 3, causes.ALL_DIED())
     assert copying.left_stop(found, 1_050_000_000) is None

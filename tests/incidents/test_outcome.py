@@ -8,10 +8,14 @@ import msgpack
 import pytest
 
 from failstop.incidents import report
-from failstop.incidents.outcome import asked, known
+from failstop.incidents.outcome import asked, known, short
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 
+DIED = causes.DIED("gate")
+LOST = causes.DEVICE_LOST()
 RECORD = {
-    "reason": "gate died",
+    "cause": DIED.pack(),
     "epoch": 7,
     "noticed_by": "port_owner",
     "written_by": "port owner",
@@ -27,47 +31,64 @@ def event(kind: str, **fields: Any) -> bytes:
 
 
 HEAD = {"t": 100.0, "saved": 102.2}
-TOLD = event("stop", reason="device lost", epoch=7, noticed_by="port_owner", written_by="supervisor")
-OUTCOME = event("stop_outcome", reason="device lost", epoch=7, acknowledged_us=None, observed_ms=None, wheels="unstill")
+NAMED = {"reason": str(LOST), "cause": "device_lost"}
+TOLD = event("stop", **NAMED, epoch=7, noticed_by="port_owner", written_by="supervisor")
+OUTCOME = event("stop_outcome", **NAMED, epoch=7, acknowledged_us=None, observed_ms=None, wheels="unstill")
 
 
 def test_the_record_of_this_stop() -> None:
-    found = known(msgpack.packb(RECORD), [], 7, "gate died")
+    found = known(msgpack.packb(RECORD), [], 7, DIED)
     assert report.proof(found, HEAD) == ("written after 82 us, acknowledged after 4.4 ms, still after about 0.3 s")
 
 
-@pytest.mark.parametrize(("epoch", "reason"), [(8, "gate died"), (7, "device lost")])
-def test_a_record_of_another_stop_is_none_of_this(epoch: int, reason: str) -> None:
-    assert known(msgpack.packb(RECORD), [], epoch, reason) is None
+@pytest.mark.parametrize(("epoch", "cause"), [(8, DIED), (7, LOST), (7, causes.DIED("telemetry"))])
+def test_a_record_of_another_stop_is_none_of_this(epoch: int, cause: Cause) -> None:
+    assert known(msgpack.packb(RECORD), [], epoch, cause) is None
 
 
 def test_what_was_told_of_it_outlasts_the_record() -> None:
-    found = known(msgpack.packb(RECORD), [TOLD, OUTCOME], 7, "device lost")
+    found = known(msgpack.packb(RECORD), [TOLD, OUTCOME], 7, LOST)
     assert found is not None
     assert found["written_us"] is None
     assert report.proof(found, HEAD) == "NOT written within 2.2 s, wheels NOT seen still"
 
 
 def test_events_of_an_earlier_stop_for_the_same_reason_do_not_count() -> None:
-    assert known(None, [TOLD, OUTCOME], 9, "device lost") is None
+    assert known(None, [TOLD, OUTCOME], 9, LOST) is None
+
+
+def test_events_of_another_stop_of_the_same_kind_do_not_count() -> None:
+    told = event("stop", reason="telemetry died", cause="died", epoch=8, noticed_by="port_owner")
+    assert known(None, [told], 7, DIED) is None
+    assert known(None, [told], 7, causes.DIED("telemetry")) is not None
+    posed = event("stop", reason="stop request: gate died", cause="piped", epoch=8, noticed_by="port_owner")
+    assert known(None, [posed], 7, DIED) is None
+
+
+@pytest.mark.parametrize("length", [280, 100])
+def test_a_reason_that_was_cut_is_still_that_of_its_stop(length: int) -> None:
+    cause = causes.REQUESTED("w" * 180, "nav", 12)
+    told = event("stop", reason=str(cause)[:length], cause="requested", epoch=7, noticed_by="port_owner")
+    assert known(None, [told], 7, cause) is not None
 
 
 @pytest.mark.parametrize("junk", [b"", b"\xc1", b"\x01", msgpack.packb({"kind": "stop", "fields": 3})])
 def test_junk_is_no_proof(junk: bytes) -> None:
-    assert known(junk, [junk], 1, "x") is None
+    assert known(junk, [junk], 1, DIED) is None
 
 
 @pytest.mark.parametrize(
-    ("reason", "parts"),
+    ("cause", "wanted", "text"),
     [
-        ("stop request: too near (nav, pid 12)", ("stop request: too near", "nav", "12")),
-        ("stop request (nav, pid 12)", ("stop request", "nav", "12")),
-        ("stop request: a (b) c (my, node, pid 12)", ("stop request: a (b) c", "my, node", "12")),
-        ("gate died", ("gate died", "", "")),
-        ("command from nav (pid 77) is not finite", ("command from nav (pid 77) is not finite", "", "")),
-        ("stop request: near (nav, pid x)", ("stop request: near (nav, pid x)", "", "")),
-        ("stop request: near (nav, pid 12) twice", ("stop request: near (nav, pid 12) twice", "", "")),
+        (causes.REQUESTED("too near", "nav", 12), True, "stop request: too near"),
+        (causes.REQUESTED("", "nav", 12), True, "stop request"),
+        (causes.REQUESTED("a (b) c", "my, node", 12), True, "stop request: a (b) c"),
+        (causes.PIPED("near (nav, pid 12)"), True, "stop request: near (nav, pid 12)"),
+        (causes.PIPED(""), True, "stop request"),
+        (DIED, False, "gate died"),
+        (causes.NOT_FINITE("nav (pid 77)"), False, "command from nav (pid 77) is not finite"),
     ],
+    ids=repr,
 )
-def test_who_asked_for_a_stop(reason: str, parts: tuple[str, str, str]) -> None:
-    assert asked(reason) == parts
+def test_a_stop_that_somebody_asked_for_and_its_words(cause: Cause, wanted: bool, text: str) -> None:
+    assert (asked(cause), short(cause)) == (wanted, text)

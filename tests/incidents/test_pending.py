@@ -12,9 +12,11 @@ import pytest
 
 from failstop.cli import main
 from failstop.incidents import pending
+from failstop.policy import causes
 from failstop.shm import layout, segment
 
 RUN = 0x99
+DIED = causes.DIED("gate").pack()
 NOW_S = 1_790_000_000.0
 SAVED = {"run": f"{RUN:016x}", "epoch": 7}
 
@@ -29,7 +31,7 @@ class Service:
         self._stop = segment.attach(self.memory, layout.SUPERVISOR, RUN, write=True).latest_writer("stop")
 
     def stopped(self, **fields: Any) -> None:
-        stop = {"reason": "gate died", "latched": "gate died", "epoch": 7, "t": NOW_S - 1.0}
+        stop = {"cause": DIED, "latched": DIED, "epoch": 7, "t": NOW_S - 1.0}
         self._stop.write(msgpack.packb(stop | fields))
 
 
@@ -55,7 +57,7 @@ def test_a_recent_stop_that_is_in_no_file(service: Service) -> None:
         ([SAVED | {"epoch": 8}], {}),
         ([], {"t": NOW_S - pending.RECENT_S - 1}),
         ([], {"t": NOW_S + 60}),
-        ([], {"latched": "an earlier one"}),
+        ([], {"latched": causes.DIED("telemetry").pack()}),
         ([], {"t": "junk"}),
     ],
 )

@@ -12,6 +12,7 @@ import pytest
 from failstop.incidents import export, messages, plot, shades, signals
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
+from failstop.policy import causes
 from failstop.shm import box
 from tests.incidents.parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
 
@@ -24,6 +25,7 @@ def incident() -> Incident:
 
 
 @pytest.mark.parametrize(("name", "magic"), [("a.png", b"\x89PNG"), ("a.svg", b"<?xml"), ("a.pdf", b"%PDF")])
+@pytest.mark.slow
 def test_a_picture(incident: Incident, tmp_path: Path, name: str, magic: bytes) -> None:
     pytest.importorskip("matplotlib")
     path = tmp_path / name
@@ -32,6 +34,7 @@ def test_a_picture(incident: Incident, tmp_path: Path, name: str, magic: bytes) 
     assert path.stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_a_picture_of_next_to_nothing(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     made = Recorder()
@@ -40,6 +43,7 @@ def test_a_picture_of_next_to_nothing(tmp_path: Path) -> None:
     assert (tmp_path / "empty.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_svg_says_what_happened(incident: Incident, tmp_path: Path) -> None:
     matplotlib = pytest.importorskip("matplotlib")
     with matplotlib.rc_context({"svg.fonttype": "none"}):
@@ -125,7 +129,7 @@ def test_an_export_that_fails_leaves_nothing(incident: Incident, tmp_path: Path)
 
 
 def test_where_the_gate_was_silent_the_picture_says_so_and_draws_no_decision() -> None:
-    made = Recorder("gate hangs")
+    made = Recorder(causes.HANGS("gate", 360))
     made.core.enable(7, "", at(-1000))
     for ms in (*range(-1000, -60, 20), *range(300, 1000, 20)):
         made.core.scan.deliver(at(ms), at(ms))
@@ -155,6 +159,7 @@ def test_a_curve_is_broken_where_the_board_was_silent() -> None:
     assert repr(values.tolist()) == "[1.0, 2.0, 3.0, nan, 4.0, 5.0]"
 
 
+@pytest.mark.slow
 def test_a_picture_that_fails_leaves_nothing(incident: Incident, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     (tmp_path / "a.png").mkdir()

@@ -18,6 +18,8 @@ import failstop
 from failstop.board.interface import BOARD
 from failstop.incidents import saver, store
 from failstop.incidents.incident import Incident
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 from failstop.shm import box, layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
@@ -28,6 +30,7 @@ _numbers = itertools.count()
 SCRIPT = Path(failstop.__file__).parent / "incidents" / "start.py"
 ROOT = str(Path(failstop.__file__).resolve().parent.parent)
 RUN = 0x77
+SAID = causes.REQUESTED("a = b, and so on", "nav", 7)
 
 
 class Saving:
@@ -64,7 +67,7 @@ class Saving:
 
     def live(self, **words: object) -> dict[str, object]:
         now_ns = time.monotonic_ns()
-        return {"cause_ns": now_ns, "epoch": 2, "reason": "a = b, and so on", "until_ns": now_ns, **words}
+        return {"cause_ns": now_ns, "epoch": 2, "cause": SAID.pack().hex(), "until_ns": now_ns, **words}
 
     def newest(self) -> Incident:
         return store.load("last", self.name, {"STATE_DIRECTORY": str(self.state)})
@@ -90,8 +93,8 @@ def test_one_file_with_everything(saving: Saving) -> None:
     told = saving.save(**saving.live())
     incident = saving.newest()
     assert told == f"saved {incident.id}"
-    assert incident.id.endswith("-a-b-and-so-on")
-    assert incident.reason == "a = b, and so on"
+    assert incident.id.endswith("-stop-request-a-b-and-so-on")
+    assert (incident.reason, incident.cause) == (str(SAID), SAID)
     assert incident.words(layout.SUPERVISOR)["epoch"] == 2
     assert incident.settings == dict(line.split("=", 1) for line in Settings().lines().splitlines())
     assert incident.head["versions"]["failstop"]
@@ -131,15 +134,17 @@ def test_a_dead_run_s_file_is_of_what_came_first(saving: Saving) -> None:
     saving.supervisor.word("beat_state").set(RUNNING)
     saving.supervisor.word("epoch").set(2)
     saving.supervisor.word("beat_ns").set(1_001_000_000)
-    saving.supervisor.latest_writer("cause").write(records.pack_cause(2, 1_000_000_000, "gate died", "gate died"))
+    died = causes.DIED("gate").pack()
+    saving.supervisor.latest_writer("cause").write(records.pack_cause(2, 1_000_000_000, died, died))
     stops, wire = saving.port_owner.ring_writer("stops"), saving.port_owner.ring_writer("box")
     wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 1_000_300_000)
-    stops.put(records.pack_stop(2, 1_002_000_000, 1_002_100_000, True, "supervisor died"))
+    stops.put(records.pack_stop(2, 1_002_000_000, 1_002_100_000, causes.DIED("supervisor").pack()))
     assert saving.save().startswith("saved ")
     incident = saving.newest()
     assert (incident.reason, incident.cause_ns, incident.head["kind"]) == ("gate died", 1_000_000_000, "left")
     assert incident.head["stop"]["written_us"] == 300.0
-    assert [stop.reason for stop in incident.stops] == ["supervisor died"]
+    assert incident.cause == causes.DIED("gate")
+    assert [stop.cause for stop in incident.stops] == [causes.DIED("supervisor")]
 
 
 def lose_port(saving: Saving, state: int) -> None:
@@ -147,10 +152,12 @@ def lose_port(saving: Saving, state: int) -> None:
 
 
 def test_a_lost_port_is_waited_for_and_its_stop_is_the_one_that_was_written_at_last(saving: Saving) -> None:
-    told = {"kind": "stop", "fields": {"reason": "device lost", "epoch": 2, "written_by": None, "latency_us": None}}
+    lost = causes.DEVICE_LOST()
+    fields = {"reason": str(lost), "cause": "device_lost", "epoch": 2, "written_by": None, "latency_us": None}
+    told = {"kind": "stop", "fields": fields}
     saving.supervisor.ring_writer("events").put(msgpack.packb(told), 1)
     lose_port(saving, records.PORT_LOST)
-    words = saving.live(reason="device lost")
+    words = saving.live(cause=lost.pack().hex())
     cause_ns = int(str(words["cause_ns"]))
     process = saving.start(hurry=saving._wait, **words)
     wait_for("the saver to wait", lambda: asleep(process.pid), 30.0)
@@ -187,22 +194,24 @@ def test_a_segment_of_another_version_is_said_in_one_line(saving: Saving) -> Non
 
 
 @pytest.mark.parametrize(
-    ("reason", "slug"),
+    ("cause", "slug"),
     [
-        ("gate died", "gate-died"),
-        ("gate hangs: silent for 60 ms", "gate-hangs"),
-        ("the board is deaf: use the POWER SWITCH", "the-board-is-deaf"),
-        ("stop request: hand near (the) wheel (failstop estop, pid 7571)", "stop-request-hand-near-the-wheel"),
-        ("stop request: E-STOP: it's too near (nav, pid 7)", "stop-request-e-stop-its-too-near"),
-        ("a reason of very many words goes on and on", "a-reason-of-very-many-words-goes"),
-        ("stop request: gate died", "stop-request-gate-died"),
-        ("stop request: hand near the wheel, and a (bracket) in it (x, pid 3)", "stop-request-hand-near-the-wheel"),
-        ("../../etc/passwd", "etc-passwd"),
-        ("\u00dcbung am Ger\u00e4t", "ubung-am-gerat"),
-        ("\u505c", "stop"),
-        ("", "stop"),
-        ("x" * 100, "x" * 32),
+        (causes.DIED("gate"), "gate-died"),
+        (causes.HANGS("gate", 60), "gate-hangs"),
+        (causes.DEAF(), "the-board-is-deaf"),
+        (causes.REQUESTED("hand near (the) wheel", "failstop estop", 7571), "stop-request-hand-near-the-wheel"),
+        (causes.REQUESTED("E-STOP: it's too near", "nav", 7), "stop-request-e-stop-its-too-near"),
+        (causes.PIPED("words of which there are many go on"), "stop-request-words-of-which"),
+        (causes.PIPED("gate died"), "stop-request-gate-died"),
+        (causes.PIPED("near, and a (bracket) in it"), "stop-request-near-and-a-bracket"),
+        (causes.PIPED("../../etc/passwd"), "stop-request-etc-passwd"),
+        (causes.PIPED("\u00dcbung am Ger\u00e4t"), "stop-request-ubung-am-gerat"),
+        (causes.PIPED("\u505c"), "stop-request"),
+        (causes.PIPED(""), "stop-request"),
+        (causes.REMOVED("x" * 100), "x" * 32),
+        (causes.REMOVED("\u505c"), "was-removed"),
     ],
+    ids=repr,
 )
-def test_a_reason_as_a_file_name(reason: str, slug: str) -> None:
-    assert saver.slug(reason) == slug
+def test_a_cause_as_a_file_name(cause: Cause, slug: str) -> None:
+    assert saver.slug(cause) == slug

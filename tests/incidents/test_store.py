@@ -101,6 +101,7 @@ def test_size_counts_too_and_the_newest_always_stays(environ: dict[str, str], tm
 
 
 @pytest.mark.usefixtures("environ")
+@pytest.mark.slow
 def test_a_file_is_named_for_the_incident_and_none_is_written_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,6 +12,7 @@ from failstop.board.interface import BOARD
 from failstop.incidents import report, signals, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE, Line
+from failstop.policy import causes
 from failstop.shm import layout
 from tests.incidents.parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
 
@@ -81,14 +82,14 @@ def test_a_frame_that_the_port_did_not_take_is_told() -> None:
 
 
 def test_a_command_that_is_not_finite_is_shown_as_it_was() -> None:
-    made = Recorder("command from nav (pid 77) is not finite")
+    made = Recorder(causes.NOT_FINITE("nav (pid 77)"))
     made.command(0, (nan, 0.0, 0.0))
     made.tick(1)
     assert told(made.incident(), "command") == ["nav (pid 77) as cmd_vel: vx +nan m/s"]
 
 
 def test_a_board_that_falls_silent() -> None:
-    made = Recorder("the board is deaf")
+    made = Recorder(causes.DEAF())
     for ms in range(-2000, -500, 9):
         made.imu(ms, 0.002)
     made.beats(2000)
@@ -98,19 +99,27 @@ def test_a_board_that_falls_silent() -> None:
 
 
 def test_a_request_in_the_words_of_a_death_does_not_hide_the_death() -> None:
-    made = Recorder("stop request: gate died")
+    made = Recorder(causes.PIPED("gate died"))
     said = "E-STOP latched: stop request: gate died; stop frame written by the port owner after 90 us"
-    made.event(0.5, "stop", said, "warning", reason="stop request: gate died")
+    made.event(0.5, "stop", said, "warning", reason="stop request: gate died", cause="piped")
     made.event(1.0, "note", "no reason here")
-    made.cause(0, "stop request: gate died")
-    made.cause(300, "gate died")
+    made.cause(0, causes.PIPED("gate died"))
+    made.cause(300, causes.DIED("gate"))
+    assert told(made.incident(), "cause") == ["gate died (noticed by the port owner)"]
+
+
+def test_a_death_that_was_told_of_does_not_hide_another() -> None:
+    made = Recorder(causes.DIED("supervisor"))
+    made.event(0.5, "stop", "E-STOP latched: supervisor died", "warning", reason="supervisor died", cause="died")
+    made.cause(0, causes.DIED("supervisor"))
+    made.cause(300, causes.DIED("gate"))
     assert told(made.incident(), "cause") == ["gate died (noticed by the port owner)"]
 
 
 def test_a_stop_that_was_told_of_is_told_once_though_its_words_were_cut() -> None:
     made = Recorder()
-    made.event(300, "stop_again", "stopped again", reason="stop request: x")
-    made.cause(300, "stop request: x and more")
+    made.event(300, "stop_again", "stopped again", reason="stop request: x", cause="piped")
+    made.cause(300, causes.PIPED("x and more"))
     assert told(made.incident(), "cause") == []
 
 

@@ -10,6 +10,7 @@ from failstop.board.interface import BOARD
 from failstop.incidents import brief, report, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE
+from failstop.policy import causes
 from tests.incidents.parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
 
 TERMINAL_LINES = 24
@@ -34,7 +35,7 @@ def test_what_matters_is_seen_without_scrolling() -> None:
     made = drive_and_die()
     for ms in range(-2500, 2000, 30):
         made.event(ms, "note", f"a word at {ms}")
-        made.cause(ms, f"cause number {ms}")
+        made.cause(ms, causes.PIPED(f"number {ms}"))
     lines = shown(made)
     assert len(lines) < TERMINAL_LINES, "and a line for the prompt"
     assert [line for line in lines if line.startswith(">>")] == [">>         0  CAUSE       gate died"]
@@ -68,7 +69,7 @@ def test_what_was_before_a_reset_belongs_to_another_stop() -> None:
 def test_a_stop_in_other_words_that_contain_the_cause_is_a_line_of_its_own() -> None:
     made = drive_and_die()
     said = "E-STOP latched: stop request: gate died; stop frame written by the port owner after 90 us"
-    made.event(900, "stop", said, "warning", reason="stop request: gate died")
+    made.event(900, "stop", said, "warning", reason="stop request: gate died", cause="piped")
     assert ("stop", said) in chosen(made.incident())
     assert len([line for line in chosen(made.incident()) if line[0] == "stop"]) == 1
 
@@ -80,13 +81,13 @@ def test_a_motion_frame_after_the_cause_is_never_left_out() -> None:
 
 
 def test_who_asked_for_a_stop_and_who_noticed_it_are_two() -> None:
-    made = Recorder("stop request: hand near wheel (failstop estop, pid 9)")
+    made = Recorder(causes.REQUESTED("hand near wheel", "failstop estop", 9))
     assert fact(made, "why") == "stop request: hand near wheel"
     assert fact(made, "noticed") == "by the port owner; asked for by failstop estop (pid 9)"
 
 
 def test_a_stop_that_was_written_when_the_port_was_back() -> None:
-    made = Recorder("device lost")
+    made = Recorder(causes.DEVICE_LOST())
     assert made.stop is not None
     made.stop |= {"written_us": 5_000_000.0, "acknowledged_us": None, "observed_ms": None}
     made.event(5003, "device_back", "/dev/ttyACM0 is back after 5.0 s; the stop is written")
@@ -101,7 +102,7 @@ def test_the_samples_say_still_where_the_supervisor_was_held_up() -> None:
     assert made.stop is not None
     made.stop["observed_ms"] = 0.0
     assert re.fullmatch(r"by the IMU: wheels still after (less than 0\.2|about 0\.[2-4]) s", fact(made, "observed"))
-    stood = Recorder("key1")
+    stood = Recorder(causes.KEY(1))
     assert stood.stop is not None
     stood.stop["observed_ms"] = 0.0
     assert fact(stood, "observed") == "by the IMU: no shaking seen before or after"
@@ -109,7 +110,7 @@ def test_the_samples_say_still_where_the_supervisor_was_held_up() -> None:
 
 @pytest.mark.parametrize(("kind", "ended"), [("driver_silent", "nav fell silent"), ("driver_gone", "nav has gone")])
 def test_a_driver_that_went_is_why_the_wheels_stood(kind: str, ended: str) -> None:
-    made = Recorder("somebody looked")
+    made = Recorder(causes.PIPED("somebody looked"))
     made.core.enable(7, "", at(-3000))
     for ms in range(-3000, -2000, 20):
         made.core.scan.deliver(at(ms), at(ms))

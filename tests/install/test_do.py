@@ -96,6 +96,7 @@ def test_an_umask_does_not_hide_it_from_the_service(root: Path) -> None:
     assert all(mode & 0o044 == 0o044 for path, (_, mode, _) in snapshot(root).items() if path.startswith("opt/"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("upgrade", [False, True], ids=["fresh", "upgrade"])
 def test_a_failure_after_any_step_leaves_everything_as_it_was(root: Path, upgrade: bool) -> None:
     units = ()

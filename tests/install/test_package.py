@@ -29,6 +29,7 @@ def test_completion_is_where_the_shells_look(build: ModuleType) -> None:
     assert MANUAL not in files.values(), "the manual goes in compressed"
 
 
+@pytest.mark.starts
 def test_the_maintainer(build: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("HOME", "XDG_CONFIG_HOME"):
         monkeypatch.setenv(name, str(tmp_path))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.why import told
 
 from .gate_bench import Gate, stands
 from .gate_machine import GateMachine
 
-test_any_sequence_keeps_the_rules = GateMachine.TestCase
+test_any_sequence_keeps_the_rules = pytest.mark.slow(GateMachine.TestCase)
 
 
 def test_disabled_at_start(gate: Gate) -> None:

@@ -5,9 +5,13 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.state import Process, State, Stop
 
 NOW_S = 1_700_000_000.0
+KEY = causes.KEY(1)
+STOP = Stop(KEY, str(KEY), NOW_S - 12, "port_owner", "port owner", 210.0, 4400.0, 300.0)
 
 
 def process(**changed: Any) -> Process:
@@ -16,9 +20,9 @@ def process(**changed: Any) -> Process:
     return dataclasses.replace(healthy, **changed)
 
 
-def stop(reason: str = "key1", **changed: Any) -> Stop:
+def stop(cause: Cause = KEY, **changed: Any) -> Stop:
     """A stop of 12 s ago with all its proofs."""
-    return dataclasses.replace(Stop(reason, NOW_S - 12, "port_owner", "port owner", 210.0, 4400.0, 300.0), **changed)
+    return dataclasses.replace(STOP, cause=cause, reason=str(cause), **changed)
 
 
 def state(**changed: Any) -> State:
@@ -27,6 +31,7 @@ def state(**changed: Any) -> State:
         name="failstop",
         enabled=False,
         estop=None,
+        cause=None,
         blocked="disabled",
         body_vel=(0.0, 0.0, 0.0),
         wheels_rps=(0.0, 0.0, 0.0, 0.0),
@@ -50,9 +55,10 @@ def state(**changed: Any) -> State:
     return dataclasses.replace(base, **changed)
 
 
-def latched(reason: str = "key1", **changed: Any) -> State:
+def latched(cause: Cause = KEY, **changed: Any) -> State:
     """The same with a stop latched."""
-    return state(**{"estop": reason, "blocked": f"estop: {reason}", "last_stop": stop(reason), **changed})
+    told = {"cause": cause, "estop": str(cause), "blocked": f"estop: {cause}", "last_stop": stop(cause)}
+    return state(**{**told, **changed})
 
 
 def driving(**changed: Any) -> State:

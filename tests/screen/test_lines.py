@@ -9,6 +9,7 @@ import pytest
 from failstop import style
 from failstop.errors import FailstopError
 from failstop.events import Event
+from failstop.policy import causes
 from failstop.screen import cockpit, host, live, summary, told, verdict, words
 from failstop.screen.painter import CLEAR, Painter
 from failstop.screen.sparkline import spark
@@ -22,11 +23,13 @@ DOWN = {"gate": process(pid=0, state="down", restarts=4, last_exit="killed by SI
 STATES = {
     "disabled": state(),
     "driving": driving(),
-    "latched": latched("stop request: hand near the left wheel (failstop estop, pid 4711)"),
-    "waiting for the port": latched("device lost", device=LOST, waiting_for="the port"),
-    "deaf": latched("the board is deaf: use the POWER SWITCH", device=DEAF),
-    "process down": latched("gate died", processes={**state().processes, **DOWN}, waiting_for="gate", age_ms=9000.0),
-    "long": latched("x" * 300, clients=[{"name": "n" * 64, "pid": 4194304, "slot": i} for i in range(8)]),
+    "latched": latched(causes.REQUESTED("hand near the left wheel", "failstop estop", 4711)),
+    "waiting for the port": latched(causes.DEVICE_LOST(), device=LOST, waiting_for="the port"),
+    "deaf": latched(causes.DEAF(), device=DEAF),
+    "process down": latched(
+        causes.DIED("gate"), processes={**state().processes, **DOWN}, waiting_for="gate", age_ms=9000.0
+    ),
+    "long": latched(causes.PIPED("x" * 300), clients=[{"name": "n" * 64, "pid": 4194304, "slot": i} for i in range(8)]),
 }
 
 
@@ -77,7 +80,7 @@ def test_what_the_screen_says() -> None:
 
 
 def test_proofs_that_are_missing_are_seen() -> None:
-    unseen = stop("key1", acknowledged_us=None, observed_ms=None)
+    unseen = stop(causes.KEY(1), acknowledged_us=None, observed_ms=None)
     assert "written after 0.21 ms, not acknowledged, not seen still" in shown(
         summary.last_stop(latched(last_stop=unseen), NOW_S)
     )

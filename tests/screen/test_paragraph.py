@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from failstop.events import Event
-from failstop.screen import paragraph, verdict, words
+from failstop.policy import causes
+from failstop.screen import paragraph, words
 
 from .states import NOW_S, driving, latched, process, state, stop
 
@@ -24,7 +25,7 @@ def text(found: paragraph.Explanation) -> str:
 
 
 def test_a_latch() -> None:
-    found = paragraph.explain(latched("stop request: hand near (failstop estop, pid 4711)"), [], NOW_S)
+    found = paragraph.explain(latched(causes.REQUESTED("hand near", "failstop estop", 4711)), [], NOW_S)
     said = text(found)
     for part in (
         f"The wheels stand since {words.clock(NOW_S - 12, NOW_S)}, 12 s ago: a stop is latched",
@@ -47,12 +48,12 @@ def test_proofs_that_are_missing_are_said_to_be() -> None:
     assert "has not acknowledged it yet" in text(paragraph.explain(latched(last_stop=unseen), [], NOW_S - 11))
     unwritten = stop(written_us=None)
     assert "told zero 5 times a second" in text(paragraph.explain(latched(last_stop=unwritten), [], NOW_S))
-    lost = text(paragraph.explain(latched("device lost", last_stop=unwritten, device=LOST), [], NOW_S))
+    lost = text(paragraph.explain(latched(causes.DEVICE_LOST(), last_stop=unwritten, device=LOST), [], NOW_S))
     assert "told zero" not in lost
 
 
 def test_another_stop_than_the_latched_one_proves_nothing_of_it() -> None:
-    found = paragraph.explain(latched("key1", last_stop=stop("gate died")), [], NOW_S)
+    found = paragraph.explain(latched(causes.KEY(1), last_stop=stop(causes.DIED("gate"))), [], NOW_S)
     assert (found.since, found.proof) == (None, "")
     assert text(found).startswith("The wheels stand: a stop is latched")
 
@@ -99,9 +100,9 @@ def test_nothing_holds_them() -> None:
 @pytest.mark.parametrize(
     "found",
     [
-        latched("device lost", device=LOST),
+        latched(causes.DEVICE_LOST(), device=LOST),
         state(device={"path": "/dev/ttyACM0", "state": "open", "link": "deaf"}),
-        latched(verdict.UNSTILL),
+        latched(causes.UNSTILL()),
     ],
 )
 def test_wheels_that_may_turn_are_not_said_to_stand(found: object) -> None:
@@ -113,7 +114,9 @@ def test_wheels_that_may_turn_are_not_said_to_stand(found: object) -> None:
 
 def test_troubles_are_told() -> None:
     gate = process(pid=0, state="down", last_exit="killed by SIGKILL")
-    said = text(paragraph.explain(latched("gate died", waiting_for="gate", processes={"gate": gate}), [], NOW_S))
+    said = text(
+        paragraph.explain(latched(causes.DIED("gate"), waiting_for="gate", processes={"gate": gate}), [], NOW_S)
+    )
     assert "gate died too often (it was killed by SIGKILL) and is down for a minute" in said
     assert "wait for gate, then `failstop reset`, then `failstop enable`" in said
     found = {"times": 3, "longest_ms": 612, "process": "telemetry"}

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from failstop.policy import kinematics
+from failstop.policy import causes, kinematics
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
@@ -34,7 +34,7 @@ TABLE: tuple[tuple[Any, str, list[str]], ...] = (
     ),
     (state(waiting_for="gate"), verdict.STOPPED, ["wait for gate", "`failstop enable`"]),
     (
-        latched("device lost", device=LOST, waiting_for="the port"),
+        latched(causes.DEVICE_LOST(), device=LOST, waiting_for="the port"),
         verdict.MAY_TURN,
         ["plug the board in (/dev/ttyACM0)", "`failstop reset`", "`failstop enable`"],
     ),
@@ -44,23 +44,23 @@ TABLE: tuple[tuple[Any, str, list[str]], ...] = (
         ["plug the board in (/dev/ttyACM0)", "`failstop enable`"],
     ),
     (
-        latched("the board is deaf: use the POWER SWITCH", device=DEAF),
+        latched(causes.DEAF(), device=DEAF),
         verdict.MAY_TURN,
         ["turn the robot's POWER SWITCH off and on", "`failstop reset`", "`failstop enable`"],
     ),
     (
-        latched(verdict.UNSTILL),
+        latched(causes.UNSTILL()),
         verdict.MAY_TURN,
         ["turn the robot's POWER SWITCH off and on", "`failstop reset`", "`failstop enable`"],
     ),
     (state(device=UNPROVEN), verdict.STOPPED, ["`failstop enable`"]),
     (
-        latched("gate died", waiting_for="gate", processes={"gate": process(pid=0, state="down")}),
+        latched(causes.DIED("gate"), waiting_for="gate", processes={"gate": process(pid=0, state="down")}),
         verdict.STOPPED,
         ["wait for gate", "`failstop reset`", "`failstop enable`"],
     ),
     (
-        latched("stopper died", waiting_for="stopper", processes={"stopper": process(pid=0, state="down")}),
+        latched(causes.DIED("stopper"), waiting_for="stopper", processes={"stopper": process(pid=0, state="down")}),
         verdict.STOPPED,
         ["`failstop reset`", "`failstop enable`"],
     ),
@@ -93,7 +93,7 @@ def _gate_reasons() -> dict[str, str]:
     found["no sensor"] = core.blocked(1)
     core.scan.deliver(1, 1)
     found["nothing"] = core.blocked(1)
-    core.trip("key1", 1)
+    core.trip(causes.KEY(1), 1)
     found["latched"] = core.blocked(1)
     return found
 
@@ -107,6 +107,6 @@ def test_every_block_reason_of_the_gate_has_its_row() -> None:
 
 
 def test_a_stop_that_was_not_written_at_first_is_doubted_only_while_the_port_is_gone() -> None:
-    unwritten = stop("device lost", written_us=None, acknowledged_us=None, observed_ms=None)
-    assert verdict.doubt(latched("device lost", last_stop=unwritten, device=LOST))
-    assert verdict.doubt(latched("device lost", last_stop=unwritten)) == ""
+    unwritten = stop(causes.DEVICE_LOST(), written_us=None, acknowledged_us=None, observed_ms=None)
+    assert verdict.doubt(latched(causes.DEVICE_LOST(), last_stop=unwritten, device=LOST))
+    assert verdict.doubt(latched(causes.DEVICE_LOST(), last_stop=unwritten)) == ""

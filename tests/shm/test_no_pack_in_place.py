@@ -16,6 +16,7 @@ ALLOWED = {
 }
 
 
+@pytest.mark.slow
 def test_no_room_packs_in_place() -> None:
     found = []
     for path in sources(ROOT):

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.policy import causes
 from failstop.policy.settings import LONGEST_NAME, MOST_OF_A_FAMILY
 from failstop.shm import records
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS
@@ -24,6 +25,8 @@ U8 = st.integers(0, 255)
 I8 = st.integers(-128, 127)
 SPEED = st.floats(allow_nan=False)
 TOP = 2**64 - 1
+CAUSE = st.binary(max_size=causes.BYTES)
+"""A packed one; what is in it is no matter of the records."""
 
 
 def capacity(place: str) -> int:
@@ -53,12 +56,10 @@ def test_frame(epoch: int, kind: int, body: bytes) -> None:
     assert records.unpack_frame(records.pack_frame(epoch, kind, body)) == (epoch, kind, body)
 
 
-@given(epoch=U64, cause_ns=U64, written_ns=U64, latches=st.booleans(), reason=text_strategy(280))
-def test_stop(epoch: int, cause_ns: int, written_ns: int, latches: bool, reason: str) -> None:
-    payload = records.pack_stop(epoch, cause_ns, written_ns, latches, reason)
-    *fixed, found = records.unpack_stop(payload)
-    assert fixed == [epoch, cause_ns, written_ns, latches]
-    assert is_cut(str(found), reason, 280)
+@given(epoch=U64, cause_ns=U64, written_ns=U64, cause=CAUSE)
+def test_stop(epoch: int, cause_ns: int, written_ns: int, cause: bytes) -> None:
+    payload = records.pack_stop(epoch, cause_ns, written_ns, cause)
+    assert records.unpack_stop(payload) == (epoch, cause_ns, written_ns, cause)
 
 
 @given(generation=U64, since_ns=U64, state=st.sampled_from([0, 1, 2]), path=text_strategy(300))
@@ -98,12 +99,10 @@ def test_hello(session: int, pid: int, namespace: int, name: str) -> None:
     assert is_cut(str(found), name, 64)
 
 
-@given(epoch=U64, cause_ns=U64, standing=text_strategy(280), newest=text_strategy(280))
-def test_cause(epoch: int, cause_ns: int, standing: str, newest: str) -> None:
-    found_epoch, found_ns, *found = records.unpack_cause(records.pack_cause(epoch, cause_ns, standing, newest))
-    assert (found_epoch, found_ns) == (epoch, cause_ns)
-    assert is_cut(found[0], standing, 280)
-    assert is_cut(found[1], newest, 280)
+@given(epoch=U64, cause_ns=U64, standing=CAUSE, newest=CAUSE)
+def test_cause(epoch: int, cause_ns: int, standing: bytes, newest: bytes) -> None:
+    packed = records.pack_cause(epoch, cause_ns, standing, newest)
+    assert records.unpack_cause(packed) == (epoch, cause_ns, standing, newest)
 
 
 @given(session=U64, number=U64, verb=U8)
@@ -111,11 +110,13 @@ def test_request(session: int, number: int, verb: int) -> None:
     assert records.unpack_request(records.pack_request(session, number, verb)) == (session, number, verb)
 
 
-@given(session=U64, number=U64, done=st.booleans(), text=text_strategy(290))
-def test_reply(session: int, number: int, done: bool, text: str) -> None:
-    *fixed, found = records.unpack_reply(records.pack_reply(session, number, done, text))
+@given(session=U64, number=U64, done=st.booleans(), text=text_strategy(290), cause=CAUSE)
+def test_reply(session: int, number: int, done: bool, text: str, cause: bytes) -> None:
+    *fixed, found, found_cause = records.unpack_reply(records.pack_reply(session, number, done, text, cause))
     assert fixed == [session, number, done]
     assert is_cut(str(found), text, 290)
+    assert found_cause == cause
+    assert records.unpack_reply(records.pack_reply(session, number, done, text))[-1] == b"", "most mean none"
 
 
 @given(samples=st.lists(st.floats(allow_nan=False), min_size=6, max_size=6))
@@ -161,16 +162,19 @@ def test_pong(arrival_ns: int, index: int) -> None:
 LONG = ["x" * 5000, "é" * 5000, "x" + "é" * 5000, "€" * 5000, "🛑" * 5000, "\udcff" * 5000, "\0" * 5000]
 BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     "stop": (
-        lambda text: records.pack_stop(TOP, TOP, TOP, True, text),
+        lambda text: records.pack_stop(TOP, TOP, TOP, causes.PIPED(text).pack()),
         ["port_owner/stops", "gate/trips"],
     ),
-    "cause": (lambda text: records.pack_cause(TOP, TOP, text, text), ["supervisor/cause"]),
+    "cause": (lambda text: records.pack_cause(TOP, TOP, *(causes.PIPED(text).pack(),) * 2), ["supervisor/cause"]),
     "port": (lambda text: records.pack_port(TOP, TOP, 2, text), ["port_owner/port"]),
     "hello": (
         lambda text: records.pack_hello(TOP, 2**32 - 1, TOP, text),
         [f"client.{i}/hello" for i in range(CLIENT_SLOTS)],
     ),
-    "reply": (lambda text: records.pack_reply(TOP, TOP, True, text), [f"gate/reply.{i}" for i in range(CLIENT_SLOTS)]),
+    "reply": (
+        lambda text: records.pack_reply(TOP, TOP, True, text, causes.PIPED(text).pack()),
+        [f"gate/reply.{i}" for i in range(CLIENT_SLOTS)],
+    ),
     "held": (
         lambda text: records.pack_held(TOP, ["x" * records.HELD_BYTES]),
         [f"client.{i}/interlocks" for i in range(CLIENT_SLOTS)],
@@ -225,12 +229,10 @@ def test_every_name_that_the_settings_allow_fits() -> None:
 @pytest.mark.parametrize("text", LONG)
 def test_long_texts_are_cut_between_characters(text: str) -> None:
     for found, room in (
-        (records.unpack_stop(records.pack_stop(1, 1, 1, True, text))[-1], 280),
         (records.unpack_port(records.pack_port(1, 1, 1, text))[-1], 300),
-        (records.unpack_cause(records.pack_cause(1, 1, text, ""))[2], 280),
-        (records.unpack_cause(records.pack_cause(1, 1, text, text))[-1], 280),
         (records.unpack_hello(records.pack_hello(1, 1, 1, text))[-1], 64),
-        (records.unpack_reply(records.pack_reply(1, 1, True, text))[-1], 290),
+        (records.unpack_reply(records.pack_reply(1, 1, True, text, b"cause"))[-2], 290),
+        (causes.unpack(causes.PIPED(text).pack()).arguments[0], causes.ROOM),
     ):
         assert is_cut(str(found), text, room)
         assert "\ufffd" not in str(found)
@@ -247,11 +249,11 @@ def test_every_pair_is_under_test() -> None:
 
 SIZES: dict[str, tuple[Callable[[bytes], Any], int, bool]] = {
     "frame": (records.unpack_frame, 9, False),
-    "stop": (records.unpack_stop, 25, False),
+    "stop": (records.unpack_stop, 24, False),
     "port": (records.unpack_port, 17, False),
     "cause": (records.unpack_cause, 18, False),
     "hello": (records.unpack_hello, 20, False),
-    "reply": (records.unpack_reply, 17, False),
+    "reply": (records.unpack_reply, 19, False),
     "request": (records.unpack_request, 17, True),
     "command": (records.unpack_command, 49, True),
     "held": (records.unpack_held, 8, False),
@@ -289,14 +291,15 @@ def test_any_bytes_are_unpacked_or_a_value_error(kind: str, payload: bytes) -> N
         unpack(payload)
 
 
-@pytest.mark.parametrize("kind", ["stop", "port", "cause", "hello", "reply", "held", "said"])
+@pytest.mark.parametrize("kind", ["port", "hello", "held", "said"])
 def test_a_text_that_is_no_utf_8_is_shown_as_far_as_it_goes(kind: str) -> None:
     unpack, size, _ = SIZES[kind]
     assert "\ufffd" in str(unpack(bytes(size) + b"\xff"))
 
 
 def test_no_bytes_of_a_client_are_too_strange_to_be_read() -> None:
-    assert records.unpack_cause(struct.pack("<QQH", 1, 2, 1) + b"\xff")[2] == "\ufffd"
+    assert records.unpack_reply(struct.pack("<QQBH", 1, 2, 0, 1) + b"\xff\xfe") == (1, 2, False, "\ufffd", b"\xfe")
+    assert causes.unpack(struct.pack("<H", causes.PIPED.number) + b"\xff") == causes.PIPED("\ufffd")
     command = records.pack_command(1, 0.0, 0.0, 0.0, False, "teleop")
     assert records.unpack_command(command[:-16] + b"\xff" * 16)[-1] == "\ufffd" * 16
     session = struct.pack("<Q", 7)
@@ -310,10 +313,10 @@ def test_a_request_is_one_line_that_a_pipe_takes_whole_and_a_record_holds(words:
     assert line.endswith(b"\n")
     assert line.count(b"\n") == 1
     assert len(line) < select.PIPE_BUF
-    told = records.requested(line[:-1].decode())
-    assert records.unpack_stop(records.pack_stop(1, 2, 3, True, told))[4] == told, "nothing is cut any more"
-    assert told.startswith(records.REQUESTED)
-    assert told.endswith(f", pid {pid})") == bool(who.split())
+    told = causes.requested(line[:-1])
+    assert causes.unpack(told.pack()) == told, "nothing is cut any more"
+    assert told.kind is (causes.REQUESTED if who.split() else causes.PIPED)
+    assert told.named().get("pid") == (pid if who.split() else None)
 
 
 @pytest.mark.parametrize("letter", ["x", "\u00e9", "\u20ac", "\U0001f916"])
@@ -322,7 +325,7 @@ def test_of_a_reason_that_is_too_long_whole_characters_are_left_and_that_is_seen
     words = "y" * shift + 5000 * letter
     text = records.asking(words, "nav", 7).decode()
     kept, left_out, who = text.partition(" ...")
-    assert (left_out, who) == (" ...", " (nav, pid 7)\n")
+    assert (left_out, who) == (" ...", "\tnav\t7\n")
     assert words.startswith(kept)
     assert records.ASKED_BYTES - 8 < len((kept + left_out).encode()) <= records.ASKED_BYTES
     assert records.asking(kept).decode() == f"{kept}\n", "what fits is left as it is"
@@ -333,18 +336,6 @@ def test_payloads_are_little_endian_without_padding() -> None:
     assert records.pack_pad(0x0102, 3, -1, 4, 5, 6, 1) == bytes([2, 1, 3, 255, 4, 5, 6, 1])
     command = struct.pack("<QdddB16s", 1, 0.2, 0.0, 0.0, 1, b"cmd_vel")
     assert records.pack_command(1, 0.2, 0.0, 0.0, True) == command
-
-
-def test_why_the_epoch_was_raised_is_the_first_cause_since_the_last_reset() -> None:
-    cause = records.pack_cause(5, 1, "gate died", "stop request")
-    assert [records.raised_for(cause, reset) for reset in (0, 4, 5, 6)] == [
-        "gate died",
-        "gate died",
-        "stop request",
-        "stop request",
-    ]
-    assert records.raised_for(None, 0) == "stopped by the supervisor"
-    assert "its reason is damaged" in records.raised_for(b"short", 0)
 
 
 @pytest.mark.parametrize("state", range(len(records.PORT_STATES)))
@@ -359,22 +350,9 @@ def test_what_can_not_be_printed_is_not_shown() -> None:
     assert records.printable("a\x1b[2J\u00e9\n\u202e\U0001f916") == "a?[2J\u00e9??\U0001f916"
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("", "stop request"),
-        (" (nav, pid 7)", "stop request (nav, pid 7)"),
-        ("wall ahead", "stop request: wall ahead"),
-        ("wall\x07", "stop request: wall?"),
-    ],
-)
-def test_a_request_s_words_come_after_what_it_is(text: str, told: str) -> None:
-    assert records.requested(text) == told
-
-
 def test_who_asks_for_a_stop_is_told_only_where_somebody_is_named() -> None:
-    assert records.asking(" wall \n ahead ", " nav\t2 ", 7) == b"wall ahead (nav 2, pid 7)\n"
+    assert records.asking(" wall \n ahead ", " nav\t2 ", 7) == b"wall ahead\tnav 2\t7\n"
     assert records.asking("wall") == b"wall\n"
-    assert records.asking("wall", "nav") == b"wall (nav, pid 0)\n"
-    assert records.asking("", "n" * 100, 7) == b" (" + b"n" * records.WHO_BYTES + b", pid 7)\n"
+    assert records.asking("wall", "nav") == b"wall\tnav\t0\n"
+    assert records.asking("", "n" * 100, 7) == b"\t" + b"n" * records.WHO_BYTES + b"\t7\n"
     assert records.asking("x" * records.ASKED_BYTES) == b"x" * records.ASKED_BYTES + b"\n", "just fits"

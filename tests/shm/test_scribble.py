@@ -19,6 +19,7 @@ ROUNDS = amount(120, 1500)
 
 
 @pytest.mark.parametrize("of", NAMES)
+@pytest.mark.slow
 def test_scribbled_over(name: str, of: str) -> None:
     """With readers that were there before and ones that come after; now and then the segment is made whole again."""
     dice = random.Random(of)

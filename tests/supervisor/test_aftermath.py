@@ -86,6 +86,7 @@ def test_of_two_stops_the_first_is_followed_until_a_reset(scene: Watched) -> Non
     assert scene.told()["reason"] == "the third"
 
 
+@pytest.mark.starts
 def test_wheels_that_do_not_rest_are_stopped_for_again_and_the_command_runs_once(
     scene: Watched, tmp_path: Path
 ) -> None:

@@ -474,6 +474,7 @@ def fill(fd: int) -> None:
             refused += 1
 
 
+@pytest.mark.starts
 def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, tmp_path: Path) -> None:
     """And only while there is a port to write it to."""
     notify = Notify(str(tmp_path / "nobody"), 2)
@@ -494,6 +495,7 @@ def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, t
     notify.close()
 
 
+@pytest.mark.starts
 def test_a_stop_that_the_port_owner_has_written_is_owed_no_more(scene: Scene, tmp_path: Path) -> None:
     notify = Notify(str(tmp_path / "nobody"), 2)
     scene.supervisor.herald.notify = notify

@@ -1,0 +1,110 @@
+"""Which tests start a process: `make quick` runs the others, and none of those may.
+
+A file starts processes when it, or a helper that it imports from the tests, or what its conftest.py imports for the
+fixtures that it uses, imports one of STARTERS or calls one of CALLS. That is read from the source, so that what is not
+wanted is not even imported. A single test that starts one though its file does not look like it is marked `starts`.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import functools
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+STARTERS = frozenset(
+    {
+        *("multiprocessing", "subprocess"),
+        *("failstop.board.sim.client", "failstop.faults.crowd", "failstop.faults.scene", "failstop.trial"),
+        *("failstop.supervisor.starter",),
+    }
+)
+"""Modules that are there to start processes."""
+CALLS = frozenset({"fork", "forkpty", "popen", "posix_spawn", "posix_spawnp", "spawnv", "system"})
+"""Of os and pty."""
+EVENTS = frozenset({"os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn", "os.system", "subprocess.Popen"})
+"""What the interpreter says when a process is started (its audit events)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """What a file of tests or helpers says."""
+
+    imports: dict[str, set[str]]
+    """What a name in it stands for: whole names, of modules or of what it takes from one."""
+    functions: dict[str, set[str]]
+    """What it defines at its top, a conftest.py's fixtures among it: the names that each uses."""
+    calls: bool
+    names: set[str]
+    """All arguments and texts: a test asks for a fixture by either."""
+
+
+def starts(path: Path) -> bool:
+    """Whether the tests of this file may start a process."""
+    left = [path]
+    seen = set(left)
+    while left:
+        file = left.pop()
+        source = _read(file)
+        modules = set().union(*source.imports.values()) | _fixtures(file.with_name("conftest.py"), source.names)
+        if source.calls or modules & STARTERS:
+            return True
+        helpers = {helper for module in modules for helper in _files(module)} - seen
+        left += helpers
+        seen |= helpers
+    return False
+
+
+def _fixtures(conftest: Path, asked: set[str]) -> set[str]:
+    """What a conftest.py imports for the fixtures that are asked for, and for what these ask for."""
+    if not conftest.exists():
+        return set()
+    source = _read(conftest)
+    used: set[str] = set()
+    left = asked & set(source.functions)
+    while left:
+        used |= left
+        left = set().union(*(source.functions[name] for name in left & set(source.functions))) - used
+    return {module for name in used for module in source.imports.get(name, ())}
+
+
+@functools.cache
+def _read(path: Path) -> Source:
+    tree = ast.parse(path.read_text("utf-8"))
+    imports: dict[str, set[str]] = {}
+    names: set[str] = set()
+    calls = False
+    for node in ast.walk(tree):
+        match node:
+            case ast.Import():
+                for alias in node.names:
+                    imports.setdefault(alias.asname or alias.name.partition(".")[0], set()).add(alias.name)
+            case ast.ImportFrom():
+                package = ".".join(path.parents[node.level - 1].relative_to(ROOT).parts) if node.level else ""
+                module = ".".join(part for part in (package, node.module) if part)
+                for alias in node.names:
+                    imports.setdefault(alias.asname or alias.name, set()).update((module, f"{module}.{alias.name}"))
+            case ast.Attribute(value=ast.Name(id="os" | "pty")):
+                calls |= node.attr in CALLS
+            case ast.arg():
+                names.add(node.arg)
+            case ast.Constant(value=str()):
+                names.add(node.value)
+    functions = {node.name: _used(node) for node in tree.body if isinstance(node, ast.FunctionDef)}
+    return Source(imports, functions, calls, names)
+
+
+def _used(function: ast.FunctionDef) -> set[str]:
+    nodes = list(ast.walk(function))
+    names = {node.id for node in nodes if isinstance(node, ast.Name)}
+    return names | {node.arg for node in nodes if isinstance(node, ast.arg)}
+
+
+@functools.cache
+def _files(module: str) -> list[Path]:
+    """The files of a module of the tests or of the bench; of any other, none."""
+    if not module.startswith(("tests.", "bench.")):
+        return []
+    place = ROOT.joinpath(*module.split("."))
+    return [file for file in (place.with_suffix(".py"), place / "__init__.py") if file.exists()]

@@ -1,0 +1,339 @@
+"""Causes: every row travels whole, is said and explained, and is written down nowhere but in the table."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import re
+import string
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import failstop
+from failstop.board.decoder import BUTTONS
+from failstop.board.interface import BOARD
+from failstop.policy import causes
+from failstop.policy.causes import BY_NAME, BY_NUMBER, Cause, Kind
+from failstop.policy.processes import ROLES
+from failstop.policy.settings import Settings
+from failstop.screen import reasons
+from failstop.shm import records
+from failstop.shm.layout import PROCESSES
+
+ROOT = Path(failstop.__file__).resolve().parent.parent
+FOLDERS = ("board", "shm", "policy", "procs", "supervisor", "failstop", "ros2", "bench")
+KINDS = tuple(BY_NUMBER.values())
+ASKED = (causes.REQUESTED, causes.PIPED)
+NAMES = [kind.name for kind in KINDS]
+TEMPLATES = {kind.template for kind in KINDS}
+VALUES: dict[type, st.SearchStrategy[str | int | float]] = {
+    str: st.text(max_size=40),
+    int: st.integers(0, 2**32),
+    float: st.floats(0, 1e9),
+}
+every_row = pytest.mark.parametrize("kind", KINDS, ids=NAMES)
+
+
+def example(kind: Kind) -> Cause:
+    """One of this row, with arguments as they are met."""
+    met = {"process": "gate", "buttons": 0x0100, "who": "nav (pid 42)", "rival": "a, b (pid 43)", "words": "hand near"}
+    return kind(*(met.get(name, of("7")) for name, of in kind.parameters))
+
+
+def any_of(kind: Kind) -> st.SearchStrategy[Cause]:
+    return st.tuples(*(VALUES[of] for _, of in kind.parameters)).map(lambda arguments: kind(*arguments))
+
+
+ANY = st.one_of([any_of(kind) for kind in KINDS])
+
+
+def test_rows_are_known_by_their_number_and_their_name() -> None:
+    assert len(BY_NUMBER) == len(BY_NAME) == len({kind.template for kind in KINDS})
+    assert all(BY_NUMBER[kind.number] is BY_NAME[kind.name] is kind for kind in KINDS)
+    assert [kind for kind in KINDS if getattr(causes, kind.name.upper()) is not kind] == []
+
+
+@every_row
+def test_a_template_names_the_parameters_of_its_row_and_no_others(kind: Kind) -> None:
+    names = [name for name, _ in kind.parameters]
+    assert [field for _, field, _, _ in string.Formatter().parse(kind.template) if field] == names
+    explained = {field for _, field, _, _ in string.Formatter().parse(kind.what) if field}
+    assert explained <= {*names, *(["role"] if "process" in names else []), *(["names"] if "buttons" in names else [])}
+    assert set(kind.noticed_by) <= set(PROCESSES)
+
+
+@given(cause=ANY)
+def test_a_cause_comes_back_as_it_went_in(cause: Cause) -> None:
+    packed = cause.pack()
+    assert len(packed) <= causes.BYTES
+    found = causes.unpack(packed)
+    assert found.kind is cause.kind
+    for (_, of), value, given_ in zip(cause.kind.parameters, found.arguments, cause.arguments, strict=True):
+        assert type(value) is of
+        # What separates two arguments can't be in one of them.
+        assert value == (given_.replace(causes.BETWEEN, "?") if isinstance(given_, str) else given_)
+    assert causes.unpack(found.pack()) == found
+    assert hash(causes.unpack(found.pack())) == hash(found)
+    assert causes.of(found.kind.name, found.named()) == found
+
+
+@given(words=st.text(max_size=20), who=st.text(max_size=20), at=st.integers(0, 20))
+def test_a_separator_in_an_argument_moves_none_of_the_others(words: str, who: str, at: int) -> None:
+    cause = causes.REQUESTED(words[:at] + causes.BETWEEN + words[at:], who + causes.BETWEEN + "8", 7)
+    found = causes.unpack(cause.pack())
+    assert (found.kind, found.named()["pid"]) == (causes.REQUESTED, 7)
+    assert causes.BETWEEN not in str(found)
+
+
+@given(cause=ANY, fill=st.sampled_from(["x", "é", "€", "🛑", "\0", "\udcff"]), length=st.integers(0, 400))
+def test_arguments_that_are_too_long_are_cut_and_the_cause_stays(cause: Cause, fill: str, length: int) -> None:
+    arguments = [fill * length if isinstance(value, str) else value for value in cause.arguments]
+    packed = cause.kind(*arguments).pack()
+    assert len(packed) <= causes.BYTES
+    found = causes.unpack(packed)
+    assert found.kind is cause.kind
+    before, whole = found.arguments, len(packed) < causes.BYTES - 3
+    for (_, of), value, wanted in zip(cause.kind.parameters, before, arguments, strict=True):
+        assert type(value) is of
+        if of is str:
+            assert str(wanted).encode("utf-8", "replace").decode().startswith(str(value))
+        assert not whole or str(value) == str(wanted).encode("utf-8", "replace").decode()
+    assert str(found)
+
+
+@every_row
+def test_every_beginning_of_a_packed_cause_is_that_cause_or_damage(kind: Kind) -> None:
+    packed = example(kind).pack()
+    for length in range(len(packed)):
+        found = causes.read(packed[:length])
+        assert found.kind is (kind if length >= 2 else causes.UNKNOWN), length
+        assert str(found)
+
+
+@given(payload=st.binary(max_size=340))
+def test_whatever_bytes_there_are_a_stop_is_one(payload: bytes) -> None:
+    try:
+        found = causes.unpack(payload)
+    except ValueError:
+        found = causes.UNKNOWN()
+    assert str(causes.read(payload)) == str(found)
+    assert all(reasons.explain(found))
+
+
+def test_damage_is_told_apart() -> None:
+    with pytest.raises(ValueError, match="a cause of 1 bytes"):
+        causes.unpack(b"\1")
+    with pytest.raises(ValueError, match="no cause has the number 65535"):
+        causes.unpack(b"\xff\xff")
+    hangs = causes.HANGS("gate", 251).pack()
+    assert causes.read(hangs[:-3] + b"two") == causes.UNKNOWN()
+    assert str(causes.read(b"")) == "stopped by the supervisor"
+
+
+def test_arguments_are_those_of_the_row() -> None:
+    assert causes.HANGS("gate", 61.9).arguments == ("gate", 61)
+    for wrong in ((), ("gate",), ("gate", 5, 6), ("gate", "soon")):
+        with pytest.raises(ValueError, match=r"hangs takes 2 arguments|invalid literal"):
+            causes.HANGS(*wrong)
+    assert causes.of("of a later version", {}) == causes.UNKNOWN()
+    assert causes.of("hangs", {"process": "gate"}) == causes.UNKNOWN()
+
+
+@pytest.mark.parametrize(
+    ("cause", "text"),
+    [
+        (causes.DIED("gate"), "gate died"),
+        (causes.HANGS("gate", 251), "gate hangs: 251 ms silent"),
+        (causes.STARVED("gate", 251), "gate hangs: 251 ms silent (the machine is starved)"),
+        (causes.HELD_UP(300), "supervisor was held up for 300 ms"),
+        (causes.MUTE(260), "gate beats but sends nothing: 260 ms"),
+        (causes.BAD_FRAME("bad crc"), "the gate's frame was refused: bad crc"),
+        (causes.SUSPENDED(1.23), "the machine was suspended for 1.2 s"),
+        (causes.REMOVED("the stop pipe"), "the stop pipe was removed: restart the service"),
+        (causes.DEVICE_LOST(), "device lost"),
+        (causes.NOT_FINITE("nav (pid 42)"), "command from nav (pid 42) is not finite"),
+        (
+            causes.TWO_PUBLISHERS("cmd_vel", "a (pid 1)", "b (pid 2)"),
+            "multiple cmd_vel publishers: a (pid 1), b (pid 2)",
+        ),
+        (causes.BUTTON(0x0100), "gamepad button 0x0100"),
+        (causes.KEY(1), "key1"),
+        (causes.REQUESTED("hand near", "nav", 7), "stop request: hand near (nav, pid 7)"),
+        (causes.REQUESTED("", "nav", 7), "stop request (nav, pid 7)"),
+        (causes.REQUESTED("", "nav", 0), "stop request (nav, pid 0)"),
+        (causes.PIPED("hand near"), "stop request: hand near"),
+        (causes.PIPED(""), "stop request"),
+        (causes.PIPED("[{words}] %s {0}"), "stop request: [{words}] %s {0}"),
+    ],
+    ids=repr,
+)
+def test_texts(cause: Cause, text: str) -> None:
+    assert str(cause) == text
+    assert str(causes.unpack(cause.pack())) == text
+
+
+@every_row
+def test_every_row_is_explained(kind: Kind) -> None:
+    what, remedy = reasons.explain(example(kind))
+    assert not set("{}[]") & set(what)
+    assert not set("{}") & set(remedy)
+    assert len(what) > 20
+    assert len(remedy) > 10
+    for name, value in example(kind).named().items():
+        assert name == "buttons" or str(value) in what, "nothing that is known is kept back"
+
+
+@every_row
+def test_a_row_without_arguments_is_explained_too(kind: Kind) -> None:
+    empty = kind(*(of() for _, of in kind.parameters))
+    assert all(reasons.explain(empty))
+    assert '""' not in reasons.explain(empty)[0]
+
+
+@pytest.mark.parametrize("process", PROCESSES)
+def test_what_a_process_does_is_said(process: str) -> None:
+    for cause in (causes.DIED(process), causes.HANGS(process, 251), causes.STARVED(process, 251)):
+        what, _ = reasons.explain(cause)
+        assert f"the process {process}" in what
+        assert f"which {ROLES[process]}" in what
+
+
+def test_names_of_who_did_it() -> None:
+    assert (
+        reasons.explain(causes.REQUESTED("hand near", "failstop estop", 4711))[0]
+        == 'failstop estop (pid 4711) asked for a stop: "hand near"'
+    )
+    assert reasons.explain(causes.REQUESTED("", "nav", 3))[0] == "nav (pid 3) asked for a stop"
+    assert reasons.explain(causes.PIPED("chaos"))[0] == 'somebody wrote to the stop pipe: "chaos"'
+    assert reasons.explain(causes.PIPED(""))[0] == "somebody wrote to the stop pipe"
+    assert "pressed X on the gamepad" in reasons.explain(causes.BUTTON(BUTTONS["X"]))[0]
+    assert "L1 and 0x0400" in reasons.explain(causes.BUTTON(0x4400))[0]
+    two = causes.TWO_PUBLISHERS("cmd_vel", "nav (pid 42)", "a, b (pid 43)")
+    assert reasons.explain(two)[0] == "nav (pid 42) and a, b (pid 43) both commanded as cmd_vel"
+
+
+def test_what_the_board_refuses_is_a_defect() -> None:
+    limit = Settings().max_wheel_rps()
+    fast = BOARD.motor_speeds((9.0, 0.0, 0.0, 0.0), 10.0)
+    wild = b"\xaa\x55\x03\x16\x01\x04\x07" + fast[7:-1]
+    faults = [
+        BOARD.check_motion(frame, limit) for frame in (b"", fast, fast[:-1] + bytes([fast[-1] ^ 1]), wild + b"\0")
+    ]
+    faults.append(BOARD.check_motion(fast, -1.0))
+    for fault in faults:
+        assert fault
+        what, remedy = reasons.explain(causes.BAD_FRAME(fault))
+        assert f"({fault})" in what
+        assert "report it" in remedy
+
+
+POSES = (
+    b"",
+    b"{cause}",
+    b"\t\t",
+    b"\tnav\t",
+    b"x\tnav\t-7",
+    b"x\tnav\t7\t8",
+    b"x\tnav\t12345678901",
+    "x\tnav\t\u0667".encode(),
+    b"gate died\x00",
+    b"\xff\xfe",
+    *(str(example(kind)).encode() for kind in KINDS),
+    *(example(kind).pack() for kind in KINDS),
+)
+
+
+def asked(line: bytes) -> Cause:
+    """What is latched for this line, as it is read where it arrives."""
+    cause = causes.requested(line)
+    found = causes.unpack(cause.pack())
+    assert found.kind in ASKED
+    assert str(found).startswith("stop request")
+    assert str(found).isprintable()
+    what, _ = reasons.explain(found)
+    assert re.match(r"somebody wrote to the stop pipe|.* \(pid \d+\) asked for a stop", what)
+    return found
+
+
+@pytest.mark.parametrize("line", POSES)
+def test_nothing_that_is_typed_poses_as_anything_else(line: bytes) -> None:
+    assert asked(line).kind is causes.PIPED, "nobody has said who it was"
+
+
+@given(line=st.one_of(st.binary(max_size=300), st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace"))))
+def test_no_bytes_in_the_pipe_do_either(line: bytes) -> None:
+    asked(line)
+
+
+@given(words=st.text(max_size=80), who=st.text(max_size=30), pid=st.integers(1, 2**22))
+def test_who_asks_is_told_whatever_the_words_look_like(words: str, who: str, pid: int) -> None:
+    said, name = (" ".join(given_.split()) for given_ in (words, who))
+    found = asked(records.asking(words, who, pid)[:-1])
+    wanted = [records.printable(text.encode("utf-8", "replace").decode()) for text in (said, name)]
+    assert found == (causes.REQUESTED(*wanted, pid) if name else causes.PIPED(wanted[0]))
+
+
+def test_no_cause_of_the_service_s_own_begins_as_a_request() -> None:
+    begins = [kind for kind in KINDS if kind.template.startswith("stop request")]
+    assert begins == list(ASKED)
+    assert [kind.name for kind in KINDS if kind not in ASKED and str(example(kind)).startswith("stop request")] == []
+
+
+def test_the_first_cause_since_the_last_reset_stands() -> None:
+    died, asked_for = causes.DIED("gate"), causes.PIPED("")
+    record = records.pack_cause(5, 1, died.pack(), asked_for.pack())
+    assert [causes.standing(record, reset) for reset in (0, 4, 5, 6)] == [died, died, asked_for, asked_for]
+    for damaged in (None, b"", b"short", records.pack_cause(5, 1, b"\xff\xff", b"")):
+        assert causes.standing(damaged, 0) == causes.UNKNOWN()
+
+
+@functools.cache
+def literals() -> list[tuple[str, str]]:
+    """(file, text) of every string of the code but docstrings, with {} for what an f-string puts in."""
+    found = []
+    for path in (path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))):
+        tree = ast.parse(path.read_text())
+        skipped = set()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Expr):
+                skipped.add(id(node.value))
+            if isinstance(node, ast.JoinedStr):
+                skipped |= {id(part) for part in node.values}
+                parts = (str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values)
+                found.append((str(path.relative_to(ROOT)), "".join(parts)))
+        texts = [node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+        found += [(str(path.relative_to(ROOT)), str(node.value)) for node in texts if id(node) not in skipped]
+    return found
+
+
+PLACE = r"\{[^}]*\}"
+SAID = {str: r".*", int: r"\d+", float: r"[\d.]+"}
+
+
+def wording(kind: Kind) -> re.Pattern[str]:
+    """What finds the text of such a cause, with arguments or with places for them, by itself or in a longer text."""
+    pattern = ""
+    for part in re.split(r"(\{[^}]*\}|\[[^\]]*\])", kind.template):
+        if part.startswith("["):
+            pattern += "(: .*)?"
+        elif part.startswith("{"):
+            name, _, form = part[1:-1].partition(":")
+            said = {"process": "|".join(PROCESSES)}.get(name) or SAID[dict(kind.parameters)[name]]
+            pattern += f"({PLACE}|{'[0-9A-F]+' if form.endswith('X') else said})"
+        else:
+            pattern += re.escape(part)
+    whole = rf"(?<!\w)(?<!\w ){pattern}(?=$|[;,.:)\[]| \()"
+    longest = max(re.split(r"\{[^}]*\}|[\[\]]", kind.template), key=len).strip()
+    return re.compile(f"{whole}|{re.escape(longest)}" if longest.count(" ") >= 3 else whole)
+
+
+@every_row
+def test_the_words_of_a_cause_are_in_the_code_once(kind: Kind) -> None:
+    """Whoever wants to know of a cause asks for its row, not for its words."""
+    pattern = wording(kind)
+    assert pattern.search(str(example(kind)))
+    assert pattern.search(f"latched: {example(kind)}; and more")
+    assert [file for file, text in literals() if pattern.search(text) and text not in TEMPLATES] == []
