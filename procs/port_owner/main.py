@@ -13,7 +13,7 @@ from failstop.policy import causes
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, NEVER, READ, WRITE, Deadline, Loop
 from failstop.procs.peer import Peer
-from failstop.procs.port_owner import repeats
+from failstop.procs.port_owner import admission, repeats
 from failstop.procs.port_owner.admission import Admission
 from failstop.procs.port_owner.pings import Pings
 from failstop.procs.port_owner.wire import Wire
@@ -26,6 +26,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.causes import Cause
     from failstop.procs.context import Context
+    from failstop.procs.port_owner.admission import Motion
 
 MS = 1_000_000
 TICK_NS = 20 * MS
@@ -94,8 +95,7 @@ class PortOwner:
         self._number = context.port_number
         self._path = settings.text("device.path")
         self._control = Control(context.fd("control"))
-        self.wire.burst()
-        self._stopped(monotonic_ns())
+        self._burst()
         self._stopped_word.set(self.epoch)
         self.wire.keep(own.ring_writer("box"))
         self._publish_port(monotonic_ns())
@@ -149,10 +149,15 @@ class PortOwner:
         """What follows a burst for a cause of its own. The epoch is the one in force now, seen or not: the supervisor
         answers the published cause with a newer one."""
         epoch = self._epoch_word.get()
-        self.admission.stopped(epoch, own=True)
+        self.admission.stopped(epoch)
         written_ns = self._stopped(written_ns)
         self._stops.put(records.pack_stop(epoch, cause_ns, written_ns, cause.pack()))
         self._supervisor_bell.ring()
+
+    def _burst(self) -> None:
+        """A stop that is no cause: for one that the supervisor knows, or that the gate has made."""
+        self.wire.burst()
+        self._stopped(monotonic_ns())
 
     def _stopped(self, written_ns: int) -> int:
         """What follows every burst. Returns when it was written: 0 when the kernel did not take all of it."""
@@ -199,22 +204,12 @@ class PortOwner:
             just_stopped = self.admission.stopped_in >= self.epoch and not self.admission.moving
             self.epoch = epoch
             if not just_stopped:
-                self.wire.burst()
-                self.admission.stopped(epoch, own=False)
-                self._stopped(monotonic_ns())
+                self._burst()
             self._stopped_word.set(epoch)
             self._supervisor_bell.ring()
         for peer in self._peers:
             if peer.follow():
                 self.stop(now_ns, peer.death)
-
-    def _lapsed(self, now_ns: int) -> Cause | None:
-        """Whose lease has run out; None when both are fresh."""
-        for beat, name in ((self._gate.heart.ns, layout.GATE), (self._supervisor_beat, layout.SUPERVISOR)):
-            beat_ns = beat.get()
-            if self.admission.lapsed(beat_ns, now_ns):
-                return causes.HANGS(name, (now_ns - beat_ns) // MS)
-        return None
 
     def _check_suspend(self, now_ns: int) -> bool:
         """On resume everything is older than it looks: commands, frames, and what people know of the robot's place."""
@@ -226,7 +221,7 @@ class PortOwner:
         """At the moment when one runs out, not at a tick after it. Without motion there is nothing to stop."""
         if not self.admission.moving:
             return
-        if lapse := self._lapsed(now_ns):
+        if lapse := self.admission.lapsed(self._gate.heart.ns.get(), self._supervisor_beat.get(), now_ns):
             self.stop(now_ns, lapse)
         elif now_ns - self._moved_ns > self._silence_ns:
             # Its beat is fresh, its frames are not: the board would keep the last of them for ever.
@@ -235,7 +230,7 @@ class PortOwner:
             self._await_lapse()
 
     def _await_lapse(self) -> None:
-        lapses_ns = self.admission.lapses_ns(min(self._gate.heart.ns.get(), self._supervisor_beat.get()))
+        lapses_ns = self.admission.lapses_ns(self._gate.heart.ns.get(), self._supervisor_beat.get())
         self._lapse.set(min(lapses_ns, self._moved_ns + self._silence_ns + 1))
 
     def _check_drain(self, now_ns: int) -> None:
@@ -248,59 +243,56 @@ class PortOwner:
 
     def _forward_frames(self) -> None:
         """Drain the gate's ring: of motion the newest counts, a stop ends all motion queued before it."""
-        motion = b""
-        motion_ns = 0
-        motion_epoch = 0
+        motion: Motion | None = None
         while entry := self._frames.next():
             _, frame_ns, payload = entry
             epoch, kind, body = records.unpack_frame(payload)
             if kind == records.MOTION:
-                motion, motion_ns, motion_epoch = body, frame_ns, epoch
+                motion = (body, epoch, frame_ns)
             elif kind == records.STOP:
-                motion = b""
+                motion = None
                 self._gate_stop()
             elif not BOARD.check_aux(body):
                 self.wire.frame(body, backlog=OTHER_BACKLOG)
         if motion:
-            self._forward_motion(motion, motion_epoch, motion_ns)
+            self._forward_motion(motion)
 
     def _gate_stop(self) -> None:
         """The gate wants a burst: at once while something moves, else not again so soon after the last: clients that
         disable again and again must not keep the wire full."""
         now_ns = monotonic_ns()
         if self.admission.moving or now_ns - self._written_word.get() >= PIPE_REST_NS:
-            self.wire.burst()
-            self._stopped(monotonic_ns())
+            self._burst()
 
-    def _forward_motion(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
-        """The table of admission.py, row by row; the epoch is looked at again just before the write. The time is that
-        of the write: a process that was held up since it woke must not pass what was young then."""
+    def _forward_motion(self, motion: Motion) -> None:
+        """The table of admission.py. The time is that of the write: a process that was held up since it woke must not
+        pass what was young then."""
         now_ns = monotonic_ns()
-        if not self._gate.life or not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
-            if frame == BOARD.stop and self.admission.moving:
-                # Never too old: the wheels would turn on until the next refresh.
-                self.wire.burst()
-                self._stopped(monotonic_ns())
-            return
-        if self._pipe_rests.ns != NEVER and self.loop.readable(self._stop_pipe):
+        requested = self._pipe_rests.ns != NEVER and self.loop.readable(self._stop_pipe)
+        gate_ns = self._gate.heart.ns.get() if self._gate.life else None
+        beat_ns = self._supervisor_beat.get()
+        verdict = self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, requested=requested)
+        if verdict == admission.WRITE:
+            self._write_motion(motion)
+        elif verdict == admission.BURST:
+            self._burst()
+        elif verdict == admission.REQUEST:
             self._stop_request(now_ns)
-        elif fault := self._lapsed(now_ns) or self.admission.frame_fault(frame):
-            self.stop(now_ns, fault)
-        else:
-            self._write_motion(frame, frame_epoch, frame_ns)
+        elif not isinstance(verdict, int):
+            self.stop(now_ns, verdict)
 
-    def _write_motion(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
+    def _write_motion(self, motion: Motion) -> None:
         """Says that it moves before it looks at epoch and time once more: whoever reads that nothing moves, having
         raised the epoch or not, knows that no frame is about to be written that would not be good then. So one that is
         starved here, for however long, may live."""
         self._moving_word.set(1)
         self._barrier()
         now_ns = monotonic_ns()
-        if self._epoch_word.get() != frame_epoch:
+        frame = motion[0]
+        if self._epoch_word.get() != self.epoch:
             self._follow_epoch(now_ns)
-        elif not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
-            self.wire.burst()
-            self._stopped(monotonic_ns())
+        elif not self.admission.current(motion, self.epoch, now_ns):
+            self._burst()
         elif self._check_suspend(now_ns):
             return
         elif self.wire.frame(frame, backlog=MOTION_BACKLOG):
