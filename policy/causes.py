@@ -267,6 +267,12 @@ PIPED = _row(
     'somebody wrote to the stop pipe[: "{words}"]',
     "make sure that whatever it was for is over",
 )  # fmt: skip
+BATTERY = _row(
+    23, "battery", "the battery is at {volts:.2f} V", "volts:f",
+    "telemetry",
+    "the battery was at {volts:.2f} V, below the setting battery.stop_mv",
+    "charge it; after a reset the robot may drive to its charger, since it stops for this once a charge",
+)  # fmt: skip
 STOPPING = _row(
     19, "stopping", "service is stopping", "",
     "supervisor",

@@ -282,14 +282,6 @@ def test_no_cause_of_the_service_s_own_begins_as_a_request() -> None:
     assert [kind.name for kind in KINDS if kind not in ASKED and str(example(kind)).startswith("stop request")] == []
 
 
-def test_the_first_cause_since_the_last_reset_stands() -> None:
-    died, asked_for = causes.DIED("gate"), causes.PIPED("")
-    record = records.pack_cause(5, 1, died.pack(), asked_for.pack())
-    assert [causes.standing(record, reset) for reset in (0, 4, 5, 6)] == [died, died, asked_for, asked_for]
-    for damaged in (None, b"", b"short", records.pack_cause(5, 1, b"\xff\xff", b"")):
-        assert causes.standing(damaged, 0) == causes.UNKNOWN()
-
-
 @functools.cache
 def literals() -> list[tuple[str, str]]:
     """(file, text) of every string of the code but docstrings, with {} for what an f-string puts in."""
