@@ -54,8 +54,8 @@ class Kind:
         remedy: str,
         cleared_by: str = RESET,
     ) -> None:
-        """`number`: never given to another row; `parameters`: name:type, where the type is s, d or f; `noticed_by`:
-        processes."""
+        """`number`: never given to another row; `parameters`: name:type, where the type is s, d or f, and no name
+        is "name"; `noticed_by`: processes."""
         self.number = number
         self.name = name
         self.template = template
@@ -205,9 +205,9 @@ SUSPENDED = _row(
     "keep it from sleeping while the robot is on (`systemctl mask sleep.target`)",
 )  # fmt: skip
 REMOVED = _row(
-    8, "removed", "{name} was removed: restart the service", "name:s",
+    8, "removed", "{what} was removed: restart the service", "what:s",
     "supervisor",
-    "{name}, which others need to find the service, was removed while it ran",
+    "{what}, which others need to find the service, was removed while it ran",
     "look at `failstop doctor`: logind's RemoveIPC=yes removes it when the service's user logs out",
     NEW_RUN,
 )  # fmt: skip
