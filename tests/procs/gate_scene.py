@@ -95,9 +95,9 @@ class Scene(Stage):
             self.beat(layout.SUPERVISOR)
         self.gate.clients.rung(b"\0", self.clock())
         self.gate.turn({})
+        self.decide()
         next_ns = self.gate.loop.until_ns(self.clock(), self.gate.period_ns)
         assert next_ns > self.clock(), "a deadline was left behind: the loop would spin"
-        self.decide()
         found = []
         while entry := self._made.next():
             found.append(records.unpack_frame(entry[2])[1])
