@@ -45,10 +45,6 @@ class PortOwner:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
-        own = context.own
-        supervisor = context.segment("supervisor")
-        gate = context.segment("gate")
-        telemetry = context.segment("telemetry")
         self.heartbeat = context.heartbeat
         self.loop = Loop()
         self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
@@ -56,84 +52,73 @@ class PortOwner:
         ping = self.loop.deadline() if BOARD.pings else Deadline()
         self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), ping, monotonic_ns())
         self.suspend = SuspendWatch()
+        self._pipe_rests = self.loop.deadline()
+        """Until then, after a request."""
+        self._lapse = self.loop.deadline()
+        """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
+        self._leave = self.loop.deadline()
+        """Once the supervisor has died."""
+        self._barrier = Barrier()
+        self._moved_ns = 0
+        self._silence_ns = 2 * settings.ns("gate.refresh_s")
+        self._stuck = False
+        self._watched = (-1, 0)
+        self._attach(context)
+        self._watch_others(context)
+        self.epoch = self._epoch_word.get()
+        self.wire = Wire(context.fd("port"))
+        self._number = context.port_number
+        self._path = settings.text("device.path")
+        self._burst()
+        self._stopped_word.set(self.epoch)
+        self.wire.keep(context.own.ring_writer("box"))
+        self._publish_port(monotonic_ns())
 
-        self._epoch_word = supervisor.word("epoch")
-        self._supervisor_beat = supervisor.word("beat_ns")
-        self._frames = gate.ring_reader("frames")
-        self._trips = telemetry.ring_reader("trips")
+    def _attach(self, context: Context) -> None:
+        """What it publishes, and whom it wakes for it."""
+        own = context.own
         self._stopped_word = own.word("stopped_epoch")
         self._written_word = own.word("written_ns")
         self._moving_word = own.word("moving")
-        self._barrier = Barrier()
         self._ping_words = [own.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._port_record = own.latest_writer("port")
         self._stops = own.ring_writer("stops")
         self._received = own.ring_writer("received")
-
-        self._bell = context.bell("bell")
         self._supervisor_bell = context.bell("supervisor_bell")
         self._telemetry_bell = context.bell("telemetry_bell")
+
+    def _watch_others(self, context: Context) -> None:
+        """What it reads, and what wakes it."""
+        supervisor = context.segment("supervisor")
+        self._epoch_word = supervisor.word("epoch")
+        self._supervisor_beat = supervisor.word("beat_ns")
+        self._frames = context.segment("gate").ring_reader("frames")
+        self._trips = context.segment("telemetry").ring_reader("trips")
+        self._bell = context.bell("bell")
         self._stop_pipe = context.fd("stop")
+        self._control = Control(context.fd("control"))
         self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
         self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 0)
         self._gate = Peer(layout.GATE, context, self.loop)
         self._peers = (self._gate, *(Peer(name, context, self.loop) for name in (layout.TELEMETRY, layout.STOPPER)))
-        self._pipe_rests = self.loop.deadline()
-        """Until then, after a request."""
-        self._lapse = self.loop.deadline()
-        """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
-        self._moved_ns = 0
-        self._silence_ns = 2 * settings.ns("gate.refresh_s")
-        self._leave = self.loop.deadline()
-        """Once the supervisor has died."""
-        self._stuck = False
-        self._watched = (-1, 0)
-        self.epoch = self._epoch_word.get()
-
-        self.wire = Wire(context.fd("port"))
-        self._number = context.port_number
-        self._path = settings.text("device.path")
-        self._control = Control(context.fd("control"))
-        self._burst()
-        self._stopped_word.set(self.epoch)
-        self.wire.keep(own.ring_writer("box"))
-        self._publish_port(monotonic_ns())
-
         for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._stop_pipe, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
 
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
         now_ns = monotonic_ns()
-        if self._stop_pipe in ready:
-            self._stop_request(now_ns)
-        elif self._pipe_rests.due(now_ns):
-            self._wake_pipe()
+        self._hear_requests(ready, now_ns)
         bell.clear_rung((self._bell, self._early.bell), ready)
-        while trip := self._trips.next():
-            self.wire.burst()
-            self._own_stop(trip[1], monotonic_ns(), causes.read(trip[2]))
-        for peer in self._peers:
-            if peer.down(ready):
-                self._died(peer, now_ns)
-        if self._leave.ns == NEVER and self._supervisor_life.down(ready):
-            self._leave.set(now_ns + repeats.LEAVE_AFTER_NS)
-            self.wire.burst()
-            self._supervisor_life.demote()
-            for peer in self._peers:
-                peer.demote()  # it dies with its parent
-            self._own_stop(now_ns, monotonic_ns(), causes.DIED(layout.SUPERVISOR))
-            self.loop.forget(self._supervisor_life.fd)
-            self.loop.forget(self._control.fd)
+        self._hear_trips()
+        self._answer_deaths(ready, now_ns)
         self._follow_epoch(now_ns)
         self._check_suspend(now_ns)
         self._check_leases(now_ns)
         self._check_drain(now_ns)
         self._forward_frames()
-        self._serve_port(ready.get(self.wire.fd, 0), now_ns)
-        if self._control.fd in ready:
-            self._take_port(now_ns)
+        self._serve_port(ready, now_ns)
+        self._take_port(ready, now_ns)
         self._repeat(now_ns)
         self._ping(now_ns)
         self._watch_port()
@@ -171,6 +156,12 @@ class PortOwner:
         self._moving_word.set(0)
         return written_ns
 
+    def _hear_requests(self, ready: dict[int, int], now_ns: int) -> None:
+        if self._stop_pipe in ready:
+            self._stop_request(now_ns)
+        elif self._pipe_rests.due(now_ns):
+            self._wake_pipe()
+
     def _stop_request(self, now_ns: int) -> None:
         """Any bytes are a stop; the text, where there is one, only says why.
 
@@ -190,11 +181,29 @@ class PortOwner:
             self._pipe_rests.set(NEVER)
             self.loop.watch(self._stop_pipe, READ)
 
-    def _died(self, peer: Peer, now_ns: int) -> None:
-        self.wire.burst()
-        peer.demote()
-        self._own_stop(now_ns, monotonic_ns(), peer.death)
-        peer.drop()
+    def _hear_trips(self) -> None:
+        """Buttons and keys, which telemetry has decoded."""
+        while trip := self._trips.next():
+            self.wire.burst()
+            self._own_stop(trip[1], monotonic_ns(), causes.read(trip[2]))
+
+    def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
+        """The supervisor's is the end of this process too, when the stop has been repeated."""
+        for peer in self._peers:
+            if peer.down(ready):
+                self.wire.burst()
+                peer.demote()
+                self._own_stop(now_ns, monotonic_ns(), peer.death)
+                peer.drop()
+        if self._leave.ns == NEVER and self._supervisor_life.down(ready):
+            self._leave.set(now_ns + repeats.LEAVE_AFTER_NS)
+            self.wire.burst()
+            self._supervisor_life.demote()
+            for peer in self._peers:
+                peer.demote()  # it dies with its parent
+            self._own_stop(now_ns, monotonic_ns(), causes.DIED(layout.SUPERVISOR))
+            self.loop.forget(self._supervisor_life.fd)
+            self.loop.forget(self._control.fd)
 
     def _follow_epoch(self, now_ns: int) -> None:
         """A raised epoch is a stop that somebody else noticed. The answer is always a burst, but for a stop of its own
@@ -305,9 +314,10 @@ class PortOwner:
             # Standing still does not wait for the next refresh, and a burst may be added to whatever is held.
             self.wire.burst()
 
-    def _serve_port(self, events: int, now_ns: int) -> None:
+    def _serve_port(self, ready: dict[int, int], now_ns: int) -> None:
         """Pass on what the board sent, finish what the kernel did not take, notice a port that is gone."""
         wire = self.wire
+        events = ready.get(wire.fd, 0)
         if wire.fd >= 0:
             if events & WRITE:
                 wire.flush()
@@ -320,10 +330,10 @@ class PortOwner:
             if wire.lost:
                 self._port_lost(now_ns)
 
-    def _take_port(self, now_ns: int) -> None:
+    def _take_port(self, ready: dict[int, int], now_ns: int) -> None:
         """The supervisor has opened a port and stopped on it. The loss of the one before is a stop of its own, seen
         here by now or not; one that is known already was sent twice."""
-        while sent := self._control.receive():
+        while self._control.fd in ready and (sent := self._control.receive()):
             fd, number, path = sent
             if number <= self._number:
                 os.close(fd)
