@@ -54,8 +54,8 @@ class Kind:
         remedy: str,
         cleared_by: str = RESET,
     ) -> None:
-        """`number`: never given to another row; `parameters`: name:type, where the type is s, d or f; `noticed_by`:
-        processes."""
+        """`number`: never given to another row; `parameters`: name:type, where the type is s, d or f, and no name
+        is "name"; `noticed_by`: processes."""
         self.number = number
         self.name = name
         self.template = template
@@ -205,9 +205,9 @@ SUSPENDED = _row(
     "keep it from sleeping while the robot is on (`systemctl mask sleep.target`)",
 )  # fmt: skip
 REMOVED = _row(
-    8, "removed", "{name} was removed: restart the service", "name:s",
+    8, "removed", "{what} was removed: restart the service", "what:s",
     "supervisor",
-    "{name}, which others need to find the service, was removed while it ran",
+    "{what}, which others need to find the service, was removed while it ran",
     "look at `failstop doctor`: logind's RemoveIPC=yes removes it when the service's user logs out",
     NEW_RUN,
 )  # fmt: skip
@@ -266,6 +266,12 @@ PIPED = _row(
     "port_owner",
     'somebody wrote to the stop pipe[: "{words}"]',
     "make sure that whatever it was for is over",
+)  # fmt: skip
+BATTERY = _row(
+    23, "battery", "the battery is at {volts:.2f} V", "volts:f",
+    "telemetry",
+    "the battery was at {volts:.2f} V, below the setting battery.stop_mv",
+    "charge it; after a reset the robot may drive to its charger, since it stops for this once a charge",
 )  # fmt: skip
 STOPPING = _row(
     19, "stopping", "service is stopping", "",

@@ -15,10 +15,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from bench import __main__ as bench_main
 from bench import hangs, kills, latency, report, soak, stalls, stats
 from bench.stalls import Control, Stall
+from failstop.policy import causes
 from failstop.shm.heartbeat import MEMORY_LOCKED
 from failstop.trial import Stopped, wait_for
 
 Capture = pytest.CaptureFixture[str]
+HANGS = causes.HANGS("gate", 70)
 MS = 1_000_000
 GOOD = Stopped(0, MS, MS, MS, 0, True)
 
@@ -73,7 +75,7 @@ def test_a_hang_that_is_noticed_late_misses_its_row() -> None:
 
 def test_the_soak_s_bars() -> None:
     assert soak.tick_row(soak.Soak(), judged=True).met is False, "no ticks are not good ticks"
-    false = soak.Soak(seconds=60.0, stops=[(1.0, "gate hangs")])
+    false = soak.Soak(seconds=60.0, stops=[(1.0, HANGS)])
     assert (soak.stop_row(false, realtime=True).met, soak.stop_row(soak.Soak(seconds=1.0), realtime=True).met) == (
         False,
         True,
@@ -106,15 +108,20 @@ def test_a_deadman_that_is_too_soon_or_too_late_misses_its_row(samples_ms: list[
 
 
 def test_the_control_tells_what_the_machine_did_from_what_the_service_did() -> None:
-    found = soak.Soak(seconds=60.0, stops=[(1.0, "gate hangs"), (2.0, "gate hangs")], caused_ns=[1000 * MS, 2000 * MS])
+    found = soak.Soak(seconds=60.0, stops=[(1.0, HANGS), (2.0, HANGS)], caused_ns=[1000 * MS, 2000 * MS])
     stood = Control([Stall(0, 920 * MS, 990 * MS, 70.0), Stall(1, 1990 * MS, 1996 * MS, 0.0)])
     _, explained = soak.stall_rows(found, stood)
-    assert (explained.met, explained.numbers["stops"]) == (False, [(2.0, "gate hangs")]), "6 ms are no reason"
+    assert (explained.met, explained.numbers["stops"]) == (False, [(2.0, str(HANGS))]), "6 ms are no reason"
     assert explained.numbers["stall_ms"] == [70.0, 6.0]
     assert soak.stall_rows(soak.Soak(seconds=60.0), stood)[1].met is True
     assert soak.stop_row(found, realtime=True).met is False, "explained or not"
-    died = dataclasses.replace(found, stops=[(1.0, "gate died"), (2.0, "gate hangs")])
+    died = dataclasses.replace(found, stops=[(1.0, causes.DIED("gate")), (2.0, HANGS)])
     assert soak.stall_rows(died, stood)[1].numbers["found"] == 2, "a stall kills nobody"
+    for cause in (causes.STARVED("gate", 70), causes.HELD_UP(70), causes.MUTE(70), causes.SILENT()):
+        silent = dataclasses.replace(found, stops=[(1.0, cause)], caused_ns=[1000 * MS])
+        assert soak.stall_rows(silent, stood)[1].numbers["found"] == 0, cause
+    posed = dataclasses.replace(found, stops=[(1.0, causes.PIPED(str(HANGS)))], caused_ns=[1000 * MS])
+    assert soak.stall_rows(posed, stood)[1].numbers["found"] == 1, "nobody's words are a silence"
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import json
 import re
 import string
 from pathlib import Path
@@ -22,6 +23,8 @@ from failstop.policy.settings import Settings
 from failstop.screen import reasons
 from failstop.shm import records
 from failstop.shm.layout import PROCESSES
+from tests.incidents.parts import Recorder
+from tests.screen.states import latched, state
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
 FOLDERS = ("board", "shm", "policy", "procs", "supervisor", "failstop", "ros2", "bench")
@@ -63,6 +66,7 @@ def test_a_template_names_the_parameters_of_its_row_and_no_others(kind: Kind) ->
     explained = {field for _, field, _, _ in string.Formatter().parse(kind.what) if field}
     assert explained <= {*names, *(["role"] if "process" in names else []), *(["names"] if "buttons" in names else [])}
     assert set(kind.noticed_by) <= set(PROCESSES)
+    assert "name" not in names, "for programs that is the row's own, beside its arguments"
 
 
 @given(cause=ANY)
@@ -78,6 +82,18 @@ def test_a_cause_comes_back_as_it_went_in(cause: Cause) -> None:
     assert causes.unpack(found.pack()) == found
     assert hash(causes.unpack(found.pack())) == hash(found)
     assert causes.of(found.kind.name, found.named()) == found
+
+
+@every_row
+def test_programs_are_told_the_row_and_its_arguments(kind: Kind) -> None:
+    cause = example(kind)
+    found = json.loads(json.dumps(latched(cause, blocked=f"estop: {cause}").as_dict()))
+    assert found["cause"] == found["last_stop"]["cause"] == {"name": kind.name, **cause.named()}
+    assert found["estop"] == found["last_stop"]["reason"] == str(cause)
+    name = found["cause"].pop("name")
+    assert causes.of(name, found["cause"]) == cause
+    assert Recorder(cause).incident().cause == cause
+    assert (state().as_dict()["cause"], state().as_dict()["last_stop"]) == (None, None)
 
 
 @given(words=st.text(max_size=20), who=st.text(max_size=20), at=st.integers(0, 20))
@@ -280,14 +296,6 @@ def test_no_cause_of_the_service_s_own_begins_as_a_request() -> None:
     begins = [kind for kind in KINDS if kind.template.startswith("stop request")]
     assert begins == list(ASKED)
     assert [kind.name for kind in KINDS if kind not in ASKED and str(example(kind)).startswith("stop request")] == []
-
-
-def test_the_first_cause_since_the_last_reset_stands() -> None:
-    died, asked_for = causes.DIED("gate"), causes.PIPED("")
-    record = records.pack_cause(5, 1, died.pack(), asked_for.pack())
-    assert [causes.standing(record, reset) for reset in (0, 4, 5, 6)] == [died, died, asked_for, asked_for]
-    for damaged in (None, b"", b"short", records.pack_cause(5, 1, b"\xff\xff", b"")):
-        assert causes.standing(damaged, 0) == causes.UNKNOWN()
 
 
 @functools.cache

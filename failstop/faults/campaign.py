@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from failstop.board.sim.client import Event, SimBoardError
 from failstop.errors import FailstopError, Refused
 from failstop.faults import inject
-from failstop.faults.fault import HANG, ITSELF, KILL, RESET, SPIN, Fault, fits
+from failstop.faults.fault import HANG, ITSELF, KILL, RESET, SPIN, Fault, fits, told
 from failstop.faults.judge import verdict
 from failstop.faults.scene import Scene
 from failstop.policy.causes import Cause
@@ -151,7 +151,7 @@ class _Injection:
         else:
             self._end_run()
         if fault.latched:
-            self._check(f"a latch {fault.latched!r}", self._latched)
+            self._check(f"a latch: {told(fault.latched)}", self._latched)
             self._check_latch()
         elif reason := scene.driver.robot.state.estop:
             self.outcome.wrong.append(f"latched: {reason}")

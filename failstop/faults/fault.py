@@ -47,6 +47,11 @@ def fits(cause: Cause | None, wanted: tuple[Wanted, ...]) -> bool:
     )
 
 
+def told(wanted: tuple[Wanted, ...]) -> str:
+    """The same in words."""
+    return " or ".join(" ".join((kind.name, *map(str, first))) for kind, *first in wanted)
+
+
 @dataclasses.dataclass(frozen=True)
 class Fault:
     """One row."""

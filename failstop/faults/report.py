@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from failstop.faults.campaign import Outcome
-from failstop.faults.fault import EVENTS, Fault
+from failstop.faults.fault import EVENTS, Fault, told
 from failstop.faults.table import BEYOND, BY_NAME, TABLE
 from failstop.machine import facts
 
@@ -165,8 +165,7 @@ def markdown(result: dict[str, Any]) -> str:
 
 def described(fault: Fault) -> str:
     """The part of a row that nothing is measured for."""
-    latched = " or ".join(" ".join((kind.name, *map(str, first))) for kind, *first in fault.latched)
-    latched, logged = _code(latched), _code(fault.logged)
+    latched, logged = _code(told(fault.latched)), _code(fault.logged)
     return f"| `{fault.name}` | {fault.cause} | {fault.first} | {latched} | {fault.cleared} | {logged} |"
 
 

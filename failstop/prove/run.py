@@ -8,7 +8,7 @@ import subprocess
 import time
 
 from failstop.errors import FailstopError
-from failstop.faults.fault import fits
+from failstop.faults.fault import fits, told
 from failstop.faults.steps import Steps
 from failstop.prove import shake, table
 from failstop.prove.shake import Noise, Sample, Verdict
@@ -262,7 +262,7 @@ class Run:
         state = self.stand.driver.robot.state
         result.latched = state.estop
         if not fits(state.cause, wanted) if wanted else state.cause:
-            result.wrong.append(f"latched: {result.latched}" + (f", not {wanted}" if wanted else ""))
+            result.wrong.append(f"latched: {result.latched}" + (f", not {told(wanted)}" if wanted else ""))
 
     def _sense_again(self) -> None:
         """The commands have gone on: the wheels turn again by themselves."""

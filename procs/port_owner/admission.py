@@ -1,28 +1,36 @@
 """Admission: may this motion frame go to the wire? Pure; the caller brings the time and the words of shared memory.
 
-A frame is written only when every row holds. The rows that say "stop" are causes: the port owner stops on its own and
-then refuses all motion until it sees a newer epoch than the one it stopped in.
+The first row that does not hold decides. A cause is a stop of the port owner's own: it then refuses all motion until it
+sees a newer epoch than the one it stopped in.
 
-    check                                             else
-    the supervisor is alive and fresh (its lease)     stop
-    the gate is alive and fresh (its lease)           stop
-    the frame is a whole motor frame within the speed stop
-    the frame's epoch is the current one              drop: a frame of a dead epoch, wherever it was queued
-    the current epoch is newer than its own stop      drop
-    the frame is younger than the lease               drop
+    the gate is watched: it lives                                   else DROP
+    the frame's epoch is the current one                            DROP: of a dead epoch, wherever it was queued
+    the current epoch is newer than its own stop                    DROP
+    the frame is younger than the lease                             DROP
+    nobody has asked for a stop meanwhile                           REQUEST: that is the stop
+    the gate is fresh (its lease)                                   the cause
+    the supervisor is fresh (its lease)                             the cause
+    it is a whole motor frame within the speed, or one for the arm  the cause
+    all hold                                                        WRITE
 
-A frame that is dropped but for its speeds of zero, while the wheels may turn, is written as a burst: to stand still is
-never too late.
+BURST instead of DROP for a frame of speeds zero while the wheels may turn: to stand still is never too late.
 """
 
 from __future__ import annotations
 
 from failstop.board.interface import BOARD
 from failstop.policy import causes
+from failstop.shm import layout
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.causes import Cause
+    from failstop.procs.port_owner.servo_bus import ServoBus
+
+MS = 1_000_000
+WRITE, DROP, BURST, REQUEST = range(4)
+Motion = tuple[bytes, int, int]
+"""A motion frame of the gate's, the epoch in which motion was enabled, and when it was made."""
 
 
 class Admission:
@@ -38,25 +46,45 @@ class Admission:
         self.moving = False
         """A motion frame has been written since the last stop."""
 
-    def frame_fault(self, frame: bytes) -> Cause | None:
-        """The cause of a stop that this frame's content is; None: it may go out."""
-        fault = BOARD.check_motion(frame, self._max_rps)
-        return causes.BAD_FRAME(fault) if fault else None
+    def decide(
+        self,
+        motion: Motion,
+        epoch: int,
+        now_ns: int,
+        gate_ns: int | None,
+        supervisor_ns: int,
+        *,
+        requested: bool,
+        bus: ServoBus | None = None,
+    ) -> int | Cause:
+        """One of WRITE, DROP, BURST and REQUEST, or the cause of a stop. `gate_ns`, `supervisor_ns`: when they have
+        beaten last (None: no gate is watched); `requested`: a stop request waits; `bus`: it is a frame for the arm."""
+        if gate_ns is None or not self.current(motion, epoch, now_ns):
+            return BURST if self.moving and motion[0] == BOARD.stop else DROP
+        if requested:
+            return REQUEST
+        if lapse := self.lapsed(gate_ns, supervisor_ns, now_ns):
+            return lapse
+        fault = bus.fault(motion[0]) if bus else BOARD.check_motion(motion[0], self._max_rps)
+        return causes.BAD_FRAME(fault) if fault else WRITE
 
-    def current(self, frame_epoch: int, frame_ns: int, epoch: int, now_ns: int) -> bool:
+    def current(self, motion: Motion, epoch: int, now_ns: int) -> bool:
         """True when the frame is of the current epoch, after any stop of its own, and young enough."""
+        _, frame_epoch, frame_ns = motion
         return frame_epoch == epoch and epoch > self.stopped_in and now_ns - frame_ns < self._lease_ns
 
-    def lapses_ns(self, beat_ns: int) -> int:
-        """When a lease that was last renewed at `beat_ns` runs out."""
-        return beat_ns + self._lease_ns
+    def lapses_ns(self, gate_ns: int, supervisor_ns: int) -> int:
+        """When the first of the leases runs out that were last renewed then."""
+        return min(gate_ns, supervisor_ns) + self._lease_ns
 
-    def lapsed(self, beat_ns: int, now_ns: int) -> bool:
-        """True when a lease that was last renewed at `beat_ns` has run out."""
-        return now_ns - beat_ns >= self._lease_ns
+    def lapsed(self, gate_ns: int, supervisor_ns: int, now_ns: int) -> Cause | None:
+        """The cause of a stop: whose lease has run out; None: both are fresh."""
+        for name, beat_ns in ((layout.GATE, gate_ns), (layout.SUPERVISOR, supervisor_ns)):
+            if now_ns - beat_ns >= self._lease_ns:
+                return causes.HANGS(name, (now_ns - beat_ns) // MS)
+        return None
 
-    def stopped(self, epoch: int, *, own: bool) -> None:
-        """A burst was written in this epoch; `own`: for a cause that the supervisor has not raised the epoch for."""
+    def stopped(self, epoch: int) -> None:
+        """It has stopped in this epoch, for a cause that the supervisor has not raised it for."""
         self.moving = False
-        if own:
-            self.stopped_in = max(self.stopped_in, epoch)
+        self.stopped_in = max(self.stopped_in, epoch)

@@ -13,7 +13,7 @@ from failstop.policy import causes
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, NEVER, READ, WRITE, Deadline, Loop
 from failstop.procs.peer import Peer
-from failstop.procs.port_owner import repeats
+from failstop.procs.port_owner import admission, repeats
 from failstop.procs.port_owner.admission import Admission
 from failstop.procs.port_owner.pings import Pings
 from failstop.procs.port_owner.servo_bus import ServoBus
@@ -27,6 +27,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.causes import Cause
     from failstop.procs.context import Context
+    from failstop.procs.port_owner.admission import Motion
 
 MS = 1_000_000
 TICK_NS = 20 * MS
@@ -45,10 +46,6 @@ class PortOwner:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
-        own = context.own
-        supervisor = context.segment("supervisor")
-        gate = context.segment("gate")
-        telemetry = context.segment("telemetry")
         self.heartbeat = context.heartbeat
         self.loop = Loop()
         self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
@@ -57,87 +54,75 @@ class PortOwner:
         ping = self.loop.deadline() if BOARD.pings else Deadline()
         self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), ping, monotonic_ns())
         self.suspend = SuspendWatch()
+        self._pipe_rests = self.loop.deadline()
+        """Until then, after a request."""
+        self._lapse = self.loop.deadline()
+        """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
+        self._leave = self.loop.deadline()
+        """Once the supervisor has died."""
+        self._barrier = Barrier()
+        self._moved_ns = 0
+        self._arm_moved = False
+        """A servo was sent somewhere since the last stop."""
+        self._silence_ns = 2 * settings.ns("gate.refresh_s")
+        self._stuck = False
+        self._watched = (-1, 0)
+        self._attach(context)
+        self._watch_others(context)
+        self.epoch = self._epoch_word.get()
+        self.wire = Wire(context.fd("port"), self.bus.servos)
+        self._number = context.port_number
+        self._path = settings.text("device.path")
+        self._burst()
+        self._stopped_word.set(self.epoch)
+        self.wire.keep(context.own.ring_writer("box"))
+        self._publish_port(monotonic_ns())
 
-        self._epoch_word = supervisor.word("epoch")
-        self._supervisor_beat = supervisor.word("beat_ns")
-        self._frames = gate.ring_reader("frames")
-        self._trips = telemetry.ring_reader("trips")
+    def _attach(self, context: Context) -> None:
+        """What it publishes, and whom it wakes for it."""
+        own = context.own
         self._stopped_word = own.word("stopped_epoch")
         self._written_word = own.word("written_ns")
         self._moving_word = own.word("moving")
-        self._barrier = Barrier()
         self._ping_words = [own.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._port_record = own.latest_writer("port")
         self._stops = own.ring_writer("stops")
         self._received = own.ring_writer("received")
-
-        self._bell = context.bell("bell")
         self._supervisor_bell = context.bell("supervisor_bell")
         self._telemetry_bell = context.bell("telemetry_bell")
+
+    def _watch_others(self, context: Context) -> None:
+        """What it reads, and what wakes it."""
+        supervisor = context.segment("supervisor")
+        self._epoch_word = supervisor.word("epoch")
+        self._supervisor_beat = supervisor.word("beat_ns")
+        self._frames = context.segment("gate").ring_reader("frames")
+        self._trips = context.segment("telemetry").ring_reader("trips")
+        self._bell = context.bell("bell")
         self._stop_pipe = context.fd("stop")
+        self._control = Control(context.fd("control"))
         self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
         self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 0)
         self._gate = Peer(layout.GATE, context, self.loop)
         self._peers = (self._gate, *(Peer(name, context, self.loop) for name in (layout.TELEMETRY, layout.STOPPER)))
-        self._pipe_rests = self.loop.deadline()
-        """Until then, after a request."""
-        self._lapse = self.loop.deadline()
-        """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
-        self._moved_ns = 0
-        self._arm_moved = False
-        """A servo was sent somewhere since the last stop."""
-        self._silence_ns = 2 * settings.ns("gate.refresh_s")
-        self._leave = self.loop.deadline()
-        """Once the supervisor has died."""
-        self._stuck = False
-        self._watched = (-1, 0)
-        self.epoch = self._epoch_word.get()
-
-        self.wire = Wire(context.fd("port"), self.bus.servos)
-        self._number = context.port_number
-        self._path = settings.text("device.path")
-        self._control = Control(context.fd("control"))
-        self.wire.burst()
-        self._stopped(monotonic_ns())
-        self._stopped_word.set(self.epoch)
-        self.wire.keep(own.ring_writer("box"))
-        self._publish_port(monotonic_ns())
-
         for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._stop_pipe, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
 
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
         now_ns = monotonic_ns()
-        if self._stop_pipe in ready:
-            self._stop_request(now_ns)
-        elif self._pipe_rests.due(now_ns):
-            self._wake_pipe()
+        self._hear_requests(ready, now_ns)
         bell.clear_rung((self._bell, self._early.bell), ready)
-        while trip := self._trips.next():
-            self.wire.burst()
-            self._own_stop(trip[1], monotonic_ns(), causes.read(trip[2]))
-        for peer in self._peers:
-            if peer.down(ready):
-                self._died(peer, now_ns)
-        if self._leave.ns == NEVER and self._supervisor_life.down(ready):
-            self._leave.set(now_ns + repeats.LEAVE_AFTER_NS)
-            self.wire.burst()
-            self._supervisor_life.demote()
-            for peer in self._peers:
-                peer.demote()  # it dies with its parent
-            self._own_stop(now_ns, monotonic_ns(), causes.DIED(layout.SUPERVISOR))
-            self.loop.forget(self._supervisor_life.fd)
-            self.loop.forget(self._control.fd)
+        self._hear_trips()
+        self._answer_deaths(ready, now_ns)
         self._follow_epoch(now_ns)
         self._check_suspend(now_ns)
         self._check_leases(now_ns)
         self._check_drain(now_ns)
         self._forward_frames()
-        self._serve_port(ready.get(self.wire.fd, 0), now_ns)
-        if self._control.fd in ready:
-            self._take_port(now_ns)
+        self._serve_port(ready, now_ns)
+        self._take_port(ready, now_ns)
         self._repeat(now_ns)
         self._ping(now_ns)
         self._watch_port()
@@ -153,10 +138,15 @@ class PortOwner:
         """What follows a burst for a cause of its own. The epoch is the one in force now, seen or not: the supervisor
         answers the published cause with a newer one."""
         epoch = self._epoch_word.get()
-        self.admission.stopped(epoch, own=True)
+        self.admission.stopped(epoch)
         written_ns = self._stopped(written_ns)
         self._stops.put(records.pack_stop(epoch, cause_ns, written_ns, cause.pack()))
         self._supervisor_bell.ring()
+
+    def _burst(self) -> None:
+        """A stop that is no cause: for one that the supervisor knows, or that the gate has made."""
+        self.wire.burst()
+        self._stopped(monotonic_ns())
 
     def _stopped(self, written_ns: int) -> int:
         """What follows every burst. Returns when it was written: 0 when the kernel did not take all of it."""
@@ -169,6 +159,12 @@ class PortOwner:
         self._written_word.set(written_ns)
         self._moving_word.set(0)
         return written_ns
+
+    def _hear_requests(self, ready: dict[int, int], now_ns: int) -> None:
+        if self._stop_pipe in ready:
+            self._stop_request(now_ns)
+        elif self._pipe_rests.due(now_ns):
+            self._wake_pipe()
 
     def _stop_request(self, now_ns: int) -> None:
         """Any bytes are a stop; the text, where there is one, only says why.
@@ -189,11 +185,29 @@ class PortOwner:
             self._pipe_rests.set(NEVER)
             self.loop.watch(self._stop_pipe, READ)
 
-    def _died(self, peer: Peer, now_ns: int) -> None:
-        self.wire.burst()
-        peer.demote()
-        self._own_stop(now_ns, monotonic_ns(), peer.death)
-        peer.drop()
+    def _hear_trips(self) -> None:
+        """Buttons and keys, which telemetry has decoded."""
+        while trip := self._trips.next():
+            self.wire.burst()
+            self._own_stop(trip[1], monotonic_ns(), causes.read(trip[2]))
+
+    def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
+        """The supervisor's is the end of this process too, when the stop has been repeated."""
+        for peer in self._peers:
+            if peer.down(ready):
+                self.wire.burst()
+                peer.demote()
+                self._own_stop(now_ns, monotonic_ns(), peer.death)
+                peer.drop()
+        if self._leave.ns == NEVER and self._supervisor_life.down(ready):
+            self._leave.set(now_ns + repeats.LEAVE_AFTER_NS)
+            self.wire.burst()
+            self._supervisor_life.demote()
+            for peer in self._peers:
+                peer.demote()  # it dies with its parent
+            self._own_stop(now_ns, monotonic_ns(), causes.DIED(layout.SUPERVISOR))
+            self.loop.forget(self._supervisor_life.fd)
+            self.loop.forget(self._control.fd)
 
     def _follow_epoch(self, now_ns: int) -> None:
         """A raised epoch is a stop that somebody else noticed. The answer is always a burst, but for a stop of its own
@@ -203,22 +217,12 @@ class PortOwner:
             just_stopped = self.admission.stopped_in >= self.epoch and not self.admission.moving
             self.epoch = epoch
             if not just_stopped:
-                self.wire.burst()
-                self.admission.stopped(epoch, own=False)
-                self._stopped(monotonic_ns())
+                self._burst()
             self._stopped_word.set(epoch)
             self._supervisor_bell.ring()
         for peer in self._peers:
             if peer.follow():
                 self.stop(now_ns, peer.death)
-
-    def _lapsed(self, now_ns: int) -> Cause | None:
-        """Whose lease has run out; None when both are fresh."""
-        for beat, name in ((self._gate.heart.ns, layout.GATE), (self._supervisor_beat, layout.SUPERVISOR)):
-            beat_ns = beat.get()
-            if self.admission.lapsed(beat_ns, now_ns):
-                return causes.HANGS(name, (now_ns - beat_ns) // MS)
-        return None
 
     def _check_suspend(self, now_ns: int) -> bool:
         """On resume everything is older than it looks: commands, frames, and what people know of the robot's place."""
@@ -230,7 +234,7 @@ class PortOwner:
         """At the moment when one runs out, not at a tick after it. Without motion there is nothing to stop."""
         if not self.admission.moving:
             return
-        if lapse := self._lapsed(now_ns):
+        if lapse := self.admission.lapsed(self._gate.heart.ns.get(), self._supervisor_beat.get(), now_ns):
             self.stop(now_ns, lapse)
         elif now_ns - self._moved_ns > self._silence_ns:
             # Its beat is fresh, its frames are not: the board would keep the last of them for ever.
@@ -239,7 +243,7 @@ class PortOwner:
             self._await_lapse()
 
     def _await_lapse(self) -> None:
-        lapses_ns = self.admission.lapses_ns(min(self._gate.heart.ns.get(), self._supervisor_beat.get()))
+        lapses_ns = self.admission.lapses_ns(self._gate.heart.ns.get(), self._supervisor_beat.get())
         self._lapse.set(min(lapses_ns, self._moved_ns + self._silence_ns + 1))
 
     def _check_drain(self, now_ns: int) -> None:
@@ -252,17 +256,15 @@ class PortOwner:
 
     def _forward_frames(self) -> None:
         """Drain the gate's ring: of motion the newest counts, a stop ends all motion queued before it."""
-        motion = b""
-        arm: list[tuple[bytes, int, int]] = []
-        motion_ns = 0
-        motion_epoch = 0
+        motion: Motion | None = None
+        arm: list[Motion] = []
         while entry := self._frames.next():
             _, frame_ns, payload = entry
             epoch, kind, body = records.unpack_frame(payload)
             if kind == records.MOTION:
-                motion, motion_ns, motion_epoch = body, frame_ns, epoch
+                motion = (body, epoch, frame_ns)
             elif kind == records.STOP:
-                motion = b""
+                motion = None
                 arm.clear()
                 self._gate_stop()
             elif kind == records.ARM:
@@ -270,45 +272,38 @@ class PortOwner:
             elif not BOARD.check_aux(body):
                 self.wire.frame(body, backlog=OTHER_BACKLOG)
         for found in arm:
-            self._forward_arm(*found)
+            self._forward_arm(found)
         if motion:
-            self._forward_motion(motion, motion_epoch, motion_ns)
+            self._forward_motion(motion)
 
     def _gate_stop(self) -> None:
         """The gate wants a burst: at once while something moves, else not again so soon after the last: clients that
         disable again and again must not keep the wire full."""
         now_ns = monotonic_ns()
         if self.admission.moving or self._arm_moved or now_ns - self._written_word.get() >= PIPE_REST_NS:
-            self.wire.burst()
-            self._stopped(monotonic_ns())
+            self._burst()
 
-    def _forward_arm(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
+    def _forward_arm(self, motion: Motion) -> None:
         """As for motion; what is dropped is sent no more, since the next move of the stream follows."""
         now_ns = monotonic_ns()
-        if not self._gate.life or not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
-            return
-        if self._pipe_rests.ns != NEVER and self.loop.readable(self._stop_pipe):
-            self._stop_request(now_ns)
-        elif lapse := self._lapsed(now_ns):
-            self.stop(now_ns, lapse)
-        elif fault := self.bus.fault(frame):
-            self.stop(now_ns, causes.BAD_FRAME(f"for the arm, {fault}"))
-        elif self.bus.admits(frame, now_ns, wheels_move=self.admission.moving):
-            self._write_arm(frame, frame_epoch, frame_ns)
+        if self._decided(motion, now_ns, self.bus) == admission.WRITE and self.bus.admits(
+            motion[0], now_ns, wheels_move=self.admission.moving
+        ):
+            self._write_arm(motion)
 
-    def _write_arm(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
+    def _write_arm(self, motion: Motion) -> None:
         """Says that it moves while it writes, as for motion; afterwards no more: a servo's move ends by itself."""
         before = self._moving_word.get()
         self._moving_word.set(1)
         self._barrier()
         now_ns = monotonic_ns()
-        if self._epoch_word.get() != frame_epoch:
+        if self._epoch_word.get() != self.epoch:
             self._follow_epoch(now_ns)
         elif (
-            self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns)
+            self.admission.current(motion, self.epoch, now_ns)
             and not self._check_suspend(now_ns)
-            and self.wire.frame(frame, backlog=OTHER_BACKLOG)
-            and self.bus.wrote(frame, now_ns)
+            and self.wire.frame(motion[0], backlog=OTHER_BACKLOG)
+            and self.bus.wrote(motion[0], now_ns)
         ):
             self._arm_moved = True
             self.repeats.motion()
@@ -316,35 +311,37 @@ class PortOwner:
         if not (before or self.wire.unsent or self.wire.lost):
             self._moving_word.set(0)
 
-    def _forward_motion(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
-        """The table of admission.py, row by row; the epoch is looked at again just before the write. The time is that
-        of the write: a process that was held up since it woke must not pass what was young then."""
-        now_ns = monotonic_ns()
-        if not self._gate.life or not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
-            if frame == BOARD.stop and self.admission.moving:
-                # Never too old: the wheels would turn on until the next refresh.
-                self.wire.burst()
-                self._stopped(monotonic_ns())
-            return
-        if self._pipe_rests.ns != NEVER and self.loop.readable(self._stop_pipe):
-            self._stop_request(now_ns)
-        elif fault := self._lapsed(now_ns) or self.admission.frame_fault(frame):
-            self.stop(now_ns, fault)
-        else:
-            self._write_motion(frame, frame_epoch, frame_ns)
+    def _forward_motion(self, motion: Motion) -> None:
+        if self._decided(motion, monotonic_ns()) == admission.WRITE:
+            self._write_motion(motion)
 
-    def _write_motion(self, frame: bytes, frame_epoch: int, frame_ns: int) -> None:
+    def _decided(self, motion: Motion, now_ns: int, bus: ServoBus | None = None) -> int | Cause:
+        """The table of admission.py, all of it carried out but WRITE; `bus`: for the arm's. The time is that of the
+        write: a process that was held up since it woke must not pass what was young then."""
+        requested = self._pipe_rests.ns != NEVER and self.loop.readable(self._stop_pipe)
+        gate_ns = self._gate.heart.ns.get() if self._gate.life else None
+        beat_ns = self._supervisor_beat.get()
+        verdict = self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, requested=requested, bus=bus)
+        if verdict == admission.BURST:
+            self._burst()
+        elif verdict == admission.REQUEST:
+            self._stop_request(now_ns)
+        elif not isinstance(verdict, int):
+            self.stop(now_ns, verdict)
+        return verdict
+
+    def _write_motion(self, motion: Motion) -> None:
         """Says that it moves before it looks at epoch and time once more: whoever reads that nothing moves, having
         raised the epoch or not, knows that no frame is about to be written that would not be good then. So one that is
         starved here, for however long, may live."""
         self._moving_word.set(1)
         self._barrier()
         now_ns = monotonic_ns()
-        if self._epoch_word.get() != frame_epoch:
+        frame = motion[0]
+        if self._epoch_word.get() != self.epoch:
             self._follow_epoch(now_ns)
-        elif not self.admission.current(frame_epoch, frame_ns, self.epoch, now_ns):
-            self.wire.burst()
-            self._stopped(monotonic_ns())
+        elif not self.admission.current(motion, self.epoch, now_ns):
+            self._burst()
         elif self._check_suspend(now_ns):
             return
         elif self.wire.frame(frame, backlog=MOTION_BACKLOG):
@@ -357,9 +354,10 @@ class PortOwner:
             # Standing still does not wait for the next refresh, and a burst may be added to whatever is held.
             self.wire.burst()
 
-    def _serve_port(self, events: int, now_ns: int) -> None:
+    def _serve_port(self, ready: dict[int, int], now_ns: int) -> None:
         """Pass on what the board sent, finish what the kernel did not take, notice a port that is gone."""
         wire = self.wire
+        events = ready.get(wire.fd, 0)
         if wire.fd >= 0:
             if events & WRITE:
                 wire.flush()
@@ -372,10 +370,10 @@ class PortOwner:
             if wire.lost:
                 self._port_lost(now_ns)
 
-    def _take_port(self, now_ns: int) -> None:
+    def _take_port(self, ready: dict[int, int], now_ns: int) -> None:
         """The supervisor has opened a port and stopped on it. The loss of the one before is a stop of its own, seen
         here by now or not; one that is known already was sent twice."""
-        while sent := self._control.receive():
+        while self._control.fd in ready and (sent := self._control.receive()):
             fd, number, path = sent
             if number <= self._number:
                 os.close(fd)

@@ -81,6 +81,18 @@ class Stopper:
             self._excused_ns = now_ns
         self._turned_ns = now_ns
         bell.clear_rung((self._bell, self._early.bell), ready)
+        self._answer_deaths(ready, now_ns)
+        self._write_due(now_ns)
+        if ready.get(self._port.fd, 0) & GONE or self._port.lost or self._is_given_up():
+            self.close_port()
+        self._adopt_port(ready)
+        if not self._orphaned_ns:
+            self._follow_port_owner(now_ns)
+        self.heartbeat.beat(now_ns, self._epoch_word.get())
+        return not self._leave.due(now_ns)
+
+    def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
+        """The port owner's at once. It has the first go at the supervisor's, which is the end of this process too."""
         if died := self._port_owner.down(ready):
             self._port_owner_died(died, now_ns)
             self._port_owner.drop()
@@ -91,17 +103,6 @@ class Stopper:
             self._leave.set(now_ns + LEAVE_AFTER_NS)
             self._hang.set(NEVER)
             self._first_go.set(now_ns + FIRST_GO_NS if self._port_owner.life else now_ns)
-        self._write_due(now_ns)
-        if ready.get(self._port.fd, 0) & GONE or self._port.lost or self._is_given_up():
-            self.close_port()
-        if self._control.fd in ready:
-            self._adopt_port()
-        if not self._orphaned_ns:
-            if died := self._port_owner.follow():
-                self._port_owner_died(died, now_ns)
-            self._answer_hang(now_ns)
-        self.heartbeat.beat(now_ns, self._epoch_word.get())
-        return not self._leave.due(now_ns)
 
     def _port_owner_died(self, pid: int, now_ns: int) -> None:
         self._stopped_for = pid
@@ -148,9 +149,11 @@ class Stopper:
             return NEVER
         return max(heart.ns.get(), self._excused_ns) + HANG_NS
 
-    def _answer_hang(self, now_ns: int) -> None:
-        """A port owner that has fallen silent gets one burst, and is fenced; one that the machine starves is given as
-        long again, while it moves nothing."""
+    def _follow_port_owner(self, now_ns: int) -> None:
+        """Whom the supervisor names. One that has fallen silent gets one burst, and is fenced; one that the machine
+        starves is given as long again, while it moves nothing."""
+        if died := self._port_owner.follow():
+            self._port_owner_died(died, now_ns)
         self._hang.set(self._hangs_ns())
         if not self._hang.due(now_ns):
             return
@@ -181,9 +184,9 @@ class Stopper:
         """True when the port owner has found this port gone."""
         return records.port_state(self._port_record.read(), self._number) == records.PORT_LOST
 
-    def _adopt_port(self) -> None:
+    def _adopt_port(self, ready: dict[int, int]) -> None:
         """One that it has already was sent twice."""
-        while sent := self._control.receive():
+        while self._control.fd in ready and (sent := self._control.receive()):
             fd, number, _ = sent
             if number < self._number + (self._port.fd >= 0):
                 os.close(fd)

@@ -79,7 +79,7 @@ class Telemetry:
         if settings.servos():
             self._handlers[framing.BUS_SERVO] = self._on_servo
         self._decoder = decoder.Decoder()
-        self._trips = Trips(int(settings["pad.mode_button"]), int(settings["key.stop"]))
+        self._trips = Trips(int(settings["pad.mode_button"]), int(settings["key.stop"]), settings["battery.stop_mv"])
         self._pad = Pad.of(settings, self._trips)
         self._pad_mode = records.PAD_MODES[self._pad.mode]
         self._tones = Tones(on=settings.on("buzzer.tones"))
@@ -231,6 +231,7 @@ class Telemetry:
 
     def _on_system(self, data: bytes, t_ns: int) -> None:
         if millivolts := decoder.battery_mv(data):
+            self._trip(self._trips.battery(millivolts))
             if self._charger.take(millivolts, t_ns):
                 name = records.PLUGGED[self._charger.state]
                 self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")

@@ -12,8 +12,8 @@ import pytest
 from failstop.board.stop_port import StopPort
 from failstop.doctor import stop_test
 from failstop.errors import FailstopError
+from failstop.policy import causes
 from failstop.robot import Robot
-from failstop.shm.records import requested
 from failstop.state import Stop
 from failstop.supervisor.port import OwnPort
 from failstop.trial import Trial
@@ -63,8 +63,9 @@ class Told:
 
 
 def test_the_answer_is_waited_for_from_before_the_stop_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    ours = dataclasses.replace(stop(requested(stop_test.REASON)), written_us=300.0, acknowledged_us=None)
-    stops = [None, stop("another's"), ours, dataclasses.replace(ours, acknowledged_us=1500.0)]
+    asked = [causes.REQUESTED(words, "failstop doctor", 7) for words in (stop_test.REASON, "another's")]
+    ours = dataclasses.replace(stop(asked[0]), written_us=300.0, acknowledged_us=None)
+    stops = [None, stop(asked[1]), ours, dataclasses.replace(ours, acknowledged_us=1500.0)]
     monkeypatch.setattr(stop_test, "Robot", lambda *_, **__: Told(stops))
     (found,) = stop_test.by_service("any")
     assert (found.written, found.answered_ms, found.problem) == (True, 1.5, "")

@@ -11,6 +11,7 @@ from typing import Any
 from failstop import Refused
 from failstop.board.sim.client import Event
 from failstop.errors import FailstopError
+from failstop.policy import causes
 from failstop.trial import Trial, judge, wait_for
 from tests.commands import FAILSTOP
 
@@ -96,6 +97,9 @@ def latched(found: dict[str, Any], reason: str) -> None:
     assert found["enabled"] is False
     assert found["body_vel"] == [0.0, 0.0, 0.0]
     assert found["last_stop"]["reason"] == reason
+    assert found["last_stop"]["cause"] == found["cause"]
+    name, arguments = found["cause"]["name"], {key: value for key, value in found["cause"].items() if key != "name"}
+    assert str(causes.of(name, arguments)) == reason
 
 
 def stopped(seen: Seen, fault_ns: int) -> None:

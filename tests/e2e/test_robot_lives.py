@@ -393,7 +393,7 @@ def test_the_port_owner_s_own_stop_is_told_before_anybody_answers_it(trial: Tria
         for process in ("gate", "supervisor"):
             os.kill(pids[process], signal.SIGSTOP)
         wait_for("its word", lambda: stops.next() is not None)
-        stopped(trial.robot.state, "gate hangs: silent for ", "supervisor hangs: silent for ")
+        stopped(trial.robot.state, "gate hangs: ", "supervisor hangs: ")
     finally:
         for process in ("supervisor", "gate"):
             os.kill(pids[process], signal.SIGCONT)

@@ -12,10 +12,10 @@ import time
 import pytest
 
 from failstop.client import send_stop
+from failstop.policy import causes
 from failstop.screen import verdict
 from failstop.shm import instance
 from failstop.shm.records import ASKED_BYTES
-from failstop.supervisor.aftermath import UNSTILL
 from failstop.supervisor.allowance import ASKED_BYTES as ASKED_ROOM
 from failstop.trial import Trial, judge, wait_for
 from tests.commands import failstop
@@ -130,9 +130,9 @@ def test_the_first_reason_is_kept(trial: Trial) -> None:
 
 
 def test_pad_button_and_key_stop(trial: Trial) -> None:
-    for press, reason in (
-        (lambda: trial.board.pad(0x0100), "gamepad button 0x0100"),
-        (lambda: trial.board.key(1, 0x01), "key1"),
+    for press, cause in (
+        (lambda: trial.board.pad(0x0100), causes.BUTTON(0x0100)),
+        (lambda: trial.board.key(1, 0x01), causes.KEY(1)),
     ):
         trial.enable()
         trial.drive(0.15)
@@ -145,17 +145,19 @@ def test_pad_button_and_key_stop(trial: Trial) -> None:
         assert stopped.stop_ns is not None
         assert stopped.stop_ns < 100e6
         assert stopped.motion_after == 0
-        assert trial.robot.state.estop == reason
+        assert trial.robot.state.cause == cause
+        assert trial.robot.state.estop == str(cause)
         trial.board.pad(0)
 
 
-@pytest.mark.parametrize("words", ["gate died", UNSTILL, "gamepad button 0x0100", "stop request"])
+@pytest.mark.parametrize("words", ["gate died", str(causes.UNSTILL()), "gamepad button 0x0100", "stop request"])
 def test_nobody_s_words_pass_for_a_cause_of_the_service_s_own(trial: Trial, words: str) -> None:
     trial.enable()
     assert _as_nobody(lambda: send_stop(trial.name, words)) == 0
     wait_for("the latch", lambda: trial.robot.state.estop is not None)
     state = trial.robot.state
     assert state.estop == f"stop request: {words}"
+    assert state.cause == causes.PIPED(words)
     assert verdict.word(state)[0] == verdict.STOPPED, "what the IMU sees is not for anybody to say"
     assert all(process.restarts == 0 for process in state.processes.values())
     killed_pid = state.processes["gate"].pid

@@ -16,6 +16,7 @@ from failstop.faults.campaign import Outcome, _Injection, draw, inject_one
 from failstop.faults.judge import verdict
 from failstop.faults.scene import Scene
 from failstop.faults.table import BY_NAME, TABLE
+from failstop.policy.causes import KEY
 from failstop.trial import judge
 
 MS = 1_000_000
@@ -110,17 +111,17 @@ def test_a_seed_is_a_campaign() -> None:
 def test_a_row_that_does_not_hold_is_told(scene: Scene) -> None:
     """Rows that are not true: the campaign must say so, with what the board and the service said."""
     lies = (
-        (BY_NAME["kill-gate"], {"latched": "^never"}, "a latch '^never'"),
-        (BY_NAME["kill-gate"], {"logged": "never said"}, "a line of the service"),
+        (BY_NAME["kill-gate"], {"latched": ((KEY, 9),)}, "a latch: key 9"),
+        (BY_NAME["kill-gate"], {"logged": "never said"}, "the service to say 'never said'"),
         (BY_NAME["board-garbles-up"], {"bar_ms": 5.0}, "NO STOP"),
-        (BY_NAME["stop-request"], {"latched": "", "cleared": "by itself", "bar_ms": None}, "nothing was to stop"),
+        (BY_NAME["stop-request"], {"latched": (), "cleared": "by itself", "bar_ms": None}, "nothing was to stop"),
         (
             BY_NAME["stop-request"],
-            {"latched": "", "cleared": "by itself", "bar_ms": None},
+            {"latched": (), "cleared": "by itself", "bar_ms": None},
             "latched: stop request: nobody says so",
         ),
-        (BY_NAME["stop-request"], {"latched": "", "cleared": "by itself", "bar_ms": None}, "the wheels stand, and"),
-        (BY_NAME["stop-request"], {"latched": "", "cleared": "by itself", "bar_ms": None}, "the wheels to turn again"),
+        (BY_NAME["stop-request"], {"latched": (), "cleared": "by itself", "bar_ms": None}, "the wheels stand, and"),
+        (BY_NAME["stop-request"], {"latched": (), "cleared": "by itself", "bar_ms": None}, "the wheels to turn again"),
         (BY_NAME["board-garbles-up"], {"cleared": "enable"}, "the wheels to stand"),
         (BY_NAME["board-garbles-up"], {"cleared": "enable"}, "blocked: disabled"),
     )

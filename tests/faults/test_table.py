@@ -10,9 +10,10 @@ import pytest
 
 from failstop.faults import inject, report
 from failstop.faults.campaign import inject_one
-from failstop.faults.fault import CONTINUE, EVENTS, HANG, ITSELF, KILL, NEW_RUN, SPIN, Fault
+from failstop.faults.fault import CONTINUE, EVENTS, HANG, ITSELF, KILL, NEW_RUN, SPIN, Fault, fits
 from failstop.faults.scene import Scene
 from failstop.faults.table import BY_NAME, TABLE
+from failstop.policy import causes
 from failstop.shm.layout import PROCESSES, SUPERVISOR
 
 DESIGN = {
@@ -44,6 +45,14 @@ DESIGN = {
     "names of shared memory taken away": ("names-removed",),
 }
 """What the design says must be noticed, and the rows for it."""
+NO_FAULT = {
+    *(causes.BAD_FRAME, causes.UNKNOWN),  # a defect of the service's own
+    causes.BATTERY,  # only where a setting asks for it
+    causes.UNSTILL,  # comes after the stop of another row
+    causes.REQUESTED,  # as PIPED, but that somebody says who it is
+    *(causes.REMOVED, causes.STOPPING, causes.ALL_DIED, causes.SILENT),  # with them the run ends, or nobody is to latch
+}
+"""Causes that no row latches."""
 
 
 @pytest.mark.slow
@@ -81,8 +90,12 @@ def test_every_row_has_an_injector_and_every_injector_a_row() -> None:
 @pytest.mark.parametrize("fault", TABLE, ids=lambda fault: fault.name)
 def test_a_row_is_in_order(fault: Fault) -> None:
     assert re.fullmatch(r"[a-z_+-]+", fault.name)
-    re.compile(fault.latched)
-    re.compile(fault.logged)
+    for kind, *first in fault.latched:
+        assert causes.BY_NUMBER[kind.number] is kind
+        assert all(type(value) is of for value, (_, of) in zip(first, kind.parameters, strict=False))
+        assert len(first) <= len(kind.parameters)
+        assert "process" not in dict(kind.parameters) or set(first) <= set(PROCESSES)
+        assert kind.cleared_by == causes.RESET, "what nothing but a new start clears is latched by no row"
     if fault.cleared in (NEW_RUN, ITSELF):
         assert not fault.latched, "a latch does not clear by itself, nor outlive the run"
     if fault.bar_ms is None:
@@ -90,9 +103,26 @@ def test_a_row_is_in_order(fault: Fault) -> None:
     else:
         assert fault.limit_ms is not None
         assert fault.limit_ms > fault.bar_ms
-        assert fault.logged or fault.cleared == ITSELF, "a stop that is not over by itself is said"
+        assert fault.logged or fault.latched or fault.cleared == ITSELF, "a stop that is not over by itself is said"
     lost = SUPERVISOR in fault.struck(KILL, HANG, SPIN) and SUPERVISOR not in fault.struck(CONTINUE)
     assert not lost or not fault.survives
+
+
+def test_what_is_latched_fits_its_row_and_no_other() -> None:
+    died, hangs = causes.DIED("gate"), causes.HANGS("gate", 61)
+    assert fits(died, ((causes.DIED, "gate"),))
+    assert fits(died, ((causes.DIED,),))
+    assert fits(hangs, ((causes.DIED, "gate"), (causes.HANGS, "gate"), (causes.STARVED, "gate")))
+    assert not fits(died, ((causes.DIED, "telemetry"), (causes.HANGS, "gate")))
+    assert not fits(causes.PIPED("gate died"), ((causes.DIED, "gate"), (causes.REQUESTED,)))
+    assert not fits(causes.PIPED("asked"), ((causes.PIPED, "asked meanwhile"),))
+    assert not fits(None, ((causes.DIED,),))
+    assert not fits(died, ())
+
+
+def test_every_cause_of_a_running_service_is_in_the_table() -> None:
+    latched = {kind for fault in TABLE for kind, *_ in fault.latched}
+    assert set(causes.BY_NUMBER.values()) - latched == NO_FAULT
 
 
 def test_the_page_has_the_rows_of_the_table() -> None:

@@ -46,7 +46,7 @@ def owned(name: str, process: str) -> segment.Segment:
 
 def test_words_latest_and_rings_come_back_as_written(name: str) -> None:
     gate = owned(name, layout.GATE)
-    gate.word("reset_epoch").set(9)
+    gate.word("resets_asked").set(9)
     gate.latest_writer("state").write(b"old", 1)
     gate.latest_writer("state").write(b"new", 2)
     gate.latest_writer("reply.0").write(b"secret", 2)
@@ -54,7 +54,7 @@ def test_words_latest_and_rings_come_back_as_written(name: str) -> None:
     for number in range(box.GATE_SLOTS + 5):
         writer.put(b"%d" % number, number)
     found = copying.segment(layout.GATE, *copies(name)[layout.GATE])
-    assert found["words"]["reset_epoch"] == 9
+    assert found["words"]["resets_asked"] == 9
     assert found["latest"] == {"state": [2, 2, b"new"]}
     ring = found["rings"]["box"]
     assert [entry[0] for entry in ring] == list(range(6, box.GATE_SLOTS + 6)), "in order, the oldest overwritten"
@@ -166,26 +166,24 @@ def test_the_first_cause_is_told_but_for_what_dies_with_its_parent(
 
 
 @pytest.mark.parametrize(
-    ("beat_ms", "reset_epoch", "wanted"),
+    ("beat_ms", "since", "wanted"),
     [
-        (101, 0, (100_000_000, 3, GATE_DIED)),
-        (249, 2, (100_000_000, 3, GATE_DIED)),
-        (250, 0, None),  # its saver was started
-        (101, 3, None),
+        (101, 3, (100_000_000, 3, GATE_DIED)),
+        (249, 3, (100_000_000, 3, GATE_DIED)),
+        (250, 3, None),  # its saver was started
+        (101, 0, None),
     ],
 )
 def test_a_stop_that_the_supervisor_did_not_live_to_have_saved(
-    name: str, beat_ms: int, reset_epoch: int, wanted: tuple[int, int, Cause] | None
+    name: str, beat_ms: int, since: int, wanted: tuple[int, int, Cause] | None
 ) -> None:
     assert copying.unsaved_cause(copies(name), 150_000_000) is None, "there was none"
     supervisor = owned(name, layout.SUPERVISOR)
     supervisor.word("beat_ns").set(beat_ms * 1_000_000)
-    owned(name, layout.GATE).word("reset_epoch").set(reset_epoch)
-    supervisor.latest_writer("cause").write(
-        records.pack_cause(3, 100_000_000, GATE_DIED.pack(), causes.DEVICE_LOST().pack())
-    )
+    latch = supervisor.latest_writer("latch")
+    latch.write(records.pack_latch(since, 100_000_000, 100_000_000, GATE_DIED.pack()))
     assert copying.unsaved_cause(copies(name), 150_000_000) == wanted
-    supervisor.latest_writer("cause").write(b"short")
+    latch.write(b"short")
     assert copying.unsaved_cause(copies(name), 150_000_000) is None
 
 

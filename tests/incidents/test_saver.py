@@ -135,7 +135,7 @@ def test_a_dead_run_s_file_is_of_what_came_first(saving: Saving) -> None:
     saving.supervisor.word("epoch").set(2)
     saving.supervisor.word("beat_ns").set(1_001_000_000)
     died = causes.DIED("gate").pack()
-    saving.supervisor.latest_writer("cause").write(records.pack_cause(2, 1_000_000_000, died, died))
+    saving.supervisor.latest_writer("latch").write(records.pack_latch(2, 1_000_000_000, 1_000_000_000, died))
     stops, wire = saving.port_owner.ring_writer("stops"), saving.port_owner.ring_writer("box")
     wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 1_000_300_000)
     stops.put(records.pack_stop(2, 1_002_000_000, 1_002_100_000, causes.DIED("supervisor").pack()))

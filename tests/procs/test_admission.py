@@ -1,21 +1,26 @@
-"""Admission, row by row: what may go to the wire, what is dropped and what is a stop cause."""
+"""Admission, the whole table: which row decides, its boundaries, and what is dropped, written, or a stop."""
 
 from __future__ import annotations
+
+import itertools
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board import codec
-from failstop.board.burst import BURST
+from failstop.board.burst import BURST as BURST_BYTES
 from failstop.policy import causes
-from failstop.procs.port_owner.admission import Admission
+from failstop.policy.causes import Cause
+from failstop.procs.port_owner.admission import BURST, DROP, REQUEST, WRITE, Admission, Motion
 
 MS = 1_000_000
 LEASE_NS = 60 * MS
 NOW = 9_000 * MS
 MAX_RPS = 2.0
 FRAME = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), MAX_RPS)
+TOO_FAST = codec.motor_speeds((0.0, 0.0, 0.0, 2.5), 3.0)
+EPOCH = 4
 
 epochs = st.integers(0, 5)
 
@@ -25,9 +30,53 @@ def admission() -> Admission:
     return Admission(LEASE_NS, MAX_RPS)
 
 
-def test_a_young_frame_of_the_current_epoch_goes(admission: Admission) -> None:
-    assert admission.current(1, NOW - 5 * MS, 1, NOW)
-    assert admission.frame_fault(FRAME) is None
+def decided(
+    admission: Admission,
+    motion: Motion = (FRAME, EPOCH, NOW),
+    *,
+    epoch: int = EPOCH,
+    gate_ns: int | None = NOW,
+    supervisor_ns: int = NOW,
+    requested: bool = False,
+) -> int | Cause:
+    return admission.decide(motion, epoch, NOW, gate_ns, supervisor_ns, requested=requested)
+
+
+GATE, DEAD_EPOCH, OWN_STOP, OLD, ASKED, GATE_LEASE, SUPERVISOR_LEASE, CONTENT = ROWS = range(8)
+ELSE: dict[int, int | Cause] = {
+    GATE: DROP,
+    DEAD_EPOCH: DROP,
+    OWN_STOP: DROP,
+    OLD: DROP,
+    ASKED: REQUEST,
+    GATE_LEASE: causes.HANGS("gate", 60),
+    SUPERVISOR_LEASE: causes.HANGS("supervisor", 61),
+    CONTENT: causes.BAD_FRAME("wheel 3 at 2.50 rps, limit 2.00"),
+}
+
+
+@pytest.mark.parametrize("kind", ["motion", "zero", "zero, nothing moves"])
+@pytest.mark.parametrize("first", [*ROWS, None])
+def test_the_first_row_that_does_not_hold_decides(first: int | None, kind: str) -> None:
+    """Whatever the rows after it say."""
+    rows = [row for row in ROWS if kind == "motion" or row != CONTENT]  # zeros have no other content
+    after = [row for row in rows if first is not None and row > first]
+    for later in (set(some) for n in range(len(after) + 1) for some in itertools.combinations(after, n)):
+        failing = later if first is None else {first, *later}
+        admission = Admission(LEASE_NS, MAX_RPS)
+        admission.moving = kind == "zero"
+        if OWN_STOP in failing:
+            admission.stopped_in = EPOCH
+        frame = codec.STOP if kind != "motion" else TOO_FAST if CONTENT in failing else FRAME
+        found = decided(
+            admission,
+            (frame, EPOCH - (DEAD_EPOCH in failing), NOW - LEASE_NS * (OLD in failing)),
+            gate_ns=None if GATE in failing else NOW - LEASE_NS * (GATE_LEASE in failing),
+            supervisor_ns=NOW - (LEASE_NS + MS) * (SUPERVISOR_LEASE in failing),
+            requested=ASKED in failing,
+        )
+        expected = WRITE if first is None or (first == CONTENT and kind != "motion") else ELSE[first]
+        assert found == (BURST if expected == DROP and kind == "zero" else expected), failing
 
 
 # Leases.
@@ -35,15 +84,17 @@ def test_a_young_frame_of_the_current_epoch_goes(admission: Admission) -> None:
 
 @pytest.mark.parametrize(("silent_ns", "lapsed"), [(0, False), (LEASE_NS - 1, False), (LEASE_NS, True), (NOW, True)])
 def test_a_lease_runs_out_exactly_then(admission: Admission, silent_ns: int, lapsed: bool) -> None:
-    assert admission.lapsed(NOW - silent_ns, NOW) is lapsed
-
-
-def test_a_beat_that_never_came_is_a_lease_run_out(admission: Admission) -> None:
-    assert admission.lapsed(0, NOW)
+    beat_ns = NOW - silent_ns
+    assert decided(admission, gate_ns=beat_ns) == (causes.HANGS("gate", silent_ns // MS) if lapsed else WRITE)
+    told = causes.HANGS("supervisor", silent_ns // MS)
+    assert decided(admission, supervisor_ns=beat_ns) == (told if lapsed else WRITE)
+    assert bool(admission.lapsed(beat_ns, NOW, NOW)) is lapsed
+    assert (admission.lapses_ns(beat_ns, NOW) <= NOW) is lapsed
+    assert (admission.lapses_ns(NOW, beat_ns) <= NOW) is lapsed
 
 
 def test_a_beat_after_the_time_was_taken_is_fresh(admission: Admission) -> None:
-    assert not admission.lapsed(NOW + MS, NOW)
+    assert decided(admission, gate_ns=NOW + MS, supervisor_ns=NOW + MS) == WRITE
 
 
 # Content.
@@ -55,21 +106,19 @@ def test_a_beat_after_the_time_was_taken_is_fresh(admission: Admission) -> None:
         (FRAME[:-1], "not a motor frame"),
         (FRAME + b"\0", "not a motor frame"),
         (b"", "not a motor frame"),
-        (BURST, "not a motor frame"),
+        (BURST_BYTES, "not a motor frame"),
         (codec.buzzer(1400, 100, 100, 5), "not a motor frame"),
         (codec.motor_one(0, 0.5, MAX_RPS), "not a motor frame"),
         (FRAME[:-1] + bytes((FRAME[-1] ^ 1,)), "bad crc"),
-        (codec.motor_speeds((0.0, 0.0, 0.0, 2.5), 3.0), "wheel 3 at 2.50 rps, limit 2.00"),
+        (TOO_FAST, "wheel 3 at 2.50 rps, limit 2.00"),
         (codec.motor_speeds((-2.01, 0.0, 0.0, 0.0), 3.0), "wheel 0 at -2.01 rps, limit 2.00"),
+        (codec.STOP, WRITE),
+        (codec.motor_speeds((MAX_RPS, -MAX_RPS, MAX_RPS, -MAX_RPS), MAX_RPS), WRITE),
     ],
 )
-def test_content_that_is_a_stop_cause(admission: Admission, frame: bytes, fault: str) -> None:
-    assert admission.frame_fault(frame) == causes.BAD_FRAME(fault)
-
-
-def test_zero_and_the_very_limit_are_no_fault(admission: Admission) -> None:
-    assert admission.frame_fault(codec.STOP) is None
-    assert admission.frame_fault(codec.motor_speeds((MAX_RPS, -MAX_RPS, MAX_RPS, -MAX_RPS), MAX_RPS)) is None
+def test_content(admission: Admission, frame: bytes, fault: int | str) -> None:
+    expected = causes.BAD_FRAME(fault) if isinstance(fault, str) else fault
+    assert decided(admission, (frame, EPOCH, NOW)) == expected
 
 
 # Epoch.
@@ -77,33 +126,29 @@ def test_zero_and_the_very_limit_are_no_fault(admission: Admission) -> None:
 
 @pytest.mark.parametrize(("frame_epoch", "epoch"), [(1, 2), (2, 1), (0, 1), (1, 0)])
 def test_a_frame_of_any_other_epoch_is_dropped(admission: Admission, frame_epoch: int, epoch: int) -> None:
-    assert not admission.current(frame_epoch, NOW, epoch, NOW)
+    assert decided(admission, (FRAME, frame_epoch, NOW), epoch=epoch) == DROP
 
 
 def test_epoch_zero_is_before_every_run(admission: Admission) -> None:
-    assert not admission.current(0, NOW, 0, NOW)
+    assert decided(admission, (FRAME, 0, NOW), epoch=0) == DROP
 
 
 def test_its_own_stop_refuses_its_epoch_until_a_newer_one(admission: Admission) -> None:
-    admission.stopped(4, own=True)
-    assert not admission.current(4, NOW, 4, NOW)
-    assert admission.current(5, NOW, 5, NOW)
+    admission.stopped(4)
+    assert decided(admission, (FRAME, 4, NOW), epoch=4) == DROP
+    assert decided(admission, (FRAME, 5, NOW), epoch=5) == WRITE
 
 
-def test_a_stop_for_the_supervisors_cause_does_not_close_the_new_epoch(admission: Admission) -> None:
-    admission.stopped(4, own=False)
-    assert admission.current(4, NOW, 4, NOW)
-
-
-@given(st.lists(st.tuples(epochs, st.booleans())), epochs, epochs)
+@given(st.lists(epochs), epochs, epochs)
 def test_what_was_stopped_in_an_epoch_never_moves_in_it_or_before(
-    stops: list[tuple[int, bool]], frame_epoch: int, epoch: int
+    stops: list[int], frame_epoch: int, epoch: int
 ) -> None:
     admission = Admission(LEASE_NS, MAX_RPS)
-    for stopped_in, own in stops:
-        admission.stopped(stopped_in, own=own)
-    newest = max((stopped_in for stopped_in, own in stops if own), default=0)
-    assert admission.current(frame_epoch, NOW, epoch, NOW) == (frame_epoch == epoch and epoch > newest)
+    for stopped_in in stops:
+        admission.stopped(stopped_in)
+    newest = max(stops, default=0)
+    written = decided(admission, (FRAME, frame_epoch, NOW), epoch=epoch) == WRITE
+    assert written == (frame_epoch == epoch and epoch > newest)
 
 
 # Age.
@@ -111,15 +156,14 @@ def test_what_was_stopped_in_an_epoch_never_moves_in_it_or_before(
 
 @pytest.mark.parametrize(("age_ns", "goes"), [(0, True), (LEASE_NS - 1, True), (LEASE_NS, False), (NOW, False)])
 def test_a_frame_must_be_younger_than_the_lease(admission: Admission, age_ns: int, goes: bool) -> None:
-    assert admission.current(1, NOW - age_ns, 1, NOW) is goes
+    assert decided(admission, (FRAME, EPOCH, NOW - age_ns)) == (WRITE if goes else DROP)
 
 
 # Moving.
 
 
-@pytest.mark.parametrize("own", [True, False])
-def test_every_stop_ends_the_motion(admission: Admission, own: bool) -> None:
+def test_every_stop_ends_the_motion(admission: Admission) -> None:
     assert not admission.moving
     admission.moving = True
-    admission.stopped(1, own=own)
+    admission.stopped(1)
     assert not admission.moving

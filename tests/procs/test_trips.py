@@ -6,7 +6,7 @@ import pytest
 
 from failstop.board.decoder import BUTTONS, KEY_EVENTS
 from failstop.policy import causes
-from failstop.procs.telemetry.trips import Trips
+from failstop.procs.telemetry.trips import LOW_READINGS, Trips
 
 MODE = 0x2000
 STOPPING_EVENTS = {"pressed", "long", "long-repeat", "click", "double", "triple"}
@@ -74,3 +74,17 @@ def test_other_keys_do_not_stop(trips: Trips, key: int) -> None:
 def test_the_stop_key_is_the_setting_s() -> None:
     assert str(Trips(MODE, 2).key(2, 0x01)) == "key2"
     assert Trips(MODE, 2).key(1, 0x01) is None
+
+
+def test_a_battery_that_stays_low_stops_once_until_it_was_charged() -> None:
+    trips = Trips(MODE, 1, 10_500)
+    readings = (
+        [10_400] * (LOW_READINGS - 1) + [10_500] + [10_499] * (2 * LOW_READINGS) + [11_000] + [9_000] * LOW_READINGS
+    )
+    stops = [at for at, millivolts in enumerate(readings) if trips.battery(millivolts)]
+    assert stops == [2 * LOW_READINGS - 1, len(readings) - 1]
+
+
+def test_without_its_setting_no_battery_stops() -> None:
+    trips = Trips(MODE, 1)
+    assert [trips.battery(0) for _ in range(2 * LOW_READINGS)] == [None] * (2 * LOW_READINGS)

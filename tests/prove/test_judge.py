@@ -7,6 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.prove import table
 from failstop.prove.run import Run
 from failstop.prove.table import BY_PATH, BY_VELOCITY
@@ -15,9 +17,10 @@ from tests.faults.test_judge import STILL as REST
 from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
 
 MS = 1_000_000
+LATCH = causes.PIPED("prove")
 
 
-def run(path: str = "stop-request", latch: str | None = "stop request: prove by me", **board: object) -> Run:
+def run(path: str = "stop-request", latch: Cause | None = LATCH, **board: object) -> Run:
     """A run whose cause was at FAULT_NS: written after 1 ms, answered after 5, wheels at rest after 0.3 s."""
     samples = gyro((1.0, DRIVE), (0.3, DRIVE), (1.5, STILL), bias=0.0, start_ns=FAULT_NS - 1_000 * MS)
     watch = SimpleNamespace(
@@ -30,7 +33,7 @@ def run(path: str = "stop-request", latch: str | None = "stop request: prove by 
     stand = SimpleNamespace(
         board=SimpleNamespace(events=lambda: events),
         watch=watch,
-        driver=SimpleNamespace(robot=SimpleNamespace(state=SimpleNamespace(estop=latch))),
+        driver=SimpleNamespace(robot=SimpleNamespace(state=SimpleNamespace(cause=latch, estop=latch and str(latch)))),
         service=SimpleNamespace(process=SimpleNamespace(wait=lambda _: 3)),
     )
     made = Run(stand, SIMULATED, BY_PATH[path], BY_VELOCITY["0.2"], None, random.Random(1))  # type: ignore[arg-type]
@@ -64,9 +67,9 @@ def test_a_stop_that_is_late_at_the_board() -> None:
     assert wrong(run(events=[event(0, bar_ms + 0.1, REST)]))[0].startswith("at the board after")
 
 
-@pytest.mark.parametrize("latch", [None, "key1"])
-def test_another_latch(latch: str | None) -> None:
-    assert wrong(run(latch=latch)) == [f"latched: {latch}, not ^stop request: prove"]
+@pytest.mark.parametrize("latch", [None, causes.KEY(1), causes.PIPED("another"), causes.DIED("prove")])
+def test_another_latch(latch: Cause | None) -> None:
+    assert wrong(run(latch=latch)) == [f"latched: {latch}, not piped prove"]
 
 
 def test_an_acknowledgement_that_is_late() -> None:

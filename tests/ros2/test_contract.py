@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from failstop.errors import NoService, Refused
+from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.ros2 import contract, mirrors, report, words
 from failstop.ros2.contract import INWARD, OUTWARD, SERVICES, Qos
+from failstop.shm.records import CAUSE
 from tests.ros2.scene import NODE, Scene
 from tests.screen import states
 
@@ -114,11 +117,13 @@ def test_state_has_every_key_in_its_order() -> None:
 def test_words_of_the_driver_before() -> None:
     assert words.ENABLED == "enabled"
     assert words.DISABLED == "disabled"
-    assert words.refused("e-stop latched (key1)") == "refused: e-stop latched (key1)"
-    assert words.refused("arm is not in the drive pose") == "refused: arm is not in the drive pose"
-    assert words.reset("no e-stop is latched") == "e-stop cleared (was: None); motion still disabled"
-    done = "e-stop cleared (was: stop request: estop topic (ros2, pid 77)); motion still disabled"
-    assert words.reset(done) == "e-stop cleared (was: estop topic); motion still disabled"
+    own = causes.REQUESTED("estop topic", "ros2", 77)
+    for cause, text in ((causes.KEY(1), "key1"), (own, "estop topic")):
+        assert words.refused(Refused(f"e-stop latched ({CAUSE})", cause)) == f"refused: e-stop latched ({text})"
+        assert words.reset(cause) == f"e-stop cleared (was: {text}); motion still disabled"
+    assert words.refused(Refused("arm is not in the drive pose")) == "refused: arm is not in the drive pose"
+    assert words.refused(NoService("no service")) == "refused: no service"
+    assert words.reset(None) == "e-stop cleared (was: None); motion still disabled"
     assert words.TOPIC_CAUSE == "estop topic"
     assert words.NO_ANSWER == "no answer from the gate in 0.5 s: wheels stopped"
     assert words.HELD.format(0.62) == "wheels held: no LiDAR scan for 0.6 s while commanded"

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.policy import causes
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.ros2 import diagnostics, leftovers, messages, mirrors, report, words
 from failstop.ros2.commanders import Publisher
@@ -100,7 +101,7 @@ def test_wheels_turn_as_far_as_they_were_told() -> None:
 def test_state_values() -> None:
     bias = {"bias_radps": [0.01, 0.0, -0.01], "tracking": True, "calibrated": True}
     given = states.latched(
-        "stop request: estop topic (ros2, pid 9)", scan_age_s=0.12345, gyro_bias=bias, plugged="plugged"
+        causes.REQUESTED("estop topic", "ros2", 9), scan_age_s=0.12345, gyro_bias=bias, plugged="plugged"
     )
     found = report.as_json(given, ["/nav"], ["a", "b"])
     assert found["estop"] == "estop topic"
@@ -121,7 +122,7 @@ def test_state_values() -> None:
 
 
 def test_typed_status() -> None:
-    found = report.status(states.latched("key1"))
+    found = report.status(states.latched(causes.KEY(1)))
     assert (found["latched"], found["estop"], found["blocked"]) == (True, "key1", "estop: key1")
     assert found["last_stop_written_s"] == pytest.approx(0.00021)
     assert found["last_stop_observed_s"] == pytest.approx(0.3)
@@ -136,27 +137,33 @@ def test_nobody_knows_that_nothing_is_latched_without_a_state() -> None:
 
 
 def test_the_proof_of_a_stop_grows() -> None:
-    before = states.driving()
+    before, asked_for = states.driving(), causes.REQUESTED("stop service", "ros2", 9)
     assert report.proof(before, before) == ""
     assert report.proof(before, None) == ""
-    asked = states.latched("stop service", last_stop=states.stop(acknowledged_us=None, observed_ms=None))
+    asked = states.latched(asked_for, last_stop=states.stop(acknowledged_us=None, observed_ms=None))
     assert report.proof(before, asked) == ""
     assert report.proof(before, asked, final=True) == (
         "stop latched (stop service): written after 0.2 ms, not acknowledged yet, not seen still yet"
     )
-    seen = states.latched("stop service", last_stop=states.stop())
+    seen = states.latched(asked_for, last_stop=states.stop())
     assert report.proof(before, seen) == (
         "stop latched (stop service): written after 0.2 ms, acknowledged after 4.4 ms, observed after 300 ms"
     )
-    lost = states.latched("stop service", last_stop=states.stop(written_us=None))
+    lost = states.latched(asked_for, last_stop=states.stop(written_us=None))
     assert "could NOT be written: use the POWER SWITCH" in report.proof(before, lost)
     assert report.proof(before, None, final=True).startswith("asked for a stop")
 
 
 def test_own_name_and_number_are_left_out_of_reasons() -> None:
-    assert words.plain("stop request: estop topic (ros2, pid 12)") == "estop topic"
-    assert words.plain("estop: stop request: estop topic (ros2, pid 12)") == "estop: estop topic"
-    assert words.plain("hand near wheel (failstop estop, pid 12)") == "hand near wheel (failstop estop, pid 12)"
+    own, another = causes.REQUESTED("estop topic", "ros2", 12), causes.REQUESTED("hand near", "failstop estop", 12)
+    assert words.plain(own) == "estop topic"
+    assert report.blocked(states.latched(own)) == "estop: estop topic"
+    assert words.plain(another) == "stop request: hand near (failstop estop, pid 12)"
+    assert report.blocked(states.latched(another)) == "estop: stop request: hand near (failstop estop, pid 12)"
+    assert words.plain(causes.PIPED("estop topic (ros2, pid 12)")) == "stop request: estop topic (ros2, pid 12)"
+    assert words.plain(None) == ""
+    assert report.blocked(states.state()) == "disabled"
+    assert report.blocked(states.driving()) is None
 
 
 # Diagnostics.
@@ -190,7 +197,7 @@ def test_diagnostics_of_what_is_not(changed: dict[str, object], name: str, level
 
 
 def test_diagnostics_of_a_latch_name_the_next_command() -> None:
-    row = diagnostics.statuses("base", states.latched("key1"), "", [], [])[0]
+    row = diagnostics.statuses("base", states.latched(causes.KEY(1)), "", [], [])[0]
     assert row["level"] == diagnostics.ERROR
     assert "next: `failstop reset`" in row["message"]
 

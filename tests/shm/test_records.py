@@ -100,10 +100,10 @@ def test_hello(session: int, pid: int, namespace: int, name: str) -> None:
     assert is_cut(str(found), name, 64)
 
 
-@given(epoch=U64, cause_ns=U64, standing=CAUSE, newest=CAUSE)
-def test_cause(epoch: int, cause_ns: int, standing: bytes, newest: bytes) -> None:
-    packed = records.pack_cause(epoch, cause_ns, standing, newest)
-    assert records.unpack_cause(packed) == (epoch, cause_ns, standing, newest)
+@given(since=U64, noticed_ns=U64, raised_ns=U64, cause=CAUSE)
+def test_latch(since: int, noticed_ns: int, raised_ns: int, cause: bytes) -> None:
+    packed = records.pack_latch(since, noticed_ns, raised_ns, cause)
+    assert records.unpack_latch(packed) == (since, noticed_ns, raised_ns, cause)
 
 
 @given(session=U64, number=U64, verb=U8)
@@ -166,7 +166,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
         lambda text: records.pack_stop(TOP, TOP, TOP, causes.PIPED(text).pack()),
         ["port_owner/stops", "gate/trips"],
     ),
-    "cause": (lambda text: records.pack_cause(TOP, TOP, *(causes.PIPED(text).pack(),) * 2), ["supervisor/cause"]),
+    "latch": (lambda text: records.pack_latch(TOP, TOP, TOP, causes.PIPED(text).pack()), ["supervisor/latch"]),
     "port": (lambda text: records.pack_port(TOP, TOP, 2, text), ["port_owner/port"]),
     "hello": (
         lambda text: records.pack_hello(TOP, 2**32 - 1, TOP, text),
@@ -293,7 +293,7 @@ SIZES: dict[str, tuple[Callable[[bytes], Any], int, bool]] = {
     "frame": (records.unpack_frame, 9, False),
     "stop": (records.unpack_stop, 24, False),
     "port": (records.unpack_port, 17, False),
-    "cause": (records.unpack_cause, 18, False),
+    "latch": (records.unpack_latch, 24, False),
     "hello": (records.unpack_hello, 20, False),
     "reply": (records.unpack_reply, 19, False),
     "request": (records.unpack_request, 17, True),

@@ -12,6 +12,7 @@ import pytest
 from failstop.board import codec, framing
 from failstop.policy import causes
 from failstop.procs.telemetry import tones
+from failstop.procs.telemetry.trips import LOW_READINGS
 from failstop.shm import records
 from tests.waiting import until
 
@@ -247,6 +248,13 @@ def test_a_damaged_charger_file_is_unknown(scene: Scene, content: str) -> None:
     scene.start()
     scene.battery(11_800)
     assert records.unpack_battery(scene.latest("battery") or b"") == (11_800, 0)
+
+
+def test_a_low_battery_stops_where_the_settings_say_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(tmp_path, monkeypatch, **{"battery.stop_mv": 10_500})
+    scene.battery(*[10_400] * LOW_READINGS)
+    assert scene.told("trips") == [causes.BATTERY(10.4).pack()]
+    scene.close()
 
 
 def test_the_battery_log_is_written(scene: Scene) -> None:
