@@ -10,7 +10,7 @@ sees a newer epoch than the one it stopped in.
     nobody has asked for a stop meanwhile                           REQUEST: that is the stop
     the gate is fresh (its lease)                                   the cause
     the supervisor is fresh (its lease)                             the cause
-    it is a whole motor frame within the speed, or one for the arm  the cause
+    it is a whole motor frame within the speed                      the cause
     all hold                                                        WRITE
 
 BURST instead of DROP for a frame of speeds zero while the wheels may turn: to stand still is never too late.
@@ -24,8 +24,9 @@ from failstop.shm import layout
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from failstop.policy.causes import Cause
-    from failstop.procs.port_owner.servo_bus import ServoBus
 
 MS = 1_000_000
 WRITE, DROP, BURST, REQUEST = range(4)
@@ -53,20 +54,24 @@ class Admission:
         now_ns: int,
         gate_ns: int | None,
         supervisor_ns: int,
+        check: Callable[[bytes], Cause | None],
         *,
         requested: bool,
-        bus: ServoBus | None = None,
     ) -> int | Cause:
         """One of WRITE, DROP, BURST and REQUEST, or the cause of a stop. `gate_ns`, `supervisor_ns`: when they have
-        beaten last (None: no gate is watched); `requested`: a stop request waits; `bus`: it is a frame for the arm."""
+        beaten last (None: no gate is watched); `check`: of the frame's content; `requested`: a stop request waits."""
         if gate_ns is None or not self.current(motion, epoch, now_ns):
             return BURST if self.moving and motion[0] == BOARD.stop else DROP
         if requested:
             return REQUEST
         if lapse := self.lapsed(gate_ns, supervisor_ns, now_ns):
             return lapse
-        fault = bus.fault(motion[0]) if bus else BOARD.check_motion(motion[0], self._max_rps)
-        return causes.BAD_FRAME(fault) if fault else WRITE
+        return check(motion[0]) or WRITE
+
+    def check(self, frame: bytes) -> Cause | None:
+        """The cause of a stop that a motion frame's content is; None: it may go out."""
+        fault = BOARD.check_motion(frame, self._max_rps)
+        return causes.BAD_FRAME(fault) if fault else None
 
     def current(self, motion: Motion, epoch: int, now_ns: int) -> bool:
         """True when the frame is of the current epoch, after any stop of its own, and young enough."""

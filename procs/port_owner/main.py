@@ -25,6 +25,8 @@ from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from failstop.policy.causes import Cause
     from failstop.procs.context import Context
     from failstop.procs.port_owner.admission import Motion
@@ -271,8 +273,8 @@ class PortOwner:
                 arm.append((body, epoch, frame_ns))
             elif not BOARD.check_aux(body):
                 self.wire.frame(body, backlog=OTHER_BACKLOG)
-        for found in arm:
-            self._forward_arm(found)
+        for move in arm:
+            self._forward_arm(move)
         if motion:
             self._forward_motion(motion)
 
@@ -283,15 +285,16 @@ class PortOwner:
         if self.admission.moving or self._arm_moved or now_ns - self._written_word.get() >= PIPE_REST_NS:
             self._burst()
 
-    def _forward_arm(self, motion: Motion) -> None:
+    def _forward_arm(self, move: Motion) -> None:
         """As for motion; what is dropped is sent no more, since the next move of the stream follows."""
         now_ns = monotonic_ns()
-        if self._decided(motion, now_ns, self.bus) == admission.WRITE and self.bus.admits(
-            motion[0], now_ns, wheels_move=self.admission.moving
-        ):
-            self._write_arm(motion)
+        verdict = self._decide(move, now_ns, self.bus.check)
+        if verdict != admission.WRITE:
+            self._obey(verdict, now_ns)
+        elif self.bus.admits(move[0], now_ns, wheels_move=self.admission.moving):
+            self._write_arm(move)
 
-    def _write_arm(self, motion: Motion) -> None:
+    def _write_arm(self, move: Motion) -> None:
         """Says that it moves while it writes, as for motion; afterwards no more: a servo's move ends by itself."""
         before = self._moving_word.get()
         self._moving_word.set(1)
@@ -300,10 +303,10 @@ class PortOwner:
         if self._epoch_word.get() != self.epoch:
             self._follow_epoch(now_ns)
         elif (
-            self.admission.current(motion, self.epoch, now_ns)
+            self.admission.current(move, self.epoch, now_ns)
             and not self._check_suspend(now_ns)
-            and self.wire.frame(motion[0], backlog=OTHER_BACKLOG)
-            and self.bus.wrote(motion[0], now_ns)
+            and self.wire.frame(move[0], backlog=OTHER_BACKLOG)
+            and self.bus.wrote(move[0], now_ns)
         ):
             self._arm_moved = True
             self.repeats.motion()
@@ -311,24 +314,30 @@ class PortOwner:
         if not (before or self.wire.unsent or self.wire.lost):
             self._moving_word.set(0)
 
-    def _forward_motion(self, motion: Motion) -> None:
-        if self._decided(motion, monotonic_ns()) == admission.WRITE:
-            self._write_motion(motion)
-
-    def _decided(self, motion: Motion, now_ns: int, bus: ServoBus | None = None) -> int | Cause:
-        """The table of admission.py, all of it carried out but WRITE; `bus`: for the arm's. The time is that of the
-        write: a process that was held up since it woke must not pass what was young then."""
+    def _decide(self, motion: Motion, now_ns: int, check: Callable[[bytes], Cause | None]) -> int | Cause:
+        """The table of admission.py. The time is that of the write: a process that was held up since it woke must not
+        pass what was young then."""
         requested = self._pipe_rests.ns != NEVER and self.loop.readable(self._stop_pipe)
         gate_ns = self._gate.heart.ns.get() if self._gate.life else None
         beat_ns = self._supervisor_beat.get()
-        verdict = self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, requested=requested, bus=bus)
+        return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, check, requested=requested)
+
+    def _obey(self, verdict: int | Cause, now_ns: int) -> None:
+        """What is not written."""
         if verdict == admission.BURST:
             self._burst()
         elif verdict == admission.REQUEST:
             self._stop_request(now_ns)
         elif not isinstance(verdict, int):
             self.stop(now_ns, verdict)
-        return verdict
+
+    def _forward_motion(self, motion: Motion) -> None:
+        now_ns = monotonic_ns()
+        verdict = self._decide(motion, now_ns, self.admission.check)
+        if verdict == admission.WRITE:
+            self._write_motion(motion)
+        else:
+            self._obey(verdict, now_ns)
 
     def _write_motion(self, motion: Motion) -> None:
         """Says that it moves before it looks at epoch and time once more: whoever reads that nothing moves, having

@@ -15,6 +15,11 @@ from __future__ import annotations
 
 from failstop.board.interface import BOARD
 from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, MOVE, READS
+from failstop.policy import causes
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
 
 LONGEST_MOVE_NS = LONGEST_MOVE_MS * 1_000_000
 _COMMAND_AT = 4
@@ -30,11 +35,12 @@ class ServoBus:
         self._free_ns = 0
         self._rest_ns = 0
 
-    def fault(self, frame: bytes) -> str:
-        """Why this frame is a stop cause, or an empty text."""
-        if not self.servos:
-            return "this robot has no arm"
-        return BOARD.check_servos(frame, self.servos, LONGEST_MOVE_MS)
+    def check(self, frame: bytes) -> Cause | None:
+        """The cause of a stop that this frame's content is; None: it may go out."""
+        fault = "this robot has no arm"
+        if self.servos:
+            fault = BOARD.check_servos(frame, self.servos, LONGEST_MOVE_MS)
+        return causes.BAD_FRAME(f"for the arm, {fault}") if fault else None
 
     def admits(self, frame: bytes, now_ns: int, *, wheels_move: bool) -> bool:
         """True when a frame without a fault may be written now."""

@@ -123,7 +123,7 @@ class ArmScene(Stage):
                 self.wheels_move = True
                 self.on_motion(body)
             elif kind == records.ARM:
-                assert not self.bus.fault(body), body.hex()
+                assert not self.bus.check(body), body.hex()
                 if self.bus.admits(body, now_ns, wheels_move=self.wheels_move):
                     self.bus.wrote(body, now_ns)
                     self._execute(body[4:-1])

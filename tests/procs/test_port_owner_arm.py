@@ -163,7 +163,7 @@ def test_without_an_arm_no_such_frame_goes_out_and_stops_are_as_they_were(armles
     assert armless.turn() == BURST
     settle(armless)
     assert arm(armless) == BURST
-    assert armless.reasons() == ["the gate's frame was refused: this robot has no arm"]
+    assert armless.reasons() == ["the gate's frame was refused: for the arm, this robot has no arm"]
     for frame in (MOVE, READ, bus_servo_stop([1])):
         armless.put(frame, epoch=1, kind=records.OTHER)
     assert armless.turn() == b""
