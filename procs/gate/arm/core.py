@@ -75,6 +75,10 @@ class ArmCore:
         rivals = (goal for goal in self._goals.values() if goal.session != session and self._fresh(goal, now_ns))
         return next((goal.who for goal in rivals), "")
 
+    def moved_by(self, session: int) -> bool:
+        """Its goals are what is followed, or would be."""
+        return any(goal.session == session for goal in self._goals.values())
+
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
         return now_ns - goal.t_ns <= self._timeout_ns
 
@@ -147,7 +151,7 @@ class ArmCore:
         """A client has gone; True when it moved the arm, which is to be held."""
         if self.journey and self.journey.session == session and not self.journey.done:
             return self.drop("its client has gone") or True
-        if any(goal.session == session for goal in self._goals.values()):
+        if self.moved_by(session):
             return self.drop("its client has gone") or True
         return False
 
