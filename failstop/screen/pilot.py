@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 
 from failstop.errors import FailstopError, NoService
+from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.screen.hold import AXES, COMMAND_S, Hold
 from failstop.screen.keys import EVENTS, FOCUS_OUT, PRESS, RELEASE
 from failstop.shm import blocks
@@ -25,6 +27,8 @@ FIRST_PERCENT = 50
 FASTER = ("+", "=")
 SLOWER = ("-", "_")
 LEAVE = ("q", "ctrl+d")
+TURNS = {"[": -1, "]": 1}
+"""These turn the chosen joint of the arm, which a digit chooses, while they are held."""
 URGENT = ("space", *LEAVE, "ctrl+c", "ctrl+z", EVENTS, FOCUS_OUT)
 """These count however late they come."""
 SIGNALS = {"ctrl+c": signal.SIGINT, "ctrl+z": signal.SIGTSTP}
@@ -47,6 +51,10 @@ class Pilot:
         self._full = (speed_mps, speed_mps, turn_radps)
         self._command: Velocity = (0.0, 0.0, 0.0)
         self._commanded_s = 0.0
+        self.joint = 0
+        """The chosen joint of the arm, by its place in the settings."""
+        self._has_arm = False
+        self._enabling: threading.Thread | None = None
         self._latched: str | None = None
         """The latch as it was seen last."""
         self._rival = ""
@@ -63,6 +71,7 @@ class Pilot:
 
     def keys(self, keys: list[Key], state: State, now_s: float, *, late: bool) -> None:
         """Act on key events. `late`: they may have waited somewhere; then only what stops counts."""
+        self._has_arm = state.arm is not None
         others = (row["who"] for row in state.sources if row["source"] == self.source and row["who"] != self._who)
         self._rival = next(others, "")
         if ("space", PRESS) in keys:
@@ -71,6 +80,8 @@ class Pilot:
         if late:
             self._send(self.hold.let_go(), now_s)
             keys = [key for key in keys if key[0] in URGENT]
+        if state.arm:
+            keys = [key for key in keys if not self._turn(key, list(state.arm["joints"]))]
         for name, kind in keys:
             if kind != RELEASE and name not in AXES and name != "space":
                 self._press(name, now_s)
@@ -104,12 +115,56 @@ class Pilot:
             self._send(self.hold.let_go(), now_s)
             self._request(name)
 
+    def _turn(self, key: Key, joints: list[str]) -> bool:
+        """True when the key is one of the arm's: acted on."""
+        name, kind = key
+        if name.isdigit() and 0 < int(name) <= len(joints):
+            self.joint = int(name) - 1
+            self.note = (f"joint {joints[self.joint]}: [ and ] turn it", PLAIN)
+        elif name in TURNS:
+            self._jog(joints[min(self.joint, len(joints) - 1)], TURNS[name] if kind != RELEASE else 0)
+        else:
+            return False
+        return True
+
+    def _jog(self, joint: str, way: int) -> None:
+        try:
+            arm = self.robot.arm
+            if way:
+                arm.jog({joint: way * arm.joints[joint].speed / PULSES_PER_RAD * self.percent / 100})
+                self.note = (arm.state["closed"] or f"joint {joint}", PLAIN)
+            else:
+                arm.hold()
+        except NoService:
+            raise
+        except FailstopError as error:
+            self.note = (str(error), FAIL)
+
+    def _enable(self) -> None:
+        """Beside the keys, since with an arm it takes seconds: the space key must stop meanwhile."""
+        if self._enabling and self._enabling.is_alive():
+            return
+
+        def enable() -> None:
+            try:
+                self.note = (self.robot.enable(self._tell), OK)
+            except FailstopError as error:
+                self.note = (str(error), FAIL)
+
+        self._enabling = threading.Thread(target=enable, daemon=True)
+        self._enabling.start()
+
+    def _tell(self, text: str) -> None:
+        self.note = (text, PLAIN)
+
     def _request(self, name: str) -> None:
         try:
             if name == "space":
                 self.hold.let_go()
                 self.robot.estop("space key")
                 self.note = (LATCHED, FAIL)
+            elif name == "e" and self._has_arm:
+                self._enable()
             elif name == "e":
                 self.note = (self.robot.enable(), OK)
             elif name == "r":

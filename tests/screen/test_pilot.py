@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any, cast
 
 import pytest
 
 from failstop.errors import NoService, Refused
+from failstop.policy.settings import Settings
+from failstop.procs.gate.arm.joints import from_settings
 from failstop.robot import Robot
 from failstop.screen.hold import ENDS_S
 from failstop.screen.keys import EVENTS, PRESS, RELEASE, Key
@@ -142,3 +145,50 @@ def test_a_refusal_is_a_note_and_a_service_that_has_gone_is_the_end(pilot: Pilot
     scribe.answer = NoService("gone")
     with pytest.raises(NoService):
         press(pilot, "e")
+
+
+class WithArm(Scribe):
+    """A robot with an arm; to enable it takes until it is let."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.arm = self
+        self.joints = {joint.name: joint for joint in from_settings(Settings({"joints.base.servo": 1}))}
+        self.state = {"closed": ""}
+        self.let = threading.Event()
+
+    def jog(self, rates: dict[str, float]) -> None:
+        self.asked.append({name: round(rate, 3) for name, rate in rates.items()})
+
+    def hold(self) -> None:
+        self.asked.append("hold")
+
+    def enable(self, told: Any = None) -> str:
+        told("on its way")
+        self.let.wait(10)
+        return self._ask("enable")
+
+
+ARM = state(arm={"joints": {"base": {}}})
+
+
+def test_digits_choose_a_joint_and_brackets_turn_it_while_they_are_held() -> None:
+    scribe = WithArm()
+    pilot = Pilot(cast("Robot", scribe), "cmd_vel", 0.2, 1.0)
+    press(pilot, "1", "]", "[", seen=ARM)
+    pilot.keys([("[", RELEASE)], ARM, 1.1, late=False)
+    assert scribe.asked == [{"base": 0.5}, {"base": -0.5}, "hold"]
+    press(pilot, "]", seen=ARM, late=True)
+    assert scribe.asked[3:] == [], "what was typed a while ago turns nothing"
+
+
+def test_with_an_arm_the_space_key_stops_while_enabling_takes_its_time() -> None:
+    scribe = WithArm()
+    pilot = Pilot(cast("Robot", scribe), "cmd_vel", 0.2, 1.0)
+    press(pilot, "e", seen=ARM)
+    press(pilot, "space", seen=ARM)
+    assert scribe.asked == ["estop"]
+    scribe.let.set()
+    assert pilot._enabling
+    pilot._enabling.join(10)
+    assert scribe.asked == ["estop", "enable"]
