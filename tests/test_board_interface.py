@@ -18,10 +18,10 @@ ROOT = Path(__file__).resolve().parent.parent
 # What the rooms may import of the board. Telemetry knows it; the gate never sees the port. What can be asked of a
 # servo, and what its bus takes, is no more this board's than the servos are.
 KNOWN = {
-    "supervisor": {"finder", "port", "interface"},
+    "supervisor": {"finder", "stop_port", "interface", "port"},
     "procs/gate": {"interface", "servos"},
-    "procs/port_owner": {"finder", "port", "interface", "servos"},
-    "procs/stopper": {"port", "interface"},
+    "procs/port_owner": {"stop_port", "interface", "port", "servos"},
+    "procs/stopper": {"stop_port", "interface", "port"},
 }
 
 
