@@ -79,6 +79,7 @@ class Telemetry:
         own = context.own
         self._records = {name: own.latest_writer(name) for name in ("imu", "bias", "odometry", "battery", "pad")}
         self._command = own.latest_writer("pad_command")
+        self._arm_command = own.latest_writer("pad_arm")
         self._events = own.ring_writer("events")
         self._trips_out = own.ring_writer("trips")
         self._wishes = own.ring_writer("wishes")
@@ -254,6 +255,9 @@ class Telemetry:
             self._trip(news.cause)
             if news.command:
                 self._command.write(records.pack_pad_command(*news.command), t_ns)
+                self._gate_bell.ring()
+            if news.arm:
+                self._arm_command.write(records.pack_pad_arm(*news.arm), t_ns)
                 self._gate_bell.ring()
             if news.reset:
                 self._wish(records.WISH_RESET)
