@@ -23,8 +23,8 @@ from failstop.policy.settings import Settings
 from failstop.screen import reasons
 from failstop.shm import records
 from failstop.shm.layout import PROCESSES
-from tests.incidents.parts import Recorder
-from tests.screen.states import latched, state
+from tests.support.incident_parts import Recorder
+from tests.support.states import latched, state
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
 FOLDERS = ("board", "shm", "policy", "procs", "supervisor", "failstop", "ros2", "bench")

@@ -26,7 +26,7 @@ from serial.tools import list_ports
 
 from failstop.board import discovery, port
 from failstop.board.port import PortError, open_port
-from tests.unprivileged import unprivileged
+from tests.support.unprivileged import unprivileged
 
 TIOCGEXCL = 0x80045440
 

@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from tests.commands import script
+from tests.support.commands import script
 
 PROGRAM = Path(__file__).parents[1] / "packaging/versions.py"
 

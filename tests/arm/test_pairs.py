@@ -15,11 +15,11 @@ from failstop.shm.barrier import Barrier
 from failstop.shm.latest import LatestReader, LatestWriter
 from failstop.shm.ring import RingReader, RingWriter
 from failstop.shm.words import Word
-from tests.procs import gate_scene, port_scene, test_stopper
-from tests.procs.stage import MS
-from tests.supervisor.test_answers import Scene as SupervisorScene
-from tests.supervisor.test_watching import Watching
-from tests.telemetry.scene import Scene as TelemetryScene
+from tests.support import gate_scene, port_scene, stopper_scene
+from tests.support.stage import MS
+from tests.support.supervisor_scene import Scene as SupervisorScene
+from tests.support.telemetry_scene import Scene as TelemetryScene
+from tests.support.watching_scene import Watching
 
 
 class Trace:
@@ -146,7 +146,7 @@ def test_the_epoch_and_the_look_before_moving(watching: Watching, trace: Trace) 
 
 
 def test_the_stoppers_look_before_moving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trace: Trace) -> None:
-    scene = test_stopper.Scene(tmp_path, monkeypatch)
+    scene = stopper_scene.Scene(tmp_path, monkeypatch)
     try:
         trace.watch(moving=scene.stopper._port_owner_moving)
         monkeypatch.setattr(starved, "look", lambda *_: trace.done.append("look") or True)

@@ -13,8 +13,8 @@ from failstop.incidents import file
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
 from failstop.incidents.prune import prune
-from tests.incidents.parts import Recorder, drive_and_die
-from tests.supervisor.test_imports import FORBIDDEN, imported
+from tests.support.imports import FORBIDDEN, imported
+from tests.support.incident_parts import Recorder, drive_and_die
 
 HEAD = {"name": "failstop", "t": 1.5}
 BODY = {"segments": {"gate": {"rings": {"box": [[1, 2, b"\0\xff"]]}}}}

@@ -14,7 +14,7 @@ from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
 from failstop.policy import causes
 from failstop.shm import box
-from tests.incidents.parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
+from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
 
 
 @pytest.fixture(scope="module")

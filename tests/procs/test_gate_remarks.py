@@ -10,7 +10,7 @@ from failstop.procs.gate.remarks import EVERY_NS, MOST_AT_ONCE, Budget, of_reque
 from failstop.shm import records
 from failstop.shm.layout import NOTE_BYTES
 from failstop.shm.notes import Note
-from tests.why import why
+from tests.support.why import why
 
 WHO: dict[str, str | int] = {"who": "nav", "pid": 7}
 

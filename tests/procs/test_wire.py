@@ -16,9 +16,8 @@ from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.procs.port_owner.main import MOTION_BACKLOG, PING_BACKLOG
 from failstop.procs.port_owner.wire import DRAIN_NS, Wire
-from tests.waiting import until
-
-from .parts import Board, Pty, new_pty
+from tests.support.ptys import Board, Pty, new_pty
+from tests.support.waiting import until
 
 MS = 1_000_000
 T0 = 3_000 * MS

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.commands import failstop
 from tests.ros2.scene import BOOL, FORWARD, NODE, STAMPED, TWIST, Scene
+from tests.support.commands import failstop
 
 BACKWARD = {"linear": {"x": -0.2}}
 

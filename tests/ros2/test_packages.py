@@ -10,7 +10,7 @@ import pytest
 
 from failstop.ros2 import contract, report
 from failstop.version import VERSION
-from tests.screen import states
+from tests.support import states
 
 PACKAGES = Path(__file__).resolve().parents[2] / "ros2" / "packages"
 

@@ -7,8 +7,7 @@ import time
 from failstop import style
 from failstop.events import Event
 from failstop.screen import history, paragraph, summary
-
-from .states import NOW_S, driving, process, state
+from tests.support.states import NOW_S, driving, process, state
 
 DIED = {"process": "gate", "pid": 4711, "how": "was killed by SIGKILL"}
 FENCED = {"process": "gate", "pid": 4711, "silent_ms": 60.3, "kill_us": 200.0}

@@ -14,8 +14,7 @@ from failstop.screen import cockpit, host, live, summary, told, verdict, words
 from failstop.screen.painter import CLEAR, Painter
 from failstop.screen.sparkline import spark
 from failstop.supervisor.kinds import KINDS
-
-from .states import NOW_S, driving, latched, process, state, stop
+from tests.support.states import NOW_S, driving, latched, process, state, stop
 
 LOST = {"path": "/dev/ttyACM0", "state": "lost", "link": "unproven"}
 DEAF = {"path": "/dev/ttyACM0", "state": "open", "link": "deaf"}

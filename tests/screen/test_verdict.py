@@ -12,8 +12,7 @@ from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
 from failstop.screen import paragraph, verdict
 from failstop.shm import blocks
-
-from .states import driving, latched, process, state, stop
+from tests.support.states import driving, latched, process, state, stop
 
 LOST = {"path": "/dev/ttyACM0", "state": "lost", "link": "unproven"}
 DEAF = {"path": "/dev/ttyACM0", "state": "open", "link": "deaf"}

@@ -15,9 +15,9 @@ import pytest
 from failstop.shm import claim, segment
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, PROCESSES
 from failstop.shm.segment import AttachError
-from tests.waiting import until
+from tests.support.children import NOBODY, Child, call, group, needs_root, umask
+from tests.support.waiting import until
 
-from .children import NOBODY, Child, call, group, needs_root, umask
 from .segments import (
     NAMES,
     PRIVATE_NAMES,

@@ -19,8 +19,7 @@ from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.supervisor import children
 from failstop.supervisor.family import TRY_AGAIN_NS
 from failstop.supervisor.starter import Starter
-
-from .test_answers import Scene
+from tests.support.supervisor_scene import Scene
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ from failstop.board.finder import Finder
 from failstop.shm.bell import EventBell
 from failstop.supervisor import opener as opener_module
 from failstop.supervisor.opener import LOOK_NS, Opener
-from tests.procs.parts import Pty, new_pty, open_fds
-from tests.waiting import until
+from tests.support.ptys import Pty, new_pty, open_fds
+from tests.support.waiting import until
 
 
 @pytest.fixture

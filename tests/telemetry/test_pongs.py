@@ -17,8 +17,7 @@ from failstop.board.port import open_port
 from failstop.board.receiver import Receiver
 from failstop.board.sim.client import SimBoard
 from failstop.shm import layout, records
-
-from .scene import DEADLINE_S, MS, S, Scene
+from tests.support.telemetry_scene import DEADLINE_S, MS, S, Scene
 
 STOP_DATA = BOARD.stop[4:-1]
 DRIVE = BOARD.motor_speeds((0.796, 0.796, -0.796, -0.796), 2.0)

@@ -16,9 +16,8 @@ from failstop.shm.bell import EventBell
 from failstop.shm.segment import Segment
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.stops import Stop
-from tests.why import said, why
-
-from .stage import INCARNATION, MS, Stage
+from tests.support.stage import INCARNATION, MS, Stage
+from tests.support.why import said, why
 
 SESSION = 11
 
