@@ -33,7 +33,7 @@ class TrialError(Exception):
     """The trial could not be carried out; says what was waited for and what was seen."""
 
 
-def wait_for(what: str, check: Callable[[], bool], timeout_s: float = READY_S) -> None:
+def wait_for(what: str, check: Callable[[], object], timeout_s: float = READY_S) -> None:
     """Poll until `check` is true. Raises TrialError after `timeout_s`."""
     until_s = time.monotonic() + timeout_s
     while not check():
