@@ -103,7 +103,7 @@ def telemetry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Telem
 def test_cause_and_ready_before_the_epoch(supervisor: SupervisorScene, trace: Trace) -> None:
     supervisor.turn()
     own = supervisor.supervisor
-    trace.watch(cause=own._cause_record, ready=own._ready_word, epoch=own._epoch_word)
+    trace.watch(cause=own._latch_record, ready=own._ready_word, epoch=own._epoch_word)
     supervisor.notice()
     supervisor.turn()
     assert trace.has("store cause", "store ready", "barrier", "store epoch")
@@ -111,8 +111,8 @@ def test_cause_and_ready_before_the_epoch(supervisor: SupervisorScene, trace: Tr
 
 def test_the_epoch_before_cause_and_ready(gate: gate_scene.Scene, trace: Trace) -> None:
     gate.turn()
-    trace.watch(cause=gate.gate._cause, ready=gate.gate._ready_word, epoch=gate.gate._epoch_word)
-    gate.stop(2, 2, "key1", "key1")
+    trace.watch(cause=gate.gate._latch, ready=gate.gate._ready_word, epoch=gate.gate._epoch_word)
+    gate.stop(2, "key1")
     gate.request(records.ENABLE)
     gate.tick()
     assert trace.done[:3] == ["load epoch", "barrier", "load cause"]
@@ -122,11 +122,11 @@ def test_the_epoch_before_cause_and_ready(gate: gate_scene.Scene, trace: Trace) 
 
 
 def test_a_successor_sees_the_cause_of_the_epoch_that_it_sees(gate: gate_scene.Scene, trace: Trace) -> None:
-    gate.stop(2, 2, "key1", "key1")
+    gate.stop(2, "key1")
     trace.done.clear()
     gate.start_gate()
-    trace.watch(cause=gate.gate._cause)
-    gate.gate._inherit_latch()
+    trace.watch(cause=gate.gate._latch)
+    gate.gate._follow_latch()
     assert trace.done[:2] == ["barrier", "load cause"]
 
 
@@ -210,7 +210,9 @@ def test_the_reply_before_the_state(trace: Trace) -> None:
 
     client = Client.__new__(Client)
     client._session, client._reply = 7, Reply()  # type: ignore[assignment]
-    assert client.answer(3) == (True, "enabled", None)
+    reply = client.answer(3)
+    assert reply is not None
+    assert (reply.done, reply.text, reply.cause) == (True, "enabled", None)
     assert trace.done == ["load reply", "barrier"]
 
 
