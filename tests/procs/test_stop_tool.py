@@ -230,7 +230,7 @@ def test_a_burst_that_is_taken_in_pieces_is_written_to_its_end(
 
     os.write(pty.slave, MOTION[:15])
     monkeypatch.setattr(os, "write", taken)
-    tool.stop(pty.link, 0.0, said.append)
+    tool.stop(pty.link, lambda _: 0.0, said.append)
     monkeypatch.undo()
     stream = pty.read()
     assert stream == MOTION[:15] + BURST

@@ -382,7 +382,7 @@ def test_a_full_port_is_not_waited_for(pty: Pty, wire: Wire, monkeypatch: pytest
 
     def timed(*given: Any) -> Any:
         waited_s.append(given[3])
-        return real(*given[:3], 0)
+        return real(*given[:3], 0)  # type: ignore[call-arg]
 
     monkeypatch.setattr(select, "select", timed)
     pty.fill()

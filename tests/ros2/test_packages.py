@@ -30,7 +30,7 @@ def test_setup_is_of_this_version() -> None:
 
 def test_every_message_package_that_is_used_is_depended_on() -> None:
     rows = [*contract.INWARD, *contract.OUTWARD, contract.TF, *contract.SERVICES]
-    used = {row.type.partition("/")[0] for row in rows}
+    used = {row.type.partition("/")[0] for row in rows}  # type: ignore[attr-defined]
     root = ElementTree.parse(PACKAGES / "failstop_ros2/package.xml").getroot()
     assert used <= {row.text for row in root.iter("exec_depend")}
 

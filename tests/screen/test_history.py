@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from typing import Any
 
 from failstop import style
 from failstop.events import Event
@@ -15,7 +17,7 @@ NAV = {"who": "nav (pid 42)", "source": "cmd_vel", "silent_ms": 301.0}
 BLOCKED = driving(blocked="cmd timeout", body_vel=(0.0, 0.0, 0.0), wheels_rps=(0.0,) * 4, sources=[])
 
 
-def told(kind: str, fields: dict[str, str | int | float] | None = None, t: float = NOW_S - 3, seq: int = 1) -> Event:
+def told(kind: str, fields: Mapping[str, Any] | None = None, t: float = NOW_S - 3, seq: int = 1) -> Event:
     return Event(seq, t, 1, kind, "warning", f"{kind} happened", dict(fields or {}))
 
 

@@ -40,7 +40,7 @@ def opened_by_nobody(path: str, tried: int) -> str:
         finally:
             os.write(tried, b".")
 
-    port.open_port = watched
+    port.open_port = watched  # type: ignore[assignment]
     try:
         OwnPort.open_and_stop(path)
     except port.PortError as error:

@@ -89,8 +89,8 @@ def _read(path: Path) -> Source:
                 calls |= node.attr in CALLS
             case ast.arg():
                 names.add(node.arg)
-            case ast.Constant(value=str()):
-                names.add(node.value)
+            case ast.Constant(value=str() as text):
+                names.add(text)
     functions = {node.name: _used(node) for node in tree.body if isinstance(node, ast.FunctionDef)}
     return Source(imports, functions, calls, names)
 
