@@ -103,7 +103,7 @@ def telemetry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Telem
 def test_cause_and_ready_before_the_epoch(supervisor: SupervisorScene, trace: Trace) -> None:
     supervisor.turn()
     own = supervisor.supervisor
-    trace.watch(cause=own._latch_record, ready=own._ready_word, epoch=own._epoch_word)
+    trace.watch(cause=own.epochs._latch_record, ready=own.epochs.ready_word, epoch=own.epochs._epoch_word)
     supervisor.notice()
     supervisor.turn()
     assert trace.has("store cause", "store ready", "barrier", "store epoch")

@@ -191,10 +191,11 @@ def test_the_cause_is_there_before_the_epoch_and_ready_is_not(scene: Scene) -> N
             order.append(self.name)
             self.real.write(payload)
 
-    for attribute in ("_epoch_word", "_ready_word", "_latch_record"):
-        setattr(scene.supervisor, attribute, Watched(attribute, getattr(scene.supervisor, attribute)))
+    epochs = scene.supervisor.epochs
+    for attribute in ("_epoch_word", "ready_word", "_latch_record"):
+        setattr(epochs, attribute, Watched(attribute, getattr(epochs, attribute)))
     scene.supervisor._raise_epoch([Stop(scene.now_ns, "gate", why("x"))])
-    assert order == ["_latch_record", "_ready_word 0", "_epoch_word 2"]
+    assert order == ["_latch_record", "ready_word 0", "_epoch_word 2"]
 
 
 def test_a_cause_that_comes_while_the_last_is_looked_at_is_not_slept_over(
