@@ -62,4 +62,4 @@ class Epochs:
         self._barrier()
         self._decided_word.set(number)
         self._bells[layout.GATE].ring()
-        return reply.done
+        return bool(reply.done)

@@ -8,6 +8,7 @@ from time import monotonic_ns
 from failstop.board.interface import BOARD
 from failstop.policy import causes, kinematics
 from failstop.policy.reply import Reply, unpack
+from failstop.procs.gate.arm.shell import LATCHED, Arm
 from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.recorder import GateBox
@@ -33,6 +34,8 @@ comes a little early leaves it to the next one: 120 ms at every other time (meas
 MS = 1_000_000
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
+NO_ARM = "this robot has no arm: its settings name no joints"
+ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 LOOK_AT_ALL_EVERY = 10
 """Ticks between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
 
@@ -84,6 +87,7 @@ class Gate:
         self._pad_seq = seen(self._pad_command)
         self._wishes = telemetry.ring_reader("wishes")
         self._early = context.early.bell
+        self.arm = Arm(self, context, self.loop.deadline(), now_ns) if settings.servos() else None
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, self)
         self.epoch = self._epoch_word.get()
         self._raised_ns = 0
@@ -124,6 +128,8 @@ class Gate:
             self._step(now_ns)
         # When what drives the wheels stops counting, as this turn saw it: it is not forgotten until the tick.
         self._due.set(self.core.due_ns(now_ns) or NEVER)
+        if self.arm:
+            self.arm.turn(now_ns)
         self._tell()
         self._publish(now_ns)
         self.heartbeat.beat(now_ns, self.epoch)
@@ -192,6 +198,8 @@ class Gate:
             self.epoch = epoch
             self.core.stand_still()
             self._follow_latch()
+            if self.arm:
+                self.arm.stopped(LATCHED)
 
     def _follow_telemetry(self, now_ns: int) -> None:
         """The gamepad's sticks, and what telemetry wishes: a reset, or a frame that is not motion."""
@@ -214,6 +222,11 @@ class Gate:
         if len(self._resets) == 1:
             self._pass_reset_on()
 
+    def send(self, kind: int, body: bytes, now_ns: int) -> None:
+        """A frame of the current epoch for the port owner, or STOP."""
+        self._frames.put(records.pack_frame(self.epoch, kind, body), now_ns)
+        self._port_owner_bell.ring()
+
     def _pass_reset_on(self) -> None:
         self._asked_ns_word.set(self._resets[0][3])
         self._barrier()
@@ -233,13 +246,13 @@ class Gate:
         reply = unpack(entry[2])[2]
         slot, session, number, _ = self._resets.pop(0)
         if slot:
-            self._reply(slot, session, number, reply, now_ns)
+            self.reply(slot, session, number, reply, now_ns)
         who, pid = (slot.name, slot.pid) if slot else (PAD, 0)
         self._remark(records.RESET, who, pid, reply, now_ns)
         if self._resets:
             self._pass_reset_on()
 
-    def _reply(self, slot: Slot, session: int, number: int, reply: Reply, now_ns: int) -> None:
+    def reply(self, slot: Slot, session: int, number: int, reply: Reply, now_ns: int) -> None:
         """Tell a client, once the state that it reads is that of after its request."""
         self._publish(now_ns)
         self._barrier()
@@ -253,6 +266,8 @@ class Gate:
         """Latch a stop: burst at once, then the news to the supervisor, which raises the epoch."""
         if self.core.trip(cause, self.epoch):
             self._write_stop()
+            if self.arm:
+                self.arm.stopped(LATCHED)
             self._trips.put(records.pack_stop(self.epoch, now_ns, 0, cause.pack()))
             self.supervisor_bell.ring()
 
@@ -271,6 +286,8 @@ class Gate:
         asserted_ns, names = slot.interlocks()
         if asserted_ns:
             self.core.interlocks.hold(names, asserted_ns, now_ns)
+        if self.arm:
+            self.arm.goal(slot, now_ns)
 
     def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
         """Decide, act, answer; a reset is the supervisor's. Who asked to enable before a stop did not know of it."""
@@ -283,15 +300,36 @@ class Gate:
                 False, f"asked before the last stop ({records.CAUSE}): see to that, then ask again", self._last
             )
         elif verb == records.ENABLE:
-            missing = "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
-            reply = self.core.enable(self.epoch, missing, now_ns)
+            reply = self._enable(slot, number, now_ns)
         elif verb == records.DISABLE:
             reply = self.core.disable()
             self._write_stop()
+            if self.arm:
+                self.arm.stopped("motion disabled")
+        elif verb in ARM_VERBS:
+            reply = self.arm.request(slot, number, verb, now_ns) if self.arm else Reply(False, NO_ARM)
         else:
             reply = Reply(False, f"unknown request {verb}")
-        self._reply(slot, slot.session, number, reply, now_ns)
-        self._remark(verb, slot.name, slot.pid, reply, now_ns, enabled=enabled)
+        self.reply(slot, slot.session, number, reply, now_ns)
+        if reply.done != records.UNDER_WAY:
+            self._remark(verb, slot.name, slot.pid, reply, now_ns, enabled=enabled)
+
+    def _missing(self) -> str:
+        return "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
+
+    def _enable(self, slot: Slot, number: int, now_ns: int) -> Reply:
+        """Motion, if nothing is against it; with an arm that is to be folded, its way to the drive pose first."""
+        if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
+            return self.arm.enable(slot, number, now_ns) or self.core.enable(self.epoch, self._missing(), now_ns)
+        return self.core.enable(self.epoch, self._missing(), now_ns)
+
+    def enable_now(self, slot: Slot, number: int, now_ns: int) -> None:
+        """The arm is in the drive pose: enable, if still nothing is against it."""
+        reply = self.core.enable(self.epoch, self._missing(), now_ns)
+        if reply.done and self.arm:
+            self.arm.core.forget()
+        self.reply(slot, slot.session, number, reply, now_ns)
+        self._remark(records.ENABLE, slot.name, slot.pid, reply, now_ns)
 
     def _remark(self, verb: int, who: str, pid: int, reply: Reply, now_ns: int, *, enabled: bool = False) -> None:
         """Tell people who has asked for what, with what effect."""
@@ -306,14 +344,18 @@ class Gate:
         """It has left, or its claim is gone: if it was the one that drives, the wheels stand at once."""
         if self.core.client_gone(slot.session, now_ns, parted=slot.parted):
             self._step(now_ns)
+        if self.arm:
+            self.arm.client_gone(slot.session, now_ns)
 
     def _publish(self, now_ns: int) -> None:
         """Publish the state when it has changed, and at least every PUBLISH_NS."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0
+        arm = {"arm": self.arm.state(now_ns)} if self.arm else {}
         state = pack(
             {
+                **arm,
                 "enabled": core.enabled,
                 "estop": core.latch and core.latch.pack(),
                 "blocked": core.blocked(now_ns) or None,

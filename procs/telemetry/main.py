@@ -75,6 +75,9 @@ class Telemetry:
             framing.KEY: self._on_key,
             framing.PWM_SERVO: Pongs(own.word("pong"), self.supervisor_bell).take,
         }
+        self._servos = own.ring_writer("servos")
+        if settings.servos():
+            self._handlers[framing.BUS_SERVO] = self._on_servo
         self._decoder = decoder.Decoder()
         self._trips = Trips(int(settings["pad.mode_button"]), int(settings["key.stop"]), settings["battery.stop_mv"])
         self._pad = Pad.of(settings, self._trips)
@@ -129,7 +132,7 @@ class Telemetry:
             for func, data in self._decoder.feed(entry[2]):
                 if handler := self._handlers.get(func):
                     handler(data, entry[1])
-        if frame := self._tones.follow(self._gate.latched, self._pad.mode):
+        if frame := self._tones.follow(self._gate.latched, self._pad.mode, tucks=self._gate.tucks):
             self._wish(records.WISH_FRAME, frame)
         self._publish(now_ns)
         self._tell_pad_mode()
@@ -255,6 +258,11 @@ class Telemetry:
                 self._events.put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
                 text = f"{news.cause}; last frames: {self._pad.recent()}"
                 self._note("pad", text, {"reason": str(news.cause)})
+
+    def _on_servo(self, data: bytes, t_ns: int) -> None:
+        if answer := decoder.servo_reply(framing.BUS_SERVO, data):
+            self._servos.put(records.pack_servo(*answer), t_ns)
+            self._gate_bell.ring()
 
     def _on_key(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.key(data):

@@ -43,7 +43,7 @@ def test_every_mirror_shows_settings_that_there_are() -> None:
         ({"device": "/dev//ttyACM0"}, ""),
         ({"device": "/dev/ttyACM1"}, "parameter device = /dev/ttyACM1 is not taken, /dev/ttyACM0 holds"),
         ({"pad_sounds": True}, "parameter pad_sounds = true is not taken, false holds: change buzzer.tones"),
-        ({"drive_pan": 500}, "parameter drive_pan = 500 is not taken, -1 holds: remove it"),
+        ({"drive_pan": 500}, "parameter drive_pan = 500 is not taken, -1 holds: change arm.drive_pan"),
         ({"somebody_elses": 1}, ""),
     ],
 )
