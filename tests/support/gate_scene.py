@@ -118,7 +118,7 @@ class Scene(Stage):
         entry = self._reply.read()
         assert entry is not None
         _, number, reply = unpack(entry[2])
-        return number, reply.done, reply.text.replace(records.CAUSE, said(reply.cause) if reply.cause else "")
+        return number, bool(reply.done), reply.text.replace(records.CAUSE, said(reply.cause) if reply.cause else "")
 
     def no_reply(self) -> bool:
         """True when nothing was said to the client."""

@@ -29,4 +29,4 @@ def said(cause: Cause | None) -> str:
 
 def told(reply: Reply) -> tuple[bool, str]:
     """What became of a request, in plain values."""
-    return reply.done, str(reply)
+    return bool(reply.done), str(reply)
