@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[2]
 STARTERS = frozenset(
     {
         *("multiprocessing", "subprocess"),
-        *("failstop.board.sim.client", "failstop.faults.crowd", "failstop.faults.scene", "failstop.trial"),
-        *("failstop.supervisor.starter",),
+        *("failstop.faults.arm", "failstop.faults.crowd", "failstop.faults.scene"),
+        *("failstop.board.sim.client", "failstop.supervisor.starter", "failstop.trial"),
     }
 )
 """Modules that are there to start processes."""
