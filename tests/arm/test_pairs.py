@@ -15,11 +15,11 @@ from failstop.shm.barrier import Barrier
 from failstop.shm.latest import LatestReader, LatestWriter
 from failstop.shm.ring import RingReader, RingWriter
 from failstop.shm.words import Word
-from tests.procs import gate_scene, port_scene, test_stopper
-from tests.procs.stage import MS
-from tests.supervisor.test_answers import Scene as SupervisorScene
-from tests.supervisor.test_watching import Watching
-from tests.telemetry.scene import Scene as TelemetryScene
+from tests.support import gate_scene, port_scene, stopper_scene
+from tests.support.stage import MS
+from tests.support.supervisor_scene import Scene as SupervisorScene
+from tests.support.telemetry_scene import Scene as TelemetryScene
+from tests.support.watching_scene import Watching
 
 
 class Trace:
@@ -173,7 +173,7 @@ def test_the_epoch_and_the_look_before_moving(watching: Watching, trace: Trace) 
 
 
 def test_the_stoppers_look_before_moving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trace: Trace) -> None:
-    scene = test_stopper.Scene(tmp_path, monkeypatch)
+    scene = stopper_scene.Scene(tmp_path, monkeypatch)
     try:
         trace.watch(moving=scene.stopper._port_owner_moving)
         monkeypatch.setattr(starved, "look", lambda *_: trace.done.append("look") or True)
@@ -199,7 +199,7 @@ class Memory(bytearray):
 
 
 def test_an_entry_before_the_next(trace: Trace) -> None:
-    memory = Memory(8 * ring.slot_bytes(64))
+    memory = Memory(8 * ring.slot_bytes(64))  # type: ignore[attr-defined]
     memory.done = trace.done
     writer = RingWriter(memory, 0, 64, 8, 1)
     trace.done.clear()
@@ -209,11 +209,11 @@ def test_an_entry_before_the_next(trace: Trace) -> None:
 
 
 def test_a_later_entry_before_the_second_look_at_a_torn_one(trace: Trace) -> None:
-    memory = Memory(8 * ring.slot_bytes(64))
+    memory = Memory(8 * ring.slot_bytes(64))  # type: ignore[attr-defined]
     memory.done = trace.done
     reader = RingReader(memory, 0, 64, 8, 1)
     writer = RingWriter(memory, 0, 64, 8, 1)
-    torn = ring.slot_bytes(64)
+    torn = ring.slot_bytes(64)  # type: ignore[attr-defined]
     writer.put(b"torn")
     memory[torn : torn + 4] = b"torn"
     writer.put(b"whole")
