@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick campaigns lint bench soak chaos model mutants deb vm wheels clean
+.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants deb vm wheels clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -30,6 +30,10 @@ campaigns: $(VENV)/.dev
 # of the tests are kept, wherever else they are not wanted: without them each run compiles for ten seconds.
 quick: $(VENV)/.dev lint
 	env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest --quick --quiet --numprocesses 2 -m 'not slow and not alone and not starts'
+
+# The quick tests on Python 3.10 and 3.13, where there are such interpreters; it says which it lacks.
+versions: $(VENV)/bin/python
+	@$(BIN)/python packaging/versions.py $(VENV)/versions
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -19,7 +19,7 @@ MUCH = visit.Amounts(kills=43, hangs=6, samples=60, seconds=15.0, seed=7)
 def rounds(factor: float, count: int = 10, each: int = 30, drift: float = 0.0) -> list[ratio.Round]:
     """Rounds of a machine that gets slower by `drift` each, and a commit that takes `factor` times as long."""
     chance = np.random.default_rng(3)
-    found = []
+    found: list[ratio.Round] = []
     for number in range(count):
         slow = 1 + drift * number
         there, here = (chance.lognormal(0, 0.1, each) * slow for _ in range(2))

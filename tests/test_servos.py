@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from itertools import product
 from struct import pack, unpack_from
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -40,7 +41,8 @@ def moved(data: bytes) -> dict[int, int]:
 
 def judge(stream: bytes, meant: dict[int, int]) -> None:
     """What the board makes of a stream that ends with the stop's write."""
-    motors, last, stopped = Motors(SPINNING), b"", set()
+    motors, last = Motors(SPINNING), b""
+    stopped: set[Any] = set()
     for _, func, data in Receiver().feed(stream):
         if func == MOTOR:
             last, stopped = data, set()

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from arm_settings import ARM, DRIVE, SERVOS
 
 from failstop import Refused
 from failstop.board.framing import BUS_SERVO
 from failstop.trial import Trial, wait_for, write_settings
+from tests.support.arm_settings import ARM, DRIVE, SERVOS
 
 
 @pytest.fixture

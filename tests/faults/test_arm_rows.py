@@ -9,7 +9,7 @@ import pytest
 
 from failstop.faults import arm
 from failstop.faults.arm import ArmFault, ArmTrial
-from tests.amounts import LONG
+from tests.support.amounts import LONG
 
 FEW = {"arm-kill-gate", "arm-kill-port_owner", "arm-hang-gate", "arm-client-killed", "arm-stop-request", "arm-usb-drop"}
 ROWS = [row for row in arm.ROWS if LONG or row.name in FEW]

@@ -16,7 +16,7 @@ from failstop.incidents.incident import Incident
 from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.shm import box
-from tests.incidents.parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
+from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
 
 
 @pytest.fixture(scope="module")

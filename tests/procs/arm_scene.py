@@ -23,9 +23,8 @@ from failstop.procs.port_owner.servo_bus import ServoBus
 from failstop.shm import bell, claim, instance, layout, records, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.segment import Segment
-from tests.arm_settings import ARM, SERVOS
-
-from .stage import INCARNATION, MS, Stage
+from tests.support.arm_settings import ARM, SERVOS
+from tests.support.stage import INCARNATION, MS, Stage
 
 SESSION = 11
 OTHER = 12

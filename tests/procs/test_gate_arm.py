@@ -14,11 +14,11 @@ import pytest
 from failstop.policy import causes
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.shm import records
-from tests.amounts import amount
-from tests.arm_settings import DRIVE, SERVOS
+from tests.support.amounts import amount
+from tests.support.arm_settings import DRIVE, SERVOS
+from tests.support.stage import MS
 
 from .arm_scene import ZERO_WHEELS, ArmScene
-from .stage import MS
 
 FOLLOW, JOG = records.ARM_FOLLOW, records.ARM_JOG
 

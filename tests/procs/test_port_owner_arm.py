@@ -12,9 +12,8 @@ from failstop.board import servos
 from failstop.board.burst import BURST, burst_with
 from failstop.board.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque
 from failstop.shm import layout, records
-
-from .port_scene import MOTION, Scene
-from .stage import MS
+from tests.support.port_scene import MOTION, Scene
+from tests.support.stage import MS
 
 IDS = (1, 2, 3, 4, 5, 10)
 STOP = burst_with(IDS)

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from tests.arm_settings import ARM, DRIVE, SERVOS
 from tests.ros2.scene import NODE, Scene
+from tests.support.arm_settings import ARM, DRIVE, SERVOS
 
 SETTINGS = "".join(f"{key} = {json.dumps(value)}\n" for key, value in ARM.items())
 GOAL = "trajectory_msgs/msg/JointTrajectory"

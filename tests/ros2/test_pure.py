@@ -17,7 +17,7 @@ from failstop.ros2 import diagnostics, leftovers, messages, mirrors, report, wor
 from failstop.ros2.commanders import Publisher
 from failstop.ros2.scan import ScanLog, ScanWatch
 from failstop.samples import ImuSample, OdometrySample, PadSample
-from tests.screen import states
+from tests.support import states
 
 S = 1_000_000_000
 SCAN = "sensor_msgs/msg/LaserScan"

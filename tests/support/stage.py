@@ -17,9 +17,8 @@ from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import Lifeline
 from failstop.shm.segment import Segment
-from tests.waiting import until
-
-from .parts import Pty
+from tests.support.ptys import Pty
+from tests.support.waiting import until
 
 MS = 1_000_000
 MOST_LATE = 3
