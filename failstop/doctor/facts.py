@@ -154,6 +154,8 @@ class Service:
     waiting_for: str = ""
     said: tuple[tuple[str, str, str], ...] = ()
     """Who, what it sees, what is wrong: by a client's own account."""
+    arm: tuple[str, ...] = ()
+    """What is wrong with the arm, in words."""
     bridge: int = 0
     """The pid that the bridge to ROS 2 says it has; 0: it is not connected."""
     processes: tuple[Process, ...] = ()

@@ -34,7 +34,10 @@ def running(facts: Facts) -> list[Finding]:
         text = f"{where}; the board has not answered a ping yet"
         return warn(text, f"failstop status --name {facts.name}", "is it the right device?")
     motion = f"stopped: {service.latched}" if service.latched else "enabled" if service.enabled else "disabled"
-    return ok(f"{where}, device {service.device_state}, the board answers, motion {motion}")
+    found = ok(f"{where}, device {service.device_state}, the board answers, motion {motion}")
+    return found + [
+        row for text in service.arm for row in warn(f"the arm: {text}", f"failstop arm --name {facts.name}")
+    ]
 
 
 def _not_running(facts: Facts) -> list[Finding]:

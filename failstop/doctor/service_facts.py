@@ -62,6 +62,7 @@ def _running(state: State, version: str, system: System) -> Service:
         waiting_for=state.waiting_for or "",
         starved=words.starved(state.starved),
         said=tuple(words.said(state)),
+        arm=tuple(state.arm["wrong"]) if state.arm else (),
         bridge=next((client["pid"] for client in state.clients if client["name"] == BRIDGE), 0),
         processes=tuple(
             Process(which, row.pid, row.realtime, row.memory_locked) for which, row in state.processes.items()

@@ -61,6 +61,7 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("service", facts(service=but(SERVICE, link="deaf")), FAIL, "does not answer"),
     ("service", facts(service=but(SERVICE, link="unproven")), WARN, "not answered"),
     ("service", facts(service=but(SERVICE, waiting_for="the port")), WARN, "waits for the port"),
+    ("service", facts(service=but(SERVICE, arm=("joint elbow does not answer",))), WARN, "joint elbow does not answer"),
     ("clients", facts(service=but(SERVICE, said=(("ros2", "no scan", "/a and /b drive"),))), WARN, "/a and /b drive"),
     ("ROS 2", facts(ros2=Ros2(("anna",))), SKIP, "nodes of anna run here"),
     ("ROS 2", facts(ros2=Ros2(("anna", "bob"), 7, "bob")), WARN, "Fast DDS of anna is here"),
