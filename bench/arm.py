@@ -31,19 +31,20 @@ def rests(trial: ArmTrial, count: int, say: Callable[[str], None]) -> list[Row]:
         if fault.what not in (arm.KILL, arm.CLIENT_KILL, arm.REQUEST, arm.HANG):
             continue
         times = count if fault.what != arm.HANG else max(1, count // 5)
-        stops, stands, wrong = [], [], 0
+        stops, stands, wrong = [], [], []
         for turn in range(times):
             say(f"{fault.name}, {turn + 1} of {times}")
             found = arm.strike(trial, fault)
             stands.append(round(found.rest_ms * 1e6))
             stops += [round(found.stop_ms * 1e6)] if found.stop_ms is not None else []
-            wrong += bool(found.wrong)
+            wrong += [found.wrong] if found.wrong else []
         rest = stats.timing(f"{fault.cause} -> every joint stands", stands, p50_ms=None, p99_ms=fault.bar_ms)
         rows.append(rest)
         if fault.what == arm.KILL:
             bar_ms = KILL_P99_MS + BUS_MS
             rows.append(stats.timing(f"{fault.cause} -> the arm's stop", stops, p50_ms=None, p99_ms=bar_ms))
-        rows.append(stats.count(f"{fault.cause}: not as the row says", wrong, times))
+        rows.append(stats.count(f"{fault.cause}: not as the row says", len(wrong), times))
+        rows[-1].result += f" {wrong}" if wrong else ""
     return rows
 
 

@@ -100,7 +100,7 @@ class State:
     to be trusted; and the twist, vx_mps, vy_mps, wz_radps, with its standard deviations twist_std_mps of vx and vy and
     twist_std_radps of wz (settings)."""
     pad_mode: str | None
-    """locked or drive; None: no gamepad frame yet."""
+    """locked, drive or joint; None: no gamepad frame yet."""
     battery_mv: int | None
     plugged: str
     """unknown, plugged or unplugged."""

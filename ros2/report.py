@@ -33,6 +33,7 @@ NO_ARM: dict[str, Any] = {
     "servo_silent": [],
     "arm_holding": False,
     "auto_tuck_in_s": None,
+    "pad_joint": None,
 }
 
 
@@ -49,6 +50,7 @@ def arm(state: State) -> dict[str, Any]:
         "servo_silent": found["silent"],
         "arm_holding": not found["moving"] and any(joint["torque"] for joint in joints),
         "auto_tuck_in_s": found["auto_tuck_s"],
+        "pad_joint": found["pad_joint"],
     }
 
 
@@ -72,7 +74,6 @@ def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> di
         "gyro_bias_dps": [round(degrees(value), 4) for value in bias["bias_radps"]],
         "gyro_bias_tracking": bias["tracking"],
         "pad_mode": state.pad_mode or "locked",
-        "pad_joint": None,
         "next": verdict.steps(state),
         "driver": driver(state),
         "publishers": list(publishers),
@@ -108,7 +109,6 @@ def without_service(problem: str) -> dict[str, Any]:
         "gyro_bias_dps": [0.0, 0.0, 0.0],
         "gyro_bias_tracking": False,
         "pad_mode": "locked",
-        "pad_joint": None,
         "next": ["start the service"],
         "driver": None,
         "publishers": [],

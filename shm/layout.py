@@ -198,6 +198,7 @@ SEGMENTS = (
             _latest("bias", 32, "its successor, clients"),  # records: the gyro's
             _latest("odometry", 64, "its successor, clients"),  # records
             _latest("pad", 32, "clients"),  # records: the last frame, the mode
+            _latest("pad_arm", 32, "gate"),  # records: one a frame while the pad moves a joint
             _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
             _ring("trips", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
             _ring("servos", 16, 64, "gate"),  # answers of the arm's servos, in order (records)

@@ -45,6 +45,7 @@ _ARM_GOAL = struct.Struct("<QBB")
 _ARM_VALUE = struct.Struct("<Bd")
 _ARM_PATH = struct.Struct("<QdBH")
 _SERVO = struct.Struct("<BBBi")
+_PAD_ARM = struct.Struct("<Bd")
 
 NOBODY = 0
 """No client's session. In a whole hello: who held the slot has left it in order."""
@@ -79,7 +80,7 @@ MOST_ROWS = 200
 WISH_RESET = 1
 WISH_FRAME = 2
 PLUGGED = ("unknown", "plugged", "unplugged")
-PAD_MODES = ("locked", "drive")
+PAD_MODES = ("locked", "drive", "joint")
 
 
 def life(pid: int, block: int) -> int:
@@ -382,6 +383,18 @@ def unpack_pad_command(payload: bytes) -> tuple[float, float, float]:
     """Return (vx_mps, vy_mps, wz_radps)."""
     vx, vy, wz = _exact(_PAD_COMMAND, payload)
     return vx, vy, wz
+
+
+def pack_pad_arm(joint: int, share: float) -> bytes:
+    """What the gamepad asks of the arm: which joint, by its place in the settings, and the share of its speed, -1 to
+    1."""
+    return _PAD_ARM.pack(joint, share)
+
+
+def unpack_pad_arm(payload: bytes) -> tuple[int, float]:
+    """Return (joint, share)."""
+    joint, share = _exact(_PAD_ARM, payload)
+    return int(joint), share
 
 
 def pack_wish(kind: int, frame: bytes = b"") -> bytes:

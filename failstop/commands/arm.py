@@ -19,7 +19,7 @@ failstop arm move base=0.5 wrist=-0.3  # rad, as fast as the settings allow
 failstop arm move base=0 --over 3      # within 3 s
 failstop arm jog base=0.2 --for 1      # rad/s
 failstop arm hold                      # stop where it is; torque stays
-failstop arm release                   # torque off: it falls, and drops things
+failstop arm release                   # torque off: it falls
 """
 
 VERBS = ("status", "move", "jog", "drive", "tuck", "hold", "release", "read")

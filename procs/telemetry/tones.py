@@ -13,8 +13,9 @@ TRIP = codec.buzzer(1000, 400, OFF_MS, 2)
 MODES = {
     pad.LOCKED: codec.buzzer(1500, 100, OFF_MS, 1),
     pad.DRIVE: codec.buzzer(2500, 100, OFF_MS, 2),
+    pad.JOINT: codec.buzzer(2500, 100, OFF_MS, 3),
 }
-"""One short beep: locked; two short high ones: drive."""
+"""One short beep: locked; two short high ones: drive; three: joint."""
 TUCK = codec.buzzer(2000, 50, OFF_MS, 4)
 """Four short ones: the arm is about to move by itself."""
 

@@ -102,8 +102,8 @@ def telemetry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Telem
 
 def test_cause_and_ready_before_the_epoch(supervisor: SupervisorScene, trace: Trace) -> None:
     supervisor.turn()
-    own = supervisor.supervisor
-    trace.watch(cause=own.epochs._latch_record, ready=own.epochs.ready_word, epoch=own.epochs._epoch_word)
+    own = supervisor.supervisor.epochs
+    trace.watch(cause=own._latch_record, ready=own.ready_word, epoch=own._epoch_word)
     supervisor.notice()
     supervisor.turn()
     assert trace.has("store cause", "store ready", "barrier", "store epoch")
@@ -128,6 +128,33 @@ def test_a_successor_sees_the_cause_of_the_epoch_that_it_sees(gate: gate_scene.S
     trace.watch(cause=gate.gate._latch)
     gate.gate._follow_latch()
     assert trace.done[:2] == ["barrier", "load cause"]
+
+
+def test_a_reset_s_time_before_its_number(gate: gate_scene.Scene, trace: Trace) -> None:
+    resets = gate.gate._resets
+    trace.watch(number=resets._asked_word, asked=resets._asked_ns_word)
+    resets.ask((None, 0, 0, gate.clock()))
+    assert trace.has("store asked", "barrier", "store number")
+
+
+def test_a_reset_s_number_before_its_time_and_what_became_of_it_before_that(
+    supervisor: SupervisorScene, trace: Trace
+) -> None:
+    supervisor.turn()
+    own = supervisor.supervisor.epochs
+    supervisor.ask_reset()
+    trace.watch(number=own._asked_word, asked=own._asked_ns_word, record=own._decided_record, decided=own._decided_word)
+    supervisor.turn()
+    assert trace.has("load number", "barrier", "load asked", "store record", "barrier", "store decided")
+
+
+def test_a_decided_reset_before_the_latch_and_what_became_of_it(gate: gate_scene.Scene, trace: Trace) -> None:
+    gate.stop(2, "key1")
+    gate.tick()
+    gate.gate._resets.ask((None, 0, 0, gate.clock()))
+    trace.watch(decided=gate.gate._resets._decided_word, latch=gate.gate._latch, record=gate.gate._resets._record)
+    gate.decide()
+    assert trace.has("load decided", "barrier", "load latch", "barrier", "load record")
 
 
 def test_moving_before_the_last_look_at_the_epoch(port: port_scene.Scene, trace: Trace) -> None:

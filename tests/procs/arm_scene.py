@@ -66,6 +66,7 @@ class ArmScene(Stage):
         """When, and the data of each frame that moved servos."""
         self.dropped = 0
         self._telemetry = self._views[layout.TELEMETRY].ring_writer("servos")
+        self._pad = self._views[layout.TELEMETRY].latest_writer("pad_arm")
         self._answers: list[tuple[int, bytes]] = []
         self._numbers = [0, 0]
 
@@ -169,6 +170,10 @@ class ArmScene(Stage):
         """A goal of a stream."""
         packed = records.pack_arm_goal((SESSION, OTHER)[client], mode, values)
         self.segment_of(client).latest_writer("arm_goal").write(packed, self.clock())
+
+    def pad(self, joint: int, share: float) -> None:
+        """What telemetry says of the gamepad in its joint mode."""
+        self._pad.write(records.pack_pad_arm(joint, share), self.clock())
 
     def travel(self, values: dict[int, float], over_s: float = 0.0, client: int = 0) -> None:
         """A trajectory to one point, and the request for it."""

@@ -362,3 +362,24 @@ def test_no_motion_before_the_read_back_says_drive_pose(tmp_path: Path, monkeypa
     assert scene.wrong == 0
     assert enabled
     assert refused
+
+
+def test_the_gamepad_turns_a_joint_and_holds_it_when_let_go(scene: ArmScene) -> None:
+    for _ in range(40):
+        scene.pad(1, 0.5)
+        scene.run(0.05)
+    assert scene.state()["pad_joint"] == "shoulder"
+    assert scene.at(2) > 560
+    scene.pad(1, 0.0)
+    scene.run(0.02)
+    stood = scene.at(2)
+    scene.run(0.3)
+    assert scene.at(2) == pytest.approx(stood, abs=1)
+    assert scene.state()["pad_joint"] is None
+
+
+def test_the_gamepad_beside_a_program_latches(scene: ArmScene) -> None:
+    follow(scene, 0.3, 0.3)
+    scene.pad(1, 0.5)
+    scene.run(0.02)
+    assert scene.gate.core.latch == causes.TWO_MOVE_THE_ARM("test (pid 0)", "gamepad")

@@ -281,11 +281,16 @@ def test_servo(servo: int, what: int, value: int | None) -> None:
     assert records.unpack_servo(records.pack_servo(servo, what, value)) == (servo, what, value)
 
 
+@given(joint=U8, share=st.floats(-1, 1))
+def test_pad_arm(joint: int, share: float) -> None:
+    assert records.unpack_pad_arm(records.pack_pad_arm(joint, share)) == (joint, share)
+
+
 def test_every_pair_is_under_test() -> None:
     """A payload that is added to records.py must be added here."""
     packs = {name[5:] for name, _ in inspect.getmembers(records, inspect.isfunction) if name.startswith("pack_")}
     unpacks = {name[7:] for name, _ in inspect.getmembers(records, inspect.isfunction) if name.startswith("unpack_")}
-    assert packs == set(BIGGEST) | {"arm_goal", "arm_path", "servo"}
+    assert packs == set(BIGGEST) | {"arm_goal", "arm_path", "servo", "pad_arm"}
     assert unpacks - {"life", "pong"} == packs
 
 

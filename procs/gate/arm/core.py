@@ -9,7 +9,7 @@ it moves again.
 from __future__ import annotations
 
 from failstop.board.interface import BOARD
-from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES
+from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, MOVE_NS
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.joints import from_settings
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 SERVICE = 0
 """The session of the service's own journeys: to the drive pose, to the tuck pose."""
+MOVES_APART_NS = MOST_MOVES * MOVE_NS
+"""Between two frames of moves that are both late: the port owner drops what a stop would wait for too long."""
 LOAD_APART_NS = 4_000_000
 """Between two frames that switch a torque on."""
 NEAR = 1.0
@@ -52,7 +54,7 @@ class ArmCore:
         self._slots: list[tuple[int, list[Joint]]] = []
         """When each frame's joints are due, the next first."""
         self._streaming: list[Joint] = []
-        self._load_ns = 0
+        self._load_ns = self._apart_ns = 0
         self.active_ns = 0
         """When it was last moved, or asked to; 0: never."""
         self.released = False
@@ -72,6 +74,10 @@ class ArmCore:
             return journey.who
         rivals = (goal for goal in self._goals.values() if goal.session != session and self._fresh(goal, now_ns))
         return next((goal.who for goal in rivals), "")
+
+    def moved_by(self, session: int) -> bool:
+        """Its goals are what is followed, or would be."""
+        return any(goal.session == session for goal in self._goals.values())
 
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
         return now_ns - goal.t_ns <= self._timeout_ns
@@ -145,7 +151,7 @@ class ArmCore:
         """A client has gone; True when it moved the arm, which is to be held."""
         if self.journey and self.journey.session == session and not self.journey.done:
             return self.drop("its client has gone") or True
-        if any(goal.session == session for goal in self._goals.values()):
+        if self.moved_by(session):
             return self.drop("its client has gone") or True
         return False
 
@@ -200,7 +206,7 @@ class ArmCore:
     def due_ns(self) -> int:
         """When to step again."""
         if self._slots:
-            return self._slots[0][0]
+            return max(self._slots[0][0], self._apart_ns)
         return min(self._load_ns, self._reader.due_ns()) if self._load_ns else self._reader.due_ns()
 
     def _end_stale(self, now_ns: int) -> bool:
@@ -318,8 +324,9 @@ class ArmCore:
     def _move(self, now_ns: int) -> bytes:
         """The moves that are due."""
         due_ns, group = self._slots[0]
-        if now_ns < due_ns:
+        if now_ns < max(due_ns, self._apart_ns):
             return b""
+        self._apart_ns = now_ns + MOVES_APART_NS
         # From when it was due, so that a late wake-up shifts one frame and not all that follow.
         again_ns = due_ns + self._period_ns
         self._slots = [*self._slots[1:], (again_ns if again_ns > now_ns else now_ns + self._period_ns, group)]

@@ -13,18 +13,21 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.gate.arm.joints import Joint
 
-QUIET_NS = (LONGEST_MOVE_MS + 4) * 1_000_000
+LATE_NS = 3_000_000
+"""By how much the port owner may come later to one frame than to the next, on a busy machine: what is too near to the
+frame before it is dropped there, and would count as a question without an answer."""
+QUIET_NS = LONGEST_MOVE_MS * 1_000_000 + 4 * LATE_NS
 """After the last move: the port owner lets no question pass before every servo stands."""
-APART_NS = SILENT_NS + 1_000_000
+APART_NS = SILENT_NS + LATE_NS
 """Between two questions: the port owner lets none pass while an earlier one may still hold the receiver."""
-WAIT_NS = 25_000_000
+WAIT_NS = 40_000_000
 """An answer that is not there by then does not come: it takes some milliseconds through board, port owner and
 telemetry."""
 IDLE_NS = 150_000_000
 """Between two questions that nobody waits for."""
 AGREE = 5
 """Pulses by which two readings of a servo that stands may differ."""
-MOST_MISSES = 3
+MOST_MISSES = 4
 _OTHERS = (TEMPERATURE, TORQUE, SUPPLY)
 
 
@@ -94,6 +97,8 @@ class Reader:
         self._asked = None
         if self._distrust:
             self._distrust = False
+            if value:
+                joint.misses = 0  # the value may be another question's, but something answers
             return None
         if what == TORQUE:
             joint.loaded = value > 0

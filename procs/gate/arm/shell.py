@@ -10,8 +10,10 @@ from failstop.policy.reply import Reply
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import SERVICE, ArmCore
 from failstop.procs.gate.arm.goals import Goal, Journey
-from failstop.procs.gate.arm.joints import Joint
+from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
 from failstop.procs.gate.arm.tuck import ANNOUNCE, GO, AutoTuck
+from failstop.procs.gate.clients import seen
+from failstop.procs.gate.sources import PAD
 from failstop.shm import records
 from failstop.shm.notes import Note
 from failstop.shm.records import CAUSE
@@ -53,6 +55,8 @@ TELL_NS = 200_000_000
 """How often who waits is told how far it is."""
 MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
 LONGEST_S = 600.0
+PAD_PUBLISHER = -1
+"""The gamepad's session: no client's."""
 RELEASE_APART_NS = 4_000_000
 
 
@@ -77,7 +81,11 @@ class Arm:
         """`due`: when to turn without any news."""
         self.core = ArmCore(context.settings, now_ns)
         self._owner = owner
-        self._answers = context.segment("telemetry").ring_reader("servos")
+        telemetry = context.segment("telemetry")
+        self._answers = telemetry.ring_reader("servos")
+        self._pad = telemetry.latest_reader("pad_arm")
+        self._pad_seq = seen(self._pad)
+        self._pad_joint = ""
         self._by_servo = {joint.servo: joint for joint in self.core.joints}
         self._waiter: Waiter | None = None
         self._releasing: list[bytes] = []
@@ -96,6 +104,7 @@ class Arm:
         core, gate = self.core, self._owner.core
         while entry := self._answers.next():
             core.answer(*records.unpack_servo(entry[2]), entry[1])
+        self._follow_pad(now_ns)
         latched = LATCHED if gate.latch is not None else ""
         core.closed = latched or (ENABLED if gate.enabled else "")
         if not gate.enabled:
@@ -156,11 +165,31 @@ class Arm:
         joints = [self._by_servo[servo] for servo in values]
         self.core.take(Goal(MODES[mode], slot.session, slot.who(), t_ns, joints, tuple(values.values())), now_ns)
 
+    def _follow_pad(self, now_ns: int) -> None:
+        """The gamepad in its joint mode is a publisher like any other. A joint that it lets go of is held."""
+        entry = self._pad.read()
+        if entry is None or entry[0] == self._pad_seq:
+            return
+        self._pad_seq, t_ns, payload = entry
+        index, share = records.unpack_pad_arm(payload)
+        if index >= len(self.core.joints):
+            return
+        joint = self.core.joints[index]
+        self._pad_joint = joint.name
+        goal = Goal(goals.JOG, PAD_PUBLISHER, PAD, t_ns, [joint], (share * joint.speed / PULSES_PER_RAD,))
+        if share and not self._rivals(PAD_PUBLISHER, PAD, now_ns):
+            self.core.take(goal, now_ns)
+        elif not share and self.core.moved_by(PAD_PUBLISHER) and self.core.drop("let go"):
+            self._hold(now_ns)
+
     def _rival(self, slot: Slot, now_ns: int) -> bool:
+        return self._rivals(slot.session, slot.who(), now_ns)
+
+    def _rivals(self, session: int, who: str, now_ns: int) -> bool:
         """A second publisher of goals latches."""
-        other = self.core.publisher(slot.session, now_ns)
+        other = self.core.publisher(session, now_ns)
         if other and not self.core.closed:
-            self._owner.trip(causes.TWO_MOVE_THE_ARM(other, slot.who()), now_ns)
+            self._owner.trip(causes.TWO_MOVE_THE_ARM(other, who), now_ns)
         return bool(other)
 
     def _said(self, done: int, text: str) -> Reply:
@@ -329,5 +358,6 @@ class Arm:
             "auto_tuck_s": None if left_s is None or self.core.mode() or pose == goals.TUCK else round(left_s),
             "wrong": [f"joint {name} {text}" for name, text in self._told.items() if text],
             "pose": pose,
+            "pad_joint": self._pad_joint if self.core.moved_by(PAD_PUBLISHER) else None,
             "tucks": left_s is not None and left_s <= self._notice_s and not self.core.mode(),
         }
