@@ -129,6 +129,8 @@ def test_the_rows_are_what_both_sides_measured_in_every_round() -> None:
 
 
 def test_nothing_measured_is_no_row() -> None:
+    nothing: dict[str, object] = {"values": {"hang of gate": ([], "ms")}, "counts": {}}
+    assert beside.compared([(nothing, nothing)] * 8, MARGIN)[0] == []
     rows, counts = beside.compared([(told(1), None)] * 3, MARGIN)
     assert (rows, [count.verdict for count in counts]) == ([], [ratio.SLOWER])
 

@@ -172,6 +172,7 @@ def test_a_picture_that_fails_leaves_nothing(incident: Incident, tmp_path: Path)
         plot.save(incident, str(tmp_path / "nowhere" / "a.png"), 5.0)
 
 
+@pytest.mark.starts  # matplotlib asks fc-list for fonts
 def test_where_the_arm_s_joints_were_sent_is_a_panel_of_its_own(tmp_path: Path) -> None:
     parts = drive_and_die()
     parts.settings = Settings({"joints.base.servo": 1, "joints.wrist.servo": 4})

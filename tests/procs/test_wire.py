@@ -384,8 +384,8 @@ def test_a_full_port_is_not_waited_for(pty: Pty, wire: Wire, monkeypatch: pytest
         waited_s.append(given[3])
         return real(*given[:3], 0)  # type: ignore[call-arg]
 
-    monkeypatch.setattr(select, "select", timed)
     pty.fill()
+    monkeypatch.setattr(select, "select", timed)
     assert not wire.frame(MOTION)
     waited_s.clear()
     wire.stuck(T0)
