@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick campaigns lint bench soak chaos model mutants deb vm wheels clean
+.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants deb vm wheels clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -23,12 +23,17 @@ test: $(VENV)/.dev lint
 # Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults.
 campaigns: $(VENV)/.dev
 	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses 0 tests/shm/test_torn.py tests/shm/test_scribble.py \
+	  tests/procs/test_gate_arm.py tests/faults/test_arm_rows.py \
 	  tests/faults/test_chaos.py
 
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py). Compiled copies
 # of the tests are kept, wherever else they are not wanted: without them each run compiles for ten seconds.
 quick: $(VENV)/.dev lint
 	env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest --quick --quiet --numprocesses 2 -m 'not slow and not alone and not starts'
+
+# The quick tests on Python 3.10 and 3.13, where there are such interpreters; it says which it lacks.
+versions: $(VENV)/bin/python
+	@$(BIN)/python packaging/versions.py $(VENV)/versions
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

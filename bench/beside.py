@@ -149,6 +149,8 @@ def compared(said: list[tuple[Said, Said]], margin: float) -> tuple[list[Compare
     rows = []
     for measure in _on_both(values):
         rounds = [(there[measure][0], here[measure][0]) for there, here in values]
+        if not any(there or here for there, here in rounds):
+            continue  # no trial of it was asked for
         unit = values[0][1][measure][1]
         percentiles = OFTEN if unit == "ms" else ONCE
         ratios = {percentile: ratio.compare(rounds, percentile, margin) for percentile in percentiles}

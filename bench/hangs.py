@@ -89,7 +89,7 @@ def replugs(trial: Trial, count: int, seed: int, progress: Callable[[str], None]
         trial.board.events()
         back_ns = time.monotonic_ns()
         trial.board.replug()
-        event = trial.board.wait_for(lambda found, since=back_ns: found.arrival_ns >= since, 5.0)
+        event = trial.board.wait_for(lambda found, since=back_ns: found.arrival_ns >= since, 5.0)  # type: ignore[misc]
         assert event.is_stop, f"the first frame after a replug is {event}"
         times.append(event.arrival_ns - back_ns)
         wait_for("the service to be whole again", trial.service.ready)

@@ -64,7 +64,7 @@ def direction_changes(trial: Trial, count: int, seed: int, progress: Callable[[s
         trial.board.events()
         commanded_ns = time.monotonic_ns()
         trial.robot.drive(-0.05, 0.0, 0.0)
-        samples.append(_until(trial, commanded_ns, lambda event, was=before: event.is_motor and event.speeds[0] < was))
+        samples.append(_until(trial, commanded_ns, lambda event, was=before: event.is_motor and event.speeds[0] < was))  # type: ignore[misc]
         trial.drive(0.1, (0.0, 0.0, 0.0))
     trial.robot.disable()
     return stats.timing("drive() -> motor frame, change of direction", samples, p50_ms=0.5, p99_ms=2.0)

@@ -221,7 +221,8 @@ def _changes(scene: Scene, seconds_s: float) -> list[int]:
         published_ns = int(scene.driver.ask(f"once {speed}"))
         with contextlib.suppress(TimeoutError):
             event = scene.trial.board.wait_for(
-                lambda e, sent_ns=published_ns: e.is_motion and e.arrival_ns > sent_ns, 1.0
+                lambda e, sent_ns=published_ns: e.is_motion and e.arrival_ns > sent_ns,  # type: ignore[misc]
+                1.0,  # type: ignore[misc]
             )
             found.append(event.arrival_ns - published_ns)
     scene.driver.ask("steady 20")

@@ -39,14 +39,6 @@ from failstop.board.framing import (
 )
 from failstop.board.peripherals import (
     battery_alarm,
-    bus_servo_move,
-    bus_servo_read_id,
-    bus_servo_read_load,
-    bus_servo_read_position,
-    bus_servo_read_temperature,
-    bus_servo_read_vin,
-    bus_servo_stop,
-    bus_servo_torque,
     buzzer,
     check_aux,
     led,
@@ -58,6 +50,7 @@ from failstop.board.peripherals import (
     pwm_servo_read_deviation,
     rgb,
 )
+from failstop.board.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque, check_bus
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -86,15 +79,12 @@ __all__ = [
     "FrameError",
     "battery_alarm",
     "bus_servo_move",
-    "bus_servo_read_id",
-    "bus_servo_read_load",
-    "bus_servo_read_position",
-    "bus_servo_read_temperature",
-    "bus_servo_read_vin",
+    "bus_servo_read",
     "bus_servo_stop",
     "bus_servo_torque",
     "buzzer",
     "check_aux",
+    "check_bus",
     "check_motion",
     "crc8",
     "frame",

@@ -56,7 +56,7 @@ _PINGED_SERVOS = 4
 
 # What a reply's value looks like, by sub-command.
 _PWM_VALUES = {_READ_POSITION: _U16, 0x09: _I8}
-_BUS_VALUES = {0x05: _I16, 0x07: _U16, 0x09: _U8, 0x0D: _U8, 0x12: _U8}
+_BUS_VALUES = {0x05: _I16, 0x07: _U16, 0x09: _U8, 0x0D: _U8}
 
 
 class Decoder:
@@ -164,7 +164,7 @@ def servo_reply(func: int, data: bytes) -> tuple[int, int, int | None] | None:
     """PWM SERVO and BUS SERVO: (servo id, sub-command, value), the value None when a bus servo did not answer.
 
     The sub-command is that of the request. PWM: 05 pulse in us, 09 deviation in us. Bus: 05 position, 07 supply in mV,
-    09 degrees Celsius, 0D torque on, 12 id.
+    09 degrees Celsius, 0D torque on.
     """
     if len(data) < 3:
         return None

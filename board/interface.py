@@ -5,11 +5,11 @@ A second board is a second class of this form, in a module of its own (docs/port
 
 from __future__ import annotations
 
-from failstop.board import burst, codec, decoder
+from failstop.board import burst, codec, decoder, servos
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
     from typing import Protocol
 
     class Board(Protocol):
@@ -36,7 +36,27 @@ if TYPE_CHECKING:
             """Why these bytes must not be written as a motion frame; "" when they may. Never raises on bytes."""
 
         def check_aux(self, frame: bytes) -> str:
-            """Why these bytes must not be written as another frame; "" when they may. No motion passes."""
+            """Why these bytes must not be written as another frame; "" when they may. No motion passes, and no servo's
+            frame."""
+
+        def burst_with(self, servos: Sequence[int]) -> bytes:
+            """The burst, and in the same write behind it what stops these servos of an arm; for none the burst."""
+
+        def servo_move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int) -> bytes:
+            """The frame that moves a few servos, (id, pulses) each, in that time. Raises FrameError."""
+
+        def servo_read(self, servo: int, what: int) -> bytes:
+            """The frame that asks a servo for one of servos.READS. Raises FrameError."""
+
+        def servo_torque(self, servo: int, on: bool) -> bytes:
+            """The frame that switches a servo's torque. Raises FrameError."""
+
+        def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
+            """Why these bytes must not be written as a frame for an arm of these servos; "" when they may. What passes
+            holds the board's receiver for no longer than servos.HELD_NS, unless it asks a question."""
+
+        def servo_ns(self, frame: bytes) -> int:
+            """How long a frame that has passed holds the receiver at most."""
 
         def pong(self, func: int, data: bytes) -> int | None:
             """The index in `pings` of the one that a frame from the board answers, None if it answers none."""
@@ -48,11 +68,17 @@ class RosController:
     __slots__ = ()
 
     stop = codec.STOP
+    burst_with = staticmethod(burst.burst_with)
     burst = burst.BURST
     pings = tuple(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
     motor_speeds = staticmethod(codec.motor_speeds)
     check_motion = staticmethod(codec.check_motion)
     check_aux = staticmethod(codec.check_aux)
+    servo_move = staticmethod(servos.bus_servo_move)
+    servo_read = staticmethod(servos.bus_servo_read)
+    servo_torque = staticmethod(servos.bus_servo_torque)
+    check_servos = staticmethod(servos.check_bus)
+    servo_ns = staticmethod(servos.frame_ns)
     pong = staticmethod(decoder.pong)
 
 

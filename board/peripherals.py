@@ -1,4 +1,4 @@
-"""Frames to the board that move no wheel: servos, buzzer, LEDs, display and the battery alarm, and their check.
+"""Frames to the board that move no wheel: PWM servos, buzzer, LEDs, display and the battery alarm, and their check.
 
 The ranges are those of the firmware's handlers, which rarely check them (firmware source): a PWM servo id of 0 or a
 count beyond the data reaches outside a table, a long OLED text overruns its line.
@@ -14,7 +14,6 @@ from failstop.board.framing import (
     BUZZER,
     HEAD,
     LED,
-    MAX_DATA,
     MOTOR,
     MOTOR_HEAD,
     OLED,
@@ -48,8 +47,6 @@ _LED = Struct("<B3H")
 # Handlers that go through a list: where the count stands in the data, and the size of an item.
 _LISTS = {
     (PWM_SERVO, 0x01): (3, 3),
-    (BUS_SERVO, 0x01): (3, 3),
-    (BUS_SERVO, 0x03): (1, 1),
     (OLED, 0x01): (1, 1),
     (OLED, 0x02): (1, 1),
     (RGB, 0x01): (1, 4),
@@ -59,7 +56,7 @@ _PWM_ID_AT = {0x03: 3, 0x05: 1, 0x07: 1, 0x09: 1}
 
 
 FILLED = 31
-"""Bytes of data that the burst's first zeros complete; only lists of bus servos may be longer."""
+"""Bytes of data that the burst's first zeros complete: no frame is longer."""
 LONGEST_MS = 30_000
 
 
@@ -122,56 +119,6 @@ def pwm_servo_read_deviation(servo: int) -> bytes:
     return frame(PWM_SERVO, bytes((0x09, _pwm_id(servo))))
 
 
-def _bus(command: int, servo: int, highest: int = 253) -> bytes:
-    return frame(BUS_SERVO, bytes((command, integer("servo id", servo, 1, highest))))
-
-
-def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int) -> bytes:
-    """Move up to 83 bus servos: (id 1 to 253, position 0 to 1000) each, within duration_ms (0 to 30000)."""
-    most = (MAX_DATA - 4) // _ID_U16.size
-    return frame(BUS_SERVO, _moves(positions, duration_ms, most, 253, ("position", 0, 1000)))
-
-
-def bus_servo_stop(servos: Sequence[int]) -> bytes:
-    """Stop bus servos (ids 1 to 253) where they are."""
-    count = counted("servos", servos, 1, MAX_DATA - 2)
-    ids = bytes([integer("servo id", servo, 1, 253) for servo in servos])
-    distinct("servo id", ids)
-    return frame(BUS_SERVO, bytes((0x03, count)) + ids)
-
-
-def bus_servo_read_position(servo: int) -> bytes:
-    """Ask for a bus servo's position, 0 to 1000 when in range."""
-    return _bus(0x05, servo)
-
-
-def bus_servo_read_vin(servo: int) -> bytes:
-    """Ask for a bus servo's supply voltage, mV."""
-    return _bus(0x07, servo)
-
-
-def bus_servo_read_temperature(servo: int) -> bytes:
-    """Ask for a bus servo's temperature, degrees Celsius."""
-    return _bus(0x09, servo)
-
-
-def bus_servo_read_load(servo: int) -> bytes:
-    """Ask whether a bus servo's torque is on: 1 or 0."""
-    return _bus(0x0D, servo)
-
-
-def bus_servo_read_id(servo: int = 254) -> bytes:
-    """Ask for a bus servo's id; 254 asks whichever single servo is connected."""
-    return _bus(0x12, servo, 254)
-
-
-def bus_servo_torque(servo: int, on: bool) -> bytes:
-    """Switch a bus servo's torque: 0C is on and 0B is off (the vendor's SDK has the two the wrong way round)."""
-    if not isinstance(on, bool):
-        raise FrameError(f"on is {on!r}, must be True or False")
-    return _bus(0x0C if on else 0x0B, servo)
-
-
 def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
     """Sound the buzzer `repeat` times. off_ms of 0 is refused: it left a buzzer sounding for ever."""
     integer("freq_hz", freq_hz, 20, 20_000)
@@ -217,10 +164,10 @@ def battery_alarm(millivolts: int) -> bytes:
 def check_aux(frame: bytes) -> str:
     """Why these bytes must not be written as a frame that is not motion, in a few words; "" when they may.
 
-    Accepted is exactly one frame of a function in AUX_FUNCS, of the right length and CRC, without the start of a
-    motor frame anywhere in it, and with nothing in it that makes the firmware's handler reach outside its tables
-    (which could change a wheel's set point as well as anything), whole or cut and completed by the stop burst. Never
-    raises on bytes.
+    Accepted is exactly one frame of a function in AUX_FUNCS but the bus servos', of the right length and CRC, without
+    the start of a motor frame anywhere in it, and with nothing in it that makes the firmware's handler reach outside
+    its tables (which could change a wheel's set point as well as anything), whole or cut and completed by the stop
+    burst. Never raises on bytes.
     """
     size = len(frame)
     if size < 5 or frame[:2] != HEAD:
@@ -228,6 +175,8 @@ def check_aux(frame: bytes) -> str:
     func = frame[2]
     if func == MOTOR:
         return "a motor frame"
+    if func == BUS_SERVO:
+        return "a bus servo's frame"
     if func not in AUX_FUNCS:
         return f"func {func} does not go to the board"
     if size != frame[3] + 5:
@@ -237,7 +186,7 @@ def check_aux(frame: bytes) -> str:
     if MOTOR_HEAD in frame:
         return "the start of a motor frame inside"
     data = frame[4:-1]
-    if len(data) > FILLED and func != BUS_SERVO:
+    if len(data) > FILLED:
         return f"{len(data)} bytes of data, limit {FILLED}"
     return _reaches_outside(func, data) or _zeros_complete(func, data)
 

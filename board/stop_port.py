@@ -15,7 +15,6 @@ import time
 from failstop.board import port
 from failstop.board.interface import BOARD
 
-BURST = BOARD.burst
 TRIES = 3
 DRAIN_S = 0.1
 """The burst takes 4 ms on the wire; a port that holds bytes for this long does not drain."""
@@ -25,9 +24,12 @@ LOOK_S = 0.0005
 class StopPort:
     """-1: no port. `lost` turns true when a write finds that the device has gone, for the reason `errno`."""
 
-    __slots__ = ("errno", "fd", "lost", "unsent")
+    __slots__ = ("_stop", "errno", "fd", "lost", "unsent")
 
-    def __init__(self, fd: int) -> None:
+    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
+        """`servos`: of the robot's arm: what stops them is the end of the same write, so that it comes behind a whole
+        burst or not at all."""
+        self._stop = BOARD.burst_with(servos)
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0
@@ -37,8 +39,8 @@ class StopPort:
     def burst(self) -> bool:
         """Write the stop burst, now; True when the kernel has all of it. The rest of a cut frame is dropped for it,
         since the burst heals any cut; the rest of an earlier burst goes first."""
-        begun = self.unsent if BURST.endswith(self.unsent) else b""
-        return self.fd >= 0 and self._put(begun + BURST, rest=False)
+        begun = self.unsent if self._stop.endswith(self.unsent) else b""
+        return self.fd >= 0 and self._put(begun + self._stop, rest=False)
 
     def flush(self) -> bool:
         """Go on with what the kernel did not take; True when nothing is left."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from struct import Struct
+from struct import Struct, pack
 
 from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU, KEY, PWM_SERVO, SBUS, SYS, seal
 
@@ -16,7 +16,6 @@ _GAMEPAD = Struct("<HB4b")
 _SBUS = Struct("<16h4B")
 _PULSE = Struct("<BBH")
 _DEVIATION = Struct("<BBb")
-_POSITION = Struct("<BBbh")
 
 
 def battery(millivolts: int) -> bytes:
@@ -56,6 +55,7 @@ def pwm_servo_deviation(servo: int, deviation_us: int) -> bytes:
     return seal(PWM_SERVO, _DEVIATION.pack(servo, 0x09, deviation_us))
 
 
-def bus_servo_position(servo: int, position: int | None) -> bytes:
-    """BUS SERVO: the answer to a position read; None for a servo that does not answer."""
-    return seal(BUS_SERVO, _POSITION.pack(servo, 0x05, 0 if position is not None else -1, position or 0))
+def bus_servo(servo: int, what: int, value: int | None) -> bytes:
+    """BUS SERVO: the answer to a question (servos.READS); None for a servo that does not answer."""
+    form = {0x05: "h", 0x07: "H"}.get(what, "B")
+    return seal(BUS_SERVO, pack(f"<BBb{form}", servo, what, 0 if value is not None else -1, value or 0))

@@ -27,6 +27,7 @@ COMMANDS = {
     "stop": ("stop", "stop now: by the running service, else on the port itself"),
     "estop": ("stop", "the same as stop"),
     "drive": ("drive", "drive for a while"),
+    "arm": ("arm", "the arm: where it is, move, jog, poses, hold, release"),
     "config": ("config", "every setting with its value and origin"),
     "doctor": ("doctor", "what on this machine weakens the promises, and what helps"),
     "prove": ("prove", "the stand test: every stop path timed on a real robot"),
@@ -38,7 +39,7 @@ COMMANDS = {
 }
 
 GROUPS = (
-    ("drive", ("enable", "disable", "drive", "teleop", "stop", "estop", "reset")),
+    ("drive", ("enable", "disable", "drive", "teleop", "stop", "estop", "reset", "arm")),
     ("look", ("status", "watch", "why", "events", "incident")),
     ("check", ("demo", "doctor", "prove", "chaos", "config")),
     ("service", ("run", "sim", "ros2", "install", "uninstall", "completion")),

@@ -157,6 +157,8 @@ class Client:
         self._sensed = self._segment.latest_writer("sensed")
         self._interlocks = self._segment.latest_writer("interlocks")
         self._said = self._segment.latest_writer("said")
+        self._arm_goal = self._segment.latest_writer("arm_goal")
+        self._arm_path = self._segment.latest_writer("arm_path")
         self._reply = self._gate.latest_reader(f"reply.{self.slot}")
         self._hint = bytes([self.slot])
         self._segment.latest_writer("hello").write(self._hello(self._session))
@@ -215,6 +217,15 @@ class Client:
         self._requests.write(records.pack_request(self._session, self._number, verb))
         self._ring()
         return self._number
+
+    def arm_goal(self, mode: int, values: dict[int, float]) -> None:
+        """Hand a goal of the arm to the gate; returns at once. Raises NoService, ValueError."""
+        self._arm_goal.write(records.pack_arm_goal(self._session, mode, values))
+        self._ring()
+
+    def arm_path(self, share: float, servos: list[int], rows: list[tuple[float, list[float]]]) -> None:
+        """Leave a trajectory for the request that follows. Raises ValueError."""
+        self._arm_path.write(records.pack_arm_path(self._session, share, servos, rows))
 
     def answer(self, asked: int) -> Reply | None:
         """The answer to a request; None while there is none. What the request has changed is in the state from then

@@ -11,6 +11,7 @@ import weakref
 from math import isfinite
 from types import TracebackType
 
+from failstop.arm import Arm
 from failstop.client import Client, gone, runtime_dir, send_stop
 from failstop.errors import FailstopError, NoAnswer, NoService, Refused
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
@@ -19,6 +20,10 @@ from failstop.samples import Sample, SampleReader
 from failstop.shm import records
 from failstop.shm.instance import DEFAULT_NAME
 from failstop.state import State, StateReader
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 ANSWER_S = 1.0
 """How long a request may take; the gate answers within a tick."""
@@ -62,6 +67,7 @@ class Robot:
         self._state_reader: StateReader | None = None
         self._samples: SampleReader | None = None
         self._connected: Client | None = None
+        self._arm: Arm | None = None
         _made.add(self)
         runtime_dir(name)
         with contextlib.suppress(FailstopError):
@@ -137,13 +143,24 @@ class Robot:
         self._lock = threading.RLock()
         self._leave(in_order=False)
 
-    def _ask(self, verb: int) -> str:
+    def _ask(
+        self, verb: int, told: Callable[[str], None] | None = None, prepare: Callable[[Client], None] | None = None
+    ) -> str:
+        """`told`: is called with each word of how far it is, where that takes time; `prepare`: what the gate finds with
+        the request."""
         with self._lock:
             run = self._current()
             client = self._slot(run)
+            if prepare:
+                prepare(client)
             asked = client.ask(verb)
         until_s = time.monotonic() + self._answer_s
-        while (answer := client.answer(asked)) is None:
+        said = ""
+        while (answer := client.answer(asked)) is None or answer.done == records.UNDER_WAY:
+            if answer and answer.text != said:
+                said, until_s = answer.text, time.monotonic() + self._answer_s
+                if told:
+                    told(said)
             with self._lock:
                 self._check_open()
                 if run.over():
@@ -156,10 +173,18 @@ class Robot:
             raise Refused(answer.text, answer.cause)
         return str(answer)
 
-    def enable(self) -> str:
+    def enable(self, told: Callable[[str], None] | None = None) -> str:
         """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked
-        before the last stop."""
-        return self._ask(records.ENABLE)
+        before the last stop. With an arm it goes to its drive pose first, which takes seconds; `told` is called with
+        how far it is. It can be given up by arm.hold(), disable(), or a stop."""
+        return self._ask(records.ENABLE, told)
+
+    @property
+    def arm(self) -> Arm:
+        """The robot's arm. Raises FailstopError where the settings name none."""
+        if self._arm is None:
+            self._arm = Arm(self)
+        return self._arm
 
     def disable(self) -> str:
         """Disable motion: the wheels stop at once."""

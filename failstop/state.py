@@ -13,6 +13,8 @@ from failstop.errors import FailstopError
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.processes import BY_NAME
+from failstop.policy.settings import Settings
+from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.run import Run
@@ -98,16 +100,24 @@ class State:
     to be trusted; and the twist, vx_mps, vy_mps, wz_radps, with its standard deviations twist_std_mps of vx and vy and
     twist_std_radps of wz (settings)."""
     pad_mode: str | None
-    """locked or drive; None: no gamepad frame yet."""
+    """locked, drive or joint; None: no gamepad frame yet."""
     battery_mv: int | None
     plugged: str
     """unknown, plugged or unplugged."""
     age_ms: float
     """Of the gate's record."""
+    arm: dict[str, Any] | None = None
+    """None without an arm in the settings. mode (trajectory, follow, jog or nothing), phase, moving, by, closed (why it
+    takes no goal), refused (why the last goal of a stream was not taken), released, silent (servos that do not answer),
+    wrong (in words), pose (drive, tuck or nothing), auto_tuck_s (until it tucks itself, or None), and joints by name:
+    servo, angle_rad and pulses (measured; None before a reading), age_s of that, commanded_rad and commanded_pulses
+    (None while it is not known where it is), torque, temperature_c, supply_mv."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, as in `failstop status --json`."""
+        """Plain values, as in `failstop status --json`; no word of an arm where there is none."""
         plain = dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None))
+        if self.arm is None:
+            del plain["arm"]
         return plain | {
             "cause": _plain(self.cause),
             "last_stop": self.last_stop and {**vars(self.last_stop), "cause": _plain(self.last_stop.cause)},
@@ -148,6 +158,7 @@ class StateReader:
         self._stops = views[layout.PORT_OWNER].ring_reader("stops", from_oldest=True)
         self._stopped: tuple[int, Cause | None] = (0, None)
         """The newest epoch in which the port owner stopped by itself, and its first cause there."""
+        self._joints: dict[str, Joint] = {}
         self._imu = views[layout.TELEMETRY].latest_reader("imu")
         self._battery = views[layout.TELEMETRY].latest_reader("battery")
         self._bias = views[layout.TELEMETRY].latest_reader("bias")
@@ -189,7 +200,29 @@ class StateReader:
             battery_mv=battery[0] if battery else None,
             plugged=records.PLUGGED[battery[1] if battery else 0],
             age_ms=max(0, now_ns - gate[1]) / 1e6,
+            arm=self._arm(decided.get("arm"), now_ns),
         )
+
+    def _arm(self, found: dict[str, Any] | None, now_ns: int) -> dict[str, Any] | None:
+        if found is None:
+            return None
+        if not self._joints:
+            self._joints = {joint.name: joint for joint in from_settings(Settings(dict(self.settings())))}
+        joints = {}
+        for name, servo, commanded, measured, measured_ns, torque, temperature_c, supply_mv in found["joints"]:
+            joint = self._joints[name]
+            joints[name] = {
+                "servo": servo,
+                "pulses": measured,
+                "angle_rad": None if measured is None else round(joint.rad(measured), 4),
+                "age_s": None if measured is None else max(0, now_ns - measured_ns) / 1e9,
+                "commanded_pulses": commanded,
+                "commanded_rad": None if commanded is None else round(joint.rad(commanded), 4),
+                "torque": torque,
+                "temperature_c": temperature_c or None,
+                "supply_mv": supply_mv or None,
+            }
+        return {**found, "joints": joints}
 
     def settings(self) -> dict[str, float | str]:
         """Every setting that the service was started with, by its whole key. Raises FailstopError while it starts."""

@@ -17,11 +17,15 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from failstop.board.sim.client import Event, SimBoard
 from failstop.errors import FailstopError, Refused
 from failstop.robot import Robot
 from failstop.shm import instance, layout, segment
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 READY_S = 10.0
 COMMAND_EVERY_S = 0.02
@@ -33,7 +37,7 @@ class TrialError(Exception):
     """The trial could not be carried out; says what was waited for and what was seen."""
 
 
-def wait_for(what: str, check: Callable[[], bool], timeout_s: float = READY_S) -> None:
+def wait_for(what: str, check: Callable[[], object], timeout_s: float = READY_S) -> None:
     """Poll until `check` is true. Raises TrialError after `timeout_s`."""
     until_s = time.monotonic() + timeout_s
     while not check():
@@ -188,7 +192,7 @@ class Trial:
         self.fault_s = 0.0
         self._running_again_s: float | None = None
 
-    def __enter__(self) -> Trial:
+    def __enter__(self) -> Self:
         try:
             self.board.__enter__()
             self.service.start()

@@ -296,3 +296,9 @@ UNKNOWN = _row(
     "the supervisor stopped the wheels, and why can't be read any more",
     "look at `failstop events`, which may still know",
 )  # fmt: skip
+TWO_MOVE_THE_ARM = _row(
+    30, "two_move_the_arm", "multiple arm/goal publishers: {who}, {rival}", "who:s rival:s",
+    CLIENTS,
+    "{who} and {rival} both moved the arm",
+    "end one of them: one program at a time moves the arm",
+)  # fmt: skip

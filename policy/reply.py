@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 
 
 class Reply:
-    """Done or not, in a text that has CAUSE where the cause's own belongs."""
+    """Done, refused, or under way (records), in a text that has CAUSE where the cause's own belongs."""
 
     __slots__ = ("cause", "done", "text")
 
-    def __init__(self, done: bool, text: str, cause: Cause | None = None) -> None:
+    def __init__(self, done: int, text: str, cause: Cause | None = None) -> None:
         self.done = done
         self.text = text
         self.cause = cause

@@ -1,8 +1,8 @@
 """Settings: every setting declared once, with its default, unit, range and meaning.
 
 The supervisor reads and checks them once (config.py) and hands them to the processes as `key=value` lines. Command
-sources and interlocks are tables with a name of the user's: [sources.NAME], [interlocks.NAME]. One source is always
-there, cmd_vel.
+sources, interlocks and an arm's joints are tables with a name of the user's: [sources.NAME], [interlocks.NAME],
+[joints.NAME]. One source is always there, cmd_vel.
 """
 
 from __future__ import annotations
@@ -89,6 +89,7 @@ class Setting:
 
 LONGEST_TEXT = 255
 SWITCH = ("on", "off")
+TURNS = ("none", "yaw", "pitch", "roll")
 LAYOUTS = ("mecanum", "differential")
 
 DECLARED = (
@@ -168,6 +169,28 @@ DECLARED = (
     Setting("stop.wait_s", 30.0, "s", 0.0, 3600.0, "`failstop stop` tries to have the port for this long"),
     Setting("key.stop", 1, "", 1, 255, "the board key that stops"),
     Setting(
+        "arm.period_s", 0.04, "s", 0.02, 0.055, "a joint that moves is sent a move of this length, one after another"
+    ),
+    Setting("arm.goal_timeout_s", 0.5, "s", 0.1, 5.0, "a goal that is not renewed for this long holds the arm"),
+    Setting("arm.pose_speed", 0.5, "", 0.05, 1.0, "this share of each joint's speed is used for poses"),
+    Setting(
+        "arm.drive_tolerance", 30, "", 1, 200, "pulses by which a joint may be off the drive pose to enable motion"
+    ),
+    Setting("arm.drive_pan", -1, "", -1, 1000, "where the base joint is for driving; -1: wherever it is"),
+    Setting("arm.base_servo", 1, "", 1, 100, "the servo of the joint that arm.drive_pan is for"),
+    Setting("arm.absent", "refuse", "", None, None, "motion while no servo of the arm answers", ("refuse", "ignore")),
+    Setting("arm.auto_tuck", "on", "", None, None, "an arm that is left alone goes to its tuck pose", SWITCH),
+    Setting("arm.auto_tuck_s", 120.0, "s", 1.0, 86400.0, "left alone for this long, motion disabled, nothing latched"),
+    Setting("arm.tuck_notice_s", 5.0, "s", 0.1, 60.0, "so long before that it is told, with a tone"),
+    Setting("arm.collision", "off", "", None, None, "a way on which the arm would hit something is refused", SWITCH),
+    Setting("arm.mount_x_m", 0.0, "m", -1.0, 1.0, "where the arm is mounted, forward of the chassis' middle"),
+    Setting("arm.mount_z_m", 0.1, "m", 0.0, 2.0, "and how high above the floor"),
+    Setting("arm.chassis_length_m", 0.3, "m", 0.0, 3.0, "the chassis as a capsule along the robot: its length"),
+    Setting("arm.chassis_radius_m", 0.08, "m", 0.0, 1.0, "its radius"),
+    Setting("arm.chassis_z_m", 0.08, "m", 0.0, 1.0, "how high its middle is above the floor"),
+    Setting("arm.hot_c", 70, "degrees Celsius", 30, 84, "a servo as hot as this is told of: at 85 it lets go"),
+    Setting("arm.low_mv", 6000, "mV", 1000, 30000, "a servo with less supply than this is told of: it lets go below"),
+    Setting(
         "buzzer.tones", "off", "", None, None, "the board sounds on a stop and on a change of the pad's mode", SWITCH
     ),
     Setting("incidents.save", "on", "", None, None, "keep the black box in a file after each latched stop", SWITCH),
@@ -194,6 +217,21 @@ FAMILIES = {
     "interlocks": (
         Setting("timeout_s", 0.5, "s", 0.05, 10.0, "not asserted anew for this long, it is not satisfied"),
         Setting("refusal", "", "", None, None, "what a refused enable is told; empty: interlock NAME is not satisfied"),
+    ),
+    "joints": (
+        Setting("servo", 0, "", 1, 100, "the id of the joint's bus servo; every joint has one of its own"),
+        Setting("zero", 500, "", 0, 1000, "pulses (0.24 degrees each) at which the joint's angle is zero"),
+        Setting("sign", 1, "", None, None, "-1: more pulses are a smaller angle", (1, -1)),
+        Setting("low", 0, "", 0, 999, "pulses below which it is never sent"),
+        Setting("high", 1000, "", 1, 1000, "pulses above which it is never sent"),
+        Setting("speed_radps", 1.0, "rad/s", 0.01, 6.0, "its fastest turn"),
+        Setting("acceleration_radps2", 4.0, "rad/s2", 0.05, 50.0, "its ramp"),
+        Setting("tuck", -1, "", -1, 1000, "pulses in the tuck pose; -1: it is no part of it"),
+        Setting("drive", -1, "", -1, 1000, "pulses in the drive pose; -1: it is no part of it"),
+        Setting("turns", "none", "", None, None, "what is behind it: about the vertical, across, or itself", TURNS),
+        Setting("length_m", 0.0, "m", 0.0, 2.0, "from it to the next joint"),
+        Setting("radius_m", 0.03, "m", 0.0, 0.5, "of what is between"),
+        Setting("judged", "on", "", None, None, "enabling motion asks whether it is in the drive pose", SWITCH),
     ),
 }
 MOST_OF_A_FAMILY = 8
@@ -278,6 +316,9 @@ class Settings:
         _check_distinct(
             {f"sources.{name}.priority": table["priority"] for name, table in self.named["sources"].items()}
         )
+        _check_distinct({f"joints.{name}.servo": table["servo"] for name, table in self.named["joints"].items()})
+        for name, table in self.named["joints"].items():
+            _check_joint(f"joints.{name}", table)
 
     def _number(self, key: str) -> float:
         if key in self.values:
@@ -325,6 +366,10 @@ class Settings:
             for name, table in self.named["interlocks"].items()
         }
 
+    def servos(self) -> tuple[int, ...]:
+        """The ids of the arm's servos, in the order of its joints; empty on a robot without an arm."""
+        return tuple(int(table["servo"]) for table in self.named["joints"].values())
+
     def max_wheel_rps(self) -> float:
         """The fastest that any wheel can turn within the limits, in revolutions per second."""
         from failstop.policy import kinematics
@@ -360,6 +405,17 @@ def _check_distinct(values: dict[str, float | str]) -> None:
         if value in seen:
             raise SettingError(f"{key} = {value}: {seen[value]} is {value} too; no two may be equal")
         seen[value] = key
+
+
+def _check_joint(key: str, table: dict[str, float | str]) -> None:
+    servo, low, high = (int(table[name]) for name in ("servo", "low", "high"))
+    if not servo:
+        raise SettingError(f"{key}.servo is missing: every joint has the id of its servo, 1 to 100")
+    if low >= high:
+        raise SettingError(f"{key}.low = {low} must be less than {key}.high = {high}")
+    for name in ("tuck", "drive"):
+        if (at := int(table[name])) >= 0 and not low <= at <= high:
+            raise SettingError(f"{key}.{name} = {at}: allowed is {low} to {high}, or -1")
 
 
 def declaration(key: str) -> Setting:

@@ -119,6 +119,8 @@ class Bridge:
         finally:
             # First its claim: what it commanded ends with it.
             self._links[1].close()
+            if self._inward.arm:
+                self._inward.arm.close()
             self._outward.end()
             executor.shutdown()
             self._node.destroy_node()

@@ -126,6 +126,17 @@ DIAGNOSTICS = Topic(
     "the stop layer with the next command, each process, port, link, battery, real-time rights, what ROS nodes do; on "
     "every change too",
 )
+ARM_GOAL = Topic(
+    "arm/goal",
+    "trajectory_msgs/msg/JointTrajectory",
+    PLAIN,
+    0,
+    "where the arm goes: joints by the names of the settings, rad; without points it is held. A second publisher "
+    "latches a stop",
+)
+ARM_BUSY = Topic("~/arm_busy", "std_msgs/msg/Bool", PLAIN, 10, "true while the arm moves, or is about to")
+ARM_TOPICS = (ARM_GOAL, ARM_BUSY)
+"""Only where the settings name joints."""
 OUTWARD = (
     IMU,
     BATTERY,
@@ -151,24 +162,35 @@ STOP = Service(
     "a latched stop; answers when it is written, with what is known of it within 1 s",
 )
 SERVICES = (ENABLE, RESET, STOP)
+ARM_SERVICES = tuple(
+    Service(f"~/arm/{name}", "std_srvs/srv/Trigger", text)
+    for name, text in (
+        ("read_state", "reads where each joint is; the message is JSON, rad by joint"),
+        ("drive", "to the drive pose"),
+        ("tuck", "to the tuck pose"),
+        ("hold", "stops the arm where it is; its torque stays"),
+        ("release", "switches the torque off: the arm falls; refused while motion is enabled"),
+    )
+)
+"""Likewise."""
 
 STATE_KEYS = {
     "enabled": "motion is enabled",
     "estop": "the latch's first reason, or null",
     "plugged": "the charger: true, false, or null while that is not known",
-    "arm_enabled": "false: there is no arm",
-    "arm_moving": "false",
-    "arm_pose": "empty",
-    "servo_silent": "empty",
+    "arm_enabled": "there is an arm, and it may be moved now",
+    "arm_moving": "it moves",
+    "arm_pose": "its pulses by servo, as read; empty without an arm",
+    "servo_silent": "servos that do not answer",
     "blocked": "why the wheels may not turn, or null",
     "body_vel": "m/s forward, m/s left, rad/s counter-clockwise, as commanded now",
     "scan_age": "s since the obstacle sensor delivered, or null",
     "gyro_bias_dps": "x, y, z in deg/s",
     "gyro_bias_tracking": "the bias follows the reading now",
-    "arm_holding": "false",
-    "pad_mode": "locked or drive",
-    "pad_joint": "null",
-    "auto_tuck_in_s": "null",
+    "arm_holding": "the arm stands with its torque on",
+    "pad_mode": "locked, drive or joint",
+    "pad_joint": "the joint that the gamepad turns, or null",
+    "auto_tuck_in_s": "s until the arm tucks itself, or null",
     "next": "what to do for the wheels to move, a list",
     "driver": "who drives, or null",
     "publishers": "the nodes that publish cmd_vel",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
 from math import isfinite
 from time import monotonic_ns
 from typing import Any
@@ -12,6 +11,7 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.robot import Robot
 from failstop.ros2 import mirrors, report, words
+from failstop.ros2.arm import ArmFace, Turn
 from failstop.ros2.commanders import Commanders, HeldUp, wrong_ends
 from failstop.ros2.contract import CLIENT, CMD_VEL, COMMAND_TYPES, ESTOP, SCAN, SERVICES, STAMPED, Topic
 from failstop.ros2.fill import type_of
@@ -29,13 +29,6 @@ LOG_NS = 5_000_000_000
 """A complaint that repeats itself is written this often."""
 
 
-class Turn:
-    """Awaited: the executor goes on with other work, and comes back."""
-
-    def __await__(self) -> Generator[None, None, None]:
-        yield
-
-
 class Inward:
     """The subscriptions and services."""
 
@@ -44,8 +37,11 @@ class Inward:
         parameters."""
         self._node = node
         self._qos = qos
+        self._group = group
         self._link = link
         self._shared = shared
+        self.arm: ArmFace | None = None
+        """Once the settings of the service are known, and name joints."""
         now_ns = monotonic_ns()
         self._accepted = COMMAND_TYPES[settings["cmd_vel_type"]]
         self._commanders = Commanders(self._accepted, settings["allowed_publishers"])
@@ -104,6 +100,8 @@ class Inward:
             publishers = self.graph.publishers(self._estop_topic)
             self._wrong_estop = wrong_ends(ESTOP.name, publishers, (ESTOP.type,), reliable=True)
         self._follow_type()
+        if self.arm:
+            self.arm.follow(now_ns)
         try:
             if self._asserts and self._commanders.holds(now_ns):
                 self._link.call(lambda robot: robot.hold(CLIENT))
@@ -130,6 +128,8 @@ class Inward:
         self._run = self._shared.run
         self._timeout_s = mirrors.command_timeout_s(settings)
         self._scan.timeout_s = float(settings["scan.timeout_s"])
+        if self.arm is None and any(key.startswith("joints.") for key in settings):
+            self.arm = ArmFace(self._node, self._qos, self._group, self._link, self._shared)
         self._asserts = f"interlocks.{CLIENT}.timeout_s" in settings
 
     def _say(self, now_ns: int) -> None:
@@ -192,7 +192,13 @@ class Inward:
 
     # Services.
 
-    def _enable(self, request: Any, response: Any) -> Any:
+    async def _enable(self, request: Any, response: Any) -> Any:
+        """With an arm it takes seconds: everything else goes on meanwhile."""
+        if request.data and self.arm:
+            ended = self.arm.begin(Robot.enable)
+            while not ended():
+                await Turn()
+            return self._answer(response, lambda: ended.result() and words.ENABLED)
         if request.data:
             return self._answer(response, lambda: self._link.call(Robot.enable) and words.ENABLED)
         return self._answer(response, lambda: self._link.call(Robot.disable) and words.DISABLED)

@@ -6,7 +6,7 @@ Times are ROS times in ns.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import cos, nan, pi, sin
 from typing import Any
 
@@ -141,11 +141,18 @@ class Wheels:
         self._ns = now_ns
         self._velocity_radps = [rps * sign * 2 * pi for rps, sign in zip(wheels_rps, signs, strict=True)]
 
-    def fields(self, ros_ns: int) -> Fields:
-        """sensor_msgs/JointState."""
+    def fields(self, ros_ns: int, arm: Mapping[str, Any] | None = None) -> Fields:
+        """sensor_msgs/JointState; `arm`: as in State.arm. A joint that was not read yet is left out; while it moves it
+        is where it was sent."""
+        joints = arm["joints"] if arm else {}
+        found = {
+            name: joint["commanded_rad"] if joint["commanded_rad"] is not None else joint["angle_rad"]
+            for name, joint in joints.items()
+            if joint["angle_rad"] is not None
+        }
         return {
             "header": {"stamp": stamp(ros_ns)},
-            "name": list(WHEELS),
-            "position": list(self._position_rad),
-            "velocity": list(self._velocity_radps),
+            "name": [*WHEELS, *found],
+            "position": [*self._position_rad, *found.values()],
+            "velocity": [*self._velocity_radps, *([0.0] * len(found))],
         }

@@ -75,7 +75,7 @@ TABLE = (
     _same("odom_scale_x", "odometry.forward_scale"),
     _same("odom_scale_y", "odometry.sideways_scale"),
     Mirror("pad_sounds", ("buzzer.tones",), lambda settings: settings["buzzer.tones"] == "on"),
-    Mirror("drive_pan", (), lambda settings: -1),
+    Mirror("drive_pan", ("arm.drive_pan",), lambda settings: int(settings["arm.drive_pan"])),
 )
 BY_NAME = {mirror.name: mirror for mirror in TABLE}
 

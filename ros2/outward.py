@@ -189,7 +189,7 @@ class Outward:
         if not self._begun:
             self._begun = True
             self._node.get_logger().info(f"first state {leftovers.age_s():.2f} s after the start")
-        self._publish(contract.JOINT_STATES, self._wheels.fields(ros_ns))
+        self._publish(contract.JOINT_STATES, self._wheels.fields(ros_ns, state.arm if state else None))
         if state and STATUS.name in self._publishers:
             self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **report.status(state)})
 

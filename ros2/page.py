@@ -9,7 +9,7 @@ from pathlib import Path
 
 from failstop.policy.settings import Settings
 from failstop.ros2 import contract, mirrors
-from failstop.ros2.contract import INWARD, OUTWARD, SERVICES, SETTINGS, STATE_KEYS, TF
+from failstop.ros2.contract import ARM_BUSY, ARM_GOAL, ARM_SERVICES, INWARD, OUTWARD, SERVICES, SETTINGS, STATE_KEYS, TF
 
 BEGIN = "<!-- contract: made by `python -m failstop.ros2.page docs/ros2.md` -->"
 END = "<!-- end of contract -->"
@@ -31,8 +31,8 @@ def _shown(value: object) -> str:
 
 def text() -> str:
     """The tables."""
-    topics = [("in", topic, "") for topic in INWARD]
-    topics += [("out", topic, f"{topic.hz} Hz") for topic in (*OUTWARD, TF)]
+    topics = [("in", topic, "") for topic in (*INWARD, ARM_GOAL)]
+    topics += [("out", topic, f"{topic.hz} Hz") for topic in (*OUTWARD, TF, ARM_BUSY)]
     shown = mirrors.values(Settings().flat())
     lines = [
         f"The node is `{contract.NODE}`. Names are relative to its namespace, `~` is the node.",
@@ -45,7 +45,10 @@ def text() -> str:
             ),
         ),
     ]
-    lines += ["", *_table("service | type | what", ((f"`{s.name}`", f"`{s.type}`", s.text) for s in SERVICES))]
+    lines += [
+        "",
+        *_table("service | type | what", ((f"`{s.name}`", f"`{s.type}`", s.text) for s in (*SERVICES, *ARM_SERVICES))),
+    ]
     lines += ["", "Parameters of the bridge itself, read at its start:", ""]
     own = ((f"`{s.name}`", f"`{_shown(s.default)}`", _words(s)) for s in SETTINGS)
     lines += _table("parameter | default | what", own)

@@ -7,6 +7,7 @@ from math import degrees, nan
 from typing import Any
 
 from failstop.ros2 import words
+from failstop.ros2.contract import STATE_KEYS
 from failstop.screen import verdict
 from failstop.shm import blocks
 from failstop.state import State
@@ -25,27 +26,54 @@ def driver(state: State) -> str | None:
     return next((f"{row['who']} as {row['source']}" for row in state.sources if row["state"] == "drives"), None)
 
 
+NO_ARM: dict[str, Any] = {
+    "arm_enabled": False,
+    "arm_moving": False,
+    "arm_pose": {},
+    "servo_silent": [],
+    "arm_holding": False,
+    "auto_tuck_in_s": None,
+    "pad_joint": None,
+}
+
+
+def arm(state: State) -> dict[str, Any]:
+    """The arm's keys of ~/state."""
+    found = state.arm
+    if found is None:
+        return NO_ARM
+    joints = found["joints"].values()
+    return {
+        "arm_enabled": not found["closed"],
+        "arm_moving": found["moving"],
+        "arm_pose": {str(joint["servo"]): joint["pulses"] for joint in joints if joint["pulses"] is not None},
+        "servo_silent": found["silent"],
+        "arm_holding": not found["moving"] and any(joint["torque"] for joint in joints),
+        "auto_tuck_in_s": found["auto_tuck_s"],
+        "pad_joint": found["pad_joint"],
+    }
+
+
+def busy(state: State | None) -> bool:
+    """~/arm_busy: it moves, or is about to."""
+    return bool(state and state.arm and state.arm["mode"])
+
+
 def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> dict[str, Any]:
     """The values of ~/state, by the keys of contract.STATE_KEYS."""
     bias = state.gyro_bias or {"bias_radps": (0.0, 0.0, 0.0), "tracking": False}
     stop = state.last_stop
-    return {
+    found = {
         "enabled": state.enabled,
         "estop": words.plain(state.cause) or None,
         "plugged": PLUGGED[state.plugged],
-        "arm_enabled": False,
-        "arm_moving": False,
-        "arm_pose": {},
-        "servo_silent": [],
+        **arm(state),
         "blocked": blocked(state),
         "body_vel": [round(value, 3) for value in state.body_vel],
         "scan_age": None if state.scan_age_s is None else round(state.scan_age_s, 2),
         "gyro_bias_dps": [round(degrees(value), 4) for value in bias["bias_radps"]],
         "gyro_bias_tracking": bias["tracking"],
-        "arm_holding": False,
         "pad_mode": state.pad_mode or "locked",
-        "pad_joint": None,
-        "auto_tuck_in_s": None,
         "next": verdict.steps(state),
         "driver": driver(state),
         "publishers": list(publishers),
@@ -65,27 +93,22 @@ def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> di
         },
         "state_age_ms": round(state.age_ms, 1),
     }
+    return {key: found[key] for key in STATE_KEYS}
 
 
 def without_service(problem: str) -> dict[str, Any]:
     """The same while there is no service: nothing is enabled, and why."""
-    return {
+    found = {
         "enabled": False,
         "estop": None,
         "plugged": None,
-        "arm_enabled": False,
-        "arm_moving": False,
-        "arm_pose": {},
-        "servo_silent": [],
+        **NO_ARM,
         "blocked": problem,
         "body_vel": [0.0, 0.0, 0.0],
         "scan_age": None,
         "gyro_bias_dps": [0.0, 0.0, 0.0],
         "gyro_bias_tracking": False,
-        "arm_holding": False,
         "pad_mode": "locked",
-        "pad_joint": None,
-        "auto_tuck_in_s": None,
         "next": ["start the service"],
         "driver": None,
         "publishers": [],
@@ -96,6 +119,7 @@ def without_service(problem: str) -> dict[str, Any]:
         "last_stop": None,
         "state_age_ms": None,
     }
+    return {key: found[key] for key in STATE_KEYS}
 
 
 def status(state: State) -> dict[str, Any]:

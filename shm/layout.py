@@ -117,6 +117,8 @@ def _client(index: int) -> SegmentSpec:
             _latest("sensed", 64, "gate"),  # its time is that of the obstacle sensor's last delivery
             _latest("interlocks", 224, "gate"),  # the conditions that this client says hold, at its time
             _latest("request", 320, "gate"),
+            _latest("arm_goal", 128, "gate"),  # follow or jog, renewed (records)
+            _latest("arm_path", 8192, "gate"),  # the trajectory that a request is about (records)
             _latest("said", 400, "gate"),  # in a line, what the client sees and what is wrong (records)
         ),
     )
@@ -196,8 +198,10 @@ SEGMENTS = (
             _latest("bias", 32, "its successor, clients"),  # records: the gyro's
             _latest("odometry", 64, "its successor, clients"),  # records
             _latest("pad", 32, "clients"),  # records: the last frame, the mode
+            _latest("pad_arm", 32, "gate"),  # records: one a frame while the pad moves a joint
             _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
             _ring("trips", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
+            _ring("servos", 16, 64, "gate"),  # answers of the arm's servos, in order (records)
             _ring("wishes", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _ring("events", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)

@@ -13,7 +13,9 @@ MOTION = 1
 STOP = 2
 """Frame kind: write the stop burst now (latched or not)."""
 OTHER = 3
-"""Frame kind: a frame that is not motion (buzzer, servos, LEDs), in order."""
+"""Frame kind: a frame that is not motion (buzzer, LEDs), in order."""
+ARM = 4
+"""Frame kind: a frame for the arm's servos, in order; it dies with its epoch and the lease as motion does."""
 ASKED_BYTES = 180
 """Of the words in which a client asks for a stop, in UTF-8: with who asks they fit a record."""
 WHO_BYTES = 64
@@ -39,6 +41,11 @@ _BIAS = struct.Struct("<3dBB")
 _ODOMETRY = struct.Struct("<8d")
 _PAD_COMMAND = struct.Struct("<3d")
 _WISH = struct.Struct("<B")
+_ARM_GOAL = struct.Struct("<QBB")
+_ARM_VALUE = struct.Struct("<Bd")
+_ARM_PATH = struct.Struct("<QdBH")
+_SERVO = struct.Struct("<BBBi")
+_PAD_ARM = struct.Struct("<Bd")
 
 NOBODY = 0
 """No client's session. In a whole hello: who held the slot has left it in order."""
@@ -54,11 +61,26 @@ PORT_STATES = ("closed", "open", "lost")
 ENABLE = 1
 DISABLE = 2
 RESET = 3
+ARM_MOVE = 4
+ARM_DRIVE = 5
+ARM_TUCK = 6
+ARM_HOLD = 7
+ARM_RELEASE = 8
+ARM_READ = 9
+
+REFUSED = 0
+DONE = 1
+UNDER_WAY = 2
+"""An answer: not the last one, which follows."""
+ARM_FOLLOW = 1
+ARM_JOG = 2
+MOST_JOINTS = 8
+MOST_ROWS = 200
 
 WISH_RESET = 1
 WISH_FRAME = 2
 PLUGGED = ("unknown", "plugged", "unplugged")
-PAD_MODES = ("locked", "drive")
+PAD_MODES = ("locked", "drive", "joint")
 
 
 def life(pid: int, block: int) -> int:
@@ -236,16 +258,65 @@ def unpack_request(payload: bytes) -> tuple[int, int, int]:
     return int(session), int(number), int(verb)
 
 
-def pack_reply(session: int, number: int, done: bool, text: str, cause: bytes = b"") -> bytes:
-    """The answer to a request: done, or refused with the reason; where that says CAUSE, the packed cause is meant."""
+def pack_reply(session: int, number: int, done: int, text: str, cause: bytes = b"") -> bytes:
+    """The answer to a request: DONE, REFUSED with the reason, or UNDER_WAY with how far it is; where it says CAUSE, the
+    packed cause is meant."""
     said = cut(text, REPLY_BYTES)
     return _REPLY.pack(session, number, done, len(said)) + said + cause
 
 
-def unpack_reply(payload: bytes) -> tuple[int, int, bool, str, bytes]:
+def unpack_reply(payload: bytes) -> tuple[int, int, int, str, bytes]:
     """Return (session, number, done, text, cause)."""
     (session, number, done, length), rest = _head(_REPLY, payload)
-    return session, number, bool(done), rest[:length].decode("utf-8", "replace"), rest[length:]
+    return session, number, done, rest[:length].decode("utf-8", "replace"), rest[length:]
+
+
+def pack_arm_goal(session: int, mode: int, values: dict[int, float]) -> bytes:
+    """A goal that is renewed: ARM_FOLLOW with the angle (rad) of each servo's joint, ARM_JOG with its rate (rad/s).
+    Raises ValueError for more than MOST_JOINTS."""
+    if not 0 < len(values) <= MOST_JOINTS:
+        raise ValueError(f"{len(values)} joints, must be 1 to {MOST_JOINTS}")
+    return _ARM_GOAL.pack(session, mode, len(values)) + b"".join(map(_ARM_VALUE.pack, values, values.values()))
+
+
+def unpack_arm_goal(payload: bytes) -> tuple[int, int, dict[int, float]]:
+    """Return (session, mode, value by servo); the values may be anything, NaN too."""
+    (session, mode, count), rest = _head(_ARM_GOAL, payload)
+    if not 0 < count <= MOST_JOINTS or len(rest) != count * _ARM_VALUE.size:
+        raise ValueError(f"a goal of {count} joints in {len(rest)} bytes")
+    return session, mode, {int(servo): value for servo, value in _ARM_VALUE.iter_unpack(rest)}
+
+
+def pack_arm_path(session: int, share: float, servos: list[int], rows: list[tuple[float, list[float]]]) -> bytes:
+    """A trajectory: when (s; 0 in the first row: as fast as `share` of the joints' speeds allows) and the angles (rad)
+    of these servos' joints. Raises ValueError for more than MOST_JOINTS or MOST_ROWS."""
+    if not 0 < len(servos) <= MOST_JOINTS or not 0 < len(rows) <= MOST_ROWS:
+        raise ValueError(f"{len(servos)} joints and {len(rows)} points: at most {MOST_JOINTS} and {MOST_ROWS} fit")
+    form = struct.Struct(f"<d{len(servos)}f")
+    head = _ARM_PATH.pack(session, share, len(servos), len(rows))
+    return head + bytes(servos) + b"".join(form.pack(t_s, *values) for t_s, values in rows)
+
+
+def unpack_arm_path(payload: bytes) -> tuple[int, float, list[int], list[tuple[float, tuple[float, ...]]]]:
+    """Return (session, share, servos, rows); the numbers may be anything, NaN too."""
+    found, rest = _head(_ARM_PATH, payload)
+    session, share, count, length = found
+    form = struct.Struct(f"<d{count}f")
+    if not 0 < count <= MOST_JOINTS or len(rest) != count + length * form.size:
+        raise ValueError(f"a trajectory of {count} joints and {length} points in {len(rest)} bytes")
+    rows = [(row[0], tuple(row[1:])) for row in form.iter_unpack(rest[count:])]
+    return session, share, list(rest[:count]), rows
+
+
+def pack_servo(servo: int, what: int, value: int | None) -> bytes:
+    """An answer of a bus servo to a question (board/servos.py); None: the board says that there was none."""
+    return _SERVO.pack(servo, what, value is not None, value or 0)
+
+
+def unpack_servo(payload: bytes) -> tuple[int, int, int | None]:
+    """Return (servo, what, value)."""
+    servo, what, answered, value = map(int, _exact(_SERVO, payload))
+    return servo, what, value if answered else None
 
 
 def pack_imu(acceleration_mps2: tuple[float, float, float], rate_radps: tuple[float, float, float]) -> bytes:
@@ -312,6 +383,18 @@ def unpack_pad_command(payload: bytes) -> tuple[float, float, float]:
     """Return (vx_mps, vy_mps, wz_radps)."""
     vx, vy, wz = _exact(_PAD_COMMAND, payload)
     return vx, vy, wz
+
+
+def pack_pad_arm(joint: int, share: float) -> bytes:
+    """What the gamepad asks of the arm: which joint, by its place in the settings, and the share of its speed, -1 to
+    1."""
+    return _PAD_ARM.pack(joint, share)
+
+
+def unpack_pad_arm(payload: bytes) -> tuple[int, float]:
+    """Return (joint, share)."""
+    joint, share = _exact(_PAD_ARM, payload)
+    return int(joint), share
 
 
 def pack_wish(kind: int, frame: bytes = b"") -> bytes:

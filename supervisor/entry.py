@@ -26,10 +26,10 @@ def start(words: dict[str, str]) -> int:
     """Run the service; returns the exit code."""
     rights.name_process(SUPERVISOR_COMM)
     _take_signals()
-    port = OwnPort(_take_descriptors(int(words["lock"]), int(words["port"])))
+    settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
+    port = OwnPort(_take_descriptors(int(words["lock"]), int(words["port"])), settings.servos())
     notify = Notify.taken_from(os.environ, os.getpid())
     journal = Journal() if is_stderr(os.environ.pop("JOURNAL_STREAM", "")) else None
-    settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
     try:
         limits.take_descriptors()
         resources = Resources(words["name"], words["dir"])

@@ -305,6 +305,16 @@ KINDS = (
         "Next: failstop status --name @FAILSTOP_NAME@ shows the mode",
     ),
     Kind(
+        "arm",
+        "notice",
+        "7873e90547884f3d9adf7b087d72596e",
+        (),
+        "The arm",
+        "A servo does not answer, or answers again; one is hot, or short of supply, and would let go of what the arm\n"
+        "holds; or the arm, left alone, is about to go to its tuck pose.\n"
+        "Next: failstop arm --name @FAILSTOP_NAME@ shows each joint",
+    ),
+    Kind(
         "charger",
         "info",
         "72df7bd7397a41fca08599cf028e6a11",

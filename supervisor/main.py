@@ -15,21 +15,21 @@ from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.procs import rights, starved
 from failstop.procs.loop import NEVER, READ, Loop
 from failstop.shm import bell, heartbeat, layout, records, segment
-from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import pid_namespace
 from failstop.shm.packing import pack
 from failstop.supervisor import answer, grant
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
+from failstop.supervisor.epochs import Epochs
 from failstop.supervisor.events import Events
 from failstop.supervisor.family import Family
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.herald import Herald
-from failstop.supervisor.latch import Latch
 from failstop.supervisor.link import UNPROVEN
 from failstop.supervisor.names import Names
 from failstop.supervisor.notify import Notify
+from failstop.supervisor.readiness import Readiness
 from failstop.supervisor.sharing import Sharing
 from failstop.supervisor.silence import Silence
 from failstop.supervisor.stops import Stop
@@ -38,7 +38,7 @@ from failstop.supervisor.teller import Teller
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.settings import Settings
-    from failstop.shm.ring import RingReader
+    from failstop.shm.bell import EventBell
     from failstop.supervisor.children import Child
     from failstop.supervisor.journal import Journal
     from failstop.supervisor.port import OwnPort
@@ -76,50 +76,42 @@ class Supervisor:
         notify: Notify | None = None,
         journal: Journal | None = None,
     ) -> None:
-        self._resources = resources
-        self._port = port
-        self.loop = Loop()
         name, memory, run = resources.name, resources.memory, resources.incarnation
         own = segment.attach(memory, layout.SUPERVISOR, run, write=True)
         views = {process: segment.attach(memory, process, run) for process in layout.PROCESSES}
+        own.latest_writer("rules").write(pack(_rules(settings)))
+        own.latest_writer("settings").write(pack(settings.flat()))
+        notify = notify or Notify()
+        self._port = port
+        self.loop = Loop()
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
         self.heartbeat = Heartbeat(own, os.getpid(), self._granted, monotonic_ns())
-        own.latest_writer("rules").write(pack(_rules(settings)))
-        self._epoch_word = own.word("epoch")
-        self._ready_word = own.word("ready")
-        self._barrier = Barrier()
-        lifelines = segment.attach_unmapped(memory, "lifelines", run)
         self._events = Events(name, own.ring_writer("events"), journal)
-        realtime = bool(self._granted & heartbeat.REALTIME)
-        advice = grant.advice(realtime=realtime, managed=notify is not None and notify.active)
+        advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
         self.teller = Teller(name, self._events, views, advice)
         self._silence = Silence(views, resources.bells, self._events, advice)
+        lifelines = segment.attach_unmapped(memory, "lifelines", run)
         self.family = Family(resources, settings, self.loop, own, views, lifelines, self._events)
         self.children = self.family.children
-        self._early = self.family.early
-        self._written_word = own.word("written_ns")
-        self._latch = Latch()
-        self._latch_record = own.latest_writer("latch")
-        gate = views[layout.GATE]
-        self._resets_asked_word, self._reset_asked_ns_word = gate.word("resets_asked"), gate.word("reset_asked_ns")
-        self._resets_word = own.word("resets")
-        self._reset_record = own.latest_writer("reset")
-        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, self._latch, settings, self._events)
-        self._table_record = own.latest_writer("processes")
-        own.latest_writer("settings").write(pack(settings.flat()))
+        self.epochs = Epochs(own, views, resources.bells)
+        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, self.epochs.latch, settings, self._events)
         self.blackbox = BlackBox(resources, settings, own, views, self._events)
-        self._stopped_word = views[layout.PORT_OWNER].word("stopped_epoch")
-        self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
-        self._news: tuple[tuple[str, RingReader], ...] = (
-            (layout.PORT_OWNER, views[layout.PORT_OWNER].ring_reader("stops")),
-            (layout.GATE, views[layout.GATE].ring_reader("trips")),
+        self.sharing = Sharing(
+            port, settings.text("device.path"), resources, views, self.loop, self.family, self._events
         )
-        self._bells = resources.bells
+        self.readiness = Readiness(own.latest_writer("processes"), self.epochs, self.sharing, self._silence)
+        self.herald = Herald(notify, self.family, self.epochs.latch, views)
+        self._names = Names(resources.named, self._events)
+        self._written_word = own.word("written_ns")
+        self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
+        self._stops = views[layout.PORT_OWNER].ring_reader("stops")
+        self._trips = views[layout.GATE].ring_reader("trips")
+        self._begin(resources.bells[layout.SUPERVISOR])
+
+    def _begin(self, own_bell: EventBell) -> None:
+        """Nothing has happened yet."""
         self._told: Stop | None = None
         """The last that was latched, and told of: a reset may have ended it."""
-        self.herald = Herald(notify or Notify(), self.family, self._latch, views)
-        self.epoch = 1
-        self._epoch_word.set(1)
         self._unanswered: Stop | None = None
         self._answer_by = self.loop.deadline()
         self._overdue = self.loop.deadline()
@@ -128,46 +120,32 @@ class Supervisor:
         """When the last stop that was answered was written; 0: it could not be."""
         self._owed_ns = 0
         """Since when a stop is neither answered nor written; 0: there is none such."""
-        self._table = b""
-        self._was_ready = False
-        path = settings.text("device.path")
-        self.sharing = Sharing(port, path, resources, views, self.loop, self.family, self._events)
         self._turned_ns = self._watched_ns = monotonic_ns()
         self._tried_ns = 0
         """When it last tried to write a burst; when it last wrote one is `written_ns` of shared memory."""
         self.ending = False
         self.broken = False
         """It can't go on, and ends by itself, when its stop is answered."""
-        self._names = Names(resources.named, self._events)
+        self._bells = (own_bell, self.family.early.bell)
+        for each in self._bells:
+            self.loop.watch(each.fd, READ)
 
-        self._bell = self._bells[layout.SUPERVISOR]
-        for fd in (self._bell.fd, self._early.bell.fd):
-            self.loop.watch(fd, READ)
+    @property
+    def epoch(self) -> int:
+        """The one in force."""
+        return self.epochs.number
 
     def end(self, _number: int, _frame: object) -> None:
         """Signal handler of SIGTERM and SIGINT: end at the next turn, which comes at once."""
         self.ending = True
-        self._bell.ring()
+        self._bells[0].ring()
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
-        bell.clear_rung((self._bell, self._early.bell), ready)
-        fallen = self.family.fallen(ready)
-        port_owner = self.family[layout.PORT_OWNER]
-        written_ns = self._burst() if port_owner in fallen else 0
-        for child in fallen:
-            if child.fence:
-                child.fence.gone(now_ns, written_ns if child is port_owner else 0)
-        stops = self._collect(fallen, now_ns, written_ns)
-        stops += self._held_up(now_ns)
-        if stops:
-            self._raise_epoch(stops)
-        if seen := self.aftermath.follow(now_ns, listening=self._listening(now_ns)):
-            self._raise_epoch(seen)
-        for child in fallen:
-            if child.life:
-                child.life.demote()
+        bell.clear_rung(self._bells, ready)
+        self._stop_for_news(ready, now_ns)
+        self._follow_aftermath(now_ns)
         self.family.bury(ready, now_ns)
         self._follow_port(ready, now_ns)
         self._follow_answer(now_ns)
@@ -180,9 +158,28 @@ class Supervisor:
         self.teller.pass_notes()
         self.family.arm()
         self._publish(now_ns)
-        self.blackbox.follow(now_ns, ready=self._was_ready)
+        self.blackbox.follow(now_ns, ready=self.readiness.ever)
         self.heartbeat.beat(now_ns, self.epoch)
         self._events.flush(now_ns, hold=self._unanswered is not None)
+
+    def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
+        """Deaths, and what others noticed: the burst where nobody else can write it, then the epoch, then the rest."""
+        fallen = self.family.fallen(ready)
+        port_owner = self.family[layout.PORT_OWNER]
+        written_ns = self._burst() if port_owner in fallen else 0
+        for child in fallen:
+            if child.fence:
+                child.fence.gone(now_ns, written_ns if child is port_owner else 0)
+        stops = self._collect(fallen, now_ns, written_ns) + self._held_up(now_ns)
+        if stops:
+            self._raise_epoch(stops)
+        for child in fallen:
+            if child.life:
+                child.life.demote()
+
+    def _follow_aftermath(self, now_ns: int) -> None:
+        if stops := self.aftermath.follow(now_ns, listening=self._listening(now_ns)):
+            self._raise_epoch(stops)
 
     def _burst(self) -> int:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
@@ -221,7 +218,7 @@ class Supervisor:
         if gap_ns >= EXCUSE_NS:
             for child in self.children:
                 child.excused_ns = now_ns
-        if gap_ns < HELD_UP_NS or not self._was_ready:
+        if gap_ns < HELD_UP_NS or not self.readiness.ever:
             return []
         if not self._silence.motion(self.epoch):
             self._silence.over(layout.SUPERVISOR, gap_ns, now_ns)
@@ -248,7 +245,7 @@ class Supervisor:
         """Every stop that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
         death was answered."""
         stops = []
-        for process, ring in self._news:
+        for process, ring in ((layout.PORT_OWNER, self._stops), (layout.GATE, self._trips)):
             while entry := ring.next():
                 _, cause_ns, written_ns, cause = records.unpack_stop(entry[2])
                 stops.append(Stop(cause_ns, process, causes.read(cause), written_ns))
@@ -260,16 +257,8 @@ class Supervisor:
         return stops
 
     def _raise_epoch(self, stops: list[Stop]) -> None:
-        """A stop: the cause first, then the epoch that refers to it, then the bells. Whoever sees the epoch, with its
-        bell or without, finds the cause of it, and a service that is not ready."""
-        self.epoch += 1
-        self._latch.add(stops, self.epoch, monotonic_ns())
-        self._latch_record.write(self._latch.as_record())
-        self._ready_word.set(0)
-        self._barrier()
-        self._epoch_word.set(self.epoch)
-        self._bells[layout.PORT_OWNER].ring()
-        self._bells[layout.GATE].ring()
+        """A stop, for which the port owner is given a moment to answer."""
+        self.epochs.raise_for(stops, monotonic_ns())
         self._owed_ns = self._owed_ns or monotonic_ns()
         if self._unanswered is None:
             self._unanswered = min(stops, key=lambda stop: stop.t_ns)
@@ -281,29 +270,18 @@ class Supervisor:
 
     def _tell_latch(self) -> None:
         """Once for each stop that is latched."""
-        latched = self._latch.stop
+        latched = self.epochs.latch.stop
         if latched is None or latched is self._told:
             return
         self._told = latched
         self.teller.latched(latched)
         if not self.ending:
-            self.blackbox.latched(latched, self._latch.since)
+            self.blackbox.latched(latched, self.epochs.latch.since)
 
     def _follow_reset(self, now_ns: int) -> None:
-        """Decide the reset that the gate passes on, once the last stop is carried out."""
-        number = self._resets_asked_word.get()
-        if number == self._resets_word.get() or self._unanswered:
-            return
-        self._barrier()
-        reply = self._latch.reset(self.epoch, self._reset_asked_ns_word.get())
-        if reply.cause and reply.done:
-            self._latch_record.write(self._latch.as_record())
-        if reply.done:
+        """Once the last stop is carried out."""
+        if not self._unanswered and self.epochs.decide_reset():
             self.family.recall(now_ns)
-        self._reset_record.write(reply.pack(0, number))
-        self._barrier()
-        self._resets_word.set(number)
-        self._bells[layout.GATE].ring()
 
     def _follow_answer(self, now_ns: int) -> None:
         """The port owner answers a raised epoch with a stop. If it does not, or could not write it, the supervisor
@@ -314,7 +292,7 @@ class Supervisor:
         port_owner = self.family[layout.PORT_OWNER]
         found = answer.answer(
             stop,
-            answered=self._stopped_word.get() >= self.epoch,
+            answered=self.epochs.answered(),
             may_answer=port_owner.pid != 0 and not port_owner.fallen and not self._answer_by.due(now_ns),
             port_owner_ns=self._port_owner_written.get(),
         )
@@ -328,7 +306,7 @@ class Supervisor:
 
     def _tell_stop(self, stop: Stop, written_ns: int, by: str) -> None:
         """Publish the stop for people, and log it."""
-        latched = self._latch.stop or stop
+        latched = self.epochs.latch.stop or stop
         self.aftermath.written(stop, written_ns, by, latched.cause, self.epoch)
         self.teller.stopped(stop, written_ns, by, latched, self.epoch, ending=self.ending)
 
@@ -361,45 +339,15 @@ class Supervisor:
         self._raise_epoch([stop])
         child.fence = Fence(now_ns, kill_ns, stop.written_ns, silent_ns, was_starved=is_starved)
 
-    def _missing(self) -> str:
-        """What motion is still waiting for; empty when nothing."""
-        absent = [child.row.name for child in self.children if not child.well()]
-        if not absent and not self.sharing.complete():
-            return "the port"
-        # A stop that the supervisor wrote itself is still to be answered: a port owner that was held up would cut into
-        # motion of a later enable, with frames of an older one perhaps before that.
-        stopping = self._unanswered or self._stopped_word.get() < self.epoch
-        return ", ".join(absent) or ("a stop being carried out" if stopping else "")
-
     def _publish(self, now_ns: int) -> None:
-        """The process table and the ready word, when they change, and the service manager's part."""
-        missing = self._missing()
-        table = pack(
-            {
-                "waiting_for": missing or None,
-                "starved": self._silence.as_record(),
-                "processes": {
-                    child.row.name: {
-                        "pid": child.pid,
-                        "state": child.state(),
-                        "restarts": child.times_restarted,
-                        "last_exit": child.last_exit or None,
-                    }
-                    for child in self.children
-                },
-            }
-        )
-        self._ready_word.set(not missing)
-        if table != self._table:
-            self._table = table
-            self._table_record.write(table)
-        if not missing and not self._was_ready:
-            self._was_ready = True
+        """What motion waits for, and the service manager's part."""
+        missing = self.readiness.missing(self.children, stopping=self._unanswered is not None)
+        if self.readiness.publish(missing, self.children):
             self.heartbeat.state(heartbeat.RUNNING)
             self.teller.ready(self._granted)
             self.herald.notify.ready()
         self.teller.missing(missing, now_ns)
-        if self._stopped_word.get() >= self.epoch:
+        if self.epochs.answered():
             self._owed_ns = 0
         self.herald.follow(now_ns, missing, self._owed_ns, port_open=self._port.fd >= 0)
 

@@ -24,8 +24,9 @@ class OwnPort(StopPort):
 
     __slots__ = ("number", "stopped")
 
-    def __init__(self, fd: int) -> None:
-        super().__init__(fd)
+    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
+        """`servos`: of the robot's arm, which is stopped with the wheels; not known to a run's first burst."""
+        super().__init__(fd, servos)
         self.stopped = False
         """The kernel has taken the whole of the run's first burst."""
         self.number = 1

@@ -19,7 +19,7 @@ MUCH = visit.Amounts(kills=43, hangs=6, samples=60, seconds=15.0, seed=7)
 def rounds(factor: float, count: int = 10, each: int = 30, drift: float = 0.0) -> list[ratio.Round]:
     """Rounds of a machine that gets slower by `drift` each, and a commit that takes `factor` times as long."""
     chance = np.random.default_rng(3)
-    found = []
+    found: list[ratio.Round] = []
     for number in range(count):
         slow = 1 + drift * number
         there, here = (chance.lognormal(0, 0.1, each) * slow for _ in range(2))
@@ -129,6 +129,8 @@ def test_the_rows_are_what_both_sides_measured_in_every_round() -> None:
 
 
 def test_nothing_measured_is_no_row() -> None:
+    nothing: dict[str, object] = {"values": {"hang of gate": ([], "ms")}, "counts": {}}
+    assert beside.compared([(nothing, nothing)] * 8, MARGIN)[0] == []
     rows, counts = beside.compared([(told(1), None)] * 3, MARGIN)
     assert (rows, [count.verdict for count in counts]) == ([], [ratio.SLOWER])
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from bench import pages
 
-ROWS = [
+ROWS: list[dict[str, Any]] = [
     {"measure": "kill gate -> stop frame", "result": "p50 0.40 ms", "bar": "p99 < 2 ms", "met": True},
     {"measure": "one way", "result": "20 us", "bar": "10 us", "met": False},
     {"measure": "floor", "result": "0.9 ms", "bar": "-", "met": None},

@@ -15,12 +15,13 @@ from failstop.board.receiver import Receiver
 from failstop.shm import layout
 
 ROOT = Path(__file__).resolve().parent.parent
-# What the rooms may import of the board. Telemetry knows it; the gate never sees the port.
+# What the rooms may import of the board. Telemetry knows it; the gate never sees the port. What can be asked of a
+# servo, and what its bus takes, is no more this board's than the servos are.
 KNOWN = {
-    "supervisor": {"finder", "port", "interface"},
-    "procs/gate": {"interface"},
-    "procs/port_owner": {"finder", "port", "interface"},
-    "procs/stopper": {"port", "interface"},
+    "supervisor": {"finder", "port", "stop_port", "interface"},
+    "procs/gate": {"interface", "servos"},
+    "procs/port_owner": {"port", "stop_port", "interface", "servos"},
+    "procs/stopper": {"port", "stop_port", "interface"},
 }
 
 

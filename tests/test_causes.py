@@ -23,8 +23,8 @@ from failstop.policy.settings import Settings
 from failstop.screen import reasons
 from failstop.shm import records
 from failstop.shm.layout import PROCESSES
-from tests.incidents.parts import Recorder
-from tests.screen.states import latched, state
+from tests.support.incident_parts import Recorder
+from tests.support.states import latched, state
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
 FOLDERS = ("board", "shm", "policy", "procs", "supervisor", "failstop", "ros2", "bench")
@@ -43,7 +43,7 @@ every_row = pytest.mark.parametrize("kind", KINDS, ids=NAMES)
 def example(kind: Kind) -> Cause:
     """One of this row, with arguments as they are met."""
     met = {"process": "gate", "buttons": 0x0100, "who": "nav (pid 42)", "rival": "a, b (pid 43)", "words": "hand near"}
-    return kind(*(met.get(name, of("7")) for name, of in kind.parameters))
+    return kind(*(met.get(name, of("7")) for name, of in kind.parameters))  # type: ignore[arg-type]
 
 
 def any_of(kind: Kind) -> st.SearchStrategy[Cause]:

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from failstop.board import codec
+from failstop.board import codec, servos
 from failstop.board.codec import MOTOR, PING, STOP, FrameError, check_aux, check_motion
 from failstop.board.motors import Motors
 from failstop.board.receiver import Receiver
@@ -36,10 +36,10 @@ ENCODED: dict[str, Callable[[], bytes]] = {
     "led 1 on 500 ms, off 300 ms, 10 times": lambda: codec.led(1, 500, 300, 10),
     "pwm servo 1 to 1000 us in 1000 ms": lambda: codec.pwm_servo_move_one(1, 1000, 1000),
     "pwm servo 1 read position (the ping)": lambda: codec.pwm_servo_read(1),
-    "bus servos 1 to 833 and 2 to 1000 in 1000 ms": lambda: codec.bus_servo_move([(1, 833), (2, 1000)], 1000),
+    "bus servos 1 to 833 and 2 to 1000 in 1000 ms": lambda: codec.bus_servo_move([(1, 833), (2, 1000)], 1000, 30_000),
     "bus servo 1 torque off": lambda: codec.bus_servo_torque(1, on=False),
     "bus servo 1 torque on": lambda: codec.bus_servo_torque(1, on=True),
-    "bus servo 1 read position": lambda: codec.bus_servo_read_position(1),
+    "bus servo 1 read position": lambda: codec.bus_servo_read(1, servos.POSITION),
 }
 
 # Encoders without a published example, against bytes written out from the protocol description.
@@ -50,11 +50,11 @@ DESCRIBED: list[tuple[bytes, int, str]] = [
     (codec.pwm_servo_deviation(2, 100), codec.PWM_SERVO, "07 02 64"),
     (codec.pwm_servo_read_deviation(4), codec.PWM_SERVO, "09 04"),
     (codec.bus_servo_stop([3, 253]), codec.BUS_SERVO, "03 02 03 FD"),
-    (codec.bus_servo_read_vin(2), codec.BUS_SERVO, "07 02"),
-    (codec.bus_servo_read_temperature(2), codec.BUS_SERVO, "09 02"),
-    (codec.bus_servo_read_load(2), codec.BUS_SERVO, "0D 02"),
-    (codec.bus_servo_read_id(), codec.BUS_SERVO, "12 FE"),
-    (codec.bus_servo_read_id(7), codec.BUS_SERVO, "12 07"),
+    (codec.bus_servo_stop([254]), codec.BUS_SERVO, "03 01 FE"),
+    (codec.bus_servo_move([(1, 500)], 40), codec.BUS_SERVO, "01 2800 01 01 F401"),
+    (codec.bus_servo_read(2, servos.SUPPLY), codec.BUS_SERVO, "07 02"),
+    (codec.bus_servo_read(2, servos.TEMPERATURE), codec.BUS_SERVO, "09 02"),
+    (codec.bus_servo_read(2, servos.TORQUE), codec.BUS_SERVO, "0D 02"),
     (codec.oled(2, "10.0.0.7"), codec.OLED, "02 08 31302E302E302E37"),
     (codec.oled(1, ""), codec.OLED, "01 00"),
     (codec.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]), codec.RGB, "01 02 01FF8000 00010203"),
@@ -95,24 +95,16 @@ BAD: list[tuple[Callable[..., bytes], tuple[Any, ...], str]] = [
     *[(codec.pwm_servo_deviation, (bad, 0), "servo id") for bad in (0, 5, True)],
     *[(codec.pwm_servo_deviation, (1, bad), "deviation_us") for bad in (-101, 101, NAN, True)],
     *[(codec.pwm_servo_read_deviation, (bad,), "servo id") for bad in (0, 5, True)],
-    *[(codec.bus_servo_move, (bad, 1000), "moves") for bad in ([], [(1, 500)] * 84, None)],
-    *[(codec.bus_servo_move, ([(bad, 500)], 1000), "servo id") for bad in (0, 254, 255, -1, True, NAN)],
-    *[(codec.bus_servo_move, ([(1, bad)], 1000), "position") for bad in (-1, 1001, True, NAN, INF)],
-    *[(codec.bus_servo_move, ([(1, 500)], bad), "duration_ms") for bad in (-1, 30_001, True)],
-    (codec.bus_servo_move, ([(9, 500), (8, 500), (9, 500)], 1000), "servo id 9"),
-    *[(codec.bus_servo_stop, (bad,), "servos") for bad in ([], [1] * 254, 1)],
-    *[(codec.bus_servo_stop, ([1, bad],), "servo id") for bad in (0, 254, True, 1)],
-    *[
-        (read, (bad,), "servo id")
-        for read in (
-            codec.bus_servo_read_position,
-            codec.bus_servo_read_vin,
-            codec.bus_servo_read_temperature,
-            codec.bus_servo_read_load,
-        )
-        for bad in (0, 254, True, None)
-    ],
-    *[(codec.bus_servo_read_id, (bad,), "servo id") for bad in (0, 255, True)],
+    *[(codec.bus_servo_move, (bad, 40), "moves") for bad in ([], [(1, 500), (2, 500), (3, 500)], None)],
+    *[(codec.bus_servo_move, ([(bad, 500)], 40), "servo id") for bad in (0, 254, 255, -1, True, NAN)],
+    *[(codec.bus_servo_move, ([(1, bad)], 40), "position") for bad in (-1, 1001, True, NAN, INF)],
+    *[(codec.bus_servo_move, ([(1, 500)], bad), "duration_ms") for bad in (0, -1, 61, 30_000, True)],
+    (codec.bus_servo_move, ([(1, 500)], 41, 40), "duration_ms"),
+    (codec.bus_servo_move, ([(9, 500), (9, 500)], 40), "servo id 9"),
+    *[(codec.bus_servo_stop, (bad,), "servos") for bad in ([], [1, 2, 3, 4], 1)],
+    *[(codec.bus_servo_stop, ([1, bad],), "servo id") for bad in (0, 255, True, 1)],
+    *[(codec.bus_servo_read, (bad, servos.POSITION), "servo id") for bad in (0, 254, True, None)],
+    *[(codec.bus_servo_read, (1, bad), "what") for bad in (0x01, 0x12, 0x10, None)],
     *[(codec.bus_servo_torque, (bad, True), "servo id") for bad in (0, 254, True)],
     *[(codec.bus_servo_torque, (1, bad), "on") for bad in (1, 0, None, "off")],
     *[(codec.buzzer, (bad, 100, 100, 1), "freq_hz") for bad in (0, 19, 20_001, -1, NAN, True)],

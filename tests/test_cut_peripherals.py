@@ -66,7 +66,6 @@ def cut_anywhere(frame: bytes, versions: Sequence[int] = VERSIONS) -> None:
 U16 = (1, 255, 256, 0xAA55, 0x55AA, 65_534, 65_535)
 DURATIONS = (0, 1, 255, 256, 0x55AA % 30_000, 29_999, 30_000)
 PULSES = (500, 501, 0x0555, 2499, 2500)
-POSITIONS = (0, 1, 255, 256, 999, 1000)
 COLOURS = (0, 1, 0x55, 0xAA, 255)
 
 
@@ -85,13 +84,6 @@ def at_bounds() -> Iterator[tuple[str, Callable[..., bytes], Iterator[tuple[Any,
     yield "pwm deviation", codec.pwm_servo_deviation, product((1, 2, 3, 4), range(-100, 101))
     for name in ("pwm_servo_read", "pwm_servo_read_deviation"):
         yield name, getattr(codec, name), ((servo,) for servo in (1, 2, 3, 4))
-    some = [[(servo, position) for servo in range(1, last + 1)] for last in (1, 10, 83) for position in POSITIONS]
-    yield "bus", codec.bus_servo_move, product(some, (0, 256, 30_000))
-    yield "bus stop", codec.bus_servo_stop, ((range(1, last + 1),) for last in (1, 27, 28, 29, 30, 85, 170, 253))
-    for name in ("position", "vin", "temperature", "load"):
-        yield f"bus {name}", getattr(codec, f"bus_servo_read_{name}"), ((servo,) for servo in range(1, 254))
-    yield "bus id", codec.bus_servo_read_id, ((servo,) for servo in range(1, 255))
-    yield "bus torque", codec.bus_servo_torque, product((1, 0x55, 0xAA, 253), (True, False))
 
 
 @pytest.mark.parametrize(("encode", "values"), [row[1:] for row in at_bounds()], ids=[row[0] for row in at_bounds()])
@@ -129,11 +121,6 @@ FRAMES: dict[str, st.SearchStrategy[tuple[Callable[..., bytes], tuple[Any, ...]]
     "alarm": st.tuples(st.just(codec.battery_alarm), st.tuples(st.integers(1000, 30_000))),
     "pwm": st.tuples(st.just(codec.pwm_servo_move), st.tuples(targets(4, 4, 500, 2500), MS)),
     "pwm one": st.tuples(st.just(codec.pwm_servo_move_one), st.tuples(st.integers(1, 4), PULSE, MS)),
-    "bus": st.tuples(st.just(codec.bus_servo_move), st.tuples(targets(83, 253, 0, 1000), MS)),
-    "bus stop": st.tuples(
-        st.just(codec.bus_servo_stop),
-        st.tuples(st.lists(st.integers(1, 253), min_size=1, max_size=253, unique=True)),
-    ),
 }
 
 

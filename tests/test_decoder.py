@@ -204,10 +204,11 @@ def test_sbus() -> None:
 
 def test_servo_replies() -> None:
     assert decoder.servo_reply(PWM_SERVO, data_of(upward.pwm_servo_deviation(3, -20))) == (3, 0x09, -20)
-    assert decoder.servo_reply(BUS_SERVO, data_of(upward.bus_servo_position(7, -12))) == (7, 0x05, -12)
-    assert decoder.servo_reply(BUS_SERVO, data_of(upward.bus_servo_position(7, None))) == (7, 0x05, None)
+    assert decoder.servo_reply(BUS_SERVO, data_of(upward.bus_servo(7, 0x05, -12))) == (7, 0x05, -12)
+    assert decoder.servo_reply(BUS_SERVO, data_of(upward.bus_servo(7, 0x05, None))) == (7, 0x05, None)
     assert decoder.servo_reply(BUS_SERVO, bytes((7, 0x07, 0, 0x10, 0x27))) == (7, 0x07, 10_000)
-    assert decoder.servo_reply(BUS_SERVO, bytes((254, 0x12, 0, 9))) == (254, 0x12, 9)
+    assert decoder.servo_reply(BUS_SERVO, data_of(upward.bus_servo(7, 0x09, 41))) == (7, 0x09, 41)
+    assert decoder.servo_reply(BUS_SERVO, bytes((254, 0x12, 0, 9))) is None
 
 
 @pytest.mark.parametrize(

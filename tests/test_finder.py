@@ -109,7 +109,7 @@ def test_it_comes_back_under_another_number(usb: Usb, lost: Finder) -> None:
 def test_elsewhere_is_looked_for_now_and_then_only(usb: Usb, lost: Finder, monkeypatch: pytest.MonkeyPatch) -> None:
     looks = []
     real = os.listdir
-    monkeypatch.setattr(finder_module.os, "listdir", lambda path: looks.append(path) or real(path))
+    monkeypatch.setattr(finder_module.os, "listdir", lambda path: looks.append(path) or real(path))  # type: ignore[attr-defined]
     for now_ns in range(20 * LOOK_NS, 22 * LOOK_NS, LOOK_NS // 10):
         assert opened(lost, now_ns) == ""
     assert len(looks) == 2

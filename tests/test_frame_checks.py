@@ -98,11 +98,13 @@ def test_motion_that_passes_makes_no_wild_write_and_no_speed_beyond_the_limit(en
 # Everything else.
 
 AUX_FRAMES = {
-    **{name: bytes.fromhex(text) for name, text in VECTORS["down"].items() if not name.startswith(("motor", "stop"))},
+    **{
+        name: bytes.fromhex(text)
+        for name, text in VECTORS["down"].items()
+        if not name.startswith(("motor", "stop", "bus"))
+    },
     "pwm servos": codec.pwm_servo_move([(1, 500), (4, 2500)], 30_000),
     "pwm deviation": codec.pwm_servo_deviation(2, -1),
-    "bus stop": codec.bus_servo_stop([3, 253]),
-    "bus id": codec.bus_servo_read_id(),
     "oled": codec.oled(2, "x" * 23),
     "oled, empty": codec.oled(1, ""),
     "rgb": codec.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]),
@@ -143,8 +145,8 @@ AUX_REASONS = [
     (seal(codec.PWM_SERVO, b"\x01\xe8\x03\x02\x01\xe8\x03\x00\xe8\x03"), "pwm servo id 0"),
     (seal(codec.PWM_SERVO, b"\x01\xe8\x03\x03\x01\xe8\x03\x02\xe8\x03"), "a count beyond its data"),
     (seal(codec.PWM_SERVO, b"\x01\xe8\x03"), "a count beyond its data"),
-    (seal(codec.BUS_SERVO, b"\x01\xe8\x03\xff"), "a count beyond its data"),
-    (seal(codec.BUS_SERVO, b"\x03\x02\x01"), "a count beyond its data"),
+    (codec.bus_servo_stop([1]), "a bus servo's frame"),
+    (seal(codec.BUS_SERVO, b"\x03\xfd" + bytes(253)), "a bus servo's frame"),
     (seal(codec.OLED, b"\x01\x18" + b"x" * 24), "oled text of 24, limit 23"),
     (seal(codec.OLED, b"\x02\x05abcd"), "a count beyond its data"),
     (seal(codec.RGB, b"\x01\x01\x02\xff\xff\xff"), "rgb index beyond 1"),

@@ -96,7 +96,7 @@ def test_a_model_whose_port_owner_forgets_its_stops_fails(tools: None) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(SLOW_S + 30)
 def test_every_verdict_is_the_expected_one(tools: None) -> None:
-    command = [sys.executable, CHECK, "--quick"]
+    command = [sys.executable, str(CHECK), "--quick"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=SLOW_S, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(done.stdout.splitlines()) == len(check.RUNS) - len(check.LONG) + 2

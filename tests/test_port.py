@@ -20,13 +20,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from serial.tools import list_ports
 
 from failstop.board import discovery, port
 from failstop.board.port import PortError, open_port
-from tests.unprivileged import unprivileged
+from tests.support.unprivileged import unprivileged
 
 TIOCGEXCL = 0x80045440
 
@@ -397,7 +398,7 @@ def speeds_told(monkeypatch: pytest.MonkeyPatch, path: str, *, exclusive: bool) 
     told: list[int] = []
     real = termios.tcsetattr
 
-    def watched(descriptor: int, when: int, attributes: list[int]) -> None:
+    def watched(descriptor: int, when: int, attributes: list[Any]) -> None:
         told.append(attributes[5])
         real(descriptor, when, attributes)
 
@@ -423,7 +424,7 @@ def test_beside_a_service_that_has_the_port_no_other_speed_is_ever_set(
 ) -> None:
     service = open_port(pty[1], exclusive=True)
     if os.geteuid():
-        port.fcntl.ioctl(service, termios.TIOCNXCL)
+        port.fcntl.ioctl(service, termios.TIOCNXCL)  # type: ignore[attr-defined]
     assert set(speeds_told(monkeypatch, pty[1], exclusive=False)) == {termios.B1000000}
     os.close(service)
 

@@ -11,7 +11,7 @@ import pytest
 from failstop.board import codec, port, stop_port
 from failstop.board.burst import BURST
 from failstop.board.stop_port import DRAIN_S, TRIES, StopPort
-from tests.procs.parts import Board, Pty, new_pty
+from tests.support.ptys import Board, Pty, new_pty
 
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
 REFUSED = None

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.commands import script
+from tests.support.commands import script
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -24,6 +24,7 @@ from failstop.board.codec import MOTOR
 from failstop.board.sim.control import MESSAGE_SIZE, SUFFIX, connect
 from failstop.board.sim.model import Speeds, commands_stop
 from failstop.board.sim.options import BATTERY_MV, IMU_HZ
+from failstop.board.sim.servos import Leg
 
 START_S = 20.0
 END_S = 5.0
@@ -176,6 +177,34 @@ class SimBoard:
         """The wheel speeds now, in rps: wire ids 0 to 3."""
         a, b, c, d = self._ask("wheels")["speeds_rps"]
         return a, b, c, d
+
+    def joints(self) -> dict[int, float]:
+        """Where each of the arm's servos stands now, in pulses."""
+        return {int(servo): position for servo, position in self._ask("joints")["positions"].items()}
+
+    def joint_legs(self) -> int:
+        """How many legs there have been: where a joint_track() from now on begins."""
+        found: int = self._ask("joints")["track"]
+        return found
+
+    def limp(self) -> list[int]:
+        """The servos that hold nothing."""
+        found: list[int] = self._ask("joints")["limp"]
+        return found
+
+    def joint_track(self, since: int = 0) -> list[Leg]:
+        """What the arm's servos did, from leg number `since` on, the oldest first."""
+        found: list[Leg] = []
+        while True:
+            answer = self._ask("joints", since=since + len(found))
+            found += [Leg(*leg) for leg in answer["legs"]]
+            if since + len(found) >= answer["track"]:
+                return found
+
+    def servo(self, servo: int, **values: bool | float) -> None:
+        """Change a servo: silent, blocked, unloaded, late (each True or False), temperature_c, supply_mv, or its
+        position, as by hand."""
+        self._ask("servo", servo=servo, **values)
 
     def wait_for(self, predicate: Callable[[Event], bool], timeout_s: float, since: int | None = None) -> Event:
         """The first event for which `predicate` is true, of those from index `since` on, or of those that events() has

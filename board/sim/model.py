@@ -7,8 +7,10 @@ The model is built to be harder on the host than the board is, never kinder:
 - What the receiver and the motor handler make of the bytes is in receiver.py and motors.py (firmware source).
 All times are CLOCK_MONOTONIC nanoseconds.
 
-Not modelled: bus servos (a read is never answered, as with none connected), SBUS, and the firmware driving the
-wheels from a gamepad by itself.
+- A bus servo's frame is carried out inside the receive task: whatever comes after it, a stop too, waits for the
+  servos' own bus (servos.py).
+
+Not modelled: SBUS, and the firmware driving the wheels from a gamepad by itself.
 """
 
 from __future__ import annotations
@@ -18,10 +20,11 @@ from dataclasses import dataclass
 from random import Random
 
 from failstop.board import upward
-from failstop.board.codec import MOTOR, PWM_SERVO
+from failstop.board.codec import BUS_SERVO, MOTOR, PWM_SERVO
 from failstop.board.motors import Motors
 from failstop.board.receiver import Receiver
 from failstop.board.sim.imu import Imu
+from failstop.board.sim.servos import Servos
 
 Speeds = tuple[float, float, float, float]
 
@@ -102,6 +105,9 @@ class BoardModel:
         self._pad_ns = NEVER
         self._pulses = [1500] * PWM_SERVOS
         self._deviations = [0] * PWM_SERVOS
+        self.servos = Servos(start_ns, seed)
+        self._task_free_ns = start_ns
+        """When the receive task has done with the frame that it carries out."""
 
     # Down: host to board.
 
@@ -119,7 +125,9 @@ class BoardModel:
         if self.garble_down:
             chunk = self._garbled(chunk, self.garble_down)
         for offset, func, data in self._receiver.feed(chunk):
-            self._pending.append((begin_ns + BYTE_NS * (offset + 1), t_ns, func, data))
+            ready_ns = max(begin_ns + BYTE_NS * (offset + 1), self._task_free_ns)
+            self._task_free_ns = ready_ns + (self.servos.holds_ns(data) if func == BUS_SERVO else 0)
+            self._pending.append((self._task_free_ns, t_ns, func, data))
 
     def _execute(self) -> None:
         executed_ns, arrival_ns, func, data = self._pending.popleft()
@@ -131,6 +139,8 @@ class BoardModel:
                 self._motors.wild.clear()
         elif func == PWM_SERVO:
             self._pwm_servo(data, executed_ns)
+        elif func == BUS_SERVO and (answer := self.servos.execute(data, executed_ns)):
+            self._send(answer, executed_ns)
         self._executed.append(Frame(self.executed_total, arrival_ns, executed_ns, func, data, self.wheels, wild))
         self.executed_total += 1
         if len(self._executed) >= 2 * FRAMES_KEPT:

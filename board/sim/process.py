@@ -59,6 +59,7 @@ class Simulator:
             "info": self._info,
             "events": self._wait,
             "wheels": self._wheels,
+            "joints": self._joints,
         }
         self._epoll = select.epoll()
         with contextlib.ExitStack() as undo:
@@ -212,6 +213,18 @@ class Simulator:
     def _wheels(self, _request: Answer) -> Answer:
         return {"speeds_rps": self._model.wheels, "executed": self._model.executed_total}
 
+    def _joints(self, request: Answer) -> Answer:
+        servos, now_ns = self._model.servos, time.monotonic_ns()
+        begin = int(request.get("since", len(servos.track)))
+        legs = servos.track[begin : begin + EVENTS_PER_ANSWER]
+        return {
+            "t_ns": now_ns,
+            "positions": {found.id: found.leg.at(now_ns) for found in servos.by_id.values()},
+            "limp": [found.id for found in servos.by_id.values() if found.limp()],
+            "track": len(servos.track),
+            "legs": [(leg.servo, leg.begin_ns, leg.begin, leg.end_ns, leg.end) for leg in legs],
+        }
+
     def _wait(self, request: Answer) -> Answer | Wait:
         since = int(request["since"])
         timeout_s = float(request.get("timeout_s", 0.0))
@@ -278,6 +291,9 @@ class Simulator:
             axes = [int(request.get(axis, 0)) for axis in ("lx", "ly", "rx", "ry")]
             frame = upward.gamepad(_integer(request, "buttons", 0xFFFF), int(request.get("hat", 0)), *axes)
             model.pad(frame, now_ns, hold=bool(request.get("hold", False)))
+        elif operation == "servo":
+            values = {name: value for name, value in request.items() if name not in ("op", "servo")}
+            model.servos.change(_integer(request, "servo", 253), now_ns, **values)
         elif operation == "pad_silent":
             model.pad_silent()
         else:

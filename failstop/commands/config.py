@@ -52,6 +52,8 @@ GROUPS = {
     "restart": "What happens to a process that died.",
     "sources": "Who may command, and who goes before whom: [sources.NAME]. "
     f"{FIRST_SOURCE} is always there; no two priorities may be equal.",
+    "arm": "An arm on the same board: its stream, its poses, when it is told of. Without joints there is none.",
+    "joints": "The arm's joints: [joints.NAME]. Positions are pulses of 0.24 degrees.",
     "interlocks": "What a client has to assert, again and again, for motion to be enabled: [interlocks.NAME].",
 }
 
@@ -67,6 +69,9 @@ ALWAYS_SET = ("device.path",)
 SAMPLES = (
     ("sources.teleop.priority", 10),
     ("sources.teleop.timeout_s", 0.3),
+    ("joints.shoulder.servo", 2),
+    ("joints.shoulder.tuck", 963),
+    ("joints.shoulder.drive", 793),
     ("interlocks.arm.timeout_s", 0.5),
     ("interlocks.arm.refusal", "arm is not in the drive pose"),
     ("interlocks.ros2.timeout_s", 0.3),
@@ -240,5 +245,6 @@ TOGETHER = (
     "`restart.backoff_s` < `restart.window_s`",
     "`wheels.id_1` to `wheels.id_4` are 0, 1, 2 and 3 in any order",
     "no two sources have the same priority",
+    "no two joints have the same servo; `low` < `high`, and both poses between them",
     "`pad.mode_button` is exactly one bit",
 )

@@ -31,10 +31,15 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_name(parser)
 
 
+def _say(text: str) -> None:
+    """How far it is: with an arm, enabling takes its time."""
+    print(text, flush=True)
+
+
 def main(arguments: Namespace) -> int:
     """Ask; a refusal is raised as Refused, with what to do first."""
     with Robot(arguments.name, client="failstop " + arguments.command) as robot:
-        verbs = {"enable": robot.enable, "disable": robot.disable, "reset": robot.reset}
+        verbs = {"enable": lambda: robot.enable(_say), "disable": robot.disable, "reset": robot.reset}
         try:
             print(fitted(verbs[arguments.command](), 1, 2))
         except Refused as refused:

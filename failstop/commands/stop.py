@@ -10,10 +10,11 @@ from math import inf
 
 from failstop import standard
 from failstop.board.port import PortError
+from failstop.board.servos import HIGHEST_ID
 from failstop.commands import add_name
 from failstop.errors import FailstopError
 from failstop.policy import config
-from failstop.policy.settings import BY_KEY, SettingError
+from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY, SettingError
 from failstop.procs.stopper import rest, tool
 from failstop.shm import instance
 
@@ -194,11 +195,24 @@ class Port:
             return min(found_s, most_s, STALLED_S if error.kind == "io" and most_s < inf else inf)
 
         try:
-            return tool.stop(self.device(), wait_s, standard.say)
+            after_s = tool.stop(self.device(), wait_s, standard.say)
+            self._stop_arm()
         except PortError as error:
             raise FailstopError(self._explained(error)) from None
         finally:
             self.complain()
+        return after_s
+
+    def _stop_arm(self) -> None:
+        """The servos of the robot's arm, if its file names any: after the wheels. Raises PortError."""
+        path = self._config or config.installed(self._name)
+        try:
+            found = config.read(path) if self._config or os.path.exists(path) else {}
+        except SettingError:
+            return  # said already, or not asked for
+        servos = {value for key, value in found.items() if key.startswith("joints.") and key.endswith(".servo")}
+        if ids := tuple(sorted(value for value in servos if type(value) is int and 0 < value <= HIGHEST_ID)):
+            tool.stop_arm(self.device(), ids[:MOST_OF_A_FAMILY])
 
     def complain(self) -> None:
         """Say what is wrong with the file, as far as it was read: after the stop, for this may be held up."""

@@ -141,7 +141,7 @@ REQUESTS = (
     ),
     Fault(
         "stop-pipe-flood", REQUEST, "the stop FIFO is kept full", "port owner",
-        ((PIPED, "flood"),), RESET, "", 2.0, "stop-pipe-flood",
+        ((PIPED,),), RESET, "", 2.0, "stop-pipe-flood",
     ),
     Fault(
         "pad-button", REQUEST, "a button of the gamepad, one frame", "port owner, asked by telemetry",

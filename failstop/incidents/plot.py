@@ -8,6 +8,8 @@ from math import inf, nan
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from failstop.incidents import file, report, shades, signals
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Event, Incident
@@ -35,6 +37,10 @@ LOWEST_IN = 0.2
 """The middle of the last event's line."""
 HEIGHTS = (2.2, 1.9, 1.5, 2.9)
 WIDTHS = (1.9, 1.0)
+ARM_HEIGHT = 1.9
+ARM_IN = 2.0
+"""What the arm's panel adds, where it was moved."""
+JOINTS = (BLUE, ORANGE, GREEN, PURPLE, INK, ALARM, FAINT, BLUE)
 
 WHEELS = (
     (BLUE, 4.5, 0.3),
@@ -59,7 +65,8 @@ def save(incident: Incident, path: str, seconds: float) -> None:
         raise IncidentError(NEEDS) from None
     with rc_context(STYLE):
         events = _chosen(incident, seconds)
-        figure = Figure(figsize=(13, PANELS_IN + EVENT_IN * len(events)), dpi=130, facecolor=PAPER)
+        arm_in = ARM_IN if signals.joint_tracks(incident) else 0.0
+        figure = Figure(figsize=(13, PANELS_IN + arm_in + EVENT_IN * len(events)), dpi=130, facecolor=PAPER)
         _draw(figure, incident, seconds, events)
         picture = BytesIO()
         figure.savefig(picture, format=path.rpartition(".")[2].lower())
@@ -82,14 +89,17 @@ class Panel:
 
 def _draw(figure: Figure, incident: Incident, seconds: float, events: list[Event]) -> None:
     height_in = figure.get_figheight()
+    drawers: tuple[Callable[[Panel, Incident], None], ...] = (_velocity, _wheels, _vibration, _lanes)
+    heights: tuple[float, ...] = HEIGHTS
+    if signals.joint_tracks(incident):
+        drawers, heights = (*drawers[:2], _joints, *drawers[2:]), (*HEIGHTS[:2], ARM_HEIGHT, *HEIGHTS[2:])
     grid = figure.add_gridspec(
-        len(HEIGHTS), 2, height_ratios=HEIGHTS, width_ratios=WIDTHS, left=0.09, right=0.975, hspace=0.28, wspace=0.09
+        len(heights), 2, height_ratios=heights, width_ratios=WIDTHS, left=0.09, right=0.975, hspace=0.28, wspace=0.09
     )
     grid.update(top=1 - HEAD_IN / height_in, bottom=(FOOT_IN + EVENT_IN * len(events)) / height_in)
     begin_ns, end_ns = incident.span_ns()
     end_ms = incident.ms(end_ns)
     since_ns = max(min(begin_ns, incident.cause_ns - LEAST_NS), incident.cause_ns - round(seconds * 1e9))
-    drawers: tuple[Callable[[Panel, Incident], None], ...] = (_velocity, _wheels, _vibration, _lanes)
     for row, draw in enumerate(drawers):
         whole = figure.add_subplot(grid[row, 0])
         zoom = figure.add_subplot(grid[row, 1])
@@ -225,6 +235,19 @@ def _wheels(panel: Panel, incident: Incident) -> None:
     if not panel.zoomed:
         axes.set_title("Wheel speeds written to the board (rps)", color=INK)
         _legend(axes, columns=4)
+
+
+def _joints(panel: Panel, incident: Incident) -> None:
+    """Where each joint was sent; a servo gets there within its move, of some 40 ms, and stands at a stop burst."""
+    axes = panel.axes
+    names = signals.joint_names(incident)
+    for (servo, track), color in zip(sorted(signals.joint_tracks(incident).items()), JOINTS, strict=False):
+        at, pulses = (np.array(column, dtype=float) for column in zip(*track, strict=True))
+        at, pulses = signals.broken((at - incident.cause_ns) / 1e6, pulses)
+        axes.plot(panel.x(at), pulses, color=color, label=f"{names.get(servo, 'servo')} ({servo})")
+    if not panel.zoomed:
+        axes.set_title("Where the arm's joints were sent (pulses of 0.24 degrees)", color=INK)
+        _legend(axes, columns=6)
 
 
 def _most_rps(incident: Incident) -> float:

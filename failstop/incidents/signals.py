@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from failstop.board import framing
+from failstop.board import framing, servos
 from failstop.board.interface import BOARD
 from failstop.board.motors import Motors
 from failstop.incidents.incident import Incident, Write
@@ -106,23 +106,51 @@ def silences(incident: Incident) -> list[Silence]:
     return sorted(found, key=lambda silence: silence.since_ns)
 
 
+MOVES_AT = 8
+"""Where the first servo of a move stands in its frame."""
 MOTION = "motion"
 ZERO = "zero"
 PING = "ping"
+ARM = "arm"
+"""A frame for the arm's servos."""
 OTHER = "other"
 STOP_BURST = "stop burst"
 REST = "rest"
 
 
 def kind(write: Write) -> str:
-    """What was written: MOTION, ZERO (a motor frame of zeros), PING, OTHER, STOP_BURST, or the REST of one of these."""
+    """What was written: MOTION, ZERO (a motor frame of zeros), PING, ARM, OTHER, STOP_BURST, or the REST of one."""
     if write.kind == box.BURST:
         return STOP_BURST
     if write.kind == box.REST:
         return REST
     if write.head.startswith(framing.MOTOR_HEAD):
         return MOTION if any(speeds_rps(write)) else ZERO
+    if write.head[2:3] == bytes((framing.BUS_SERVO,)):
+        return ARM
     return PING if write.head in BOARD.pings else OTHER
+
+
+def joint_names(incident: Incident) -> dict[int, str]:
+    """The arm's joints by their servos; none without an arm."""
+    found = {}
+    for key, value in incident.settings.items():
+        family, _, rest = key.partition(".")
+        name, _, last = rest.partition(".")
+        if family == "joints" and last == "servo":
+            found[int(value)] = name
+    return found
+
+
+def joint_tracks(incident: Incident) -> dict[int, list[tuple[int, int]]]:
+    """Where each servo was sent: (when, pulses), the oldest first."""
+    found: dict[int, list[tuple[int, int]]] = {}
+    for write in incident.writes:
+        head = write.head
+        if write.taken and len(head) > MOVES_AT and head[2] == framing.BUS_SERVO and head[4] == servos.MOVE:
+            for at in range(MOVES_AT, min(MOVES_AT + 3 * head[7], len(head) - 3), 3):
+                found.setdefault(head[at], []).append((write.ns, head[at + 1] | head[at + 2] << 8))
+    return found
 
 
 WHEELS = ("front left", "rear left", "front right", "rear right")

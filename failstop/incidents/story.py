@@ -183,6 +183,8 @@ def _written(first: Write, last: Write, count: int) -> str:
         text = "zero frame" if count == 1 else "zero frames"
     elif sort == signals.REST:
         text = "the rest of it"
+    elif sort == signals.ARM:
+        text = "frame for the arm" if count == 1 else "frames for the arm"
     else:
         text = f"frame {first.head[:12].hex(' ')}{' ...' if first.length > 12 else ''}"
     return text + short

@@ -214,6 +214,8 @@ def _troubles(state: State, events: Sequence[Event]) -> list[str]:
         found.append(f"{starved} (`failstop doctor` has the command that gives it real-time rights)")
     if state.age_ms > verdict.STALE_MS:
         found.append(f"the gate has said nothing for {words.span(state.age_ms / 1000)}, so this may be old")
+    if state.arm:
+        found += [f"the arm: {text}" for text in state.arm["wrong"]]
     return found + _said(state)
 
 

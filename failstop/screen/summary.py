@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop import style
-from failstop.screen import history, verdict, words
+from failstop.screen import arm, history, verdict, words
 from failstop.shm import blocks
 from failstop.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 
@@ -36,7 +36,7 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     rows = wheels(state)
     rows += _drivers(state, history.left_off(events), now_s)
     rows += last_stop(state, now_s, history.earlier(events))
-    rows += [device(state), *_battery(state), *_sensors(state), *_clients(state)]
+    rows += [*_arm(state), device(state), *_battery(state), *_sensors(state), *_clients(state)]
     wrapped = [part for row in rows for part in style.wrap(row, columns, LABEL)]
     return [*wrapped, [], *processes(state), *_remarks(state, columns, history.exits(events))]
 
@@ -141,6 +141,13 @@ def _sensors(state: State) -> list[Line]:
     scan = "obstacle sensor " + ("never delivered" if age_s is None else f"delivered {words.span(age_s)} ago")
     pad = f", gamepad {state.pad_mode}" if state.pad_mode else ""
     return [_row("sensor", scan + pad, WARN if state.blocked == blocks.NO_SCAN else PLAIN)]
+
+
+def _arm(state: State) -> list[Line]:
+    """The arm, where there is one."""
+    if state.arm is None:
+        return []
+    return [_row("arm", arm.headline(state.arm)), *(_row("", text, WARN) for text in arm.wrong(state.arm))]
 
 
 def _clients(state: State) -> list[Line]:

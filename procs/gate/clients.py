@@ -46,6 +46,9 @@ class Slot:
     """One client slot and the session that holds it; session 0: nobody."""
 
     __slots__ = (
+        "_arm_goal",
+        "_arm_goal_seq",
+        "_arm_path",
         "_command",
         "_command_seq",
         "_hello",
@@ -80,8 +83,11 @@ class Slot:
         self._sensed = segment.latest_reader("sensed")
         self._interlocks = segment.latest_reader("interlocks")
         self._said = segment.latest_reader("said")
+        self._arm_goal = segment.latest_reader("arm_goal")
+        self._arm_path = segment.latest_reader("arm_path")
         self._command_seq = seen(self._command)
         self._request_seq = seen(self._request)
+        self._arm_goal_seq = seen(self._arm_goal)
         self._session_seen = self.greet()
         self.ended = 0
         """The session that held the slot before: what it left there is over."""
@@ -116,7 +122,7 @@ class Slot:
     def join(self, session: int) -> None:
         """A session holds the slot now; a new one counts its records anew."""
         if session != self._session_seen:
-            self._command_seq = self._request_seq = 0
+            self._command_seq = self._request_seq = self._arm_goal_seq = 0
         self.session = self._session_seen = session
 
     def new_command(self) -> Command | None:
@@ -132,6 +138,27 @@ class Slot:
         if session != self.session:
             return None
         return Command(session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
+
+    def new_arm_goal(self) -> tuple[int, int, dict[int, float]] | None:
+        """The arm's goal (when, mode, value by servo), when it is new, whole and of this session."""
+        entry = self._arm_goal.read()
+        if entry is None or entry[0] == self._arm_goal_seq:
+            return None
+        self._arm_goal_seq, t_ns, payload = entry
+        try:
+            session, mode, values = records.unpack_arm_goal(payload)
+        except ValueError:
+            return None
+        return (t_ns, mode, values) if session == self.session else None
+
+    def arm_path(self) -> tuple[float, list[int], list[tuple[float, tuple[float, ...]]]] | None:
+        """The trajectory that lies in the slot (share, servos, rows), when it is whole and of this session."""
+        entry = self._arm_path.read()
+        try:
+            session, share, servos, rows = records.unpack_arm_path(entry[2] if entry else b"")
+        except ValueError:
+            return None
+        return (share, servos, rows) if session == self.session else None
 
     def sensed_ns(self) -> int:
         """When this session said last that the obstacle sensor delivered; 0: never."""

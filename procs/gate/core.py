@@ -151,14 +151,19 @@ class GateCore:
         self.velocity = REST
         self.speeds = STILL
 
-    def enable(self, epoch: int, missing: str, now_ns: int) -> Reply:
-        """Allow motion in this epoch; `missing` names what is not ready."""
+    def refusal(self, missing: str, now_ns: int) -> Reply | None:
+        """Why motion can't be enabled now; None when it can. `missing` names what is not ready."""
         if self.latch is not None:
             return Reply(False, f"e-stop latched ({CAUSE})", self.latch)
         if missing:
             return Reply(False, f"not ready: {missing}")
-        if unmet := self.interlocks.unmet(now_ns):
-            return Reply(False, unmet)
+        unmet = self.interlocks.unmet(now_ns)
+        return Reply(False, unmet) if unmet else None
+
+    def enable(self, epoch: int, missing: str, now_ns: int) -> Reply:
+        """Allow motion in this epoch, if nothing is against it."""
+        if refusal := self.refusal(missing, now_ns):
+            return refusal
         if not self.enabled:
             self.stand_still()
             self.enabled = True

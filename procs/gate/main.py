@@ -7,11 +7,13 @@ from time import monotonic_ns
 
 from failstop.board.interface import BOARD
 from failstop.policy import causes, kinematics
-from failstop.policy.reply import Reply, unpack
+from failstop.policy.reply import Reply
+from failstop.procs.gate.arm.shell import LATCHED, Arm
 from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.recorder import GateBox
 from failstop.procs.gate.remarks import Budget, of_request
+from failstop.procs.gate.resets import Resets
 from failstop.procs.gate.said import Said
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
 from failstop.procs.loop import NEVER, READ, Loop
@@ -33,6 +35,8 @@ comes a little early leaves it to the next one: 120 ms at every other time (meas
 MS = 1_000_000
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
+NO_ARM = "this robot has no arm: its settings name no joints"
+ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 LOOK_AT_ALL_EVERY = 10
 """Ticks between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
 
@@ -42,31 +46,36 @@ class Gate:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
-        own = context.own
-        supervisor = context.segment("supervisor")
+        now_ns = monotonic_ns()
         self.heartbeat = context.heartbeat
         self.loop = Loop()
+        self._next_tick, self._due = self.loop.deadline(), self.loop.deadline()
+        self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
         self._max_rps = settings.max_wheel_rps() * 1.0005
-        now_ns = monotonic_ns()
+        self._lease_ns = settings.ns("gate.lease_s")
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
         self._budget = Budget(now_ns)
         self._said = Said(now_ns)
-
-        self._epoch_word = supervisor.word("epoch")
-        self._ready_word = supervisor.word("ready")
         self._barrier = Barrier()
-        self._supervisor_heart = HeartbeatReader(supervisor)
-        self._lease_ns = settings.ns("gate.lease_s")
-        self._latch = supervisor.latest_reader("latch")
-        self._decided_word = supervisor.word("resets")
-        self._decided_seen = self._decided_word.get()
-        self._decided = supervisor.latest_reader("reset")
-        self._asked_word = own.word("resets_asked")
-        self._asked_ns_word = own.word("reset_asked_ns")
-        self._resets: list[tuple[Slot | None, int, int, int]] = []
-        """Who waits for a reset, the first of them being asked for: its slot (None: the gamepad), session, the number
-        of its request, and when it was made."""
+        self._ticks = self._rings = 0
+        self._published = b""
+        self._published_ns = 0
+        self._attach(context)
+        self._watch_others(context)
+        self.epoch = self._epoch_word.get()
+        self._raised_ns = 0
+        """When the epoch was raised last: requests to enable from before that are refused."""
+        self._last = causes.UNKNOWN()
+        """The cause of the last stop."""
+        self._follow_latch()
+        self.arm = Arm(self, context, self.loop.deadline(), now_ns) if settings.servos() else None
+        claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
+        self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, self)
+
+    def _attach(self, context: Context) -> None:
+        """What it publishes, and whom it wakes for it."""
+        own = context.own
         self._frames = own.ring_writer("frames")
         self._trips = own.ring_writer("trips")
         self._notes = own.ring_writer("notes")
@@ -76,29 +85,22 @@ class Gate:
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._port_owner_bell = context.bell("port_owner_bell")
         self.supervisor_bell = context.bell("supervisor_bell")
-        self._bell = context.bell("bell")
-        self._client_bell = context.fd("client_bell")
-        claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
-        telemetry = context.segment("telemetry")
+
+    def _watch_others(self, context: Context) -> None:
+        """What it reads, and what wakes it."""
+        supervisor, telemetry = context.segment("supervisor"), context.segment("telemetry")
+        self._epoch_word = supervisor.word("epoch")
+        self._ready_word = supervisor.word("ready")
+        self._supervisor_heart = HeartbeatReader(supervisor)
+        self._latch = supervisor.latest_reader("latch")
+        self._resets = Resets(context.own, supervisor, self.supervisor_bell)
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = seen(self._pad_command)
         self._wishes = telemetry.ring_reader("wishes")
-        self._early = context.early.bell
-        self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, self)
-        self.epoch = self._epoch_word.get()
-        self._raised_ns = 0
-        """When the epoch was raised last: requests to enable from before that are refused."""
-        self._last = causes.UNKNOWN()
-        """The cause of the last stop."""
-        self._follow_latch()
-        self._rings = 0
-        for fd in (self._bell.fd, self._early.fd, self._client_bell):
+        self._client_bell = context.fd("client_bell")
+        self._bells = (context.bell("bell"), context.early.bell)
+        for fd in (*(each.fd for each in self._bells), self._client_bell):
             self.loop.watch(fd, READ)
-        self._next_tick, self._due = self.loop.deadline(), self.loop.deadline()
-        self._next_tick.set(now_ns)
-        self._ticks = 0
-        self._published_ns = 0
-        self._published = b""
 
     def _follow_latch(self) -> None:
         """What is latched, by the supervisor's word, which a gate that was started anew reads too."""
@@ -111,7 +113,7 @@ class Gate:
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = monotonic_ns()
-        bell.clear_rung((self._bell, self._early), ready)
+        bell.clear_rung(self._bells, ready)
         self._follow_epoch()
         self._follow_resets(now_ns)
         self.clients.lives_ended(ready, now_ns)
@@ -124,6 +126,8 @@ class Gate:
             self._step(now_ns)
         # When what drives the wheels stops counting, as this turn saw it: it is not forgotten until the tick.
         self._due.set(self.core.due_ns(now_ns) or NEVER)
+        if self.arm:
+            self.arm.turn(now_ns)
         self._tell()
         self._publish(now_ns)
         self.heartbeat.beat(now_ns, self.epoch)
@@ -192,6 +196,8 @@ class Gate:
             self.epoch = epoch
             self.core.stand_still()
             self._follow_latch()
+            if self.arm:
+                self.arm.stopped(LATCHED)
 
     def _follow_telemetry(self, now_ns: int) -> None:
         """The gamepad's sticks, and what telemetry wishes: a reset, or a frame that is not motion."""
@@ -203,43 +209,29 @@ class Gate:
         while wish := self._wishes.next():
             kind, frame = records.unpack_wish(wish[2])
             if kind == records.WISH_RESET:
-                self._ask_reset(None, 0, 0, now_ns)
+                self._resets.ask((None, 0, 0, now_ns))
             elif kind == records.WISH_FRAME:
                 self._frames.put(records.pack_frame(self.epoch, records.OTHER, frame), now_ns)
                 self._port_owner_bell.ring()
 
-    def _ask_reset(self, slot: Slot | None, session: int, number: int, asked_ns: int) -> None:
-        """The supervisor decides, one at a time."""
-        self._resets.append((slot, session, number, asked_ns))
-        if len(self._resets) == 1:
-            self._pass_reset_on()
-
-    def _pass_reset_on(self) -> None:
-        self._asked_ns_word.set(self._resets[0][3])
-        self._barrier()
-        self._asked_word.set(self._asked_word.get() + 1)
-        self.supervisor_bell.ring()
+    def send(self, kind: int, body: bytes, now_ns: int) -> None:
+        """A frame of the current epoch for the port owner, or STOP."""
+        self._frames.put(records.pack_frame(self.epoch, kind, body), now_ns)
+        self._port_owner_bell.ring()
 
     def _follow_resets(self, now_ns: int) -> None:
-        """What the supervisor has decided, for whomever: follow it, then tell who asked."""
-        decided = self._decided_word.get()
-        if decided == self._decided_seen:
+        """What the supervisor has decided: follow it, then tell who asked."""
+        if not self._resets.news():
             return
-        self._decided_seen = decided
         self._follow_latch()
-        entry = self._decided.read()
-        if not self._resets or decided != self._asked_word.get() or entry is None:
-            return
-        reply = unpack(entry[2])[2]
-        slot, session, number, _ = self._resets.pop(0)
-        if slot:
-            self._reply(slot, session, number, reply, now_ns)
-        who, pid = (slot.name, slot.pid) if slot else (PAD, 0)
-        self._remark(records.RESET, who, pid, reply, now_ns)
-        if self._resets:
-            self._pass_reset_on()
+        if decided := self._resets.decided():
+            (slot, session, number, _), reply = decided
+            if slot:
+                self.reply(slot, session, number, reply, now_ns)
+            who, pid = (slot.name, slot.pid) if slot else (PAD, 0)
+            self._remark(records.RESET, who, pid, reply, now_ns)
 
-    def _reply(self, slot: Slot, session: int, number: int, reply: Reply, now_ns: int) -> None:
+    def reply(self, slot: Slot, session: int, number: int, reply: Reply, now_ns: int) -> None:
         """Tell a client, once the state that it reads is that of after its request."""
         self._publish(now_ns)
         self._barrier()
@@ -253,6 +245,8 @@ class Gate:
         """Latch a stop: burst at once, then the news to the supervisor, which raises the epoch."""
         if self.core.trip(cause, self.epoch):
             self._write_stop()
+            if self.arm:
+                self.arm.stopped(LATCHED)
             self._trips.put(records.pack_stop(self.epoch, now_ns, 0, cause.pack()))
             self.supervisor_bell.ring()
 
@@ -271,27 +265,50 @@ class Gate:
         asserted_ns, names = slot.interlocks()
         if asserted_ns:
             self.core.interlocks.hold(names, asserted_ns, now_ns)
+        if self.arm:
+            self.arm.goal(slot, now_ns)
 
     def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
         """Decide, act, answer; a reset is the supervisor's. Who asked to enable before a stop did not know of it."""
         enabled = self.core.enabled
         if verb == records.RESET:
-            self._ask_reset(slot, slot.session, number, asked_ns)
+            self._resets.ask((slot, slot.session, number, asked_ns))
             return
         if verb == records.ENABLE and asked_ns < self._raised_ns:
             reply = Reply(
                 False, f"asked before the last stop ({records.CAUSE}): see to that, then ask again", self._last
             )
         elif verb == records.ENABLE:
-            missing = "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
-            reply = self.core.enable(self.epoch, missing, now_ns)
+            reply = self._enable(slot, number, now_ns)
         elif verb == records.DISABLE:
             reply = self.core.disable()
             self._write_stop()
+            if self.arm:
+                self.arm.stopped("motion disabled")
+        elif verb in ARM_VERBS:
+            reply = self.arm.request(slot, number, verb, now_ns) if self.arm else Reply(False, NO_ARM)
         else:
             reply = Reply(False, f"unknown request {verb}")
-        self._reply(slot, slot.session, number, reply, now_ns)
-        self._remark(verb, slot.name, slot.pid, reply, now_ns, enabled=enabled)
+        self.reply(slot, slot.session, number, reply, now_ns)
+        if reply.done != records.UNDER_WAY:
+            self._remark(verb, slot.name, slot.pid, reply, now_ns, enabled=enabled)
+
+    def _missing(self) -> str:
+        return "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
+
+    def _enable(self, slot: Slot, number: int, now_ns: int) -> Reply:
+        """Motion, if nothing is against it; with an arm that is to be folded, its way to the drive pose first."""
+        if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
+            return self.arm.enable(slot, number, now_ns) or self.core.enable(self.epoch, self._missing(), now_ns)
+        return self.core.enable(self.epoch, self._missing(), now_ns)
+
+    def enable_now(self, slot: Slot, number: int, now_ns: int) -> None:
+        """The arm is in the drive pose: enable, if still nothing is against it."""
+        reply = self.core.enable(self.epoch, self._missing(), now_ns)
+        if reply.done and self.arm:
+            self.arm.core.forget()
+        self.reply(slot, slot.session, number, reply, now_ns)
+        self._remark(records.ENABLE, slot.name, slot.pid, reply, now_ns)
 
     def _remark(self, verb: int, who: str, pid: int, reply: Reply, now_ns: int, *, enabled: bool = False) -> None:
         """Tell people who has asked for what, with what effect."""
@@ -306,14 +323,18 @@ class Gate:
         """It has left, or its claim is gone: if it was the one that drives, the wheels stand at once."""
         if self.core.client_gone(slot.session, now_ns, parted=slot.parted):
             self._step(now_ns)
+        if self.arm:
+            self.arm.client_gone(slot.session, now_ns)
 
     def _publish(self, now_ns: int) -> None:
         """Publish the state when it has changed, and at least every PUBLISH_NS."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0
+        arm = {"arm": self.arm.state(now_ns)} if self.arm else {}
         state = pack(
             {
+                **arm,
                 "enabled": core.enabled,
                 "estop": core.latch and core.latch.pack(),
                 "blocked": core.blocked(now_ns) or None,

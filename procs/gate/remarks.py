@@ -11,7 +11,17 @@ if TYPE_CHECKING:
     from failstop.procs.gate.sources import Command
     from failstop.shm.notes import Fields
 
-VERBS = {records.ENABLE: "enable", records.DISABLE: "disable", records.RESET: "reset"}
+VERBS = {
+    records.ENABLE: "enable",
+    records.DISABLE: "disable",
+    records.RESET: "reset",
+    records.ARM_MOVE: "move the arm",
+    records.ARM_DRIVE: "move the arm to its drive pose",
+    records.ARM_TUCK: "tuck the arm",
+    records.ARM_HOLD: "hold the arm",
+    records.ARM_RELEASE: "release the arm",
+    records.ARM_READ: "read the arm",
+}
 MOST_AT_ONCE = 20
 EVERY_NS = 200_000_000
 """A program that asks without end is told of five times a second, not a thousand times."""
@@ -33,6 +43,8 @@ def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) ->
         return Note("enabled", f"motion enabled by {by}", fields)
     if verb == records.DISABLE and enabled:
         return Note("disabled", f"motion disabled by {by}", fields)
+    if verb == records.ARM_RELEASE:
+        return Note("arm", f"arm released by {by}", fields)
     if verb == records.RESET and reply.cause:
         was = {"reason": str(reply.cause), "cause": reply.cause.kind.name}
         return Note("reset", f"{by}: {reply}", {**fields, **was})

@@ -24,6 +24,8 @@ from failstop.shm import layout
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from failstop.policy.causes import Cause
 
 MS = 1_000_000
@@ -46,18 +48,30 @@ class Admission:
         """A motion frame has been written since the last stop."""
 
     def decide(
-        self, motion: Motion, epoch: int, now_ns: int, gate_ns: int | None, supervisor_ns: int, *, requested: bool
+        self,
+        motion: Motion,
+        epoch: int,
+        now_ns: int,
+        gate_ns: int | None,
+        supervisor_ns: int,
+        check: Callable[[bytes], Cause | None],
+        *,
+        requested: bool,
     ) -> int | Cause:
         """One of WRITE, DROP, BURST and REQUEST, or the cause of a stop. `gate_ns`, `supervisor_ns`: when they have
-        beaten last (None: no gate is watched); `requested`: a stop request waits."""
+        beaten last (None: no gate is watched); `check`: of the frame's content; `requested`: a stop request waits."""
         if gate_ns is None or not self.current(motion, epoch, now_ns):
             return BURST if self.moving and motion[0] == BOARD.stop else DROP
         if requested:
             return REQUEST
         if lapse := self.lapsed(gate_ns, supervisor_ns, now_ns):
             return lapse
-        fault = BOARD.check_motion(motion[0], self._max_rps)
-        return causes.BAD_FRAME(fault) if fault else WRITE
+        return check(motion[0]) or WRITE
+
+    def check(self, frame: bytes) -> Cause | None:
+        """The cause of a stop that a motion frame's content is; None: it may go out."""
+        fault = BOARD.check_motion(frame, self._max_rps)
+        return causes.BAD_FRAME(fault) if fault else None
 
     def current(self, motion: Motion, epoch: int, now_ns: int) -> bool:
         """True when the frame is of the current epoch, after any stop of its own, and young enough."""

@@ -16,6 +16,7 @@ from failstop.procs.peer import Peer
 from failstop.procs.port_owner import admission, repeats
 from failstop.procs.port_owner.admission import Admission
 from failstop.procs.port_owner.pings import Pings
+from failstop.procs.port_owner.servo_bus import ServoBus
 from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell, heartbeat, layout, records
@@ -24,6 +25,8 @@ from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from failstop.policy.causes import Cause
     from failstop.procs.context import Context
     from failstop.procs.port_owner.admission import Motion
@@ -48,6 +51,7 @@ class PortOwner:
         self.heartbeat = context.heartbeat
         self.loop = Loop()
         self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
+        self.bus = ServoBus(settings.servos())
         self.repeats = repeats.Repeats(self.loop.deadline(), monotonic_ns())
         ping = self.loop.deadline() if BOARD.pings else Deadline()
         self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), ping, monotonic_ns())
@@ -60,13 +64,15 @@ class PortOwner:
         """Once the supervisor has died."""
         self._barrier = Barrier()
         self._moved_ns = 0
+        self._arm_moved = False
+        """A servo was sent somewhere since the last stop."""
         self._silence_ns = 2 * settings.ns("gate.refresh_s")
         self._stuck = False
         self._watched = (-1, 0)
         self._attach(context)
         self._watch_others(context)
         self.epoch = self._epoch_word.get()
-        self.wire = Wire(context.fd("port"))
+        self.wire = Wire(context.fd("port"), self.bus.servos)
         self._number = context.port_number
         self._path = settings.text("device.path")
         self._burst()
@@ -146,7 +152,7 @@ class PortOwner:
 
     def _stopped(self, written_ns: int) -> int:
         """What follows every burst. Returns when it was written: 0 when the kernel did not take all of it."""
-        self.admission.moving = False
+        self.admission.moving = self._arm_moved = False
         self._lapse.set(NEVER)
         self.repeats.restart(written_ns)
         self.pings.stopped(written_ns)
@@ -253,6 +259,7 @@ class PortOwner:
     def _forward_frames(self) -> None:
         """Drain the gate's ring: of motion the newest counts, a stop ends all motion queued before it."""
         motion: Motion | None = None
+        arm: list[Motion] = []
         while entry := self._frames.next():
             _, frame_ns, payload = entry
             epoch, kind, body = records.unpack_frame(payload)
@@ -260,9 +267,14 @@ class PortOwner:
                 motion = (body, epoch, frame_ns)
             elif kind == records.STOP:
                 motion = None
+                arm.clear()
                 self._gate_stop()
+            elif kind == records.ARM:
+                arm.append((body, epoch, frame_ns))
             elif not BOARD.check_aux(body):
                 self.wire.frame(body, backlog=OTHER_BACKLOG)
+        for move in arm:
+            self._forward_arm(move)
         if motion:
             self._forward_motion(motion)
 
@@ -270,25 +282,62 @@ class PortOwner:
         """The gate wants a burst: at once while something moves, else not again so soon after the last: clients that
         disable again and again must not keep the wire full."""
         now_ns = monotonic_ns()
-        if self.admission.moving or now_ns - self._written_word.get() >= PIPE_REST_NS:
+        if self.admission.moving or self._arm_moved or now_ns - self._written_word.get() >= PIPE_REST_NS:
             self._burst()
 
-    def _forward_motion(self, motion: Motion) -> None:
+    def _forward_arm(self, move: Motion) -> None:
+        """As for motion; what is dropped is sent no more, since the next move of the stream follows."""
+        now_ns = monotonic_ns()
+        verdict = self._decide(move, now_ns, self.bus.check)
+        if verdict != admission.WRITE:
+            self._obey(verdict, now_ns)
+        elif self.bus.admits(move[0], now_ns, wheels_move=self.admission.moving):
+            self._write_arm(move)
+
+    def _write_arm(self, move: Motion) -> None:
+        """Says that it moves while it writes, as for motion; afterwards no more: a servo's move ends by itself."""
+        before = self._moving_word.get()
+        self._moving_word.set(1)
+        self._barrier()
+        now_ns = monotonic_ns()
+        if self._epoch_word.get() != self.epoch:
+            self._follow_epoch(now_ns)
+        elif (
+            self.admission.current(move, self.epoch, now_ns)
+            and not self._check_suspend(now_ns)
+            and self.wire.frame(move[0], backlog=OTHER_BACKLOG)
+            and self.bus.wrote(move[0], now_ns)
+        ):
+            self._arm_moved = True
+            self.repeats.motion()
+            self._wake_pipe()
+        if not (before or self.wire.unsent or self.wire.lost):
+            self._moving_word.set(0)
+
+    def _decide(self, motion: Motion, now_ns: int, check: Callable[[bytes], Cause | None]) -> int | Cause:
         """The table of admission.py. The time is that of the write: a process that was held up since it woke must not
         pass what was young then."""
-        now_ns = monotonic_ns()
         requested = self._pipe_rests.ns != NEVER and self.loop.readable(self._stop_pipe)
         gate_ns = self._gate.heart.ns.get() if self._gate.life else None
         beat_ns = self._supervisor_beat.get()
-        verdict = self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, requested=requested)
-        if verdict == admission.WRITE:
-            self._write_motion(motion)
-        elif verdict == admission.BURST:
+        return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, check, requested=requested)
+
+    def _obey(self, verdict: int | Cause, now_ns: int) -> None:
+        """What is not written."""
+        if verdict == admission.BURST:
             self._burst()
         elif verdict == admission.REQUEST:
             self._stop_request(now_ns)
         elif not isinstance(verdict, int):
             self.stop(now_ns, verdict)
+
+    def _forward_motion(self, motion: Motion) -> None:
+        now_ns = monotonic_ns()
+        verdict = self._decide(motion, now_ns, self.admission.check)
+        if verdict == admission.WRITE:
+            self._write_motion(motion)
+        else:
+            self._obey(verdict, now_ns)
 
     def _write_motion(self, motion: Motion) -> None:
         """Says that it moves before it looks at epoch and time once more: whoever reads that nothing moves, having

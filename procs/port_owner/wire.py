@@ -6,7 +6,7 @@ import os
 import select
 
 from failstop.board import port
-from failstop.board.stop_port import BURST, StopPort
+from failstop.board.stop_port import StopPort
 from failstop.shm import box
 
 TYPE_CHECKING = False
@@ -22,8 +22,8 @@ class Wire(StopPort):
 
     __slots__ = ("_box", "_handed", "_held_since_ns", "_refused")
 
-    def __init__(self, fd: int) -> None:
-        super().__init__(fd)
+    def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
+        super().__init__(fd, servos)
         self._box: RingWriter | None = None
         self._handed = 0
         """Bytes handed to the kernel since it last held none."""
@@ -64,7 +64,7 @@ class Wire(StopPort):
         """Tell the black box of the burst that was just written, and of everything from now on. Attaching its ring
         takes milliseconds, so the first burst does not wait for it."""
         self._box = ring
-        self._note(box.BURST, BURST, len(BURST) - len(self.unsent))
+        self._note(box.BURST, self._stop, len(self._stop) - len(self.unsent))
 
     def _note(self, kind: int, data: bytes, taken: int) -> None:
         if self._box and not self.lost:

@@ -56,7 +56,7 @@ class Stopper:
         self._written_word = context.own.word("written_ns")
         self._bell = context.bell("bell")
         self._control = Control(context.fd("control"))
-        self._port = StopPort(context.fd("port"))
+        self._port = StopPort(context.fd("port"), context.settings.servos())
         self._number = context.port_number
         self._number_word = context.own.word("port_number")
         self._number_word.set(self._number if self._port.fd >= 0 else 0)

@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
+def stop_arm(path: str, servos: tuple[int, ...]) -> None:
+    """The burst once more, and behind it what stops the arm: which servos it has is in a file, and no file is read
+    before the wheels were told to stop. Raises PortError."""
+    _write(path, servos)
+
+
 def stop(path: str, wait: Callable[[PortError], float], say: Callable[[str], None]) -> float:
     """Write the burst; returns after how many seconds. `wait` says for how many to try, and is asked when the first try
     has failed: the answer may be in a file. Raises PortError, the last one met."""
@@ -38,9 +44,9 @@ def stop(path: str, wait: Callable[[PortError], float], say: Callable[[str], Non
             return waited_s
 
 
-def _write(path: str) -> None:
+def _write(path: str, servos: tuple[int, ...] = ()) -> None:
     """Open without taking the port from anyone, write the whole burst, see it drained, close."""
-    stop_port = StopPort(open_port(path, exclusive=False))
+    stop_port = StopPort(open_port(path, exclusive=False), servos)
     try:
         stop_port.burst()
         if not stop_port.drain():

@@ -19,7 +19,7 @@ REST = (0.0, 0.0, 0.0)
 class GateState:
     """The newest state. Before the first: motion is disabled, the wheels stand, nothing is latched."""
 
-    __slots__ = ("_found", "_reader", "_seq", "_t_ns", "enabled", "epoch", "latched", "since_ns", "velocity")
+    __slots__ = ("_found", "_reader", "_seq", "_t_ns", "enabled", "epoch", "latched", "since_ns", "tucks", "velocity")
 
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
@@ -30,6 +30,8 @@ class GateState:
         self.latched = False
         self.epoch = 0
         """Raised by every stop: a latch that came and went between two looks leaves a newer one."""
+        self.tucks = False
+        """The arm has announced that it goes to its tuck pose."""
         self.velocity = REST
         """m/s forward, m/s left, rad/s counter-clockwise."""
         self.since_ns = 0
@@ -62,7 +64,9 @@ class GateState:
             vx, vy, wz = found["body_vel"]
             velocity = float(vx), float(vy), float(wz)
             enabled, latched, epoch = bool(found["enabled"]), found["estop"] is not None, int(found["epoch"])
+            tucks = bool(found["arm"]["tucks"]) if "arm" in found else False
         except (ValueError, KeyError, TypeError):
             return False
+        self.tucks = tucks
         self.enabled, self.latched, self.epoch, self.velocity, self.since_ns = enabled, latched, epoch, velocity, t_ns
         return True

@@ -48,33 +48,8 @@ class Telemetry:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
-        own = context.own
         self.heartbeat = context.heartbeat
         self.loop = Loop()
-        self._epoch_word = context.segment("supervisor").word("epoch")
-        port_owner = context.segment("port_owner")
-        self._received = port_owner.ring_reader("received")
-        self._port_record = port_owner.latest_reader("port")
-        self._port_seq = 0
-        self._epoch_followed = 0
-        self._records = {name: own.latest_writer(name) for name in ("imu", "bias", "odometry", "battery", "pad")}
-        self._command = own.latest_writer("pad_command")
-        self._events = own.ring_writer("events")
-        self._trips_out = own.ring_writer("trips")
-        self._wishes = own.ring_writer("wishes")
-        self._notes = own.ring_writer("notes")
-        self._box = own.ring_writer("box")
-        self._bell = context.bell("bell")
-        self._port_owner_bell = context.bell("port_owner_bell")
-        self._gate_bell = context.bell("gate_bell")
-        self.supervisor_bell = context.bell("supervisor_bell")
-        self._handlers = {
-            framing.IMU: self._on_imu,
-            framing.SYS: self._on_system,
-            framing.GAMEPAD: self._on_pad,
-            framing.KEY: self._on_key,
-            framing.PWM_SERVO: Pongs(own.word("pong"), self.supervisor_bell).take,
-        }
         self._decoder = decoder.Decoder()
         self._trips = Trips(int(settings["pad.mode_button"]), int(settings["key.stop"]), settings["battery.stop_mv"])
         self._pad = Pad.of(settings, self._trips)
@@ -84,22 +59,57 @@ class Telemetry:
         self._gyro = GyroBias.of(settings)
         self._odometry = Odometry.of(settings)
         self._still = StillJudge(settings["still.std_radps"])
-        self._still_word = own.word("still_ns")
-        self._judged_word = own.word("judged_ns")
-        self._barrier = Barrier()
-        self._publish_still()
-        self._inherit(own)
         folder = state_files.state_directory(context.instance, os.environ, settings.text("battery.directory"))
         self._files = StateFiles(folder)
         self._charger = Charger(settings["battery.step_mv"], self._known_charger_state())
         self._log = BatteryLog(settings["battery.log_s"], on=settings.on("battery.log"))
-        self._gate = GateState(context.segment("gate").latest_reader("state"))
-        self._odometry_ns = self._bias_ns = 0
+        self._barrier = Barrier()
+        self._port_seq = self._epoch_followed = self._odometry_ns = self._bias_ns = 0
         self._bias_flags = (False, False)
-        self.loop.watch(self._bell.fd, READ)
+        self._attach(context)
+        self._watch_others(context)
+        self._publish_still()
+        self._inherit(context.own)
         now_ns = monotonic_ns()
         self._gate.read(now_ns)
         self._follow_gate(now_ns)
+
+    def _attach(self, context: Context) -> None:
+        """What it publishes, and whom it wakes for it."""
+        own = context.own
+        self._records = {name: own.latest_writer(name) for name in ("imu", "bias", "odometry", "battery", "pad")}
+        self._command = own.latest_writer("pad_command")
+        self._arm_command = own.latest_writer("pad_arm")
+        self._events = own.ring_writer("events")
+        self._trips_out = own.ring_writer("trips")
+        self._wishes = own.ring_writer("wishes")
+        self._notes = own.ring_writer("notes")
+        self._servos = own.ring_writer("servos")
+        self._box = own.ring_writer("box")
+        self._still_word = own.word("still_ns")
+        self._judged_word = own.word("judged_ns")
+        self._port_owner_bell = context.bell("port_owner_bell")
+        self._gate_bell = context.bell("gate_bell")
+        self.supervisor_bell = context.bell("supervisor_bell")
+
+    def _watch_others(self, context: Context) -> None:
+        """What it reads, what it does with each report of the board, and what wakes it."""
+        port_owner = context.segment("port_owner")
+        self._epoch_word = context.segment("supervisor").word("epoch")
+        self._received = port_owner.ring_reader("received")
+        self._port_record = port_owner.latest_reader("port")
+        self._gate = GateState(context.segment("gate").latest_reader("state"))
+        self._handlers = {
+            framing.IMU: self._on_imu,
+            framing.SYS: self._on_system,
+            framing.GAMEPAD: self._on_pad,
+            framing.KEY: self._on_key,
+            framing.PWM_SERVO: Pongs(context.own.word("pong"), self.supervisor_bell).take,
+        }
+        if context.settings.servos():
+            self._handlers[framing.BUS_SERVO] = self._on_servo
+        self._bell = context.bell("bell")
+        self.loop.watch(self._bell.fd, READ)
 
     def _inherit(self, own: Segment) -> None:
         """A successor goes on with the bias and the pose of the process before it, and calibrates anew only if the
@@ -129,7 +139,7 @@ class Telemetry:
             for func, data in self._decoder.feed(entry[2]):
                 if handler := self._handlers.get(func):
                     handler(data, entry[1])
-        if frame := self._tones.follow(self._gate.latched, self._pad.mode):
+        if frame := self._tones.follow(self._gate.latched, self._pad.mode, tucks=self._gate.tucks):
             self._wish(records.WISH_FRAME, frame)
         self._publish(now_ns)
         self._tell_pad_mode()
@@ -246,6 +256,9 @@ class Telemetry:
             if news.command:
                 self._command.write(records.pack_pad_command(*news.command), t_ns)
                 self._gate_bell.ring()
+            if news.arm:
+                self._arm_command.write(records.pack_pad_arm(*news.arm), t_ns)
+                self._gate_bell.ring()
             if news.reset:
                 self._wish(records.WISH_RESET)
                 self._note("pad", "gamepad: MODE was held, reset requested")
@@ -255,6 +268,11 @@ class Telemetry:
                 self._events.put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
                 text = f"{news.cause}; last frames: {self._pad.recent()}"
                 self._note("pad", text, {"reason": str(news.cause)})
+
+    def _on_servo(self, data: bytes, t_ns: int) -> None:
+        if answer := decoder.servo_reply(framing.BUS_SERVO, data):
+            self._servos.put(records.pack_servo(*answer), t_ns)
+            self._gate_bell.ring()
 
     def _on_key(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.key(data):

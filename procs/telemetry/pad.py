@@ -17,7 +17,11 @@ if TYPE_CHECKING:
 
 LOCKED = 0
 DRIVE = 1
-"""Indices of records.PAD_MODES."""
+JOINT = 2
+"""Indices of records.PAD_MODES. JOINT is there with an arm alone: the left stick, pushed to a side, chooses the joint,
+and the right one turns it."""
+CHOOSES = 0.7
+"""How far it is pushed for that, of 1; back within half of it, it may choose again."""
 
 FULL_AXIS = 127
 SILENCE_NS = 500_000_000
@@ -33,9 +37,12 @@ class PadNews:
     """What one frame means: a cause of a stop or None, a velocity to command (m/s, m/s, rad/s) or None, and whether to
     wish a reset."""
 
-    __slots__ = ("cause", "command", "reset")
+    __slots__ = ("arm", "cause", "command", "reset")
 
-    def __init__(self, cause: Cause | None, command: Velocity | None, reset: bool) -> None:
+    def __init__(
+        self, cause: Cause | None, command: Velocity | None, reset: bool, arm: tuple[int, float] | None = None
+    ) -> None:
+        self.arm = arm
         self.cause = cause
         self.command = command
         self.reset = reset
@@ -46,10 +53,12 @@ class Pad:
 
     __slots__ = (
         "_changed_ns",
+        "_chose",
         "_dead_zone",
         "_hold_frames_missing",
         "_hold_ns",
         "_hold_spent",
+        "_joints",
         "_last_ns",
         "_latched_ns",
         "_limits",
@@ -58,6 +67,7 @@ class Pad:
         "_raw",
         "_reset_hold_ns",
         "_trips",
+        "joint",
         "mode",
     )
 
@@ -70,6 +80,7 @@ class Pad:
         mode_lockout_s: float,
         reset_hold_s: float,
         limits: Velocity,
+        joints: int = 0,
     ) -> None:
         """`limits`: what a stick at its end commands, in m/s, m/s and rad/s."""
         self._trips = trips
@@ -85,6 +96,10 @@ class Pad:
         self._hold_ns: int | None = None
         self._hold_frames_missing = 0
         self._hold_spent = False
+        self._joints = joints
+        self._chose = False
+        self.joint = 0
+        """The chosen joint, by its place in the settings."""
         self.mode = LOCKED
 
     @classmethod
@@ -97,6 +112,7 @@ class Pad:
             mode_lockout_s=settings["pad.mode_lockout_s"],
             reset_hold_s=settings["pad.reset_hold_s"],
             limits=(settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"]),
+            joints=len(settings.servos()),
         )
 
     def follow(self, latched: bool, now_ns: int) -> None:
@@ -126,7 +142,16 @@ class Pad:
         else:
             # Locked by MODE: stand still now, not when the command times out. A trip has stopped by itself.
             command = STANDSTILL if was == DRIVE and not cause else None
-        return PadNews(cause, command, self._reset_is_due(buttons, t_ns))
+        arm = self._turns_joint(lx, rx) if self.mode == JOINT else (self.joint, 0.0) if was == JOINT else None
+        return PadNews(cause, command, self._reset_is_due(buttons, t_ns), arm)
+
+    def _turns_joint(self, lx: int, rx: int) -> tuple[int, float]:
+        """The joint and the share of its speed."""
+        side = self._axis(lx)
+        if abs(side) >= CHOOSES and not self._chose:
+            self.joint = (self.joint + (1 if side > 0 else -1)) % self._joints
+        self._chose = abs(side) >= (CHOOSES / 2 if self._chose else CHOOSES)
+        return self.joint, self._axis(-rx)
 
     def recent(self) -> str:
         """The last raw frames in hex, the oldest first, each with its age in ms."""
@@ -158,7 +183,7 @@ class Pad:
             return
         if self._changed_ns is None or t_ns - self._changed_ns >= self._lockout_ns:
             self._changed_ns = t_ns
-            self.mode = DRIVE if self.mode == LOCKED else LOCKED
+            self.mode = (self.mode + 1) % (JOINT + 1 if self._joints else JOINT)
 
     def _reset_is_due(self, buttons: int, t_ns: int) -> bool:
         """MODE has been down for long enough, all that time latched: a hold from before the latch resets nothing of

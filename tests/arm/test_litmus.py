@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.commands import script
+from tests.support.commands import script
 
 ROOT = Path(__file__).resolve().parents[2]
 BARRIER = ("STLR WZR,[X9]", "LDAR W10,[X9]")

@@ -15,11 +15,11 @@ from failstop.shm.barrier import Barrier
 from failstop.shm.latest import LatestReader, LatestWriter
 from failstop.shm.ring import RingReader, RingWriter
 from failstop.shm.words import Word
-from tests.procs import gate_scene, port_scene, test_stopper
-from tests.procs.stage import MS
-from tests.supervisor.test_answers import Scene as SupervisorScene
-from tests.supervisor.test_watching import Watching
-from tests.telemetry.scene import Scene as TelemetryScene
+from tests.support import gate_scene, port_scene, stopper_scene
+from tests.support.stage import MS
+from tests.support.supervisor_scene import Scene as SupervisorScene
+from tests.support.telemetry_scene import Scene as TelemetryScene
+from tests.support.watching_scene import Watching
 
 
 class Trace:
@@ -102,8 +102,8 @@ def telemetry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Telem
 
 def test_cause_and_ready_before_the_epoch(supervisor: SupervisorScene, trace: Trace) -> None:
     supervisor.turn()
-    own = supervisor.supervisor
-    trace.watch(cause=own._latch_record, ready=own._ready_word, epoch=own._epoch_word)
+    own = supervisor.supervisor.epochs
+    trace.watch(cause=own._latch_record, ready=own.ready_word, epoch=own._epoch_word)
     supervisor.notice()
     supervisor.turn()
     assert trace.has("store cause", "store ready", "barrier", "store epoch")
@@ -130,6 +130,33 @@ def test_a_successor_sees_the_cause_of_the_epoch_that_it_sees(gate: gate_scene.S
     assert trace.done[:2] == ["barrier", "load cause"]
 
 
+def test_a_reset_s_time_before_its_number(gate: gate_scene.Scene, trace: Trace) -> None:
+    resets = gate.gate._resets
+    trace.watch(number=resets._asked_word, asked=resets._asked_ns_word)
+    resets.ask((None, 0, 0, gate.clock()))
+    assert trace.has("store asked", "barrier", "store number")
+
+
+def test_a_reset_s_number_before_its_time_and_what_became_of_it_before_that(
+    supervisor: SupervisorScene, trace: Trace
+) -> None:
+    supervisor.turn()
+    own = supervisor.supervisor.epochs
+    supervisor.ask_reset()
+    trace.watch(number=own._asked_word, asked=own._asked_ns_word, record=own._decided_record, decided=own._decided_word)
+    supervisor.turn()
+    assert trace.has("load number", "barrier", "load asked", "store record", "barrier", "store decided")
+
+
+def test_a_decided_reset_before_the_latch_and_what_became_of_it(gate: gate_scene.Scene, trace: Trace) -> None:
+    gate.stop(2, "key1")
+    gate.tick()
+    gate.gate._resets.ask((None, 0, 0, gate.clock()))
+    trace.watch(decided=gate.gate._resets._decided_word, latch=gate.gate._latch, record=gate.gate._resets._record)
+    gate.decide()
+    assert trace.has("load decided", "barrier", "load latch", "barrier", "load record")
+
+
 def test_moving_before_the_last_look_at_the_epoch(port: port_scene.Scene, trace: Trace) -> None:
     port.turn()
     port.put()
@@ -146,7 +173,7 @@ def test_the_epoch_and_the_look_before_moving(watching: Watching, trace: Trace) 
 
 
 def test_the_stoppers_look_before_moving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trace: Trace) -> None:
-    scene = test_stopper.Scene(tmp_path, monkeypatch)
+    scene = stopper_scene.Scene(tmp_path, monkeypatch)
     try:
         trace.watch(moving=scene.stopper._port_owner_moving)
         monkeypatch.setattr(starved, "look", lambda *_: trace.done.append("look") or True)
@@ -172,7 +199,7 @@ class Memory(bytearray):
 
 
 def test_an_entry_before_the_next(trace: Trace) -> None:
-    memory = Memory(8 * ring.slot_bytes(64))
+    memory = Memory(8 * ring.slot_bytes(64))  # type: ignore[attr-defined]
     memory.done = trace.done
     writer = RingWriter(memory, 0, 64, 8, 1)
     trace.done.clear()
@@ -182,11 +209,11 @@ def test_an_entry_before_the_next(trace: Trace) -> None:
 
 
 def test_a_later_entry_before_the_second_look_at_a_torn_one(trace: Trace) -> None:
-    memory = Memory(8 * ring.slot_bytes(64))
+    memory = Memory(8 * ring.slot_bytes(64))  # type: ignore[attr-defined]
     memory.done = trace.done
     reader = RingReader(memory, 0, 64, 8, 1)
     writer = RingWriter(memory, 0, 64, 8, 1)
-    torn = ring.slot_bytes(64)
+    torn = ring.slot_bytes(64)  # type: ignore[attr-defined]
     writer.put(b"torn")
     memory[torn : torn + 4] = b"torn"
     writer.put(b"whole")

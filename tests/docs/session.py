@@ -17,8 +17,7 @@ from types import TracebackType
 from failstop.errors import FailstopError
 from failstop.robot import Robot
 from failstop.shm import instance
-
-from .pages import ROOT
+from tests.support.pages import ROOT
 
 COMMAND_S = 60.0
 READY_S = 15.0

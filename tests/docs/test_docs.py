@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from failstop import cli
+from tests.support.pages import PAGES, ROOT, SHELL, Block, blocks, commands_in, indented, inline
 
-from .pages import PAGES, ROOT, SHELL, Block, blocks, commands_in, indented, inline
 from .session import Session, differs
 
 MARKED = ("README.md", "quickstart.md", "robot.md", "architecture.md", "safety.md")
@@ -152,7 +152,7 @@ def test_blocks_are_found_with_their_marks(tmp_path: Path) -> None:
 
 
 def _fences(text: str) -> list[re.Match[str]]:
-    from .pages import FENCE
+    from tests.support.pages import FENCE
 
     return list(FENCE.finditer(text))
 

@@ -16,7 +16,7 @@ from failstop.board.sim.client import SimBoard
 from failstop.commands.doctor import ARROW, screen
 from failstop.doctor.finding import SKIP, WARN, Finding
 from failstop.trial import Trial, wait_for
-from tests.commands import failstop
+from tests.support.commands import failstop
 
 
 def doctor(*words: str) -> tuple[int, dict[str, list[dict[str, Any]]]]:

@@ -153,7 +153,7 @@ def test_the_shared_memory_of_a_dead_run(dead_run: str) -> None:
     assert (left.segments, left.ours) == (len(layout.SEGMENTS), True)
     assert left.size > 0
     assert service_facts.header(dead_run, System()) == (service_facts.client_version(), True)
-    stranger = port_facts.User("stranger", os.geteuid() + 4711, frozenset())
+    stranger = port_facts.User("stranger", os.geteuid() + 4711, frozenset())  # type: ignore[attr-defined]
     found = machine_facts.shared_memory(stranger, System())
     assert not next(row for row in found.leftovers if row.instance == dead_run).ours
 

@@ -17,8 +17,8 @@ from failstop.robot import Robot
 from failstop.state import Stop
 from failstop.supervisor.port import OwnPort
 from failstop.trial import Trial
-from tests.procs.parts import new_pty
-from tests.screen.states import stop
+from tests.support.ptys import new_pty
+from tests.support.states import stop
 
 
 def test_a_latch_that_the_test_could_not_clear_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

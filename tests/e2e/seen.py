@@ -13,7 +13,7 @@ from failstop.board.sim.client import Event
 from failstop.errors import FailstopError
 from failstop.policy import causes
 from failstop.trial import Trial, judge, wait_for
-from tests.commands import FAILSTOP
+from tests.support.commands import FAILSTOP
 
 FORWARD = (0.2, 0.0, 0.0)
 LATEST_MS = 100.0

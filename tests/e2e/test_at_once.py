@@ -48,7 +48,7 @@ def test_on_a_stop_that_the_gate_makes_itself(slow: Trial) -> None:
         slow.board.events()
         sent_ns = time.monotonic_ns()
         slow.robot._client().command(float("nan"), 0.0, 0.0, manual=False, source="cmd_vel")
-        event = slow.board.wait_for(lambda e, sent_ns=sent_ns: e.is_stop and e.arrival_ns > sent_ns, 2.0)
+        event = slow.board.wait_for(lambda e, sent_ns=sent_ns: e.is_stop and e.arrival_ns > sent_ns, 2.0)  # type: ignore[misc]
         soon += event.arrival_ns - sent_ns < SOON_NS
         wait_for("the latch", lambda: slow.robot.state.estop is not None)
     assert soon >= MOST_OF_THEM

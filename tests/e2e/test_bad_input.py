@@ -24,8 +24,8 @@ from failstop.procs import limits
 from failstop.shm import instance, layout, segment, slot
 from failstop.supervisor.blackbox import MOST_SAVERS
 from failstop.trial import Trial, wait_for
-from tests.commands import FAILSTOP, failstop
-from tests.procs.parts import Pty
+from tests.support.commands import FAILSTOP, failstop
+from tests.support.ptys import Pty
 
 
 def _one_line(result: subprocess.CompletedProcess[str]) -> str:

@@ -15,7 +15,7 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.cli import COMMANDS, main
 from failstop.trial import Trial
-from tests.commands import failstop
+from tests.support.commands import failstop
 
 
 def test_a_session(trial: Trial) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from failstop import FailstopError, Robot, Undeclared
 from failstop.trial import Trial, wait_for
-from tests.commands import failstop
+from tests.support.commands import failstop
 
 CONFIG = """
 [sources.teleop]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from failstop.shm import layout
-from tests.commands import failstop
+from tests.support.commands import failstop
 
 
 def test_demo() -> None:

@@ -16,7 +16,7 @@ from failstop.errors import NoService, Refused
 from failstop.events import Event, EventLog
 from failstop.supervisor.kinds import BY_NAME
 from failstop.trial import Trial, wait_for
-from tests.commands import failstop
+from tests.support.commands import failstop
 
 
 class Listener:

@@ -13,7 +13,7 @@ from failstop.errors import NoService
 from failstop.shm import instance
 from failstop.state import StateReader
 from failstop.trial import Trial, wait_for
-from tests.commands import failstop
+from tests.support.commands import failstop
 
 from .returns import restarted_late
 

@@ -12,7 +12,7 @@ import pytest
 
 from failstop import Refused, Robot
 from failstop.trial import Trial, wait_for
-from tests.commands import failstop
+from tests.support.commands import failstop
 
 Status = Callable[[], dict[str, Any]]
 

@@ -13,7 +13,7 @@ from failstop.errors import Refused
 from failstop.shm import layout
 from failstop.shm.layout import PORT_OWNER, STOPPER, TELEMETRY
 from failstop.trial import Trial, wait_for
-from tests.commands import failstop
+from tests.support.commands import failstop
 
 KILLS = 8
 LATEST_MS = 100

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from failstop import Robot
 from failstop.trial import Trial, wait_for
-from tests.commands import failstop
+from tests.support.commands import failstop
 
 
 def test_words_of_a_client_reach_people(trial: Trial) -> None:

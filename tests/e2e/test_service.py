@@ -110,7 +110,7 @@ def test_processes_have_names_and_no_threads_but_their_watchers(trial: Trial) ->
     for name, pid in trial.service.pids().items():
         process = psutil.Process(pid)
         if name in watched:
-            wait_for(f"the watchers of {name}", lambda p=process, n=name: p.num_threads() == 1 + watched[n])
+            wait_for(f"the watchers of {name}", lambda p=process, n=name: p.num_threads() == 1 + watched[n])  # type: ignore[misc]
         assert process.name() == f"fs:{name}"
         assert name in process.cmdline()
 

@@ -25,9 +25,9 @@ from failstop.client import run
 from failstop.procs.limits import DESCRIPTORS
 from failstop.shm import instance, root
 from failstop.trial import Trial
-from tests.commands import FAILSTOP
-from tests.shm.children import NOBODY, Child, needs_root
-from tests.waiting import until
+from tests.support.children import NOBODY, Child, needs_root
+from tests.support.commands import FAILSTOP
+from tests.support.waiting import until
 
 LIMITS = {
     "no file may grow": (resource.RLIMIT_FSIZE, 0),

@@ -14,7 +14,7 @@ from failstop.faults.starve import SHARP, Starved
 from failstop.policy.processes import BY_NAME
 from failstop.shm.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
 from failstop.trial import Trial, wait_for
-from tests.commands import failstop
+from tests.support.commands import failstop
 
 pytestmark = pytest.mark.alone
 

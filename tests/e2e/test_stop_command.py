@@ -21,7 +21,7 @@ from failstop.commands import stop
 from failstop.policy import config
 from failstop.procs.stopper import rest, tool
 from failstop.shm import instance, root
-from tests.commands import FAILSTOP, failstop
+from tests.support.commands import FAILSTOP, failstop
 
 Waits = list[tuple[str, float]]
 

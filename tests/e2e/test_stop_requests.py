@@ -18,8 +18,8 @@ from failstop.shm import instance
 from failstop.shm.records import ASKED_BYTES
 from failstop.supervisor.allowance import ASKED_BYTES as ASKED_ROOM
 from failstop.trial import Trial, judge, wait_for
-from tests.commands import failstop
-from tests.shm.children import NOBODY, become
+from tests.support.children import NOBODY, become
+from tests.support.commands import failstop
 
 FLOOD_S = 4.0
 

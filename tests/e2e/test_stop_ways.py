@@ -22,7 +22,7 @@ from failstop import client
 from failstop.board.burst import BURST
 from failstop.shm import layout, segment, slot
 from failstop.trial import Trial, judge, wait_for
-from tests.commands import FAILSTOP, failstop
+from tests.support.commands import FAILSTOP, failstop
 
 needs_root = pytest.mark.skipif(os.getuid() != 0, reason="needs root, whom an exclusive port does not keep out")
 PR_CAPBSET_DROP = 24

@@ -13,8 +13,8 @@ from subprocess import PIPE
 import pytest
 
 from failstop.faults.table import BY_NAME
-from tests.amounts import amount
-from tests.commands import FAILSTOP, failstop
+from tests.support.amounts import amount
+from tests.support.commands import FAILSTOP, failstop
 
 SECONDS = amount(15, 120)
 

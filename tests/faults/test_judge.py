@@ -9,8 +9,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from failstop.board.codec import MOTOR, STOP, motor_speeds
-from failstop.board.sim.client import Event
 from failstop.faults import report
 from failstop.faults.campaign import Outcome, _Injection, draw, inject_one
 from failstop.faults.judge import verdict
@@ -18,19 +16,9 @@ from failstop.faults.scene import Scene
 from failstop.faults.table import BY_NAME, TABLE
 from failstop.policy.causes import KEY
 from failstop.trial import judge
+from tests.support.board_events import FAULT_NS, MS, STILL, TURNING, event
 
-MS = 1_000_000
-FAULT_NS = 10_000 * MS
 KILL_GATE = BY_NAME["kill-gate"]
-STILL = (0.0, 0.0, 0.0, 0.0)
-TURNING = (0.5, 0.5, -0.5, -0.5)
-
-
-def event(index: int, ms: float, speeds: tuple[float, float, float, float]) -> Event:
-    """A motor frame that the board got so long after the fault."""
-    at_ns = FAULT_NS + round(ms * MS)
-    frame = motor_speeds(speeds, 1.0) if any(speeds) else STOP
-    return Event(index, at_ns, at_ns + MS // 2, MOTOR, frame[4:-1], speeds)
 
 
 def wrong(*times: tuple[float, bool], fault: str = "kill-gate", was_moving: bool = True) -> list[str]:

@@ -20,7 +20,7 @@ from failstop.procs.port_owner.wire import Wire
 from failstop.shm import box, layout
 from failstop.shm.latest import slot_bytes
 from failstop.shm.ring import RingReader, RingWriter
-from tests.incidents.parts import KeptRing, Recorder, at, drive_and_die
+from tests.support.incident_parts import KeptRing, Recorder, at, drive_and_die
 
 
 def ring(capacity: int, slots: int) -> tuple[RingWriter, RingReader]:

@@ -13,8 +13,8 @@ from failstop.incidents import file
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
 from failstop.incidents.prune import prune
-from tests.incidents.parts import Recorder, drive_and_die
-from tests.supervisor.test_imports import FORBIDDEN, imported
+from tests.support.imports import FORBIDDEN, imported
+from tests.support.incident_parts import Recorder, drive_and_die
 
 HEAD = {"name": "failstop", "t": 1.5}
 BODY = {"segments": {"gate": {"rings": {"box": [[1, 2, b"\0\xff"]]}}}}
@@ -154,7 +154,7 @@ def test_a_writer_that_dies_on_the_way_leaves_no_file_of_that_name(
     def die(*_: object) -> None:
         raise Died
 
-    monkeypatch.setattr(file.durable, killed_in, half if killed_in == "write_draft" else die)
+    monkeypatch.setattr(file.durable, killed_in, half if killed_in == "write_draft" else die)  # type: ignore[attr-defined]
     with pytest.raises(Died):
         file.write(str(tmp_path), "x", file.build(HEAD, BODY))
     assert not list(tmp_path.glob(f"*{file.SUFFIX}"))

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from failstop.board.servos import bus_servo_move
 from failstop.incidents import export, messages, plot, shades, signals
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
 from failstop.policy import causes
+from failstop.policy.settings import Settings
 from failstop.shm import box
-from tests.incidents.parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
+from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
 
 
 @pytest.fixture(scope="module")
@@ -168,3 +170,17 @@ def test_a_picture_that_fails_leaves_nothing(incident: Incident, tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
     with pytest.raises(IncidentError, match="can't be written"):
         plot.save(incident, str(tmp_path / "nowhere" / "a.png"), 5.0)
+
+
+@pytest.mark.starts  # matplotlib asks fc-list for fonts
+def test_where_the_arm_s_joints_were_sent_is_a_panel_of_its_own(tmp_path: Path) -> None:
+    parts = drive_and_die()
+    parts.settings = Settings({"joints.base.servo": 1, "joints.wrist.servo": 4})
+    for step in range(20):
+        parts.frame(-800.0 + 40 * step, bus_servo_move([(1, 500 + step), (4, 300 - step)], 40))
+    found = parts.incident()
+    assert [pulses for _, pulses in signals.joint_tracks(found)[1]] == list(range(500, 520))
+    assert signals.joint_names(found) == {1: "base", 4: "wrist"}
+    pytest.importorskip("matplotlib")
+    plot.save(found, str(tmp_path / "arm.png"), 5.0)
+    assert (tmp_path / "arm.png").read_bytes().startswith(b"\x89PNG")

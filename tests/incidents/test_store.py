@@ -12,7 +12,7 @@ from failstop.cli import main
 from failstop.incidents import store
 from failstop.incidents.file import IncidentError
 from failstop.incidents.prune import prune
-from tests.incidents.parts import UNIX_NS, drive_and_die
+from tests.support.incident_parts import UNIX_NS, drive_and_die
 
 MADE = drive_and_die()
 IDS = ["20260921-143320-gate-died", "20260921-150000-key1", "20260922-020000-device-lost"]

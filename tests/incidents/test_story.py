@@ -14,7 +14,7 @@ from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE, Line
 from failstop.policy import causes
 from failstop.shm import layout
-from tests.incidents.parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
+from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
 
 NOW_S = UNIX_NS / 1e9 + 7200
 

@@ -11,7 +11,7 @@ from failstop.incidents import brief, report, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE
 from failstop.policy import causes
-from tests.incidents.parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
+from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
 
 TERMINAL_LINES = 24
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import stat
 from collections.abc import Sequence
 from pathlib import Path
 
 from failstop.install import InstallError
+from failstop.install.layout import MANIFEST, Manifest
 from failstop.install.parts import Parts
+from failstop.install.plan import Found, Wish
+from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Tree
 from failstop.install.tree import Entry, Environment
 
 UNIT = "[Service]\nExecStart=/opt/failstop/bin/failstop run\n[Install]\nWantedBy=multi-user.target some.device\n"
@@ -83,3 +87,51 @@ def snapshot(root: Path) -> dict[str, tuple[str, int, bytes]]:
                 content = path.read_bytes() if stat.S_ISREG(mode) else b""
             found[str(path.relative_to(root))] = (stat.filemode(mode)[0], stat.S_IMODE(mode), content)
     return found
+
+
+BARE = Found(
+    {"/etc/passwd": b"root:x:0:0:root:/root:/bin/sh\n", "/etc/group": b"root:x:0:\n"},
+    directories=frozenset(
+        {"/etc", "/etc/systemd", "/etc/systemd/system", "/etc/udev", "/etc/udev/rules.d", "/etc/sysusers.d"}
+        | {"/opt", "/usr", "/usr/local", "/usr/local/bin", "/usr/local/lib"}
+    ),
+    udev=True,
+)
+
+
+LIVE = Wish()
+
+
+def after(plan: Plan, found: Found, tree: str = "tree 1") -> Found:
+    """What is found when a plan was carried out."""
+    files, links, directories = dict(found.files), dict(found.links), set(found.directories)
+    for step in plan.steps:
+        if isinstance(step, File):
+            files[step.path] = step.data
+        elif isinstance(step, Link):
+            links[step.path] = step.target
+        elif isinstance(step, Directory):
+            directories.add(step.path)
+        elif isinstance(step, Tree):
+            directories.add(step.path)
+            files[MANIFEST] = step.manifest
+        elif isinstance(step, Remove):
+            files.pop(step.path, None)
+            links.pop(step.path, None)
+        elif isinstance(step, Command) and step.words[:1] == ("systemd-sysusers",):
+            files |= {"/etc/passwd": PASSWD, "/etc/group": GROUP}
+    units = tuple(step.unit for step in plan.steps if isinstance(step, Start))
+    return dataclasses.replace(
+        found,
+        files=files,
+        links=links,
+        directories=frozenset(directories),
+        tree=tree,
+        manifest=Manifest.load(files[MANIFEST]),
+        active=tuple(dict.fromkeys((*found.active, *units))),
+        configured_device="/dev/ttyACM0",
+    )
+
+
+def shown(plan: Plan) -> list[str]:
+    return [f"{step.verb} {step.subject}" for step in plan.steps if step.verb]

@@ -11,8 +11,7 @@ from failstop.install.bridge import PLACE
 from failstop.install.plan import Found, Wish, install
 from failstop.install.steps import Command, File
 from failstop.install.unplan import uninstall
-from tests.install.scene import GROUP, PARTS, PASSWD
-from tests.install.test_plan import BARE, LIVE, after, shown
+from tests.install.scene import BARE, GROUP, LIVE, PARTS, PASSWD, after, shown
 
 WISH = Wish(ros2_user="anna")
 BROUGHT = dataclasses.replace(PARTS, bridge=parts.of_this_version().bridge)

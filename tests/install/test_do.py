@@ -99,7 +99,7 @@ def test_an_umask_does_not_hide_it_from_the_service(root: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("upgrade", [False, True], ids=["fresh", "upgrade"])
 def test_a_failure_after_any_step_leaves_everything_as_it_was(root: Path, upgrade: bool) -> None:
-    units = ()
+    units: tuple[str, ...] = ()
     if upgrade:
         do(root, plan_for(root))
         units = ("failstop.service",)

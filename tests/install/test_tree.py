@@ -54,7 +54,7 @@ def test_written_it_runs_by_itself_and_has_the_same_digest(running: tree.Environ
     assert all(path.startswith(str(place)) for path in said.stdout.split())
     script = (place / "bin/failstop").read_text()
     assert script.startswith("#!/opt/failstop/bin/python3 -I\n")
-    config = [place / "bin/python3", "-I", place / "bin/failstop", "config", "--json"]
+    config = [str(place / "bin/python3"), "-I", str(place / "bin/failstop"), "config", "--json"]
     assert "device.path" in json.loads(subprocess.run(config, check=True, capture_output=True, cwd="/").stdout)
     modules = sorted(place.rglob("*.py"))
     assert len(modules) > 100
@@ -106,7 +106,7 @@ def test_what_the_service_could_not_run(tmp_path: Path) -> None:
     program = tmp_path / "program"
     program.touch(0o755)
     # Everything below /tmp is hidden from it, so the rest is asked without that.
-    hidden, tree.HIDDEN_FROM_SERVICE = tree.HIDDEN_FROM_SERVICE, ()
+    hidden, tree.HIDDEN_FROM_SERVICE = tree.HIDDEN_FROM_SERVICE, ()  # type: ignore[assignment]
     try:
         private = next((part for part in program.parents if not part.stat().st_mode & 0o001), None)
         assert tree.unreachable(str(program)) == (f"others may not enter {private}" if private else "")

@@ -10,8 +10,8 @@ import pytest
 
 from failstop import cli
 from failstop.manual import grammar
-from tests.commands import FAILSTOP
-from tests.docs.pages import commands_in
+from tests.support.commands import FAILSTOP
+from tests.support.pages import commands_in
 
 COLUMNS = 80
 

@@ -23,9 +23,9 @@ def test_the_page_is_the_generated_one() -> None:
 def test_man_takes_the_page_without_a_warning() -> None:
     if not shutil.which("man") or not shutil.which("groff"):
         pytest.skip("man is not installed")
-    command = ["man", "--warnings", "-E", "UTF-8", "-l", "-Tutf8", str(PAGE)]
+    program = ["man", "--warnings", "-E", "UTF-8", "-l", "-Tutf8", str(PAGE)]
     environ = {**os.environ, "MANWIDTH": "100", "TERM": "dumb"}
-    result = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environ)
+    result = subprocess.run(program, capture_output=True, text=True, timeout=60, env=environ)
     assert (result.returncode, result.stderr) == (0, "")
     words = set(re.sub(r"\x1b\[[0-9;]*m|.\x08", "", result.stdout).split())
     for name in cli.COMMANDS:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.gate_scene import Scene
+
 from .gate_bench import Gate
-from .gate_scene import Scene
 
 
 @pytest.fixture

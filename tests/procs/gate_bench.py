@@ -6,7 +6,7 @@ from failstop.policy.kinematics import Mecanum
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.sources import Command
-from tests.why import told
+from tests.support.why import told
 
 MS = 1_000_000
 TICK = 20 * MS

@@ -14,7 +14,7 @@ from failstop.policy.kinematics import Mecanum
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.sources import Command
-from tests.why import told, why
+from tests.support.why import told, why
 
 MS = 1_000_000
 SCAN_NS = 500 * MS

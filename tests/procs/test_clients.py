@@ -12,10 +12,10 @@ import pytest
 
 from failstop.procs.gate import clients
 from failstop.shm import layout, records
-from tests.waiting import until
+from tests.support.ptys import open_fds
+from tests.support.waiting import until
 
 from .client_side import NOW, Service
-from .parts import open_fds
 
 
 @pytest.fixture

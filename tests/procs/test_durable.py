@@ -53,7 +53,7 @@ def test_what_is_planted_is_told_and_left_alone(what: str, how: str, victim: Pat
 
 def test_a_device_is_not_even_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
-    monkeypatch.setattr(durable.os, "open", lambda path, *_: opened.append(path))
+    monkeypatch.setattr(durable.os, "open", lambda path, *_: opened.append(path))  # type: ignore[attr-defined]
     for path in ("/dev/zero", "/dev/ptmx"):
         with pytest.raises(OSError, match="a device, not a regular file"):
             durable.open_regular(path)
@@ -64,7 +64,7 @@ def test_what_is_planted_after_the_look_is_seen_all_the_same(tmp_path: Path, mon
     path = tmp_path / "file"
     os.mkfifo(path)
     regular = os.stat(__file__)
-    monkeypatch.setattr(durable.os, "stat", lambda *_: regular)
+    monkeypatch.setattr(durable.os, "stat", lambda *_: regular)  # type: ignore[attr-defined]
     before = len(os.listdir("/proc/self/fd"))
     with pytest.raises(OSError, match="a FIFO, not a regular file"):
         durable.open_regular(str(path))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.why import told
+from tests.support.why import told
 
 from .gate_bench import Gate, stands
 from .gate_machine import GateMachine

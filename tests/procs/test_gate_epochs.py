@@ -7,10 +7,9 @@ import pytest
 from failstop.procs.gate import main
 from failstop.shm import layout, records
 from failstop.supervisor.stops import Stop
-from tests.why import why
-
-from .gate_scene import Scene
-from .stage import MS
+from tests.support.gate_scene import Scene
+from tests.support.stage import MS
+from tests.support.why import why
 
 
 def test_the_first_cause_since_the_reset_is_latched(gate_scene: Scene) -> None:

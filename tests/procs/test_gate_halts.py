@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
-from tests.why import why
+from tests.support.why import why
 
 from .gate_bench import MS, REST, TICK, Gate
 

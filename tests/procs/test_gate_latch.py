@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.procs.gate.core import REST
-from tests.why import said, told, why
+from tests.support.why import said, told, why
 
 from .gate_bench import Gate, stands
 

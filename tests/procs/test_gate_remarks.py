@@ -10,7 +10,7 @@ from failstop.procs.gate.remarks import EVERY_NS, MOST_AT_ONCE, Budget, of_reque
 from failstop.shm import records
 from failstop.shm.layout import NOTE_BYTES
 from failstop.shm.notes import Note
-from tests.why import why
+from tests.support.why import why
 
 WHO: dict[str, str | int] = {"who": "nav", "pid": 7}
 
@@ -85,7 +85,7 @@ def test_fields_without_end_are_left_out() -> None:
 def test_fields_that_just_fit_are_kept() -> None:
     room = NOTE_BYTES - len(Note("note", "text", {"a": "x" * 275, "b": "x" * 260}).pack())
     for more, kept in ((room, True), (room + 1, False)):
-        fields = {"a": "x" * 275, "b": "x" * (260 + more)}
+        fields: dict[str, str | int | float] = {"a": "x" * 275, "b": "x" * (260 + more)}
         data = Note("note", "text", fields).pack()
         assert (len(data) == NOTE_BYTES) == kept
         assert (Note.unpack(data).fields == fields) == kept

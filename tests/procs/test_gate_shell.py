@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 
 from failstop.shm import records
-from tests.why import said
-
-from .gate_scene import Scene
-from .stage import MS
+from tests.support.gate_scene import Scene
+from tests.support.stage import MS
+from tests.support.why import said
 
 
 @pytest.mark.parametrize("verb", [records.ENABLE, records.RESET])

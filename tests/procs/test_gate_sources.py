@@ -10,7 +10,7 @@ from failstop.policy.settings import Settings
 from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.sources import PAD, PAD_PRIORITY, Command
 from failstop.procs.gate.stamps import AHEAD_NS
-from tests.why import told
+from tests.support.why import told
 
 MS = 1_000_000
 TICK = 20 * MS

@@ -11,8 +11,7 @@ import pytest
 from failstop.procs import handover
 from failstop.procs.handover import Control
 from failstop.shm.records import PATH_BYTES
-
-from .parts import open_fds
+from tests.support.ptys import open_fds
 
 
 @pytest.fixture

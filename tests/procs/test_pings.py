@@ -12,9 +12,8 @@ from failstop.board.interface import BOARD
 from failstop.procs.loop import Deadline
 from failstop.procs.port_owner.pings import GAP_NS, Pings
 from failstop.shm import layout
-
-from .port_scene import MOTION, TICK, Scene
-from .stage import MS
+from tests.support.port_scene import MOTION, TICK, Scene
+from tests.support.stage import MS
 
 PERIOD = 500 * MS
 T0 = 1000 * MS

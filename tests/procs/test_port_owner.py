@@ -15,9 +15,8 @@ from failstop.policy import causes
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
 from failstop.shm import box, layout, records
-
-from .port_scene import MOTION, SLOWER, TICK, Kernel, Scene
-from .stage import MS
+from tests.support.port_scene import MOTION, SLOWER, TICK, Kernel, Scene
+from tests.support.stage import MS
 
 TOO_FAST = codec.motor_speeds((50.0, 0.0, 0.0, 0.0), 60.0)
 

@@ -12,11 +12,10 @@ from failstop.board import port
 from failstop.board.burst import BURST
 from failstop.procs.port_owner import main
 from failstop.shm import layout, records
-from tests.waiting import until
-
-from .parts import open_fds
-from .port_scene import MOTION, TICK, Kernel, Scene
-from .stage import MS, Dummy
+from tests.support.port_scene import MOTION, TICK, Kernel, Scene
+from tests.support.ptys import open_fds
+from tests.support.stage import MS, Dummy
+from tests.support.waiting import until
 
 POWER_SWITCH = "port does not drain: use the POWER SWITCH"
 

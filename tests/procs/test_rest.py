@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from failstop.procs.stopper import rest
-
-from .parts import open_fds
+from tests.support.ptys import open_fds
 
 OURS = "12:devices:/system.slice\n0::/system.slice/failstop.service\n"
 THEIRS = "12:devices:/system.slice\n0::/system.slice/failstop@other.service\n"

@@ -18,9 +18,8 @@ from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat, HeartbeatReader
 from failstop.shm.segment import Segment
-from tests.waiting import until
-
-from .stage import MS, Dummy
+from tests.support.stage import MS, Dummy
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.alone
 

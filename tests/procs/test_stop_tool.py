@@ -14,8 +14,7 @@ from failstop.board import codec, port, stop_port
 from failstop.board.burst import BURST
 from failstop.board.port import PortError, open_port
 from failstop.procs.stopper import tool
-
-from .parts import Board, Pty, new_pty, open_fds
+from tests.support.ptys import Board, Pty, new_pty, open_fds
 
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
 
@@ -231,7 +230,7 @@ def test_a_burst_that_is_taken_in_pieces_is_written_to_its_end(
 
     os.write(pty.slave, MOTION[:15])
     monkeypatch.setattr(os, "write", taken)
-    tool.stop(pty.link, 0.0, said.append)
+    tool.stop(pty.link, lambda _: 0.0, said.append)
     monkeypatch.undo()
     stream = pty.read()
     assert stream == MOTION[:15] + BURST

@@ -10,59 +10,12 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.procs import starved
-from failstop.procs.stopper import main
-from failstop.procs.stopper.main import HANG_NS, HELD_UP_NS, Stopper
+from failstop.procs.stopper.main import HANG_NS, HELD_UP_NS
 from failstop.shm import heartbeat, layout, records
-from tests.waiting import until
-
-from .parts import Pty, new_pty, open_fds
-from .stage import MOST_LATE, MS, Dummy, Stage
-
-
-class Scene(Stage):
-    """A stopper at work on its stage, beside a port owner that the test plays."""
-
-    def __init__(
-        self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True, named: bool = True
-    ) -> None:
-        super().__init__(layout.STOPPER, directory, open_port=open_port)
-        monkeypatch.setattr(main, "monotonic_ns", self.clock)
-        if named:
-            self.port_owner = self.start(layout.PORT_OWNER)
-        self.stays = True
-        self.late = 0
-        self.stopper = Stopper(self)  # type: ignore[arg-type]
-        self.turn()
-
-    def turn(self, elapsed_ns: int = 0, *, alive: bool = True) -> bytes:
-        """Time passes, the port owner beats, the stopper wakes up; returns what it wrote."""
-        self.clock.now_ns += elapsed_ns
-        if alive:
-            self.beat(layout.PORT_OWNER)
-        self.stays = self.stopper.turn(self.stopper.loop.wait(0))
-        self.late = self.late + 1 if self.stays and self.next_ns() <= self.clock() else 0
-        assert self.late <= MOST_LATE, "a deadline was left behind: the loop would spin"
-        return self.pty.read() if self.pty.master >= 0 else b""
-
-    def next_ns(self) -> int:
-        """When it turns without any news."""
-        return self.stopper.loop.until_ns(self.clock(), main.TICK_NS)
-
-    def written(self, until_ms: int, *, alive: bool = True) -> list[tuple[int, bytes]]:
-        """What it writes in the coming milliseconds, asked each millisecond."""
-        return [(ms, wrote) for ms in range(1, until_ms + 1) if (wrote := self.turn(MS, alive=alive))]
-
-    def die(self, dummy: Dummy) -> None:
-        dummy.kill()
-        until(lambda: self.stopper.loop.wait(0), "the news of the death")
-
-    def port_owner_writes(self) -> None:
-        self._views[layout.PORT_OWNER].word("written_ns").set(self.clock())
-
-    def close(self) -> None:
-        self.stopper.close_port()
-        self.stopper._control.close()
-        super().close()
+from tests.support.ptys import Pty, new_pty, open_fds
+from tests.support.stage import MS
+from tests.support.stopper_scene import Scene
+from tests.support.waiting import until
 
 
 @pytest.fixture

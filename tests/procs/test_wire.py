@@ -16,9 +16,8 @@ from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.procs.port_owner.main import MOTION_BACKLOG, PING_BACKLOG
 from failstop.procs.port_owner.wire import DRAIN_NS, Wire
-from tests.waiting import until
-
-from .parts import Board, Pty, new_pty
+from tests.support.ptys import Board, Pty, new_pty
+from tests.support.waiting import until
 
 MS = 1_000_000
 T0 = 3_000 * MS
@@ -383,10 +382,10 @@ def test_a_full_port_is_not_waited_for(pty: Pty, wire: Wire, monkeypatch: pytest
 
     def timed(*given: Any) -> Any:
         waited_s.append(given[3])
-        return real(*given[:3], 0)
+        return real(*given[:3], 0)  # type: ignore[call-arg]
 
-    monkeypatch.setattr(select, "select", timed)
     pty.fill()
+    monkeypatch.setattr(select, "select", timed)
     assert not wire.frame(MOTION)
     waited_s.clear()
     wire.stuck(T0)

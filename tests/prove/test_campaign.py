@@ -19,8 +19,8 @@ from failstop.prove import campaign
 from failstop.prove.run import Result, Run
 from failstop.prove.stand import Stand
 from failstop.prove.table import BY_PATH, BY_VELOCITY, of_fault
-from tests.commands import FAILSTOP, failstop
 from tests.prove.noise import SIMULATED
+from tests.support.commands import FAILSTOP, failstop
 
 CONSENT = ("--on-the-stand", "--wheels-are-free")
 PIDS = {"supervisor": 1, "port_owner": 2, "gate": 3, "telemetry": 4, "stopper": 5}

@@ -12,9 +12,9 @@ from failstop.policy.causes import Cause
 from failstop.prove import table
 from failstop.prove.run import Run
 from failstop.prove.table import BY_PATH, BY_VELOCITY
-from tests.faults.test_judge import FAULT_NS, TURNING, event
-from tests.faults.test_judge import STILL as REST
 from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
+from tests.support.board_events import FAULT_NS, TURNING, event
+from tests.support.board_events import STILL as REST
 
 MS = 1_000_000
 LATCH = causes.PIPED("prove")

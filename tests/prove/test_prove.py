@@ -29,8 +29,8 @@ from failstop.prove.strike import strike
 from failstop.prove.table import BY_PATH, BY_VELOCITY
 from failstop.robot import Robot
 from failstop.trial import Trial, wait_for
-from tests.commands import FAILSTOP, failstop
 from tests.prove.noise import SIMULATED
+from tests.support.commands import FAILSTOP, failstop
 
 WORD = "spin\n"
 LIMIT_S = 240

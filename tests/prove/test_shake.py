@@ -49,7 +49,7 @@ def test_the_moment_of_rest(std: float) -> None:
     for seed in range(40):
         spinning = shake.noise(gyro((3.0, std), seed=1000 + seed))
         assert spinning is not None
-        found = shake.rest_ns(gyro((0.5 + 0.4, std), (1.5, STILL), seed=seed), STILL_NOISE, spinning)
+        found = shake.rest_ns(gyro((0.5 + 0.4, std), (1.5, STILL), seed=seed), STILL_NOISE, spinning)  # type: ignore[arg-type]
         assert found is not None
         late_s.append(found / S - 0.9)
     late_s.sort()
@@ -59,7 +59,7 @@ def test_the_moment_of_rest(std: float) -> None:
 
 
 def test_wheels_that_turn_to_the_end_have_no_moment_of_rest() -> None:
-    assert shake.rest_ns(gyro((2.0, DRIVE)), STILL_NOISE, level(DRIVE)) is None
+    assert shake.rest_ns(gyro((2.0, DRIVE)), STILL_NOISE, level(DRIVE)) is None  # type: ignore[arg-type]
 
 
 def test_the_running_verdict() -> None:

@@ -76,6 +76,7 @@ def test_all_of_it_passes_only_if_nothing_failed_and_something_was_tried(
     assert f"\n{'PASS' if passed else 'FAIL'}\n" in report.text(evidence)
 
 
+@pytest.mark.starts
 def test_evidence_is_kept_in_a_dated_folder(tmp_path: object) -> None:
     evidence = Evidence("/dev/board", False, True, SIMULATED, [result(samples=gyro((1.0, 0.002)))])
     evidence.begun_unix_s = 0.0

@@ -8,13 +8,14 @@ import queue
 import sys
 import threading
 import time
+from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 
-def type_of(name: str) -> type:
+def type_of(name: str) -> Any:
     package, kind, last = name.split("/")
     return getattr(importlib.import_module(f"{package}.{kind}"), last)
 
@@ -28,7 +29,7 @@ def build(message: object, fields: dict) -> object:
     return message
 
 
-def plain(value: object) -> object:
+def plain(value: Any) -> Any:
     if hasattr(value, "get_fields_and_field_types"):
         return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
     if isinstance(value, bytes):
@@ -105,7 +106,7 @@ class Talker:
         message = build(self.kinds[topic](), fields)
         if stamp:
             now_ns = self.node.get_clock().now().nanoseconds
-            message.header.stamp.sec, message.header.stamp.nanosec = now_ns // 10**9, now_ns % 10**9
+            message.header.stamp.sec, message.header.stamp.nanosec = now_ns // 10**9, now_ns % 10**9  # type: ignore[attr-defined]
         publisher.publish(message)
         self.count[topic] = self.count.get(topic, 0) + 1
         return {"t_ns": time.monotonic_ns()}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.commands import failstop
 from tests.ros2.scene import BOOL, FORWARD, NODE, STAMPED, TWIST, Scene
+from tests.support.commands import failstop
 
 BACKWARD = {"linear": {"x": -0.2}}
 
@@ -55,7 +55,7 @@ def test_reset_is_refused_while_somebody_commands_motion(scene: Scene) -> None:
     assert (done, text.partition(":")[0]) == (False, "refused")
     assert "/nav commands 0.2 m/s forward" in text
     driver.ask("repeat", topic="cmd_vel", fields={}, hz=20.0)
-    found = ("", "")
+    found: tuple[object, str] = ("", "")
     while not str(found[1]).startswith("e-stop cleared"):
         found = scene.eyes.call("reset_estop")
     assert found[1].startswith("e-stop cleared (was: stop request: hand near wheel (")

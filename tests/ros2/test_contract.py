@@ -11,7 +11,7 @@ from failstop.ros2 import contract, mirrors, report, words
 from failstop.ros2.contract import INWARD, OUTWARD, SERVICES, Qos
 from failstop.shm.records import CAUSE
 from tests.ros2.scene import NODE, Scene
-from tests.screen import states
+from tests.support import states
 
 RELIABLE_10 = Qos(10, reliable=True, transient_local=False)
 SENSOR_DATA = Qos(5, reliable=False, transient_local=False)

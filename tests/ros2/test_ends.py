@@ -11,9 +11,9 @@ import time
 import pytest
 
 from failstop.trial import wait_for
-from tests.commands import failstop
 from tests.ros2.conftest import _name
 from tests.ros2.scene import FORWARD, NODE, TWIST, Bridge, Node, Ros, Scene
+from tests.support.commands import failstop
 
 
 def driving(scene: Scene) -> Node:

@@ -10,7 +10,7 @@ import pytest
 
 from failstop.ros2 import contract, report
 from failstop.version import VERSION
-from tests.screen import states
+from tests.support import states
 
 PACKAGES = Path(__file__).resolve().parents[2] / "ros2" / "packages"
 
@@ -30,7 +30,7 @@ def test_setup_is_of_this_version() -> None:
 
 def test_every_message_package_that_is_used_is_depended_on() -> None:
     rows = [*contract.INWARD, *contract.OUTWARD, contract.TF, *contract.SERVICES]
-    used = {row.type.partition("/")[0] for row in rows}
+    used = {row.type.partition("/")[0] for row in rows}  # type: ignore[attr-defined]
     root = ElementTree.parse(PACKAGES / "failstop_ros2/package.xml").getroot()
     assert used <= {row.text for row in root.iter("exec_depend")}
 

@@ -17,7 +17,7 @@ from failstop.ros2 import diagnostics, leftovers, messages, mirrors, report, wor
 from failstop.ros2.commanders import Publisher
 from failstop.ros2.scan import ScanLog, ScanWatch
 from failstop.samples import ImuSample, OdometrySample, PadSample
-from tests.screen import states
+from tests.support import states
 
 S = 1_000_000_000
 SCAN = "sensor_msgs/msg/LaserScan"
@@ -43,7 +43,7 @@ def test_every_mirror_shows_settings_that_there_are() -> None:
         ({"device": "/dev//ttyACM0"}, ""),
         ({"device": "/dev/ttyACM1"}, "parameter device = /dev/ttyACM1 is not taken, /dev/ttyACM0 holds"),
         ({"pad_sounds": True}, "parameter pad_sounds = true is not taken, false holds: change buzzer.tones"),
-        ({"drive_pan": 500}, "parameter drive_pan = 500 is not taken, -1 holds: remove it"),
+        ({"drive_pan": 500}, "parameter drive_pan = 500 is not taken, -1 holds: change arm.drive_pan"),
         ({"somebody_elses": 1}, ""),
     ],
 )

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from failstop.trial import wait_for
-from tests.commands import failstop
 from tests.ros2.conftest import _name
 from tests.ros2.scene import FORWARD, SCAN, SENSOR, TWIST, Node, Ros, Scene
+from tests.support.commands import failstop
 
 NOBODY = 65534
 PYTHON = "/usr/bin/python3"

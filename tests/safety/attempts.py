@@ -26,7 +26,7 @@ from failstop.events import EventLog
 from failstop.shm import claim, instance, layout, segment
 from failstop.trial import Trial, TrialError
 from tests.safety.table import MEMBER, SERVICE, STRANGER
-from tests.shm.children import NOBODY, Child
+from tests.support.children import NOBODY, Child
 
 VICTIM = 61_000 + os.getpid() % 4000
 """A user that no one is, another one in each process of the tests."""

@@ -12,7 +12,7 @@ from failstop.trial import Trial, wait_for
 from tests.safety import page
 from tests.safety.attempts import ATTEMPTS, Scene
 from tests.safety.table import TABLE, USERS, Row
-from tests.shm.children import needs_root, reachable
+from tests.support.children import needs_root, reachable
 
 ROOT = Path(__file__).parents[2]
 

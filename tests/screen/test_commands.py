@@ -14,7 +14,7 @@ import pytest
 
 from failstop.screen.words import unit
 from failstop.trial import Trial, wait_for
-from tests.commands import FAILSTOP, failstop
+from tests.support.commands import FAILSTOP, failstop
 
 from .typist import Typist
 

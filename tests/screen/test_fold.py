@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from failstop import style
 from failstop.supervisor.events import say
 from failstop.supervisor.fold import columns, fitted, fold
-from tests.commands import FAILSTOP
+from tests.support.commands import FAILSTOP
 
 LINE = (
     "failstop: E-STOP latched: stop request: hand near the wheel (failstop estop, pid 9269); stop frame written by the "

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from typing import Any
 
 from failstop import style
 from failstop.events import Event
 from failstop.screen import history, paragraph, summary
-
-from .states import NOW_S, driving, process, state
+from tests.support.states import NOW_S, driving, process, state
 
 DIED = {"process": "gate", "pid": 4711, "how": "was killed by SIGKILL"}
 FENCED = {"process": "gate", "pid": 4711, "silent_ms": 60.3, "kill_us": 200.0}
@@ -16,7 +17,7 @@ NAV = {"who": "nav (pid 42)", "source": "cmd_vel", "silent_ms": 301.0}
 BLOCKED = driving(blocked="cmd timeout", body_vel=(0.0, 0.0, 0.0), wheels_rps=(0.0,) * 4, sources=[])
 
 
-def told(kind: str, fields: dict[str, str | int | float] | None = None, t: float = NOW_S - 3, seq: int = 1) -> Event:
+def told(kind: str, fields: Mapping[str, Any] | None = None, t: float = NOW_S - 3, seq: int = 1) -> Event:
     return Event(seq, t, 1, kind, "warning", f"{kind} happened", dict(fields or {}))
 
 

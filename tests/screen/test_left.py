@@ -14,7 +14,7 @@ from failstop.errors import NoService
 from failstop.screen import host, left, words
 from failstop.shm import root
 from failstop.trial import Trial, wait_for
-from tests.commands import failstop
+from tests.support.commands import failstop
 
 SECONDS = 20
 

@@ -7,8 +7,7 @@ import pytest
 from failstop.events import Event
 from failstop.policy import causes
 from failstop.screen import paragraph, words
-
-from .states import NOW_S, driving, latched, process, state, stop
+from tests.support.states import NOW_S, driving, latched, process, state, stop
 
 STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_rps": (0.0, 0.0, 0.0, 0.0)}
 LOST = {"path": "/dev/ttyACM0", "state": "lost", "link": "unproven"}

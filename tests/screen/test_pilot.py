@@ -12,8 +12,7 @@ from failstop.screen.hold import ENDS_S
 from failstop.screen.keys import EVENTS, PRESS, RELEASE, Key
 from failstop.screen.pilot import Pilot
 from failstop.style import FAIL, WARN
-
-from .states import driving, latched, state
+from tests.support.states import driving, latched, state
 
 ENABLED = driving(sources=[], body_vel=(0.0, 0.0, 0.0), wheels_rps=(0.0, 0.0, 0.0, 0.0), blocked="cmd timeout")
 RIVAL = driving()

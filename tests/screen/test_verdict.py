@@ -12,8 +12,7 @@ from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
 from failstop.screen import paragraph, verdict
 from failstop.shm import blocks
-
-from .states import driving, latched, process, state, stop
+from tests.support.states import driving, latched, process, state, stop
 
 LOST = {"path": "/dev/ttyACM0", "state": "lost", "link": "unproven"}
 DEAF = {"path": "/dev/ttyACM0", "state": "open", "link": "deaf"}
@@ -74,7 +73,7 @@ def test_the_word_and_the_steps(found: Any, word: str, steps: list[str]) -> None
 
 
 def test_commands_name_the_robot_where_there_are_several() -> None:
-    other = {"name": "left-arm"}
+    other: dict[str, Any] = {"name": "left-arm"}
     assert verdict.next_step(latched()) == "`failstop reset`, then `failstop enable`"
     assert verdict.next_step(latched(**other)) == (
         "`failstop reset --name left-arm`, then `failstop enable --name left-arm`"

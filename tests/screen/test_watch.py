@@ -12,7 +12,7 @@ import pytest
 
 from failstop.shm import layout
 from failstop.trial import Trial, wait_for
-from tests.commands import FAILSTOP
+from tests.support.commands import FAILSTOP
 
 from .typist import Typist
 

@@ -13,7 +13,7 @@ import termios
 import time
 from types import TracebackType
 
-from tests.commands import FAILSTOP
+from tests.support.commands import FAILSTOP
 
 WAIT_S = 15.0
 _SEQUENCE = re.compile(r"\x1b\[([0-9;?<>]*)([A-Za-z])|\x1b[=>]")

@@ -13,8 +13,7 @@ import pytest
 
 from failstop.shm import bell
 from failstop.shm.bell import EventBell
-
-from .children import NOBODY, Child, call, group, needs_root, umask
+from tests.support.children import NOBODY, Child, call, group, needs_root, umask
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]

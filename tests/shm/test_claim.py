@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from failstop.shm import claim
-from tests.waiting import until
-
-from .children import NOBODY, Child, call, group, needs_root, umask
+from tests.support.children import NOBODY, Child, call, group, needs_root, umask
+from tests.support.waiting import until
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]

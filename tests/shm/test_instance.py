@@ -20,8 +20,7 @@ from failstop.shm import bell, instance, root
 from failstop.shm.instance import InstanceError, NoService
 from failstop.shm.lifeline import Lifeline
 from failstop.shm.place import Untrusted
-
-from .children import NOBODY, Child, call, needs_root, reachable, umask
+from tests.support.children import NOBODY, Child, call, needs_root, reachable, umask
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]

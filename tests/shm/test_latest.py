@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from failstop.shm import slot
 from failstop.shm.latest import LatestReader, LatestWriter, record_bytes, slot_bytes
+from tests.support.children import Child
 
-from .children import Child
 from .memory import Cut, Death, Memory, exit_after, genuine, payload_of, time_of
 
 if TYPE_CHECKING:

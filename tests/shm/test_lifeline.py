@@ -22,9 +22,8 @@ from failstop.shm import futex, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK, Futex
 from failstop.shm.lifeline import EarlyNews, HeldByThread, Lifeline, pid_namespace
 from failstop.shm.segment import Segment
-from tests.waiting import until
-
-from .children import NOBODY, Child, become, needs_root
+from tests.support.children import NOBODY, Child, become, needs_root
+from tests.support.waiting import until
 
 Send = Callable[[object], None]
 Wait = Callable[[], None]

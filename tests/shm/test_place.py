@@ -12,8 +12,7 @@ import pytest
 
 from failstop.shm import bell, claim, instance, place
 from failstop.shm.place import Untrusted
-
-from .children import NOBODY, call, needs_root, reachable, umask
+from tests.support.children import NOBODY, call, needs_root, reachable, umask
 
 OTHER = 61_235
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import select
 import struct
@@ -239,11 +240,57 @@ def test_long_texts_are_cut_between_characters(text: str) -> None:
         assert room - len(str(found).encode()) < 4
 
 
+ANGLES = st.floats(-4, 4, width=32)
+
+
+@given(session=U64, mode=U8, values=st.dictionaries(U8, st.floats(allow_nan=False), min_size=1, max_size=8))
+def test_arm_goal(session: int, mode: int, values: dict[int, float]) -> None:
+    packed = records.pack_arm_goal(session, mode, values)
+    assert records.unpack_arm_goal(packed) == (session, mode, values)
+    assert len(build(1, 1, packed, 0, capacity("client.0/arm_goal"))) <= HEADER_BYTES + capacity("client.0/arm_goal")
+
+
+@given(session=U64, count=st.integers(1, 8), length=st.sampled_from([1, 2, 200]), angle=ANGLES)
+def test_arm_path(session: int, count: int, length: int, angle: float) -> None:
+    rows = [(float(at), [angle] * count) for at in range(length)]
+    packed = records.pack_arm_path(session, 0.5, list(range(count)), rows)
+    found = records.unpack_arm_path(packed)
+    assert found == (session, 0.5, list(range(count)), [(t_s, tuple(row)) for t_s, row in rows])
+    assert len(packed) <= capacity("client.0/arm_path")
+
+
+@pytest.mark.parametrize("count", [0, 9])
+def test_more_joints_than_fit_are_refused(count: int) -> None:
+    with pytest.raises(ValueError, match="must be 1 to 8"):
+        records.pack_arm_goal(1, 1, dict.fromkeys(range(count), 0.0))
+    with pytest.raises(ValueError, match="at most 8 and 200"):
+        records.pack_arm_path(1, 1.0, list(range(count)), [(0.0, [0.0] * count)])
+    with pytest.raises(ValueError, match="at most 8 and 200"):
+        records.pack_arm_path(1, 1.0, [1], [(0.0, [0.0])] * 201)
+
+
+@given(payload=st.binary(max_size=200))
+def test_any_bytes_of_a_client_s_arm_are_unpacked_or_a_value_error(payload: bytes) -> None:
+    for unpack in (records.unpack_arm_goal, records.unpack_arm_path):
+        with contextlib.suppress(ValueError):
+            unpack(payload)
+
+
+@given(servo=U8, what=U8, value=st.none() | st.integers(-(2**15), 2**16))
+def test_servo(servo: int, what: int, value: int | None) -> None:
+    assert records.unpack_servo(records.pack_servo(servo, what, value)) == (servo, what, value)
+
+
+@given(joint=U8, share=st.floats(-1, 1))
+def test_pad_arm(joint: int, share: float) -> None:
+    assert records.unpack_pad_arm(records.pack_pad_arm(joint, share)) == (joint, share)
+
+
 def test_every_pair_is_under_test() -> None:
     """A payload that is added to records.py must be added here."""
     packs = {name[5:] for name, _ in inspect.getmembers(records, inspect.isfunction) if name.startswith("pack_")}
     unpacks = {name[7:] for name, _ in inspect.getmembers(records, inspect.isfunction) if name.startswith("unpack_")}
-    assert packs == set(BIGGEST)
+    assert packs == set(BIGGEST) | {"arm_goal", "arm_path", "servo", "pad_arm"}
     assert unpacks - {"life", "pong"} == packs
 
 

@@ -15,8 +15,8 @@ from hypothesis.stateful import Bundle, RuleBasedStateMachine, initialize, rule
 from failstop.shm import slot
 from failstop.shm.latest import slot_bytes
 from failstop.shm.ring import RingReader, RingWriter
+from tests.support.children import Child
 
-from .children import Child
 from .memory import Death, exit_after, genuine, payload_of, time_of
 from .rings import AT, CAPACITY, SEED, SIZE, reader_of, ring_memory, writer_of
 

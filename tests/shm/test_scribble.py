@@ -11,7 +11,7 @@ import pytest
 from failstop.shm import records
 from failstop.shm.layout import SEGMENTS
 from failstop.shm.segment import AttachError
-from tests.amounts import amount
+from tests.support.amounts import amount
 
 from .written import NAMES, Written, path_of
 

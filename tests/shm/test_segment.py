@@ -15,9 +15,9 @@ import pytest
 from failstop.shm import claim, segment
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, PROCESSES
 from failstop.shm.segment import AttachError
-from tests.waiting import until
+from tests.support.children import NOBODY, Child, call, group, needs_root, umask
+from tests.support.waiting import until
 
-from .children import NOBODY, Child, call, group, needs_root, umask
 from .segments import (
     NAMES,
     PRIVATE_NAMES,
@@ -277,7 +277,7 @@ def test_what_is_not_the_service_s_is_refused_by_path_and_owner(name: str, of: s
     os.chown(path_of(name, of), NOBODY, -1)
     for write in (False, True) if of == "gate" else (True,):
         if of == "gate":
-            kind, message = refusal(lambda write=write: segment.attach(name, of, RUN, write=write, owner=0))
+            kind, message = refusal(lambda write=write: segment.attach(name, of, RUN, write=write, owner=0))  # type: ignore[misc]
         else:
             kind, message = refusal(lambda: segment.attach_client_slot(name, 0, RUN, owner=0))
         assert kind == "owner"

@@ -14,7 +14,7 @@ import pytest
 from failstop.shm import slot
 from failstop.shm.latest import LatestReader, LatestWriter, record_bytes
 from failstop.shm.ring import RingReader, RingWriter
-from tests.amounts import LONG, amount
+from tests.support.amounts import LONG, amount
 
 from .killing import Separate, check_without_crc
 from .memory import Memory, genuine, payload_of, time_of

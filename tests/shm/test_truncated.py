@@ -17,8 +17,8 @@ from failstop.shm import segment
 from failstop.shm.layout import BY_NAME
 from failstop.shm.segment import AttachError, Segment
 from failstop.shm.views import FileView
+from tests.support.children import Child
 
-from .children import Child
 from .memory import genuine, payload_of, time_of
 
 if TYPE_CHECKING:

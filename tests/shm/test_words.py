@@ -9,8 +9,8 @@ import pytest
 
 from failstop.shm import segment
 from failstop.shm.words import Word
+from tests.support.children import Child
 
-from .children import Child
 from .segments import (
     RUN,
 )

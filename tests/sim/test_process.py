@@ -26,7 +26,7 @@ from failstop.board.sim.control import connect
 from failstop.board.sim.options import Options
 from failstop.board.sim.process import Simulator
 from failstop.trial import wait_for
-from tests.shm.children import NOBODY, become
+from tests.support.children import NOBODY, become
 
 from .parts import DRIVE, FORWARD
 

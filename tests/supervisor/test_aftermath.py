@@ -13,9 +13,9 @@ from failstop.policy import causes
 from failstop.procs.loop import GONE
 from failstop.shm import layout, records, segment
 from failstop.supervisor.stops import Stop
-from tests.supervisor.test_answers import MS, Scene
-from tests.waiting import until
-from tests.why import why
+from tests.support.supervisor_scene import MS, Scene
+from tests.support.waiting import until
+from tests.support.why import why
 
 UNSTILL = str(causes.UNSTILL())
 DEAF_REASON = str(causes.DEAF())

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from failstop.supervisor import events as events_module
 from failstop.supervisor.allowance import ASKED_BYTES, MINUTE_NS, OWN_BYTES, REOPENS_AT, Allowance
 from failstop.supervisor.events import MOST_WAITING, Events
-from tests.supervisor.test_events import stderr_is
+from tests.supervisor.streams import stderr_is
 
 T0 = 10**15
 S = 10**9

@@ -9,7 +9,7 @@ import pytest
 from failstop.shm import layout
 from failstop.supervisor.answer import SOONER_NS, answer
 from failstop.supervisor.stops import Stop
-from tests.why import why
+from tests.support.why import why
 
 T = 10**12
 """When the cause was noticed."""

@@ -2,165 +2,32 @@
 
 from __future__ import annotations
 
-import itertools
 import os
-import pty
 import signal
 import socket
 import threading
-import tty
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import msgpack
 import pytest
 
 from failstop.board.burst import BURST
 from failstop.policy import causes
-from failstop.policy.reply import unpack
-from failstop.policy.settings import Settings
-from failstop.procs import rights
-from failstop.shm import instance, layout, records, segment
+from failstop.shm import instance, layout, segment
 from failstop.shm.futex import PER_BLOCK
-from failstop.shm.heartbeat import REALTIME, RUNNING
-from failstop.supervisor import grant, main
+from failstop.shm.heartbeat import REALTIME
+from failstop.supervisor import grant
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.health import OWED_NS, UNDYING_NS
 from failstop.supervisor.journal import Journal
-from failstop.supervisor.main import ALONE_EVERY_NS, ANSWER_NS, Supervisor
+from failstop.supervisor.main import ALONE_EVERY_NS, ANSWER_NS
 from failstop.supervisor.names import LOOK_EVERY_NS
 from failstop.supervisor.notify import Notify
-from failstop.supervisor.port import OwnPort
-from failstop.supervisor.resources import Resources
 from failstop.supervisor.stops import Stop
-from tests.procs.stage import MOST_LATE
-from tests.waiting import until
-from tests.why import said, told, why
-
-MS = 1_000_000
-_numbers = itertools.count()
-
-
-class Scene:
-    """A supervisor without children on a pty, with a clock that the test moves; the test plays the port owner."""
-
-    def __init__(
-        self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, granted: int = 0, journal: Journal | None = None
-    ) -> None:
-        self.now_ns = 40_000 * MS
-        self.late = 0
-        monkeypatch.setattr(main, "monotonic_ns", lambda: self.now_ns)
-        monkeypatch.setattr(rights, "take_rights", lambda priority: granted)
-        self.master, slave = pty.openpty()
-        tty.setraw(slave)
-        for fd in (self.master, slave):
-            os.set_blocking(fd, False)
-        self.resources = Resources(f"a{os.getpid()}x{next(_numbers)}", str(directory))
-        self.port = OwnPort(slave)
-        self.supervisor = Supervisor(self.resources, self.port, Settings(), None, journal)
-        memory = self.resources.memory
-        self.port_owner = segment.attach(memory, layout.PORT_OWNER, write=True)
-        self.gate = segment.attach(memory, layout.GATE, write=True)
-        self.stop_record = segment.attach(memory, layout.SUPERVISOR).latest_reader("stop")
-        self.word = segment.attach(memory, layout.SUPERVISOR).word
-        self._events = segment.attach(memory, layout.SUPERVISOR).ring_reader("events")
-        child = self.supervisor.family[layout.PORT_OWNER]
-        child.pid = 2**31 - 1  # no such process; it beats at every turn, so that nobody kills it
-        self.port_owner.word("beat_pid").set(child.pid)
-        self.port_owner.word("beat_state").set(RUNNING)
-        self.port_owner.word("beat_ns").set(self.now_ns)
-        port = records.pack_port(1, self.now_ns, records.PORT_OPEN, "/dev/board")
-        self.port_owner.latest_writer("port").write(port)
-        self.answers(written_ns=self.now_ns - 10_000 * MS)
-
-    def answers(self, *, written_ns: int = 0) -> None:
-        """The port owner answers the epoch; `written_ns`: with a burst written then."""
-        if written_ns:
-            self.port_owner.word("written_ns").set(written_ns)
-        self.port_owner.word("stopped_epoch").set(self.supervisor.epoch)
-
-    def notice(self, reason: str = "key1", *, written_ns: int = 0) -> None:
-        """The port owner has stopped for a cause of its own."""
-        stop = records.pack_stop(1, self.now_ns, written_ns, why(reason).pack())
-        self.port_owner.ring_writer("stops").put(stop)
-
-    def trip(self, reason: str = "multiple cmd_vel publishers") -> None:
-        """The gate has latched."""
-        self.gate.ring_writer("trips").put(records.pack_stop(1, self.now_ns, 0, why(reason).pack()))
-
-    def turn(self, elapsed_ns: int = 0) -> bytes:
-        """Time passes and the supervisor wakes up; returns what it wrote to the port."""
-        self.now_ns += elapsed_ns
-        self.port_owner.word("beat_ns").set(self.now_ns)
-        self.supervisor.turn(self.supervisor.loop.wait(0))
-        self.late = self.late + 1 if self.next_ns() <= self.now_ns else 0
-        assert self.late <= MOST_LATE, "a deadline was left behind: the loop would spin"
-        try:
-            return os.read(self.master, 65536)
-        except BlockingIOError:
-            return b""
-
-    def next_ns(self) -> int:
-        """When it turns without any news."""
-        return self.supervisor.loop.until_ns(self.now_ns, main.TICK_NS)
-
-    def events(self) -> list[dict[str, Any]]:
-        """What people were told since the last call."""
-        found = []
-        while entry := self._events.next():
-            found.append(msgpack.unpackb(entry[2]))
-        return found
-
-    def told(self) -> dict[str, Any]:
-        entry = self.stop_record.read()
-        assert entry is not None
-        found: dict[str, Any] = msgpack.unpackb(entry[2])
-        times = {key: found[key] for key in ("written_by", "written_us")}
-        return {"reason": said(causes.read(found["cause"])), **times}
-
-    def cause(self) -> tuple[int, str]:
-        """What everybody reads: since which epoch it is latched (0: it is not), and the cause."""
-        entry = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("latch").read()
-        assert entry is not None
-        since, _, _, cause = records.unpack_latch(entry[2])
-        return since, said(causes.read(cause))
-
-    def ask_reset(self, asked_ns: int | None = None) -> None:
-        """The gate passes a reset on."""
-        self.gate.word("reset_asked_ns").set(asked_ns or self.now_ns)
-        self.gate.word("resets_asked").set(self.gate.word("resets_asked").get() + 1)
-
-    def decided(self) -> tuple[bool, str] | None:
-        """What became of the last reset; None: it is not decided."""
-        if self.word("resets").get() != self.gate.word("resets_asked").get():
-            return None
-        entry = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("reset").read()
-        assert entry is not None
-        return told(unpack(entry[2])[2])
-
-    def reset(self) -> None:
-        """Somebody resets, and it is done."""
-        self.ask_reset()
-        self.turn(MS)
-        assert self.decided() is not None
-
-    def close(self) -> None:
-        self.resources.remove()
-        for control in self.supervisor.sharing.controls.values():
-            control.close()
-        os.close(self.supervisor.sharing.opener._spare)
-        for pair in self.resources.controls.values():
-            os.close(pair[1])
-        for fd in (self.master, self.resources.stop_pipe, self.resources.client_bell, self.resources.published):
-            os.close(fd)
-        for bell in (*self.resources.bells.values(), self.supervisor.family.early.bell):
-            os.close(bell.fd)
-        for saver in self.supervisor.blackbox._savers:
-            os.killpg(saver.pid, signal.SIGKILL)
-            os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT)
-            saver.ended()
-        self.port.close()
+from tests.support.supervisor_scene import MS, Scene, fill
+from tests.support.waiting import until
+from tests.support.why import said, why
 
 
 @pytest.fixture
@@ -324,10 +191,11 @@ def test_the_cause_is_there_before_the_epoch_and_ready_is_not(scene: Scene) -> N
             order.append(self.name)
             self.real.write(payload)
 
-    for attribute in ("_epoch_word", "_ready_word", "_latch_record"):
-        setattr(scene.supervisor, attribute, Watched(attribute, getattr(scene.supervisor, attribute)))
+    epochs = scene.supervisor.epochs
+    for attribute in ("_epoch_word", "ready_word", "_latch_record"):
+        setattr(epochs, attribute, Watched(attribute, getattr(epochs, attribute)))
     scene.supervisor._raise_epoch([Stop(scene.now_ns, "gate", why("x"))])
-    assert order == ["_latch_record", "_ready_word 0", "_epoch_word 2"]
+    assert order == ["_latch_record", "ready_word 0", "_epoch_word 2"]
 
 
 def test_a_cause_that_comes_while_the_last_is_looked_at_is_not_slept_over(
@@ -461,17 +329,6 @@ def test_no_event_is_sent_before_the_burst(scene: Scene, monkeypatch: pytest.Mon
     assert order == []
     scene.turn(ANSWER_NS)
     assert order[:2] == ["burst", "event"]
-
-
-def fill(fd: int) -> None:
-    """A port that takes nothing more."""
-    refused = 0
-    while refused < 20:
-        try:
-            os.write(fd, bytes(1))
-            refused = 0
-        except BlockingIOError:
-            refused += 1
 
 
 @pytest.mark.starts

@@ -26,8 +26,8 @@ from failstop.supervisor.blackbox import (
 from failstop.supervisor.events import Events
 from failstop.supervisor.resources import Resources
 from failstop.supervisor.stops import Stop
-from tests.waiting import until
-from tests.why import why
+from tests.support.waiting import until
+from tests.support.why import why
 
 MS = 1_000_000
 T0 = 10**12

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import select
 import socket
@@ -19,18 +18,7 @@ from failstop.shm.ring import RingReader
 from failstop.supervisor import kinds
 from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, Events, entry, pack, say
 from failstop.supervisor.journal import Journal
-
-
-@contextlib.contextmanager
-def stderr_is(fd: int) -> Iterator[None]:
-    """Another descriptor in the place of descriptor 2; inside the test, since the test runner moves it about too."""
-    saved = os.dup(2)
-    os.dup2(fd, 2)
-    try:
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
+from tests.supervisor.streams import stderr_is
 
 
 @pytest.fixture

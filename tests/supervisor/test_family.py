@@ -19,8 +19,7 @@ from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.supervisor import children
 from failstop.supervisor.family import TRY_AGAIN_NS
 from failstop.supervisor.starter import Starter
-
-from .test_answers import Scene
+from tests.support.supervisor_scene import Scene
 
 
 @pytest.fixture
@@ -185,5 +184,5 @@ def test_every_restart_is_counted(scene: Scene, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(type(family), "start", lambda _family, child, _port: child.restart.set(NEVER))
     for _ in range(3):
         gate.restart.set(scene.now_ns)
-        family.restart_due(-1, scene.now_ns)
+        family.restart_due(-1, scene.now_ns)  # type: ignore[arg-type]
     assert gate.times_restarted == 3

@@ -49,7 +49,7 @@ def told(path: Path) -> set[str]:
         if isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
             name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
             if name in ("tell", "Note", "_note"):
-                found.add(node.args[0].value)
+                found.add(str(node.args[0].value))
     return found
 
 

@@ -9,7 +9,7 @@ from failstop.policy import causes
 from failstop.shm import records
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.stops import Stop
-from tests.why import said, told, why
+from tests.support.why import said, told, why
 
 MS = 1_000_000
 

@@ -7,6 +7,7 @@ import resource
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,8 +16,8 @@ from failstop.board.finder import Finder
 from failstop.shm.bell import EventBell
 from failstop.supervisor import opener as opener_module
 from failstop.supervisor.opener import LOOK_NS, Opener
-from tests.procs.parts import Pty, new_pty, open_fds
-from tests.waiting import until
+from tests.support.ptys import Pty, new_pty, open_fds
+from tests.support.waiting import until
 
 
 @pytest.fixture
@@ -122,7 +123,7 @@ def test_its_thread_opens_what_was_lost_again_and_again_and_an_open_that_takes_l
         finder.opening.clear()
         assert opener.take() is None, "and this thread goes on"
         finder.go_on.set()
-        found = []
+        found: list[Any] = []
         until(lambda found=found: found.append(opener.take()) or found[-1], "the port")  # type: ignore[misc]
         assert pty.read() == BURST
         os.close(found[-1][0])

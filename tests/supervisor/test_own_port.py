@@ -14,8 +14,8 @@ from failstop.board import port
 from failstop.board.burst import BURST
 from failstop.supervisor import port as own_port
 from failstop.supervisor.port import OwnPort
-from tests.procs.parts import Pty, new_pty
-from tests.unprivileged import unprivileged
+from tests.support.ptys import Pty, new_pty
+from tests.support.unprivileged import unprivileged
 
 
 def test_the_first_bytes_of_a_run_are_a_burst() -> None:
@@ -40,7 +40,7 @@ def opened_by_nobody(path: str, tried: int) -> str:
         finally:
             os.write(tried, b".")
 
-    port.open_port = watched
+    port.open_port = watched  # type: ignore[assignment]
     try:
         OwnPort.open_and_stop(path)
     except port.PortError as error:

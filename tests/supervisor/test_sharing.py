@@ -17,8 +17,7 @@ from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import sharing
 from failstop.supervisor.main import ALONE_EVERY_NS
 from failstop.supervisor.sharing import SHARE_NS
-
-from .test_answers import MS, Scene
+from tests.support.supervisor_scene import MS, Scene
 
 NOBODY = 2**31 - 1
 OTHERS = (layout.PORT_OWNER, layout.STOPPER)

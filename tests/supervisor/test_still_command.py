@@ -18,7 +18,7 @@ from failstop.supervisor.latch import Latch
 from failstop.supervisor.resources import Resources
 from failstop.supervisor.stops import Stop
 from failstop.trial import wait_for
-from tests.why import why
+from tests.support.why import why
 
 S = 1_000_000_000
 UNSTILL = str(causes.UNSTILL())

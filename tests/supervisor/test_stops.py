@@ -6,7 +6,7 @@ import pytest
 
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.stops import ACKNOWLEDGE_NS, JUDGED_AFTER_NS, JUDGED_WITHIN_NS, Stop, still_after
-from tests.why import why
+from tests.support.why import why
 
 MS = 1_000_000
 T0 = 10_000 * MS

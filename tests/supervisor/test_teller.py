@@ -14,7 +14,7 @@ from failstop.shm.notes import Note
 from failstop.supervisor.events import Events
 from failstop.supervisor.stops import Stop
 from failstop.supervisor.teller import MOST_SAID, NO_EARLY_NEWS, NO_REALTIME, WAITED_NS, Teller
-from tests.why import why
+from tests.support.why import why
 
 T0 = 10**12
 

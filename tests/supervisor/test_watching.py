@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import select
 import signal
@@ -19,92 +18,26 @@ from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
 from failstop.procs import starved
-from failstop.procs.loop import GONE, NEVER, READ
+from failstop.procs.loop import GONE, NEVER
 from failstop.shm import heartbeat, layout, records, segment
-from failstop.shm.heartbeat import RUNNING, STARTING
+from failstop.shm.heartbeat import STARTING
 from failstop.shm.packing import pack
 from failstop.supervisor import family as family_module
 from failstop.supervisor import main
 from failstop.supervisor.children import STARTING_NS
 from failstop.supervisor.family import GATE_AGAIN_NS
 from failstop.supervisor.fence import Fence
-from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS
+from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS, Supervisor
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
-from tests.procs.stage import MOST_LATE, Dummy
-from tests.supervisor.test_answers import MS, Scene, fill
-from tests.waiting import until
+from tests.support.supervisor_scene import MS, fill
+from tests.support.waiting import until
+from tests.support.watching_scene import Watching
 
 
-class Watching(Scene):
-    """With real processes in the roles of the children; none is ever started anew."""
-
-    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        super().__init__(directory, monkeypatch)
-        monkeypatch.setattr(family_module.Family, "start", lambda _, child, port: child.restart.set(NEVER))
-        self.supervisor.family[layout.PORT_OWNER].pid = 0
-        self.dummies: list[Dummy] = []
-        self.beats = {name: segment.attach(self.resources.memory, name, write=True).word("beat_ns") for name in BY_NAME}
-
-    def employ(self, name: str) -> Dummy:
-        """A process that says that it runs."""
-        dummy = Dummy()
-        self.dummies.append(dummy)
-        child = self.supervisor.family[name]
-        child.started(dummy.pid, 1 + len(self.dummies), self.now_ns)
-        child.life.armed = True  # type: ignore[union-attr]
-        self.supervisor.loop.watch(child.life.fd, READ)  # type: ignore[union-attr]
-        own = segment.attach(self.resources.memory, name, write=True)
-        own.word("beat_pid").set(dummy.pid)
-        own.word("beat_state").set(RUNNING)
-        own.word("beat_ns").set(self.now_ns)
-        return dummy
-
-    def pass_time(self, elapsed_ns: int) -> bytes:
-        """A turn in which nobody beats."""
-        self.now_ns += elapsed_ns
-        self.supervisor.turn(self.supervisor.loop.wait(0))
-        self.late = self.late + 1 if self.next_ns() <= self.now_ns else 0
-        assert self.late <= MOST_LATE, "a deadline was left behind: the loop would spin"
-        try:
-            return os.read(self.master, 65536)
-        except OSError:  # nothing, or nobody has the port open any more
-            return b""
-
-    def enabled(self, epoch: int = 1) -> None:
-        """The gate has enabled motion."""
-        self.gate.latest_writer("state").write(pack({"enabled": True, "epoch": epoch}))
-
-    def port_open(self) -> None:
-        port = records.pack_port(1, self.now_ns, records.PORT_OPEN, "/dev/board")
-        self.port_owner.latest_writer("port").write(port)
-
-    def beat_but(self, name: str) -> None:
-        """A tick in which everybody else beats."""
-        for other, beat in self.beats.items():
-            if other != name:
-                beat.set(self.now_ns + 10 * MS)
-        self.pass_time(10 * MS)
-
-    def starved(self) -> list[tuple[str, int, int]]:
-        """What people were told of the machine since the last call."""
-        found = [event["fields"] for event in self.events() if event["kind"] == "starved"]
-        return [(fields["process"], fields["silent_ms"], fields["times"]) for fields in found]
-
-    def rung(self, process: str) -> bool:
-        fd = self.resources.bells[process].fd
-        found = bool(select.select([fd], [], [], 0)[0])
-        self.resources.bells[process].clear()
-        return found
-
-    def close(self) -> None:
-        for child in self.supervisor.children:
-            if child.life:
-                child.life.close()
-        for dummy in self.dummies:
-            with contextlib.suppress(ChildProcessError, ProcessLookupError):  # the supervisor has collected it
-                dummy.close()
-        super().close()
+def missing(supervisor: Supervisor) -> str:
+    """What motion waits for."""
+    return supervisor.readiness.missing(supervisor.children, stopping=supervisor._unanswered is not None)
 
 
 @pytest.fixture
@@ -129,9 +62,9 @@ def test_the_port_owner_s_death_is_answered_first_on_its_own_descriptor(
     watching: Watching, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     order: list[str] = []
-    real_burst, real_set = watching.port.burst, watching.supervisor._epoch_word.set
+    real_burst, real_set = watching.port.burst, watching.supervisor.epochs._epoch_word.set
     monkeypatch.setattr(OwnPort, "burst", lambda _: (order.append("burst"), real_burst())[1])
-    monkeypatch.setattr(watching.supervisor, "_epoch_word", Noted(order, real_set))
+    monkeypatch.setattr(watching.supervisor.epochs, "_epoch_word", Noted(order, real_set))
     watching.employ(layout.PORT_OWNER).kill()
     until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
     watching.supervisor._tried_ns = watching.now_ns  # no zeros of its own just now
@@ -194,9 +127,9 @@ def test_a_fenced_port_owner_is_stopped_for_again_when_it_is_gone_before_anythin
     """What it had begun to write as it was killed may have come after the first burst."""
     fence(watching, layout.PORT_OWNER)
     order: list[str] = []
-    real_burst, real_set = watching.port.burst, watching.supervisor._epoch_word.set
+    real_burst, real_set = watching.port.burst, watching.supervisor.epochs._epoch_word.set
     monkeypatch.setattr(OwnPort, "burst", lambda _: (order.append("burst"), real_burst())[1])
-    monkeypatch.setattr(watching.supervisor, "_epoch_word", Noted(order, real_set))
+    monkeypatch.setattr(watching.supervisor.epochs, "_epoch_word", Noted(order, real_set))
     assert watching.pass_time(MS) == BURST
     assert order == ["burst", "epoch"]
     told = fenced(watching)
@@ -267,11 +200,11 @@ def test_while_no_port_owner_runs_the_stop_is_written_five_times_a_second(watchi
 def test_one_that_was_held_up_stops_motion_and_kills_nobody(watching: Watching) -> None:
     for name in BY_NAME:
         watching.employ(name)
-    watching.supervisor._was_ready = True
+    watching.supervisor.readiness.ever = True
     watching.enabled()
     watching.pass_time(HELD_UP_NS)
     assert watching.supervisor.epoch == 2
-    cause = watching.supervisor._latch_record
+    cause = watching.supervisor.epochs._latch_record
     entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader("latch").read()
     assert cause is not None
     assert entry is not None
@@ -293,7 +226,7 @@ def test_from_when_on_it_was_held_up(
     watching: Watching, gap_ns: int, was_ready: bool, excused: bool, epoch: int
 ) -> None:
     watching.employ(layout.TELEMETRY)
-    watching.supervisor._was_ready = was_ready
+    watching.supervisor.readiness.ever = was_ready
     watching.enabled()
     watching.pass_time(0)
     watching.pass_time(gap_ns)
@@ -322,7 +255,7 @@ def test_its_own_beat_tells_the_epoch_that_it_has_raised(watching: Watching) -> 
 def test_one_that_was_held_up_while_nothing_could_move_only_tells(watching: Watching) -> None:
     for name in BY_NAME:
         watching.employ(name)
-    watching.supervisor._was_ready = True
+    watching.supervisor.readiness.ever = True
     watching.enabled(epoch=7)  # long ago: another stop has ended it
     watching.pass_time(HELD_UP_NS)
     assert watching.supervisor.epoch == 1
@@ -338,7 +271,7 @@ def starving(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> Watching:
     """Every process runs, and whoever is silent is starved."""
     for name in BY_NAME:
         watching.employ(name)
-    watching.supervisor._was_ready = True
+    watching.supervisor.readiness.ever = True
     monkeypatch.setattr(starved, "look", lambda *_: True)
     return watching
 
@@ -352,12 +285,12 @@ def test_who_is_starved_while_motion_is_disabled_is_left_alone_until_it_beats(st
         starving.pass_time(20 * MS)
     assert (supervisor.epoch, starving.word("ready").get()) == (1, 0)
     assert not any(child.fence for child in supervisor.children)
-    assert supervisor._missing() == ", ".join(BY_NAME)
+    assert missing(supervisor) == ", ".join(BY_NAME)
     assert not supervisor._listening(starving.now_ns), "nobody hears the board"
     for beat in starving.beats.values():
         beat.set(starving.now_ns)
     starving.pass_time(0)
-    assert supervisor._missing() == ""
+    assert missing(supervisor) == ""
     assert starving.starved() == [("port_owner", 800, 1)], "one for all of ten seconds"
     assert supervisor._silence.as_record() == {"times": 4, "longest_ms": 800, "process": "port_owner"}
 
@@ -476,12 +409,12 @@ def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open(watching
     watching.answers()
     watching.turn()
     assert watching.word("ready").get() == 1
-    watching.supervisor.epoch = 2
-    assert watching.supervisor._missing() == "a stop being carried out", "answered for an older epoch only"
+    watching.supervisor.epochs.number = 2
+    assert missing(watching.supervisor) == "a stop being carried out", "answered for an older epoch only"
     watching.answers()
-    assert watching.supervisor._missing() == ""
+    assert missing(watching.supervisor) == ""
     watching.supervisor.sharing.lost({watching.port.fd: GONE})
-    assert watching.supervisor._missing() == "the port"
+    assert missing(watching.supervisor) == "the port"
 
 
 @pytest.mark.parametrize("sign", ["record", "hang-up"])
@@ -653,7 +586,7 @@ def test_what_the_service_manager_is_told(watching: Watching) -> None:
     segment.attach(watching.resources.memory, layout.STOPPER, write=True).word("port_number").set(1)
     watching.answers()
     watching.pass_time(MS)
-    assert watching.supervisor._was_ready
+    assert watching.supervisor.readiness.ever
     watching.pass_time(MS)
     assert heard.said[1:] == ["READY=1", "STATUS=ready, motion disabled"]
     state = {"enabled": True, "epoch": 1, "blocked": "no scan", "sources": []}

@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[2]
 STARTERS = frozenset(
     {
         *("multiprocessing", "subprocess"),
-        *("failstop.board.sim.client", "failstop.faults.crowd", "failstop.faults.scene", "failstop.trial"),
-        *("failstop.supervisor.starter",),
+        *("failstop.faults.arm", "failstop.faults.crowd", "failstop.faults.scene"),
+        *("failstop.board.sim.client", "failstop.supervisor.starter", "failstop.trial"),
     }
 )
 """Modules that are there to start processes."""
@@ -89,8 +89,8 @@ def _read(path: Path) -> Source:
                 calls |= node.attr in CALLS
             case ast.arg():
                 names.add(node.arg)
-            case ast.Constant(value=str()):
-                names.add(node.value)
+            case ast.Constant(value=str() as text):
+                names.add(text)
     functions = {node.name: _used(node) for node in tree.body if isinstance(node, ast.FunctionDef)}
     return Source(imports, functions, calls, names)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -128,7 +130,7 @@ def test_the_bias_never_leaves_what_was_within_the_band(steps: list[tuple[int, f
         assert not (moving and before != tested.bias_radps)
 
 
-def calibrated(duration_s: float = 3.0, **changed: float) -> tuple[GyroBias, int]:
+def calibrated(duration_s: float = 3.0, **changed: Any) -> tuple[GyroBias, int]:
     """Calibrated to zero, at rest; and the time of the last sample."""
     tested = gyro(calibration_s=duration_s, **changed)
     tested.follow(False, 0)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.policy.settings import Settings
-from failstop.procs.telemetry.pad import DRIVE, LOCKED, Pad, PadNews
+from failstop.procs.telemetry.pad import DRIVE, JOINT, LOCKED, Pad, PadNews
 from failstop.procs.telemetry.trips import Trips
 from failstop.shm import records
 
@@ -298,3 +298,20 @@ def test_whatever_is_done_with_the_pad(frames: list[tuple[int, int, int, int, in
             assert buttons & ~MODE
             assert held.pad.mode == LOCKED
             assert news.command is None
+
+
+def test_with_an_arm_there_is_a_third_mode_whose_sticks_choose_and_turn_a_joint() -> None:
+    held = Held(**{"joints.base.servo": 1, "joints.wrist.servo": 4})
+    held.frame()
+    held.tap()
+    assert held.tap().command == (0.0, 0.0, 0.0)
+    assert held.pad.mode == JOINT
+    assert held.frame(rx=-127).arm == (0, 1.0)
+    assert [held.frame(lx=127).arm for _ in range(3)] == [(1, 0.0)] * 3, "once a push"
+    held.frame()
+    assert held.frame(lx=-127, rx=64).arm == (0, pytest.approx(-0.504, abs=0.001))
+    assert held.frame(lx=0, rx=5).arm == (0, 0.0), "the dead zone"
+    assert held.frame().command is None
+    assert held.frame(X).arm == (0, 0.0), "a trip lets go"
+    assert held.pad.mode == LOCKED
+    assert held.frame().arm is None

@@ -7,6 +7,7 @@ import select
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,8 +18,7 @@ from failstop.board.port import open_port
 from failstop.board.receiver import Receiver
 from failstop.board.sim.client import SimBoard
 from failstop.shm import layout, records
-
-from .scene import DEADLINE_S, MS, S, Scene
+from tests.support.telemetry_scene import DEADLINE_S, MS, S, Scene
 
 STOP_DATA = BOARD.stop[4:-1]
 DRIVE = BOARD.motor_speeds((0.796, 0.796, -0.796, -0.796), 2.0)
@@ -72,7 +72,7 @@ def test_its_answer_names_the_ping(index: int) -> None:
         upward.pwm_servo_position(0, 1500),
         upward.pwm_servo_position(5, 1500),
         upward.pwm_servo_deviation(1, 0),
-        upward.bus_servo_position(1, 500),
+        upward.bus_servo(1, 0x05, 500),
         upward.key(1, 5),
         codec.frame(framing.PWM_SERVO, b"\x01\x05\xdc"),
         codec.frame(framing.PWM_SERVO, b""),
@@ -87,7 +87,8 @@ def test_the_board_answers_every_ping_in_order_with_no_servo_connected(tmp_path:
     with SimBoard(tmp_path / "board", imu_hz=0) as board:
         descriptor = open_port(board.link, exclusive=True)
         os.write(descriptor, b"".join(BOARD.pings))
-        decoder, answered = Decoder(), []
+        decoder = Decoder()
+        answered: list[Any] = []
         end_s = time.monotonic() + DEADLINE_S
         while len(answered) < layout.PINGS and time.monotonic() < end_s:
             if select.select([descriptor], [], [], 0.5)[0]:

@@ -14,9 +14,8 @@ from failstop.policy import causes
 from failstop.procs.telemetry import tones
 from failstop.procs.telemetry.trips import LOW_READINGS
 from failstop.shm import records
-from tests.waiting import until
-
-from .scene import MS, Scene
+from tests.support.telemetry_scene import MS, Scene
+from tests.support.waiting import until
 
 MODE = 0x2000
 X = 0x0100

@@ -12,7 +12,7 @@ import pytest
 from failstop.procs.telemetry import state_files
 from failstop.procs.telemetry.state_files import StateFiles, append_line, state_directory, write_whole
 from failstop.shm import root
-from tests.waiting import until
+from tests.support.waiting import until
 
 HEADER = "a,b\n"
 

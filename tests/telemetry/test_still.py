@@ -19,8 +19,7 @@ from failstop.policy.settings import Settings
 from failstop.procs.telemetry.still import GAP_NS, HOLD_NS, WINDOW_NS, StillJudge
 from failstop.shm import layout
 from failstop.trial import Trial, wait_for
-
-from .scene import MS, Scene
+from tests.support.telemetry_scene import MS, Scene
 
 S = 1_000 * MS
 STEP_NS = 10 * MS

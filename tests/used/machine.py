@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 from failstop.board.sim.client import SimBoard
 from failstop.client import send_stop
@@ -100,7 +101,7 @@ def _live(service: Service) -> None:
 
 def _listing(watched: tuple[str, ...]) -> set[str]:
     """Every path below these."""
-    found = set()
+    found: set[Any] = set()
     for top in watched:
         for folder, folders, names in os.walk(top):
             found.update(os.path.join(folder, name) for name in [*folders, *names])

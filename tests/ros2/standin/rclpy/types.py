@@ -12,6 +12,7 @@ from typing import ClassVar
 
 DEFINITIONS = """
 builtin_interfaces/msg/Time: int sec, int nanosec
+builtin_interfaces/msg/Duration: int sec, int nanosec
 std_msgs/msg/Header: builtin_interfaces/msg/Time stamp, string frame_id
 std_msgs/msg/String: string data
 std_msgs/msg/Bool: bool data
@@ -36,6 +37,10 @@ float charge, float capacity, float design_capacity, float percentage, int power
 sensor_msgs/msg/Joy: std_msgs/msg/Header header, float[] axes, int[] buttons
 sensor_msgs/msg/JointState: std_msgs/msg/Header header, string[] name, float[] position, float[] velocity, \
 float[] effort
+trajectory_msgs/msg/JointTrajectoryPoint: float[] positions, float[] velocities, float[] accelerations, \
+builtin_interfaces/msg/Duration time_from_start
+trajectory_msgs/msg/JointTrajectory: std_msgs/msg/Header header, string[] joint_names, \
+trajectory_msgs/msg/JointTrajectoryPoint[] points
 nav_msgs/msg/Odometry: std_msgs/msg/Header header, string child_frame_id, geometry_msgs/msg/PoseWithCovariance pose, \
 geometry_msgs/msg/TwistWithCovariance twist
 tf2_msgs/msg/TFMessage: geometry_msgs/msg/TransformStamped[] transforms

@@ -7,6 +7,7 @@ import itertools
 import os
 import signal
 from pathlib import Path
+from typing import ClassVar
 
 from failstop.policy.settings import Settings
 from failstop.procs import handover
@@ -16,9 +17,8 @@ from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import Lifeline
 from failstop.shm.segment import Segment
-from tests.waiting import until
-
-from .parts import Pty
+from tests.support.ptys import Pty
+from tests.support.waiting import until
 
 MS = 1_000_000
 MOST_LATE = 3
@@ -89,6 +89,9 @@ class Dummy:
 class Stage:
     """Plays supervisor, gate and clients around one process. The context that the process is given is this object."""
 
+    changed: ClassVar[dict[str, object]] = {}
+    """Settings that are not the defaults."""
+
     def __init__(self, process: str, directory: Path, *, open_port: bool = True) -> None:
         self.process = process
         self.name = f"s{os.getpid()}x{next(_numbers)}"
@@ -96,7 +99,7 @@ class Stage:
             segment.create(self.name, spec.name, INCARNATION).close()
         self.clock = Clock()
         self.pty = Pty()
-        self.settings = Settings({"device.path": self.pty.link})
+        self.settings = Settings({"device.path": self.pty.link, **self.changed})
         self.supervisor = Dummy()
         self.parent = self.supervisor.pid
         self.others: list[Dummy] = []

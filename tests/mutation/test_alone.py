@@ -10,7 +10,7 @@ from collections.abc import Callable
 import pytest
 
 from tests.mutation.alone import BROKEN, alone, possible
-from tests.shm.children import DEADLINE_S, call
+from tests.support.children import DEADLINE_S, call
 
 needs_namespaces = pytest.mark.skipif(not possible(), reason="this user may not make a PID namespace")
 

@@ -16,9 +16,8 @@ from failstop.shm.bell import EventBell
 from failstop.shm.segment import Segment
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.stops import Stop
-from tests.why import said, why
-
-from .stage import INCARNATION, MS, Stage
+from tests.support.stage import INCARNATION, MS, Stage
+from tests.support.why import said, why
 
 SESSION = 11
 
@@ -119,7 +118,7 @@ class Scene(Stage):
         entry = self._reply.read()
         assert entry is not None
         _, number, reply = unpack(entry[2])
-        return number, reply.done, reply.text.replace(records.CAUSE, said(reply.cause) if reply.cause else "")
+        return number, bool(reply.done), reply.text.replace(records.CAUSE, said(reply.cause) if reply.cause else "")
 
     def no_reply(self) -> bool:
         """True when nothing was said to the client."""

@@ -21,7 +21,7 @@ from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.notes import Note
 from failstop.shm.segment import Segment
-from tests.waiting import until
+from tests.support.waiting import until
 
 MS = 1_000_000
 S = 1_000 * MS

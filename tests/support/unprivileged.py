@@ -7,7 +7,7 @@ import os
 import pwd
 from collections.abc import Callable
 
-from tests.shm.children import NOBODY, become
+from tests.support.children import NOBODY, become
 
 LOADED = (grp, pwd)
 """Children without privileges may not be able to read the interpreter's files: what refusals need is loaded here."""

@@ -13,8 +13,7 @@ from failstop.policy import causes
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner.main import PortOwner
 from failstop.shm import box, layout, records
-
-from .stage import MOST_LATE, MS, Stage
+from tests.support.stage import MOST_LATE, MS, Stage
 
 MAX_RPS = 2.0
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), MAX_RPS)

@@ -21,11 +21,12 @@ def why(text: str) -> Cause:
     return KNOWN.get(text) or causes.PIPED(text)
 
 
-def said(cause: Cause) -> str:
+def said(cause: Cause | None) -> str:
     """The same text again."""
+    assert cause is not None
     return str(cause.named()["words"]) if cause.kind is causes.PIPED else str(cause)
 
 
 def told(reply: Reply) -> tuple[bool, str]:
     """What became of a request, in plain values."""
-    return reply.done, str(reply)
+    return bool(reply.done), str(reply)

@@ -1,0 +1,115 @@
+"""Capsules: would the arm hit itself, the chassis or the floor on its way? Pure; never on the way of a stop.
+
+The arm is a chain of capsules, one behind each joint: with every angle zero it stands straight up from its mount. A
+joint turns what is behind it about the vertical (yaw), about an axis across (pitch), about itself (roll), or nothing
+(none, a gripper). The chassis is a capsule along the robot. Lengths, radii and the mount are settings.
+"""
+
+from __future__ import annotations
+
+from math import ceil, cos, sin
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.policy.settings import Settings
+
+    Point = tuple[float, float, float]
+    Capsule = tuple[str, Point, Point, float]
+
+STEP_RAD = 0.05
+"""Between two looks at the arm on its way: 5 mm at a reach of 0.1 m, 15 mm at 0.3 m."""
+FLOOR = "the floor"
+CHASSIS = "the chassis"
+
+
+class Model:
+    """The arm's shape."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._links = [
+            (name, str(table["turns"]), float(table["length_m"]), float(table["radius_m"]))
+            for name, table in settings.named["joints"].items()
+        ]
+        self._mount = (settings["arm.mount_x_m"], 0.0, settings["arm.mount_z_m"])
+        half_m, height_m = settings["arm.chassis_length_m"] / 2, settings["arm.chassis_z_m"]
+        radius_m = settings["arm.chassis_radius_m"]
+        reach_m = max(0.0, half_m - radius_m)
+        self._chassis: Capsule = (CHASSIS, (-reach_m, 0.0, height_m), (reach_m, 0.0, height_m), radius_m)
+
+    def capsules(self, angles: dict[str, float]) -> list[Capsule]:
+        """The links in these angles (rad by joint), from the mount on."""
+        found: list[Capsule] = []
+        at, yaw, pitch = self._mount, 0.0, 0.0
+        for name, turns, length_m, radius_m in self._links:
+            yaw += angles.get(name, 0.0) if turns == "yaw" else 0.0
+            pitch += angles.get(name, 0.0) if turns == "pitch" else 0.0
+            across = length_m * sin(pitch)
+            end = (at[0] + across * cos(yaw), at[1] + across * sin(yaw), at[2] + length_m * cos(pitch))
+            if length_m > 0.0:
+                found.append((name, at, end, radius_m))
+            at = end
+        return found
+
+    def hit(self, angles: dict[str, float]) -> tuple[str, str] | None:
+        """The pair that touches in these angles; None: none does. What is mounted on each other is no pair."""
+        links = self.capsules(angles)
+        for index, link in enumerate(links):
+            name, begin, end, radius_m = link
+            if index and min(begin[2], end[2]) < radius_m:
+                return name, FLOOR
+            if index and _touch(link, self._chassis):
+                return name, CHASSIS
+            for other in links[index + 2 :]:
+                if _touch(link, other):
+                    return name, other[0]
+        return None
+
+    def on_the_way(
+        self, start: dict[str, float], rows: list[tuple[float, dict[str, float]]]
+    ) -> tuple[float, str, str] | None:
+        """When (s; 0 where a row has no time), and the pair that touches first, on the straight way (in angles) from
+        `start` along the rows; None: none does."""
+        before = (0.0, start)
+        for t_s, to in rows:
+            row = (t_s, {**before[1], **to})
+            steps = max(1, ceil(max(abs(row[1][name] - before[1].get(name, 0.0)) for name in row[1]) / STEP_RAD))
+            for step in range(1, steps + 1):
+                share = step / steps
+                angles = {name: _between(before[1].get(name, 0.0), angle, share) for name, angle in row[1].items()}
+                if found := self.hit(angles):
+                    return _between(before[0], row[0], share), *found
+            before = row
+        return None
+
+
+def _between(a: float, b: float, share: float) -> float:
+    return a + share * (b - a)
+
+
+def _touch(one: Capsule, other: Capsule) -> bool:
+    reach_m = one[3] + other[3]
+    return _apart_squared(one[1], one[2], other[1], other[2]) < reach_m * reach_m
+
+
+def _dot(a: Point, b: Point) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _minus(a: Point, b: Point) -> Point:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _apart_squared(p1: Point, q1: Point, p2: Point, q2: Point) -> float:
+    """The squared distance of two segments: the nearest points of both lines, each held to its segment in turn."""
+    d1, d2, r = _minus(q1, p1), _minus(q2, p2), _minus(p1, p2)
+    a, e, b, c, f = _dot(d1, d1), _dot(d2, d2), _dot(d1, d2), _dot(d1, r), _dot(d2, r)
+    apart = a * e - b * b
+    s = _held((b * f - c * e) / apart) if apart > 1e-12 else 0.0
+    t = _held((b * s + f) / e) if e > 1e-12 else 0.0
+    s = _held((b * t - c) / a) if a > 1e-12 else 0.0
+    found = tuple(x + s * y - u - t * v for x, y, u, v in zip(p1, d1, p2, d2, strict=True))
+    return sum(part * part for part in found)
+
+
+def _held(share: float) -> float:
+    return max(0.0, min(1.0, share))

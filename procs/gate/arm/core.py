@@ -1,0 +1,421 @@
+"""The arm's decisions. Pure: the time and the news are arguments, frames for the servos and texts are results.
+
+The arm moves only while motion is disabled and nothing is latched: a stop and an enable take it from whoever moves it.
+Its way is streamed, each joint a move of arm.period_s after the other, a few servos a frame, so that an arm whose gate
+dies stands when its last move ends. While it moves nothing is read, and what was stopped on its way is read anew before
+it moves again.
+"""
+
+from __future__ import annotations
+
+from failstop.board.interface import BOARD
+from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, MOVE_NS
+from failstop.procs.gate.arm import goals
+from failstop.procs.gate.arm.goals import Goal, Journey
+from failstop.procs.gate.arm.joints import from_settings
+from failstop.procs.gate.arm.reader import MOST_MISSES, QUIET_NS, Reader
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+    from failstop.policy.settings import Settings
+    from failstop.procs.gate.arm.joints import Joint
+
+SERVICE = 0
+"""The session of the service's own journeys: to the drive pose, to the tuck pose."""
+MOVES_APART_NS = MOST_MOVES * MOVE_NS
+"""Between two frames of moves that are both late: the port owner drops what a stop would wait for too long."""
+LOAD_APART_NS = 4_000_000
+"""Between two frames that switch a torque on."""
+NEAR = 1.0
+"""Pulses from its end at which a journey is there."""
+LATE_S = 2.0
+"""A journey that is not there so long after its time has lost its way."""
+FIND_S = 4.0
+MOVES_NS = LONGEST_MOVE_MS * 1_000_000
+
+
+class ArmCore:
+    """What the gate knows of the arm: its joints, whose goal it follows, what is asked of the servos next."""
+
+    def __init__(self, settings: Settings, now_ns: int) -> None:
+        self.joints = from_settings(settings)
+        self.by_name = {joint.name: joint for joint in self.joints}
+        self._period_ns = settings.ns("arm.period_s")
+        self._move_ms = round(settings["arm.period_s"] * 1000)
+        self._timeout_ns = settings.ns("arm.goal_timeout_s")
+        self._pose_speed = settings["arm.pose_speed"]
+        self.tolerance = int(settings["arm.drive_tolerance"])
+        self.ignore_absent = settings.text("arm.absent") == "ignore"
+        self._reader = Reader(self.joints, now_ns)
+        self.journey: Journey | None = None
+        self._goals: dict[str, Goal] = {}
+        self._slots: list[tuple[int, list[Joint]]] = []
+        """When each frame's joints are due, the next first."""
+        self._streaming: list[Joint] = []
+        self._load_ns = self._apart_ns = 0
+        self.active_ns = 0
+        """When it was last moved, or asked to; 0: never."""
+        self.released = False
+        self.ended = ""
+        """Why the last goal was dropped."""
+        self.refused = ""
+        """Why the last goal of a stream was not taken."""
+        self.closed = "starting"
+        """Why the arm takes no goal now; empty when it does. The gate says so."""
+
+    # What it is asked for.
+
+    def publisher(self, session: int, now_ns: int) -> str:
+        """Another client whose goal counts now; empty when there is none."""
+        journey = self.journey
+        if journey and not journey.done and journey.session not in (SERVICE, session):
+            return journey.who
+        rivals = (goal for goal in self._goals.values() if goal.session != session and self._fresh(goal, now_ns))
+        return next((goal.who for goal in rivals), "")
+
+    def moved_by(self, session: int) -> bool:
+        """Its goals are what is followed, or would be."""
+        return any(goal.session == session for goal in self._goals.values())
+
+    def _fresh(self, goal: Goal, now_ns: int) -> bool:
+        return now_ns - goal.t_ns <= self._timeout_ns
+
+    def take(self, goal: Goal, now_ns: int) -> str:
+        """A goal of a stream. Returns why it is not taken; that of another publisher is the gate's to look for."""
+        goal.t_ns = min(goal.t_ns, now_ns)
+        check = goals.too_far if goal.mode == goals.FOLLOW else goals.too_fast
+        self.refused = self.closed or check(goal.joints, goal.values)
+        if self.refused:
+            return self.refused
+        if self._service_moves():
+            self.drop("preempted")
+        if goal.mode == goals.FOLLOW:
+            goal.values = tuple(joint.pulses(angle) for joint, angle in zip(goal.joints, goal.values, strict=True))
+        else:
+            scale = [joint.pulses(1.0) - joint.zero for joint in goal.joints]
+            goal.values = tuple(rate * by for rate, by in zip(goal.values, scale, strict=True))
+        if goal.mode not in self._goals:
+            self._reader.hurry(now_ns)
+        self._goals[goal.mode] = goal
+        self.active_ns, self.released = now_ns, False
+        return ""
+
+    def _service_moves(self) -> bool:
+        return self.journey is not None and not self.journey.done and self.journey.session == SERVICE
+
+    def travel(self, journey: Journey, now_ns: int) -> None:
+        """Begin a journey; whoever moved the arm before moves it no more."""
+        self.drop("preempted")
+        self.journey = journey
+        journey.since_ns = now_ns
+        for joint in journey.joints:
+            joint.misses = 0  # what was silent before is asked again
+        self._reader.hurry(now_ns)
+        self.active_ns, self.released = now_ns, False
+
+    def pose(self, purpose: str, session: int, who: str, now_ns: int) -> Journey | None:
+        """The way to a pose of the settings, drive or tuck, which travel() begins; None: no joint is part of it."""
+        joints = [joint for joint in self.joints if getattr(joint, purpose) >= 0]
+        if not joints:
+            return None
+        ends = tuple(float(getattr(joint, purpose)) for joint in joints)
+        return Journey(purpose, session, who, joints, [(0.0, ends)], self._pose_speed)
+
+    # Ends.
+
+    def drop(self, why: str) -> bool:
+        """Forget every goal; True when the arm may still move, and a stop is to be written for it."""
+        was = self.moving()
+        if self.journey and not self.journey.done:
+            self.journey.finish(why)
+            self.ended = why
+        self.journey = None
+        self._goals.clear()
+        self._load_ns = 0
+        self._end_stream()
+        return was
+
+    def forget(self) -> None:
+        """Nobody reads from here on: where the joints are must be read anew before they move."""
+        for joint in self.joints:
+            joint.forget()
+
+    def _end_stream(self) -> None:
+        for joint in self._streaming:
+            joint.forget()
+        self._streaming, self._slots = [], []
+
+    def client_gone(self, session: int) -> bool:
+        """A client has gone; True when it moved the arm, which is to be held."""
+        if self.journey and self.journey.session == session and not self.journey.done:
+            return self.drop("its client has gone") or True
+        if self.moved_by(session):
+            return self.drop("its client has gone") or True
+        return False
+
+    def release(self) -> list[bytes]:
+        """Let go: the frames that switch every torque off."""
+        self.drop("released")
+        for joint in self.joints:
+            joint.forget()
+            joint.loaded = False
+        self.released = True
+        return [BOARD.servo_torque(joint.servo, False) for joint in self.joints]
+
+    # Time.
+
+    def moving(self) -> bool:
+        """A servo may be on its way."""
+        return bool(self._streaming)
+
+    def step(self, now_ns: int) -> tuple[bytes, bool]:
+        """Go on: the frame to send now, if one is due, and True when the arm is to be held first: a goal was not
+        renewed. One frame a step: what a stop would have to wait for is bounded."""
+        hold = self._end_stale(now_ns)
+        wanted = self._follow_journey(now_ns)
+        joints = self._to_stream(now_ns)
+        if joints and not self._streaming:
+            if unknown := [joint for joint in joints if not joint.known]:
+                wanted = wanted or unknown
+            elif not all(joint.loaded for joint in joints) or now_ns < self._free_ns():
+                return self._load(joints, now_ns), hold
+            else:
+                self._begin(joints, now_ns)
+        elif any(joint not in self._streaming for joint in joints):
+            self._end_stream()
+            return b"", True
+        if self._streaming:
+            return self._move(now_ns), hold
+        wanted = wanted or [joint for joint in self.joints if not joint.known]
+        question = self._reader.ask([joint for joint in wanted if joint.misses < MOST_MISSES], now_ns)
+        return BOARD.servo_read(question[0].servo, question[1]) if question else b"", hold
+
+    def _free_ns(self) -> int:
+        """When the servos' bus is free of the last question and the last torque."""
+        return max(self._load_ns, self._reader.free_ns())
+
+    def _to_stream(self, now_ns: int) -> list[Joint]:
+        """The joints that a goal wants to move now."""
+        if self.journey and not self.journey.done:
+            return self.journey.joints if self.journey.phase in (goals.LOADING, goals.UNDER_WAY) else []
+        goal = self._goal(now_ns)
+        return goal.joints if goal else []
+
+    def due_ns(self) -> int:
+        """When to step again."""
+        if self._slots:
+            return max(self._slots[0][0], self._apart_ns)
+        return min(self._load_ns, self._reader.due_ns()) if self._load_ns else self._reader.due_ns()
+
+    def _end_stale(self, now_ns: int) -> bool:
+        """Goals that were not renewed are forgotten; True when the arm was moved by them."""
+        stale = [mode for mode, goal in self._goals.items() if not self._fresh(goal, now_ns)]
+        if not stale:
+            return False
+        for mode in stale:
+            del self._goals[mode]
+        if self.mode():
+            return False
+        was = self.moving()
+        self._end_stream()
+        return was
+
+    def _goal(self, now_ns: int) -> Goal | None:
+        """The goal of the highest mode, but for a journey."""
+        if self.journey and not self.journey.done:
+            return None
+        return self._goals.get(goals.FOLLOW) or self._goals.get(goals.JOG)
+
+    def mode(self) -> str:
+        """Whose goal it follows: trajectory, follow, jog, or nothing."""
+        if self.journey and not self.journey.done:
+            return goals.TRAJECTORY
+        return next((mode for mode in (goals.FOLLOW, goals.JOG) if mode in self._goals), "")
+
+    def _follow_journey(self, now_ns: int) -> list[Joint]:
+        """Bring the journey on by a phase, when one is over; returns the joints whose position it waits for."""
+        journey = self.journey
+        if journey is None or journey.done:
+            return []
+        silent = [joint for joint in journey.joints if joint.misses >= MOST_MISSES]
+        # All are asked before the answer is that some are silent: it tells a cable from an arm that is not there.
+        asked = all(joint.known or joint in silent for joint in journey.joints)
+        if silent and (asked or journey.phase != goals.FINDING):
+            journey.finish(f"{named(silent)}: no answer from {servos(silent)}")
+            self._end_stream()
+            return []
+        if journey.phase == goals.FINDING:
+            unknown = [joint for joint in journey.joints if not joint.known]
+            if unknown:
+                if now_ns - journey.since_ns > FIND_S * 1e9:
+                    journey.finish(f"{named(unknown)}: where it is can't be read")
+                return unknown
+            if not journey.travels:
+                journey.finish()
+                return []
+            journey.phase = goals.LOADING
+        if journey.phase == goals.UNDER_WAY:
+            self._watch_end(journey, now_ns)
+        elif journey.phase == goals.SETTLING and now_ns >= journey.since_ns + QUIET_NS:
+            journey.phase, journey.since_ns = goals.CHECKING, now_ns
+        if journey.phase == goals.CHECKING:
+            return self._check_end(journey, now_ns)
+        return []
+
+    def _watch_end(self, journey: Journey, now_ns: int) -> None:
+        ends = zip(journey.joints, journey.ends, strict=True)
+        there = all(abs(joint.position - end) <= NEAR and not round(joint.velocity) for joint, end in ends)
+        if journey.left_s(now_ns) <= 0.0 and there:
+            self._end_stream()
+            journey.phase, journey.since_ns = goals.SETTLING, now_ns
+            self._reader.hurry(now_ns)
+        elif now_ns - journey.begun_ns > (journey.length_s + LATE_S) * 1e9:
+            self._end_stream()
+            journey.finish("it did not get there in time")
+
+    def _check_end(self, journey: Journey, now_ns: int) -> list[Joint]:
+        """Read back: each joint twice since it stands."""
+        unread = [joint for joint in journey.joints if joint.measured_ns < journey.since_ns]
+        if unread:
+            if now_ns - journey.since_ns > FIND_S * 1e9:
+                journey.finish(f"{named(unread)}: where it is can't be read")
+            return unread
+        journey.finish(self.off(journey.joints, journey.ends))
+        return []
+
+    def off(self, joints: list[Joint], ends: tuple[float, ...]) -> str:
+        """Which joint is not where it should be, by how much, of what was read; empty when each is."""
+        for joint, end in zip(joints, ends, strict=True):
+            if joint.measured is None or abs(joint.measured - end) > self.tolerance:
+                by = "was not read" if joint.measured is None else f"is {abs(joint.measured - end):.0f} pulses off"
+                return f"joint {joint.name} (servo {joint.servo}) {by}"
+        return ""
+
+    # Frames.
+
+    def _load(self, joints: list[Joint], now_ns: int) -> bytes:
+        """Switch on a torque that is not known to be on, one after the other."""
+        joint = next((joint for joint in joints if not joint.loaded), None)
+        if joint is None or now_ns < self._free_ns():
+            self._load_ns = self._free_ns()
+            return b""
+        joint.loaded = True
+        self._load_ns = now_ns + LOAD_APART_NS
+        return BOARD.servo_torque(joint.servo, True)
+
+    def _begin(self, joints: list[Joint], now_ns: int) -> None:
+        """Begin to stream: from here on each of these joints is sent a move every period."""
+        journey = self.journey
+        if journey and not journey.done:
+            if fault := journey.begin(now_ns):
+                journey.finish(fault)
+                return
+            journey.phase = goals.UNDER_WAY
+        self._load_ns = 0
+        self._streaming = joints
+        groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]
+        step_ns = self._period_ns // len(groups)
+        self._slots = [(now_ns + index * step_ns, group) for index, group in enumerate(groups)]
+        for joint in joints:
+            joint.velocity, joint.stepped_ns = 0.0, 0
+
+    def _move(self, now_ns: int) -> bytes:
+        """The moves that are due."""
+        due_ns, group = self._slots[0]
+        if now_ns < max(due_ns, self._apart_ns):
+            return b""
+        self._apart_ns = now_ns + MOVES_APART_NS
+        # From when it was due, so that a late wake-up shifts one frame and not all that follow.
+        again_ns = due_ns + self._period_ns
+        self._slots = [*self._slots[1:], (again_ns if again_ns > now_ns else now_ns + self._period_ns, group)]
+        journey = self.journey if self.journey and not self.journey.done else None
+        targets = self._targets(journey, now_ns + self._period_ns)
+        for joint in group:
+            self._advance(joint, targets, journey.share if journey else 1.0, now_ns)
+        self.active_ns = now_ns
+        self._reader.moved(now_ns)
+        moves = [(joint.servo, round(joint.position)) for joint in group]
+        return BOARD.servo_move(moves, self._move_ms, LONGEST_MOVE_MS)
+
+    def _targets(self, journey: Journey | None, then_ns: int) -> dict[int, tuple[str, float]]:
+        """What each joint is to do until the end of its next move: (mode, value)."""
+        if journey:
+            rows = zip(journey.joints, journey.at(then_ns), strict=True)
+            return {joint.index: (goals.FOLLOW, value) for joint, value in rows}
+        goal = self._goal(then_ns)
+        if goal is None:
+            return {}
+        return {joint.index: (goal.mode, value) for joint, value in zip(goal.joints, goal.values, strict=True)}
+
+    def _advance(self, joint: Joint, targets: dict[int, tuple[str, float]], share: float, now_ns: int) -> None:
+        elapsed_ns = min(now_ns - joint.stepped_ns, MOVES_NS) if joint.stepped_ns else self._period_ns
+        joint.stepped_ns = now_ns
+        mode, value = targets.get(joint.index, (goals.JOG, 0.0))
+        if mode == goals.FOLLOW:
+            joint.follow(value, share, elapsed_ns * 1e-9)
+        else:
+            joint.jog(value, elapsed_ns * 1e-9)
+
+    # News.
+
+    def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
+        """The board's answer to a question."""
+        if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._streaming:
+            joint.position = float(joint.measured or 0)
+            joint.known = True
+
+    def pose_name(self) -> str:
+        """The pose that it was read to be in, drive or tuck; empty: another, or not known."""
+        for purpose in (goals.DRIVE, goals.TUCK):
+            joints = [joint for joint in self.joints if getattr(joint, purpose) >= 0 and joint.judged]
+            known = all(joint.known for joint in joints)
+            if joints and known and not self.off(joints, tuple(float(getattr(joint, purpose)) for joint in joints)):
+                return purpose
+        return ""
+
+    def silent(self) -> list[int]:
+        """The servos that do not answer."""
+        return [joint.servo for joint in self.joints if joint.misses >= MOST_MISSES]
+
+    def state(self) -> dict[str, Any]:
+        """What people and programs are told."""
+        journey = self.journey
+        return {
+            "mode": self.mode(),
+            "phase": journey.phase if journey and not journey.done else "",
+            "moving": self.moving(),
+            "by": self._by(),
+            "refused": self.refused,
+            "released": self.released,
+            "silent": self.silent(),
+            "joints": [
+                (
+                    joint.name,
+                    joint.servo,
+                    round(joint.position, 2) if joint.known else None,
+                    joint.measured,
+                    joint.measured_ns,
+                    joint.loaded,
+                    joint.temperature_c,
+                    joint.supply_mv,
+                )
+                for joint in self.joints
+            ],
+        }
+
+    def _by(self) -> str:
+        if self.journey and not self.journey.done:
+            return self.journey.who
+        return next((self._goals[mode].who for mode in (goals.FOLLOW, goals.JOG) if mode in self._goals), "")
+
+
+def named(joints: list[Joint]) -> str:
+    """Joints in words."""
+    return ("joint " if len(joints) == 1 else "joints ") + ", ".join(joint.name for joint in joints)
+
+
+def servos(joints: list[Joint]) -> str:
+    """Their servos, in words."""
+    return ("servo " if len(joints) == 1 else "servos ") + ", ".join(str(joint.servo) for joint in joints)

@@ -1,0 +1,166 @@
+"""Goals: what the arm is asked to do, and for whom. Pure.
+
+Modes, the first that has a goal wins: trajectory (a Journey), follow, jog. A journey is a way with an end, which is
+read back; follow and jog are goals that a client renews, and that count for the settings' arm.goal_timeout_s.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from itertools import pairwise
+from math import isfinite
+
+from failstop.procs.gate.arm.joints import PULSES_PER_RAD
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.procs.gate.arm.joints import Joint
+
+FOLLOW = "follow"
+JOG = "jog"
+TRAJECTORY = "trajectory"
+MOVE = "move"
+DRIVE = "drive"
+TUCK = "tuck"
+
+FINDING = "finding out where it is"
+LOADING = "switching its torque on"
+UNDER_WAY = "on its way"
+SETTLING = "settling"
+CHECKING = "reading back where it is"
+
+Row = tuple[float, tuple[float, ...]]
+"""When (s from the begin), and the pulses of each joint of the goal."""
+
+
+class Goal:
+    """Follow or jog: a target of each joint, in pulses or pulses/s."""
+
+    __slots__ = ("joints", "mode", "session", "t_ns", "values", "who")
+
+    def __init__(
+        self, mode: str, session: int, who: str, t_ns: int, joints: list[Joint], values: tuple[float, ...]
+    ) -> None:
+        self.mode = mode
+        self.session = session
+        self.who = who
+        self.t_ns = t_ns
+        self.joints = joints
+        self.values = values
+
+
+class Journey:
+    """A trajectory, a pose among them: where each joint is to be when, until its end is read back."""
+
+    __slots__ = (
+        "_rows",
+        "_times",
+        "begun_ns",
+        "done",
+        "joints",
+        "outcome",
+        "phase",
+        "purpose",
+        "session",
+        "share",
+        "since_ns",
+        "who",
+    )
+
+    def __init__(
+        self, purpose: str, session: int, who: str, joints: list[Joint], rows: list[Row], share: float = 1.0
+    ) -> None:
+        """`rows`: where to be when; where it begins is found out first. `share`: of each joint's speed. A first row
+        without a time, 0, is reached as fast as that share allows."""
+        self.purpose = purpose
+        self.session = session
+        self.who = who
+        self.joints = joints
+        self.share = share
+        self._rows = rows
+        self._times: list[float] = []
+        self.phase = FINDING
+        self.since_ns = 0
+        self.begun_ns = 0
+        self.done = False
+        self.outcome = ""
+
+    @property
+    def travels(self) -> bool:
+        """It leads somewhere, and does not only read where the joints are."""
+        return bool(self._rows)
+
+    @property
+    def ends(self) -> tuple[float, ...]:
+        """Where each joint is to be at the end."""
+        return self._rows[-1][1]
+
+    @property
+    def length_s(self) -> float:
+        """How long it takes, once it has begun."""
+        return self._times[-1]
+
+    def begin(self, now_ns: int) -> str:
+        """All of its joints are known: it begins where they are. Returns why it can't."""
+        start = tuple(joint.position for joint in self.joints)
+        rows = self._rows if self._rows[0][0] > 0.0 else [(self._least_s(start, self._rows[0][1]), self._rows[0][1])]
+        self._rows = [(0.0, start), *rows]
+        self._times = [row[0] for row in self._rows]
+        self.begun_ns = now_ns
+        return too_fast_between(self.joints, self._rows)
+
+    def _least_s(self, start: tuple[float, ...], end: tuple[float, ...]) -> float:
+        """Until the slowest joint is there, ramps left to follow."""
+        return max(
+            0.1, *(abs(b - a) / (joint.speed * self.share) for joint, a, b in zip(self.joints, start, end, strict=True))
+        )
+
+    def at(self, now_ns: int) -> tuple[float, ...]:
+        """Where each joint is to be now."""
+        t_s = (now_ns - self.begun_ns) * 1e-9
+        after = bisect_right(self._times, t_s)
+        if after == len(self._times):
+            return self.ends
+        (t0, begin), (t1, end) = self._rows[after - 1], self._rows[after]
+        share = (t_s - t0) / (t1 - t0)
+        return tuple(a + share * (b - a) for a, b in zip(begin, end, strict=True))
+
+    def left_s(self, now_ns: int) -> float:
+        """Until its end."""
+        return max(0.0, self.length_s - (now_ns - self.begun_ns) * 1e-9) if self._times else 0.0
+
+    def finish(self, outcome: str = "") -> None:
+        """It is over: there, or why not."""
+        if not self.done:
+            self.done, self.outcome = True, outcome
+
+
+def too_far(joints: list[Joint], angles: tuple[float, ...]) -> str:
+    """Which joint is not to be sent there, with its range; empty when each may."""
+    for joint, angle in zip(joints, angles, strict=True):
+        low, high = joint.range_rad()
+        if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:
+            return f"joint {joint.name} to {angle:g} rad: allowed is {low:.3f} to {high:.3f}"
+    return ""
+
+
+def too_fast(joints: list[Joint], rates: tuple[float, ...]) -> str:
+    """Which joint is not to turn at that rate, with its limit; empty when each may."""
+    for joint, rate in zip(joints, rates, strict=True):
+        most = joint.speed / PULSES_PER_RAD
+        if not isfinite(rate) or abs(rate) > most * 1.000001:
+            return f"joint {joint.name} at {rate:g} rad/s: allowed is up to {most:g}"
+    return ""
+
+
+def too_fast_between(joints: list[Joint], rows: list[Row]) -> str:
+    """Which joint would be asked for more than its speed between two rows of a trajectory, and when."""
+    for (t0, begin), (t1, end) in pairwise(rows):
+        if t1 <= t0:
+            return f"the times do not go up: {t0:g} s, then {t1:g} s"
+        for joint, a, b in zip(joints, begin, end, strict=True):
+            rate = abs(b - a) / (t1 - t0)
+            if rate > joint.speed * 1.000001:
+                most, asked = joint.speed / PULSES_PER_RAD, rate / PULSES_PER_RAD
+                return f"joint {joint.name} at {asked:.3f} rad/s between {t0:g} and {t1:g} s: allowed is up to {most:g}"
+    return ""

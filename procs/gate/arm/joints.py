@@ -1,0 +1,122 @@
+"""Joints: what the settings say of each, and where each one is. Pure. Positions are pulses, fractional where they are
+commanded: rounding is the frame's affair, since 0.3 rad/s are 2.9 pulses a move, and slower moves fractions of one."""
+
+from __future__ import annotations
+
+from math import copysign, pi, sqrt
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.policy.settings import Settings
+
+PULSES_PER_RAD = 1500 / (2 * pi)
+"""0.24 degrees each."""
+
+
+class Joint:
+    """One joint: its bounds, and what is known of it."""
+
+    __slots__ = (
+        "acceleration",
+        "drive",
+        "high",
+        "index",
+        "judged",
+        "known",
+        "loaded",
+        "low",
+        "measured",
+        "measured_ns",
+        "misses",
+        "name",
+        "position",
+        "servo",
+        "sign",
+        "speed",
+        "stepped_ns",
+        "supply_mv",
+        "temperature_c",
+        "tuck",
+        "unpaired",
+        "velocity",
+        "zero",
+    )
+
+    def __init__(self, index: int, name: str, table: dict[str, float | str]) -> None:
+        number = {key: float(value) for key, value in table.items() if not isinstance(value, str)}
+        self.index = index
+        self.name = name
+        self.servo = int(number["servo"])
+        self.zero = number["zero"]
+        self.sign = number["sign"]
+        self.low, self.high = number["low"], number["high"]
+        self.speed = number["speed_radps"] * PULSES_PER_RAD
+        self.acceleration = number["acceleration_radps2"] * PULSES_PER_RAD
+        self.tuck, self.drive = int(number["tuck"]), int(number["drive"])
+        self.judged = table["judged"] == "on"
+        self.position = 0.0
+        """Commanded, fractional; means something only while `known`."""
+        self.velocity = 0.0
+        self.known = False
+        """Where it is has been read, and nothing but its own stream has moved it since."""
+        self.loaded = False
+        """Its torque was switched on, and nothing since says that it is off."""
+        self.measured: int | None = None
+        self.measured_ns = 0
+        self.unpaired: int | None = None
+        """A reading that another one must equal before it counts."""
+        self.misses = 0
+        """Questions in a row without an answer."""
+        self.temperature_c = self.supply_mv = 0
+        self.stepped_ns = 0
+
+    def pulses(self, angle_rad: float) -> float:
+        """An angle as pulses."""
+        return self.zero + self.sign * angle_rad * PULSES_PER_RAD
+
+    def rad(self, pulses: float) -> float:
+        """Pulses as an angle."""
+        return (pulses - self.zero) * self.sign / PULSES_PER_RAD
+
+    def range_rad(self) -> tuple[float, float]:
+        """The angles that it may be sent to, the smaller first."""
+        low, high = sorted((self.rad(self.low), self.rad(self.high)))
+        return low, high
+
+    def forget(self) -> None:
+        """It was stopped, or let go, on its way: where it is must be read anew."""
+        self.known = False
+        self.velocity = 0.0
+        self.unpaired = None
+
+    def follow(self, target: float, share: float, elapsed_s: float) -> None:
+        """Move on toward a position, with at most `share` of its speed, so that it can still stop there."""
+        gap = target - self.position
+        wanted = min(self.speed * share, abs(gap) / elapsed_s, self._stops_within(abs(gap), elapsed_s))
+        self._step(copysign(wanted, gap), elapsed_s)
+
+    def jog(self, rate: float, elapsed_s: float) -> None:
+        """Move on at a rate (pulses/s), which ends at its bounds."""
+        room = (self.high - self.position) if rate > 0 else (self.position - self.low)
+        wanted = min(abs(rate), self.speed, self._stops_within(max(0.0, room), elapsed_s))
+        self._step(copysign(wanted, rate), elapsed_s)
+
+    def _stops_within(self, way: float, elapsed_s: float) -> float:
+        """The speed from which it can still stop in steps of this length, within this way."""
+        ramp = self.acceleration * elapsed_s
+        return ramp * (sqrt(0.25 + 2 * way / (ramp * elapsed_s)) - 0.5)
+
+    def _step(self, wanted: float, elapsed_s: float) -> None:
+        most = self.acceleration * elapsed_s
+        self.velocity += max(-most, min(most, wanted - self.velocity))
+        self.position = max(self.low, min(self.high, self.position + self.velocity * elapsed_s))
+
+
+def from_settings(settings: Settings) -> list[Joint]:
+    """The arm's joints in the order of the settings; none without an arm."""
+    joints = [Joint(index, name, table) for index, (name, table) in enumerate(settings.named["joints"].items())]
+    for joint in joints:
+        if joint.servo == int(settings["arm.base_servo"]):
+            pan = int(settings["arm.drive_pan"])
+            joint.drive, joint.judged = pan, pan >= 0
+    return joints

@@ -1,0 +1,363 @@
+"""The arm's part of the gate's loop: clients' goals and requests in, frames and answers out.
+
+A request that takes time is answered more than once: how far it is (records.UNDER_WAY), and in the end DONE or REFUSED.
+"""
+
+from __future__ import annotations
+
+from failstop.policy import causes
+from failstop.policy.reply import Reply
+from failstop.procs.gate.arm import goals
+from failstop.procs.gate.arm.core import SERVICE, ArmCore
+from failstop.procs.gate.arm.goals import Goal, Journey
+from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
+from failstop.procs.gate.arm.tuck import ANNOUNCE, GO, AutoTuck
+from failstop.procs.gate.clients import seen
+from failstop.procs.gate.sources import PAD
+from failstop.shm import records
+from failstop.shm.notes import Note
+from failstop.shm.records import CAUSE
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any, Protocol
+
+    from failstop.policy.causes import Cause
+    from failstop.procs.context import Context
+    from failstop.procs.gate.clients import Slot
+    from failstop.procs.gate.core import GateCore
+    from failstop.procs.loop import Deadline
+
+    class End(Protocol):
+        """What is done at the end of a journey."""
+
+        def __call__(self, waiter: Waiter, outcome: str, now_ns: int, *, dropped: bool) -> None: ...
+
+    class Owner(Protocol):
+        """What the gate does for the arm."""
+
+        core: GateCore
+        epoch: int
+
+        def trip(self, cause: Cause, now_ns: int) -> None: ...
+
+        def reply(self, slot: Slot, session: int, number: int, reply: Reply, now_ns: int) -> None: ...
+
+        def send(self, kind: int, body: bytes, now_ns: int) -> None: ...
+
+        def enable_now(self, slot: Slot, number: int, now_ns: int) -> None: ...
+
+
+NOT_IN_POSE = "arm is not in the drive pose"
+ENABLED = "wheels enabled"
+LATCHED = f"e-stop latched ({CAUSE})"
+TELL_NS = 200_000_000
+"""How often who waits is told how far it is."""
+MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
+LONGEST_S = 600.0
+PAD_PUBLISHER = -1
+"""The gamepad's session: no client's."""
+RELEASE_APART_NS = 4_000_000
+
+
+class Waiter:
+    """A client that waits for the end of a journey, and what is done for it then: with the outcome, and whether the
+    journey was dropped."""
+
+    __slots__ = ("done", "number", "session", "slot", "told_ns")
+
+    def __init__(self, slot: Slot, number: int, done: End) -> None:
+        self.slot = slot
+        self.session = slot.session
+        self.number = number
+        self.done = done
+        self.told_ns = 0
+
+
+class Arm:
+    """The arm of a gate whose robot has one."""
+
+    def __init__(self, owner: Owner, context: Context, due: Deadline, now_ns: int) -> None:
+        """`due`: when to turn without any news."""
+        self.core = ArmCore(context.settings, now_ns)
+        self._owner = owner
+        telemetry = context.segment("telemetry")
+        self._answers = telemetry.ring_reader("servos")
+        self._pad = telemetry.latest_reader("pad_arm")
+        self._pad_seq = seen(self._pad)
+        self._pad_joint = ""
+        self._by_servo = {joint.servo: joint for joint in self.core.joints}
+        self._waiter: Waiter | None = None
+        self._releasing: list[bytes] = []
+        self._release_ns = 0
+        self._tuck = AutoTuck(context.settings)
+        self._notice_s = context.settings["arm.tuck_notice_s"]
+        self._hot_c, self._low_mv = int(context.settings["arm.hot_c"]), int(context.settings["arm.low_mv"])
+        self._told: dict[str, str] = {}
+        """What people were told last of each joint."""
+        self._due = due
+
+    # The gate's turn.
+
+    def turn(self, now_ns: int) -> None:
+        """Answers of the servos, then whatever is due."""
+        core, gate = self.core, self._owner.core
+        while entry := self._answers.next():
+            core.answer(*records.unpack_servo(entry[2]), entry[1])
+        self._follow_pad(now_ns)
+        latched = LATCHED if gate.latch is not None else ""
+        core.closed = latched or (ENABLED if gate.enabled else "")
+        if not gate.enabled:
+            self._step(now_ns)
+        self._answer_waiter(now_ns)
+        self._follow_tuck(now_ns)
+        self._tell_joints()
+        due_ns = now_ns + TELL_NS if gate.enabled else max(core.due_ns(), now_ns + 1)
+        self._due.set(min(due_ns, self._release_ns) if self._releasing else due_ns)
+
+    def _step(self, now_ns: int) -> None:
+        if self._releasing:
+            if now_ns >= self._release_ns:
+                self._release_ns = now_ns + RELEASE_APART_NS
+                self._send(self._releasing.pop(0), now_ns)
+            return
+        frame, hold = self.core.step(now_ns)
+        if hold:
+            self._hold(now_ns)
+        if frame:
+            self._send(frame, now_ns)
+
+    def _send(self, frame: bytes, now_ns: int) -> None:
+        self._owner.send(records.ARM, frame, now_ns)
+
+    def _hold(self, now_ns: int) -> None:
+        """Stop it where it is, by the write that stops everything: the wheels stand while an arm moves."""
+        self._owner.send(records.STOP, b"", now_ns)
+
+    # News.
+
+    def stopped(self, reason: str) -> None:
+        """A stop, whose write has stopped the arm: nobody moves it any more."""
+        self._releasing.clear()
+        self.core.drop(reason)
+
+    def client_gone(self, session: int, now_ns: int) -> None:
+        """A client has left or died: what it moved is held, what it waited for is given up."""
+        if self.core.client_gone(session):
+            self._hold(now_ns)
+        if self._waiter and self._waiter.session == session:
+            self._give_up("given up: its client has gone", now_ns)
+
+    def _give_up(self, why: str, now_ns: int) -> None:
+        if self.core.drop(why):
+            self._hold(now_ns)
+
+    def goal(self, slot: Slot, now_ns: int) -> None:
+        """A new goal of a stream, if the slot has one."""
+        if (found := slot.new_arm_goal()) is None:
+            return
+        t_ns, mode, values = found
+        if mode not in MODES or not set(values) <= set(self._by_servo):
+            self.core.refused = f"a goal of {slot.who()} for joints that the arm does not have"
+            return
+        if self._rival(slot, now_ns):
+            return
+        joints = [self._by_servo[servo] for servo in values]
+        self.core.take(Goal(MODES[mode], slot.session, slot.who(), t_ns, joints, tuple(values.values())), now_ns)
+
+    def _follow_pad(self, now_ns: int) -> None:
+        """The gamepad in its joint mode is a publisher like any other. A joint that it lets go of is held."""
+        entry = self._pad.read()
+        if entry is None or entry[0] == self._pad_seq:
+            return
+        self._pad_seq, t_ns, payload = entry
+        index, share = records.unpack_pad_arm(payload)
+        if index >= len(self.core.joints):
+            return
+        joint = self.core.joints[index]
+        self._pad_joint = joint.name
+        goal = Goal(goals.JOG, PAD_PUBLISHER, PAD, t_ns, [joint], (share * joint.speed / PULSES_PER_RAD,))
+        if share and not self._rivals(PAD_PUBLISHER, PAD, now_ns):
+            self.core.take(goal, now_ns)
+        elif not share and self.core.moved_by(PAD_PUBLISHER) and self.core.drop("let go"):
+            self._hold(now_ns)
+
+    def _rival(self, slot: Slot, now_ns: int) -> bool:
+        return self._rivals(slot.session, slot.who(), now_ns)
+
+    def _rivals(self, session: int, who: str, now_ns: int) -> bool:
+        """A second publisher of goals latches."""
+        other = self.core.publisher(session, now_ns)
+        if other and not self.core.closed:
+            self._owner.trip(causes.TWO_MOVE_THE_ARM(other, who), now_ns)
+        return bool(other)
+
+    def _said(self, done: int, text: str) -> Reply:
+        return Reply(done, text, self._owner.core.latch if CAUSE in text else None)
+
+    def request(self, slot: Slot, number: int, verb: int, now_ns: int) -> Reply:
+        """A client's request about the arm."""
+        if verb == records.ARM_HOLD:
+            self._give_up(f"held by {slot.who()}", now_ns)
+            self._releasing.clear()
+            self._hold(now_ns)
+            return Reply(records.DONE, "arm held")
+        if closed := self.core.closed:
+            return self._said(records.REFUSED, closed)
+        if self._rival(slot, now_ns):
+            return self._said(records.REFUSED, LATCHED)
+        if verb == records.ARM_RELEASE:
+            self._hold(now_ns)
+            self._releasing, self._release_ns = self.core.release(), now_ns + RELEASE_APART_NS
+            return Reply(records.DONE, "arm released: its torque is off")
+        if verb == records.ARM_READ:
+            self.core.forget()
+            journey: Journey | str = Journey("read", slot.session, slot.who(), self.core.joints, [])
+        else:
+            journey = self._journey(slot, verb, now_ns)
+        if isinstance(journey, str):
+            return Reply(records.REFUSED, journey)
+        self._travel(journey, Waiter(slot, number, self._moved), "preempted", now_ns)
+        return Reply(records.UNDER_WAY, self._progress(now_ns))
+
+    def _journey(self, slot: Slot, verb: int, now_ns: int) -> Journey | str:
+        """The way that is asked for, or why there is none."""
+        if verb in (records.ARM_DRIVE, records.ARM_TUCK):
+            purpose = goals.DRIVE if verb == records.ARM_DRIVE else goals.TUCK
+            return self.core.pose(purpose, slot.session, slot.who(), now_ns) or f"the settings have no {purpose} pose"
+        if verb != records.ARM_MOVE or (path := slot.arm_path()) is None:
+            return "no trajectory came with the request"
+        share, servos, rows = path
+        if not set(servos) <= set(self._by_servo) or len(set(servos)) < len(servos) or not 0.0 < share <= 1.0:
+            return "a trajectory for joints that the arm does not have"
+        if not all(0.0 <= t_s <= LONGEST_S for t_s, _ in rows) or (len(rows) > 1 and not rows[0][0]):
+            return f"a trajectory's times go up from more than 0 to {LONGEST_S:g} s"
+        joints = [self._by_servo[servo] for servo in servos]
+        for t_s, angles in rows:
+            if fault := goals.too_far(joints, angles):
+                return fault if len(rows) == 1 else f"{fault} (at {t_s:g} s)"
+        pulses = [(t_s, tuple(map(Joint.pulses, joints, angles))) for t_s, angles in rows]
+        if fault := goals.too_fast_between(joints, pulses):
+            return fault
+        return Journey(goals.MOVE, slot.session, slot.who(), joints, pulses, share)
+
+    def _travel(self, journey: Journey, waiter: Waiter | None, why: str, now_ns: int) -> None:
+        """Begin a journey; `why`: what whoever moved the arm before is told."""
+        self._give_up(why, now_ns)
+        self._answer_waiter(now_ns)
+        self._waiter = waiter
+        self.core.travel(journey, now_ns)
+
+    def _moved(self, waiter: Waiter, outcome: str, now_ns: int, *, dropped: bool) -> None:
+        done = records.REFUSED if outcome or dropped else records.DONE
+        self._answer(waiter, self._said(done, outcome or "arm is there"), now_ns)
+
+    def _answer(self, waiter: Waiter, reply: Reply, now_ns: int) -> None:
+        self._owner.reply(waiter.slot, waiter.session, waiter.number, reply, now_ns)
+
+    def _progress(self, now_ns: int) -> str:
+        journey = self.core.journey
+        if journey is None:
+            return ""
+        left_s = journey.left_s(now_ns)
+        return f"arm, {journey.purpose}: {journey.phase}" + (f", {left_s:.1f} s left" if left_s > 0.0 else "")
+
+    def _answer_waiter(self, now_ns: int) -> None:
+        """Tell who waits how far it is, and how it ended."""
+        waiter, journey = self._waiter, self.core.journey
+        if waiter is None:
+            return
+        if journey is None or journey.done:
+            self._waiter = None
+            outcome = journey.outcome if journey else self.core.ended
+            if waiter.slot.session == waiter.session:
+                waiter.done(waiter, outcome, now_ns, dropped=journey is None)
+        elif now_ns - waiter.told_ns >= TELL_NS:
+            waiter.told_ns = now_ns
+            self._answer(waiter, Reply(records.UNDER_WAY, self._progress(now_ns)), now_ns)
+
+    # Enabling motion.
+
+    def enable(self, slot: Slot, number: int, now_ns: int) -> Reply | None:
+        """To the drive pose, and then the gate enables motion, if that is what was read back. None: the settings have
+        no drive pose, so nothing is asked of the arm."""
+        if self._waiter and self._purpose() == goals.DRIVE and self._waiter.session != slot.session:
+            return Reply(records.REFUSED, f"{self._waiter.slot.who()} is enabling motion")
+        journey = self.core.pose(goals.DRIVE, SERVICE, slot.who(), now_ns)
+        if journey is None:
+            return None
+        self._travel(journey, Waiter(slot, number, self._posed), ENABLED, now_ns)
+        self.core.forget()
+        return Reply(records.UNDER_WAY, self._progress(now_ns))
+
+    def _purpose(self) -> str:
+        return self.core.journey.purpose if self.core.journey else ""
+
+    def _posed(self, waiter: Waiter, outcome: str, now_ns: int, *, dropped: bool) -> None:
+        """The end of the way to the drive pose: what was read back decides, unless it was given up, or a stop came."""
+        core = self.core
+        if dropped:
+            self._answer(waiter, self._said(records.REFUSED, outcome), now_ns)
+            return
+        judged = [joint for joint in core.joints if joint.drive >= 0 and joint.judged]
+        absent = {joint.servo for joint in core.joints if joint.drive >= 0} <= set(core.silent())
+        if absent and core.ignore_absent:
+            fault = ""
+        else:
+            fault = outcome or core.off(judged, tuple(float(joint.drive) for joint in judged))
+        if fault:
+            hint = '; without the arm: arm.absent = "ignore"' if absent else ""
+            self._answer(waiter, Reply(records.REFUSED, f"{NOT_IN_POSE}: {fault}{hint}"), now_ns)
+        else:
+            self._owner.enable_now(waiter.slot, waiter.number, now_ns)
+
+    # For people.
+
+    def _follow_tuck(self, now_ns: int) -> None:
+        """An arm that is left alone tucks itself; it is not left alone while it moves, or may not."""
+        core = self.core
+        if core.active_ns and (core.closed or core.mode() or core.released):
+            core.active_ns = 0 if core.released else now_ns
+        due = self._tuck.follow(core.active_ns, now_ns)
+        if not due or not (journey := core.pose(goals.TUCK, SERVICE, "auto-tuck", now_ns)):
+            return
+        if not core.off(journey.joints, journey.ends):
+            core.active_ns = 0  # it is there
+        elif due == ANNOUNCE:
+            self._tell(f"the arm was left alone: it goes to its tuck pose in {self._notice_s:g} s")
+        elif due == GO:
+            core.travel(journey, now_ns)
+            core.active_ns = 0
+
+    def _tell(self, text: str, level: str = "") -> None:
+        self._owner.core.notes.append(Note("arm", text, level=level))
+
+    def _tell_joints(self) -> None:
+        """What is wrong with a servo, once, and that it is well again."""
+        silent = self.core.silent()
+        for joint in self.core.joints:
+            text = ""
+            if joint.servo in silent:
+                text = "does not answer"
+            elif joint.temperature_c >= self._hot_c:
+                text = f"is hot: {self._hot_c} degrees or more; at 85 it lets go"
+            elif joint.supply_mv and joint.supply_mv < self._low_mv:
+                text = f"has less than {self._low_mv} mV; with little less it lets go"
+            if text != self._told.get(joint.name, "") and (text or joint.known):
+                self._told[joint.name] = text
+                self._tell(
+                    f"joint {joint.name} (servo {joint.servo}) {text or 'is well again'}", "warning" if text else ""
+                )
+
+    def state(self, now_ns: int) -> dict[str, Any]:
+        """Its part of the gate's state."""
+        left_s, pose = self._tuck.left_s(self.core.active_ns, now_ns), self.core.pose_name()
+        return {
+            **self.core.state(),
+            "closed": "e-stop latched" if self.core.closed == LATCHED else self.core.closed,
+            "auto_tuck_s": None if left_s is None or self.core.mode() or pose == goals.TUCK else round(left_s),
+            "wrong": [f"joint {name} {text}" for name, text in self._told.items() if text],
+            "pose": pose,
+            "pad_joint": self._pad_joint if self.core.moved_by(PAD_PUBLISHER) else None,
+            "tucks": left_s is not None and left_s <= self._notice_s and not self.core.mode(),
+        }

@@ -1,0 +1,160 @@
+"""The arm's face: goals, poses, hold and release, each asked of the service by a thread of its own.
+
+An answer of the arm's takes seconds. The executor has one thread, and the bridge's interlock and commands go through
+it, so nothing here waits in it: a job runs beside it, and whoever asked is answered when it has ended.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Generator
+from typing import Any
+
+from failstop.errors import FailstopError
+from failstop.policy import causes
+from failstop.robot import Robot
+from failstop.ros2 import report, words
+from failstop.ros2.contract import ARM_BUSY, ARM_GOAL, ARM_SERVICES
+from failstop.ros2.fill import fill, type_of
+from failstop.ros2.graph import latch
+from failstop.ros2.link import Link
+from failstop.ros2.shared import Shared
+
+BUSY_NS = 100_000_000
+END_S = 1.0
+
+
+class Turn:
+    """Awaited: the executor goes on with other work, and comes back."""
+
+    def __await__(self) -> Generator[None, None, None]:
+        yield
+
+
+class Job:
+    """Something asked of the service, in a thread of its own. Called: whether it has ended."""
+
+    def __init__(self, link: Link, act: Callable[[Robot], Any]) -> None:
+        self._found: Any = None
+        self._error: FailstopError | None = None
+        self._thread = threading.Thread(target=self._run, args=(link, act), daemon=True)
+        self._thread.start()
+
+    def _run(self, link: Link, act: Callable[[Robot], Any]) -> None:
+        try:
+            self._found = link.call(act)
+        except FailstopError as error:
+            self._error = error
+        except ValueError as error:
+            self._error = FailstopError(str(error))
+
+    def __call__(self) -> bool:
+        return not self._thread.is_alive()
+
+    def result(self) -> Any:
+        """What came of it. Raises FailstopError."""
+        if self._error:
+            raise self._error
+        return self._found
+
+
+class ArmFace:
+    """Its subscription, publisher and services."""
+
+    def __init__(self, node: Any, qos: Any, group: Any, link: Link, shared: Shared) -> None:
+        """`link`: of the executor's thread, for what is done at once."""
+        self._node = node
+        self._link = link
+        self._shared = shared
+        self._asking = Link(link.name)
+        """Of the jobs: one client moves the arm, however many of its jobs have ended."""
+        self._goal_job: Job | None = None
+        self._busy_ns = 0
+        self._latched = False
+        kind = type_of(ARM_BUSY.type)
+        self._busy, self._message = node.create_publisher(kind, ARM_BUSY.name, qos(ARM_BUSY.qos)), kind()
+        self._topic = ""
+        try:
+            goal = node.create_subscription(type_of(ARM_GOAL.type), ARM_GOAL.name, self._goal, qos(ARM_GOAL.qos))
+            self._topic = goal.topic_name
+        except FailstopError as error:
+            node.get_logger().warning(f"{ARM_GOAL.name} is not heard: {error}")
+        acts = (_read, lambda robot: robot.arm.pose("drive"), lambda robot: robot.arm.pose("tuck"), _hold, _release)
+        for service, act in zip(ARM_SERVICES, acts, strict=True):
+            node.create_service(type_of(service.type), service.name, self._answerer(act), callback_group=group())
+
+    def begin(self, act: Callable[[Robot], Any]) -> Job:
+        """Ask the service for what takes time."""
+        # Of the executor's client, whose enable a stop or a disable may follow: a hold must not wait for a job.
+        return Job(self._link if act is _hold else self._asking, act)
+
+    def _answerer(self, act: Callable[[Robot], Any]) -> Any:
+        async def answer(_request: Any, response: Any) -> Any:
+            job = self.begin(act)
+            while not job():
+                await Turn()
+            try:
+                response.success, response.message = True, str(job.result())
+            except FailstopError as error:
+                response.success, response.message = False, words.refused(error)
+            return response
+
+        return answer
+
+    def follow(self, now_ns: int) -> None:
+        """With every turn of the watch: whether it moves, who else sends goals, and how the last goal ended."""
+        if now_ns - self._busy_ns >= BUSY_NS:
+            self._busy_ns = now_ns
+            self._busy.publish(fill(self._message, {"data": report.busy(self._shared.state)}))
+        self._rivals()
+        if self._goal_job and self._goal_job():
+            job, self._goal_job = self._goal_job, None
+            try:
+                job.result()
+            except FailstopError as error:
+                self._node.get_logger().warning(f"{ARM_GOAL.name}: {error}")
+
+    def _rivals(self) -> bool:
+        """True, and latched once, while more than one node publishes goals."""
+        many = bool(self._topic) and self._node.count_publishers(self._topic) > 1
+        if many and not self._latched:
+            names = sorted({found.node_name for found in self._node.get_publishers_info_by_topic(self._topic)})
+            first, second = [*names, *names][:2]
+            latch(self._node, self._link, str(causes.TWO_MOVE_THE_ARM(first, second)))
+        self._latched = many
+        return many
+
+    def _goal(self, message: Any) -> None:
+        if self._rivals():
+            return
+        points = [
+            (point.time_from_start.sec + point.time_from_start.nanosec / 1e9, list(point.positions))
+            for point in message.points
+        ]
+        names = list(message.joint_names)
+        if not points:
+            self._goal_job = self.begin(_hold)
+        elif any(len(positions) != len(names) for _, positions in points):
+            self._node.get_logger().warning(f"{ARM_GOAL.name} is refused: a point without a position for each joint")
+        else:
+            if len(points) > 1 and points[0][0] == 0.0:
+                points = points[1:]  # where it is said to begin; it begins where it is
+            path = [(t_s, dict(zip(names, positions, strict=True))) for t_s, positions in points]
+            self._goal_job = self.begin(lambda robot: robot.arm.move(path))
+
+    def close(self) -> None:
+        """Give its connection back: what it moved is held."""
+        self._asking.close()
+
+
+def _read(robot: Robot) -> str:
+    return json.dumps(robot.arm.read())
+
+
+def _hold(robot: Robot) -> str:
+    return robot.arm.hold()
+
+
+def _release(robot: Robot) -> str:
+    return robot.arm.release()

@@ -1,0 +1,112 @@
+"""The arm through the real processes, on the simulated board: its servos say where it is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop import Refused
+from failstop.board.framing import BUS_SERVO
+from failstop.trial import Trial, wait_for, write_settings
+from tests.support.arm_settings import ARM, DRIVE, SERVOS
+
+
+@pytest.fixture
+def arm(name: str, tmp_path: Path) -> Iterator[Trial]:
+    path = tmp_path / "arm.toml"
+    write_settings(str(path), ARM)
+    with Trial(name, ("--config", str(path))) as running:
+        yield running
+
+
+def follow(arm: Trial, seconds: float, rate: float = -0.3) -> None:
+    begun = time.monotonic()
+    while (t := time.monotonic() - begun) < seconds:
+        arm.robot.arm.follow({"base": rate * t})
+        time.sleep(0.02)
+
+
+def test_move_goes_there_and_is_read_back(arm: Trial) -> None:
+    arm.robot.arm.move({"base": 0.5, "wrist": -0.3})
+    joints = arm.board.joints()
+    assert joints[1] == pytest.approx(500 + 0.5 * 238.73, abs=3)
+    assert joints[4] == pytest.approx(500 - 0.3 * 238.73, abs=3)
+    assert not arm.robot.state.arm["moving"]  # type: ignore[index]
+
+
+def test_follow_reaches_the_speed_and_a_stale_goal_holds_the_arm(arm: Trial) -> None:
+    follow(arm, 1.6)
+    legs = [leg for leg in arm.board.joint_track() if leg.servo == 1 and leg.end_ns > leg.begin_ns]
+    steady = legs[-16:-1]
+    rate = (steady[-1].begin - steady[0].begin) / ((steady[-1].begin_ns - steady[0].begin_ns) * 1e-9)
+    assert rate == pytest.approx(-0.3 * 238.73, rel=0.1)
+    wait_for("the arm to be held", lambda: arm.robot.state.arm["mode"] == "")  # type: ignore[index]
+    stood = arm.board.joints()[1]
+    time.sleep(0.1)
+    assert arm.board.joints()[1] == stood
+
+
+def test_hold_stops_it_at_once(arm: Trial) -> None:
+    follow(arm, 0.6)
+    arm.robot.arm.hold()
+    stood = arm.board.joints()[1]
+    time.sleep(0.1)
+    assert arm.board.joints()[1] == pytest.approx(stood, abs=1)
+
+
+def test_no_frame_holds_the_receiver_and_none_is_a_long_move(arm: Trial) -> None:
+    arm.robot.arm.pose("drive")
+    moves = [event.data for event in arm.board.events() if event.func == BUS_SERVO and event.data[0] == 1]
+    assert moves
+    assert all(data[3] <= 2 and data[1] + 256 * data[2] <= 60 for data in moves)
+
+
+def test_enable_takes_the_arm_to_its_drive_pose_first(arm: Trial) -> None:
+    said: list[str] = []
+    arm.robot.enable(said.append)
+    joints = arm.board.joints()
+    assert [joints[servo] for servo in SERVOS[1:]] == pytest.approx(DRIVE[1:], abs=1)
+    assert any("on its way" in text for text in said)
+    arm.drive(0.3)
+    assert arm.moving()
+    with pytest.raises(Refused, match="wheels enabled"):
+        arm.robot.arm.move({"base": 0.1})
+
+
+def test_a_blocked_joint_refuses_motion_by_name(arm: Trial) -> None:
+    arm.board.servo(3, blocked=True)
+    with pytest.raises(Refused, match=r"arm is not in the drive pose: joint elbow \(servo 3\) is 4[45]\d pulses off"):
+        arm.robot.enable()
+    assert not arm.robot.state.enabled
+
+
+def test_a_stop_on_the_way_to_the_drive_pose_wins(arm: Trial) -> None:
+    def stop(_: str) -> None:
+        arm.robot.estop("test")
+
+    with pytest.raises(Refused, match="e-stop latched"):
+        arm.robot.enable(stop)
+    assert not arm.robot.state.enabled
+    stood = arm.board.joints()
+    time.sleep(0.1)
+    assert arm.board.joints() == stood
+
+
+def test_a_second_publisher_latches(arm: Trial) -> None:
+    from failstop.robot import Robot
+
+    follow(arm, 0.3)
+    with Robot(arm.name, client="other") as other:
+        other.arm.follow({"wrist": 0.1})
+        wait_for("the latch", lambda: bool(arm.robot.state.estop))
+    assert str(arm.robot.state.estop).startswith("multiple arm/goal publishers: ")
+
+
+def test_without_an_arm_no_word_and_no_frame(trial: Trial) -> None:
+    trial.enable()
+    trial.drive(0.2)
+    assert "arm" not in trial.robot.state.as_dict()
+    assert not [event for event in trial.board.events() if event.func == BUS_SERVO]

@@ -1,0 +1,385 @@
+"""The gate's arm: modes, limits, what holds it, and what must be true before motion is enabled."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from random import Random
+from struct import unpack_from
+
+import pytest
+
+from failstop.policy import causes
+from failstop.procs.gate.arm.joints import PULSES_PER_RAD
+from failstop.shm import records
+from tests.support.amounts import amount
+from tests.support.arm_settings import DRIVE, SERVOS
+from tests.support.stage import MS
+
+from .arm_scene import ZERO_WHEELS, ArmScene
+
+FOLLOW, JOG = records.ARM_FOLLOW, records.ARM_JOG
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ArmScene]:
+    made = ArmScene(tmp_path, monkeypatch)
+    made.run(0.4)
+    yield made
+    made.close()
+
+
+def follow(scene: ArmScene, seconds: float, rate: float, servo: int = 1) -> None:
+    begun_ns = scene.clock()
+    while (t_s := (scene.clock() - begun_ns) * 1e-9) < seconds:
+        scene.goal(FOLLOW, {servo: rate * t_s})
+        scene.run(0.02)
+
+
+def sent(scene: ArmScene, servo: int) -> list[tuple[int, int]]:
+    """(when, where to) of each move of a servo."""
+    found = []
+    for t_ns, data in scene.moves:
+        for index in range(data[3]):
+            to, position = unpack_from("<BH", data, 4 + 3 * index)
+            found += [(t_ns, position)] if to == servo else []
+    return found
+
+
+@pytest.mark.parametrize("rate", [0.3, 0.04, -0.3])
+def test_follow_keeps_the_speed_that_is_asked_for_however_slow(scene: ArmScene, rate: float) -> None:
+    follow(scene, 3.0, rate)
+    moves = sent(scene, 1)
+    (t0, p0), (t1, p1) = moves[len(moves) // 2], moves[-1]
+    pulses = rate * PULSES_PER_RAD * (t1 - t0) * 1e-9
+    assert p1 - p0 == pytest.approx(pulses, abs=max(0.02 * abs(pulses), 1.0))
+
+
+def test_the_stream_is_regular_and_each_move_short(scene: ArmScene) -> None:
+    follow(scene, 2.0, 0.3)
+    times = [t_ns for t_ns, _ in sent(scene, 1)]
+    gaps = [after - before for before, after in pairwise(times)]
+    assert statistics.median(gaps) == 40 * MS
+    assert max(gaps) <= 45 * MS
+    assert all(unpack_from("<H", data, 1)[0] <= 44 for _, data in scene.moves)
+
+
+def test_all_six_go_two_a_frame_and_none_is_dropped(scene: ArmScene) -> None:
+    scene.travel(dict.fromkeys(SERVOS, 0.3))
+    assert scene.finish() == (records.DONE, "arm is there")
+    assert {data[3] for _, data in scene.moves} == {2}
+    assert scene.dropped == 0
+    for servo in SERVOS:
+        assert scene.at(servo) == pytest.approx(500 + 0.3 * PULSES_PER_RAD, abs=3)
+
+
+def test_no_joint_passes_its_speed_or_its_ramp(scene: ArmScene) -> None:
+    scene.goal(FOLLOW, {1: 2.0})
+    for _ in range(60):
+        scene.goal(FOLLOW, {1: 2.0})
+        scene.run(0.02)
+    moves = sent(scene, 1)
+    speeds = [(p1 - p0) / 0.04 / PULSES_PER_RAD for (_, p0), (_, p1) in pairwise(moves)]
+    assert max(speeds) <= 1.0 + 1 / 0.04 / PULSES_PER_RAD
+    ramps = [abs(after - before) / 0.04 for before, after in pairwise(speeds)]
+    assert max(ramps) <= 4.0 + 2 / 0.04**2 / PULSES_PER_RAD
+
+
+def test_jog_stops_at_the_soft_limit(scene: ArmScene) -> None:
+    for _ in range(300):
+        scene.goal(JOG, {1: 1.0})
+        scene.run(0.02)
+    assert scene.at(1) == 1000
+    assert max(position for _, position in sent(scene, 1)) == 1000
+
+
+def test_a_goal_that_is_not_renewed_holds_the_arm(scene: ArmScene) -> None:
+    follow(scene, 0.5, 0.5)
+    last_ns = scene.clock()
+    scene.run(0.6)
+    assert scene.moves[-1][0] - last_ns <= 500 * MS
+    stood = scene.at(1)
+    scene.run(0.5)
+    assert scene.at(1) == stood
+    assert scene.state()["mode"] == ""
+
+
+def test_trajectory_before_follow_before_jog(scene: ArmScene) -> None:
+    scene.travel({1: 0.5}, 2.0)
+    for _ in range(40):
+        scene.goal(FOLLOW, {1: -0.5})
+        scene.run(0.02)
+    assert scene.state()["mode"] == "trajectory"
+    assert scene.at(1) > 510
+    for _ in range(100):
+        scene.goal(FOLLOW, {1: 0.6})
+        scene.run(0.02)
+        scene.goal(JOG, {1: -0.5})
+        scene.run(0.02)
+    assert scene.state()["mode"] == "follow"
+    assert scene.at(1) == pytest.approx(500 + 0.6 * PULSES_PER_RAD, abs=8)
+
+
+BAD = [
+    ({1: float("nan")}, FOLLOW, "joint base to nan rad"),
+    ({1: float("inf")}, FOLLOW, "joint base to inf rad"),
+    ({1: 2.2}, FOLLOW, "joint base to 2.2 rad: allowed is -2.094 to 2.094"),
+    ({1: 1.1}, JOG, "joint base at 1.1 rad/s: allowed is up to 1"),
+    ({1: float("nan")}, JOG, "joint base at nan rad/s"),
+    ({7: 0.1}, FOLLOW, "for joints that the arm does not have"),
+]
+
+
+@pytest.mark.parametrize(("values", "mode", "why"), BAD)
+def test_a_goal_out_of_range_is_refused_by_name_and_latches_nothing(
+    scene: ArmScene, values: dict[int, float], mode: int, why: str
+) -> None:
+    scene.goal(mode, values)
+    scene.run(0.2)
+    assert why in scene.state()["refused"]
+    assert scene.moves == []
+    assert scene.gate.core.latch is None
+
+
+def test_a_trajectory_too_fast_or_out_of_range_is_refused(scene: ArmScene) -> None:
+    scene.travel({1: 1.0}, 0.5)
+    assert scene.finish()[1].startswith("joint base at 2.0")
+    scene.travel({1: -3.0}, 0.5)
+    assert scene.finish() == (records.REFUSED, "joint base to -3 rad: allowed is -2.094 to 2.094")
+    assert scene.moves == []
+
+
+@pytest.mark.parametrize("mode", ["follow", "trajectory"])
+def test_a_second_publisher_latches_and_the_arm_is_held(scene: ArmScene, mode: str) -> None:
+    if mode == "follow":
+        follow(scene, 0.3, 0.5)
+    else:
+        scene.travel({1: 1.0})
+        scene.run(0.6)
+    scene.goal(FOLLOW, {2: 0.1}, client=1)
+    scene.run(0.02)
+    assert str(scene.gate.core.latch).startswith("multiple arm/goal publishers: test")
+    last = len(scene.moves)
+    scene.run(0.3)
+    assert len(scene.moves) == last
+
+
+def test_a_client_that_goes_has_its_arm_held(scene: ArmScene) -> None:
+    follow(scene, 0.5, 0.5)
+    scene._client.latest_writer("hello").write(records.pack_hello(records.NOBODY, 0, 0, ""))
+    scene.run(0.02)
+    last = len(scene.moves)
+    stood = scene.at(1)
+    scene.run(0.3)
+    assert len(scene.moves) == last
+    assert scene.at(1) == pytest.approx(stood, abs=1)
+
+
+def test_enable_goes_to_the_pose_and_says_how_far_it_is(scene: ArmScene) -> None:
+    scene.ask_for(records.ENABLE)
+    scene.run(0.3)
+    assert scene.answered()[0] == records.UNDER_WAY
+    assert scene.finish() == (records.DONE, "motion enabled")
+    assert [scene.at(servo) for servo in SERVOS[1:]] == pytest.approx(DRIVE[1:], abs=2)
+    questions = scene.said.copy()
+    scene.run(1.0)
+    assert scene.said == questions, "no reads while motion is enabled"
+    scene.travel({1: 0.1})
+    assert scene.finish() == (records.REFUSED, "wheels enabled")
+    scene.ask_for(records.DISABLE)
+    assert scene.finish()[0] == records.DONE
+
+
+def test_enable_takes_the_arm_from_whoever_moves_it(scene: ArmScene) -> None:
+    scene.travel({1: 1.0}, client=1)
+    scene.run(0.5)
+    scene.ask_for(records.ENABLE)
+    scene.run(0.1)
+    assert scene.answered(1) == (records.REFUSED, "wheels enabled")
+    assert scene.finish() == (records.DONE, "motion enabled")
+
+
+FAULTS = [
+    ({"blocked": True}, "joint shoulder (servo 2) is 29"),
+    ({"silent": True}, "joint shoulder: no answer from servo 2"),
+    ({"late": True}, "joint shoulder: no answer from servo 2"),
+    ({"unloaded": True}, "joint shoulder (servo 2) is 29"),
+    ({"temperature_c": 90}, "joint shoulder (servo 2) is 29"),
+]
+
+
+@pytest.mark.parametrize(("fault", "why"), FAULTS)
+def test_what_keeps_the_arm_from_its_pose_keeps_the_wheels(scene: ArmScene, fault: dict[str, object], why: str) -> None:
+    scene.servos.change(2, scene.clock(), **fault)
+    scene.ask_for(records.ENABLE)
+    done, text = scene.finish()
+    assert done == records.REFUSED
+    assert text.startswith(f"arm is not in the drive pose: {why}")
+    assert not scene.gate.core.enabled
+
+
+@pytest.mark.parametrize("verb", [records.ARM_HOLD, records.DISABLE])
+def test_an_enable_on_its_way_can_be_given_up(scene: ArmScene, verb: int) -> None:
+    scene.ask_for(records.ENABLE)
+    scene.run(0.6)
+    scene.ask_for(verb, client=1)
+    scene.run(0.1)
+    assert scene.answered()[0] == records.REFUSED
+    scene.run(3.0)
+    assert not scene.gate.core.enabled
+
+
+def test_a_stop_in_between_wins(scene: ArmScene) -> None:
+    scene.ask_for(records.ENABLE)
+    scene.run(0.6)
+    scene.stop(causes.PIPED(""))
+    scene.run(0.1)
+    assert scene.answered() == (records.REFUSED, "e-stop latched (stop request)")
+    scene.run(3.0)
+    assert not scene.gate.core.enabled
+    scene.ask_for(records.ENABLE)
+    assert scene.finish() == (records.REFUSED, "e-stop latched (stop request)")
+
+
+def test_an_absent_arm_refuses_once_clearly_and_can_be_ignored_by_a_setting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for setting, done in (("refuse", records.REFUSED), ("ignore", records.DONE)):
+        monkeypatch.setattr(ArmScene, "changed", {**ArmScene.changed, "arm.absent": setting})
+        directory = tmp_path / setting
+        directory.mkdir()
+        scene = ArmScene(directory, monkeypatch)
+        try:
+            for servo in SERVOS:
+                scene.servos.change(servo, scene.clock(), silent=True)
+            scene.ask_for(records.ENABLE)
+            found, text = scene.finish()
+            assert found == done
+            assert (setting == "ignore") or 'arm.absent = "ignore"' in text
+        finally:
+            scene.close()
+
+
+def test_the_late_answer_trap_never_passes_for_a_position(scene: ArmScene) -> None:
+    """A joint that is to stand near 0 in the drive pose would be taken to be there."""
+    scene.servos.change(3, scene.clock(), late=True)
+    scene.run(15.0)
+    elbow = next(row for row in scene.state()["joints"] if row[0] == "elbow")
+    assert elbow[3] is None or abs(elbow[3] - 500) < 5
+    assert 3 in scene.state()["silent"]
+
+
+def test_auto_tuck_after_it_was_left_alone_announced_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ArmScene, "changed", {**ArmScene.changed, "arm.auto_tuck_s": 10.0})
+    scene = ArmScene(tmp_path, monkeypatch)
+    try:
+        scene.run(30.0)
+        assert scene.moves == [], "never used, never tucked"
+        scene.travel({1: 0.5})
+        assert scene.finish()[0] == records.DONE
+        scene.run(6.0)
+        assert scene.state()["tucks"]
+        count = len(scene.moves)
+        scene.run(3.0)
+        assert len(scene.moves) == count
+        scene.run(8.0)
+        assert scene.state()["pose"] == "tuck"
+        count = len(scene.moves)
+        scene.run(30.0)
+        assert len(scene.moves) == count
+    finally:
+        scene.close()
+
+
+def test_released_it_stays_limp_until_it_is_asked_to_move(scene: ArmScene) -> None:
+    scene.travel({1: 0.2})
+    assert scene.finish()[0] == records.DONE
+    scene.ask_for(records.ARM_RELEASE)
+    scene.run(0.2)
+    assert all(servo.limp() for servo in scene.servos.by_id.values())
+    scene.run(30.0)
+    assert all(servo.limp() for servo in scene.servos.by_id.values())
+    scene.travel({1: 0.1})
+    assert scene.finish() == (records.DONE, "arm is there")
+
+
+class Judged(ArmScene):
+    """Counts motion that came without a read-back that says drive pose."""
+
+    wrong = 0
+
+    def on_motion(self, frame: bytes) -> None:
+        for servo, drive in list(zip(SERVOS, DRIVE, strict=True))[1:5]:
+            said = self.said[servo]
+            if frame != ZERO_WHEELS and not (len(said) == 2 and all(abs(one - drive) <= 33 for one in said)):
+                self.wrong += 1
+
+
+CASES = amount(20, 1000)
+
+
+def test_no_motion_before_the_read_back_says_drive_pose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Silent, blocked, late, hot, moved by hand, two clients, stops: whatever comes in between."""
+    rng = Random(17)
+    scene = Judged(tmp_path, monkeypatch)
+    enabled = refused = 0
+    try:
+        for _ in range(CASES):
+            for servo in SERVOS:
+                scene.servos.change(servo, scene.clock(), silent=False, blocked=False, unloaded=False, late=False)
+                scene.servos.change(servo, scene.clock(), temperature_c=35)
+                if rng.random() < 0.5:
+                    scene.servos.change(servo, scene.clock(), position=float(rng.randrange(1, 1000)))
+                if rng.random() < 0.07:
+                    scene.servos.change(
+                        servo, scene.clock(), **{rng.choice(("silent", "blocked", "unloaded", "late")): True}
+                    )
+            if rng.random() < 0.2:
+                scene.travel({1: rng.uniform(-1, 1)}, client=rng.randrange(2))
+                scene.run(rng.random())
+            scene.ask_for(records.ENABLE, rng.randrange(2))
+            for _ in range(60):
+                scene.run(0.05)
+                what = rng.random()
+                if what < 0.01:
+                    scene.servos.change(rng.choice(SERVOS), scene.clock(), position=float(rng.randrange(1, 1000)))
+                elif what < 0.015:
+                    scene.stop(causes.PIPED(""))
+                elif what < 0.02:
+                    scene.ask_for(rng.choice((records.ARM_HOLD, records.ENABLE, records.DISABLE)), rng.randrange(2))
+                payload = records.pack_command(11, 0.1, 0.0, 0.0, True)
+                scene._client.latest_writer("command").write(payload, scene.clock())
+            enabled += scene.gate.core.enabled
+            refused += not scene.gate.core.enabled
+            scene.ask_for(records.DISABLE)
+            scene.run(0.05)
+            scene.ask_for(records.RESET)
+            scene.run(0.3)
+    finally:
+        scene.close()
+    assert scene.wrong == 0
+    assert enabled
+    assert refused
+
+
+def test_the_gamepad_turns_a_joint_and_holds_it_when_let_go(scene: ArmScene) -> None:
+    for _ in range(40):
+        scene.pad(1, 0.5)
+        scene.run(0.05)
+    assert scene.state()["pad_joint"] == "shoulder"
+    assert scene.at(2) > 560
+    scene.pad(1, 0.0)
+    scene.run(0.02)
+    stood = scene.at(2)
+    scene.run(0.3)
+    assert scene.at(2) == pytest.approx(stood, abs=1)
+    assert scene.state()["pad_joint"] is None
+
+
+def test_the_gamepad_beside_a_program_latches(scene: ArmScene) -> None:
+    follow(scene, 0.3, 0.3)
+    scene.pad(1, 0.5)
+    scene.run(0.02)
+    assert scene.gate.core.latch == causes.TWO_MOVE_THE_ARM("test (pid 0)", "gamepad")

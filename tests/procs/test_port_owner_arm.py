@@ -1,0 +1,189 @@
+"""The port owner and an arm's frames: what goes to the servos, what never does, and what every stop has behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+
+from failstop.board import servos
+from failstop.board.burst import BURST, burst_with
+from failstop.board.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque
+from failstop.shm import layout, records
+from tests.support.port_scene import MOTION, Scene
+from tests.support.stage import MS
+
+IDS = (1, 2, 3, 4, 5, 10)
+STOP = burst_with(IDS)
+MOVE = bus_servo_move([(1, 500)], 40)
+TWO = bus_servo_move([(1, 500), (2, 600)], 40)
+READ = bus_servo_read(1, servos.POSITION)
+
+
+class ArmScene(Scene):
+    """The port owner of a robot with an arm."""
+
+    changed: ClassVar[dict[str, object]] = {f"joints.j{servo}.servo": servo for servo in IDS}
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+    made = ArmScene(tmp_path, monkeypatch)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def armless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+    made = Scene(tmp_path, monkeypatch)
+    yield made
+    made.close()
+
+
+def arm(scene: Scene, frame: bytes = MOVE, *, epoch: int = 1, age_ns: int = 0) -> bytes:
+    scene.put(frame, epoch=epoch, age_ns=age_ns, kind=records.ARM)
+    return scene.turn()
+
+
+def settle(scene: Scene) -> None:
+    scene.turn()
+    scene.turn(25 * MS)
+    scene.turn(100 * MS)
+    scene.turn(100 * MS)
+
+
+def test_the_first_bytes_stop_the_arm_too(scene: Scene) -> None:
+    assert scene.turn() == STOP
+
+
+def test_a_move_goes_out_and_a_stop_ends_it(scene: Scene) -> None:
+    settle(scene)
+    assert arm(scene) == MOVE
+    assert scene.word("moving") == 0
+    scene.put(b"held", kind=records.STOP)
+    assert scene.turn(5 * MS) == STOP
+
+
+def test_a_stop_behind_a_move_within_one_turn_takes_its_place(scene: Scene) -> None:
+    settle(scene)
+    scene.put(MOVE, kind=records.ARM)
+    scene.put(b"held", kind=records.STOP)
+    assert scene.turn() == STOP
+
+
+@pytest.mark.parametrize("cause", ["pipe", "epoch", "gate", "supervisor"])
+def test_every_stop_has_the_arm_s_behind_it(scene: Scene, cause: str) -> None:
+    settle(scene)
+    assert arm(scene) == MOVE
+    if cause == "pipe":
+        scene.ask_to_stop(b"now\n")
+    elif cause == "epoch":
+        scene.raise_epoch(2)
+    elif cause == "gate":
+        scene.gate.kill()
+    else:
+        scene.supervisor.kill()
+    assert scene.turn(1 * MS) == STOP
+
+
+def test_of_a_dead_epoch_too_old_or_without_a_gate_it_is_dropped(scene: Scene) -> None:
+    settle(scene)
+    assert arm(scene, epoch=0) == b""
+    assert arm(scene, age_ns=61 * MS) == b""
+    scene.raise_epoch(2)
+    assert scene.turn() == STOP
+    assert arm(scene, epoch=1) == b""
+    assert arm(scene, epoch=2) == MOVE
+
+
+def test_not_in_the_epoch_in_which_it_stopped_itself(scene: Scene) -> None:
+    settle(scene)
+    scene.ask_to_stop(b"now\n")
+    scene.turn()
+    assert arm(scene) == b""
+
+
+def test_while_the_wheels_may_turn_nothing_goes_to_the_servos(scene: Scene) -> None:
+    settle(scene)
+    scene.put()
+    assert scene.turn() == MOTION
+    for frame in (MOVE, READ, bus_servo_torque(1, on=False)):
+        assert arm(scene, frame) == b""
+    scene.put(b"disabled", kind=records.STOP)
+    assert scene.turn() == STOP
+    assert arm(scene) == MOVE
+
+
+def test_what_a_stop_would_wait_for_is_bounded_over_frames(scene: Scene) -> None:
+    settle(scene)
+    scene.put(TWO, kind=records.ARM)
+    scene.put(MOVE, kind=records.ARM)
+    assert scene.turn() == TWO
+    assert scene.turn(1 * MS) == b""
+    scene.put(MOVE, kind=records.ARM)
+    assert scene.turn(1 * MS) == MOVE
+
+
+def test_a_question_waits_until_no_servo_moves_and_nothing_follows_it_for_its_time(scene: Scene) -> None:
+    settle(scene)
+    assert arm(scene) == MOVE
+    assert arm(scene, READ) == b""
+    scene.turn(40 * MS)
+    assert arm(scene, READ) == b""
+    scene.turn(21 * MS)
+    assert arm(scene, READ) == READ
+    assert arm(scene, READ) == b""
+    assert arm(scene) == b""
+    scene.turn(5 * MS)
+    assert arm(scene, READ) == READ
+
+
+BAD = [
+    bus_servo_move([(6, 500)], 40),
+    bus_servo_stop([6]),
+    bus_servo_move([(1, 500)], 1000, 1000),
+    bytes.fromhex("AA550508030601020304050AE8"),
+    MOTION,
+    b"",
+    MOVE + MOVE,
+]
+
+
+@pytest.mark.parametrize("frame", BAD, ids=bytes.hex)
+def test_a_frame_that_is_none_for_this_arm_stops(scene: Scene, frame: bytes) -> None:
+    settle(scene)
+    assert arm(scene, frame) == STOP
+    assert [reason.partition(":")[0] for reason in scene.reasons()] == ["the gate's frame was refused"]
+
+
+def test_without_an_arm_no_such_frame_goes_out_and_stops_are_as_they_were(armless: Scene) -> None:
+    assert armless.turn() == BURST
+    settle(armless)
+    assert arm(armless) == BURST
+    assert armless.reasons() == ["the gate's frame was refused: for the arm, this robot has no arm"]
+    for frame in (MOVE, READ, bus_servo_stop([1])):
+        armless.put(frame, epoch=1, kind=records.OTHER)
+    assert armless.turn() == b""
+
+
+def test_the_word_moving_is_up_while_an_arm_s_frame_is_written(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    settle(scene)
+    seen = []
+    write = scene.owner.wire.frame
+
+    def frame(data: bytes, backlog: int = 0) -> bool:
+        seen.append(scene.segment(layout.PORT_OWNER).word("moving").get())
+        return write(data, backlog)
+
+    monkeypatch.setattr(type(scene.owner.wire), "frame", lambda _, data, backlog=0: frame(data, backlog))
+    assert arm(scene) == MOVE
+    assert seen[0] == 1
+    assert scene.word("moving") == 0
+
+
+def test_an_epoch_raised_just_before_the_write_wins(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    settle(scene)
+    monkeypatch.setattr(scene.owner, "_barrier", lambda: scene.raise_epoch(2))
+    assert arm(scene) == STOP

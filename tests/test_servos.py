@@ -1,0 +1,206 @@
+"""Frames to an arm's bus servos: their bounds, the time that they hold the receiver, and the proof of the stop.
+
+A frame is cut anywhere, then comes the stop's one write, the burst and behind it the servos' stop: the last motor
+command is a stop, no servo was sent anywhere else than it was told, and the last that each heard is to stop.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from struct import pack, unpack_from
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from failstop.board import codec, servos
+from failstop.board.burst import BURST, burst_with
+from failstop.board.codec import BUS_SERVO, MOTOR, STOP, check_aux, check_motion
+from failstop.board.framing import seal
+from failstop.board.interface import BOARD
+from failstop.board.motors import Motors
+from failstop.board.receiver import Receiver
+from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, bus_ns, bus_servo_move, bus_servo_stop, check_bus
+
+ARM = (1, 2, 3, 4, 5, 10)
+WRITE = burst_with(ARM)
+SPINNING = (0.5, -0.25, 0.75, -1.0)
+READS = [codec.bus_servo_read(servo, what) for servo in ARM for what in servos.READS]
+TORQUES = [codec.bus_servo_torque(servo, on) for servo in ARM for on in (True, False)]
+STOPS = [bus_servo_stop(ids) for ids in ((1,), (1, 2), (4, 5, 10))]
+
+
+def moved(data: bytes) -> dict[int, int]:
+    """Where a servo's frame sends servos, as the firmware reads it: beyond the data there are zeros here."""
+    if data[:1] != b"\x01":
+        return {}
+    memory = data.ljust(4 + 3 * 255, b"\0")
+    return dict(unpack_from("<BH", memory, 4 + 3 * index) for index in range(memory[3]))
+
+
+def judge(stream: bytes, meant: dict[int, int]) -> None:
+    """What the board makes of a stream that ends with the stop's write."""
+    motors, last = Motors(SPINNING), b""
+    stopped: set[Any] = set()
+    for _, func, data in Receiver().feed(stream):
+        if func == MOTOR:
+            last, stopped = data, set()
+            assert motors.execute(data) == (0.0, 0.0, 0.0, 0.0), stream.hex()
+        elif func == BUS_SERVO:
+            for servo, position in moved(data).items():
+                assert servo not in ARM or meant.get(servo) == position, stream.hex()
+                stopped.discard(servo)
+            stopped |= set(data[2 : 2 + data[1]]) if data[0] == servos.STOP else set()
+    assert last == STOP[4:-1]
+    assert not motors.wild
+    assert motors.stopped
+    assert stopped == set(ARM)
+
+
+def cut_anywhere(frame: bytes) -> None:
+    meant = moved(frame[4:-1]) if frame[2] == BUS_SERVO else {}
+    for cut in range(len(frame) + 1):
+        judge(frame[:cut] + WRITE, meant)
+
+
+def test_the_arm_s_stop_is_the_end_of_one_write() -> None:
+    assert BURST + bus_servo_stop((1, 2, 3)) + bus_servo_stop((4, 5, 10)) == WRITE
+    assert burst_with(()) == BURST == BOARD.burst
+    assert BOARD.burst_with(ARM) == WRITE
+
+
+@pytest.mark.parametrize("frame", [*READS, *TORQUES, *STOPS], ids=bytes.hex)
+def test_each_frame_but_moves_cut_anywhere(frame: bytes) -> None:
+    assert check_bus(frame, ARM, LONGEST_MOVE_MS) == ""
+    cut_anywhere(frame)
+
+
+@pytest.mark.parametrize("servo", ARM)
+def test_a_move_of_one_to_each_place_cut_anywhere(servo: int) -> None:
+    changed = 0
+    for position in range(1001):
+        frame = bus_servo_move([(servo, position)], 40)
+        assert check_bus(frame, ARM, LONGEST_MOVE_MS) == ""
+        assert moved(frame[4:-1]) == {servo: position}
+        lasts_ms = unpack_from("<H", frame, 5)[0]
+        assert 40 <= lasts_ms <= 43
+        changed += lasts_ms != 40
+        # The whole stop only where it can matter: the receiver drops what is cut elsewhere for its CRC.
+        if lasts_ms != 40 or position % 50 == 0:
+            cut_anywhere(frame)
+    assert changed, "the test can fail"
+
+
+@given(
+    moves=st.lists(
+        st.tuples(st.sampled_from(ARM), st.integers(0, 1000)), min_size=1, max_size=2, unique_by=lambda m: m[0]
+    ),
+    duration_ms=st.integers(1, LONGEST_MOVE_MS),
+    data=st.data(),
+)
+@settings(max_examples=150, deadline=None)
+def test_any_move_cut_anywhere_and_the_stop_cut_too(
+    moves: list[tuple[int, int]], duration_ms: int, data: st.DataObject
+) -> None:
+    frame = bus_servo_move(moves, duration_ms)
+    assert check_bus(frame, ARM, LONGEST_MOVE_MS) == ""
+    cut_anywhere(frame)
+    cut, first = data.draw(st.integers(0, len(frame))), data.draw(st.integers(0, len(WRITE)))
+    meant = dict(moves)
+    judge(frame[:cut] + WRITE[:first] + WRITE, meant)
+    judge(frame[:cut] + WRITE[:first] + WRITE[first:] + WRITE, meant)
+
+
+def test_motor_frames_and_the_stop_s_own_write_cut_anywhere() -> None:
+    for speeds in ((0.8, 0.8, -0.8, -0.8), (-0.694,) * 4, (1.0, -2.0, 0.1, 1e-3)):
+        frame = codec.motor_speeds(speeds, 2.0)
+        for cut in range(len(frame)):
+            judge(frame[:cut] + WRITE, {})
+    for cut in range(len(WRITE) + 1):
+        judge(WRITE[:cut] + WRITE, {})
+
+
+def test_control_a_servo_s_stop_of_its_own_behind_a_cut_burst_leaves_the_receiver_deaf_to_it() -> None:
+    """Why it is no write of its own: it goes as the rest of whatever was cut, a motor frame too."""
+    alone = WRITE[len(BURST) :]
+    taken_for_a_motor_s = 0
+    for cut in range(len(BURST)):
+        receiver = Receiver()
+        receiver.feed(BURST[:cut])
+        heard = [func for _, func, _ in receiver.feed(alone)]
+        taken_for_a_motor_s += receiver.func == MOTOR and heard.count(BUS_SERVO) < 2
+    assert taken_for_a_motor_s > 50
+
+
+def test_control_zeros_complete_a_cut_move_and_the_check_refuses_it() -> None:
+    made = next(
+        frame
+        for position in range(256, 1001)
+        if check_bus(frame := seal(BUS_SERVO, pack("<BHBBH", 1, 40, 1, 2, position)), ARM, 60).startswith(
+            "another position"
+        )
+    )
+    with pytest.raises(AssertionError):
+        cut_anywhere(made)
+
+
+@given(data=st.binary(max_size=255), command=st.integers(0, 0x3A), servo=st.sampled_from(ARM))
+@settings(max_examples=400, deadline=None)
+def test_whatever_passes_holds_the_receiver_for_no_longer_than_it_may(data: bytes, command: int, servo: int) -> None:
+    shaped = pack("<BHB", command, data[0] if data else 0, len(data) // 3 % 90) + data
+    for body in (data, bytes((command,)) + data, shaped, bytes((command, len(data))) + data, bytes((command, servo))):
+        frame = seal(BUS_SERVO, body[:255])
+        assert check_aux(frame)
+        assert check_motion(frame, 1000.0)
+        if check_bus(frame, ARM, LONGEST_MOVE_MS) == "":
+            assert bus_ns(BUS_SERVO, frame[4:-1]) <= HELD_NS or body[0] in servos.READS
+            cut_anywhere(frame)
+
+
+def many(count: int) -> bytes:
+    return seal(BUS_SERVO, pack("<BHB", 1, 40, count) + b"".join(pack("<BH", at + 1, 500) for at in range(count)))
+
+
+REFUSED = [
+    (b"", "not a bus servo's frame"),
+    (STOP, "not a bus servo's frame"),
+    (WRITE, "not a bus servo's frame"),
+    (seal(BUS_SERVO, b""), "no sub-command"),
+    (STOPS[0] + b"\0", "9 bytes, its length byte says 8"),
+    (STOPS[0][:-1] + b"\0", "bad crc"),
+    (many(83), "83 servos hold the receiver for 72.2 ms, limit 2"),
+    (many(3), "3 servos hold the receiver for 2.6 ms, limit 2"),
+    (bytes.fromhex("AA550508030601020304050AE8"), "6 servos hold the receiver for 3.1 ms, limit 2"),
+    (bytes.fromhex("AA5505030301FE11"), "servo 254 is none of the arm's"),
+    (bytes.fromhex("AA55050A01E8030201410302E8039F"), "a move of 1000 ms, limit 60"),
+    (seal(BUS_SERVO, pack("<BHBBH", 1, 0, 1, 1, 500)), "a move of 0 ms, limit 60"),
+    (seal(BUS_SERVO, pack("<BHBBH", 1, 40, 1, 1, 1001)), "position 1001, limit 1000"),
+    (seal(BUS_SERVO, pack("<BHBBH", 1, 40, 1, 6, 500)), "servo 6 is none of the arm's"),
+    (seal(BUS_SERVO, pack("<BHBBHBH", 1, 40, 2, 1, 500, 1, 600)), "a servo twice"),
+    (seal(BUS_SERVO, pack("<BHB", 1, 40, 1)), "a count that is not its data's"),
+    (seal(BUS_SERVO, pack("<BHB", 1, 40, 255)), "a count that is not its data's"),
+    (seal(BUS_SERVO, b"\x03"), "a count that is not its data's"),
+    (seal(BUS_SERVO, b"\x03\xff\x01"), "a count that is not its data's"),
+    (seal(BUS_SERVO, b"\x05"), "0 servos, must be 1"),
+    (seal(BUS_SERVO, b"\x0b\x01\x02"), "2 servos, must be 1"),
+    *[
+        (seal(BUS_SERVO, bytes((sub, 1, 2))), f"bus servo sub-command {sub:02X}")
+        for sub in (0x10, 0x12, 0x20, 0x24, 0x30)
+    ],
+    *[
+        (seal(BUS_SERVO, bytes((sub, 1))), f"bus servo sub-command {sub:02X}")
+        for sub in (0x22, 0x32, 0x34, 0x36, 0x38, 0x3A)
+    ],
+]
+
+
+@pytest.mark.parametrize(("frame", "reason"), REFUSED, ids=[reason for _, reason in REFUSED])
+def test_refused_with_its_reason(frame: bytes, reason: str) -> None:
+    assert check_bus(frame, ARM, LONGEST_MOVE_MS) == reason
+
+
+def test_an_encoder_keeps_to_the_settings_bound() -> None:
+    for servo, position in product(ARM, range(0, 1001, 7)):
+        frame = bus_servo_move([(servo, position)], 40, 40)
+        assert check_bus(frame, ARM, 40) == ""
