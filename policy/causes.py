@@ -169,7 +169,7 @@ def _row(*columns: Any) -> Kind:
 
 DIED = _row(
     1, "died", "{process} died", "process:s",
-    "port_owner supervisor stopper",
+    "port_owner supervisor",
     "the process {process} died, which {role}", _AGAIN,
 )  # fmt: skip
 HANGS = _row(
@@ -213,7 +213,7 @@ REMOVED = _row(
 )  # fmt: skip
 DEVICE_LOST = _row(
     9, "device_lost", "device lost", "",
-    "port_owner supervisor",
+    "port_owner",
     "the board's USB connection was lost; the stop was to be written the moment that it is back",
     "look at the cable, the plug and the board's power",
 )  # fmt: skip

@@ -151,7 +151,7 @@ DECLARED = (
     Setting("odometry.twist_std_mps", 0.05, "m/s", 0.0, 10.0, "standard deviation told with the odometry's speeds"),
     Setting("odometry.twist_std_radps", 0.2, "rad/s", 0.0, 10.0, "standard deviation told with its rate of turn"),
     Setting("battery.step_mv", 190, "mV", 10, 5000, "a step of this much is the charger plugged in or pulled out"),
-    Setting("battery.stop_mv", 0, "mV", 0, 60000, "stop, latched, when the voltage stays below this; 0: never"),
+    Setting("battery.stop_mv", -1, "mV", -1, 60000, "stop, latched, when the voltage stays below this; -1: never"),
     Setting("battery.log", "on", "", None, None, "write the battery's voltage to a file a day", SWITCH),
     Setting("battery.log_s", 10.0, "s", 1.0, 3600.0, "time between two lines of it"),
     Setting("battery.directory", "", "", None, None, "where these files are; empty: the state directory"),

@@ -22,8 +22,8 @@ class Trips:
 
     __slots__ = ("_held", "_low", "_low_mv", "_mode", "_stop_key")
 
-    def __init__(self, mode_button: int, stop_key: int, low_mv: float = 0) -> None:
-        """`low_mv`: a battery below it stops the robot; 0: none does."""
+    def __init__(self, mode_button: int, stop_key: int, low_mv: float = -1) -> None:
+        """`low_mv`: a battery below it stops the robot; -1: none does."""
         self._mode = mode_button
         self._stop_key = stop_key
         self._low_mv = low_mv

@@ -48,6 +48,7 @@ DESIGN = {
 NO_FAULT = {
     *(causes.BAD_FRAME, causes.UNKNOWN),  # a defect of the service's own
     causes.BATTERY,  # only where a setting asks for it
+    causes.TWO_MOVE_THE_ARM,  # only where there is an arm (failstop/faults/arm.py)
     causes.UNSTILL,  # comes after the stop of another row
     causes.REQUESTED,  # as PIPED, but that somebody says who it is
     *(causes.REMOVED, causes.STOPPING, causes.ALL_DIED, causes.SILENT),  # with them the run ends, or nobody is to latch
