@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -46,39 +47,46 @@ def find(version: str, environment: dict[str, str]) -> str | None:
     return None
 
 
-def run(version: str, interpreter: str, at: Path) -> bool:
-    """The quick tests there, in an environment of their own; False: they fail, or it can't be made."""
+def run(version: str, interpreter: str, at: Path) -> tuple[bool, str]:
+    """The quick tests there, in an environment of their own: whether they pass, and what they said."""
     python = str(at / version / "bin/python")
-    pip = (python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+    pip = (python, "-m", "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check")
     editable = ("--config-settings", "editable_mode=compat", "--editable", ".[test]")
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     pytest = (python, "-m", "pytest", "-o", f"cache_dir={at / version / 'pytest'}", *QUICK)
 
-    def code(*command: str) -> int:
-        return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
+    said: list[str] = []
 
-    if code(interpreter, "-m", "venv", "--clear", str(at / version)) or code(*pip, *editable):
-        return False
-    found = code(*pytest, "--numprocesses", "2")
-    return (code(*pytest, "--numprocesses", "0", *AGAIN) if found == 1 else found) == 0
+    def code(*command: str) -> int:
+        done = subprocess.run(command, cwd=ROOT, env=environment, check=False, capture_output=True, text=True)
+        said.extend((done.stdout, done.stderr))
+        return done.returncode
+
+    good = not code(interpreter, "-m", "venv", "--clear", str(at / version)) and not code(*pip, *editable)
+    if good:
+        found = code(*pytest, "--numprocesses", "2")
+        good = (code(*pytest, "--numprocesses", "0", *AGAIN) if found == 1 else found) == 0
+    return good, "".join(said)
+
+
+def tried(version: str, at: Path) -> tuple[bool, str]:
+    """Whether a version is good, or not here; and a line for people."""
+    start_s = time.monotonic()
+    interpreter = find(version, dict(os.environ))
+    if interpreter is None:
+        return True, f"python {version}: none here (on the path, of pyenv, of uv): not tried"
+    good, said = run(version, interpreter, at)
+    line = f"python {version}: {'good' if good else 'FAILED'}, {time.monotonic() - start_s:.0f} s"
+    return good, line if good else f"{said}\n{line}"
 
 
 def main() -> int:
-    """Each version; exit code 1 when one fails."""
+    """All versions at once, since each waits for the network first; exit code 1 when one fails."""
     at = Path(sys.argv[1]).resolve()
-    told = []
-    failed = False
-    for version in VERSIONS:
-        start_s = time.monotonic()
-        interpreter = find(version, dict(os.environ))
-        if interpreter is None:
-            told.append(f"python {version}: none here (on the path, of pyenv, of uv): not tried")
-            continue
-        good = run(version, interpreter, at)
-        failed |= not good
-        told.append(f"python {version}: {'good' if good else 'FAILED'}, {time.monotonic() - start_s:.0f} s")
-    print(*told, sep="\n")
-    return int(failed)
+    with ThreadPoolExecutor() as pool:
+        found = list(pool.map(lambda version: tried(version, at), VERSIONS))
+    print(*(line for _, line in found), sep="\n")
+    return int(not all(good for good, _ in found))
 
 
 if __name__ == "__main__":
