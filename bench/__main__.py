@@ -14,7 +14,7 @@ from bench import beside, kills, oneway, peers, report, service, visit
 from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
-from failstop.trial import Trial
+from failstop.lab.trial import Trial
 
 
 def main() -> int:

@@ -11,11 +11,11 @@ from itertools import pairwise
 from bench import report, stats
 from bench.report import progress
 from bench.stats import Row
+from failstop.api.errors import Refused
 from failstop.board.framing import BUS_SERVO
 from failstop.board.servos import MOVE
-from failstop.errors import Refused
-from failstop.faults import arm
-from failstop.faults.arm import ArmTrial
+from failstop.lab.faults import arm
+from failstop.lab.faults.arm import ArmTrial
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 
 KILL_P99_MS = 2.0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop import cli
+from failstop.cli import main as cli
 from tests.support.pages import PAGES, ROOT, SHELL, Block, blocks, commands_in, indented, inline
 
 from .session import Session, differs

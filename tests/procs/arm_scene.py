@@ -14,7 +14,7 @@ import pytest
 from failstop.board import decoder, servos
 from failstop.board.framing import BUS_SERVO
 from failstop.board.interface import BOARD
-from failstop.board.sim.servos import Servos
+from failstop.lab.sim.servos import Servos
 from failstop.policy.causes import Cause
 from failstop.policy.reply import Reply, unpack
 from failstop.procs.gate import main

@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 from bench.container import Bind, Container, ContainerMissing
-from failstop.board.sim.client import SimBoard
 from failstop.install import InstallError, tree
 from failstop.install.layout import COMPLETIONS, MANUAL
-from failstop.trial import wait_for
+from failstop.lab.sim.client import SimBoard
+from failstop.lab.trial import wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 UNIT = "failstop.service"
