@@ -60,7 +60,7 @@ mutants: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check 'mutmut>=3.8'
 	$(BIN)/python tests/mutation/run.py $(if $(AT),--at $(AT)) $(ROOMS)
 
-# A stock Debian in a virtual machine, the board on USB (docs/usb.md). Needs root, and qemu, which it names. TRIALS: some of them.
+# A stock Debian in a virtual machine, the board on USB (docs/dev/usb.md). Needs root, and qemu, which it names. TRIALS: some of them.
 TRIALS ?=
 vm: $(VENV)/.dev
 	@$(BIN)/python -m bench.vm $(if $(TRIALS),--only $(TRIALS))

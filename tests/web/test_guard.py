@@ -54,7 +54,8 @@ def test_an_address_and_a_name_of_its_own(host: str) -> None:
 @pytest.mark.parametrize(
     "host",
     ["", "evil.example", "evil.example:8477", "robot-7.local.evil.example", "127.0.0.1.evil.example",
-     "localhost@evil.example", "evil.example#localhost", "localhost/evil", "localhost:http", "[::1", "127.0.0.1:99999", " ", "1.2.3.4.5"],
+     "localhost@evil.example",
+     "evil.example#localhost", "localhost/evil", "localhost:http", "[::1", "127.0.0.1:99999", " ", "1.2.3.4.5"],
 )  # fmt: skip
 def test_rebinding(host: str) -> None:
     """A page of another site whose name points here still sends its own name."""
