@@ -35,6 +35,7 @@ COMMANDS = {
     "install": ("cli.commands.install", "make it a service of this machine, whole or not at all"),
     "uninstall": ("cli.commands.uninstall", "stop the service and take away what install put there"),
     "ros2": ("cli.commands.ros2", "the bridge to ROS 2: its nodes drive through the service"),
+    "web": ("cli.commands.web", "the operator's page: STOP, why, and what happened, on a phone"),
     "completion": ("cli.commands.completion", "the script that completes commands in a shell"),
 }
 
@@ -42,7 +43,7 @@ GROUPS = (
     ("drive", ("enable", "disable", "drive", "teleop", "stop", "estop", "reset", "arm")),
     ("look", ("status", "watch", "why", "events", "incident")),
     ("check", ("demo", "doctor", "prove", "chaos", "config")),
-    ("service", ("run", "sim", "ros2", "install", "uninstall", "completion")),
+    ("service", ("run", "sim", "web", "ros2", "install", "uninstall", "completion")),
 )
 """What `failstop --help` shows together; a command that is in none is shown at the end."""
 
