@@ -127,8 +127,10 @@ def test_every_cause_of_a_running_service_is_in_the_table() -> None:
 
 
 def test_the_page_has_the_rows_of_the_table() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "faults.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "dev" / "faults.md").read_text()
     rows = [line for line in page.splitlines() if line.startswith("| `")]
     assert len(rows) == len(TABLE)
     for fault, row in zip(sorted(TABLE, key=lambda fault: EVENTS.index(fault.event)), rows, strict=True):
-        assert row.startswith(report.described(fault)), "failstop chaos --each 5 --json F --markdown > docs/faults.md"
+        assert row.startswith(report.described(fault)), (
+            "failstop chaos --each 5 --json F --markdown > docs/dev/faults.md"
+        )

@@ -52,7 +52,7 @@ ENVIRONMENT = (
     ),
 )
 
-SEE_ALSO = "The pages in docs/ of the source: quickstart.md, robot.md, safety.md, faults.md, configuration.md."
+SEE_ALSO = "The pages in docs/ of the source: quickstart.md, robot.md, safety.md, causes.md, configuration.md."
 
 
 def page(groups: list[tuple[str, list[Command]]]) -> str:

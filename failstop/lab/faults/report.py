@@ -128,7 +128,7 @@ def _times(row: dict[str, Any]) -> tuple[str, str, str]:
 
 
 def markdown(result: dict[str, Any]) -> str:
-    """docs/faults.md: the table, with what a campaign measured beside each row."""
+    """docs/dev/faults.md: the table, with what a campaign measured beside each row."""
     measured = {row["name"]: row for row in result["rows"]}
     machine = result["machine"]
     lines = [
