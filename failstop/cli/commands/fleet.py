@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from failstop.fleet.settings import FleetSettings
 
 EXAMPLES = """\
-failstop fleet                            # every robot, live
-failstop fleet stop smoke in hall 2       # all of them; says who has not confirmed
-failstop fleet key                        # once: then copy it to all of them
-failstop fleet publish                    # on the robot
+failstop fleet                       # every robot, live
+failstop fleet stop smoke in hall 2  # all; says who has not confirmed
+failstop fleet key                   # once: then copy it to all of them
+failstop fleet publish               # on the robot
 """
 
 
@@ -31,7 +31,7 @@ LIST_S = 1.5
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop fleet`."""
-    actions = parser.add_subparsers(dest="action", metavar="watch|list|stop|publish|key|forget|config")
+    actions = parser.add_subparsers(dest="action", metavar="ACTION")
     watch = actions.add_parser("watch", help="every robot, live; the same as `failstop fleet`")
     listing = actions.add_parser("list", help="every robot, once")
     listing.add_argument("--json", action="store_true", help="for programs")
@@ -40,7 +40,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     stop.add_argument("--by", metavar="NAME", help="who stops them (default: USER@HOST)")
     stop.add_argument("--wait", type=float, default=5.0, metavar="S", help="how long to try (default: 5)")
     stop.add_argument("--json", action="store_true", help="for programs")
-    publish = actions.add_parser("publish", help="publish this robot, and obey stops of the fleet")
+    publish = actions.add_parser("publish", help="publish this robot, and obey a stop of the fleet")
     add_name(publish)
     key = actions.add_parser("key", help="make the fleet's key, once")
     forget = actions.add_parser("forget", help="take a robot that is gone for good off the broker")
