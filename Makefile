@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants deb vm wheels clean
+.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs deb vm wheels clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -60,10 +60,20 @@ mutants: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check 'mutmut>=3.8'
 	$(BIN)/python tests/mutation/run.py $(if $(AT),--at $(AT)) $(ROOMS)
 
-# A stock Debian in a virtual machine, the board on USB (docs/usb.md). Needs root, and qemu, which it names. TRIALS: some of them.
+# A stock Debian in a virtual machine, the board on USB (docs/dev/usb.md). Needs root, and qemu, which it names. TRIALS: some of them.
 TRIALS ?=
 vm: $(VENV)/.dev
 	@$(BIN)/python -m bench.vm $(if $(TRIALS),--only $(TRIALS))
+
+# What is made from tables of the code: tests compare each with its table.
+docs: $(VENV)/.installed
+	$(BIN)/failstop config --example > examples/failstop.toml
+	$(BIN)/failstop config --markdown > docs/configuration.md
+	$(BIN)/python -m failstop.cli.manual > man/failstop.1
+	$(BIN)/python -m failstop.cli.manual causes > docs/causes.md
+	$(BIN)/python -m failstop.cli.catalog systemd/failstop.catalog
+	$(BIN)/python -m failstop.cli.catalog docs/journal.md
+	$(BIN)/python -m failstop.ros2.page docs/ros2.md
 
 deb: $(VENV)/.installed
 	@$(BIN)/python packaging/deb/build.py

@@ -26,7 +26,13 @@ from failstop.machine import facts
 ROOT = Path(__file__).parents[1]
 INSTRUMENT = (
     *(f"bench/{name}" for name in ("carriers.py", "cost.py", "floor.c", "floor.py", "hangs.py", "kills.py")),
-    *("bench/latency.py", "bench/stats.py", "board/sim", "failstop/faults/crowd.py", "failstop/trial.py"),
+    *(
+        "bench/latency.py",
+        "bench/stats.py",
+        "failstop/lab/sim",
+        "failstop/lab/faults/crowd.py",
+        "failstop/lab/trial.py",
+    ),
 )
 """What measures, of each commit its own: where it differs, so may the numbers."""
 ONCE = (50,)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import psutil
 
 from bench import stats
-from failstop.trial import Trial
+from failstop.lab.trial import Trial
 
 
 def measure(trial: Trial, seconds: float, progress: Callable[[str], None]) -> list[stats.Row]:

@@ -20,7 +20,7 @@ SYSTEM = "/usr"
 COMMAND = f"""#!{PREFIX}/bin/python3
 import sys
 sys.path.insert(0, "{PREFIX}/src")
-from failstop.cli import main
+from failstop.cli.main import main
 sys.exit(main())
 """
 SYSTEMD = Path(ROOT, "systemd")

@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable
 
 from bench import stats
-from failstop.board.sim.client import Event
-from failstop.faults.crowd import Nobody
-from failstop.trial import Trial
+from failstop.lab.faults.crowd import Nobody
+from failstop.lab.sim.client import Event
+from failstop.lab.trial import Trial
 
 
 def _until(trial: Trial, since_ns: int, answers: Callable[[Event], bool]) -> int:

@@ -21,9 +21,9 @@ from bench import report, stats
 from bench.peer import ExitHandler, Peer, PeerMissing
 from bench.peer_supervisord import BusySupervisord, Supervisord
 from bench.peer_systemd import Systemd
-from failstop.board.sim.client import SimBoard
+from failstop.lab.sim.client import SimBoard
+from failstop.lab.trial import Stopped, Trial, judge
 from failstop.shm import layout
-from failstop.trial import Stopped, Trial, judge
 
 PEERS: tuple[type[Peer], ...] = (ExitHandler, Supervisord, BusySupervisord, Systemd)
 OURS = (layout.GATE, layout.PORT_OWNER)

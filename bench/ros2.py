@@ -22,11 +22,11 @@ import psutil
 from bench import report, stats
 from bench.carriers import Carriers
 from bench.report import progress
-from failstop.commands.ros2 import find_rclpy
-from failstop.errors import FailstopError
+from failstop.api.errors import FailstopError
+from failstop.cli.commands.ros2 import find_rclpy
+from failstop.lab.trial import Trial, TrialError, wait_for
 from failstop.ros2.contract import IMU, ODOMETRY, STATE
 from failstop.ros2.stage import Process, bridge, environment, publisher
-from failstop.trial import Trial, TrialError, wait_for
 
 TIMEOUT_MS = 300.0
 CONNECT_S = 20.0

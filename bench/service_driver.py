@@ -12,8 +12,8 @@ import sys
 
 sys.path.insert(0, __file__.rsplit("/", 2)[0])
 
-from failstop.errors import FailstopError
-from failstop.robot import Robot
+from failstop.api.errors import FailstopError
+from failstop.api.robot import Robot
 
 EVERY_S = 0.02
 FORWARD_MPS = 0.2

@@ -18,15 +18,15 @@ import numpy as np
 import psutil
 
 from bench import conditions, report, stalls, stats, ticks
-from failstop.board.sim.client import Event
-from failstop.client import attach
-from failstop.errors import FailstopError
+from failstop.api.client import attach
+from failstop.api.errors import FailstopError
+from failstop.lab.sim.client import Event
+from failstop.lab.trial import Trial, wait_for
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 from failstop.shm import layout, records
 from failstop.shm.latest import LatestReader
-from failstop.trial import Trial, wait_for
 
 LATE_MS = 10.0
 GROWTH_MB_H = 1.0

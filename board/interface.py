@@ -1,6 +1,6 @@
 """What gate, port owner, stopper and supervisor need of a motor board, and the one that is built in.
 
-A second board is a second class of this form, in a module of its own (docs/porting.md).
+A second board is a second class of this form, in a module of its own (docs/dev/porting.md).
 """
 
 from __future__ import annotations

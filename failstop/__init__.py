@@ -10,9 +10,9 @@ from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.errors import FailstopError, NoAnswer, NoService, Refused, Undeclared
-    from failstop.robot import Robot
-    from failstop.state import Process, State, Stop
+    from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, Undeclared
+    from failstop.api.robot import Robot
+    from failstop.api.state import Process, State, Stop
 
 __all__ = [
     "FailstopError",
@@ -48,7 +48,7 @@ def __getattr__(name: str) -> object:
 
         return VERSION
     if name in _HOMES:
-        module = __import__(f"failstop.{_HOMES[name]}", fromlist=[name])
+        module = __import__(f"failstop.api.{_HOMES[name]}", fromlist=[name])
         found: object = getattr(module, name)
         return found
     raise AttributeError(f"module 'failstop' has no attribute {name!r}")

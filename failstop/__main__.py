@@ -2,7 +2,7 @@
 
 import sys
 
-from failstop.cli import main
+from failstop.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -11,9 +11,9 @@ import threading
 from collections.abc import Callable, Generator
 from typing import Any
 
-from failstop.errors import FailstopError
+from failstop.api.errors import FailstopError
+from failstop.api.robot import Robot
 from failstop.policy import causes
-from failstop.robot import Robot
 from failstop.ros2 import report, words
 from failstop.ros2.contract import ARM_BUSY, ARM_GOAL, ARM_SERVICES
 from failstop.ros2.fill import fill, type_of

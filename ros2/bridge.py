@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from time import monotonic, sleep
 from typing import Any
 
-from failstop.errors import FailstopError
+from failstop.api.errors import FailstopError
 from failstop.policy.settings import Settings
 from failstop.ros2 import leftovers, mirrors
 from failstop.ros2.contract import NODE, SETTINGS, Qos, Setting

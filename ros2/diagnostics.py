@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from failstop.api.state import Process, State
+from failstop.cli.screen import summary, verdict
 from failstop.ros2 import report, words
-from failstop.screen import summary, verdict
-from failstop.state import Process, State
 
 OK = 0
 WARN = 1

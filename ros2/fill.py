@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
-from failstop.errors import FailstopError
+from failstop.api.errors import FailstopError
 
 
 def type_of(name: str) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Any
 
-from failstop.errors import FailstopError
+from failstop.api.errors import FailstopError
 from failstop.ros2.commanders import Commanders, Publisher
 from failstop.ros2.link import Link
 from failstop.ros2.shared import Shared

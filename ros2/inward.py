@@ -6,10 +6,10 @@ from math import isfinite
 from time import monotonic_ns
 from typing import Any
 
-from failstop.errors import FailstopError, NoAnswer, Refused
+from failstop.api.errors import FailstopError, NoAnswer, Refused
+from failstop.api.robot import Robot
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.robot import Robot
 from failstop.ros2 import mirrors, report, words
 from failstop.ros2.arm import ArmFace, Turn
 from failstop.ros2.commanders import Commanders, HeldUp, wrong_ends

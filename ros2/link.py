@@ -6,10 +6,10 @@ from collections.abc import Callable
 from time import monotonic_ns
 from typing import TypeVar
 
-from failstop.errors import FailstopError, NoAnswer, NoService, Refused
-from failstop.robot import Robot
+from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused
+from failstop.api.robot import Robot
+from failstop.api.state import State
 from failstop.ros2.contract import CLIENT
-from failstop.state import State
 
 ANSWER_S = 0.5
 AGAIN_NS = 200_000_000

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from math import cos, nan, pi, sin
 from typing import Any
 
-from failstop.samples import ImuSample, OdometrySample, PadSample
+from failstop.api.samples import ImuSample, OdometrySample, PadSample
 
 Fields = dict[str, Any]
 

@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from failstop.samples import ImuSample
+from failstop.api.samples import ImuSample
 
 Value = bool | int | float | str | list[float]
 Settings = Mapping[str, float | str]

@@ -11,7 +11,9 @@ import threading
 from time import monotonic_ns
 from typing import Any
 
-from failstop.errors import FailstopError
+from failstop.api.errors import FailstopError
+from failstop.api.samples import BatterySample, ImuSample, OdometrySample, PadSample
+from failstop.api.state import State
 from failstop.ros2 import contract, diagnostics, leftovers, messages, report
 from failstop.ros2.contract import OUTWARD, STATUS, TF, Topic
 from failstop.ros2.fill import fill, type_of
@@ -19,8 +21,6 @@ from failstop.ros2.graph import Graph
 from failstop.ros2.link import Link
 from failstop.ros2.scan import ScanLog
 from failstop.ros2.shared import Shared
-from failstop.samples import BatterySample, ImuSample, OdometrySample, PadSample
-from failstop.state import State
 
 PERIOD_S = 0.009
 """IMU samples come every 9 ms."""

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from math import degrees, nan
 from typing import Any
 
+from failstop.api.state import State
+from failstop.cli.screen import verdict
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
-from failstop.screen import verdict
 from failstop.shm import blocks
-from failstop.state import State
 
 PLUGGED = {"plugged": True, "unplugged": False, "unknown": None}
 NOBODY = "nobody publishes cmd_vel"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+from failstop.api.state import State
 from failstop.ros2.mirrors import Settings
-from failstop.state import State
 
 
 @dataclasses.dataclass

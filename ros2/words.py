@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.errors import FailstopError, Refused
+from failstop.api.errors import FailstopError, Refused
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.ros2.contract import CLIENT

@@ -5,7 +5,7 @@ library gives Python a fence. But to release a lock is a store-release, to acqui
 load-acquire passes a store-release that is before it. So a held lock is released and acquired again. The other way
 around is no barrier: what is before it may move in behind the acquire, what is after it in before the release.
 
-docs/arm.md names the pairs that need one; model/arm has each as a litmus test.
+docs/dev/memory-order.md names the pairs that need one; model/arm has each as a litmus test.
 """
 
 from __future__ import annotations

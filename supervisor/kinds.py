@@ -1,7 +1,7 @@
 """Kinds: every kind of event there is - its level, its MESSAGE_ID, its fields, and what the catalog says of it.
 
 `journalctl -x` shows the catalog's text below an entry; systemd/failstop.catalog is made from this table
-(`python -m failstop.catalog`). A MESSAGE_ID, once given, never changes its meaning.
+(`python -m failstop.cli.catalog`). A MESSAGE_ID, once given, never changes its meaning.
 """
 
 from __future__ import annotations

@@ -32,6 +32,6 @@ def test_a_row_that_was_not_measured_is_an_error() -> None:
         pages.renewed(PAGE, ROWS[:1], every=False)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/measured.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/dev/measured.md"])
 def test_the_pages_have_such_a_table(page: str) -> None:
     assert pages.renewed((pages.ROOT / page).read_text(), ROWS, every=True).count("0.40 ms") == 1

@@ -15,8 +15,8 @@ from bench import oneway, peers, stats
 from bench.oneway_peer import CHANNELS, FLOOR, OURS
 from bench.peer import ExitHandler, Peer, PeerMissing
 from bench.peer_supervisord import Supervisord
-from failstop.board.sim.client import SimBoard
-from failstop.trial import Stopped, wait_for
+from failstop.lab.sim.client import SimBoard
+from failstop.lab.trial import Stopped, wait_for
 
 MS = 1_000_000
 

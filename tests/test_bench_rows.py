@@ -15,9 +15,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from bench import __main__ as bench_main
 from bench import hangs, kills, latency, report, soak, stalls, stats
 from bench.stalls import Control, Stall
+from failstop.lab.trial import Stopped, wait_for
 from failstop.policy import causes
 from failstop.shm.heartbeat import MEMORY_LOCKED
-from failstop.trial import Stopped, wait_for
 
 Capture = pytest.CaptureFixture[str]
 HANGS = causes.HANGS("gate", 70)

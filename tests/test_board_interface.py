@@ -89,7 +89,7 @@ def test_who_knows_what_of_the_board(folder: str) -> None:
 
 
 def test_the_page_on_porting_names_all_of_the_interface() -> None:
-    page = (ROOT / "docs" / "porting.md").read_text()
+    page = (ROOT / "docs" / "dev" / "porting.md").read_text()
     for name in ("motor_speeds", "check_motion", "check_aux", "stop", "burst", "pings", "pong"):
         assert f"| `{name}" in page
         assert hasattr(BOARD, name)

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 import failstop
 from failstop.board.decoder import BUTTONS
 from failstop.board.interface import BOARD
+from failstop.cli.screen import reasons
 from failstop.policy import causes
 from failstop.policy.causes import BY_NAME, BY_NUMBER, Cause, Kind
 from failstop.policy.processes import ROLES
 from failstop.policy.settings import Settings
-from failstop.screen import reasons
 from failstop.shm import records
 from failstop.shm.layout import PROCESSES
 from tests.support.incident_parts import Recorder

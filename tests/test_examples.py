@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop import cli
+from failstop.cli import main as cli
 from failstop.policy import config, kinematics
 from failstop.policy.settings import DECLARED, FAMILIES, Settings
 

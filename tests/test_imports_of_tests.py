@@ -56,7 +56,7 @@ def test_what_tests_share_is_in_support() -> None:
         ("from .helper import it", []),
         ("from tests.one import helper", []),
         ("from tests.support.pure import it", []),
-        ("from failstop.trial import Trial", []),
+        ("from failstop.lab.trial import Trial", []),
     ],
 )
 def test_the_check_sees_it(source: str, found: list[str], tmp_path: Path) -> None:

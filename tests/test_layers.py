@@ -21,8 +21,7 @@ EVERYBODYS = {"version"}
 
 
 def modules(room: str) -> list[Path]:
-    """Of the room itself: the simulated board is a program of its own."""
-    return [path for path in sorted((ROOT / room).rglob("*.py")) if "sim" not in path.relative_to(ROOT).parts]
+    return sorted((ROOT / room).rglob("*.py"))
 
 
 def imported(path: Path) -> Iterator[str]:
@@ -48,3 +47,14 @@ def test_a_room_imports_only_what_is_below_it(room: str) -> None:
         if name.partition(".")[0] not in BELOW[room] | EVERYBODYS
     ]
     assert not upward
+
+
+def test_a_robot_needs_nothing_of_the_laboratory() -> None:
+    """`demo`, `chaos`, `prove` and `sim` are found by their names, when they are asked for."""
+    robots = [path for path in (ROOT / "failstop").rglob("*.py") if "lab" not in path.relative_to(ROOT).parts]
+    robots += [path for room in (*BELOW, "ros2") for path in (ROOT / room).rglob("*.py")]
+    assert len(robots) > 100
+    wrong = [
+        (str(path.relative_to(ROOT)), name) for path in robots for name in imported(path) if name.startswith("lab")
+    ]
+    assert not wrong

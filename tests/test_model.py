@@ -14,7 +14,7 @@ from types import ModuleType
 import pytest
 
 CHECK = Path(__file__).resolve().parent.parent / "model" / "check"
-PAGE = CHECK.parents[1] / "docs" / "model.md"
+PAGE = CHECK.parents[1] / "docs" / "dev" / "model.md"
 SLOW_S = 600
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.errors import FailstopError, NoService, Refused
+from failstop.api.errors import FailstopError, NoService, Refused
 
 
 @pytest.mark.parametrize("reason", ["e-stop latched (key1)", "arm is not in the drive pose"])

@@ -16,11 +16,11 @@ import pytest
 
 from bench import ticks
 from failstop import FailstopError, Robot
+from failstop.api.client import send_stop
 from failstop.board.codec import MOTOR
 from failstop.board.motors import Motors
-from failstop.board.sim.client import Event
-from failstop.client import send_stop
-from failstop.trial import wait_for
+from failstop.lab.sim.client import Event
+from failstop.lab.trial import wait_for
 
 ROOT = Path(__file__).resolve().parent.parent
 PERIOD_NS = 20_000_000

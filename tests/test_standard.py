@@ -14,7 +14,7 @@ import pytest
 CLOSE = "import os, sys; [os.close(int(n)) for n in sys.argv[1].split(',')]; os.execv(sys.argv[2], sys.argv[2:])"
 LOOK = """
 import json, os, sys
-from failstop import standard
+from failstop.cli import standard
 standard.fill()
 opened = os.open(sys.argv[1], os.O_WRONLY)
 sys.stdout.write("for nobody\\n")

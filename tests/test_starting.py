@@ -8,7 +8,7 @@ import pytest
 from tests.support import starting
 
 CONFTEST = """
-from failstop.trial import Trial
+from failstop.lab.trial import Trial
 from invented import Still
 
 @pytest.fixture
@@ -38,9 +38,9 @@ HELPERS = {
         ("import os\n", False),
         ("import subprocess\n", True),
         ("import os\nos.fork()\n", True),
-        ("from failstop import trial\n", True),
-        ("from failstop.trial import Trial as Fine\n", True),
-        ("def test():\n    from failstop.board.sim import client\n", True),
+        ("from failstop.lab import trial\n", True),
+        ("from failstop.lab.trial import Trial as Fine\n", True),
+        ("def test():\n    from failstop.lab.sim import client\n", True),
         ("from tests.invented import far\n", True),
         ("from .far import work\n", True),
         ("from .pure import work\n", False),

@@ -22,11 +22,11 @@ from pathlib import Path
 
 from bench.vm import floor
 from bench.vm.table import BY_NAME, KILLED, Result
-from failstop.board.sim.client import Event, SimBoard
-from failstop.errors import FailstopError
-from failstop.faults.driving import Driver
+from failstop.api.errors import FailstopError
+from failstop.lab.faults.driving import Driver
+from failstop.lab.sim.client import Event, SimBoard
+from failstop.lab.trial import TrialError, judge, wait_for
 from failstop.policy import causes
-from failstop.trial import TrialError, judge, wait_for
 
 FAILSTOP = "/usr/local/bin/failstop"
 VENV_FAILSTOP = "/srv/venv/bin/failstop"

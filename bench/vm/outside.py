@@ -13,8 +13,8 @@ from bench.vm.client import ENABLE
 from bench.vm.floor import is_of_floor
 from bench.vm.guest import Guest, GuestError
 from bench.vm.table import Result
-from failstop.board.sim.client import Event, SimBoard
-from failstop.trial import TrialError, judge
+from failstop.lab.sim.client import Event, SimBoard
+from failstop.lab.trial import TrialError, judge
 
 PYTHON = "/srv/venv/bin/python"
 UNIT = "failstop.service"

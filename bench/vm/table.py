@@ -136,7 +136,7 @@ def lives(names: list[str]) -> list[list[str]]:
 
 
 def markdown(found: list[Row]) -> str:
-    """The table, as docs/usb.md has it."""
+    """The table, as docs/dev/usb.md has it."""
     lines = ["| trial | stops missed | motion after | from | ms | floor, ms | |", "|---|---|---|---|---|---|---|"]
     for row in found:
         problems = row.problems

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 
-from failstop.client import last_run, runtime_dir
+from failstop.api.client import last_run, runtime_dir
+from failstop.api.errors import FailstopError, NoService
+from failstop.api.state import State, StateReader
+from failstop.cli.screen import words
 from failstop.doctor.facts import Process, RemoveIpc, Service, Unit
 from failstop.doctor.system import System, user_name
-from failstop.errors import FailstopError, NoService
 from failstop.install.layout import unit_of
-from failstop.screen import words
 from failstop.shm import instance, layout, segment, slot
-from failstop.state import State, StateReader
 from failstop.version import VERSION
 
 BRIDGE = "ros2"

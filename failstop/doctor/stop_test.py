@@ -12,13 +12,13 @@ import os
 import time
 from collections.abc import Callable
 
+from failstop.api.errors import FailstopError
+from failstop.api.robot import Robot
 from failstop.board.port import PortError, release_exclusive
 from failstop.board.stop_port import StopPort
 from failstop.doctor.facts import StopTest
 from failstop.doctor.tap import Tap
-from failstop.errors import FailstopError
 from failstop.procs.stopper import tool
-from failstop.robot import Robot
 from failstop.supervisor.port import OwnPort
 
 ANSWER_S = 0.5

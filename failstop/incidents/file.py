@@ -16,7 +16,7 @@ from zlib import error as ZlibError
 
 import msgpack
 
-from failstop.errors import FailstopError
+from failstop.api.errors import FailstopError
 from failstop.shm import durable
 
 TYPE_CHECKING = False

@@ -8,8 +8,8 @@ from typing import Any
 
 import msgpack
 
-from failstop.client import last_run
-from failstop.errors import FailstopError
+from failstop.api.client import last_run
+from failstop.api.errors import FailstopError
 from failstop.incidents import store
 from failstop.policy import causes
 from failstop.shm import layout, segment

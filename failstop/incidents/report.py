@@ -6,13 +6,13 @@ import textwrap
 import time
 from typing import Any
 
+from failstop.cli.style import DIM, FAIL, STRONG, WARN, cut, paint
 from failstop.incidents import brief, outcome, signals, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE, Line
 from failstop.policy import causes
 from failstop.policy.settings import BY_KEY, declaration
 from failstop.shm.records import printable
-from failstop.style import DIM, FAIL, STRONG, WARN, cut, paint
 from failstop.supervisor.stops import wheels_seen
 
 NARROWEST = 60

@@ -6,7 +6,7 @@ plan.py, unplan.py (pure): from these, the steps. steps.py: what a step is. do.p
 
 from __future__ import annotations
 
-from failstop.errors import FailstopError
+from failstop.api.errors import FailstopError
 
 
 class InstallError(FailstopError):

@@ -8,7 +8,7 @@ import shlex
 import signal
 import sys
 
-from failstop.errors import Refused
+from failstop.api.errors import Refused
 from failstop.install import InstallError
 from failstop.install.steps import Plan, Step
 

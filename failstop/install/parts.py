@@ -40,8 +40,8 @@ class Parts:
 
 def of_this_version() -> Parts:
     """The parts of the running failstop. Raises InstallError when its files are not there."""
-    from failstop.commands import completion, config
-    from failstop.manual import grammar, man
+    from failstop.cli.commands import completion, config
+    from failstop.cli.manual import grammar, man
 
     return Parts(
         VERSION,

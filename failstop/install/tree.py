@@ -34,7 +34,7 @@ COMMAND = """\
 #!{prefix}/bin/python3 -I
 import sys
 
-from failstop.cli import main
+from failstop.cli.main import main
 
 sys.exit(main())
 """
@@ -178,7 +178,7 @@ def _own() -> Iterator[Entry]:
     needs = sorted(need.replace("'", '"') for need in _distribution("failstop").requires or () if "extra" not in need)
     text = METADATA.format(version=VERSION) + "".join(f"Requires-Dist: {need}\n" for need in needs)
     yield Entry(f"{info}/METADATA", data=text.encode())
-    yield Entry(f"{info}/entry_points.txt", data=b"[console_scripts]\nfailstop = failstop.cli:main\n")
+    yield Entry(f"{info}/entry_points.txt", data=b"[console_scripts]\nfailstop = failstop.cli.main:main\n")
     yield Entry(f"{info}/INSTALLER", data=b"failstop install\n")
 
 

@@ -17,7 +17,7 @@ stretches with any such verdict; false shaking: share of the time.
     0.60 + 0.30 s   0.2 %  / 0       / 0                      0.00004 / 0
 
 A longer sum is safer and later, and the supervisor waits 1.5 s from the stop, of which the wheels take up to 0.75 s to
-come to rest. docs/telemetry.md has the delay, and what an IMU of another rate makes of it.
+come to rest. docs/dev/telemetry.md has the delay, and what an IMU of another rate makes of it.
 """
 
 from __future__ import annotations

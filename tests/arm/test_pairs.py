@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.client import Client
+from failstop.api.client import Client
 from failstop.procs import starved
 from failstop.procs.stopper.main import HANG_NS
 from failstop.shm import records, ring

@@ -14,8 +14,8 @@ import time
 from pathlib import Path
 from types import TracebackType
 
-from failstop.errors import FailstopError
-from failstop.robot import Robot
+from failstop.api.errors import FailstopError
+from failstop.api.robot import Robot
 from failstop.shm import instance
 from tests.support.pages import ROOT
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from failstop import cli
+from failstop.cli import main as cli
 
 
 def words_for(name: str, words: list[str]) -> list[str]:

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from failstop import style
 from failstop.board.port import open_port
-from failstop.board.sim.client import SimBoard
-from failstop.commands.doctor import ARROW, screen
+from failstop.cli import style
+from failstop.cli.commands.doctor import ARROW, screen
 from failstop.doctor.finding import SKIP, WARN, Finding
-from failstop.trial import Trial, wait_for
+from failstop.lab.sim.client import SimBoard
+from failstop.lab.trial import Trial, wait_for
 from tests.support.commands import failstop
 
 

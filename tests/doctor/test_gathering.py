@@ -17,8 +17,8 @@ from failstop.doctor.facts import Idle, RemoveIpc, Unit
 from failstop.doctor.gather import gather
 from failstop.doctor.system import System
 from failstop.install.layout import unit_of
+from failstop.lab.trial import Trial
 from failstop.shm import claim, layout, segment
-from failstop.trial import Trial
 
 
 def write(root: Path, path: str, text: str) -> None:

@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
+from failstop.api.errors import FailstopError
+from failstop.api.robot import Robot
+from failstop.api.state import Stop
 from failstop.board.stop_port import StopPort
 from failstop.doctor import stop_test
-from failstop.errors import FailstopError
+from failstop.lab.trial import Trial
 from failstop.policy import causes
-from failstop.robot import Robot
-from failstop.state import Stop
 from failstop.supervisor.port import OwnPort
-from failstop.trial import Trial
 from tests.support.ptys import new_pty
 from tests.support.states import stop
 

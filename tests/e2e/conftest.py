@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.trial import Trial
+from failstop.lab.trial import Trial
 
 _numbers = itertools.count()
 

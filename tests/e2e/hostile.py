@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable
 
 from failstop import FailstopError, Robot
-from failstop.client import Client, attach, run, send_stop
+from failstop.api.client import Client, attach, run, send_stop
 from failstop.shm import bell, claim, instance, latest, layout, records, segment, slot, views
 from failstop.shm.lifeline import pid_namespace
 

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from failstop import FailstopError
-from failstop.board.sim.client import Event
+from failstop.lab.sim.client import Event
+from failstop.lab.trial import Trial, wait_for
 from failstop.shm import layout
-from failstop.trial import Trial, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST_S = 30.0

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from failstop.board.sim.client import Event
-from failstop.trial import Trial, wait_for
+from failstop.lab.sim.client import Event
+from failstop.lab.trial import Trial, wait_for
 
 
 @contextmanager

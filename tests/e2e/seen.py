@@ -9,10 +9,10 @@ from collections.abc import Callable
 from typing import Any
 
 from failstop import Refused
-from failstop.board.sim.client import Event
-from failstop.errors import FailstopError
+from failstop.api.errors import FailstopError
+from failstop.lab.sim.client import Event
+from failstop.lab.trial import Trial, judge, wait_for
 from failstop.policy import causes
-from failstop.trial import Trial, judge, wait_for
 from tests.support.commands import FAILSTOP
 
 FORWARD = (0.2, 0.0, 0.0)

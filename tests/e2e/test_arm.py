@@ -10,7 +10,7 @@ import pytest
 
 from failstop import Refused
 from failstop.board.framing import BUS_SERVO
-from failstop.trial import Trial, wait_for, write_settings
+from failstop.lab.trial import Trial, wait_for, write_settings
 from tests.support.arm_settings import ARM, DRIVE, SERVOS
 
 
@@ -96,7 +96,7 @@ def test_a_stop_on_the_way_to_the_drive_pose_wins(arm: Trial) -> None:
 
 
 def test_a_second_publisher_latches(arm: Trial) -> None:
-    from failstop.robot import Robot
+    from failstop.api.robot import Robot
 
     follow(arm, 0.3)
     with Robot(arm.name, client="other") as other:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for
 
 TRIES = 20
 SOON_NS = 10_000_000

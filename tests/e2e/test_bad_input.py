@@ -17,13 +17,13 @@ import psutil
 import pytest
 
 from failstop import FailstopError, NoService, Robot
+from failstop.api.client import Client, run
 from failstop.board.burst import BURST
-from failstop.cli import main
-from failstop.client import Client, run
+from failstop.cli.main import main
+from failstop.lab.trial import Trial, wait_for
 from failstop.procs import limits
 from failstop.shm import instance, layout, segment, slot
 from failstop.supervisor.blackbox import MOST_SAVERS
-from failstop.trial import Trial, wait_for
 from tests.support.commands import FAILSTOP, failstop
 from tests.support.ptys import Pty
 

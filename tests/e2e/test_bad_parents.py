@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from failstop.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for
 
 MANY = 1100
 PARENTS = {

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.cli import COMMANDS, main
-from failstop.trial import Trial
+from failstop.cli.main import COMMANDS, main
+from failstop.lab.trial import Trial
 from tests.support.commands import failstop
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop import FailstopError, Robot, Undeclared
-from failstop.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for
 from tests.support.commands import failstop
 
 CONFIG = """

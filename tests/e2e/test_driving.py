@@ -11,7 +11,7 @@ import time
 import pytest
 
 from failstop import Refused
-from failstop.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for
 
 
 def test_disabled_at_start(trial: Trial) -> None:

@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from failstop import Robot
-from failstop.errors import NoService, Refused
-from failstop.events import Event, EventLog
+from failstop.api.errors import NoService, Refused
+from failstop.api.events import Event, EventLog
+from failstop.lab.trial import Trial, wait_for
 from failstop.supervisor.kinds import BY_NAME
-from failstop.trial import Trial, wait_for
 from tests.support.commands import failstop
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from failstop.errors import NoService
+from failstop.api.errors import NoService
+from failstop.api.state import StateReader
+from failstop.lab.trial import Trial, wait_for
 from failstop.shm import instance
-from failstop.state import StateReader
-from failstop.trial import Trial, wait_for
 from tests.support.commands import failstop
 
 from .returns import restarted_late

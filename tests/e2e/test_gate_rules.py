@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from failstop import Refused, Robot
-from failstop.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for
 from tests.support.commands import failstop
 
 Status = Callable[[], dict[str, Any]]

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from failstop import FailstopError, Robot
-from failstop.client import Client, run
+from failstop.api.client import Client, run
+from failstop.lab.trial import Trial, wait_for
 from failstop.shm import claim, instance, layout, segment
-from failstop.trial import Trial, wait_for
 
 from .hostile_scene import MAX_RPS, Watch, drives_again, forward_or_still, hostile, latched, within_limits
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from failstop.errors import Refused
+from failstop.api.errors import Refused
+from failstop.lab.trial import Trial, wait_for
 from failstop.shm import layout
 from failstop.shm.layout import PORT_OWNER, STOPPER, TELEMETRY
-from failstop.trial import Trial, wait_for
 from tests.support.commands import failstop
 
 KILLS = 8

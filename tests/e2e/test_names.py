@@ -7,9 +7,9 @@ import os
 import re
 import time
 
-from failstop.client import run
+from failstop.api.client import run
+from failstop.lab.trial import Trial, judge, wait_for
 from failstop.shm import instance, segment
-from failstop.trial import Trial, judge, wait_for
 
 
 def test_a_client_slot_that_is_gone_costs_that_slot_alone(trial: Trial) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for
 
 TIMEOUT_S = 0.5
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from failstop.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for
 
 MODE = 0x2000
 FRAME_S = 0.05

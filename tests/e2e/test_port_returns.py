@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from failstop.lab.trial import Trial, wait_for
 from failstop.shm import layout
-from failstop.trial import Trial, wait_for
 
 from .returns import drives_only_when_enabled, lose_while_driving, restarted_late, stop_at_return
 

@@ -12,13 +12,13 @@ from collections.abc import Callable
 import pytest
 
 from failstop import FailstopError, NoService, Robot, State, run
-from failstop.client import attach
-from failstop.client import run as run_of
+from failstop.api.client import attach
+from failstop.api.client import run as run_of
+from failstop.api.state import StateReader
+from failstop.lab.trial import Trial, wait_for
 from failstop.shm import instance, layout, segment, slot
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
-from failstop.state import StateReader
-from failstop.trial import Trial, wait_for
 
 CALLS: dict[str, Callable[[Robot], object]] = {
     "drive": lambda robot: robot.drive(0.1, 0.0, 0.0, manual=True),

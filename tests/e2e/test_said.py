@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop import Robot
-from failstop.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for
 from tests.support.commands import failstop
 
 

@@ -8,10 +8,10 @@ import os
 import pytest
 
 from failstop import NoService, Robot
-from failstop.client import attach
-from failstop.samples import BatterySample, ImuSample, OdometrySample, PadSample, Sample
+from failstop.api.client import attach
+from failstop.api.samples import BatterySample, ImuSample, OdometrySample, PadSample, Sample
+from failstop.lab.trial import Trial, wait_for
 from failstop.shm import box, layout
-from failstop.trial import Trial, wait_for
 
 
 def read_until(robot: Robot, wanted: type, count: int) -> list[Sample]:

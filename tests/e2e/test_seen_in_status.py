@@ -14,8 +14,8 @@ from collections.abc import Iterator
 import pytest
 
 from failstop import Robot
+from failstop.lab.trial import Trial, wait_for
 from failstop.shm import instance, layout
-from failstop.trial import Trial, wait_for
 
 from .seen import EVERY_S, FORWARD, LATEST_MS, Seen, is_zero, latched, pid_of, stopped
 

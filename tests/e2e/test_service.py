@@ -11,10 +11,10 @@ import time
 import psutil
 import pytest
 
+from failstop.api.client import attach
 from failstop.board.burst import BURST
-from failstop.client import attach
+from failstop.lab.trial import Trial, judge, wait_for
 from failstop.shm import layout
-from failstop.trial import Trial, judge, wait_for
 
 from .returns import drives_only_when_enabled, lose_while_driving, stop_at_return
 

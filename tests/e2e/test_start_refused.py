@@ -18,13 +18,13 @@ from pathlib import Path
 
 import pytest
 
+from failstop.api.client import run
 from failstop.board.codec import motor_speeds
 from failstop.board.port import open_port
-from failstop.board.sim.client import SimBoard
-from failstop.client import run
+from failstop.lab.sim.client import SimBoard
+from failstop.lab.trial import Trial
 from failstop.procs.limits import DESCRIPTORS
 from failstop.shm import instance, root
-from failstop.trial import Trial
 from tests.support.children import NOBODY, Child, needs_root
 from tests.support.commands import FAILSTOP
 from tests.support.waiting import until

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.faults.starve import SHARP, Starved
+from failstop.lab.faults.starve import SHARP, Starved
+from failstop.lab.trial import Trial, wait_for
 from failstop.policy.processes import BY_NAME
 from failstop.shm.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
-from failstop.trial import Trial, wait_for
 from tests.support.commands import failstop
 
 pytestmark = pytest.mark.alone

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from failstop.lab.trial import Trial, wait_for
 from failstop.shm.latest import LatestReader
-from failstop.trial import Trial, wait_for
 
 TIOCGEXCL = 0x80045440
 

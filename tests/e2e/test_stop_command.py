@@ -14,10 +14,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from failstop import cli
 from failstop.board.burst import BURST
 from failstop.board.port import PortError
-from failstop.commands import stop
+from failstop.cli import main as cli
+from failstop.cli.commands import stop
 from failstop.policy import config
 from failstop.procs.stopper import rest, tool
 from failstop.shm import instance, root

@@ -11,13 +11,13 @@ import time
 
 import pytest
 
-from failstop.client import send_stop
+from failstop.api.client import send_stop
+from failstop.cli.screen import verdict
+from failstop.lab.trial import Trial, judge, wait_for
 from failstop.policy import causes
-from failstop.screen import verdict
 from failstop.shm import instance
 from failstop.shm.records import ASKED_BYTES
 from failstop.supervisor.allowance import ASKED_BYTES as ASKED_ROOM
-from failstop.trial import Trial, judge, wait_for
 from tests.support.children import NOBODY, become
 from tests.support.commands import failstop
 

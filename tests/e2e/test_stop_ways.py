@@ -18,10 +18,10 @@ from pathlib import Path
 import posix_ipc
 import pytest
 
-from failstop import client
+from failstop.api import client
 from failstop.board.burst import BURST
+from failstop.lab.trial import Trial, judge, wait_for
 from failstop.shm import layout, segment, slot
-from failstop.trial import Trial, judge, wait_for
 from tests.support.commands import FAILSTOP, failstop
 
 needs_root = pytest.mark.skipif(os.getuid() != 0, reason="needs root, whom an exclusive port does not keep out")

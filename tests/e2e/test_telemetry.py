@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for
 
 
 def test_imu_and_battery(trial: Trial) -> None:

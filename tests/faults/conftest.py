@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.faults.scene import Scene
+from failstop.lab.faults.scene import Scene
 
 
 @pytest.fixture(scope="session")

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.faults import arm
-from failstop.faults.arm import ArmFault, ArmTrial
+from failstop.lab.faults import arm
+from failstop.lab.faults.arm import ArmFault, ArmTrial
 from tests.support.amounts import LONG
 
 FEW = {"arm-kill-gate", "arm-kill-port_owner", "arm-hang-gate", "arm-client-killed", "arm-stop-request", "arm-usb-drop"}

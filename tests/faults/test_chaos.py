@@ -12,7 +12,7 @@ from subprocess import PIPE
 
 import pytest
 
-from failstop.faults.table import BY_NAME
+from failstop.lab.faults.table import BY_NAME
 from tests.support.amounts import amount
 from tests.support.commands import FAILSTOP, failstop
 

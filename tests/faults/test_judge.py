@@ -9,13 +9,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from failstop.faults import report
-from failstop.faults.campaign import Outcome, _Injection, draw, inject_one
-from failstop.faults.judge import verdict
-from failstop.faults.scene import Scene
-from failstop.faults.table import BY_NAME, TABLE
+from failstop.lab.faults import report
+from failstop.lab.faults.campaign import Outcome, _Injection, draw, inject_one
+from failstop.lab.faults.judge import verdict
+from failstop.lab.faults.scene import Scene
+from failstop.lab.faults.table import BY_NAME, TABLE
+from failstop.lab.trial import judge
 from failstop.policy.causes import KEY
-from failstop.trial import judge
 from tests.support.board_events import FAULT_NS, MS, STILL, TURNING, event
 
 KILL_GATE = BY_NAME["kill-gate"]

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from failstop.faults import inject, report
-from failstop.faults.campaign import inject_one
-from failstop.faults.fault import CONTINUE, EVENTS, HANG, ITSELF, KILL, NEW_RUN, SPIN, Fault, fits
-from failstop.faults.scene import Scene
-from failstop.faults.table import BY_NAME, TABLE
+from failstop.lab.faults import inject, report
+from failstop.lab.faults.campaign import inject_one
+from failstop.lab.faults.fault import CONTINUE, EVENTS, HANG, ITSELF, KILL, NEW_RUN, SPIN, Fault, fits
+from failstop.lab.faults.scene import Scene
+from failstop.lab.faults.table import BY_NAME, TABLE
 from failstop.policy import causes
 from failstop.shm.layout import PROCESSES, SUPERVISOR
 
@@ -48,7 +48,7 @@ DESIGN = {
 NO_FAULT = {
     *(causes.BAD_FRAME, causes.UNKNOWN),  # a defect of the service's own
     causes.BATTERY,  # only where a setting asks for it
-    causes.TWO_MOVE_THE_ARM,  # only where there is an arm (failstop/faults/arm.py)
+    causes.TWO_MOVE_THE_ARM,  # only where there is an arm (failstop/lab/faults/arm.py)
     causes.UNSTILL,  # comes after the stop of another row
     causes.REQUESTED,  # as PIPED, but that somebody says who it is
     *(causes.REMOVED, causes.STOPPING, causes.ALL_DIED, causes.SILENT),  # with them the run ends, or nobody is to latch
@@ -127,8 +127,10 @@ def test_every_cause_of_a_running_service_is_in_the_table() -> None:
 
 
 def test_the_page_has_the_rows_of_the_table() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "faults.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "dev" / "faults.md").read_text()
     rows = [line for line in page.splitlines() if line.startswith("| `")]
     assert len(rows) == len(TABLE)
     for fault, row in zip(sorted(TABLE, key=lambda fault: EVENTS.index(fault.event)), rows, strict=True):
-        assert row.startswith(report.described(fault)), "failstop chaos --each 5 --json F --markdown > docs/faults.md"
+        assert row.startswith(report.described(fault)), (
+            "failstop chaos --each 5 --json F --markdown > docs/dev/faults.md"
+        )

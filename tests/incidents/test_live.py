@@ -15,11 +15,11 @@ from pathlib import Path
 import psutil
 import pytest
 
-from failstop.events import EventLog
+from failstop.api.events import EventLog
 from failstop.incidents import pending, signals, store, story
 from failstop.incidents.incident import Incident
+from failstop.lab.trial import Trial, wait_for
 from failstop.shm import box, layout
-from failstop.trial import Trial, wait_for
 
 pytestmark = pytest.mark.slow
 _numbers = itertools.count()

@@ -10,7 +10,7 @@ from typing import Any
 import msgpack
 import pytest
 
-from failstop.cli import main
+from failstop.cli.main import main
 from failstop.incidents import pending
 from failstop.policy import causes
 from failstop.shm import layout, segment

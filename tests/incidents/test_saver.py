@@ -18,13 +18,13 @@ import failstop
 from failstop.board.interface import BOARD
 from failstop.incidents import saver, store
 from failstop.incidents.incident import Incident
+from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 from failstop.shm import box, layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
 from failstop.supervisor.blackbox import NOTHING
-from failstop.trial import wait_for
 
 _numbers = itertools.count()
 SCRIPT = Path(failstop.__file__).parent / "incidents" / "start.py"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.cli import main
+from failstop.cli.main import main
 from failstop.incidents import store
 from failstop.incidents.file import IncidentError
 from failstop.incidents.prune import prune

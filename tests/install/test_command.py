@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop import cli
+from failstop.cli import main as cli
 from failstop.install import InstallError, dialogue, tree, unplan
 from failstop.install.machine import Machine
 from failstop.version import VERSION

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from failstop import cli
-from failstop.commands import completion
+from failstop.cli import main as cli
+from failstop.cli.commands import completion
+from failstop.cli.manual import grammar
 from failstop.incidents.file import SUFFIX
-from failstop.manual import grammar
 
 ASK = """\
 source "$1"; shift

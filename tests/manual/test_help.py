@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from failstop import cli
-from failstop.manual import grammar
+from failstop.cli import main as cli
+from failstop.cli.manual import grammar
 from tests.support.commands import FAILSTOP
 from tests.support.pages import commands_in
 
@@ -18,7 +18,7 @@ COLUMNS = 80
 
 def test_every_command_is_in_one_group() -> None:
     grouped = [name for _, names in cli.GROUPS for name in names]
-    assert sorted(grouped) == sorted(cli.COMMANDS), "give it a place in GROUPS of failstop/cli.py"
+    assert sorted(grouped) == sorted(cli.COMMANDS), "give it a place in GROUPS of failstop/cli/main.py"
     assert [title for title, names in cli.groups() if names] == [title for title, _ in cli.GROUPS]
 
 
@@ -39,7 +39,7 @@ def test_the_examples_are_accepted_by_the_parser(
     monkeypatch.setenv("COLUMNS", str(COLUMNS))
     _, module = cli.load(name)
     lines = cli.examples(module, name)
-    assert len(lines) >= 2, f"commands/{cli.COMMANDS[name][0]}.py needs EXAMPLES for {name}"
+    assert len(lines) >= 2, f"{cli.COMMANDS[name][0]} needs EXAMPLES for {name}"
     for line in lines:
         assert commands_in(line), line
         for words in commands_in(line):
@@ -69,9 +69,9 @@ def test_the_help_needs_one_parser_and_the_usage_none() -> None:
     """Imports are the start-up's cost."""
     code = """
 import sys
-from failstop import cli
+from failstop.cli import main as cli
 cli.main(sys.argv[1:])
-print(*(name for name in sys.modules if name == 'argparse' or name.startswith('failstop.commands.')))
+print(*(name for name in sys.modules if name == 'argparse' or name.startswith('failstop.cli.commands.')))
 """
 
     def imported(*words: str) -> list[str]:
@@ -80,7 +80,7 @@ print(*(name for name in sys.modules if name == 'argparse' or name.startswith('f
         return result.stdout.splitlines()[-1].split()
 
     assert imported("--help") == []
-    assert set(imported("drive", "--help")) == {"argparse", "failstop.commands.drive"}
+    assert set(imported("drive", "--help")) == {"argparse", "failstop.cli.commands.drive"}
 
 
 def test_the_help_is_there_at_once() -> None:

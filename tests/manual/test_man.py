@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from failstop import cli
-from failstop.manual import grammar, man
+from failstop.cli import main as cli
+from failstop.cli.manual import grammar, man
 
 PAGE = Path(__file__).resolve().parents[2] / "man" / "failstop.1"
 
 
 def test_the_page_is_the_generated_one() -> None:
-    assert PAGE.read_text() == man.page(grammar.read()), "renew it: python -m failstop.manual > man/failstop.1"
+    assert PAGE.read_text() == man.page(grammar.read()), "renew it: python -m failstop.cli.manual > man/failstop.1"
 
 
 def test_man_takes_the_page_without_a_warning() -> None:

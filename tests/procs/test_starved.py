@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from failstop.faults.crowd import Helper, spin_for_ever
-from failstop.faults.starve import SHARP, Starved
+from failstop.lab.faults.crowd import Helper, spin_for_ever
+from failstop.lab.faults.starve import SHARP, Starved
 from failstop.procs import starved
 from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell

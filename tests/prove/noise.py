@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from random import Random
 
-from failstop.prove.run import Character
-from failstop.prove.shake import Noise, Sample
+from failstop.lab.prove.run import Character
+from failstop.lab.prove.shake import Noise, Sample
 
 S = 1_000_000_000
 RATE_HZ = 110

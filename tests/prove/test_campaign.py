@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board.sim.client import SimBoard
-from failstop.faults.fault import CONTINUE, HANG, KILL
-from failstop.faults.steps import Steps
-from failstop.faults.table import BY_NAME
-from failstop.prove import campaign
-from failstop.prove.run import Result, Run
-from failstop.prove.stand import Stand
-from failstop.prove.table import BY_PATH, BY_VELOCITY, of_fault
+from failstop.lab.faults.fault import CONTINUE, HANG, KILL
+from failstop.lab.faults.steps import Steps
+from failstop.lab.faults.table import BY_NAME
+from failstop.lab.prove import campaign
+from failstop.lab.prove.run import Result, Run
+from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.table import BY_PATH, BY_VELOCITY, of_fault
+from failstop.lab.sim.client import SimBoard
 from tests.prove.noise import SIMULATED
 from tests.support.commands import FAILSTOP, failstop
 

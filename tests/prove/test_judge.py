@@ -7,11 +7,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from failstop.lab.prove import table
+from failstop.lab.prove.run import Run
+from failstop.lab.prove.table import BY_PATH, BY_VELOCITY
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.prove import table
-from failstop.prove.run import Run
-from failstop.prove.table import BY_PATH, BY_VELOCITY
 from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
 from tests.support.board_events import FAULT_NS, TURNING, event
 from tests.support.board_events import STILL as REST

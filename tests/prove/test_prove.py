@@ -17,18 +17,18 @@ from typing import Any
 
 import pytest
 
-from failstop.board.sim.client import SimBoard
+from failstop.api.errors import Refused
+from failstop.api.robot import Robot
 from failstop.doctor import port_facts
 from failstop.doctor.system import System
-from failstop.errors import Refused
-from failstop.prove import run
-from failstop.prove.run import Result, Run
-from failstop.prove.session import check_free
-from failstop.prove.stand import Stand
-from failstop.prove.strike import strike
-from failstop.prove.table import BY_PATH, BY_VELOCITY
-from failstop.robot import Robot
-from failstop.trial import Trial, wait_for
+from failstop.lab.prove import run
+from failstop.lab.prove.run import Result, Run
+from failstop.lab.prove.session import check_free
+from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.strike import strike
+from failstop.lab.prove.table import BY_PATH, BY_VELOCITY
+from failstop.lab.sim.client import SimBoard
+from failstop.lab.trial import Trial, wait_for
 from tests.prove.noise import SIMULATED
 from tests.support.commands import FAILSTOP, failstop
 

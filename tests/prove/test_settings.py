@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from failstop.faults import scene
+from failstop.lab.faults import scene
+from failstop.lab.prove import stand
+from failstop.lab.trial import write_settings
 from failstop.policy import config
-from failstop.prove import stand
-from failstop.trial import write_settings
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.prove import shake
-from failstop.prove.shake import Verdict
+from failstop.lab.prove import shake
+from failstop.lab.prove.shake import Verdict
 from tests.prove.noise import DRIVE, RATE_HZ, STILL, TURN, S, gyro, level
 
 STILL_NOISE = shake.noise(gyro((6.0, STILL), seed=77))

@@ -6,10 +6,10 @@ import dataclasses
 
 import pytest
 
-from failstop.prove import report, table
-from failstop.prove.report import Evidence
-from failstop.prove.run import Result
-from failstop.prove.table import BY_PATH, BY_VELOCITY, PATHS, QUICK_NAMES, VELOCITIES, plan
+from failstop.lab.prove import report, table
+from failstop.lab.prove.report import Evidence
+from failstop.lab.prove.run import Result
+from failstop.lab.prove.table import BY_PATH, BY_VELOCITY, PATHS, QUICK_NAMES, VELOCITIES, plan
 from failstop.shm.layout import PROCESSES
 from tests.prove.noise import SIMULATED, gyro
 

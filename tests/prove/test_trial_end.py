@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from failstop.trial import Trial, TrialError
+from failstop.lab.trial import Trial, TrialError
 
 
 def test_what_does_not_end_leaves_nothing_of_the_rest_behind(monkeypatch: pytest.MonkeyPatch) -> None:

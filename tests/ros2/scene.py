@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from failstop.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]

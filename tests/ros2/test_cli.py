@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.trial import wait_for
+from failstop.lab.trial import wait_for
 from tests.ros2.scene import FORWARD, NODE, TWIST, Ros, Scene
 
 

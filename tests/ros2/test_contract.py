@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.errors import NoService, Refused
+from failstop.api.errors import NoService, Refused
 from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.ros2 import contract, mirrors, report, words

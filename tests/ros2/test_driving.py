@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from failstop.trial import wait_for
+from failstop.lab.trial import wait_for
 from tests.ros2.scene import BOOL, FORWARD, NODE, SCAN, SENSOR, STAMPED, TWIST, Scene
 
 

@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from failstop.trial import wait_for
+from failstop.lab.trial import wait_for
 from tests.ros2.conftest import _name
 from tests.ros2.scene import FORWARD, NODE, TWIST, Bridge, Node, Ros, Scene
 from tests.support.commands import failstop

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from failstop.trial import wait_for
+from failstop.lab.trial import wait_for
 from tests.ros2.scene import NODE, Scene
 
 SECONDS = 2.0

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from failstop.api.samples import ImuSample, OdometrySample, PadSample
 from failstop.policy import causes
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.ros2 import diagnostics, leftovers, messages, mirrors, report, words
 from failstop.ros2.commanders import Publisher
 from failstop.ros2.scan import ScanLog, ScanWatch
-from failstop.samples import ImuSample, OdometrySample, PadSample
 from tests.support import states
 
 S = 1_000_000_000

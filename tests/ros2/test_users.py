@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.trial import wait_for
+from failstop.lab.trial import wait_for
 from tests.ros2.conftest import _name
 from tests.ros2.scene import FORWARD, SCAN, SENSOR, TWIST, Node, Ros, Scene
 from tests.support.commands import failstop

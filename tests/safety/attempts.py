@@ -20,11 +20,11 @@ from typing import Any
 import pytest
 
 from failstop import FailstopError, Robot
+from failstop.api.client import run, send_stop
+from failstop.api.events import EventLog
 from failstop.board.port import PortError, open_port
-from failstop.client import run, send_stop
-from failstop.events import EventLog
+from failstop.lab.trial import Trial, TrialError
 from failstop.shm import claim, instance, layout, segment
-from failstop.trial import Trial, TrialError
 from tests.safety.table import MEMBER, SERVICE, STRANGER
 from tests.support.children import NOBODY, Child
 

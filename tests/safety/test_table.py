@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.trial import Trial, wait_for
+from failstop.lab.trial import Trial, wait_for
 from tests.safety import page
 from tests.safety.attempts import ATTEMPTS, Scene
 from tests.safety.table import TABLE, USERS, Row

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.trial import Trial
+from failstop.lab.trial import Trial
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ import time
 
 import pytest
 
-from failstop.screen.words import unit
-from failstop.trial import Trial, wait_for
+from failstop.cli.screen.words import unit
+from failstop.lab.trial import Trial, wait_for
 from tests.support.commands import FAILSTOP, failstop
 
 from .typist import Typist
@@ -84,9 +84,9 @@ def cost_s() -> float:
 
 @pytest.mark.parametrize("command", ["status", "why"])
 def test_costly_modules_are_not_imported(command: str) -> None:
-    code = f"import failstop.commands.{command}, sys; print('\\n'.join(sys.modules))"
+    code = f"import failstop.cli.commands.{command}, sys; print('\\n'.join(sys.modules))"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20, check=True).stdout
-    assert f"failstop.commands.{command}" in found.split()
+    assert f"failstop.cli.commands.{command}" in found.split()
     assert {"numpy", "psutil", "serial", "subprocess", "asyncio", "logging"}.isdisjoint(found.split())
 
 

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop import style
+from failstop.cli import style
 from failstop.supervisor.events import say
 from failstop.supervisor.fold import columns, fitted, fold
 from tests.support.commands import FAILSTOP

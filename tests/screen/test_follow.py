@@ -6,10 +6,10 @@ import os
 
 import pytest
 
-from failstop.errors import NoService
-from failstop.screen.follow import CHECK_S, Follower
+from failstop.api.errors import NoService
+from failstop.cli.screen.follow import CHECK_S, Follower
+from failstop.lab.trial import Trial
 from failstop.shm import layout
-from failstop.trial import Trial
 
 
 def test_a_restart_between_two_looks_is_noticed() -> None:

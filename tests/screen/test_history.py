@@ -6,9 +6,9 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from failstop import style
-from failstop.events import Event
-from failstop.screen import history, paragraph, summary
+from failstop.api.events import Event
+from failstop.cli import style
+from failstop.cli.screen import history, paragraph, summary
 from tests.support.states import NOW_S, driving, process, state
 
 DIED = {"process": "gate", "pid": 4711, "how": "was killed by SIGKILL"}

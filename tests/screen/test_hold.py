@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.screen.hold import AXES, COMMAND_S, ENDS_S, FIRST_REPEAT_S, MOST_AT_ONCE, STILL, Hold
-from failstop.screen.keys import FOCUS_OUT, PRESS, RELEASE, REPEAT, Key
+from failstop.cli.screen.hold import AXES, COMMAND_S, ENDS_S, FIRST_REPEAT_S, MOST_AT_ONCE, STILL, Hold
+from failstop.cli.screen.keys import FOCUS_OUT, PRESS, RELEASE, REPEAT, Key
 
 FORWARD = (1.0, 0.0, 0.0)
 LEFT = (0.0, 0.0, 1.0)

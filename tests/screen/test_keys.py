@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.screen.hold import AXES
-from failstop.screen.keys import EVENTS, FOCUS_OUT, PRESS, RELEASE, REPEAT, Decoder, Key
+from failstop.cli.screen.hold import AXES
+from failstop.cli.screen.keys import EVENTS, FOCUS_OUT, PRESS, RELEASE, REPEAT, Decoder, Key
 
 PLAIN: tuple[tuple[bytes, list[Key]], ...] = (
     (b"w", [("w", PRESS)]),

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from failstop.errors import NoService
-from failstop.screen import host, left, words
+from failstop.api.errors import NoService
+from failstop.cli.screen import host, left, words
+from failstop.lab.trial import Trial, wait_for
 from failstop.shm import root
-from failstop.trial import Trial, wait_for
 from tests.support.commands import failstop
 
 SECONDS = 20

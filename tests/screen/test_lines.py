@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from failstop import style
-from failstop.errors import FailstopError
-from failstop.events import Event
+from failstop.api.errors import FailstopError
+from failstop.api.events import Event
+from failstop.cli import style
+from failstop.cli.screen import cockpit, host, live, summary, told, verdict, words
+from failstop.cli.screen.painter import CLEAR, Painter
+from failstop.cli.screen.sparkline import spark
 from failstop.policy import causes
-from failstop.screen import cockpit, host, live, summary, told, verdict, words
-from failstop.screen.painter import CLEAR, Painter
-from failstop.screen.sparkline import spark
 from failstop.supervisor.kinds import KINDS
 from tests.support.states import NOW_S, driving, latched, process, state, stop
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.events import Event
+from failstop.api.events import Event
+from failstop.cli.screen import paragraph, words
 from failstop.policy import causes
-from failstop.screen import paragraph, words
 from tests.support.states import NOW_S, driving, latched, process, state, stop
 
 STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_rps": (0.0, 0.0, 0.0, 0.0)}

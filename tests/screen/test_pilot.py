@@ -7,14 +7,14 @@ from typing import Any, cast
 
 import pytest
 
-from failstop.errors import NoService, Refused
+from failstop.api.errors import NoService, Refused
+from failstop.api.robot import Robot
+from failstop.cli.screen.hold import ENDS_S
+from failstop.cli.screen.keys import EVENTS, PRESS, RELEASE, Key
+from failstop.cli.screen.pilot import Pilot
+from failstop.cli.style import FAIL, WARN
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import from_settings
-from failstop.robot import Robot
-from failstop.screen.hold import ENDS_S
-from failstop.screen.keys import EVENTS, PRESS, RELEASE, Key
-from failstop.screen.pilot import Pilot
-from failstop.style import FAIL, WARN
 from tests.support.states import driving, latched, state
 
 ENABLED = driving(sources=[], body_vel=(0.0, 0.0, 0.0), wheels_rps=(0.0, 0.0, 0.0, 0.0), blocked="cmd timeout")

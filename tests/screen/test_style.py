@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop import style
+from failstop.cli import style
 
 LEGIBLE = 3.8
 TERMINAL = {"TERM": "xterm-256color"}

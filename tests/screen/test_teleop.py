@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.board.sim.client import Event
-from failstop.events import EventLog
-from failstop.screen.hold import COMMAND_S, ENDS_S
-from failstop.trial import Trial, wait_for
+from failstop.api.events import EventLog
+from failstop.cli.screen.hold import COMMAND_S, ENDS_S
+from failstop.lab.sim.client import Event
+from failstop.lab.trial import Trial, wait_for
 
 from .typist import Typist
 

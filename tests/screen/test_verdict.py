@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
+from failstop.cli.screen import paragraph, verdict
 from failstop.policy import causes, kinematics
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
-from failstop.screen import paragraph, verdict
 from failstop.shm import blocks
 from tests.support.states import driving, latched, process, state, stop
 

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from failstop.lab.trial import Trial, wait_for
 from failstop.shm import layout
-from failstop.trial import Trial, wait_for
 from tests.support.commands import FAILSTOP
 
 from .typist import Typist

@@ -46,7 +46,7 @@ def sources(root: str) -> Iterator[str]:
             ]
             for file in sorted(files):
                 path = os.path.relpath(os.path.join(base, file), root)
-                if file.endswith(".py") and not path.startswith("board/sim/"):
+                if file.endswith(".py") and not path.startswith("failstop/lab/sim/"):
                     yield path
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop.board.port import open_port
-from failstop.board.sim.client import SimBoard
+from failstop.lab.sim.client import SimBoard
 
 
 @pytest.fixture

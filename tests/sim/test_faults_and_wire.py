@@ -15,8 +15,8 @@ import pytest
 from failstop.board import codec, decoder, port
 from failstop.board.burst import BURST
 from failstop.board.port import open_port
-from failstop.board.sim.client import Event, SimBoard, SimBoardError
-from failstop.trial import wait_for
+from failstop.lab.sim.client import Event, SimBoard, SimBoardError
+from failstop.lab.trial import wait_for
 
 from .parts import DRIVE, FORWARD
 

@@ -9,9 +9,9 @@ import pytest
 
 from failstop.board import codec, decoder
 from failstop.board.burst import BURST
-from failstop.board.sim import imu
-from failstop.board.sim.client import Event
-from failstop.board.sim.model import BoardModel, commands_stop
+from failstop.lab.sim import imu
+from failstop.lab.sim.client import Event
+from failstop.lab.sim.model import BoardModel, commands_stop
 
 MS = 1_000_000
 FORWARD = (0.796, 0.796, -0.796, -0.796)

@@ -21,11 +21,11 @@ import pytest
 
 from failstop.board import codec
 from failstop.board.port import open_port
-from failstop.board.sim.client import SimBoard, SimBoardError
-from failstop.board.sim.control import connect
-from failstop.board.sim.options import Options
-from failstop.board.sim.process import Simulator
-from failstop.trial import wait_for
+from failstop.lab.sim.client import SimBoard, SimBoardError
+from failstop.lab.sim.control import connect
+from failstop.lab.sim.options import Options
+from failstop.lab.sim.process import Simulator
+from failstop.lab.trial import wait_for
 from tests.support.children import NOBODY, become
 
 from .parts import DRIVE, FORWARD
@@ -151,7 +151,7 @@ def test_a_cooked_port_echoes_until_it_is_opened_right(tmp_path: Path) -> None:
 
 
 def run_sim(*words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "failstop.board.sim", *words]
+    command = [sys.executable, "-m", "failstop.lab.sim", *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, stdin=subprocess.DEVNULL)
 
 
@@ -203,7 +203,7 @@ def test_a_dead_boards_link_is_replaced(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_ends_clean_by_signal(number: signal.Signals, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "failstop.board.sim", "--device", str(tmp_path / "board"), "--verbose"]
+    command = [sys.executable, "-m", "failstop.lab.sim", "--device", str(tmp_path / "board"), "--verbose"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         ready = process.stdout.readline()
@@ -221,7 +221,7 @@ def test_ends_clean_by_signal(number: signal.Signals, tmp_path: Path) -> None:
 
 
 def test_ends_with_its_parent(tmp_path: Path) -> None:
-    code = f"import time; from failstop.board.sim.client import SimBoard; b = SimBoard({str(tmp_path / 'board')!r})\n"
+    code = f"import time; from failstop.lab.sim.client import SimBoard; b = SimBoard({str(tmp_path / 'board')!r})\n"
     code += "b.start(); print(b.pid, flush=True); time.sleep(60)"
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None

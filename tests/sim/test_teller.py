@@ -5,8 +5,8 @@ from __future__ import annotations
 from failstop.board import codec
 from failstop.board.framing import BUZZER, MOTOR
 from failstop.board.interface import BOARD
-from failstop.board.sim.model import Frame, Speeds
-from failstop.board.sim.teller import STANDING, Teller
+from failstop.lab.sim.model import Frame, Speeds
+from failstop.lab.sim.teller import STANDING, Teller
 
 FAST: Speeds = (0.8, 0.8, -0.8, -0.8)
 

@@ -6,8 +6,8 @@ import struct
 
 import pytest
 
-from failstop.board.sim.usb import acm, descriptors
-from failstop.board.sim.usb.acm import Acm, Setup
+from failstop.lab.sim.usb import acm, descriptors
+from failstop.lab.sim.usb.acm import Acm, Setup
 
 IN = 0x80
 

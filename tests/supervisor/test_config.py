@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from failstop import cli
+from failstop.cli import main as cli
 from failstop.policy import config
 from failstop.policy.settings import DECLARED, SettingError, Settings
 

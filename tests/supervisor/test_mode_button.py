@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop import cli
+from failstop.cli import main as cli
 from failstop.policy import config
 from failstop.policy.settings import SettingError
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.shm import layout, segment
@@ -17,7 +18,6 @@ from failstop.supervisor.events import Events
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.resources import Resources
 from failstop.supervisor.stops import Stop
-from failstop.trial import wait_for
 from tests.support.why import why
 
 S = 1_000_000_000

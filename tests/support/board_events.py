@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop.board.codec import MOTOR, STOP, motor_speeds
-from failstop.board.sim.client import Event
+from failstop.lab.sim.client import Event
 
 MS = 1_000_000
 FAULT_NS = 10_000 * MS

@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[2]
 STARTERS = frozenset(
     {
         *("multiprocessing", "subprocess"),
-        *("failstop.faults.arm", "failstop.faults.crowd", "failstop.faults.scene"),
-        *("failstop.board.sim.client", "failstop.supervisor.starter", "failstop.trial"),
+        *("failstop.lab.faults.arm", "failstop.lab.faults.crowd", "failstop.lab.faults.scene"),
+        *("failstop.lab.sim.client", "failstop.supervisor.starter", "failstop.lab.trial"),
     }
 )
 """Modules that are there to start processes."""

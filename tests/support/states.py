@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from failstop.api.state import Process, State, Stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.state import Process, State, Stop
 
 NOW_S = 1_700_000_000.0
 KEY = causes.KEY(1)

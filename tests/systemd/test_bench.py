@@ -11,7 +11,7 @@ import pytest
 from bench import service
 from bench.container import ContainerMissing
 from bench.service_scene import Scene
-from failstop.trial import Stopped
+from failstop.lab.trial import Stopped
 
 MS = 1_000_000
 

@@ -15,7 +15,7 @@ import pytest
 from bench import container
 from bench.container import Bind, Container, ContainerMissing
 from failstop.install import layout
-from failstop.trial import TrialError, wait_for
+from failstop.lab.trial import TrialError, wait_for
 
 SLEEP = "[Service]\nExecStart=/bin/sleep 1000\n"
 LATEST_BOOT_S = 5.0

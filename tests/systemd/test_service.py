@@ -19,9 +19,9 @@ import pytest
 
 from bench import installed
 from bench.service_scene import CONFIG, DRIVER, DROP_IN, HARDY, RIGHTS, STRANGER, UNIT, Scene
-from failstop.board.sim.client import SimBoard
+from failstop.lab.sim.client import SimBoard
+from failstop.lab.trial import Stopped, wait_for
 from failstop.shm import layout
-from failstop.trial import Stopped, wait_for
 
 CHILDREN = [name for name in layout.PROCESSES if name != layout.SUPERVISOR]
 LATEST_MS = 100.0

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from failstop.api.client import attach
 from failstop.board.codec import BUZZER
-from failstop.client import attach
+from failstop.lab.trial import Trial, wait_for
 from failstop.procs.telemetry import tones
 from failstop.shm import records
 from failstop.shm.layout import TELEMETRY
-from failstop.trial import Trial, wait_for
 
 MODE = 0x2000
 

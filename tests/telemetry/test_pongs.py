@@ -16,7 +16,7 @@ from failstop.board.decoder import Decoder
 from failstop.board.interface import BOARD
 from failstop.board.port import open_port
 from failstop.board.receiver import Receiver
-from failstop.board.sim.client import SimBoard
+from failstop.lab.sim.client import SimBoard
 from failstop.shm import layout, records
 from tests.support.telemetry_scene import DEADLINE_S, MS, S, Scene
 

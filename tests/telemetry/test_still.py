@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board.sim.imu import Imu
-from failstop.client import attach
+from failstop.api.client import attach
+from failstop.lab.sim.imu import Imu
+from failstop.lab.trial import Trial, wait_for
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry.still import GAP_NS, HOLD_NS, WINDOW_NS, StillJudge
 from failstop.shm import layout
-from failstop.trial import Trial, wait_for
 from tests.support.telemetry_scene import MS, Scene
 
 S = 1_000 * MS

@@ -14,11 +14,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from failstop.board.sim.client import SimBoard
-from failstop.client import send_stop
-from failstop.robot import Robot
+from failstop.api.client import send_stop
+from failstop.api.robot import Robot
+from failstop.lab.sim.client import SimBoard
+from failstop.lab.trial import Service, wait_for
 from failstop.shm.instance import DEFAULT_NAME
-from failstop.trial import Service, wait_for
 
 OVERLAID = ("/etc", "/var/lib")
 EMPTIED = ("/run", "/dev/shm", "/var/tmp")

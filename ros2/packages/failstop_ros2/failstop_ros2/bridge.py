@@ -13,7 +13,7 @@ def main() -> int:
     # Behind everything else: what ROS was built with comes first, numpy above all.
     sys.path += glob.glob(INSTALLED.format(*sys.version_info[:2]))
     try:
-        from failstop import cli
+        from failstop.cli import main as cli
     except ImportError as error:
         version = f"Python {sys.version_info[0]}.{sys.version_info[1]}"
         sys.stderr.write(f"failstop can't be imported by ROS's {version} ({error}): install it with that one's pip\n")

@@ -1,0 +1,1 @@
+"""What programs use: the robot, its state, its events."""

@@ -1,0 +1,143 @@
+"""Arm: the robot's arm from Python. Angles in rad by the joint's name, as the settings' [joints.NAME] declare them."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+
+from failstop.api.errors import FailstopError, Refused
+from failstop.policy.capsules import Model
+from failstop.policy.settings import Settings
+from failstop.procs.gate.arm.joints import Joint
+from failstop.shm import records
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from failstop.api.robot import Robot
+
+    Told = Callable[[str], None] | None
+    Point = tuple[float, Mapping[str, float]]
+
+POSES = {"drive": records.ARM_DRIVE, "tuck": records.ARM_TUCK}
+
+
+class Arm:
+    """`robot.arm`. It moves only while motion is disabled and nothing is latched; one client at a time: a second one's
+    goal is a latched stop."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Raises FailstopError for a robot whose settings name no joints."""
+        self._robot = robot
+        tables: dict[str, dict[str, float | str]] = {}
+        for key, value in robot.settings.items():
+            family, _, rest = key.partition(".")
+            if family == "joints":
+                name, _, last = rest.partition(".")
+                tables.setdefault(name, {})[last] = value
+        if not tables:
+            raise FailstopError(f"the robot of {robot.name!r} has no arm: its settings name no [joints.NAME]")
+        self.joints = {name: Joint(index, name, table) for index, (name, table) in enumerate(tables.items())}
+        """Each joint by name, with its range (range_rad)."""
+        settings = Settings(dict(robot.settings))
+        self._model = Model(settings) if settings.on("arm.collision") else None
+
+    def move(
+        self,
+        to: Mapping[str, float] | Sequence[Point],
+        over_s: float = 0.0,
+        *,
+        speed: float = 1.0,
+        told: Told = None,
+    ) -> str:
+        """Go to these angles, in `over_s` seconds (0: as fast as `speed`, a share of each joint's, allows), or along
+        points: (seconds from the begin, angles), each with the same joints. Returns when it was read back that it is
+        there. Raises Refused: out of range, too fast, it would hit something, wheels enabled, latched, preempted, held,
+        a servo that does not answer or did not follow."""
+        points: Sequence[Point] = [(over_s, to)] if _is_pose(to) else to  # type: ignore[assignment, list-item]
+        if not points:
+            raise ValueError("a trajectory needs at least one point")
+        names = list(points[0][1])
+        servos = [self._joint(name).servo for name in names]
+        rows = []
+        for t_s, angles in points:
+            if set(angles) != set(names):
+                raise ValueError(f"the point at {t_s:g} s has other joints than the first: {', '.join(angles)}")
+            self._check(angles)
+            rows.append((float(t_s), [float(angles[name]) for name in names]))
+        self._check_way([(t_s, dict(zip(names, angles, strict=True))) for t_s, angles in rows])
+        ask = self._robot._ask
+        return ask(records.ARM_MOVE, told, lambda client: client.arm_path(speed, servos, rows))
+
+    def pose(self, name: str, told: Told = None) -> str:
+        """Go to a pose of the settings, "drive" or "tuck", slowly (arm.pose_speed). Raises Refused, ValueError."""
+        if name not in POSES:
+            raise ValueError(f"no pose {name!r}: there are {' and '.join(POSES)}")
+        return self._robot._ask(POSES[name], told)
+
+    def follow(self, to: Mapping[str, float]) -> None:
+        """Follow these angles, from now on until arm.goal_timeout_s after the last call; returns at once. Raises
+        Refused for an angle out of range; whether it moves, and why not, is in the state."""
+        self._check(to)
+        self._goal(records.ARM_FOLLOW, to)
+
+    def jog(self, rates: Mapping[str, float]) -> None:
+        """Turn at these rates (rad/s), likewise."""
+        for name, rate in rates.items():
+            if not isfinite(rate):
+                raise Refused(f"joint {name} at {rate:g} rad/s: every rate must be finite")
+        self._goal(records.ARM_JOG, rates)
+
+    def _goal(self, mode: int, values: Mapping[str, float]) -> None:
+        found = {self._joint(name).servo: float(value) for name, value in values.items()}
+        with self._robot._lock:
+            self._robot._client().arm_goal(mode, found)
+
+    def hold(self) -> str:
+        """Stop where it is; torque stays, every goal is dropped, an enable on its way to the drive pose given up."""
+        return self._robot._ask(records.ARM_HOLD)
+
+    def release(self) -> str:
+        """Switch the torque off: the arm falls, and lets go of what it holds. Raises Refused while motion is
+        enabled."""
+        return self._robot._ask(records.ARM_RELEASE)
+
+    def read(self, told: Told = None) -> dict[str, float]:
+        """Read where each joint is; angles by name. Raises Refused."""
+        self._robot._ask(records.ARM_READ, told)
+        return {name: joint["angle_rad"] for name, joint in self.state["joints"].items()}
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """What the service knows of the arm (State.arm)."""
+        found = self._robot.state.arm
+        if found is None:
+            raise FailstopError(f"the service {self._robot.name!r} tells nothing of an arm: see `failstop status`")
+        return found
+
+    def _check_way(self, rows: list[tuple[float, dict[str, float]]]) -> None:
+        """Refused where the arm would hit something, from where it was read to be. Here and not in the gate: it takes
+        milliseconds, and the gate has wheels to stop."""
+        if self._model is None:
+            return
+        found = self.state["joints"].items()
+        start = {name: joint["commanded_rad"] or joint["angle_rad"] or 0.0 for name, joint in found}
+        if hit := self._model.on_the_way(start, rows):
+            when = f"after {hit[0]:.2f} s " if rows[-1][0] else ""
+            raise Refused(f"the arm would hit something {when}on its way: {hit[1]} and {hit[2]}")
+
+    def _joint(self, name: str) -> Joint:
+        if name not in self.joints:
+            raise ValueError(f"no joint {name!r}: there are {', '.join(self.joints)}")
+        return self.joints[name]
+
+    def _check(self, angles: Mapping[str, float]) -> None:
+        for name, angle in angles.items():
+            low, high = self._joint(name).range_rad()
+            if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:
+                raise Refused(f"joint {name} to {angle:g} rad: allowed is {low:.3f} to {high:.3f}")
+
+
+def _is_pose(to: object) -> bool:
+    return hasattr(to, "keys")

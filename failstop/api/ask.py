@@ -1,0 +1,124 @@
+"""Ask: a stop by way of a service that runs, and what can be seen of it.
+
+The stop needs the stop pipe alone. Everything else, the service's port and its state, is read as far as it can be: the
+service may be of another version, half started or half dead.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import stat
+import struct
+import termios
+import time
+
+from failstop.api.client import attach, send_stop
+from failstop.api.errors import FailstopError
+from failstop.shm import bell, instance, layout, records
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.api.state import State, StateReader
+
+LATCH_S = 1.0
+"""How long a request may take until it is seen latched; the service needs a few milliseconds."""
+LOOK_S = 0.002
+_INT = struct.Struct("i")
+
+
+def stop(name: str, reason: str, who: str) -> tuple[str, str]:
+    """Write a request into the pipe of a service, then look until it is latched, LATCH_S at most. Returns (how it went,
+    what is wrong): the first is empty when no stop is known to be out. Raises nothing of its own."""
+    if problem := send(name, reason, who):
+        return "", problem
+    try:
+        pipe = bell.open_pipe_to_write(instance.stop_path(instance.find(name)))
+    except (instance.InstanceError, instance.NoService, OSError) as error:
+        return "", str(error)
+    try:
+        return _watch(name, pipe)
+    except OSError as error:
+        return "", f"the stop pipe of {name!r} can't be watched: {error.strerror}"
+    finally:
+        os.close(pipe)
+
+
+def send(name: str, reason: str, who: str) -> str:
+    """Write a request and look no further; returns what is wrong."""
+    try:
+        send_stop(name, reason, who)
+    except FailstopError as error:
+        return str(error)
+    return ""
+
+
+def _watch(name: str, pipe: int) -> tuple[str, str]:
+    """The port owner reads the pipe when it has written the stop: an empty pipe is a stop that is out. A flood of
+    others' requests never leaves it empty; then an epoch newer than the one seen first says as much."""
+    until_s = time.monotonic() + LATCH_S
+    reader, problem = _reader(name)
+    taken, first_epoch = False, -1
+    while time.monotonic() < until_s:
+        taken = taken or _waiting(pipe) == 0
+        if taken and not reader:
+            return f"the service {name!r} has written the stop; whether it is latched can't be seen from here", problem
+        if state := _state(reader):
+            first_epoch = state.epoch if first_epoch < 0 else first_epoch
+            if state.estop and (taken or state.epoch > first_epoch):
+                return _told(name, state)
+        time.sleep(LOOK_S)
+    return "", problem or f"the service {name!r} has not latched it within {LATCH_S:g} s"
+
+
+def _told(name: str, state: State) -> tuple[str, str]:
+    from failstop.cli.screen import verdict
+
+    doubt = verdict.doubt(state)
+    text = f"e-stop latched ({state.estop}) by the service {name!r}; next: {verdict.next_step(state)}"
+    return text, f"{doubt}: use the POWER SWITCH" if doubt else ""
+
+
+def _reader(name: str) -> tuple[StateReader | None, str]:
+    """What reads the state, or why nothing can."""
+    from failstop.api.state import StateReader
+
+    try:
+        return StateReader(name), ""
+    except Exception as error:  # whatever is wrong with its memory, the request is in the pipe
+        return None, str(error)
+
+
+def _state(reader: StateReader | None) -> State | None:
+    try:
+        return reader.read() if reader else None
+    except Exception:  # likewise, and it may be better the next time
+        return None
+
+
+def _waiting(pipe: int) -> int:
+    """Bytes that nobody has read yet. Raises OSError."""
+    found: tuple[int] = _INT.unpack(fcntl.ioctl(pipe, termios.FIONREAD, _INT.pack(0)))
+    return found[0]
+
+
+def port_of(name: str) -> str:
+    """The port of a service, by its own word; empty when that can't be read."""
+    try:
+        found = attach(name, layout.PORT_OWNER)
+        try:
+            entry = found.latest_reader("port").read()
+        finally:
+            found.close()
+        return records.unpack_port(entry[2])[3] if entry else ""
+    except Exception:  # whatever is wrong with its memory
+        return ""
+
+
+def same(port: str, device: str) -> bool:
+    """True when two paths are one port; by their names alone when it is not there."""
+    try:
+        found = os.stat(port), os.stat(device)
+    except OSError:
+        return os.path.realpath(port) == os.path.realpath(device)
+    return all(stat.S_ISCHR(node.st_mode) for node in found) and found[0].st_rdev == found[1].st_rdev

@@ -1,0 +1,243 @@
+"""A local client's side of shared memory: its slot, its requests, its commands, and the stop pipe."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import weakref
+
+from failstop.api.errors import FailstopError, NoService
+from failstop.policy.reply import unpack
+from failstop.shm import bell, claim, instance, layout, records, segment
+from failstop.shm.barrier import Barrier
+from failstop.shm.lifeline import HeldByThread, pid_namespace
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import TypeVar
+
+    from failstop.policy.reply import Reply
+
+    T = TypeVar("T")
+
+
+def runtime_dir(name: str) -> str:
+    """Directory of the running service. Raises NoService, FailstopError."""
+    return _found(instance.find, name)
+
+
+def _found(look: Callable[[str], T], where: str) -> T:
+    """What is found there. Raises NoService, FailstopError."""
+    try:
+        return look(where)
+    except instance.NoService as error:
+        raise NoService(str(error)) from None
+    except instance.InstanceError as error:
+        raise FailstopError(str(error)) from None
+
+
+def run(name: str) -> tuple[str, int]:
+    """What the segments of the running service are named after, and the uid they belong to. Raises NoService,
+    FailstopError."""
+    incarnation, owner = _found(instance.run, runtime_dir(name))
+    return segment.memory(name, incarnation), owner
+
+
+def last_run(name: str) -> tuple[str, int]:
+    """The same of a service that may have ended and left its segments, if it was this user's. Raises NoService,
+    FailstopError."""
+    try:
+        return run(name)
+    except NoService:
+        if dead := segment.dead_runs(name):
+            return dead[-1], os.geteuid()
+        raise
+
+
+def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segment.Segment:
+    """A service segment, for reading; of the run that was `found`, or else of the one that is there. Raises NoService,
+    FailstopError."""
+    memory, owner = found or run(name)
+    try:
+        return segment.attach(memory, which, owner=owner)
+    except segment.AttachError as error:
+        kind = NoService if error.kind == "absent" else FailstopError
+        raise kind(str(error)) from None
+
+
+def send_stop(name: str, reason: str, who: str = "") -> None:
+    """Ask for a latched stop: every local user may. The service tells of it as `stop request: REASON (WHO, pid N)`, a
+    reason of more than records.ASKED_BYTES cut. Never blocks. Raises NoService, FailstopError."""
+    directory, fd = _found(instance.open_stop, name)
+    try:
+        bell.send(fd, records.asking(reason, who, os.getpid()))
+    except OSError as error:
+        path = instance.stop_path(directory)
+        raise NoService(f"the stop pipe {path} can't be written ({error.strerror}): use `failstop stop`") from None
+    finally:
+        os.close(fd)
+
+
+def gone(name: str) -> NoService:
+    """The error of every call to a service that was there before."""
+    return NoService(f"the service {name!r} has gone: start it with `failstop run{instance.option(name)}`")
+
+
+class _Held:
+    """What a client holds of a service, given back once: by close(), or when nobody has the client any more."""
+
+    def __init__(self) -> None:
+        self.claims = -1
+        self.bell = -1
+        self.slot = -1
+        self.segment: segment.Segment | None = None
+        self.life: HeldByThread | None = None
+        self._pid = os.getpid()
+
+    def give_back(self, farewell: bytes = b"") -> None:
+        """A command that lies in the slot stops counting at once. `farewell`: a hello that is a goodbye; without one
+        the gate takes it for a death. A process that was forked from the holder touches nothing in the slot."""
+        if self.segment:
+            if os.getpid() == self._pid:
+                # Another process may have the claim before the gate has seen it free.
+                with contextlib.suppress(OSError, ValueError):
+                    self.segment.wipe()
+                    if farewell:
+                        self.segment.latest_writer("hello").write(farewell)
+                    bell.send(self.bell, bytes([self.slot]))
+                if self.life:
+                    self.life.let_go()
+            self.segment.close()
+            self.segment = self.life = None
+        for fd in (self.claims, self.bell):
+            if fd >= 0:
+                os.close(fd)
+        self.claims = self.bell = -1
+
+
+class Client:
+    """A claimed client slot. The claim ends with close(), when nobody refers to this any more, or with the process."""
+
+    def __init__(self, name: str, who: str) -> None:
+        """Raises NoService, FailstopError (no permission, another version, all slots taken)."""
+        self.name = name
+        self.who = who
+        directory = runtime_dir(name)
+        self._session = int.from_bytes(os.urandom(8), "little") | 1
+        self._number = 0
+        self._memory, self._owner = found = run(name)
+        self._gate = attach(name, layout.GATE, found)
+        self._held = _Held()
+        self._drop = weakref.finalize(self, self._held.give_back)
+        try:
+            self._held.claims = claim.open_claims(instance.claims_path(directory))
+            self._bell = self._held.bell = bell.open_pipe_to_write(instance.bell_path(directory))
+            self.slot, self._segment = self._claim_slot()
+        except PermissionError:
+            self._drop()
+            raise FailstopError(
+                f"this user may stop {name!r} but not drive it: join the group `failstop`, or run as the service's user"
+            ) from None
+        except segment.AttachError as error:
+            self._drop()
+            raise FailstopError(str(error)) from None
+        except OSError as error:
+            self._drop()
+            raise NoService(f"the service {name!r} is going away ({error.strerror}): try again") from None
+        except FailstopError:
+            self._drop()
+            raise
+        self._held.slot, self._held.segment = self.slot, self._segment
+        # Without a thread or memory the gate learns of a death later, when the kernel has taken the process down.
+        with contextlib.suppress(RuntimeError, OSError):
+            self._held.life = HeldByThread(self._segment.futex("held", write=True))
+        self._commands = self._segment.latest_writer("command")
+        self._requests = self._segment.latest_writer("request")
+        self._sensed = self._segment.latest_writer("sensed")
+        self._interlocks = self._segment.latest_writer("interlocks")
+        self._said = self._segment.latest_writer("said")
+        self._arm_goal = self._segment.latest_writer("arm_goal")
+        self._arm_path = self._segment.latest_writer("arm_path")
+        self._reply = self._gate.latest_reader(f"reply.{self.slot}")
+        self._hint = bytes([self.slot])
+        self._segment.latest_writer("hello").write(self._hello(self._session))
+        self._ring()
+
+    def _hello(self, session: int) -> bytes:
+        return records.pack_hello(session, os.getpid(), pid_namespace(), self.who)
+
+    def _claim_slot(self) -> tuple[int, segment.Segment]:
+        damaged = 0
+        for index in range(layout.CLIENT_SLOTS):
+            if claim.take(self._held.claims, index):
+                try:
+                    found = segment.attach_client_slot(self._memory, index, self._gate.incarnation, owner=self._owner)
+                except segment.AttachError as error:
+                    if error.kind not in ("damaged", "absent", "owner"):
+                        raise
+                    claim.drop(self._held.claims, index)
+                    damaged += 1
+                    continue
+                found.wipe()
+                return index, found
+        raise FailstopError(
+            f"all {layout.CLIENT_SLOTS} client slots of {self.name!r} are taken"
+            + (f", {damaged} of them damaged by a client: restart the service" if damaged else "")
+            + "; close a client: `failstop status` lists them"
+        )
+
+    def _ring(self) -> None:
+        try:
+            bell.send(self._bell, self._hint)
+        except BrokenPipeError:
+            raise gone(self.name) from None
+
+    def command(self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str) -> None:
+        """Hand a velocity command to the gate; returns at once. Raises NoService, and ValueError for a source that is
+        too long."""
+        self._commands.write(records.pack_command(self._session, vx_mps, vy_mps, wz_radps, manual, source))
+        self._ring()
+
+    def sensed(self) -> None:
+        """Say that the obstacle sensor delivered just now; the gate sees it at its next tick or command."""
+        self._sensed.write(records.pack_held(self._session, []))
+
+    def hold(self, names: list[str]) -> None:
+        """Say that these interlocks hold now, and no others by this client; the gate sees it at its next tick."""
+        self._interlocks.write(records.pack_held(self._session, names))
+
+    def say(self, sees: str, wrong: str) -> None:
+        """Say in a line what this program sees, and what is wrong; the gate passes it on within 0.2 s."""
+        self._said.write(records.pack_said(self._session, sees, wrong))
+
+    def ask(self, verb: int) -> int:
+        """Make a request; returns its number, for answer(). Raises NoService."""
+        self._number += 1
+        self._requests.write(records.pack_request(self._session, self._number, verb))
+        self._ring()
+        return self._number
+
+    def arm_goal(self, mode: int, values: dict[int, float]) -> None:
+        """Hand a goal of the arm to the gate; returns at once. Raises NoService, ValueError."""
+        self._arm_goal.write(records.pack_arm_goal(self._session, mode, values))
+        self._ring()
+
+    def arm_path(self, share: float, servos: list[int], rows: list[tuple[float, list[float]]]) -> None:
+        """Leave a trajectory for the request that follows. Raises ValueError."""
+        self._arm_path.write(records.pack_arm_path(self._session, share, servos, rows))
+
+    def answer(self, asked: int) -> Reply | None:
+        """The answer to a request; None while there is none. What the request has changed is in the state from then
+        on."""
+        if (entry := self._reply.read()) is not None:
+            session, number, reply = unpack(entry[2])
+            if (session, number) == (self._session, asked):
+                Barrier()()
+                return reply
+        return None
+
+    def close(self, *, in_order: bool = True) -> None:
+        """Give the slot back; a command of this client stops counting at once. `in_order`: with a goodbye, so that
+        people are not told of a death."""
+        self._held.give_back(self._hello(records.NOBODY) if in_order else b"")

@@ -1,0 +1,290 @@
+"""Robot: drive and stop a robot from Python."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import threading
+import time
+import weakref
+from math import isfinite
+from types import TracebackType
+
+from failstop.api.arm import Arm
+from failstop.api.client import Client, gone, runtime_dir, send_stop
+from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused
+from failstop.api.run import Run
+from failstop.api.samples import Sample, SampleReader
+from failstop.api.state import State, StateReader
+from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
+from failstop.shm import records
+from failstop.shm.instance import DEFAULT_NAME
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ANSWER_S = 1.0
+"""How long a request may take; the gate answers within a tick."""
+POLL_S = 0.0003
+
+
+class Robot:
+    """A connection to the running service of that name; a context manager.
+
+    Reading the state and estop() need no permission. The other calls take one of the service's client slots, at their
+    first use, which needs the group `failstop` (or the service's user).
+
+    A service that was started anew is noticed by every call, which then means the new run; nothing is enabled by it.
+    While none runs every call raises NoService. With `reconnect=False` a Robot is of one run: once that has ended,
+    every call raises NoService. After close() every call but estop() raises FailstopError, whichever thread makes it.
+    A Robot that nobody refers to any more gives its slot back; one that was inherited by a fork takes one of its own.
+
+    Not thread-safe otherwise: one Robot a thread. One that has a slot keeps a thread of its own, which only sleeps: by
+    its end the gate knows of this program's death at once, however long the kernel takes its memory down.
+    """
+
+    def __init__(
+        self,
+        name: str = DEFAULT_NAME,
+        *,
+        client: str | None = None,
+        reconnect: bool = True,
+        answer_s: float = ANSWER_S,
+    ) -> None:
+        """`client` is what others see of this program; by default its file name. `answer_s`: how long the gate may take
+        to answer a request. Raises NoService when no service runs, FailstopError for a name that can't be one. What
+        else keeps this program from driving or from reading the state, such as a service of another version, is raised
+        by those calls: it keeps nobody from estop()."""
+        self.name = name
+        self.client_name = client or os.path.basename(sys.argv[0]) or "python"
+        self._reconnect = reconnect
+        self._answer_s = answer_s
+        self._lock = threading.RLock()  # a signal's handler may call what it has interrupted
+        self._closed = False
+        self._run: Run | None = None
+        self._state_reader: StateReader | None = None
+        self._samples: SampleReader | None = None
+        self._connected: Client | None = None
+        self._arm: Arm | None = None
+        _made.add(self)
+        runtime_dir(name)
+        with contextlib.suppress(FailstopError):
+            self._run = Run(name)
+
+    def __enter__(self) -> Robot:
+        self._check_open()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._close(in_order=not isinstance(error, Exception))
+
+    def close(self) -> None:
+        """Give the client slot back, for good. If this program was driving, the wheels stop at once, and no command of
+        this Robot reaches the service any more."""
+        self._close(in_order=True)
+
+    def _close(self, *, in_order: bool) -> None:
+        with self._lock:
+            self._closed = True
+            self._leave(in_order=in_order)
+            self._run = None
+
+    def release(self) -> None:
+        """Give the client slot back until a call needs one again. If this program was driving, the wheels stop at
+        once."""
+        with self._lock:
+            self._check_open()
+            self._leave()
+
+    def _leave(self, *, in_order: bool = True) -> None:
+        connected, self._connected = self._connected, None
+        if connected:
+            connected.close(in_order=in_order)
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise FailstopError(f"this Robot of {self.name!r} is closed: make a new one")
+
+    def _current(self) -> Run:
+        """The run that is there now. When it is over, and its last processes are ending, its state can still be read.
+        Raises NoService, FailstopError."""
+        self._check_open()
+        run = self._run
+        if run is None or run.over():
+            run = self._run = self._renewed()
+        return run
+
+    def _renewed(self) -> Run:
+        self._leave()
+        found = Run(self.name)
+        if self._run and not self._reconnect:
+            became = "has ended" if found.incarnation == self._run.incarnation else "was started anew"
+            raise NoService(f"the service {self.name!r} {became} since this Robot was made: make a new one")
+        return found
+
+    def _slot(self, run: Run) -> Client:
+        if self._connected is None:
+            if run.over():
+                raise gone(self.name)
+            self._connected = Client(self.name, self.client_name)
+        connected = self._connected
+        if self._closed:  # by a signal's handler, while this went on
+            self._leave()
+            self._check_open()
+        return connected
+
+    def _client(self) -> Client:
+        return self._slot(self._current())
+
+    def _forked(self) -> None:
+        """In the child of a fork: the slot is the parent's, and who holds the lock is not known."""
+        self._lock = threading.RLock()
+        self._leave(in_order=False)
+
+    def _ask(
+        self, verb: int, told: Callable[[str], None] | None = None, prepare: Callable[[Client], None] | None = None
+    ) -> str:
+        """`told`: is called with each word of how far it is, where that takes time; `prepare`: what the gate finds with
+        the request."""
+        with self._lock:
+            run = self._current()
+            client = self._slot(run)
+            if prepare:
+                prepare(client)
+            asked = client.ask(verb)
+        until_s = time.monotonic() + self._answer_s
+        said = ""
+        while (answer := client.answer(asked)) is None or answer.done == records.UNDER_WAY:
+            if answer and answer.text != said:
+                said, until_s = answer.text, time.monotonic() + self._answer_s
+                if told:
+                    told(said)
+            with self._lock:
+                self._check_open()
+                if run.over():
+                    raise gone(self.name)
+            if time.monotonic() > until_s:
+                text = f"the gate of {self.name!r} did not answer within {self._answer_s:g} s: see `failstop status`"
+                raise NoAnswer(text)
+            time.sleep(POLL_S)
+        if not answer.done:
+            raise Refused(answer.text, answer.cause)
+        return str(answer)
+
+    def enable(self, told: Callable[[str], None] | None = None) -> str:
+        """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked
+        before the last stop. With an arm it goes to its drive pose first, which takes seconds; `told` is called with
+        how far it is. It can be given up by arm.hold(), disable(), or a stop."""
+        return self._ask(records.ENABLE, told)
+
+    @property
+    def arm(self) -> Arm:
+        """The robot's arm. Raises FailstopError where the settings name none."""
+        if self._arm is None:
+            self._arm = Arm(self)
+        return self._arm
+
+    def disable(self) -> str:
+        """Disable motion: the wheels stop at once."""
+        return self._ask(records.DISABLE)
+
+    def reset(self) -> str:
+        """Clear the latched stop; motion stays disabled until enable(). With nothing latched it changes nothing. Raises
+        Refused."""
+        return self._ask(records.RESET)
+
+    def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> None:
+        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
+        s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped; whether
+        anything moves, and why not, is in `state.blocked`. After a restart of the service nothing moves before
+        somebody enables motion anew.
+
+        A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
+        Raises ValueError for a value that is not finite, Undeclared (a ValueError too) for a source that the settings
+        do not name, NoService when no service runs.
+        """
+        if not (isfinite(vx) and isfinite(vy) and isfinite(wz)):
+            raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
+        with self._lock:
+            run = self._current()
+            run.check_source(source)
+            self._slot(run).command(vx, vy, wz, manual=manual, source=source)
+
+    def sensed(self) -> None:
+        """The obstacle sensor delivered just now. Software commands move the wheels only while somebody says so at
+        least every 0.5 s (setting scan.timeout_s); else they are blocked with `no scan`. Raises NoService when no
+        service runs."""
+        with self._lock:
+            self._client().sensed()
+
+    def hold(self, *interlocks: str) -> None:
+        """These interlocks hold now (names of the settings' [interlocks]); repeat it within their timeout.
+
+        Enabling needs every declared one, and losing one disables motion. What an earlier call named and this one does
+        not is no longer asserted, and ends with its timeout. Raises Undeclared for one that the settings do not name,
+        and then asserts none; NoService when no service runs.
+        """
+        with self._lock:
+            run = self._current()
+            run.check_interlocks(interlocks)
+            self._slot(run).hold(list(interlocks))
+
+    def say(self, sees: str, wrong: str = "") -> None:
+        """Tell people in a line what this program sees, and what is wrong, if anything is: `status`, `why`, `doctor`
+        and the events show it under the program's name, the newest words only. At most 190 bytes each; say it again
+        every few seconds, as old words are shown with their age."""
+        with self._lock:
+            self._client().say(sees, wrong)
+
+    def estop(self, reason: str = "") -> None:
+        """Latched protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
+        Motion stays off until reset() and enable(). Anyone may, with a service of any version, and with a Robot that is
+        closed; raises NoService when nothing is there to stop. The latch's reason is `stop request: REASON (CLIENT, pid
+        N)`; of a reason of more than 180 bytes the rest is left out."""
+        send_stop(self.name, reason, self.client_name)
+
+    @property
+    def _reader(self) -> StateReader:
+        run = self._current()
+        if self._state_reader is None or self._state_reader.run is not run:
+            self._state_reader = StateReader(self.name, run)
+        return self._state_reader
+
+    @property
+    def state(self) -> State:
+        """One snapshot of the service. When its supervisor has just died it says so, as a latched stop; raises
+        NoService once the last of its processes has ended, FailstopError while it starts."""
+        with self._lock:
+            return self._reader.read()
+
+    @property
+    def settings(self) -> dict[str, float | str]:
+        """Every setting that the service was started with, by its whole key (`failstop config` lists them). Raises
+        FailstopError."""
+        with self._lock:
+            return self._reader.settings()
+
+    def samples(self) -> list[Sample]:
+        """What the board reported since the last call, each sample once with its time: ImuSample, BatterySample,
+        PadSample, OdometrySample of failstop.api.samples. The first call begins it, and the first of a new run begins
+        anew. Raises NoService, FailstopError."""
+        with self._lock:
+            run = self._current()
+            if self._samples is None or self._samples.run is not run:
+                self._samples = SampleReader(self.name, run)
+            return self._samples.read()
+
+
+_made: weakref.WeakSet[Robot] = weakref.WeakSet()
+
+
+def _after_fork() -> None:
+    for robot in tuple(_made):
+        robot._forked()
+
+
+os.register_at_fork(after_in_child=_after_fork)
+
+__all__ = ["FailstopError", "Refused", "Robot", "State"]

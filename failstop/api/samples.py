@@ -1,0 +1,114 @@
+"""What the board reports, sample by sample with the time of each, for programs that must not miss one.
+
+for sample in robot.samples():
+    if isinstance(sample, ImuSample):
+        print(sample.t_ns, sample.rate_radps)
+
+The state has the newest value of each alone. The times here are CLOCK_MONOTONIC in ns, of the read that brought the
+sample: what one read brought has one time.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from failstop.api.client import attach
+from failstop.api.errors import NoService
+from failstop.api.run import Run
+from failstop.procs.telemetry.imu import RATE_VARIANCE
+from failstop.procs.telemetry.odometry import POSE_VARIANCE
+from failstop.shm import box, layout, records
+from failstop.shm.instance import DEFAULT_NAME
+
+
+class ImuSample(NamedTuple):
+    """One IMU sample, x forward, y left, z up; the rate less its bias."""
+
+    t_ns: int
+    acceleration_mps2: tuple[float, ...]
+    rate_radps: tuple[float, ...]
+    rate_variance: float = RATE_VARIANCE
+    """Of each axis, in (rad/s)2."""
+
+
+class BatterySample(NamedTuple):
+    """One reading of the battery."""
+
+    t_ns: int
+    battery_mv: int
+    plugged: str
+    """unknown, plugged or unplugged."""
+
+
+class PadSample(NamedTuple):
+    """One frame of the gamepad: a bit a button, the hat, raw axes -128 to 127."""
+
+    t_ns: int
+    buttons: int
+    hat: int
+    axes: tuple[int, ...]
+    """lx, ly, rx, ry."""
+    mode: str
+    """locked or drive."""
+
+
+class OdometrySample(NamedTuple):
+    """The pose since the start and the twist in the robot's frame, integrated from what was commanded."""
+
+    t_ns: int
+    x_m: float
+    y_m: float
+    th_rad: float
+    vx_mps: float
+    vy_mps: float
+    wz_radps: float
+    twist_std_mps: float
+    twist_std_radps: float
+    pose_variance: float = POSE_VARIANCE
+    """m2 and rad2: not to be trusted."""
+
+
+class SampleReader:
+    """The samples from now on; needs no permission and no client slot. Not thread-safe."""
+
+    def __init__(self, name: str = DEFAULT_NAME, run: Run | None = None) -> None:
+        """`run`: the run of this name that is there now, where the caller has it. Raises NoService, FailstopError."""
+        self.run = run or Run(name)
+        segment = attach(name, layout.TELEMETRY, self.run.found)
+        self._board = segment.ring_reader("box")
+        self._odometry = segment.latest_reader("odometry")
+        self._odometry_seq = 0
+
+    @property
+    def lost(self) -> int:
+        """How many samples were overwritten before they were read: those of a minute are kept."""
+        return self._board.lost
+
+    def read(self) -> list[Sample]:
+        """The samples since the last call, in order, and the newest odometry, if it is new. Raises NoService when this
+        run of the service is over."""
+        found: list[Sample] = []
+        while entry := self._board.next():
+            found.append(_sample(entry[1], *box.unpack_board(entry[2])))
+        news = self._odometry.read()
+        if news and news[0] != self._odometry_seq:
+            self._odometry_seq = news[0]
+            found.append(OdometrySample(news[1], *records.unpack_odometry(news[2])))
+        if not found and self.run.over():
+            raise NoService(f"the service {self.run.name!r} has ended, or was started anew: read its samples anew")
+        return found
+
+
+def _sample(t_ns: int, kind: int, values: tuple[float, ...]) -> Sample:
+    if kind == box.IMU:
+        return ImuSample(t_ns, values[:3], values[3:])
+    numbers = tuple(map(int, values))
+    if kind == box.BATTERY:
+        return BatterySample(t_ns, numbers[0], records.PLUGGED[numbers[1]])
+    buttons, hat, *axes, mode = numbers
+    return PadSample(t_ns, buttons, hat, tuple(axes), records.PAD_MODES[mode])
+
+
+Sample = ImuSample | BatterySample | PadSample | OdometrySample
+
+__all__ = ["BatterySample", "ImuSample", "OdometrySample", "PadSample", "Sample", "SampleReader"]

@@ -1,0 +1,95 @@
+"""`failstop arm`: where it is, and what it can be told."""
+
+from __future__ import annotations
+
+import json
+import time
+from argparse import ArgumentParser, Namespace
+
+from failstop.api.errors import FailstopError
+from failstop.api.robot import Robot
+from failstop.cli.commands import add_name
+from failstop.cli.screen import arm as shown
+from failstop.supervisor.fold import fitted
+
+EXAMPLES = """\
+failstop arm                           # where each joint is, what is wrong
+failstop arm drive                     # to the drive pose, slowly; also tuck
+failstop arm move base=0.5 wrist=-0.3  # rad, as fast as the settings allow
+failstop arm move base=0 --over 3      # within 3 s
+failstop arm jog base=0.2 --for 1      # rad/s
+failstop arm hold                      # stop where it is; torque stays
+failstop arm release                   # torque off: it falls
+"""
+
+VERBS = ("status", "move", "jog", "drive", "tuck", "hold", "release", "read")
+REPEAT_S = 0.05
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop arm`."""
+    parser.add_argument("verb", nargs="?", default="status", choices=VERBS, help="default: status")
+    parser.add_argument("joints", nargs="*", metavar="JOINT=VALUE", help="rad (move) or rad/s (jog)")
+    parser.add_argument("--over", type=float, default=0.0, metavar="S", help="move: how long it takes")
+    parser.add_argument(
+        "--for", dest="seconds", type=float, default=1.0, metavar="S", help="jog: how long (default: 1)"
+    )
+    parser.add_argument("--json", action="store_true", help="status: the same for programs")
+    add_name(parser)
+
+
+def main(arguments: Namespace) -> int:
+    """Ask; a refusal is raised as Refused."""
+    with Robot(arguments.name, client="failstop arm") as robot:
+        arm = robot.arm
+        values = _values(arguments.joints)
+        if arguments.verb in ("move", "jog") and not values:
+            raise FailstopError(
+                f"failstop arm {arguments.verb}: which joint? One of {', '.join(arm.joints)}, as NAME=VALUE"
+            )
+        try:
+            if arguments.verb == "move":
+                text = arm.move(values, arguments.over, told=_say)
+            elif arguments.verb == "jog":
+                text = _jog(robot, values, arguments.seconds)
+            elif arguments.verb in ("drive", "tuck"):
+                text = arm.pose(arguments.verb, told=_say)
+            elif arguments.verb in ("hold", "release"):
+                text = arm.hold() if arguments.verb == "hold" else arm.release()
+            else:
+                if arguments.verb == "read":
+                    arm.read()
+                text = json.dumps(arm.state, indent=2) if arguments.json else "\n".join(shown.lines(arm.state))
+                print(text)
+                return 0
+        except ValueError as error:
+            raise FailstopError(str(error)) from None
+        print(fitted(text, 1, 2))
+    return 0
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _jog(robot: Robot, rates: dict[str, float], seconds: float) -> str:
+    until_s = time.monotonic() + seconds
+    while (left_s := until_s - time.monotonic()) > 0:
+        robot.arm.jog(rates)
+        time.sleep(min(REPEAT_S, left_s))
+        if refused := robot.arm.state["refused"]:
+            raise FailstopError(refused)
+    return robot.arm.hold()
+
+
+def _values(words: list[str]) -> dict[str, float]:
+    found = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise FailstopError(f"{word!r}: write JOINT=VALUE, as in base=0.5") from None
+        if not equals:
+            raise FailstopError(f"{word!r}: write JOINT=VALUE, as in base=0.5")
+    return found

@@ -1,0 +1,251 @@
+"""`failstop config`: every setting with its value, unit and origin; checks a file; writes the example."""
+
+from __future__ import annotations
+
+import os
+import sys
+from shutil import get_terminal_size
+
+from failstop.policy import config
+from failstop.policy.settings import (
+    BY_KEY,
+    DECLARED,
+    FAMILIES,
+    FIRST_SOURCE,
+    LONGEST_NAME,
+    MOST_OF_A_FAMILY,
+    Setting,
+    Settings,
+    declaration,
+)
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+EXAMPLES = """\
+failstop config                         # every value, unit and origin
+failstop config --config robot.toml
+failstop config --check robot.toml
+failstop config --example > robot.toml
+"""
+
+# From this many columns on, a row has room for what the setting means.
+WIDE = 100
+
+GROUPS = {
+    "device": "The board's port.",
+    "gate": "The gate decides every motor frame.",
+    "limits": "Speeds and ramps that no command passes.",
+    "wheels": "What the base stands on. Layouts: mecanum; differential (wheels 1 and 2 left, 3 and 4 right).",
+    "scan": "The sensor-validity interlock: software drives only while the obstacle sensor delivers.",
+    "imu": "Inertial measurement: calibration, and the gyro's bias.",
+    "odometry": "Where the robot got to, from what it was told.",
+    "battery": "Charger detection and the voltage log.",
+    "pad": "The gamepad at the board.",
+    "link": "The proof that the board hears: a question that it answers.",
+    "still": "Whether the wheels obeyed: the judgement of the IMU.",
+    "stop": "The stop tool, `failstop stop`.",
+    "key": "The keys on the board.",
+    "buzzer": "The board's buzzer.",
+    "incidents": "The black box: what is kept of each latched stop.",
+    "web": "The operator's page, `failstop web`: a process of its own, which the robot runs without.",
+    "restart": "What happens to a process that died.",
+    "sources": "Who may command, and who goes before whom: [sources.NAME]. "
+    f"{FIRST_SOURCE} is always there; no two priorities may be equal.",
+    "arm": "An arm on the same board: its stream, its poses, when it is told of. Without joints there is none.",
+    "joints": "The arm's joints: [joints.NAME]. Positions are pulses of 0.24 degrees.",
+    "interlocks": "What a client has to assert, again and again, for motion to be enabled: [interlocks.NAME].",
+}
+
+HEAD = """\
+# Every setting of failstop, with its default, unit and allowed range. Generated: `failstop config --example`.
+# A line that begins with # and no space is a default: take the # away to change it. What stays commented out follows
+# the version that is installed. `failstop config --check FILE` reads a file as `failstop run --config FILE` will.
+"""
+ALWAYS_SET = ("device.path",)
+"""Settings that the example sets although they have a default: no two robots need be alike in them."""
+
+# Named tables that nobody has until they write them.
+SAMPLES = (
+    ("sources.teleop.priority", 10),
+    ("sources.teleop.timeout_s", 0.3),
+    ("joints.shoulder.servo", 2),
+    ("joints.shoulder.tuck", 963),
+    ("joints.shoulder.drive", 793),
+    ("interlocks.arm.timeout_s", 0.5),
+    ("interlocks.arm.refusal", "arm is not in the drive pose"),
+    ("interlocks.ros2.timeout_s", 0.3),
+    ("interlocks.ros2.refusal", "the ROS 2 bridge is away, or two nodes publish cmd_vel"),
+)
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop config`."""
+    parser.add_argument("--config", metavar="FILE", help="the TOML file to read over the defaults")
+    parser.add_argument("--device", metavar="PATH", help="as for `failstop run`: over the setting device.path")
+    parser.add_argument("--json", action="store_true", help="the same for programs")
+    other = parser.add_mutually_exclusive_group()
+    other.add_argument("--check", metavar="FILE", help="only say whether this file is right (exit code 0) or not (1)")
+    other.add_argument(
+        "--example",
+        action="store_true",
+        help="a TOML file with every setting and what it means, all but device.path commented out",
+    )
+    other.add_argument("--markdown", action="store_true", help="the table of docs/configuration.md")
+
+
+def main(arguments: Namespace) -> int:
+    """Print what is asked for; raises SettingError when the file is not right."""
+    if arguments.example:
+        sys.stdout.write(example())
+    elif arguments.markdown:
+        sys.stdout.write(markdown())
+    elif arguments.check is not None:
+        sys.stdout.write(check(arguments.check) + "\n")
+    else:
+        found = rows(arguments.config, arguments.device)
+        text = _json(found) if arguments.json else table(found, get_terminal_size((120, 24)).columns)
+        sys.stdout.write(text + "\n")
+    return 0
+
+
+def check(path: str) -> str:
+    """One line on a file that is right. Raises SettingError on one that is not."""
+    read = config.read(path)
+    config.checked(read)
+    count = sum(value != {} for value in read.values())
+    return f"{path} is right; it sets {count} value{'' if count == 1 else 's'}"
+
+
+def rows(path: str | None, device: str | None) -> list[tuple[str, float | str, Setting, str]]:
+    """(whole key, value, declaration, origin) of every setting; the origin is "default", the file's path or
+    "--device". Raises SettingError."""
+    changed: dict[str, object] = {"device.path": device} if device else {}
+    read = config.read(path)
+    settings = config.checked({**read, **changed})
+    origins = {**dict.fromkeys(read, path or ""), **dict.fromkeys(changed, "--device")}
+    return [(key, value, declaration(key), origins.get(key, "default")) for key, value in settings.flat().items()]
+
+
+def table(found: list[tuple[str, float | str, Setting, str]], columns: int) -> str:
+    """The rows as text, an empty line between two groups."""
+    cells = [
+        (key, _shown(setting, value), setting.unit, os.path.basename(origin)) for key, value, setting, origin in found
+    ]
+    widths = [max(len(row[column]) for row in cells) for column in range(4)]
+    lines = []
+    group = found[0][0].partition(".")[0]
+    for (key, value, unit, origin), (_, _, setting, _) in zip(cells, found, strict=True):
+        if key.partition(".")[0] != group:
+            group = key.partition(".")[0]
+            lines.append("")
+        row = f"{key:<{widths[0]}}  {value:>{widths[1]}} {unit:<{widths[2]}}  {origin:<{widths[3]}}"
+        room = columns - len(row) - 2
+        lines += _with_text(row, setting.doc, room) if columns >= WIDE else [row.rstrip()]
+    if columns < WIDE:
+        lines += ["", f"What each of them means: from {WIDE} columns on, or `failstop config --example`."]
+    return "\n".join(lines)
+
+
+def _with_text(row: str, text: str, room: int) -> list[str]:
+    from textwrap import wrap
+
+    parts = wrap(text, max(room, 20))
+    return [f"{row}  {parts[0]}", *(" " * (len(row) + 2) + part for part in parts[1:])]
+
+
+def _shown(setting: Setting, value: float | str) -> str:
+    return value if isinstance(value, str) and value else _literal(setting, value)
+
+
+def _json(found: list[tuple[str, float | str, Setting, str]]) -> str:
+    import json
+
+    return json.dumps(
+        {
+            key: {"value": value, "unit": setting.unit, "origin": origin, "allowed": setting.range()}
+            for key, value, setting, origin in found
+        },
+        indent=2,
+        ensure_ascii=False,
+    )
+
+
+def example() -> str:
+    """A complete configuration: every default, all but ALWAYS_SET commented out so that they do not outlive the version
+    they are of; what is only a sample is commented out as well."""
+    parts = [HEAD]
+    for group, what in GROUPS.items():
+        declared = [(key, setting.default) for key, setting in BY_KEY.items() if key.partition(".")[0] == group]
+        parts.append(f"\n# {what}\n")
+        if declared:
+            parts.append(_toml(group, declared, defaults=True))
+        if group == "sources":
+            # Its timeout is left out: a copy of the command timeout would hide a change of that one.
+            priority = f"sources.{FIRST_SOURCE}.priority"
+            parts.append(_toml(f"sources.{FIRST_SOURCE}", [(priority, Settings().flat()[priority])], defaults=True))
+        for name in dict.fromkeys(key.split(".")[1] for key, _ in SAMPLES if key.startswith(f"{group}.")):
+            prefix = f"{group}.{name}"
+            values = [(key, value) for key, value in SAMPLES if key.startswith(f"{prefix}.")]
+            sample = _toml(prefix, values, defaults=False)
+            parts.append(("\n" if group == "sources" else "") + "".join(f"# {line}\n" for line in sample.splitlines()))
+    return "".join(parts)
+
+
+def _toml(name: str, values: list[tuple[str, float | str]], *, defaults: bool) -> str:
+    lines = [f"[{name}]"]
+    for key, value in values:
+        setting = declaration(key)
+        lines.append(f"# {setting.doc[0].upper()}{setting.doc[1:]} [{_allowed(setting)}]")
+        mark = "#" if defaults and key not in ALWAYS_SET else ""
+        lines.append(f"{mark}{key.rpartition('.')[2]} = {_literal(setting, value)}")
+    return "\n".join(lines) + "\n"
+
+
+def _allowed(setting: Setting) -> str:
+    return setting.range() if setting.allowed or not isinstance(setting.default, str) else f"text, {setting.range()}"
+
+
+def _literal(setting: Setting, value: float | str) -> str:
+    """As TOML. Texts here are declared ones: printable, without quotes or backslashes."""
+    if isinstance(value, str):
+        return f'"{value}"'
+    return f"0x{value:04X}" if setting.key == "pad.mode_button" else repr(value)
+
+
+def markdown() -> str:
+    """The page docs/configuration.md."""
+    lines = [
+        "# Settings",
+        "",
+        "Generated from the declarations: `failstop config --markdown`. One TOML file holds them, in tables named as",
+        "the part before the dot; `failstop run --config FILE` reads it once and refuses what is unknown, out of range",
+        "or contradictory, naming the key, the value and what is allowed. `failstop config` prints every value with",
+        "its origin, `failstop config --check FILE` checks a file, `failstop config --example` writes one with every",
+        "setting in it, all but `device.path` commented out.",
+    ]
+    for group, what in GROUPS.items():
+        found = [(setting.key, setting) for setting in DECLARED if setting.key.partition(".")[0] == group]
+        found += [(f"{group}.NAME.{setting.key}", setting) for setting in FAMILIES.get(group, ())]
+        lines += ["", f"## {group}", "", what]
+        if group in FAMILIES:
+            lines += [f"NAME is 1 to {LONGEST_NAME} of `a-z 0-9 _ -`; at most {MOST_OF_A_FAMILY} tables."]
+        lines += ["", "| setting | default | allowed | meaning |", "|---|---|---|---|"]
+        lines += [
+            f"| `{key}` | `{_literal(setting, setting.default)}` | {setting.range()} | {setting.doc} |"
+            for key, setting in found
+        ]
+    lines += ["", "## Values that must fit together", "", *(f"- {rule}" for rule in TOGETHER)]
+    return "\n".join(lines) + "\n"
+
+
+TOGETHER = (
+    "`gate.period_s` < `gate.lease_s` < `gate.command_timeout_s` and every source's `timeout_s`",
+    "`gate.period_s` <= `gate.refresh_s`",
+    "`restart.backoff_s` < `restart.window_s`",
+    "`wheels.id_1` to `wheels.id_4` are 0, 1, 2 and 3 in any order",
+    "no two sources have the same priority",
+    "no two joints have the same servo; `low` < `high`, and both poses between them",
+    "`pad.mode_button` is exactly one bit",
+)

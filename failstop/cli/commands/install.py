@@ -1,0 +1,147 @@
+"""`failstop install`: failstop as a service of this machine, whole or not at all."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+
+from failstop.api.errors import Refused
+from failstop.board.discovery import LINK
+from failstop.install import InstallError, dialogue, look, parts, plan, tree
+from failstop.install.do import Doer
+from failstop.install.layout import PREFIX, unit_of
+from failstop.install.machine import READY_S, Machine
+from failstop.install.steps import Plan
+from failstop.policy.settings import BY_KEY
+from failstop.shm import instance
+from failstop.shm.instance import DEFAULT_NAME, option
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+EXAMPLES = """\
+failstop install --dry-run           # only show what would be done
+sudo failstop install                # show it, ask, do it, wait until ready
+sudo failstop install --device /dev/ttyUSB0 --yes
+sudo failstop install --name front --device /dev/ttyACM1   # one more robot
+sudo failstop install --ros2-user robot   # and the bridge to ROS 2
+sudo failstop install --root /mnt/image --yes   # of a system not running
+"""
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop install`."""
+    parser.add_argument("--dry-run", action="store_true", help="show what would be done and change nothing")
+    parser.add_argument("--yes", action="store_true", help="do not ask")
+    parser.add_argument("--restart", action="store_true", help="with --yes: a service that runs may be restarted too")
+    parser.add_argument("--device", metavar="PATH", help="the board's port, for a new configuration")
+    parser.add_argument(
+        "--name", default=DEFAULT_NAME, help=f"the robot's name, if there are several (default: {DEFAULT_NAME})"
+    )
+    parser.add_argument("--ros2-user", metavar="NAME", default="", help="the bridge to ROS 2 too, as this user")
+    parser.add_argument("--root", metavar="DIR", help="install into this directory, the root of another system")
+    parser.add_argument("--no-start", action="store_true", help="start it at the next boot, not now")
+    parser.add_argument(
+        "--wait",
+        metavar="S",
+        type=float,
+        default=READY_S,
+        help="how long it has to become ready (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--use-running-venv",
+        action="store_true",
+        help=f"have the service run in the environment that this command is in; else it is copied to {PREFIX}",
+    )
+    parser.add_argument("--json", action="store_true", help="what would be done, for programs; implies --dry-run")
+
+
+def main(arguments: Namespace) -> int:
+    """Install. Raises InstallError, Refused, SettingError; then nothing is changed."""
+    wish = _wish(arguments)
+    dry = arguments.dry_run or arguments.json
+    if not dry:
+        dialogue.need_root()
+        if wish.live:
+            dialogue.need_systemd()
+    brought = parts.of_this_version()
+    environment = None if arguments.use_running_venv else tree.running(PREFIX, tree.interpreter())
+    configured = look.configured_device(wish)
+    found = dataclasses.replace(look.look(wish, brought.units), configured_device=configured)
+    device = plan.device_of(brought, wish, found)
+    found = dataclasses.replace(found, device_there=device == LINK or os.path.exists(device))
+    made = plan.install(brought, wish, environment.digest() if environment else "", found)
+    if arguments.json:
+        print(dialogue.as_json(made))
+        return 0
+    if not made.steps:
+        print(
+            f"nothing to do: failstop {brought.version} is installed{' and runs' if wish.live and wish.start else ''}"
+        )
+        return 0
+    print(f"failstop {brought.version}, to be installed {'here' if wish.live else f'in {wish.root}'}:\n")
+    print(dialogue.as_text(made) + "\n")
+    if dry:
+        return 0
+    _consent(made, arguments)
+    dialogue.undo_when_ended()
+    left = Doer(wish.root, Machine(arguments.wait), environment).do(made.steps)
+    for what in left:
+        print(f"failstop: {what}: remove it by hand", file=sys.stderr)
+    print(_done(wish, environment))
+    return 0
+
+
+def _wish(arguments: Namespace) -> plan.Wish:
+    instance.check_name(arguments.name)
+    if arguments.device is not None:
+        BY_KEY["device.path"].check(arguments.device, "--device")
+        if '"' in arguments.device or "\\" in arguments.device:
+            raise InstallError(f"--device {arguments.device}: no path of a port has quotes or backslashes")
+    if arguments.root is not None and not os.path.isdir(arguments.root):
+        raise InstallError(f"--root {arguments.root}: no such directory")
+    return plan.Wish(
+        arguments.name,
+        arguments.device or "",
+        os.path.abspath(arguments.root or "/"),
+        arguments.root is None,
+        not arguments.no_start,
+        _running_command() if arguments.use_running_venv else plan.OWN_COMMAND,
+        arguments.ros2_user,
+    )
+
+
+def _running_command() -> str:
+    """The command of the running environment. Raises InstallError when the service could not run it."""
+    command = os.path.join(sys.prefix, "bin", "failstop")
+    for path in (command, os.path.realpath(sys.executable)):
+        if problem := tree.unreachable(path):
+            raise InstallError(
+                f"the service could not run {path}: {problem}. Leave --use-running-venv out: it is copied then"
+            )
+    return command
+
+
+def _consent(made: Plan, arguments: Namespace) -> None:
+    if made.restarts and arguments.yes and not arguments.restart:
+        raise Refused(
+            f"{', '.join(made.restarts)} runs and would be restarted, which stops the wheels: say --restart too, "
+            f"or stop it first (systemctl stop {' '.join(made.restarts)})"
+        )
+    warning = f"{', '.join(made.restarts)} is restarted: THE WHEELS STOP. " if made.restarts else ""
+    dialogue.consent(f"{warning}Go ahead?", arguments.yes)
+
+
+def _done(wish: plan.Wish, environment: tree.Environment | None) -> str:
+    if not wish.live:
+        needs = environment.interpreter if environment else wish.command
+        missing = not os.path.exists(os.path.join(wish.root, needs.lstrip("/")))
+        return f"done{f'; {needs} is still to come there' if missing else ''}"
+    user = os.environ.get("SUDO_USER", "USER")
+    started = f"{unit_of(wish.name)} runs" if wish.start else f"done; systemctl start {unit_of(wish.name)} starts it"
+    return (
+        f"{started}. Next: failstop status{option(wish.name)}\n"
+        f"Who is to drive has to be in the group failstop: sudo usermod -aG failstop {user} (and a new login)"
+    )

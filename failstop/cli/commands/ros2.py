@@ -1,0 +1,83 @@
+"""`failstop ros2`: the bridge to ROS 2, in the foreground."""
+
+from __future__ import annotations
+
+import argparse
+import glob
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+
+from failstop.api.errors import FailstopError
+from failstop.cli.commands import add_name
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+EXAMPLES = """\
+. /opt/ros/humble/setup.sh; failstop ros2
+failstop ros2 --ros-args -r cmd_vel:=/base/cmd_vel -p cmd_vel_type:=stamped
+failstop ros2 --udp-only             # for nodes of other users
+"""
+
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop ros2`."""
+    add_name(parser)
+    parser.add_argument(
+        "--udp-only",
+        action="store_true",
+        help="no shared memory for Fast DDS, which only nodes of the same user can exchange data by",
+    )
+    parser.add_argument(
+        "--ros-args",
+        nargs=argparse.REMAINDER,
+        default=[],
+        metavar="ARG",
+        help="all that follows is ROS's: -r FROM:=TO, -p NAME:=VALUE, --params-file FILE, ...",
+    )
+
+
+def main(arguments: Namespace) -> int:
+    """Run the bridge; raises FailstopError where there is no rclpy."""
+    if arguments.udp_only:
+        # ROS's own variable for it would bring the shared memory back.
+        localhost = os.environ.pop("ROS_LOCALHOST_ONLY", "0") == "1"
+        os.environ.update(dict.fromkeys(PROFILES, str(udp_profile(localhost))))
+    find_rclpy()
+    from failstop.ros2 import bridge
+
+    words = ["--ros-args", *arguments.ros_args] if arguments.ros_args else []
+    return bridge.main(arguments.name, words)
+
+
+def udp_profile(localhost: bool) -> Path:
+    """The Fast DDS profile with UDP as the only transport, on the loopback interface alone or on all."""
+    import failstop
+
+    return Path(failstop.__file__).resolve().parent / "ros2" / f"udp_only{'_localhost' if localhost else ''}.xml"
+
+
+def find_rclpy() -> None:
+    """Make rclpy importable; the installed command ignores PYTHONPATH, which is how ROS is found. Raises FailstopError
+    with the file to source."""
+    known = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    sys.path += [path for path in known if os.path.isabs(path) and path not in sys.path]
+    try:
+        import_module("rclpy")
+    except ImportError as error:
+        raise FailstopError(_advice(error)) from None
+
+
+def _advice(error: ImportError) -> str:
+    version = f"Python {sys.version_info[0]}.{sys.version_info[1]}"
+    setups = sorted(glob.glob("/opt/ros/*/setup.sh"))
+    if not setups:
+        return "there is no ROS 2 here (no /opt/ros/*/setup.sh): install it, or source its setup.sh where it is"
+    if "AMENT_PREFIX_PATH" not in os.environ:
+        return f"rclpy can't be imported: first type `. {setups[-1]}`"
+    return f"rclpy can't be imported by this {version} ({error}): install failstop for ROS's own Python"

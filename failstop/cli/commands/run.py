@@ -1,0 +1,115 @@
+"""`failstop run`: the service in the foreground. The stop is on the wire before anything is refused."""
+
+from __future__ import annotations
+
+from failstop.api.errors import FailstopError
+from failstop.board.port import PortError
+from failstop.cli.commands import add_name
+from failstop.policy import config
+from failstop.policy.settings import BY_KEY, SettingError
+from failstop.procs import limits
+from failstop.shm import instance
+from failstop.supervisor import starter
+from failstop.supervisor.port import OwnPort
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+
+DEVICE = "device.path"
+REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError, ImportError)
+"""What can keep the service from starting; ImportError where no file can be opened any more."""
+
+EXAMPLES = """\
+failstop run                             # /dev/ttyACM0, default settings
+failstop run --config /etc/failstop/failstop.toml
+failstop run --name left --device /dev/ttyACM1  # a second robot
+"""
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop run`."""
+    parser.add_argument("--config", metavar="FILE", help="TOML file with settings; `failstop config` lists them")
+    parser.add_argument("--device", metavar="PATH", help="the board's port (default: the setting device.path)")
+    add_name(parser)
+
+
+def main(arguments: Namespace) -> int:
+    """Stop first, then become the supervisor. Raises what cli.py turns into one line."""
+    read = None if arguments.device else _read(arguments.config)
+    device = arguments.device or _device(read or {})
+    port, lost = _stop(device, arguments.name)
+    try:
+        _start(arguments, read, port)
+    except REFUSALS as error:
+        told = f"no stop was written: {lost}"
+        if port:
+            written = port.stopped and port.drain()
+            told = f"the stop is written to {device}" if written else f"{device} takes no bytes: use the POWER SWITCH"
+            port.close()
+        raise FailstopError(f"{_why(error)}; {told}") from None
+    raise FailstopError(f"{lost}{_others(lost)}")
+
+
+def _read(path: str | None) -> dict[str, object] | None:
+    """What the settings file says, as it comes; None: it can't be read, and the stop does not wait for the reason."""
+    try:
+        return config.read(path)
+    except Exception:
+        return None
+
+
+def _device(read: dict[str, object]) -> str:
+    """Where the stop goes: what a file says, whatever else is wrong in it; else the default."""
+    declared = BY_KEY[DEVICE]
+    try:
+        return str(declared.check(read.get(DEVICE, declared.default)))
+    except SettingError:
+        return str(declared.default)
+
+
+def _stop(device: str, name: str) -> tuple[OwnPort | None, PortError | None]:
+    """Open the port and write the stop; else (None, why not). Raises InstanceError when that is because a living
+    service of this name has the port."""
+    try:
+        return OwnPort.open_and_stop(device, lambda: instance.refuse_locked(name)), None
+    except PortError as error:
+        if error.kind == "busy":
+            instance.refuse_listening(name)
+        return None, error
+
+
+def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
+    """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
+    limits.take_descriptors()
+    given = {DEVICE: arguments.device} if arguments.device else {}
+    settings = config.checked({**(config.read(arguments.config) if read is None else read), **given})
+    instance.check_name(arguments.name)
+    if port is None:
+        return
+    runtime_dir = instance.make_runtime_dir(arguments.name)
+    instance.refuse_listening(arguments.name, runtime_dir)
+    starter.become_supervisor(arguments.name, runtime_dir, settings, instance.lock(runtime_dir), port.fd)
+
+
+def _why(error: Exception) -> str:
+    """The reason of a refusal. Its port is closed, so that there is a descriptor again for what was missing."""
+    if isinstance(error, (OSError, ImportError)):
+        try:
+            limits.take_descriptors()
+        except OSError as short:
+            return str(short)
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)
+
+
+def _others(error: PortError | None) -> str:
+    """The serial devices that are there, when the one that was asked for is not."""
+    if error is None or error.kind != "absent":
+        return ""
+    from failstop.board import discovery
+
+    found = ", ".join(f"{path} ({what})" for path, what in discovery.candidates())
+    return f"; here there is {found}" if found else ""

@@ -1,0 +1,43 @@
+"""`failstop status`: one screen, or JSON."""
+
+from __future__ import annotations
+
+import json
+import time
+
+from failstop.api.errors import NoService
+from failstop.api.events import EventLog
+from failstop.api.state import StateReader
+from failstop.cli import style
+from failstop.cli.commands import add_name
+from failstop.cli.screen import summary
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+EXAMPLES = """\
+failstop status                        # one screen; live: failstop watch
+failstop status --json | jq .blocked   # for programs
+"""
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop status`."""
+    parser.add_argument("--json", action="store_true", help="for programs")
+    add_name(parser)
+
+
+def main(arguments: Namespace) -> int:
+    """Print the state."""
+    try:
+        state = StateReader(arguments.name).read()
+    except NoService as error:
+        from failstop.cli.screen import left
+
+        raise left.refusal(arguments.name, error) from None
+    if arguments.json:
+        print(json.dumps(state.as_dict(), indent=2))
+        return 0
+    style.show(summary.lines(state, time.time(), style.width(), EventLog(arguments.name).read()))
+    return 0

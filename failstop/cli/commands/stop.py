@@ -1,0 +1,301 @@
+"""`failstop stop`, and `failstop estop`, its other name: the service that runs is asked; where there is none, or it
+does not obey, the stop is written to the port itself. Needs nothing running."""
+
+from __future__ import annotations
+
+import os
+import time
+from argparse import ArgumentParser, Namespace
+from math import inf
+
+from failstop.api.errors import FailstopError
+from failstop.board.port import PortError
+from failstop.board.servos import HIGHEST_ID
+from failstop.cli import standard
+from failstop.cli.commands import add_name
+from failstop.policy import config
+from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY, SettingError
+from failstop.procs.stopper import rest, tool
+from failstop.shm import instance
+
+DEVICE = "device.path"
+WAIT = "stop.wait_s"
+DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT)}
+
+END_SERVICE_S = 12.0
+"""With --end-service everything is through by then: below the unit's TimeoutStopSec, at which systemd would kill this
+program and leave what it has not killed yet alive."""
+STALLED_S = 1.0
+"""Of these, for a port that is there and takes nothing: another unit goes on trying after the service's end."""
+REST_S = 1.0
+"""How long killed processes may take to end: a write to a port that hangs can hold one up."""
+
+EXAMPLES = {
+    "stop": """\
+failstop stop
+failstop stop hand near wheel
+failstop stop --device /dev/ttyACM1 --wait 60
+failstop stop --config /etc/failstop/failstop.toml
+""",
+    "estop": """\
+failstop estop
+failstop estop hand near wheel
+""",
+}
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of the two."""
+    device, wait_s = DEFAULTS[DEVICE], DEFAULTS[WAIT]
+    parser.add_argument("reason", nargs="*", help="why; shown by `failstop status` and in the journal")
+    add_name(parser)
+    parser.add_argument("--config", metavar="FILE", help=f"TOML file, of which {DEVICE} and {WAIT} are used")
+    parser.add_argument("--device", metavar="PATH", help=f"the board's port (default: {DEVICE}, else {device})")
+    parser.add_argument("--wait", metavar="S", type=float, help=f"how long to try (default: {WAIT}, else {wait_s:g} s)")
+    parser.add_argument(
+        "--services",
+        action="store_true",
+        help="ask every service that runs, whatever its name, and write to no port; for the unit before a sleep",
+    )
+    parser.add_argument(
+        "--end-service",
+        action="store_true",
+        help="first SIGKILL what is left of the service; for ExecStopPost in the systemd unit alone",
+    )
+
+
+def main(arguments: Namespace) -> int:
+    """Stop. Exit code 1, though a stop was written, where it is not known to be the right port, and for --end-service
+    where that is not allowed; raises FailstopError when no stop could be written in time, SettingError for an option
+    that is not allowed."""
+    if arguments.services:
+        return _every_service(arguments)
+    start_s = time.monotonic()
+    port = Port(arguments)
+    if arguments.end_service:
+        misused = not _end_service()
+        after_s = port.stop(END_SERVICE_S - (time.monotonic() - start_s))
+        standard.tell(f"stop frame sent (after {after_s:.1f} s)")
+        return int(port.doubtful() or misused)
+    try:
+        if _by_service(arguments, port):
+            return 0
+    except Exception as error:  # whatever it is, the port is still to be written to
+        standard.say(f"no service can be asked ({error}): writing to the port itself")
+    after_s = port.stop()
+    why = "" if port.asked or port.wanted() else f" (no service {arguments.name!r} runs)"
+    standard.tell(f"stop frame sent (after {after_s:.1f} s), directly to {port.device()}{why}")
+    return int(port.doubtful())
+
+
+def _every_service(arguments: Namespace) -> int:
+    """Ask each that listens; 1 when one is not known to have stopped."""
+    from failstop.api import ask
+
+    problems = 0
+    for name in instance.listening():
+        done, problem = ask.stop(name, " ".join(arguments.reason), f"failstop {arguments.command}")
+        problems += not done
+        for line, tell in ((done, standard.tell), (problem, standard.say)):
+            if line:
+                tell(line)
+    return int(problems > 0)
+
+
+def _by_service(arguments: Namespace, port: Port) -> bool:
+    """Ask a service that runs; True when a stop is out."""
+    names, unseen = _services(arguments.name, port.wanted())
+    if not names and not unseen:
+        return False
+    # For a service alone: the stop tool, where nothing runs, need not wait for all that these import.
+    from failstop.api import ask
+    from failstop.shm import records
+
+    reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
+    for name in names:
+        done, problem = ask.stop(name, reason, who)
+        if done:
+            standard.tell(done)
+        if problem:
+            standard.say(problem if done else f"{problem}: writing to the port itself")
+        if done:
+            if len(reason.encode("utf-8", "replace")) > records.ASKED_BYTES:
+                standard.say(f"the reason is cut to {records.ASKED_BYTES} bytes")
+            port.complain()
+            return True
+        port.known = port.known or ask.port_of(name)
+    for name in unseen:
+        ask.send(name, reason, who)  # it may be the one that holds the port, and a stop too many is no harm
+    port.asked = names + unseen
+    return False
+
+
+def _services(name: str, device: str) -> tuple[list[str], list[str]]:
+    """Which services to ask: those that have the port that is wanted, whatever they are called; without one, the one of
+    this name. And the one of this name when its port can't be read."""
+    if not device:
+        return [name] if instance.listens(name) else [], []
+    if not (names := instance.listening()):
+        return [], []
+    from failstop.api import ask
+
+    ports = {found: ask.port_of(found) for found in names}
+    unseen = [name] if ports.get(name) == "" else []
+    return [found for found, port in ports.items() if port and ask.same(port, device)], unseen
+
+
+class Port:
+    """Where to write and for how long to try: what an option says, else the file, which is read when it is needed, else
+    the default."""
+
+    def __init__(self, arguments: Namespace) -> None:
+        """Raises SettingError."""
+        options = {DEVICE: ("--device", arguments.device), WAIT: ("--wait", arguments.wait)}
+        self._given = {
+            key: BY_KEY[key].check(value, name) for key, (name, value) in options.items() if value is not None
+        }
+        self._name = arguments.name
+        self._config = arguments.config
+        self._found: dict[str, float | str] | None = None
+        self._problems: dict[str, str] = {}
+        self._said: list[str] = []
+        self.known = ""
+        """What a service that runs says of its port."""
+        self.asked: list[str] = []
+        """Services that were asked, and are not known to have stopped."""
+
+    def wanted(self) -> str:
+        """The port that the user has named, by an option or by a file; empty: none."""
+        found = self._given if DEVICE in self._given or not self._config else self._file()
+        return str(found.get(DEVICE, ""))
+
+    def device(self) -> str:
+        """The port to write to."""
+        return self.wanted() or self.known or str(self._value(DEVICE))
+
+    def _value(self, key: str) -> float | str:
+        return self._given[key] if key in self._given else self._file().get(key, DEFAULTS[key])
+
+    def _file(self) -> dict[str, float | str]:
+        if self._found is None:
+            self._found = {}
+            path = self._config or config.installed(self._name)
+            if self._config or os.path.exists(path):
+                self._found, self._problems = _of_file(path)
+        return self._found
+
+    def stop(self, most_s: float = inf) -> float:
+        """Write the stop, trying for `most_s` seconds at most; returns after how many. Raises FailstopError."""
+
+        def wait_s(error: PortError) -> float:
+            if error.kind == "busy":
+                standard.say(self._explained(error))
+            found_s = float(self._value(WAIT))
+            self.complain()
+            return min(found_s, most_s, STALLED_S if error.kind == "io" and most_s < inf else inf)
+
+        try:
+            after_s = tool.stop(self.device(), wait_s, standard.say)
+            self._stop_arm()
+        except PortError as error:
+            raise FailstopError(self._explained(error)) from None
+        finally:
+            self.complain()
+        return after_s
+
+    def _stop_arm(self) -> None:
+        """The servos of the robot's arm, if its file names any: after the wheels. Raises PortError."""
+        path = self._config or config.installed(self._name)
+        try:
+            found = config.read(path) if self._config or os.path.exists(path) else {}
+        except SettingError:
+            return  # said already, or not asked for
+        servos = {value for key, value in found.items() if key.startswith("joints.") and key.endswith(".servo")}
+        if ids := tuple(sorted(value for value in servos if type(value) is int and 0 < value <= HIGHEST_ID)):
+            tool.stop_arm(self.device(), ids[:MOST_OF_A_FAMILY])
+
+    def complain(self) -> None:
+        """Say what is wrong with the file, as far as it was read: after the stop, for this may be held up."""
+        for problem in dict.fromkeys(self._problems.values()):
+            if problem not in self._said:
+                self._said.append(problem)
+                standard.say(f"{problem}; going on without it")
+
+    def doubtful(self) -> bool:
+        """True, and said, when the port that was written to is a mere guess."""
+        if self.wanted() or self.known or DEVICE in self._file():
+            return False
+        if DEVICE not in self._problems and self._name == instance.DEFAULT_NAME:
+            return False
+        standard.say(f"it went to {self.device()}, the default: is this the board? Name it with --device")
+        return True
+
+    def _explained(self, error: PortError) -> str:
+        """With the name of who holds the port, where it can be found."""
+        if error.kind != "busy":
+            return str(error)
+        # Only here: it looks at every process.
+        from failstop.doctor import port_facts
+        from failstop.doctor.system import System
+
+        device = self.device()
+        holders, _ = port_facts.holders(os.path.realpath(device), set(), System())
+        services = dict.fromkeys(holder.instance for holder in holders if holder.instance)
+        others = [f"{holder.name} (pid {holder.pid})" for holder in holders if not holder.instance]
+        who = ", ".join([f"the service {name!r}" for name in services] or others or ["another process"])
+        remedies = ["use the POWER SWITCH"]
+        if os.geteuid():
+            remedies.append(f"`sudo failstop stop --device {device}` writes all the same")
+        remedies += [f"`failstop stop --name {name}` asks it" for name in services if name not in self.asked]
+        if others and not services:
+            ends = [f"systemctl stop {holder.unit}" if holder.unit else f"kill {holder.pid}" for holder in holders]
+            remedies.append(f"`sudo {' && sudo '.join(dict.fromkeys(ends))}` ends it")
+        also = f"; asked in vain: {', '.join(self.asked)}" if self.asked else ""
+        return f"{device} is held exclusively by {who}{also}: {', or '.join(remedies)}"
+
+
+def _end_service() -> bool:
+    """SIGKILL the rest of the control group. False, with nothing killed, where that is not the service's: no reason not
+    to stop."""
+    if "SERVICE_RESULT" not in os.environ or not _in_a_service():
+        standard.say(
+            "nothing killed: --end-service kills the rest of the control group, and is for ExecStopPost in the systemd "
+            "unit; by hand use `failstop stop` without it"
+        )
+        return False
+    try:
+        killed, left = rest.kill(REST_S)
+    except OSError as error:
+        standard.say(f"cannot kill what is left of the service: {error}")
+        return True
+    if killed:
+        standard.say(f"killed what was left of the service: {killed} processes")
+    if left:
+        standard.say(f"{left} of them have not ended within {REST_S:g} s")
+    return True
+
+
+def _in_a_service() -> bool:
+    """Of a control group that can't be read nothing can be killed: no reason not to stop."""
+    try:
+        return rest.of_a_service()
+    except OSError:
+        return True
+
+
+def _of_file(path: str) -> tuple[dict[str, float | str], dict[str, str]]:
+    """The two values as far as the file has them, and what is wrong with them. Nothing else in it is looked at: a
+    mistake elsewhere must not keep the wheels turning."""
+    found: dict[str, float | str] = {}
+    try:
+        read = config.read(path)
+    except SettingError as error:
+        return found, dict.fromkeys(DEFAULTS, str(error))
+    problems: dict[str, str] = {}
+    for key in DEFAULTS:
+        if key in read:
+            try:
+                found[key] = BY_KEY[key].check(read[key])
+            except SettingError as error:
+                problems[key] = str(error)
+    return found, problems

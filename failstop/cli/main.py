@@ -1,0 +1,191 @@
+"""The command `failstop`: finds the subcommand and imports nothing but that one."""
+
+from __future__ import annotations
+
+import sys
+
+from failstop.cli import standard
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from argparse import ArgumentParser
+    from types import ModuleType
+
+COMMANDS = {
+    "run": ("cli.commands.run", "run the service in the foreground"),
+    "sim": ("lab.commands.sim", "a simulated board on a pty"),
+    "demo": ("lab.commands.demo", "simulated robot: a drive, every kill, and its measured stop"),
+    "status": ("cli.commands.status", "what the wheels may do and why, processes, last stop"),
+    "watch": ("cli.commands.watch", "the same as status, live, with velocity and vibration"),
+    "why": ("cli.commands.why", "what holds the wheels, since when, and what to do, in plain words"),
+    "events": ("cli.commands.events", "what happened: stops, deaths, requests"),
+    "incident": ("cli.commands.incident", "the black box: each stop as a story, a picture, MCAP"),
+    "teleop": ("cli.commands.teleop", "drive with the keyboard, holding keys"),
+    "enable": ("cli.commands.requests", "enable motion"),
+    "disable": ("cli.commands.requests", "disable motion: the wheels stop"),
+    "reset": ("cli.commands.requests", "clear a latched stop; enables nothing"),
+    "stop": ("cli.commands.stop", "stop now: by the running service, else on the port itself"),
+    "estop": ("cli.commands.stop", "the same as stop"),
+    "drive": ("cli.commands.drive", "drive for a while"),
+    "arm": ("cli.commands.arm", "the arm: where it is, move, jog, poses, hold, release"),
+    "config": ("cli.commands.config", "every setting with its value and origin"),
+    "doctor": ("cli.commands.doctor", "what on this machine weakens the promises, and what helps"),
+    "prove": ("lab.commands.prove", "the stand test: every stop path timed on a real robot"),
+    "chaos": ("lab.commands.chaos", "random faults on a simulated board, judged by it"),
+    "install": ("cli.commands.install", "make it a service of this machine, whole or not at all"),
+    "uninstall": ("cli.commands.uninstall", "stop the service and take away what install put there"),
+    "ros2": ("cli.commands.ros2", "the bridge to ROS 2: its nodes drive through the service"),
+    "web": ("cli.commands.web", "the operator's page: STOP, why, and what happened, on a phone"),
+    "completion": ("cli.commands.completion", "the script that completes commands in a shell"),
+}
+
+GROUPS = (
+    ("drive", ("enable", "disable", "drive", "teleop", "stop", "estop", "reset", "arm")),
+    ("look", ("status", "watch", "why", "events", "incident")),
+    ("check", ("demo", "doctor", "prove", "chaos", "config")),
+    ("service", ("run", "sim", "web", "ros2", "install", "uninstall", "completion")),
+)
+"""What `failstop --help` shows together; a command that is in none is shown at the end."""
+
+DESCRIPTION = """The layer that makes a robot stop.
+Whatever dies or hangs, the wheels are told to stop.
+Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name, 128 and
+the signal's number when a signal ended it (130: Ctrl-C; run and sim: 0)."""
+
+
+def groups() -> list[tuple[str, list[str]]]:
+    """The commands by purpose, each command once."""
+    found = [(title, [name for name in names if name in COMMANDS]) for title, names in GROUPS]
+    grouped = {name for _, names in found for name in names}
+    return [*found, ("other", [name for name in COMMANDS if name not in grouped])]
+
+
+def _usage() -> str:
+    width = max(map(len, COMMANDS))
+    parts = ["usage: failstop COMMAND [OPTION ...]", DESCRIPTION]
+    for title, names in groups():
+        if names:
+            parts.append("\n".join([f"{title}:", *(f"  {name:<{width}}  {COMMANDS[name][1]}" for name in names)]))
+    parts.append("`failstop COMMAND --help` says more, with examples; so does `man failstop`.")
+    return "\n\n".join(parts) + "\n"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    standard.fill()
+    standard.watch()
+    try:
+        code = _main(sys.argv[1:] if argv is None else argv)
+    except OSError:
+        if (lost := standard.lost()) is None:
+            raise
+        code = 1
+    else:
+        lost = standard.lost()
+    if lost and not isinstance(lost, BrokenPipeError):
+        standard.say(f"standard output takes no more ({lost.strerror}): what is missing there was not written")
+    return code or int(lost is not None)
+
+
+def _main(words: list[str]) -> int:
+    if words[:1] == ["help"] and len(words) > 1:
+        words = [words[1], "--help"]
+    if not words or words[0] in ("-h", "--help", "help"):
+        sys.stdout.write(_usage())
+        return 0 if words else 1
+    if words[0] in ("-V", "--version"):
+        from failstop.version import VERSION
+
+        sys.stdout.write(f"failstop {VERSION}\n")
+        return 0
+    if words[0] not in COMMANDS:
+        standard.say(f"no command {words[0]!r}{_meant(words[0])}; `failstop --help` lists them")
+        return 1
+    return _run(words[0], words[1:])
+
+
+def _meant(word: str) -> str:
+    """The command that looks most like a mistyped one."""
+    from difflib import get_close_matches
+
+    found = get_close_matches(word, COMMANDS, 1)
+    return f" (did you mean `failstop {found[0]}`?)" if found else ""
+
+
+def here(name: str) -> bool:
+    """Whether this installation has the command: a robot's may come without the laboratory."""
+    if COMMANDS[name][0].partition(".")[0] != "lab":
+        return True
+    from importlib.util import find_spec
+
+    return find_spec("failstop.lab") is not None
+
+
+def load(name: str) -> tuple[ArgumentParser, ModuleType]:
+    """The parser of one command, and its module. The module's EXAMPLES, a text or one for each command of the module,
+    is shown at the end of its help. Raises FailstopError when the command is not installed."""
+    import argparse
+
+    from failstop.cli.manual.shape import EXAMPLES, Shape
+
+    home, what = COMMANDS[name]
+    if not here(name):
+        from failstop.api.errors import FailstopError
+
+        raise FailstopError(f"`failstop {name}` is not installed here; next: pip install 'failstop[lab]'")
+    module = __import__(f"failstop.{home}", fromlist=["main"])
+    parser = argparse.ArgumentParser(
+        prog=f"failstop {name}",
+        description=what[0].upper() + what[1:] + ".",
+        formatter_class=Shape,
+    )
+    module.add_arguments(parser)
+    if parser.epilog is None and (shown := examples(module, name)):
+        parser.epilog = EXAMPLES + "\n".join(f"  {line}" for line in shown)
+    return parser, module
+
+
+def examples(module: ModuleType, name: str) -> list[str]:
+    """The lines of a command's EXAMPLES."""
+    found: str | dict[str, str] = getattr(module, "EXAMPLES", "")
+    text = found if isinstance(found, str) else found.get(name, "")
+    return [line.strip() for line in text.splitlines() if line.strip()]
+
+
+def _run(name: str, words: list[str]) -> int:
+    import argparse
+
+    try:
+        parser, module = load(name)
+        try:
+            arguments = parser.parse_args(words, argparse.Namespace(command=name))
+        except SystemExit as end:
+            # argparse ends with 2 for words that it can't make sense of; here 2 is a refusal.
+            return 1 if end.code else 0
+        code: int = module.main(arguments)
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        return 1
+    except Exception as error:
+        from failstop.procs.limits import lack
+
+        if lacking := lack(error):
+            standard.say(lacking)
+            return 1
+        if not _expected(error):
+            raise
+        standard.say(str(error))
+        return getattr(error, "exit_code", 1)
+    return code
+
+
+def _expected(error: Exception) -> bool:
+    """Errors with a message made for people; anything else is a defect and shows its traceback."""
+    from failstop.api.errors import FailstopError
+    from failstop.board.port import PortError
+    from failstop.policy.settings import SettingError
+    from failstop.shm.instance import InstanceError
+    from failstop.shm.segment import AttachError
+
+    return isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError))

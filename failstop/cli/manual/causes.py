@@ -1,0 +1,48 @@
+"""The page docs/causes.md: every cause of a stop, made from the table of policy/causes.py."""
+
+from __future__ import annotations
+
+from failstop.policy import causes
+from failstop.policy.causes import Kind
+
+HEAD = """\
+# Causes
+
+Generated from the table in policy/causes.py: `python -m failstop.cli.manual causes > docs/causes.md`. `failstop why`
+explains the cause that is latched in the same words; [journal.md](journal.md) finds it afterwards, and
+[faults.md](dev/faults.md) says how soon the wheels are stopped for the faults behind it.
+
+Every cause latches: the wheels stay stopped until somebody resets and enables. A cause that only a new start clears
+ends the service, or is told after its end. Words in capitals stand for what differs from case to case: ROLE is what
+the process does, N is a number; what is in brackets may be absent. The name is `FAILSTOP_CAUSE` in the journal.
+"""
+NOBODY = "whoever reads the shared memory"
+"""Who tells of a cause that no process notices."""
+
+
+class _Word(str):
+    """What stands for an argument, however its template formats it."""
+
+    __slots__ = ()
+
+    def __format__(self, form: str) -> str:
+        return str(self)
+
+
+def page() -> str:
+    """The whole page."""
+    lines = [
+        HEAD,
+        "| text | name | what happened | what to do first | noticed by | cleared by |",
+        "|---|---|---|---|---|---|",
+        *map(_row, causes.BY_NUMBER.values()),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _row(kind: Kind) -> str:
+    words = {name: _Word(name.upper() if of is str else "N") for name, of in kind.parameters}
+    words |= {name: _Word(name.upper()) for name in ("role", "names")}
+    noticed_by = ", ".join(name.replace("_", " ") for name in kind.noticed_by) or NOBODY
+    text, what = (template.format_map(words) for template in (kind.template, kind.what))
+    return f"| `{text}` | `{kind.name}` | {what} | {kind.remedy} | {noticed_by} | {kind.cleared_by} |"

@@ -1,0 +1,98 @@
+"""History: what the events of a run tell that its state does not. Pure; events are given oldest first."""
+
+from __future__ import annotations
+
+import time
+
+from failstop.cli.screen import words
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.api.events import Event
+    from failstop.api.state import State
+
+LEFT_OFF = {"driver_silent": "fell silent while it drove", "driver_gone": "ended while it drove"}
+"""Kinds that tell of a driver that left the wheels turning, and what it did."""
+SINCE = frozenset((*LEFT_OFF, "driver_ended", "enabled", "disabled", "reset", "stop", "stop_again"))
+STAMP = "%Y%m%d-%H%M%S"
+STAMP_CHARACTERS = len("20260131-120000")
+
+
+class Earlier:
+    """The run before this one, which was not ended in order: when, how, and the incident that was saved of it."""
+
+    __slots__ = ("how", "incident", "t")
+
+    def __init__(self, t: float, how: str, incident: str) -> None:
+        """`t`: Unix time, to the second."""
+        self.t = t
+        self.how = how
+        self.incident = incident
+
+    def show(self, name: str) -> str:
+        """The command that tells its story."""
+        return words.named(f"`failstop incident show {self.incident}`", name)
+
+
+def exits(events: Sequence[Event]) -> dict[str, str]:
+    """How each process that hung ended last: what its exit status does not say is that the supervisor killed it."""
+    silent_ms: dict[tuple[object, object], object] = {}
+    found: dict[str, str] = {}
+    for event in events:
+        process, pid = event.fields.get("process"), event.fields.get("pid")
+        if event.kind == "fenced":
+            silent_ms[process, pid] = event.fields.get("silent_ms")
+        elif event.kind == "died":
+            found.pop(str(process), None)
+            if (process, pid) in silent_ms:
+                found[str(process)] = _hung(silent_ms[process, pid])
+    return found
+
+
+def _hung(silent_ms: object) -> str:
+    known = f" (silent for {silent_ms:.0f} ms)" if isinstance(silent_ms, (int, float)) and silent_ms else ""
+    return f"hung{known}, and was killed by the supervisor"
+
+
+def last_exit(state: State, name: str, hung: dict[str, str]) -> str:
+    """How the predecessor of a process ended, as a clause: "hung (...)", "was killed by SIGKILL"."""
+    how = state.processes[name].last_exit or "was lost"
+    return hung.get(name) or (f"was {how}" if how.startswith("killed") else how)
+
+
+def left_off(events: Sequence[Event]) -> Event | None:
+    """The driver that left the wheels turning, if nothing was told since that would be news of motion."""
+    last = next((event for event in reversed(events) if event.kind in SINCE), None)
+    return last if last and last.kind in LEFT_OFF else None
+
+
+def leaving(event: Event) -> str:
+    """Who left off, and how, as a clause."""
+    return f"{event.fields.get('who', 'somebody')} {LEFT_OFF[event.kind]}"
+
+
+def earlier(events: Sequence[Event]) -> Earlier | None:
+    """The run before this one, if it was not ended in order and is not long ago: the first events are still there."""
+    if not events or events[0].seq != 1:
+        return None
+    stops: list[int] = []
+    for event in events:
+        if event.kind == "stop":
+            stops.append(int(event.t))
+        elif event.kind == "incident" and (found := _of(event)):
+            # An incident of this run has its stop before it; its stamp is the cause's, a moment earlier.
+            own = any(0 <= stop - found.t <= 1 for stop in stops)
+            if not own and found.t <= events[0].t:
+                return found
+    return None
+
+
+def _of(event: Event) -> Earlier | None:
+    identity = str(event.fields.get("id", ""))
+    try:
+        t = time.mktime(time.strptime(identity[:STAMP_CHARACTERS], STAMP))
+    except (ValueError, OverflowError):
+        return None
+    return Earlier(t, identity[STAMP_CHARACTERS + 1 :].replace("-", " "), identity)

@@ -1,0 +1,95 @@
+"""Left: what a service that died has left in shared memory - how it ended, whether a stop was written, what it told."""
+
+from __future__ import annotations
+
+import os
+import time
+
+from failstop.api.errors import NoService
+from failstop.api.events import Event, unpack
+from failstop.cli.screen import host, words
+from failstop.incidents import copying
+from failstop.shm import layout, records, segment
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+    from failstop.incidents.copying import Copies
+
+
+class Left:
+    """A run that was not ended in order. Its memory is there until the service is started again, or the machine is."""
+
+    __slots__ = ("cause", "device", "events", "name", "pid", "stop", "t")
+
+    def __init__(self, name: str, copies: Copies, now_s: float, now_ns: int) -> None:
+        """`now_s`, `now_ns`: Unix time and CLOCK_MONOTONIC of one moment."""
+        cause_ns, _, self.cause = copying.left_cause(copies)
+        self.name = name
+        self.t = now_s - (now_ns - cause_ns) / 1e9
+        """Unix time of the end."""
+        self.pid = copying.words(layout.SUPERVISOR, copies[layout.SUPERVISOR][1])["beat_pid"]
+        self.stop: dict[str, Any] | None = copying.left_stop(copies, cause_ns)
+        """As of supervisor/stops.py; None: no stop is known to have been written."""
+        self.device = _device(copies)
+        told = copying.whole(layout.SUPERVISOR, "events", *copies[layout.SUPERVISOR])
+        self.events: list[Event] = [event for seq, _, payload in told if (event := unpack(seq, payload))]
+
+    def start(self) -> str:
+        """The command that starts it again."""
+        return host.start(self.name, self.device)
+
+    def steps(self) -> list[str]:
+        """What to do, in order; commands in backquotes."""
+        first = [] if self.stop else [f"{host.stop(self.device)} if the wheels turn"]
+        show = words.named("`failstop incident show last`", self.name)
+        return [*first, self.start(), f"{show}, for what came before it"]
+
+    def by_hand(self) -> bool:
+        """True where a person starts it, and not systemd."""
+        return not host.unit(self.name)
+
+    def written(self) -> str:
+        """Whether a stop was written, as a clause."""
+        if self.stop is None:
+            return "no stop is known to have been written"
+        by = str(self.stop["written_by"])
+        return f"the {by} wrote the stop {words.took(float(self.stop['written_us']))} later"
+
+
+def find(name: str) -> Left | None:
+    """What is left of a service of this name that no longer runs, and was this user's; None when nothing is."""
+    dead = segment.dead_runs(name)
+    fds = segment.open_all(dead[-1]) if dead else {}
+    try:
+        copies = {which: segment.copy(fd, name, which) for which, fd in fds.items()}
+        if len(copies) < len(layout.PROCESSES):
+            return None
+        return Left(name, copies, time.time(), time.monotonic_ns())
+    except (segment.AttachError, OSError):
+        return None
+    finally:
+        for fd in fds.values():
+            os.close(fd)
+
+
+def _device(copies: Copies) -> str | None:
+    entries = copying.whole(layout.PORT_OWNER, "port", *copies[layout.PORT_OWNER])
+    return records.unpack_port(entries[-1][2])[3] if entries else None
+
+
+def refusal(name: str, error: NoService) -> NoService:
+    """What to tell whoever asks for a service that does not run, if it is more than the error says."""
+    if found := find(name):
+        return NoService(line(found, time.time()))
+    if host.unit(name):
+        told = f"what it told is in {host.journal(name)}"
+        return NoService(f"no service named {name!r} is running: start it with {host.start(name)}; {told}")
+    return error
+
+
+def line(found: Left, now_s: float) -> str:
+    """What happened and what to do, in one line."""
+    what = f"{found.cause} ({words.ago(found.t, now_s)}); {found.written()}"
+    return f"no service named {found.name!r} is running: {what}; next: {', then '.join(found.steps()[:-1])}"

@@ -1,0 +1,233 @@
+"""Summary: the whole state in one screen, for `failstop status` and as the body of `failstop watch`. Pure."""
+
+from __future__ import annotations
+
+from failstop.cli import style
+from failstop.cli.screen import arm, history, verdict, words
+from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
+from failstop.shm import blocks
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.api.events import Event
+    from failstop.api.state import Process, State, Stop
+    from failstop.cli.screen.history import Earlier
+    from failstop.cli.style import Line
+
+LABEL = 10
+"""Columns of the names on the left."""
+BATTERY_LOW_MV = 10_500
+"""Three lithium cells at 3.5 V: little is left."""
+LATE_BEAT_MS = 300.0
+"""A beat older than this is worth a look; the slowest process beats every 100 ms."""
+LINKS = {
+    "alive": ("alive: the board answers", OK),
+    "unproven": ("unproven: the board has not answered a ping yet, so nobody knows that it hears", WARN),
+    "deaf": ("deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH", FAIL),
+}
+PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
+
+
+def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()) -> list[Line]:
+    """The screen. `now_s`: Unix time, for ages; `columns`: the width to wrap at; `events`: of this run,
+    oldest first."""
+    rows = wheels(state)
+    rows += _drivers(state, history.left_off(events), now_s)
+    rows += last_stop(state, now_s, history.earlier(events))
+    rows += [*_arm(state), device(state), *_battery(state), *_sensors(state), *_clients(state)]
+    wrapped = [part for row in rows for part in style.wrap(row, columns, LABEL)]
+    return [*wrapped, [], *processes(state), *_remarks(state, columns, history.exits(events))]
+
+
+def _row(label: str, text: str, role: str = PLAIN) -> Line:
+    return [(f"{label:<{LABEL}}", DIM), (text, role)]
+
+
+def wheels(state: State) -> list[Line]:
+    """What the wheels do, why, and the next command."""
+    word, role = verdict.word(state)
+    rows: list[Line] = [[(f"{'wheels':<{LABEL}}", DIM), (word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)]]
+    if step := verdict.next_step(state):
+        rows.append([(f"{'next':<{LABEL}}", DIM), *commands(step)])
+    if state.waiting_for and not state.blocked:
+        rows.append(_row("waits for", state.waiting_for, WARN))
+    return rows
+
+
+def commands(text: str) -> Line:
+    """A text whose commands in backquotes stand out."""
+    found: Line = []
+    parts = text.split("`")
+    for number, part in enumerate(parts):
+        if number % 2 and number == len(parts) - 1:
+            found.append((f"`{part}", PLAIN))  # one alone, of a reason that somebody gave
+        elif part:
+            found.append((f"`{part}`", STRONG) if number % 2 else (part, PLAIN))
+    return found
+
+
+def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
+    if not state.sources:
+        found = _row("driver", "nobody commands")
+        if left_off and state.blocked == blocks.NO_COMMAND:
+            when = f" ({words.ago(left_off.t, now_s)})"
+            found += [("; ", PLAIN), (history.leaving(left_off), WARN), (when, DIM)]
+        return [found]
+    rows = []
+    for source in state.sources:
+        drives = source["state"] == "drives"
+        text = f"{source['who']} as {source['source']}, priority {source['priority']}"
+        rows.append(_row("driver" if drives else "waits", text, OK if drives and verdict.moving(state) else PLAIN))
+    return rows
+
+
+def last_stop(state: State, now_s: float, earlier: Earlier | None = None) -> list[Line]:
+    """The last stop and its three proofs. `earlier`: the run before this one, if it was not ended in order."""
+    stop = state.last_stop
+    if stop is None:
+        rows = [_row("last stop", "none since the service was started")]
+        if earlier:
+            rows.append([*_row("before it", earlier.how, WARN), (f" ({words.ago(earlier.t, now_s)})", DIM)])
+            rows.append(_row("", "") + commands(earlier.show(state.name)))
+        return rows
+    what = "the one that is latched" if stop.cause == state.cause else stop.reason
+    head: Line = [(f"{'last stop':<{LABEL}}", DIM), (what, PLAIN), (f" ({words.ago(stop.t, now_s)})", DIM)]
+    return [head, [(f"{'':<{LABEL}}", PLAIN), *proofs(stop)]]
+
+
+def proofs(stop: Stop) -> Line:
+    """The three levels of a stop, each with its time or that it is not known."""
+    if stop.written_us is None:
+        return [("NOT written: the board did not get it", FAIL)]
+    found: Line = [(f"written after {words.took(stop.written_us)}", OK), (", ", PLAIN)]
+    if stop.acknowledged_us is None:
+        found.append(("not acknowledged", WARN))
+    else:
+        found.append((f"acknowledged after {words.took(stop.acknowledged_us)}", OK))
+    found.append((", ", PLAIN))
+    if stop.observed_ms is None:
+        found.append(("not seen still", WARN))
+    else:
+        # No shaking before the stop either: that the wheels rest now proves nothing of it.
+        seen = words.wheels_seen(stop).replace("wheels still", "still").replace("less than", "<")
+        found.append((seen, OK if stop.observed_ms else PLAIN))
+    return found
+
+
+def device(state: State) -> Line:
+    """The port, and what proves that the board hears."""
+    port = state.device["state"]
+    found = _row("device", state.device["path"] or "no port")
+    found.append((f" {port}", PORTS.get(port, WARN)))
+    if port == "open":
+        text, role = LINKS.get(state.device["link"], (state.device["link"], WARN))
+        found += [(", link ", PLAIN), (text, role)]
+    return found
+
+
+def _battery(state: State) -> list[Line]:
+    if not state.battery_mv:
+        return [_row("battery", "not known yet")]
+    low = state.battery_mv < BATTERY_LOW_MV
+    found = _row("battery", f"{state.battery_mv / 1000:.2f} V", WARN if low else PLAIN)
+    found.append((f", charger {state.plugged}" if state.plugged != "unknown" else "", PLAIN))
+    return [found]
+
+
+def _sensors(state: State) -> list[Line]:
+    age_s = state.scan_age_s
+    scan = "obstacle sensor " + ("never delivered" if age_s is None else f"delivered {words.span(age_s)} ago")
+    pad = f", gamepad {state.pad_mode}" if state.pad_mode else ""
+    return [_row("sensor", scan + pad, WARN if state.blocked == blocks.NO_SCAN else PLAIN)]
+
+
+def _arm(state: State) -> list[Line]:
+    """The arm, where there is one."""
+    if state.arm is None:
+        return []
+    return [_row("arm", arm.headline(state.arm)), *(_row("", text, WARN) for text in arm.wrong(state.arm))]
+
+
+def _clients(state: State) -> list[Line]:
+    names = [f"{client['name']} (pid {client['pid']})" for client in state.clients]
+    return [_row("clients", ", ".join(names)), *_said(state)] if names else []
+
+
+def _said(state: State) -> list[Line]:
+    """What clients say of themselves, a row each."""
+    rows = []
+    for who, sees, wrong in words.said(state):
+        rows.append(_row("says", f"{who}: {sees}"))
+        if wrong:
+            rows.append(_row("wrong", f"{who}: {wrong}", WARN))
+    return rows
+
+
+def processes(state: State) -> list[Line]:
+    """The process table."""
+    rows: list[Line] = [
+        [(head, DIM) for head in ("process", " pid", "state", " beat", " worst", " restarts", "rights")]
+    ]
+    for name, process in state.processes.items():
+        running = process.state == "running"
+        late = running and process.age_ms > LATE_BEAT_MS
+        rows.append(
+            [
+                (name, PLAIN),
+                (f" {process.pid or '-'}", PLAIN),
+                (process.state, PLAIN if running else WARN if process.state in ("starting", "waiting") else FAIL),
+                (
+                    f" {process.age_ms:.0f} ms" if process.pid and process.age_ms < 9999 else " -",
+                    WARN if late else PLAIN,
+                ),
+                (f" {process.worst_ms:.0f} ms" if process.pid else " -", PLAIN),
+                (f" {process.restarts}", WARN if process.restarts else PLAIN),
+                (_rights(process), PLAIN if _well(process) else WARN),
+            ]
+        )
+    return style.table(rows)
+
+
+def _well(process: Process) -> bool:
+    """Nothing to say of its rights."""
+    return not process.pid or (process.realtime and process.memory_locked)
+
+
+def _rights(process: Process) -> str:
+    if not process.pid:
+        return "-"
+    granted = [word for word, has in (("realtime", process.realtime), ("locked", process.memory_locked)) if has]
+    return " ".join(granted) or "none"
+
+
+def _remarks(state: State, columns: int, hung: dict[str, str]) -> list[Line]:
+    """What is wrong beside the wheels, a line each."""
+    found: list[Line] = []
+    for name, process in state.processes.items():
+        if process.state == "down":
+            how = history.last_exit(state, name, hung)
+            found.append([(f"{name} died too often and is {verdict.until(name)}; it {how}", FAIL)])
+        elif process.last_exit:
+            how = history.last_exit(state, name, hung)
+            found.append([(f"{name} was started anew {_times(process.restarts)}; it {how}", WARN)])
+    if state.age_ms > verdict.STALE_MS:
+        found.append(
+            [(f"the gate has said nothing for {words.span(state.age_ms / 1000)}: what is above may be old", FAIL)]
+        )
+    if starved := words.starved(state.starved):
+        found.append([(f"{starved}; `failstop doctor` has the command that gives it real-time rights", WARN)])
+    elif not all(process.realtime or not process.pid for process in state.processes.values()):
+        found.append(
+            [("without real-time rights stops come later on a busy machine; `failstop doctor` says more", DIM)]
+        )
+    if not all(process.early_news or not process.pid for process in state.processes.values()):
+        found.append(
+            [("this kernel tells of deaths late, and stops after one come later; `failstop doctor` says more", WARN)]
+        )
+    return [[], *(part for row in found for part in style.wrap(row, columns, 0))] if found else []
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"

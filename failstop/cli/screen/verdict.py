@@ -1,0 +1,97 @@
+"""Verdict: in a word what the wheels do, what holds them, and the next command to type."""
+
+from __future__ import annotations
+
+from failstop.cli import style
+from failstop.cli.screen import host, words
+from failstop.policy import causes
+from failstop.shm import blocks
+from failstop.shm.layout import GATE
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.api.state import State
+
+DRIVING = "DRIVING"
+STANDING = "STANDING"
+STOPPED = "STOPPED"
+MAY_TURN = "MAY TURN"
+"""A stop that is not known to reach the wheels is none: nobody must rely on it."""
+STALE_MS = 500.0
+"""A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
+
+
+def moving(state: State) -> bool:
+    """True while the gate commands a velocity."""
+    return not state.blocked and any(state.wheels_rps)
+
+
+def doubt(state: State) -> str:
+    """Why the wheels may turn though they were told to stop; empty when there is no reason to think so."""
+    if state.device["state"] != "open":
+        return f"the port {state.device['path'] or ''} is {state.device['state']}, so no stop reaches the board"
+    if state.device["link"] == "deaf":
+        return "the board does not answer, so a stop may not reach the wheels"
+    if state.cause and state.cause.kind is causes.UNSTILL:
+        return "the IMU sees the robot shake on"
+    return ""
+
+
+def word(state: State) -> tuple[str, str]:
+    """What the wheels do, and its role."""
+    if doubt(state):
+        return MAY_TURN, style.FAIL
+    if moving(state):
+        return DRIVING, style.OK
+    if not state.blocked:
+        return STANDING, style.OK
+    return STOPPED, style.FAIL if state.estop else style.WARN
+
+
+def headline(state: State, blocked: str | None = None) -> str:
+    """What the wheels do and why, in a line; `blocked`: the same block in other words."""
+    if state.blocked:
+        return f"blocked: {blocked or state.blocked}"
+    return words.velocity(*state.body_vel) or "zero is commanded"
+
+
+def down(state: State) -> list[str]:
+    """Processes that died too often and are down."""
+    return [name for name, process in state.processes.items() if process.state == "down"]
+
+
+def until(name: str) -> str:
+    """How long a process that died too often is away: the gate is the one that hears a reset."""
+    return "down for a minute" if name == GATE else "down until a reset"
+
+
+def steps(state: State) -> list[str]:
+    """What to do, in order, for the wheels to move; commands in backquotes. Empty while they move."""
+    drive = "`failstop drive 0.1 0 0`, or commands by your program"
+    if state.blocked is None:
+        return [] if moving(state) else [words.named(drive, state.name)]
+    if any(process.state == "dead" for process in state.processes.values()):
+        return [host.start(state.name, state.device["path"]), words.named("`failstop enable`", state.name)]
+    found = []
+    if state.device["state"] != "open":
+        found.append(f"plug the board in ({state.device['path']})")
+    elif doubt(state):
+        found.append("turn the robot's POWER SWITCH off and on")
+    elif GATE in down(state):
+        found.append(f"wait for {GATE}")
+    elif state.waiting_for and not down(state):
+        found.append(f"wait for {state.waiting_for}")
+    if state.estop:
+        found.append("`failstop reset`")
+    if not state.enabled:
+        found.append("`failstop enable`")
+    elif state.blocked == blocks.NO_SCAN:
+        found.append("start the obstacle sensor and the program that calls robot.sensed()")
+    elif state.blocked == blocks.NO_COMMAND:
+        found.append(drive)
+    return [words.named(step, state.name) for step in found]
+
+
+def next_step(state: State) -> str:
+    """The steps as one line."""
+    return ", then ".join(steps(state))

@@ -1,0 +1,113 @@
+"""Words: times, ages and velocities as people read them."""
+
+from __future__ import annotations
+
+import time
+
+from failstop.shm.instance import DEFAULT_NAME, option
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+    from failstop.api.state import State, Stop
+
+DAY_S = 86400.0
+OLD_WORDS_S = 5.0
+NOWHERE_MPS = 0.0005
+"""Slower than this is shown as standing, as it would be rounded to."""
+
+
+def span(seconds: float) -> str:
+    """How long: 0.4 s, 12 s, 3 min, 2 h 5 min, 3 days."""
+    if seconds < 9.95:
+        return f"{max(0.0, seconds):.1f} s"
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    minutes = int(seconds // 60)
+    if minutes < 60:
+        return f"{minutes} min"
+    if seconds < 2 * DAY_S:
+        return f"{minutes // 60} h {minutes % 60} min"
+    return f"{seconds / DAY_S:.0f} days"
+
+
+def clock(unix_s: float, now_s: float) -> str:
+    """Time of the day, with the date when it is more than half a day from now. Local time."""
+    form = "%H:%M:%S" if abs(now_s - unix_s) < DAY_S / 2 else "%Y-%m-%d %H:%M:%S"
+    return time.strftime(form, time.localtime(unix_s))
+
+
+def ago(unix_s: float, now_s: float) -> str:
+    """`14:03:22, 12 s ago`. A stamp from the future, of a clock that was set back, is just a time."""
+    seconds = now_s - unix_s
+    return f"{clock(unix_s, now_s)}, {span(seconds)} ago" if seconds >= 0 else clock(unix_s, now_s)
+
+
+def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
+    """A body velocity, the axes that are zero left out."""
+    parts = []
+    if abs(vx_mps) >= NOWHERE_MPS:
+        parts.append(f"{abs(vx_mps):.2f} m/s {'forward' if vx_mps > 0 else 'backward'}")
+    if abs(vy_mps) >= NOWHERE_MPS:
+        parts.append(f"{abs(vy_mps):.2f} m/s {'left' if vy_mps > 0 else 'right'}")
+    if abs(wz_radps) >= NOWHERE_MPS:
+        parts.append(f"{abs(wz_radps):.2f} rad/s turning {'left' if wz_radps > 0 else 'right'}")
+    return ", ".join(parts)
+
+
+def took(microseconds: float) -> str:
+    """A short time, to what matters of it."""
+    if microseconds < 100:
+        return f"{microseconds:.0f} us"
+    milliseconds = microseconds / 1000
+    return f"{milliseconds:.2f} ms" if milliseconds < 10 else f"{milliseconds:.0f} ms"
+
+
+def wheels_seen(stop: Stop) -> str:
+    """The third proof, to the resolution there is: the IMU's verdict."""
+    from failstop.supervisor import stops
+
+    assert stop.observed_ms is not None
+    return stops.wheels_seen(stop.observed_ms / 1000)
+
+
+def starved(found: dict[str, Any] | None) -> str:
+    """How often the machine did not run a process past its deadline, as a clause; empty for never."""
+    if not found:
+        return ""
+    times = "once" if found["times"] == 1 else f"{found['times']} times"
+    return f"the machine starved the service {times}, at worst {found['process']} for {found['longest_ms']} ms"
+
+
+def unit(name: str) -> str:
+    """The systemd unit of a service of this name."""
+    return "failstop" if name == DEFAULT_NAME else f"failstop@{name}"
+
+
+def named(text: str, name: str) -> str:
+    """A text whose commands of failstop, in backquotes, say which service they mean, as is needed where there are
+    several."""
+    parts = text.split("`")
+    for number in range(1, len(parts) - 1, 2):
+        if parts[number].startswith("failstop ") and " --name " not in parts[number]:
+            parts[number] += option(name)
+    return "`".join(parts)
+
+
+def joined(parts: list[str], last: str = "and") -> str:
+    """a, b and c."""
+    return f" {last} ".join([", ".join(parts[:-1]), parts[-1]]) if len(parts) > 1 else "".join(parts)
+
+
+def said(state: State) -> list[tuple[str, str, str]]:
+    """(who, what it sees, what is wrong by its account) of each client that says something of itself; old words with
+    their age."""
+    found = []
+    for client in state.clients:
+        if "sees" in client:
+            old = client["said_s"] > OLD_WORDS_S
+            age = f" ({span(client['said_s'])} ago)" if old else ""
+            who = f"{client['name']}{age}"
+            found.append((who, client["sees"], client["wrong"]))
+    return found

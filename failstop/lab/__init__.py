@@ -1,0 +1,1 @@
+"""What breaks a robot on purpose: simulated board, fault table, campaigns, stand test. A robot needs none of it."""

@@ -1,0 +1,1 @@
+"""The subcommands of `failstop` that need the laboratory."""

@@ -1,0 +1,153 @@
+"""The rows about processes: each killed, hung and spinning, every two to five at once."""
+
+from __future__ import annotations
+
+import itertools
+
+from failstop.lab.faults.fault import CONTINUE, DEATH, HANG, HANGS, KILL, NEW_RUN, RESET, SEVERAL, SPIN, Fault
+from failstop.policy import causes
+from failstop.policy.processes import BY_NAME
+from failstop.policy.settings import BY_KEY
+from failstop.procs.stopper.main import HANG_NS
+from failstop.shm.layout import GATE, PORT_OWNER, PROCESSES, STOPPER, SUPERVISOR, TELEMETRY
+
+AT_ONCE_MS = 5.0
+NO_ANSWER_MS = 10.0
+"""With the 3 to 5 ms that the stopper and the supervisor grant a port owner that does not answer."""
+SLACK_MS = 5.0
+LEASE_MS = float(BY_KEY["gate.lease_s"].default) * 1000 + SLACK_MS
+STOPPER_MS = HANG_NS / 1e6 + SLACK_MS
+DEADLINES_MS = {name: row.deadline_ns / 1e6 + SLACK_MS for name, row in BY_NAME.items()}
+TOOL_MS = 200.0
+"""The stop tool is a new process, started once systemd, here the campaign, has seen that the supervisor is gone."""
+
+NEW_RUN_SAYS = "is ready: wheels stopped"
+SPARE_S = 0.12
+"""Time for the burst's repeats."""
+
+DEATH_OF = {
+    GATE: "port owner (its lifeline)",
+    PORT_OWNER: "supervisor and stopper, own descriptors",
+    TELEMETRY: "port owner (its lifeline)",
+    STOPPER: "port owner (its lifeline)",
+    SUPERVISOR: "port owner (its lifeline), then stopper",
+}
+HANG_OF = {
+    GATE: ("port owner (its lease)", LEASE_MS),
+    PORT_OWNER: ("supervisor, which fences it", DEADLINES_MS[PORT_OWNER]),
+    TELEMETRY: ("supervisor, through the port owner", DEADLINES_MS[TELEMETRY]),
+    STOPPER: ("supervisor, through the port owner", DEADLINES_MS[STOPPER]),
+    SUPERVISOR: ("port owner (its lease), then systemd's watchdog", LEASE_MS),
+}
+HANG_OF_BOTH = {
+    (SUPERVISOR, PORT_OWNER): ("stopper", STOPPER_MS),
+    (SUPERVISOR, GATE): ("port owner (its lease)", LEASE_MS),
+    (SUPERVISOR, STOPPER): ("port owner (its lease)", LEASE_MS),
+    (PORT_OWNER, GATE): ("supervisor, which fences it", DEADLINES_MS[PORT_OWNER]),
+    (PORT_OWNER, STOPPER): ("supervisor, which fences it", DEADLINES_MS[PORT_OWNER]),
+    (GATE, STOPPER): ("port owner (its lease)", LEASE_MS),
+}
+
+
+def _row(
+    name: str,
+    event: str,
+    cause: str,
+    first: str,
+    bar_ms: float,
+    steps: tuple[tuple[str, str], ...],
+    *,
+    fenced_s: float = 0.0,
+    weight: int = 2,
+) -> Fault:
+    """What stays latched is the first cause; a service that lost its supervisor starts anew, with nothing latched.
+    `fenced_s`: the hung hang until the supervisor has fenced them; 0: they are continued before."""
+    fates = {KILL: (causes.DIED,), HANG: (causes.HANGS, causes.STARVED), SPIN: (causes.HANGS, causes.STARVED)}
+    struck = {process: fates[action] for action, process in steps if action != CONTINUE}
+    continued = {process for action, process in steps if action == CONTINUE}
+    anew = SUPERVISOR in struck and SUPERVISOR not in continued
+    wanted = tuple((kind, process) for process, kinds in struck.items() for kind in kinds)
+    return Fault(
+        name=name,
+        event=event,
+        cause=cause,
+        first=first,
+        latched=() if anew else wanted,
+        cleared=NEW_RUN if anew else RESET,
+        logged=NEW_RUN_SAYS if anew else "",
+        bar_ms=bar_ms,
+        injector="processes",
+        steps=steps,
+        aftermath_s=fenced_s + SPARE_S,
+        fences=fenced_s > 0 and not anew,
+        stop_tool={(KILL, p) for p in (SUPERVISOR, PORT_OWNER, STOPPER)} <= set(steps),
+        weight=weight,
+    )
+
+
+def _words(processes: tuple[str, ...]) -> str:
+    return f"{', '.join(processes[:-1])} and {processes[-1]}"
+
+
+def _kill(process: str) -> Fault:
+    steps = ((KILL, process),)
+    cause = f"SIGKILL of the {process}"
+    return _row(f"kill-{process}", DEATH, cause, DEATH_OF[process], AT_ONCE_MS, steps, weight=16)
+
+
+def _hang(process: str, action: str, cause: str) -> Fault:
+    first, bar_ms = HANG_OF[process]
+    steps = ((action, process),)
+    fenced_s = DEADLINES_MS.get(process, bar_ms) / 1000
+    return _row(f"{action}-{process}", HANGS, f"{cause} the {process}", first, bar_ms, steps, fenced_s=fenced_s)
+
+
+def _continued(process: str, when: str) -> Fault:
+    first, bar_ms = HANG_OF[process]
+    cause = f"SIGSTOP of the {process}, SIGCONT {when}"
+    steps = ((HANG, process), (CONTINUE, process))
+    return _row(f"hang-{process}-continued", HANGS, cause, first, bar_ms, steps)
+
+
+def _kill_many(processes: tuple[str, ...]) -> Fault:
+    writers = tuple(process for process in (SUPERVISOR, STOPPER) if process not in processes)
+    if PORT_OWNER not in processes:
+        first, bar_ms = "port owner", AT_ONCE_MS
+    elif writers:
+        first, bar_ms = " and ".join(writers) + ", own descriptor", NO_ANSWER_MS
+    else:
+        first, bar_ms = "systemd: the stop tool (ExecStopPost)", TOOL_MS
+    cause = f"SIGKILL of {_words(processes)}, together or within 5 ms"
+    steps = tuple((KILL, process) for process in processes)
+    return _row("kill-" + "+".join(processes), SEVERAL, cause, first, bar_ms, steps)
+
+
+def _kill_and_hang(killed: str, hung: str) -> Fault:
+    first, bar_ms = "port owner", NO_ANSWER_MS
+    if PORT_OWNER in (killed, hung):
+        first = "stopper" if SUPERVISOR in (killed, hung) else "supervisor"
+    elif hung == SUPERVISOR and killed != GATE:
+        first, bar_ms = "port owner (its lease on the supervisor)", LEASE_MS
+    cause = f"SIGKILL of the {killed}, SIGSTOP of the {hung}, together or within 5 ms"
+    steps = ((KILL, killed), (HANG, hung))
+    return _row(f"kill-{killed}-hang-{hung}", SEVERAL, cause, first, bar_ms, steps, weight=1)
+
+
+def _hang_both(one: str, other: str) -> Fault:
+    first, bar_ms = HANG_OF_BOTH[one, other]
+    cause = f"SIGSTOP of {one} and {other}, together or within 5 ms"
+    steps = ((HANG, one), (HANG, other))
+    fenced_s = max(DEADLINES_MS.get(process, bar_ms) for process in (one, other)) / 1000
+    return _row(f"hang-{one}+{other}", SEVERAL, cause, first, bar_ms, steps, fenced_s=fenced_s, weight=1)
+
+
+ROWS = (
+    *(_kill(process) for process in PROCESSES),
+    *(_hang(process, HANG, "SIGSTOP of") for process in PROCESSES),
+    *(_hang(process, SPIN, "an endless loop in") for process in PROCESSES),
+    _continued(GATE, "before it is fenced"),
+    _continued(SUPERVISOR, "before systemd's watchdog"),
+    *(_kill_many(some) for count in (2, 3, 4, 5) for some in itertools.combinations(PROCESSES, count)),
+    *(_kill_and_hang(killed, hung) for killed, hung in itertools.permutations(PROCESSES, 2)),
+    *(_hang_both(*pair) for pair in HANG_OF_BOTH),
+)

@@ -1,0 +1,180 @@
+"""What a campaign found: by row with its times, and as a page of documentation."""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+import time
+from typing import Any
+
+from failstop.lab.faults.campaign import Outcome
+from failstop.lab.faults.fault import EVENTS, Fault, told
+from failstop.lab.faults.table import BEYOND, BY_NAME, TABLE
+from failstop.machine import facts
+
+
+@dataclasses.dataclass
+class Row:
+    """All injections of one row of the table. Times in ms; None: there was no stop to measure."""
+
+    name: str
+    count: int = 0
+    missed: int = 0
+    motion_after: int = 0
+    wrong: int = 0
+    """Injections that were not as the row says, for whatever reason."""
+    skipped: str = ""
+    times_ms: list[float] = dataclasses.field(default_factory=list)
+
+    def add(self, outcome: Outcome) -> None:
+        """Count one."""
+        if outcome.skipped:
+            self.skipped = outcome.skipped
+            return
+        self.count += outcome.struck
+        self.wrong += bool(outcome.wrong)
+        stopped = outcome.stopped
+        if outcome.struck and outcome.fault.bar_ms is not None and (stopped is None or stopped.stop_ns is None):
+            self.missed += 1
+        elif stopped and stopped.stop_ns is not None:
+            self.motion_after += stopped.motion_after
+            self.times_ms.append(stopped.stop_ns / 1e6)
+
+    def percentiles(self) -> tuple[float, float, float] | None:
+        """(p50, p99, max) in ms."""
+        if not self.times_ms:
+            return None
+        # Of a single value there are no quantiles.
+        times_ms = self.times_ms if len(self.times_ms) > 1 else 2 * self.times_ms
+        cuts = statistics.quantiles(times_ms, n=100, method="inclusive")
+        return cuts[49], cuts[98], max(times_ms)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        found = self.percentiles()
+        names = ("p50_ms", "p99_ms", "max_ms")
+        numbers = dict(zip(names, (round(value, 3) for value in found), strict=True)) if found else {}
+        plain = {"count": self.count, "missed": self.missed, "motion_after": self.motion_after, "wrong": self.wrong}
+        return {"name": self.name, **plain, "skipped": self.skipped, **numbers}
+
+
+class Tally:
+    """The rows of a campaign, in the table's order, and the stories of what went wrong."""
+
+    def __init__(self, rows: tuple[Fault, ...], seed: int) -> None:
+        self.seed = seed
+        self.rows = {fault.name: Row(fault.name) for fault in rows}
+        self.stories: list[str] = []
+        self.interrupted = False
+        self.begun_s = time.monotonic()
+
+    def add(self, outcome: Outcome) -> None:
+        """Count one."""
+        self.rows[outcome.fault.name].add(outcome)
+        if outcome.wrong:
+            self.stories.append(outcome.story(self.seed))
+
+    @property
+    def count(self) -> int:
+        """Faults injected."""
+        return sum(row.count for row in self.rows.values())
+
+    def total(self, field: str) -> int:
+        """The sum of a count over all rows."""
+        return sum(getattr(row, field) for row in self.rows.values())
+
+    def summary(self) -> str:
+        """One line."""
+        return (
+            f"{self.count} faults in {time.monotonic() - self.begun_s:.0f} s: {self.total('missed')} stops missed, "
+            f"{self.total('motion_after')} motion frames after a stop, {self.total('wrong')} not as the table says"
+        )
+
+    def table(self) -> str:
+        """For people."""
+        head = f"{'fault':<50} {'count':>6} {'missed':>7} {'moved':>6} {'p50':>9} {'p99':>9} {'max':>9}  bar"
+        lines = [head]
+        for row in self.rows.values():
+            if row.count:
+                bar_ms = BY_NAME[row.name].bar_ms
+                times = _times(row.as_dict())
+                bar = "no stop" if bar_ms is None else f"{bar_ms:g} ms"
+                lines.append(
+                    f"{row.name:<50} {row.count:>6} {row.missed:>7} {row.motion_after:>6}"
+                    f" {times[0]:>9} {times[1]:>9} {times[2]:>9}  {bar}"
+                )
+        lines += [f"{row.name:<50} not here: {row.skipped}" for row in self.rows.values() if row.skipped]
+        lines.append(
+            "\nTimes in ms, from the fault (or what the table counts from) to the arrival of the first stop frame"
+        )
+        lines.append("that the board executes; moved: motion frames after it and before the next enable.")
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, as in `--json`."""
+        machine = {
+            **facts(),
+            "took_s": round(time.monotonic() - self.begun_s),
+        }
+        totals = {field: self.total(field) for field in ("count", "missed", "motion_after", "wrong")}
+        rows = [row.as_dict() for row in self.rows.values()]
+        return {"machine": machine, "seed": self.seed, **totals, "rows": rows, "stories": self.stories}
+
+
+def _times(row: dict[str, Any]) -> tuple[str, str, str]:
+    found = [row.get(name) for name in ("p50_ms", "p99_ms", "max_ms")]
+    a, b, c = ("-" if value is None else f"{value:.2f}" for value in found)
+    return a, b, c
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """docs/dev/faults.md: the table, with what a campaign measured beside each row."""
+    measured = {row["name"]: row for row in result["rows"]}
+    machine = result["machine"]
+    lines = [
+        "# Faults",
+        "",
+        "What goes wrong, who stops first, what stays latched and what clears it. Generated by",
+        "`failstop chaos --markdown` from `failstop/lab/faults/table.py`: do not edit. Each row is a test",
+        "(`tests/faults/test_table.py`) and is drawn by the random campaign of `failstop chaos`. The simulated board",
+        "judges, on its side of the wire: the first stop frame that it executes after the fault, and no motion frame",
+        "from there to the next enable, while the client goes on commanding.",
+        "",
+        f"Measured {machine['date']}: {machine['cores']}-core {machine['machine']}, kernel {machine['kernel']}, Python "
+        f"{machine['python']}, failstop {machine['version']}; {result['count']} faults in {machine['took_s']} s, "
+        f"seed {result['seed']}: **{result['missed']} stops missed, {result['motion_after']} motion frames after a "
+        f"stop, {result['wrong']} not as the table says**.",
+        "",
+        "Times are in ms from the fault, or from what the row says, to the arrival of the last byte of that stop",
+        "frame. The bar is for the p99. What is latched is a row of policy/causes.py with its first arguments, and the",
+        "journal tells of it; what is said besides is in that column. Where nothing is latched after a new start,",
+        "motion is disabled. Clearing moves no wheel, but where it comes *by itself*. What is *not here* this",
+        "machine could not bring about: `make vm` puts one of its own to sleep and steps its clock",
+        "([usb.md](usb.md)).",
+    ]
+    for event in EVENTS:
+        rows = [fault for fault in TABLE if fault.event == event]
+        lines += ["", f"## {event[0].upper()}{event[1:]}", ""]
+        lines.append("| row | cause | first to stop | latched | cleared | said | n | p50 | p99 | max | bar |")
+        lines.append("|---|---|---|---|---|---|---|---|---|---|---|")
+        lines += [_line(fault, measured.get(fault.name, {})) for fault in rows]
+    lines += ["", "## Beyond this side of the wire", "", "| what | what helps |", "|---|---|"]
+    lines += [f"| {what} | {helps} |" for what, helps in BEYOND]
+    return "\n".join(lines) + "\n"
+
+
+def described(fault: Fault) -> str:
+    """The part of a row that nothing is measured for."""
+    latched, logged = _code(told(fault.latched)), _code(fault.logged)
+    return f"| `{fault.name}` | {fault.cause} | {fault.first} | {latched} | {fault.cleared} | {logged} |"
+
+
+def _line(fault: Fault, row: dict[str, Any]) -> str:
+    bar = "no stop" if fault.bar_ms is None else f"{fault.bar_ms:g}"
+    counted = "" if fault.counted_from == "the fault" else f" (from {fault.counted_from})"
+    count = row.get("count") or ("not here" if row.get("skipped") else 0)
+    return f"{described(fault)} {' | '.join((str(count), *_times(row), bar + counted))} |"
+
+
+def _code(text: str) -> str:
+    return f"`{text}`" if text else "nothing"

@@ -1,0 +1,154 @@
+"""Where faults happen: a trial with the settings of a campaign, its driving client, and the part of systemd."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+
+from failstop.api.client import send_stop
+from failstop.api.errors import FailstopError
+from failstop.lab.faults.driving import INTERLOCK, Driver
+from failstop.lab.sim.client import SimBoard
+from failstop.lab.trial import Trial, TrialError, write_settings
+from failstop.policy.config import read
+from failstop.shm.layout import SUPERVISOR
+
+SETTINGS: dict[str, object] = {
+    "restart.deaths": 100_000,
+    "restart.backoff_s": 0.001,
+    "battery.log": "on",
+    "battery.log_s": 1.0,
+    "battery.directory": "",
+    f"interlocks.{INTERLOCK}.timeout_s": 0.5,
+}
+"""Of a campaign, over the user's: so many deaths are no crash loop here."""
+GONE_S = 5.0
+
+
+class Scene:
+    """A context manager. `chance` is the injector's source of random choices."""
+
+    def __init__(self, name: str, config: str | None = None) -> None:
+        """`config`: a TOML file whose settings hold beside those of a campaign. Raises SettingError."""
+        self.name = name
+        self.chance = random.Random(0)
+        self.was_moving = False
+        """The board's word just before the fault."""
+        self._folder = tempfile.TemporaryDirectory(prefix="failstop-chaos-")
+        self._config = os.path.join(self._folder.name, "chaos.toml")
+        write_settings(self._config, {**read(config), **SETTINGS})
+        self.trial = self._new_trial()
+        self.driver = Driver(name)
+        self._pids: dict[str, int] = {}
+        self._tool: subprocess.Popen[bytes] | None = None
+
+    def _new_trial(self) -> Trial:
+        return Trial(self.name, ("--config", self._config))
+
+    def __enter__(self) -> Scene:
+        self.trial.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+        self._folder.cleanup()
+
+    def close(self) -> None:
+        """End everything, whatever state it is in."""
+        self.driver.leave()
+        self._end_tool()
+        process = self.trial.service.process
+        for pid in self._pids.values():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT) if is_ours(pid) else None
+        if process and process.poll() is None and self._stopped_by_fault():
+            self.trial.service.kill()
+        try:
+            self.trial.close()
+        except TrialError:
+            self.trial.close()
+        self._kill_rest()
+
+    def _stopped_by_fault(self) -> bool:
+        """Whether the service is too damaged to end in order."""
+        try:
+            return self.driver.robot.state.processes[SUPERVISOR].age_ms > 500
+        except FailstopError:
+            return True
+        finally:
+            self.driver.leave()
+
+    def renew(self) -> None:
+        """A new board and a new service, after a fault that this one did not get over."""
+        self.close()
+        self.trial = self._new_trial()
+        self.trial.__enter__()
+        self.driver = Driver(self.name)
+
+    @property
+    def board(self) -> SimBoard:
+        """The judge."""
+        return self.trial.board
+
+    def look_up_pids(self) -> dict[str, int]:
+        """The pid of each process now; remembered for the end."""
+        self._pids = {name: process.pid for name, process in self.driver.robot.state.processes.items()}
+        return self._pids
+
+    def ask(self, reason: str) -> None:
+        """A stop request."""
+        send_stop(self.name, reason)
+
+    # The part of systemd.
+
+    def start_stop_tool(self) -> None:
+        """What ExecStopPost does, once the supervisor is gone."""
+        if self.trial.service.process:
+            self.trial.service.process.wait(GONE_S)
+        command = [sys.executable, "-m", "failstop", "stop", "--device", self.trial.link, "--wait", "5"]
+        self._tool = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+
+    def wait_for_stop_tool(self) -> None:
+        """Go on commanding until the stop tool has ended. Raises TrialError when it failed."""
+        if tool := self._tool:
+            self.driver.until("the stop tool to end", lambda: tool.poll() is not None)
+            self._tool = None
+            if tool.returncode:
+                raise TrialError(f"the stop tool ended with exit code {tool.returncode}")
+
+    def _end_tool(self) -> None:
+        if self._tool:
+            self._tool.kill()
+            self._tool.wait()
+            self._tool = None
+
+    def restart(self) -> None:
+        """End what is left of the run, as systemd does, and start a new one; the clients go on commanding."""
+        service = self.trial.service
+        self.driver.leave()
+        service.kill()
+        self._kill_rest()
+        service.exec()
+        self.driver.until("the service to be ready again", service.ready)
+        self.driver.leave()
+
+    def _kill_rest(self) -> None:
+        for pid in self._pids.values():
+            if is_ours(pid):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+        self._pids = {}
+
+
+def is_ours(pid: int) -> bool:
+    """Whether the process is still one of the service's: its number may belong to another by now."""
+    try:
+        with open(f"/proc/{pid}/comm", encoding="utf-8") as file:
+            return file.read().startswith("fs:")
+    except OSError:
+        return False

@@ -1,0 +1,255 @@
+"""The fault table: what goes wrong, who stops first, what stays latched, what clears it, what is said of it.
+
+The tests, the campaign (`failstop chaos`) and docs/dev/faults.md all come from these rows. Whether the wheels stopped
+is the simulated board's word (judge.py), never the service's.
+"""
+
+from __future__ import annotations
+
+from failstop.lab.faults import processes
+from failstop.lab.faults.fault import (
+    BOARD,
+    CLIENT,
+    CONTINUE,
+    ENABLE,
+    HANG,
+    ITSELF,
+    MACHINE,
+    MEMORY,
+    NEW_RUN,
+    REQUEST,
+    RESET,
+    SENSOR,
+    SERVICE,
+    SEVERAL,
+    TIME,
+    USB,
+    Fault,
+)
+from failstop.lab.faults.inject_board import WATCHDOG_S
+from failstop.policy.causes import (
+    BUTTON,
+    DEAF,
+    DEVICE_LOST,
+    DIED,
+    HELD_UP,
+    KEY,
+    MUTE,
+    NOT_FINITE,
+    PIPED,
+    REMOVED,
+    STARVED,
+    STUCK,
+    SUSPENDED,
+    TWO_PUBLISHERS,
+)
+from failstop.policy.causes import HANGS as HANGS_CAUSE
+from failstop.shm.layout import GATE, PORT_OWNER, SUPERVISOR
+
+BACK = "the device's return"
+ASKED = "a stop request meanwhile"
+THAWED = "the thaw"
+
+
+def _asked(name: str, event: str, cause: str, injector: str, logged: str = "", *, bar_ms: float = 20.0) -> Fault:
+    """A trouble that must not stop the wheels, and not keep a stop request from stopping them either."""
+    return Fault(
+        name=name,
+        event=event,
+        cause=cause,
+        first="port owner, when asked",
+        latched=((PIPED, "asked meanwhile"),),
+        cleared=RESET,
+        logged=logged,
+        bar_ms=bar_ms,
+        injector=injector,
+        counted_from=ASKED,
+        weight=1,
+    )
+
+
+WOKEN = (
+    Fault(
+        "hang-supervisor+port_owner-continued", SEVERAL,
+        "SIGSTOP of supervisor and port_owner, SIGCONT once the stopper has stopped", "stopper",
+        ((HANGS_CAUSE, SUPERVISOR), (DIED, SUPERVISOR), (HANGS_CAUSE, PORT_OWNER), (DIED, PORT_OWNER)), RESET, "",
+        processes.STOPPER_MS, "processes",
+        steps=((HANG, SUPERVISOR), (HANG, PORT_OWNER), (CONTINUE, SUPERVISOR), (CONTINUE, PORT_OWNER)), weight=1,
+    ),
+)  # fmt: skip
+
+CLIENTS = (
+    Fault(
+        "client-killed", CLIENT, "SIGKILL of the client that drives", "gate (its lifeline)",
+        (), ITSELF, "", 5.0, "client-killed",
+    ),
+    Fault(
+        "client-killed-large", CLIENT, "SIGKILL of a client of 300 MB that drives", "gate (its lifeline)",
+        (), ITSELF, "", 5.0, "client-killed-large", weight=1,
+    ),
+    Fault(
+        "client-hung", CLIENT, "SIGSTOP of the client that drives", "gate (command timeout)",
+        (), ITSELF, "", 320.0, "client-hung", counted_from="its last command", aftermath_s=0.45, weight=1,
+    ),
+    Fault(
+        "pad-silent", CLIENT, "the gamepad that drives falls silent", "gate (command timeout)",
+        (), ITSELF, "", 320.0, "pad-silent", aftermath_s=0.5, weight=1,
+    ),
+    Fault(
+        "client-nan", CLIENT, "a command that is not a number", "gate",
+        ((NOT_FINITE,),), RESET, "", 5.0, "client-nan",
+    ),
+    Fault(
+        "client-second", CLIENT, "a second publisher of one source", "gate",
+        ((TWO_PUBLISHERS, "cmd_vel"),), RESET, "", 5.0, "client-second",
+    ),
+    Fault(
+        "client-gamepad", CLIENT, "a client commands zero as the gamepad", "nobody",
+        (), ITSELF, "the source 'gamepad' is the board's gamepad alone", None, "client-gamepad",
+        aftermath_s=0.4, weight=1,
+    ),
+    Fault(
+        "slot-scribbled", MEMORY, "the driving client's slot is overwritten", "gate (its session is gone)",
+        (), ITSELF, "", 50.0, "slot-scribbled", counted_from="its last command", aftermath_s=0.45, weight=1,
+    ),
+    Fault(
+        "slot-truncated", MEMORY, "the driving client's slot is truncated", "gate (its session is gone)",
+        (), ITSELF, "", 50.0, "slot-truncated", counted_from="its last command", aftermath_s=0.45, weight=1,
+    ),
+    Fault(
+        "slot-unlinked", MEMORY, "the driving client's slot is unlinked", "nobody",
+        (), ITSELF, "", None, "slot-unlinked", aftermath_s=0.4, weight=1,
+    ),
+)  # fmt: skip
+
+REQUESTS = (
+    Fault(
+        "service-stopped", SERVICE, "SIGTERM to the service", "supervisor, through the port owner",
+        (), NEW_RUN, "stopped; the stop was written twice", 20.0, "service-stopped",
+    ),
+    Fault(
+        "stop-request", REQUEST, "a stop request by an unprivileged user", "port owner",
+        ((PIPED, "nobody says so"),), RESET, "", 2.0, "stop-request",
+    ),
+    Fault(
+        "stop-request-posing", REQUEST, "a stop request in the words of a cause of the service's own", "port owner",
+        ((PIPED, str(DIED(GATE))),), RESET, "", 2.0, "stop-request-posing",
+    ),
+    Fault(
+        "stop-pipe-garbage", REQUEST, "garbage in the stop FIFO", "port owner",
+        ((PIPED,),), RESET, "", 2.0, "stop-pipe-garbage",
+    ),
+    Fault(
+        "stop-pipe-flood", REQUEST, "the stop FIFO is kept full", "port owner",
+        ((PIPED,),), RESET, "", 2.0, "stop-pipe-flood",
+    ),
+    Fault(
+        "pad-button", REQUEST, "a button of the gamepad, one frame", "port owner, asked by telemetry",
+        ((BUTTON, 0x0100),), RESET, "", 5.0, "pad-button",
+    ),
+    Fault(
+        "board-key", REQUEST, "the board's stop key", "port owner, asked by telemetry",
+        ((KEY, 1),), RESET, "", 5.0, "board-key",
+    ),
+    Fault(
+        "scan-silent", SENSOR, "the obstacle sensor falls silent, and comes back", "gate (no scan)",
+        (), ITSELF, "no scan for", 520.0, "scan-silent", counted_from="its last delivery", aftermath_s=0.65, weight=1,
+    ),
+    Fault(
+        "interlock-lost", SENSOR, "an interlock is no longer asserted", "gate",
+        (), ENABLE, "motion disabled: interlock arm", 525.0, "interlock-lost", counted_from="its last assertion",
+        aftermath_s=0.65, weight=1,
+    ),
+)  # fmt: skip
+
+PORT = (
+    Fault(
+        "usb-drop", USB, "unplugged; back under the same name", "supervisor, the moment it is back",
+        ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop", counted_from=BACK,
+    ),
+    Fault(
+        "usb-drop-mid-frame", USB, "unplugged while a frame is half written", "supervisor, the moment it is back",
+        ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop-mid-frame", counted_from=BACK,
+    ),
+    Fault(
+        "usb-drop-renamed", USB, "unplugged; back as another node behind the link", "supervisor, the moment it is back",
+        ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop-renamed", counted_from=BACK,
+    ),
+    Fault(
+        "usb-drop-permission", USB, "unplugged; back, and the permission comes later", "supervisor, once it may open",
+        ((DEVICE_LOST,),), RESET, "", 20.0, "usb-drop-permission",
+        counted_from="the permission", weight=1,
+    ),
+    Fault(
+        "usb-drop-unwatched", USB, "unplugged, the supervisor stopped (SIGSTOP) meanwhile; back under the same name",
+        "systemd: its watchdog, then the stop tool (ExecStopPost)", (), NEW_RUN, processes.NEW_RUN_SAYS,
+        1000 * WATCHDOG_S + processes.TOOL_MS, "usb-drop-unwatched", counted_from=BACK, stop_tool=True, weight=1,
+    ),
+    Fault(
+        "board-not-draining", BOARD, "the board takes no bytes", "nobody; port owner, once it takes bytes again",
+        ((STUCK,),), RESET, "POWER SWITCH", 100.0, "board-not-draining", counted_from="taking bytes again",
+        weight=1,
+    ),
+    Fault(
+        "board-deaf", BOARD, "the board hears nothing while its telemetry goes on", "nobody; its 5 Hz zeros, later",
+        ((DEAF,),), RESET, "POWER SWITCH", 210.0, "board-deaf", counted_from="hearing again",
+        aftermath_s=0.3, weight=1,
+    ),
+    Fault(
+        "board-unproven", BOARD, "the board has never answered a ping", "nobody",
+        (), ITSELF, "", None, "board-unproven", aftermath_s=1.6, link="unproven", weight=1,
+    ),
+    Fault(
+        "board-garbles-up", BOARD, "1 % of the bytes from the board are garbled", "nobody",
+        (), ITSELF, "", None, "board-garbles-up", aftermath_s=0.4, weight=1,
+    ),
+    _asked("board-garbles-down", BOARD, "1 % of the bytes to the board are garbled", "board-garbles-down", bar_ms=250),
+    _asked("board-floods", BOARD, "the board sends without pause", "board-floods"),
+    Fault(
+        "board-refuses", BOARD, "the board executes the stop, and the wheels turn on", "port owner, in vain",
+        ((PIPED, "asked meanwhile"),), RESET, "CRITICAL", 5.0, "board-refuses", counted_from=ASKED,
+        aftermath_s=2.0, weight=1,
+    ),
+)  # fmt: skip
+
+SURROUNDINGS = (
+    _asked("no-processor", MACHINE, "every core is busy", "no-processor"),
+    _asked("no-descriptors", MACHINE, "no process may open another file", "no-descriptors"),
+    Fault(
+        "no-descriptors-kill", MACHINE, "no process may open another file; SIGKILL of the gate", "port owner",
+        ((DIED, GATE),), RESET, "", 10.0, "no-descriptors-kill", weight=1,
+    ),
+    _asked("no-memory", MACHINE, "no process may have more memory", "no-memory"),
+    _asked("no-disk", MACHINE, "the state files can't grow", "no-disk", "can't be written"),
+    Fault(
+        "names-removed", MACHINE, "the names in /dev/shm are gone, as by logind's RemoveIPC=yes",
+        "port owner; the supervisor looks once a second", (), NEW_RUN, str(REMOVED("")).lstrip(),
+        1020.0, "names-removed", aftermath_s=1.2, weight=1,
+    ),
+    Fault(
+        "frozen", TIME, "every process frozen for 0.3 s and thawed together", "the first to wake",
+        ((HANGS_CAUSE,), (MUTE,), (HELD_UP,), (STARVED,)), RESET, "", 65.0, "frozen", counted_from=THAWED, weight=1,
+    ),
+    Fault(
+        "suspended", TIME, "the machine sleeps and wakes", "the first to wake",
+        ((SUSPENDED,),), RESET, "", 65.0, "suspended", counted_from="waking", weight=1,
+    ),
+    Fault(
+        "clock-stepped", TIME, "the wall clock is stepped by an hour, both ways", "nobody",
+        (), ITSELF, "", None, "clock-stepped", aftermath_s=0.5, weight=1,
+    ),
+)  # fmt: skip
+
+TABLE = (*processes.ROWS, *WOKEN, *CLIENTS, *REQUESTS, *PORT, *SURROUNDINGS)
+BY_NAME = {fault.name: fault for fault in TABLE}
+
+BEYOND = (
+    (
+        "everything is frozen from outside (the hypervisor, SIGSTOP to all)",
+        "a watchdog on the board's side",
+    ),
+    ("the kernel is dead or stuck", "a hardware watchdog that resets the machine; a watchdog on the board's side"),
+    ("no power to USB, the cable is cut and stays cut", "a relay in the motors' supply that needs a living signal"),
+    ("the board is deaf, does not drain, or does not obey", "the POWER SWITCH, or a relay run by `still.command`"),
+)
+"""What no program on this side of the wire can answer, and the hardware that helps."""

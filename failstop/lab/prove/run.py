@@ -1,0 +1,311 @@
+"""One stop path at one velocity: spin the wheels, bring the stop about, see them come to rest, judge it."""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+import subprocess
+import time
+
+from failstop.api.errors import FailstopError
+from failstop.lab.faults.fault import fits, told
+from failstop.lab.faults.steps import Steps
+from failstop.lab.prove import shake, table
+from failstop.lab.prove.shake import Noise, Sample, Verdict
+from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.strike import Ask, Skipped, strike
+from failstop.lab.prove.table import Path, Velocity
+from failstop.lab.trial import TrialError
+from failstop.shm.layout import SUPERVISOR
+
+NS = 1e9
+STEADY_S = 0.8
+"""At speed before the stop: a window of the judgement, and some."""
+LEAST_S = 1.3
+MOST_S = 3.5
+"""After the cause. Wheels that still turn then are not left to turn on."""
+STAYS_S = 0.4
+"""Rest must last for so long after it was seen."""
+BACK_S = 2.0
+WHOLE_S = 10.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Character:
+    """How this robot shakes."""
+
+    still: Noise
+    spinning: dict[str, Noise]
+    limit_radps: float
+    """What is called still here."""
+    configured_radps: float
+
+
+@dataclasses.dataclass
+class Result:
+    """What became of one run. Times count from the cause; None: it was not seen."""
+
+    path: Path
+    velocity: Velocity
+    simulated: bool
+    written_ms: float | None = None
+    written_by: str = ""
+    acknowledged_ms: float | None = None
+    rest_s: float | None = None
+    blind_s: float = 0.0
+    """The IMU was silent for so long before the moment of rest, which is then the latest it can have been."""
+    board_ms: float | None = None
+    """The simulated board's own word: its first stop frame."""
+    back_s: float | None = None
+    """Scan: from the sensor's return to turning wheels."""
+    latched: str | None = None
+    skipped: str = ""
+    runaway: bool = False
+    """The wheels did not come to rest."""
+    over: str = ""
+    """Why no other run can follow; empty: one can."""
+    wrong: list[str] = dataclasses.field(default_factory=list)
+    samples: list[Sample] = dataclasses.field(default_factory=list)
+    """Around the cause; the times count from it, ns."""
+
+    @property
+    def verdict(self) -> str:
+        """PASS, FAIL or SKIP."""
+        return "SKIP" if self.skipped else "FAIL" if self.wrong else "PASS"
+
+
+class Run:
+    """From enable to a whole service with nothing enabled."""
+
+    def __init__(
+        self,
+        stand: Stand,
+        character: Character,
+        path: Path,
+        velocity: Velocity,
+        ask: Ask | None,
+        chance: random.Random,
+    ) -> None:
+        """`chance`: for what is left to it in a row of the fault table."""
+        self.stand = stand
+        self.character = character
+        self.path = path
+        self.velocity = velocity
+        self.ask = ask
+        self.result = Result(path, velocity, stand.board is not None)
+        self._steps = Steps(path.fault, chance) if path.fault else None
+        self._pids: dict[str, int] = {}
+        self._cause_ns = 0
+        self._rest_seen_ns = 0
+        self._verdict = Verdict(character.limit_radps)
+
+    def take(self) -> Result:
+        """Do it. What can't be done, and what must not happen, is in the result."""
+        result = self.result
+        if self.path.kind == table.PAD and not self.ask and not self.stand.board:
+            result.skipped = "nobody to press a button (--pad asks for it)"
+            return result
+        try:
+            self._spin()
+            try:
+                self._cause_ns = self._strike()
+                self._verdict = Verdict(self.character.limit_radps, self._cause_ns)
+                self.stand.run(MOST_S, self._settled)
+                self._judge()
+                if self.path.kind == table.SCAN and not result.runaway:
+                    self._sense_again()
+            except Skipped as reason:
+                result.skipped = str(reason)
+                self.stand.driver.robot.disable()
+            if not result.runaway:
+                self._recover()
+        except (TrialError, FailstopError, OSError) as error:
+            result.wrong.append(f"{type(error).__name__}: {error}")
+            self._start_over()
+        return result
+
+    def _strike(self) -> int:
+        if self._steps:
+            return self._steps.take(self._pids, self.stand.run)
+        return strike(self.path, self.stand, self.ask)
+
+    def _start_over(self) -> None:
+        """After what says nothing of the wheels: stop them by every means, look, and only then begin anew."""
+        stand, result = self.stand, self.result
+        stand.driver.commands = False
+        if problem := stand.safe():
+            result.wrong.append(problem)
+        stand.watch.forget()
+        verdict = Verdict(self.character.limit_radps, time.monotonic_ns())
+        seen = stand.watch.take_port() and stand.run(MOST_S, lambda: verdict.still(stand.watch.samples))
+        if not seen:
+            result.wrong.append("the wheels were not seen at rest after that")
+            result.runaway = True
+            return
+        try:
+            stand.start()
+        except (TrialError, FailstopError, OSError) as error:
+            result.over = f"the service could not be started again: {error}"
+
+    def _spin(self) -> None:
+        stand = self.stand
+        stand.watch.forget()
+        stand.driver.velocity = self.velocity.command
+        stand.driver.enable()
+        if stand.board:
+            stand.board.events()
+        stand.run(speed_up_s(stand, self.velocity) + STEADY_S)
+        self._pids = stand.look_up_pids()
+
+    def _settled(self) -> bool:
+        """Everything was seen that is to be seen."""
+        if self.path.ends:
+            self._follow_to_port()
+        now_ns = time.monotonic_ns()
+        if not self._verdict.still(self.stand.watch.samples):
+            self._rest_seen_ns = 0
+            return False
+        self._rest_seen_ns = self._rest_seen_ns or now_ns
+        waited = now_ns > max(self._cause_ns + LEAST_S * NS, self._rest_seen_ns + STAYS_S * NS)
+        return waited and self._acknowledged() is not None
+
+    def _follow_to_port(self) -> None:
+        """A service that has gone leaves the port to us."""
+        if self.stand.gone():
+            self.stand.watch.take_port()
+
+    def _after(self) -> list[Sample]:
+        return [sample for sample in self.stand.watch.samples if sample[0] >= self._cause_ns]
+
+    def _written(self) -> tuple[int, str] | None:
+        watch = self.stand.watch
+        found = [(t_ns, "gate") for t_ns in watch.zeros] if self.path.by_gate else watch.written
+        return min((entry for entry in found if entry[0] >= self._cause_ns), default=None)
+
+    def _acknowledged(self) -> int | None:
+        written = self._written()
+        if written is None:
+            return None
+        answers = self.stand.watch.answers
+        return min((t_ns for asked_ns, t_ns in answers if asked_ns >= written[0]), default=None)
+
+    def _judge(self) -> None:
+        result, path = self.result, self.path
+        result.samples = [(t_ns - self._cause_ns, x, y) for t_ns, x, y in self.stand.watch.samples]
+        before = [sample for sample in self.stand.watch.samples if -0.55 * NS < sample[0] - self._cause_ns < 0]
+        if not shake.turning(before, self.character.limit_radps):
+            result.wrong.append("the wheels were not seen turning before the stop")
+        self._judge_written()
+        self._judge_rest(before)
+        if self.stand.board:
+            self._judge_board()
+        if not path.ends and path.process != SUPERVISOR:
+            self._judge_latch()
+
+    def _judge_written(self) -> None:
+        result = self.result
+        written = self._written()
+        if written is None:
+            result.wrong.append("NO STOP written")
+            return
+        result.written_ms, result.written_by = (written[0] - self._cause_ns) / 1e6, written[1]
+        bar_ms = self.path.reaction_bar_ms(simulated=result.simulated)
+        if result.written_ms > bar_ms:
+            result.wrong.append(f"written after {result.written_ms:.1f} ms, the bar is {bar_ms:.0f}")
+        answer_ns = self._acknowledged()
+        if answer_ns is None:
+            result.wrong.append("not acknowledged by the board")
+            return
+        result.acknowledged_ms = (answer_ns - self._cause_ns) / 1e6
+        if result.acknowledged_ms - result.written_ms > table.ACKNOWLEDGED_MS:
+            result.wrong.append(f"acknowledged after {result.acknowledged_ms:.0f} ms")
+
+    def _judge_rest(self, before: list[Sample]) -> None:
+        result, character = self.result, self.character
+        after = self._after()
+        if not self._verdict.still(self.stand.watch.samples):
+            seen = "the IMU is silent" if not after else "THE WHEELS DID NOT COME TO REST"
+            result.wrong.append(seen)
+            result.runaway = True
+            return
+        rest_ns = shake.rest_ns(before + after, character.still, character.spinning[self.velocity.name])
+        if rest_ns is None:
+            result.wrong.append("no moment of rest in the IMU's samples")
+            return
+        rest_ns = max(rest_ns, self._cause_ns)
+        result.rest_s = (rest_ns - self._cause_ns) / NS
+        result.blind_s = shake.blind_ns(before + after, self._cause_ns, rest_ns) / NS
+        bar_s = self.path.rest_bar_s(self.velocity)
+        if result.rest_s - result.blind_s > bar_s:
+            result.wrong.append(f"at rest after {result.rest_s:.2f} s, the bar is {bar_s:.2f}")
+
+    def _judge_board(self) -> None:
+        assert self.stand.board is not None
+        result = self.result
+        after = [event for event in self.stand.board.events() if event.arrival_ns >= self._cause_ns]
+        stop = next((event for event in after if event.is_stop), None)
+        if stop is None:
+            result.wrong.append("the board has seen NO STOP")
+            return
+        result.board_ms = (stop.arrival_ns - self._cause_ns) / 1e6
+        # A simulated board without real-time priority is held up itself, its IMU with it, on a busy machine.
+        held_ns = shake.longest_silence_ns(self.stand.watch.samples, self._cause_ns, stop.arrival_ns)
+        bar_ms = self.path.reaction_bar_ms(simulated=True) + held_ns / 1e6
+        if result.board_ms > bar_ms:
+            result.wrong.append(f"at the board after {result.board_ms:.1f} ms, the bar is {bar_ms:.0f}")
+        if motion := sum(event.is_motion for event in after if event.index > stop.index):
+            result.wrong.append(f"{motion} motion frames after the stop")
+
+    def _judge_latch(self) -> None:
+        """With whatever the commands went on meanwhile."""
+        result, wanted = self.result, self.path.latched
+        state = self.stand.driver.robot.state
+        result.latched = state.estop
+        if not fits(state.cause, wanted) if wanted else state.cause:
+            result.wrong.append(f"latched: {result.latched}" + (f", not {told(wanted)}" if wanted else ""))
+
+    def _sense_again(self) -> None:
+        """The commands have gone on: the wheels turn again by themselves."""
+        watch = self.stand.watch
+        begun_ns = time.monotonic_ns()
+        self.stand.driver.senses = True
+        limit = self.character.limit_radps
+
+        def turns() -> bool:
+            recent = [sample for sample in watch.samples if sample[0] > time.monotonic_ns() - 0.55 * NS]
+            return shake.turning(recent, limit)
+
+        if self.stand.run(BACK_S + speed_up_s(self.stand, self.velocity), turns):
+            self.result.back_s = (time.monotonic_ns() - begun_ns) / NS
+        else:
+            self.result.wrong.append("the sensor is back, and the wheels do not turn again")
+
+    def _recover(self) -> None:
+        """To wheels at rest, nothing enabled, every process running."""
+        stand, path = self.stand, self.path
+        if path.ends or path.process == SUPERVISOR:
+            self._check_end()
+            stand.bury()
+            stand.start()
+            return
+        if self._steps:
+            self._steps.undo(self._pids)
+        stand.driver.until("the service to be whole again", stand.whole, WHOLE_S)
+        stand.driver.robot.disable()
+
+    def _check_end(self) -> None:
+        if self.path.kind == table.END and self.stand.service.process:
+            try:
+                code = self.stand.service.process.wait(WHOLE_S)
+            except subprocess.TimeoutExpired:
+                self.result.wrong.append(f"the service did not end within {WHOLE_S:g} s")
+                return
+            if code:
+                self.result.wrong.append(f"the service ended with exit code {code}")
+
+
+def speed_up_s(stand: Stand, velocity: Velocity) -> float:
+    """The ramp's time."""
+    forward, _, turn = velocity.command
+    settings = stand.settings
+    return max(abs(forward) / settings["limits.acceleration_mps2"], abs(turn) / settings["limits.acceleration_radps2"])

@@ -1,0 +1,126 @@
+"""A session on the stand: alone with the board, from the robot's character to the last run, and out by way of wheels at
+rest."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from types import FrameType
+
+from failstop.api.errors import FailstopError, NoService, Refused
+from failstop.api.robot import Robot
+from failstop.cli import style
+from failstop.doctor import port_facts
+from failstop.doctor.system import System
+from failstop.install.layout import unit_of
+from failstop.lab.prove import report
+from failstop.lab.prove.character import Unfit, characterize
+from failstop.lab.prove.report import Evidence
+from failstop.lab.prove.run import Character, Run
+from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.strike import Ask
+from failstop.lab.prove.table import Path, Velocity
+from failstop.lab.sim.client import SimBoardError
+from failstop.lab.trial import TrialError
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+RUNAWAY = "the wheels were not seen to come to rest: if they turn, use the POWER SWITCH"
+
+Runs = Iterable[tuple[Path, Velocity, random.Random]]
+"""What to do, and what is left to chance in it."""
+
+
+def session(
+    runs: Runs,
+    velocities: Sequence[Velocity],
+    stand: Stand,
+    *,
+    quick: bool = False,
+    say: Callable[[str], None],
+    ask: Ask | None = None,
+    tool: str = "prove",
+    keep_all: bool = True,
+    width: int = report.NAME,
+) -> Evidence:
+    """Characterize the robot at `velocities` and make the runs, saying rows as they come. Ends at the first wheel that
+    turns on. `stand` is entered here; `tool`: which command this is; `keep_all`: the IMU's samples of the
+    runs that passed, too; `width`: of the paths' names."""
+    evidence = Evidence(stand.device, stand.board is not None, False, tool=tool)
+    try:
+        with stand:
+            with Robot(stand.name) as robot:
+                evidence.realtime = all(process.realtime for process in robot.state.processes.values())
+            say("\n".join(report.head_lines(evidence)) + "\n")
+            evidence.character = _characterize(stand, velocities, quick=quick)
+            say("\n".join([*report.character_lines(evidence.character), "", report.head(width)]))
+            for path, velocity, chance in runs:
+                result = Run(stand, evidence.character, path, velocity, ask, chance).take()
+                if result.verdict == "PASS" and not keep_all:
+                    result.samples = []
+                evidence.results.append(result)
+                say(report.row(result, style.paint, width))
+                if result.runaway:
+                    evidence.ended = RUNAWAY
+                    _alarm(RUNAWAY)
+                    break
+                if result.over:
+                    evidence.ended = result.over
+                    break
+    except KeyboardInterrupt:
+        evidence.ended = report.INTERRUPTED
+    except (TrialError, SimBoardError, FailstopError, OSError) as error:
+        evidence.ended = str(error)
+    if stand.unsafe and not stand.board:
+        evidence.ended = f"{evidence.ended}; {stand.unsafe}: use the POWER SWITCH".lstrip("; ")
+    return evidence
+
+
+def _characterize(stand: Stand, velocities: Sequence[Velocity], *, quick: bool) -> Character:
+    try:
+        return characterize(stand, velocities, quick=quick)
+    except Unfit as error:
+        _alarm(str(error))
+        raise
+
+
+def check_free(device: str, *names: str) -> None:
+    """Nobody else drives this board, a service of one of these names least of all. Raises Refused with the command that
+    ends whoever does."""
+    node = port_facts.node(device, System())
+    for name in names:
+        with contextlib.suppress(NoService):
+            served = Robot(name).state.device["path"]
+            # A simulated board is nobody else's. On a robot the service may be between two openings of this very port.
+            if not (node and node.pseudo and served and os.path.realpath(served) != node.resolved):
+                end = f"sudo systemctl stop {unit_of(name)}"
+                raise Refused(f"the service {name!r} runs, and this test kills what it runs: {end}")
+    if node is None:
+        return  # the run says it, with the devices that are there
+    holders, _ = port_facts.holders(node.resolved, set(), System())
+    for holder in holders:
+        end = f"sudo systemctl stop {holder.unit}" if holder.unit else f"kill {holder.pid}"
+        raise Refused(f"{holder.name} (pid {holder.pid}) has {device} open: {end}")
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """A lost terminal and a kill end it as Ctrl-C does: by way of wheels at rest."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _alarm(text: str) -> None:
+    """At once, before anything is wound up."""
+    print(style.paint(f"\a{text}", style.FAIL), file=sys.stderr, flush=True)

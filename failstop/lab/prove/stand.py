@@ -1,0 +1,208 @@
+"""The stand: a run of the service of its own on the board, the driving client, and the way back to wheels at rest."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+
+from failstop.api.client import send_stop
+from failstop.api.errors import FailstopError
+from failstop.board.port import PortError
+from failstop.lab.faults.driving import Driver
+from failstop.lab.faults.scene import is_ours
+from failstop.lab.prove.table import VELOCITIES
+from failstop.lab.prove.watch import Watch
+from failstop.lab.sim.client import SimBoard
+from failstop.lab.trial import COMMAND_EVERY_S, Service, TrialError, write_settings
+from failstop.policy import config
+from failstop.policy.settings import Settings
+from failstop.procs.stopper import tool
+from failstop.shm.layout import SUPERVISOR
+
+LOOK_EVERY_S = 0.001
+_PR_SET_PDEATHSIG = 1
+_libc = ctypes.CDLL(None, use_errno=True)
+FREE_S = 5.0
+"""The port is to be had again within this time after the service's end."""
+SIM_FREE_S = 0.5
+"""A simulated board may have ended with the same Ctrl-C."""
+OVERRIDES: dict[str, object] = {
+    "restart.deaths": 100_000,
+    "restart.window_s": 1.0,
+    "restart.backoff_s": 0.001,
+    "battery.log": "off",
+    "battery.directory": "",
+    "scan.gate": "on",
+}
+"""Over the user's settings: so many deaths are no crash loop here, no restart waits for the deaths of earlier runs, and
+the scan gate is one of the stop paths."""
+
+
+class StandService(Service):
+    """When the stand test is killed, it ends in order."""
+
+    def exec(self) -> None:
+        """As Service.exec, bound to this process."""
+        self.started_ns = time.monotonic_ns()
+        self.process = subprocess.Popen(
+            self._command,
+            stdin=subprocess.DEVNULL,
+            stderr=self._log,
+            env=self._environment,
+            preexec_fn=_end_with_parent,
+        )
+
+
+def _end_with_parent() -> None:
+    """In the child, before exec: SIGTERM when the parent dies. The supervisor then stops the wheels and ends."""
+    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+
+
+def settings_for(user: dict[str, object]) -> dict[str, object]:
+    """The user's settings, with limits that let the velocities of the table pass. Raises SettingError."""
+    fastest = [max(abs(velocity.command[axis]) for velocity in VELOCITIES) for axis in (0, 2)]
+    limits: dict[str, object] = {}
+    have = Settings({**user})
+    for key, needed in zip(("limits.vx_mps", "limits.wz_radps"), fastest, strict=True):
+        limits[key] = max(have[key], needed)
+    kept = {key: value for key, value in user.items() if key != "device.path"}
+    return {**kept, **OVERRIDES, **limits}
+
+
+class Stand:
+    """A context manager. Whatever happens, the wheels are stopped at its end."""
+
+    def __init__(self, device: str, user: dict[str, object], folder: str, board: SimBoard | None = None) -> None:
+        """`user`: the settings of the user's file; `folder`: for files of this run; `board`: the simulated one, which
+        then judges too. Raises SettingError."""
+        self.device = device
+        self.board = board
+        values = settings_for(user)
+        self.settings: Settings = config.checked(dict(values))
+        path = os.path.join(folder, "prove.toml")
+        write_settings(path, values)
+        self.name = f"prove-{os.getpid()}"
+        self.service = StandService(self.name, device, folder, ("--config", path))
+        self.driver = Driver(self.name, "prove", tuple(self.settings.interlocks()))
+        self.watch = Watch(device)
+        self.driver.each = self.look
+        self.unsafe = ""
+        self._pids: dict[str, int] = {}
+
+    def __enter__(self) -> Stand:
+        try:
+            self.start()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def start(self) -> None:
+        """Start the service, and watch it. Raises TrialError."""
+        self.watch.let_go()
+        self.driver.leave()
+        self.service.start()
+        self.watch.attach(self.name)
+
+    def look(self) -> None:
+        """Take in what the board sent meanwhile."""
+        self.watch.look(time.monotonic_ns())
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Let the driving client go on for a while, watching; True as soon as `until` is."""
+        now_s = next_s = time.monotonic()
+        end_s = now_s + seconds
+        while now_s < end_s:
+            if now_s >= next_s:
+                next_s = now_s + COMMAND_EVERY_S
+                self.driver.step()
+            self.look()
+            if until():
+                return True
+            time.sleep(LOOK_EVERY_S)
+            now_s = time.monotonic()
+        return False
+
+    def look_up_pids(self) -> dict[str, int]:
+        """The pid of each process now; remembered for the end."""
+        self._pids = self.service.pids()
+        return self._pids
+
+    def whole(self) -> bool:
+        """The service is ready, with all its processes."""
+        try:
+            return self.service.ready()
+        except TrialError:
+            return False
+
+    def gone(self) -> bool:
+        """No process of the run that was looked up last is left."""
+        process = self.service.process
+        ended = process is None or process.poll() is not None
+        return ended and not any(_lives(pid) for pid in self._pids.values())
+
+    def bury(self) -> None:
+        """End what is left of a run; nothing of it stays frozen or alive."""
+        self.driver.leave()
+        self.watch.let_go()
+        self.service.kill()
+        self._kill_rest()
+
+    def safe(self) -> str:
+        """Wheels at rest, by every means, the quickest first; returns what could not be done, empty if all was."""
+        with contextlib.suppress(FailstopError):
+            send_stop(self.name, "prove: safe")
+        self.driver.leave()
+        self.watch.let_go()
+        for pid in self._pids.values():
+            if is_ours(pid):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGCONT)
+        try:
+            self.service.end()
+        except TrialError:
+            self.service.kill()
+        self._kill_rest()
+        try:
+            tool.stop(self.device, lambda _: SIM_FREE_S if self.board else FREE_S, lambda _: None)
+        except PortError as error:
+            return f"the last stop could not be written: {error}"
+        return ""
+
+    def close(self) -> None:
+        """safe(), and let everything go; `unsafe` says what could not be done."""
+        # Once more would leave the wheels to chance.
+        held = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+        for number in held:
+            signal.signal(number, signal.SIG_IGN)
+        try:
+            if self.service.process is not None:
+                self.unsafe = self.safe()
+            self.service.close()
+        finally:
+            for number, handler in held.items():
+                signal.signal(number, handler)
+
+    def _kill_rest(self) -> None:
+        for process, pid in self._pids.items():
+            if process != SUPERVISOR and is_ours(pid):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+        self._pids = {}
+
+
+def _lives(pid: int) -> bool:
+    """Whether one of the service's is more than a number that nobody has collected yet."""
+    try:
+        with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as file:
+            return is_ours(pid) and file.read().rpartition(") ")[2][:1] not in ("Z", "X")
+    except OSError:
+        return False

@@ -1,0 +1,145 @@
+"""The table of what is proved: every stop path, the velocities, and the bars. Reaction times are the fault table's."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from failstop.lab.faults.fault import Fault, Wanted
+from failstop.lab.faults.table import BY_NAME
+from failstop.policy import causes
+from failstop.shm.layout import GATE, PORT_OWNER, PROCESSES, STOPPER, SUPERVISOR, TELEMETRY
+
+
+@dataclasses.dataclass(frozen=True)
+class Velocity:
+    """One way to turn the wheels."""
+
+    name: str
+    command: tuple[float, float, float]
+    """m/s forward, m/s left, rad/s counter-clockwise."""
+    coast_s: float
+    """From the stop to rest, as measured on the robot with the driver before (stop request)."""
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        forward, _, turn = self.command
+        return f"{forward:g} m/s" if forward else f"{turn:g} rad/s"
+
+
+VELOCITIES = (
+    Velocity("0.2", (0.2, 0.0, 0.0), 0.40),
+    Velocity("0.35", (0.35, 0.0, 0.0), 0.50),
+    Velocity("turn", (0.0, 0.0, 1.0), 0.25),
+)
+
+DEADMAN = "deadman"
+REQUEST = "request"
+DISABLE = "disable"
+SCAN = "scan"
+PAD = "pad"
+KILL = "kill"
+HANG = "hang"
+END = "end"
+FAULT = "fault"
+"""Any other row of the fault table about processes."""
+DISABLE_MS = 5.0
+
+KILLED_S = (0.55, 0.55, 0.55)
+MEASURED_S: dict[str, tuple[float, float, float]] = {
+    DEADMAN: (0.55, 0.75, 0.50),
+    REQUEST: (0.40, 0.50, 0.25),
+    DISABLE: (0.35, 0.75, 0.30),
+    SCAN: (0.75, 0.95, 0.70),
+    KILL: KILLED_S,
+    END: (0.50, 0.50, 0.50),
+}
+"""Cause to rest, in the order of VELOCITIES: what the driver before took on the robot, the bar to beat."""
+
+RESOLUTION_S = 0.1
+"""Of the moment of rest: 110 samples a second, of which five to ten are needed to tell rest from turning."""
+ACKNOWLEDGED_MS = 1000.0
+"""From the stop to the answer; a board that is silent for longer counts as deaf."""
+SLACK_MS = {False: 20.0, True: 100.0}
+"""Added to a reaction's bar: an ordinary process takes the times. More on a simulated board: machines that simulate are
+shared and busy."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Path:
+    """One stop path."""
+
+    name: str
+    kind: str
+    words: str
+    reaction_ms: float
+    """From the cause to the stop handed to the kernel: the bar of the fault table."""
+    process: str = ""
+    """Whom it strikes."""
+    latched: tuple[Wanted, ...] = ()
+    """The cause that stays latched is one of these; empty: nothing does."""
+    by_gate: bool = False
+    """The gate stops with a zero frame of its own instead of a burst."""
+    ends: bool = False
+    """No service is left."""
+    fault: Fault | None = None
+    """The row whose steps bring it about; None: it is not done to processes."""
+
+    def reaction_bar_ms(self, *, simulated: bool) -> float:
+        """The written stop may take this long."""
+        return self.reaction_ms + SLACK_MS[simulated]
+
+    def rest_bar_s(self, velocity: Velocity) -> float:
+        """From the cause to wheels at rest."""
+        if measured := MEASURED_S.get(self.kind):
+            return measured[VELOCITIES.index(velocity)] + RESOLUTION_S
+        return self.reaction_ms / 1000 + velocity.coast_s + RESOLUTION_S
+
+
+def of_fault(row: Fault) -> Path:
+    """The path of a row that the service survives, and in which only processes are struck."""
+    assert row.bar_ms is not None
+    return Path(row.name, FAULT, row.cause, row.bar_ms, latched=row.latched, fault=row)
+
+
+def _bar(row: str) -> float:
+    bar_ms = BY_NAME[row].bar_ms
+    assert bar_ms is not None
+    return bar_ms
+
+
+def _struck(kind: str, process: str) -> Path:
+    row = BY_NAME[f"{kind}-{process}"]
+    words = f"{process} killed (SIGKILL)" if kind == KILL else f"{process} hangs (SIGSTOP)"
+    ends = kind == KILL and process == SUPERVISOR
+    latched = row.latched if row.survives else ()
+    return Path(row.name, kind, words, _bar(row.name), process, latched, ends=ends, fault=row)
+
+
+PATHS = (
+    Path(DEADMAN, DEADMAN, "the commands end", _bar("client-hung"), by_gate=True),
+    Path("stop-request", REQUEST, "a stop request", _bar("stop-request"), latched=((causes.PIPED, "prove"),)),
+    Path(DISABLE, DISABLE, "motion is disabled", DISABLE_MS),
+    Path(SCAN, SCAN, "the obstacle sensor falls silent, and comes back", _bar("scan-silent"), by_gate=True),
+    Path(PAD, PAD, "a button of the gamepad", _bar("pad-button"), latched=((causes.BUTTON,),)),
+    *(_struck(KILL, process) for process in PROCESSES),
+    *(_struck(HANG, process) for process in (PORT_OWNER, GATE, TELEMETRY, STOPPER, SUPERVISOR)),
+    Path("service-stop", END, "the service is stopped (SIGTERM)", _bar("service-stopped"), ends=True),
+)
+
+QUICK = (DEADMAN, "stop-request", SCAN, "kill-port_owner", "kill-supervisor", "hang-gate", "hang-port_owner")
+"""Each at one velocity in turn, and the service's end."""
+QUICK_NAMES = (*QUICK, "service-stop")
+
+BY_PATH = {path.name: path for path in PATHS}
+BY_VELOCITY = {velocity.name: velocity for velocity in VELOCITIES}
+
+
+def plan(*, quick: bool, only: tuple[str, ...] = (), at: tuple[str, ...] = ()) -> list[tuple[Path, Velocity]]:
+    """What to run, in order: every path at every velocity, or each once. `only` and `at` are names of the tables."""
+    velocities = [velocity for velocity in VELOCITIES if not at or velocity.name in at]
+    names = only or (QUICK_NAMES if quick else tuple(BY_PATH))
+    paths = [path for path in PATHS if path.name in names]
+    if quick:
+        return [(path, velocities[number % len(velocities)]) for number, path in enumerate(paths)]
+    return [(path, velocity) for velocity in velocities for path in paths]

@@ -1,0 +1,125 @@
+"""Watching a run from outside: what the board sends, when stops were written, and the pings' answers.
+
+While a port owner lives, all of it is read from shared memory (reading only); when the service is gone, the port itself
+is opened and asked. Telemetry's word is not used: it is one of the processes that die here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+
+from failstop.api.client import attach
+from failstop.board import decoder, framing
+from failstop.board.interface import BOARD
+from failstop.board.port import PortError, open_port
+from failstop.doctor.tap import Tap
+from failstop.lab.prove.shake import Sample
+from failstop.procs.telemetry.imu import RAD_PER_DEG
+from failstop.shm import layout, records
+from failstop.shm.ring import RingReader
+from failstop.shm.words import Word
+
+WRITERS = (layout.PORT_OWNER, layout.SUPERVISOR, layout.STOPPER)
+ASK_EVERY_NS = 100_000_000
+
+
+class Watch:
+    """Call look() every millisecond or so; the lists grow until forget()."""
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._decoder = decoder.Decoder()
+        self._received: RingReader | None = None
+        self._frames: RingReader | None = None
+        self._pings: list[Word] = []
+        self._writers: dict[str, Word] = {}
+        self._last: dict[str, int] = {}
+        self._tap: Tap | None = None
+        self._asked: dict[int, int] = {}
+        self._ask_ns = 0
+        self.samples: list[Sample] = []
+        self.answers: list[tuple[int, int]] = []
+        """(when the ping was written, when its answer was read)."""
+        self.written: list[tuple[int, str]] = []
+        """(when, by whom) of every burst."""
+        self.zeros: list[int] = []
+        """When the gate handed a stop of its own to the port owner."""
+        self.buttons: list[tuple[int, int]] = []
+        """(when, which) of every gamepad frame with a button pressed."""
+
+    def attach(self, name: str) -> None:
+        """Follow the run of this name. Raises FailstopError."""
+        self.let_go()
+        views = {which: attach(name, which) for which in (*WRITERS, layout.GATE)}
+        owner = views[layout.PORT_OWNER]
+        self._received = owner.ring_reader("received")
+        self._frames = views[layout.GATE].ring_reader("frames")
+        self._pings = [owner.word(f"ping_{index}") for index in range(layout.PINGS)]
+        self._writers = {which: views[which].word("written_ns") for which in WRITERS}
+        self._last = {which: word.get() for which, word in self._writers.items()}
+        self._decoder.reset()
+
+    def take_port(self) -> bool:
+        """Read the port itself, once the service has gone; False while it can't be opened."""
+        if self._tap is None:
+            try:
+                fd = open_port(self._device, exclusive=False)
+            except PortError:
+                return False
+            self._tap = Tap(fd)
+            self._asked = {}
+            self._ask_ns = 0
+            self._received = self._frames = None
+            self._writers = {}
+        return True
+
+    def let_go(self) -> None:
+        """Close the port, if it is open here."""
+        if self._tap:
+            os.close(self._tap.fd)
+            self._tap = None
+
+    def forget(self) -> None:
+        """Begin anew; what lies ahead is kept in order."""
+        for found in (self.samples, self.answers, self.written, self.zeros, self.buttons):
+            found.clear()
+
+    def look(self, now_ns: int) -> None:
+        """Take in what is new."""
+        for which, word in self._writers.items():
+            if (written_ns := word.get()) != self._last[which]:
+                self._last[which] = written_ns
+                self.written.append((written_ns, which))
+        while self._frames and (entry := self._frames.next()):
+            _, kind, body = records.unpack_frame(entry[2])
+            if kind == records.STOP or (kind == records.MOTION and body == BOARD.stop):
+                self.zeros.append(entry[1])
+        while self._received and (entry := self._received.next()):
+            for func, data in self._decoder.feed(entry[2]):
+                self._take(entry[1], func, data)
+        if self._tap:
+            self._look_at_port(self._tap, now_ns)
+
+    def _look_at_port(self, tap: Tap, now_ns: int) -> None:
+        try:
+            if now_ns >= self._ask_ns:
+                self._ask_ns = now_ns + ASK_EVERY_NS
+                with contextlib.suppress(BlockingIOError):
+                    index, asked_ns = tap.ping()
+                    self._asked[index] = asked_ns
+            for t_ns, func, data in tap.read():
+                self._take(t_ns, func, data)
+        except OSError:
+            self.let_go()
+
+    def _take(self, t_ns: int, func: int, data: bytes) -> None:
+        if func == framing.IMU and (imu := decoder.imu(data)):
+            self.samples.append((t_ns, imu[3] * RAD_PER_DEG, imu[4] * RAD_PER_DEG))
+        elif func == framing.GAMEPAD and (pad := decoder.gamepad(data)):
+            if pad[0]:
+                self.buttons.append((t_ns, pad[0]))
+        elif (index := BOARD.pong(func, data)) is not None:
+            asked_ns = self._asked.get(index, 0) if self._tap else self._pings[index].get()
+            if 0 < asked_ns <= t_ns:
+                self.answers.append((asked_ns, t_ns))

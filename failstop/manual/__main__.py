@@ -1,9 +1,0 @@
-"""`python -m failstop.manual`: print the man page, or with the word `causes` the page docs/causes.md."""
-
-from __future__ import annotations
-
-import sys
-
-from failstop.manual import causes, grammar, man
-
-sys.stdout.write(causes.page() if sys.argv[1:] == ["causes"] else man.page(grammar.read()))
