@@ -239,10 +239,10 @@ class ClientTable:
             self._look(slot, now_ns)
 
     def lives_ended(self, ready: dict[int, int], now_ns: int) -> None:
-        """Whose lifeline has fallen has gone, even while the kernel takes its memory down, and even if a process that
-        it forked still holds the claim."""
+        """Whose lifeline has told of its death has gone, even while the kernel takes its memory down, and even if a
+        process that it forked still holds the claim."""
         for slot in tuple(self.active):
-            if slot.life and slot.life.down(ready):
+            if slot.life and slot.life.died(ready):
                 self._leave(slot, now_ns)
 
     def _watch(self, slot: Slot) -> None:

@@ -96,7 +96,7 @@ class Gate:
         self._resets = Resets(context.own, supervisor, self.supervisor_bell)
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = seen(self._pad_command)
-        self._wishes = telemetry.ring_reader("wishes")
+        self._pad_requests = telemetry.ring_reader("pad_requests")
         self._client_bell = context.fd("client_bell")
         self._bells = (context.bell("bell"), context.early.bell)
         for fd in (*(each.fd for each in self._bells), self._client_bell):
@@ -200,17 +200,17 @@ class Gate:
                 self.arm.stopped(LATCHED)
 
     def _follow_telemetry(self, now_ns: int) -> None:
-        """The gamepad's sticks, and what telemetry wishes: a reset, or a frame that is not motion."""
+        """The gamepad's sticks, and what telemetry asks for: a reset, or a frame that is not motion."""
         entry = self._pad_command.read()
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
             velocity = records.unpack_pad_command(payload)
             self.client_command(Command(PAD_SESSION, PAD, t_ns, velocity, manual=True, source=PAD), now_ns)
-        while wish := self._wishes.next():
-            kind, frame = records.unpack_wish(wish[2])
-            if kind == records.WISH_RESET:
+        while request := self._pad_requests.next():
+            kind, frame = records.unpack_pad_request(request[2])
+            if kind == records.PAD_RESET:
                 self._resets.ask((None, 0, 0, now_ns))
-            elif kind == records.WISH_FRAME:
+            elif kind == records.PAD_FRAME:
                 self._frames.put(records.pack_frame(self.epoch, records.OTHER, frame), now_ns)
                 self._port_owner_bell.ring()
 
