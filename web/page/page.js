@@ -1,6 +1,10 @@
 // The page: what comes over the websocket is shown as it is. STOP is in stop.js, and needs none of this.
 import {Chart} from "/chart.js";
 import {connect} from "/link.js";
+import "/hands.js";
+import "/device.js";
+import "/attend.js";
+import "/incidents.js";
 
 const $ = (id) => document.getElementById(id);
 const STALE_MS = 1000; // no news for this long: the last word is not shown as if it held
@@ -106,6 +110,7 @@ function lost() {
 function news(message) {
   heard = performance.now();
   behind = message.t - Date.now() / 1000;
+  if ("nonce" in message || "attend" in message) dispatchEvent(new CustomEvent("lease", {detail: message}));
   if ("live" in message) showLive(message.live);
   if (message.face) face = message.face;
   if (face && (message.face || $("head").dataset.role === "lost")) show();
