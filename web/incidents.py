@@ -19,7 +19,8 @@ MOST_SHOWN = 20
 FRESH_S = 2.0
 MAKE_S = 60.0
 MOST_PICTURES = 24
-LINES = 60
+LINES = 40
+NEAR_MS = 3000.0
 ID = re.compile(r"[0-9A-Za-z_.-]{1,80}")
 
 
@@ -124,6 +125,7 @@ def _proof(stop: dict[str, Any] | None) -> str:
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The lines nearest to the cause, in order."""
-    kept = sorted(range(len(lines)), key=lambda at: abs(lines[at]["ms"]))[:LINES]
+    """The lines of the seconds around the cause, those nearest to it if they are too many, in order."""
+    near = [at for at in range(len(lines)) if abs(lines[at]["ms"]) <= NEAR_MS]
+    kept = sorted(near, key=lambda at: abs(lines[at]["ms"]))[:LINES]
     return [{name: lines[at][name] for name in ("ms", "what", "text")} for at in sorted(kept)]

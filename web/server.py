@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import secrets
 import signal
@@ -154,6 +155,7 @@ class Page:
 
 async def serve(name: str, settings: Settings) -> None:
     """Serve until SIGTERM or SIGINT. Raises FailstopError, and OSError where the address can't be had."""
+    logging.getLogger("tornado.general").setLevel(logging.ERROR)  # who sends garbage must not fill the journal
     page = Page(name, settings)
     sockets = bind_sockets(page.port, page.address)
     page.port = sockets[0].getsockname()[1]

@@ -1,12 +1,12 @@
 // Attend: this device proves, ten times a second, that its owner is here: awake, unlocked, and looking at this page.
-import {connected, reconnect, send} from "/link.js";
+import {reconnect, send} from "/link.js";
 import {kept, sign} from "/keys.js";
 
 const $ = (id) => document.getElementById(id);
-let key = null, attends = false, paired = false, needed = false;
+let key = null, attends = false, paired = false, needed = false, known = true;
 
 function show(why) {
-  $("attendance").hidden = !(needed && paired);
+  $("attendance").hidden = !(needed && paired && known);
   $("attend").setAttribute("aria-pressed", attends);
   $("attend").textContent = attends ? "ATTENDING - tap to leave" : "ATTEND";
   if (why !== undefined) $("attend-why").textContent = why;
@@ -34,9 +34,12 @@ addEventListener("lease", async ({detail}) => {
 addEventListener("visibilitychange", () => { if (document.hidden) leave("The page was hidden: attending has ended."); });
 addEventListener("pagehide", () => leave("The page was left."));
 addEventListener("link-lost", () => { if (attends) leave("The link was lost: attending has ended."); });
-addEventListener("paired", () => { if (connected()) reconnect(); });
+// The robot knows a connection by what it was when it began.
+addEventListener("paired", () => { known = false; reconnect(); });
+addEventListener("link-open", () => { known = true; show(); });
 addEventListener("device", ({detail}) => { paired = !!detail.device; if (!paired) leave(""); show(); });
 addEventListener("face", ({detail}) => {
   needed = detail.attended !== null;
-  show(attends || !needed ? undefined : detail.attended.length ? `Attended by ${detail.attended.join(", ")}.` : "Nobody attends.");
+  if (attends || !needed) show();
+  else show(detail.attended.length ? `Attended by ${detail.attended.join(", ")}.` : "Nobody attends.");
 });

@@ -26,8 +26,8 @@ $("pair").addEventListener("submit", async (event) => {
     if (!found.ok) { $("pair-why").textContent = found.error; return; }
     if (globalThis.crypto && crypto.subtle) await keep(found.key);
     $("code").value = "";
-    show({pairing: true, device: found.device});
     dispatchEvent(new Event("paired"));
+    show({pairing: true, device: found.device});
   } catch {
     $("pair-why").textContent = "The robot was not reached.";
   }

@@ -1,6 +1,7 @@
 // Incidents: a card each; its picture and its story are fetched when it is opened.
 const $ = (id) => document.getElementById(id);
 const LATER_MS = 4000; // a stop's file is written some seconds after it
+const cards = new Map(); // one that is open stays open
 let shown = "", last = 0;
 
 function node(kind, content, more) {
@@ -11,7 +12,8 @@ async function open(card, identity) {
   if (card.dataset.open) return;
   card.dataset.open = "1";
   const picture = node("img", "", {src: `/api/incidents/${identity}/picture`, alt: "The seconds around the stop"});
-  picture.onerror = () => picture.replaceWith(node("p", "No picture: that needs failstop[plots] on the robot.", {className: "dim"}));
+  const none = "No picture: that needs failstop[plots] on the robot.";
+  picture.onerror = () => picture.replaceWith(node("p", none, {className: "dim"}));
   const link = node("a", "", {href: picture.src, target: "_blank", rel: "noopener"});
   link.append(picture);
   const list = node("ol", "");
@@ -25,6 +27,18 @@ async function open(card, identity) {
   }));
 }
 
+function card({id, t, reason, proof}) {
+  const found = cards.get(id) || node("details", "", {className: "card"});
+  if (!cards.has(id)) {
+    cards.set(id, found);
+    found.append(node("summary", ""));
+    found.addEventListener("toggle", () => { if (found.open) open(found, id); });
+  }
+  const when = new Date(t * 1000).toLocaleString([], {dateStyle: "medium", timeStyle: "medium"});
+  found.firstChild.replaceChildren(node("b", reason), node("small", `${when}: ${proof}`));
+  return found;
+}
+
 async function look() {
   const answer = await fetch("/api/incidents").catch(() => null);
   if (!answer || !answer.ok) return;
@@ -32,14 +46,7 @@ async function look() {
   if (text === shown) return;
   shown = text;
   const {incidents} = JSON.parse(text);
-  $("incidents").replaceChildren(...incidents.map(({id, t, reason, proof}) => {
-    const card = node("details", "", {className: "card"});
-    const head = node("summary", "");
-    head.append(node("b", reason), node("small", `${new Date(t * 1000).toLocaleString()} - ${proof}`));
-    card.append(head);
-    card.addEventListener("toggle", () => { if (card.open) open(card, id); });
-    return card;
-  }));
+  $("incidents").replaceChildren(...incidents.map((incident) => card(incident)));
   if (!incidents.length) $("incidents").replaceChildren(node("p", "none", {className: "dim"}));
 }
 

@@ -54,14 +54,16 @@ function showStop() {
   if (!face.latched) { asked = null; dispatchEvent(new Event("unstopped")); return; }
   const own = stop.t >= asked - 0.5;
   const levels = own ? ["written", "acknowledged", "observed"].filter((level) => stop[level]) : ["written"];
-  text("stop-said", own ? levels.map((level) => `\u2713 ${level}`).join("  ") || "written" : "\u2713 written; it was stopped already");
+  const said = levels.map((level) => `\u2713 ${level}`).join("  ");
+  text("stop-said", own ? said || "written" : `${said}; it was stopped already`);
   $("stop").dataset.phase = levels.at(-1) || "written";
 }
 
 function showFacts() {
+  const charger = face.plugged === "unknown" ? "" : `, charger ${face.plugged}`;
   const rows = [
     ["Drives", face.driver || "nobody"],
-    ["Battery", face.battery_v ? `${face.battery_v.toFixed(2)} V${face.plugged === "unknown" ? "" : `, charger ${face.plugged}`}` : "not known"],
+    ["Battery", face.battery_v ? `${face.battery_v.toFixed(2)} V${charger}` : "not known"],
     ["Port", face.port],
     ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has not answered yet"}[face.link] || face.link],
     ["Clients", face.clients.join(", ") || "none"],
