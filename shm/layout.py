@@ -14,7 +14,7 @@ from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.latest import record_bytes, slot_bytes
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 5
+LAYOUT_VERSION = 6
 SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
@@ -116,6 +116,7 @@ def _client(index: int) -> SegmentSpec:
             _latest("command", 64, "gate"),
             _latest("sensed", 64, "gate"),  # its time is that of the obstacle sensor's last delivery
             _latest("interlocks", 224, "gate"),  # the conditions that this client says hold, at its time
+            _latest("attended", 96, "gate"),  # the operator who was there at its time; 0: who is there no more
             _latest("request", 320, "gate"),
             _latest("arm_goal", 128, "gate"),  # follow or jog, renewed (records)
             _latest("arm_path", 8192, "gate"),  # the trajectory that a request is about (records)

@@ -49,6 +49,7 @@ class Slot:
         "_arm_goal",
         "_arm_goal_seq",
         "_arm_path",
+        "_attended",
         "_command",
         "_command_seq",
         "_hello",
@@ -82,6 +83,7 @@ class Slot:
         self._request = segment.latest_reader("request")
         self._sensed = segment.latest_reader("sensed")
         self._interlocks = segment.latest_reader("interlocks")
+        self._attended = segment.latest_reader("attended")
         self._said = segment.latest_reader("said")
         self._arm_goal = segment.latest_reader("arm_goal")
         self._arm_path = segment.latest_reader("arm_path")
@@ -167,6 +169,15 @@ class Slot:
     def interlocks(self) -> tuple[int, list[str]]:
         """Which conditions this session says hold, and when it said so last; 0: never."""
         return self._held(self._interlocks)
+
+    def attended(self) -> tuple[int, str] | None:
+        """When the operator that this session speaks for was there last, 0: is there no more; who it is. None: it
+        speaks for none."""
+        entry = self._attended.read()
+        if entry is None:
+            return None
+        t_ns, names = self._held(self._attended)
+        return (t_ns, records.cut(records.printable(names[0]), NAME_BYTES).decode()) if names else None
 
     def _held(self, reader: LatestReader) -> tuple[int, list[str]]:
         entry = reader.read()
