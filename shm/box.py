@@ -24,6 +24,8 @@ WIRE_SLOTS = 4096
 """Up to 50 motion frames, 2 pings and a few stops a second; a client that drives at 100 Hz has them last for 40 s."""
 BOARD_SLOTS = 8192
 """110 IMU samples, 20 gamepad frames and a battery reading a second."""
+ARM_SLOTS = 640
+"""10 a second while somebody moves the arm, and one at each change."""
 BEATS_SLOTS = 768
 """10 a second, and one at each stop."""
 
@@ -31,6 +33,7 @@ GATE_BYTES = 104
 WIRE_BYTES = 40
 BOARD_BYTES = 40
 BEATS_BYTES = 48
+ARM_BYTES = 80
 
 BLOCKS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN)
 """The gate's decision: its index is in the record."""
@@ -52,6 +55,11 @@ WIRE_HEAD = 35
 IMU = 1
 BATTERY = 2
 PAD = 3
+SERVO = 4
+
+ARM_MODES = ("", "trajectory", "follow", "jog")
+"""Of an arm's goal; empty: nobody moves it from here on."""
+MOST_JOINTS = 8
 
 BEATS = 1
 OWN_BURST = 2
@@ -63,7 +71,10 @@ _WIRE = struct.Struct("<BHH")
 _IMU = struct.Struct("<B6f")
 _BATTERY = struct.Struct("<BIB")
 _PAD = struct.Struct("<BHB4bB")
+_SERVO = struct.Struct("<BBBBi")
 _BEATS = struct.Struct("<B10I")
+_ARM = struct.Struct("<BB")
+_AIM = struct.Struct("<Bf")
 
 
 def single(value: float) -> float:
@@ -89,6 +100,29 @@ def pack_battery(millivolts: int, plugged: int) -> bytes:
 def pack_pad(sample: tuple[int, ...], mode: int) -> bytes:
     """A gamepad frame, as in records.pack_pad."""
     return _PAD.pack(PAD, *sample, mode)
+
+
+def pack_servo(servo: int, what: int, value: int | None) -> bytes:
+    """An answer of a servo of the arm's, as in records.pack_servo."""
+    return _SERVO.pack(SERVO, servo, what, value is not None, value or 0)
+
+
+def pack_arm(mode: str, who: str, aims: list[tuple[int, float]]) -> bytes:
+    """What the arm is to do, for whom: of each servo where it is to be in the end (trajectory), where now (follow), in
+    pulses, or its rate (jog), in pulses/s."""
+    aims = aims[:MOST_JOINTS]
+    head = _ARM.pack(ARM_MODES.index(mode), len(aims)) + b"".join(_AIM.pack(servo, single(aim)) for servo, aim in aims)
+    return head + who.encode("utf-8", "replace")[: ARM_BYTES - len(head)]
+
+
+def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
+    """Return (mode, who, what each servo is to do). Raises ValueError."""
+    mode, count = _ARM.unpack_from(payload) if len(payload) >= _ARM.size else (255, 0)
+    end = _ARM.size + count * _AIM.size
+    if mode >= len(ARM_MODES) or len(payload) < end:
+        raise ValueError(f"a record of the arm of {len(payload)} bytes, of no known form")
+    aims = dict(_AIM.unpack_from(payload, at) for at in range(_ARM.size, end, _AIM.size))
+    return ARM_MODES[mode], payload[end:].decode("utf-8", "replace"), aims
 
 
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
@@ -131,8 +165,9 @@ def unpack_wire(payload: bytes) -> tuple[int, int, int, bytes]:
 
 
 def unpack_board(payload: bytes) -> tuple[int, tuple[float, ...]]:
-    """Return (IMU, six floats), (BATTERY, (millivolts, plugged)) or (PAD, as records.unpack_pad). Raises ValueError."""
-    form = {IMU: _IMU, BATTERY: _BATTERY, PAD: _PAD}.get(payload[0] if payload else 0)
+    """Return (IMU, six floats), (BATTERY, (millivolts, plugged)), (PAD, as records.unpack_pad) or (SERVO, (servo, what,
+    whether it answered, value)). Raises ValueError."""
+    form = {IMU: _IMU, BATTERY: _BATTERY, PAD: _PAD, SERVO: _SERVO}.get(payload[0] if payload else 0)
     if form is None or len(payload) != form.size:
         raise ValueError(f"a record of the board of {len(payload)} bytes, of no known kind")
     kind, *values = form.unpack(payload)

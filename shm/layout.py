@@ -183,6 +183,7 @@ SEGMENTS = (
             _latest("said", 4096, "clients"),  # what clients say of themselves (msgpack, procs/gate/said.py)
             *(_latest(f"reply.{i}", 640, "the client of that slot") for i in range(CLIENT_SLOTS)),
             _ring("box", box.GATE_BYTES, box.GATE_SLOTS, "everyone"),  # every tick's command and decision (box.py)
+            _ring("arm_box", box.ARM_BYTES, box.ARM_SLOTS, "everyone"),  # what the arm is to do, for whom (box.py)
         ),
     ),
     SegmentSpec(

@@ -68,6 +68,17 @@ class Sample:
 
 
 @dataclass(frozen=True)
+class ArmGoal:
+    """What the arm was to do at a moment, as box.pack_arm."""
+
+    ns: int
+    mode: str
+    """A word of box.ARM_MODES."""
+    who: str
+    aims: dict[int, float]
+
+
+@dataclass(frozen=True)
 class Stop:
     """A cause, as who noticed it put it into shared memory."""
 
@@ -196,6 +207,17 @@ class Incident:
     def pad(self) -> list[tuple[int, tuple[int, ...]]]:
         """Gamepad frames: (when, as records.unpack_pad)."""
         return [(ns, values) for ns, (kind, values) in self._board if kind == box.PAD]
+
+    @cached_property
+    def arm_goals(self) -> list[ArmGoal]:
+        """What the arm was to do: ten times a second while somebody moved it."""
+        return [ArmGoal(ns, *found) for ns, found in self._entries(layout.GATE, "arm_box", box.unpack_arm)]
+
+    @cached_property
+    def servo_answers(self) -> list[tuple[int, int, int, int | None]]:
+        """(when, servo, what was asked, its answer; None: it had none), as decoder.servo_reply."""
+        found = [(ns, values) for ns, (kind, values) in self._board if kind == box.SERVO]
+        return [(ns, servo, what, value if answered else None) for ns, (servo, what, answered, value) in found]
 
     @cached_property
     def beats(self) -> list[tuple[int, tuple[tuple[int, int], ...]]]:

@@ -238,15 +238,29 @@ def _wheels(panel: Panel, incident: Incident) -> None:
 
 
 def _joints(panel: Panel, incident: Incident) -> None:
-    """Where each joint was sent; a servo gets there within its move, of some 40 ms, and stands at a stop burst."""
+    """Where each joint was sent, a line: a servo gets there within its move, of some 40 ms, and stands at a stop burst.
+    Where it was to be in the end, dots; where it was read to be, crosses: while it moves no servo is asked."""
     axes = panel.axes
     names = signals.joint_names(incident)
+    goals, readings = signals.joint_goals(incident), signals.joint_readings(incident)
     for (servo, track), color in zip(sorted(signals.joint_tracks(incident).items()), JOINTS, strict=False):
         at, pulses = (np.array(column, dtype=float) for column in zip(*track, strict=True))
         at, pulses = signals.broken((at - incident.cause_ns) / 1e6, pulses)
         axes.plot(panel.x(at), pulses, color=color, label=f"{names.get(servo, 'servo')} ({servo})")
+        for points, marker, size in ((goals.get(servo), ".", 2.0), (readings.get(servo), "x", 4.0)):
+            if points:
+                at, pulses = (np.array(column, dtype=float) for column in zip(*points, strict=True))
+                axes.plot(
+                    *(panel.x((at - incident.cause_ns) / 1e6), pulses),
+                    color=color,
+                    linestyle="none",
+                    marker=marker,
+                    markersize=size,
+                )
     if not panel.zoomed:
-        axes.set_title("Where the arm's joints were sent (pulses of 0.24 degrees)", color=INK)
+        axes.set_title(
+            "The arm's joints: sent (lines), goals (dots), read (crosses); pulses of 0.24 degrees", color=INK
+        )
         _legend(axes, columns=6)
 
 

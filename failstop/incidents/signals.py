@@ -153,6 +153,24 @@ def joint_tracks(incident: Incident) -> dict[int, list[tuple[int, int]]]:
     return found
 
 
+def joint_readings(incident: Incident) -> dict[int, list[tuple[int, int]]]:
+    """Where each servo said that it was: (when, pulses). A 0, which a late answer makes of the next, is no place."""
+    found: dict[int, list[tuple[int, int]]] = {}
+    for ns, servo, what, value in incident.servo_answers:
+        if what == servos.POSITION and value:
+            found.setdefault(servo, []).append((ns, value))
+    return found
+
+
+def joint_goals(incident: Incident) -> dict[int, list[tuple[int, float]]]:
+    """Where each servo was to be: (when, pulses), of trajectories (their ends) and follow; a rate is no place."""
+    found: dict[int, list[tuple[int, float]]] = {}
+    for goal in incident.arm_goals:
+        for servo, aim in goal.aims.items() if goal.mode in ("trajectory", "follow") else ():
+            found.setdefault(servo, []).append((goal.ns, aim))
+    return found
+
+
 WHEELS = ("front left", "rear left", "front right", "rear right")
 
 

@@ -27,7 +27,7 @@ STEP_RPS = 0.2
 
 @dataclass(frozen=True)
 class Line:
-    """One line. `what` is who speaks: command, gate, wire, board, beat, wheels, event kinds, CAUSE."""
+    """One line. `what` is who speaks: command, gate, arm, wire, board, beat, wheels, event kinds, CAUSE."""
 
     ns: int
     what: str
@@ -43,6 +43,7 @@ def tell(incident: Incident) -> list[Line]:
         *_commands(incident),
         *_decisions(incident),
         _cause(incident),
+        *_arm(incident),
         *_writes(incident),
         *_board(incident),
         *_wheels(incident),
@@ -142,6 +143,19 @@ def _decisions(incident: Incident) -> Iterator[Line]:
     for earlier, later in pairwise(incident.ticks):
         if later.ns - earlier.ns > 2 * signals.allowed_ns(incident, layout.GATE):
             yield Line(earlier.ns, "gate", f"no tick for {(later.ns - earlier.ns) / 1e6:.0f} ms from here")
+
+
+def _arm(incident: Incident) -> Iterator[Line]:
+    """For whom it moved, and where each joint was read to be for the first time after the cause."""
+    names = signals.joint_names(incident)
+    for first, last, run in _runs(incident.arm_goals, lambda goal: (goal.mode, goal.who)):
+        unit = "/s" if last.mode == "jog" else ""
+        aims = ", ".join(f"{names.get(servo, servo)} {aim:.0f}{unit}" for servo, aim in last.aims.items())
+        text = f"{last.mode} for {last.who}" + (f", last: {aims}" if aims else "") if last.mode else "moved by nobody"
+        yield Line(first.ns, "arm", text, last.ns, len(run))
+    for servo, track in signals.joint_readings(incident).items():
+        if after := [(ns, pulses) for ns, pulses in track if ns >= incident.cause_ns]:
+            yield Line(after[0][0], "arm", f"{names.get(servo, servo)} ({servo}) is read to be at {after[0][1]}")
 
 
 def _writes(incident: Incident) -> Iterator[Line]:

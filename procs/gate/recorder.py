@@ -1,4 +1,4 @@
-"""The gate's part of the black box: one record a tick, of the newest command and of what became of it."""
+"""The gate's part of the black box: the newest command and what became of it, at every tick; what the arm is to do."""
 
 from __future__ import annotations
 
@@ -6,9 +6,31 @@ from failstop.shm import box
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.procs.gate.arm.core import ArmCore
     from failstop.procs.gate.core import GateCore
     from failstop.procs.gate.sources import Command
     from failstop.shm.ring import RingWriter
+
+
+ARM_EVERY_NS = 100_000_000
+
+
+class ArmBox:
+    """The gate's, of what the arm is to do: at each change of mode and mover, and ten times a second meanwhile."""
+
+    __slots__ = ("_last", "_put_ns", "_ring")
+
+    def __init__(self, ring: RingWriter) -> None:
+        self._ring = ring
+        self._last = ("", "")
+        self._put_ns = 0
+
+    def follow(self, now_ns: int, core: ArmCore) -> None:
+        """Once a turn."""
+        what = core.mode(), core.mover()
+        if what != self._last or (what[0] and now_ns - self._put_ns >= ARM_EVERY_NS):
+            self._last, self._put_ns = what, now_ns
+            self._ring.put(box.pack_arm(*what, core.aims()), now_ns)
 
 
 class GateBox:

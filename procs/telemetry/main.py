@@ -272,6 +272,7 @@ class Telemetry:
     def _on_servo(self, data: bytes, t_ns: int) -> None:
         if answer := decoder.servo_reply(framing.BUS_SERVO, data):
             self._servos.put(records.pack_servo(*answer), t_ns)
+            self._box.put(box.pack_servo(*answer), t_ns)
             self._gate_bell.ring()
 
     def _on_key(self, data: bytes, t_ns: int) -> None:

@@ -207,3 +207,33 @@ def test_what_the_board_sent_comes_back_as_what_it_was() -> None:
     for wrong in (imu[:-1], imu + b"x", bytes([box.PAD]) + imu[1:]):
         with pytest.raises(ValueError, match="record of the board"):
             box.unpack_board(wrong)
+
+
+@given(
+    mode=st.sampled_from(box.ARM_MODES),
+    who=st.text(max_size=60),
+    aims=st.lists(
+        st.tuples(st.integers(1, 253), st.floats(-1000, 1000, width=32)), max_size=12, unique_by=lambda a: a[0]
+    ),
+)
+def test_what_the_arm_is_to_do_fits_its_ring(mode: str, who: str, aims: list[tuple[int, float]]) -> None:
+    writer, reader = ring(box.ARM_BYTES, 8)
+    writer.put(box.pack_arm(mode, who, aims))
+    entry = reader.next()
+    assert entry
+    assert box.unpack_arm(entry[2])[0] == mode
+    assert box.unpack_arm(entry[2])[2] == dict(aims[: box.MOST_JOINTS])
+    assert who.startswith(box.unpack_arm(entry[2])[1].rstrip("\ufffd"))
+
+
+@pytest.mark.parametrize("payload", [b"", b"\x01", b"\x09\x00", b"\x01\x02" + bytes(9)])
+def test_what_is_none_of_it_is_refused(payload: bytes) -> None:
+    with pytest.raises(ValueError, match="a record of the arm"):
+        box.unpack_arm(payload)
+
+
+@pytest.mark.parametrize("value", [None, 0, 500, -3, 12_000])
+def test_a_servo_s_answer(value: int | None) -> None:
+    packed = box.pack_servo(10, 5, value)
+    assert len(packed) <= box.BOARD_BYTES
+    assert box.unpack_board(packed) == (box.SERVO, (10, 5, value is not None, value or 0))

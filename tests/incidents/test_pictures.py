@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from failstop.board.servos import bus_servo_move
-from failstop.incidents import export, messages, plot, shades, signals
+from failstop.board.servos import POSITION, TORQUE, bus_servo_move
+from failstop.incidents import export, messages, plot, shades, signals, story
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
 from failstop.policy import causes
 from failstop.policy.settings import Settings
-from failstop.shm import box
+from failstop.shm import box, layout
 from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
 
 
@@ -178,7 +178,24 @@ def test_where_the_arm_s_joints_were_sent_is_a_panel_of_its_own(tmp_path: Path) 
     parts.settings = Settings({"joints.base.servo": 1, "joints.wrist.servo": 4})
     for step in range(20):
         parts.frame(-800.0 + 40 * step, bus_servo_move([(1, 500 + step), (4, 300 - step)], 40))
+    board, goals = parts.ring(layout.TELEMETRY, "box"), parts.ring(layout.GATE, "arm_box")
+    for ms, mode, aims in ((-810.0, "follow", [(1, 519.0), (4, 281.5)]), (-400.0, "jog", [(1, 24.0)]), (5.0, "", [])):
+        goals.put(box.pack_arm(mode, "nav (pid 77)" if mode else "", aims), at(ms))
+    for ms, servo, what, value in ((-900.0, 1, POSITION, 500), (40.0, 1, POSITION, 519), (60.0, 4, TORQUE, 1)):
+        board.put(box.pack_servo(servo, what, value), at(ms))
+    for ms, value in ((80.0, None), (90.0, 0)):
+        board.put(box.pack_servo(4, POSITION, value), at(ms))
     found = parts.incident()
+    assert signals.joint_readings(found) == {1: [(at(-900.0), 500), (at(40.0), 519)]}
+    assert signals.joint_goals(found) == {1: [(at(-810.0), 519.0)], 4: [(at(-810.0), 281.5)]}
+    told = [line.text for line in story.tell(found) if line.what == "arm"]
+    assert told == [
+        "follow for nav (pid 77), last: base 519, wrist 282",
+        "jog for nav (pid 77), last: base 24/s",
+        "moved by nobody",
+        "base (1) is read to be at 519",
+    ]
+    assert found.undecoded == 0
     assert [pulses for _, pulses in signals.joint_tracks(found)[1]] == list(range(500, 520))
     assert signals.joint_names(found) == {1: "base", 4: "wrist"}
     pytest.importorskip("matplotlib")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Iterator
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from random import Random
 from struct import unpack_from
@@ -13,7 +13,7 @@ import pytest
 
 from failstop.policy import causes
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
-from failstop.shm import records
+from failstop.shm import box, records
 from tests.support.amounts import amount
 from tests.support.arm_settings import DRIVE, SERVOS
 from tests.support.stage import MS
@@ -73,6 +73,27 @@ def test_all_six_go_two_a_frame_and_none_is_dropped(scene: ArmScene) -> None:
     assert scene.dropped == 0
     for servo in SERVOS:
         assert scene.at(servo) == pytest.approx(500 + 0.3 * PULSES_PER_RAD, abs=3)
+
+
+def test_what_it_is_to_do_is_in_the_black_box(scene: ArmScene) -> None:
+    ring = scene.own.ring_reader("arm_box")
+    follow(scene, 1.0, 0.3)
+    scene.goal(JOG, {1: 0.1, 2: -0.1})
+    scene.run(0.6)
+    scene.travel({1: 0.5})
+    scene.run(0.3)
+    kept = []
+    while entry := ring.next():
+        kept.append((entry[1], *box.unpack_arm(entry[2])))
+    assert [mode for mode, _ in groupby(kept, lambda one: one[1])] == ["follow", "jog", "", "trajectory"]
+    assert {who for _, mode, who, _ in kept if mode} == {"test (pid 0)"}
+    assert next(aims for _, mode, _, aims in reversed(kept) if mode == "follow")[1] == pytest.approx(
+        500 + 0.3 * PULSES_PER_RAD, abs=3
+    )
+    assert kept[-1][3] == {1: pytest.approx(500 + 0.5 * PULSES_PER_RAD, abs=0.1)}
+    gaps = [after[0] - before[0] for before, after in pairwise(kept) if before[1] == after[1] == "follow"]
+    assert len(gaps) > 8
+    assert min(gaps) >= 100 * MS
 
 
 def test_no_joint_passes_its_speed_or_its_ramp(scene: ArmScene) -> None:

@@ -179,7 +179,7 @@ class ArmCore:
         renewed. One frame a step: what a stop would have to wait for is bounded."""
         hold = self._end_stale(now_ns)
         wanted = self._follow_journey(now_ns)
-        joints = self._to_stream(now_ns)
+        joints = self._to_stream()
         if joints and not self._streaming:
             if unknown := [joint for joint in self._space.wanted(joints) if not joint.known]:
                 wanted = wanted or unknown
@@ -201,11 +201,11 @@ class ArmCore:
         """When the servos' bus is free of the last question and the last torque."""
         return max(self._load_ns, self._reader.free_ns())
 
-    def _to_stream(self, now_ns: int) -> list[Joint]:
+    def _to_stream(self) -> list[Joint]:
         """The joints that a goal wants to move now."""
         if self.journey and not self.journey.done:
             return self.journey.joints if self.journey.phase in (goals.LOADING, goals.UNDER_WAY) else []
-        goal = self._goal(now_ns)
+        goal = self._goal()
         return goal.joints if goal else []
 
     def due_ns(self) -> int:
@@ -227,7 +227,7 @@ class ArmCore:
         self._end_stream()
         return was
 
-    def _goal(self, now_ns: int) -> Goal | None:
+    def _goal(self) -> Goal | None:
         """The goal of the highest mode, but for a journey."""
         if self.journey and not self.journey.done:
             return None
@@ -360,7 +360,7 @@ class ArmCore:
         if journey:
             rows = zip(journey.joints, journey.at(then_ns), strict=True)
             return {joint.index: (goals.FOLLOW, value) for joint, value in rows}
-        goal = self._goal(then_ns)
+        goal = self._goal()
         if goal is None:
             return {}
         return {joint.index: (goal.mode, value) for joint, value in zip(goal.joints, goal.values, strict=True)}
@@ -402,7 +402,7 @@ class ArmCore:
             "mode": self.mode(),
             "phase": journey.phase if journey and not journey.done else "",
             "moving": self.moving(),
-            "by": self._by(),
+            "by": self.mover(),
             "refused": self.refused or next(filter(None, self._blocked.values()), ""),
             "released": self.released,
             "silent": self.silent(),
@@ -421,7 +421,17 @@ class ArmCore:
             ],
         }
 
-    def _by(self) -> str:
+    def aims(self) -> list[tuple[int, float]]:
+        """Of each servo that is to move: where its trajectory ends, where it is to follow to, or its rate."""
+        journey = self.journey
+        if journey and not journey.done:
+            ends = journey.ends if journey.travels else ()
+            return [(joint.servo, end) for joint, end in zip(journey.joints, ends, strict=False)]
+        goal = self._goal()
+        return [(joint.servo, value) for joint, value in zip(goal.joints, goal.values, strict=True)] if goal else []
+
+    def mover(self) -> str:
+        """For whom it moves, or is about to; empty: for nobody."""
         if self.journey and not self.journey.done:
             return self.journey.who
         return next((self._goals[mode].who for mode in (goals.FOLLOW, goals.JOG) if mode in self._goals), "")

@@ -13,6 +13,7 @@ from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
 from failstop.procs.gate.arm.tuck import ANNOUNCE, GO, AutoTuck
 from failstop.procs.gate.clients import seen
+from failstop.procs.gate.recorder import ArmBox
 from failstop.procs.gate.sources import PAD
 from failstop.shm import records
 from failstop.shm.notes import Note
@@ -81,6 +82,7 @@ class Arm:
         """`due`: when to turn without any news."""
         self.core = ArmCore(context.settings, now_ns)
         self._owner = owner
+        self._box = ArmBox(context.own.ring_writer("arm_box"))
         telemetry = context.segment("telemetry")
         self._answers = telemetry.ring_reader("servos")
         self._pad = telemetry.latest_reader("pad_arm")
@@ -114,6 +116,7 @@ class Arm:
         self._answer_waiter(now_ns)
         self._follow_tuck(now_ns)
         self._tell_joints()
+        self._box.follow(now_ns, core)
         due_ns = now_ns + TELL_NS if gate.enabled else max(core.due_ns(), now_ns + 1)
         self._due.set(min(due_ns, self._release_ns) if self._releasing else due_ns)
 
