@@ -150,10 +150,6 @@ class Wheels:
         """sensor_msgs/JointState: names, and what changes; `arm`: as in State.arm. A joint that was not read yet is
         left out; while it moves it is where it was sent."""
         joints = arm["joints"] if arm else {}
-        found = {
-            name: joint["commanded_rad"] if joint["commanded_rad"] is not None else joint["angle_rad"]
-            for name, joint in joints.items()
-            if joint["angle_rad"] is not None
-        }
+        found = {name: joint["at_rad"] for name, joint in joints.items() if joint["angle_rad"] is not None}
         position = [*self._position_rad, *found.values()]
         return [*WHEELS, *found], (_stamped(ros_ns), position, [*self._velocity_radps, *([0.0] * len(found))])

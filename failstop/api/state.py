@@ -115,7 +115,8 @@ class State:
     takes no goal), refused (why the last goal of a stream was not taken), released, silent (servos that do not answer),
     wrong (in words), pose (drive, tuck or nothing), auto_tuck_s (until it tucks itself, or None), and joints by name:
     servo, angle_rad and pulses (measured; None before a reading), age_s of that, commanded_rad and commanded_pulses
-    (None while it is not known where it is), torque, temperature_c, supply_mv."""
+    (None while it is not known where it is), at_rad (where it is, as far as is known) and at_by (`read`, or `sent`:
+    while it moves no servo is asked), torque, temperature_c, supply_mv."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as in `failstop status --json`; no word of an arm where there is none."""
@@ -217,10 +218,13 @@ class StateReader:
         joints = {}
         for name, servo, commanded, measured, measured_ns, torque, temperature_c, supply_mv in found["joints"]:
             joint = self._joints[name]
+            at = measured if commanded is None else commanded
             joints[name] = {
                 "servo": servo,
                 "pulses": measured,
                 "angle_rad": None if measured is None else round(joint.rad(measured), 4),
+                "at_rad": None if at is None else round(joint.rad(at), 4),
+                "at_by": None if at is None else "read" if at == measured else "sent",
                 "age_s": None if measured is None else max(0, now_ns - measured_ns) / 1e9,
                 "commanded_pulses": commanded,
                 "commanded_rad": None if commanded is None else round(joint.rad(commanded), 4),

@@ -183,8 +183,8 @@ def test_where_the_arm_s_joints_were_sent_is_a_panel_of_its_own(tmp_path: Path) 
         goals.put(box.pack_arm(mode, "nav (pid 77)" if mode else "", aims), at(ms))
     for ms, servo, what, value in ((-900.0, 1, POSITION, 500), (40.0, 1, POSITION, 519), (60.0, 4, TORQUE, 1)):
         board.put(box.pack_servo(servo, what, value), at(ms))
-    for ms, value in ((80.0, None), (90.0, 0)):
-        board.put(box.pack_servo(4, POSITION, value), at(ms))
+    board.put(box.pack_servo(4, POSITION, None), at(80.0))
+    board.put(box.pack_servo(4, POSITION, 0), at(90.0))
     found = parts.incident()
     assert signals.joint_readings(found) == {1: [(at(-900.0), 500), (at(40.0), 519)]}
     assert signals.joint_goals(found) == {1: [(at(-810.0), 519.0)], 4: [(at(-810.0), 281.5)]}

@@ -179,6 +179,26 @@ def test_the_cockpit_shows_keys_command_and_state() -> None:
     assert all(style.cells(style.plain(line)) <= 80 for line in lines)
 
 
+def test_the_cockpit_shows_an_arm_only_where_there_is_one() -> None:
+    joints = {"base": {"at_rad": 0.5, "at_by": "sent"}, "wrist": {"at_rad": None, "at_by": None}}
+    arm = {"mode": "jog", "phase": "", "by": "failstop teleop", "closed": "", "joints": joints}
+
+    def screen(joint: int, **changed: Any) -> str:
+        known = {"held": False, "releases": True, "command": None, "percent": 50, "speeds": (0.1, 0.5)}
+        rest = {"note": ("", ""), "source": "cmd_vel", "fancy": False, "columns": 80, "joint": joint}
+        lines = cockpit.lines(state(**changed), **known, **rest)  # type: ignore[arg-type]
+        assert len(lines) <= 23
+        assert all(style.cells(style.plain(line)) <= 80 for line in lines)
+        return shown(lines)
+
+    said = screen(0, arm=arm)
+    for part in ("turn the chosen joint", "1 - 2", "jog for failstop teleop", "1 base: +0.50 rad, sent"):
+        assert part in said
+    assert "2 wrist: not read yet" in screen(1, arm={**arm, "closed": "wheels enabled"})
+    assert "wheels enabled" in screen(1, arm={**arm, "closed": "wheels enabled"})
+    assert "joint" not in screen(0)
+
+
 def test_only_changed_lines_are_written() -> None:
     painter = Painter()
     assert painter.update(["one", "two", "three"]).startswith(CLEAR)

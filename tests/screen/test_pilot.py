@@ -153,7 +153,7 @@ class WithArm(Scribe):
         super().__init__()
         self.arm = self
         self.joints = {joint.name: joint for joint in from_settings(Settings({"joints.base.servo": 1}))}
-        self.state = {"closed": ""}
+        self.state = {"closed": "", "refused": ""}
         self.let = threading.Event()
 
     def jog(self, rates: dict[str, float]) -> None:

@@ -116,6 +116,7 @@ def _draw(terminal: Terminal, pilot: Pilot, state: State, now_s: float) -> None:
         source=pilot.source,
         fancy=style.fancy(),
         columns=terminal.columns,
+        joint=pilot.joint,
     )
     terminal.draw(fit(rows, terminal.rows))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop.cli import style
-from failstop.cli.screen import summary, verdict, words
+from failstop.cli.screen import arm, summary, verdict, words
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 
 TYPE_CHECKING = False
@@ -19,6 +19,8 @@ KEYS = (
     ("+ -", "", "faster, slower", "q", "stop, disable, leave"),
 )
 """Two columns of keys: letters, arrows, what they do; another key, what it does."""
+ARM_KEYS = "[ ]"
+"""What turns the arm's joint that a digit has chosen."""
 REPEATS = "hold a key to drive: a tap drives 0.3 s, going on when the terminal repeats it"
 RELEASES = "hold a key to drive: it ends with the key's release"
 
@@ -35,18 +37,22 @@ def lines(
     source: str,
     fancy: bool,
     columns: int,
+    joint: int = 0,
 ) -> list[Line]:
-    """The screen. `command`: the last one while it counts; `speeds`: m/s and rad/s that a key commands."""
+    """The screen. `command`: the last one while it counts; `speeds`: m/s and rad/s that a key commands; `joint`: the
+    arm's that is chosen, by its place."""
     word, role = verdict.word(state)
     rows: list[Line] = [
         [("failstop teleop", STRONG), (f"  {state.name}, as {source}", DIM)],
         [],
         *_keys(fancy),
+        *_arm_keys(state),
         [],
         _row("keys", ("held" if held else "none held"), OK if held else PLAIN),
         _row("speed", f"{percent} %: {speeds[0]:.2f} m/s, {speeds[1]:.2f} rad/s"),
         _row("command", "none" if command is None else words.velocity(*command) or "zero"),
         [*_row("wheels", word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)],
+        *_arm(state, joint),
         _row("battery", *_battery(state)),
         summary.device(state),
         [],
@@ -66,6 +72,26 @@ def _keys(fancy: bool) -> list[Line]:
         row: Line = [(f"{letters}  ", STRONG), (f"{arrows if fancy else '':<5}", STRONG), (f"{moves:<22}", PLAIN)]
         rows.append([*row, (f"{other:<7}", STRONG), (does, FAIL if other == "space" else PLAIN)])
     return rows
+
+
+def _arm_keys(state: State) -> list[Line]:
+    """On a robot with an arm."""
+    if not state.arm:
+        return []
+    digits = f"1 - {len(state.arm['joints'])}"
+    row: Line = [(f"{ARM_KEYS:<10}", STRONG), (f"{'turn the chosen joint':<22}", PLAIN)]
+    return [[*row, (f"{digits:<7}", STRONG), ("choose a joint of the arm", PLAIN)]]
+
+
+def _arm(state: State, chosen: int) -> list[Line]:
+    """What it does, and the chosen joint: where it is, or was sent."""
+    if not state.arm:
+        return []
+    joints = list(state.arm["joints"].items())
+    name, joint = joints[min(chosen, len(joints) - 1)]
+    where = "not read yet" if joint["at_rad"] is None else f"{joint['at_rad']:+.2f} rad, {joint['at_by']}"
+    closed = f"; {state.arm['closed']}" if state.arm["closed"] else ""
+    return [_row("arm", f"{arm.headline(state.arm)}{closed}"), _row("joint", f"{chosen + 1} {name}: {where}")]
 
 
 def _row(label: str, text: str, role: str = PLAIN) -> Line:

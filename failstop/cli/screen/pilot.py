@@ -132,7 +132,9 @@ class Pilot:
             arm = self.robot.arm
             if way:
                 arm.jog({joint: way * arm.joints[joint].speed / PULSES_PER_RAD * self.percent / 100})
-                self.note = (arm.state["closed"] or f"joint {joint}", PLAIN)
+                state = arm.state
+                against = state["closed"] or state["refused"]
+                self.note = (against or f"joint {joint}", WARN if against else PLAIN)
             else:
                 arm.hold()
         except NoService:
