@@ -71,4 +71,4 @@ def test_uninstall_takes_it_away() -> None:
 )
 def test_who_can_not_be_its_user(asked: Request, said: str) -> None:
     with pytest.raises(InstallError, match=said):
-        install(BROUGHT, request, "tree 1", MACHINE)
+        install(BROUGHT, asked, "tree 1", MACHINE)
