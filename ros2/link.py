@@ -13,7 +13,7 @@ from failstop.ros2.contract import CLIENT
 
 ANSWER_S = 0.5
 AGAIN_NS = 200_000_000
-STALE_MS = 500.0
+STALE_S = 0.5
 """A state as old as this may be of a run that is over."""
 T = TypeVar("T")
 
@@ -50,7 +50,7 @@ class Link:
     def state(self) -> State:
         """A state of the run that is there now. Raises FailstopError."""
         found = self.call(lambda robot: robot.state)
-        if found.age_ms > STALE_MS and monotonic_ns() - self._tried_ns >= AGAIN_NS:
+        if found.age_s > STALE_S and monotonic_ns() - self._tried_ns >= AGAIN_NS:
             self.close()
             found = self.call(lambda robot: robot.state)
         return found

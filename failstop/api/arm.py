@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import isfinite
-from typing import Any
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.policy.capsules import Model
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from failstop.api.robot import Robot
+    from failstop.api.snapshot import ArmState
 
     Told = Callable[[str], None] | None
     Point = tuple[float, Mapping[str, float]]
@@ -106,10 +106,10 @@ class Arm:
     def read(self, told: Told = None) -> dict[str, float]:
         """Read where each joint is; angles by name. Raises Refused."""
         self._robot._ask(records.ARM_READ, told)
-        return {name: joint["angle_rad"] for name, joint in self.state["joints"].items()}
+        return {name: angle for name, joint in self.state.joints.items() if (angle := joint.angle_rad) is not None}
 
     @property
-    def state(self) -> dict[str, Any]:
+    def state(self) -> ArmState:
         """What the service knows of the arm (State.arm)."""
         found = self._robot.state.arm
         if found is None:
@@ -121,8 +121,8 @@ class Arm:
         milliseconds, and the gate has wheels to stop."""
         if self._model is None:
             return
-        found = self.state["joints"].items()
-        start = {name: joint["commanded_rad"] or joint["angle_rad"] or 0.0 for name, joint in found}
+        found = self.state.joints.items()
+        start = {name: joint.commanded_rad or joint.angle_rad or 0.0 for name, joint in found}
         if hit := self._model.on_the_way(start, rows):
             when = f"after {hit[0]:.2f} s " if rows[-1][0] else ""
             raise Refused(f"the arm would hit something {when}on its way: {hit[1]} and {hit[2]}")

@@ -35,7 +35,7 @@ class BatterySample(NamedTuple):
     """One reading of the battery."""
 
     t_ns: int
-    battery_mv: int
+    battery_v: float
     plugged: str
     """unknown, plugged or unplugged."""
 
@@ -104,7 +104,7 @@ def _sample(t_ns: int, kind: int, values: tuple[float, ...]) -> Sample:
         return ImuSample(t_ns, values[:3], values[3:])
     numbers = tuple(map(int, values))
     if kind == box.BATTERY:
-        return BatterySample(t_ns, numbers[0], records.PLUGGED[numbers[1]])
+        return BatterySample(t_ns, numbers[0] / 1000, records.PLUGGED[numbers[1]])
     buttons, hat, *axes, mode = numbers
     return PadSample(t_ns, buttons, hat, tuple(axes), records.PAD_MODES[mode])
 

@@ -33,7 +33,7 @@ def said(trial: Trial, *words: str) -> str:
 def latch(trial: Trial, reason: str = "hand near") -> None:
     trial.robot.estop(reason)
     wait_for("the latch", lambda: trial.robot.state.estop is not None)
-    wait_for("its last proof", lambda: getattr(trial.robot.state.last_stop, "observed_ms", None) is not None)
+    wait_for("its last proof", lambda: getattr(trial.robot.state.last_stop, "observed_s", None) is not None)
 
 
 def test_status_through_its_states(trial: Trial) -> None:

@@ -14,7 +14,7 @@ from tests.support.states import NOW_S, driving, process, state
 DIED = {"process": "gate", "pid": 4711, "how": "was killed by SIGKILL"}
 FENCED = {"process": "gate", "pid": 4711, "silent_ms": 60.3, "kill_us": 200.0}
 NAV = {"who": "nav (pid 42)", "source": "cmd_vel", "silent_ms": 301.0}
-BLOCKED = driving(blocked="cmd timeout", body_vel=(0.0, 0.0, 0.0), wheels_rps=(0.0,) * 4, sources=[])
+BLOCKED = driving(blocked="cmd timeout", body_vel=(0.0, 0.0, 0.0), wheels_radps=(0.0,) * 4, sources=())
 
 
 def told(kind: str, fields: Mapping[str, Any] | None = None, t: float = NOW_S - 3, seq: int = 1) -> Event:
@@ -58,7 +58,7 @@ def test_who_fell_silent_is_named_while_nobody_commands() -> None:
 
 def test_who_ended_while_it_drove_is_named() -> None:
     events = [told("driver_gone", NAV)]
-    found = driving(blocked="cmd timeout", sources=[], clients=[])
+    found = driving(blocked="cmd timeout", sources=(), clients=())
     assert "nav (pid 42) ended while it drove" in shown(found, events)
     assert "nav (pid 42) ended while it drove" in why(found, events)
     assert "connected" not in why(found, events)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import pytest
 
 from failstop.api.events import Event
+from failstop.api.snapshot import Device, Starved
 from failstop.cli.screen import paragraph, words
 from failstop.policy import causes
 from tests.support.states import NOW_S, driving, latched, process, state, stop
 
-STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_rps": (0.0, 0.0, 0.0, 0.0)}
-LOST = {"path": "/dev/ttyACM0", "state": "lost", "link": "unproven"}
+STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_radps": (0.0, 0.0, 0.0, 0.0)}
+LOST = Device("/dev/ttyACM0", "lost", "unproven")
 
 
 def event(kind: str, text: str, age_s: float) -> Event:
@@ -40,12 +41,12 @@ def test_a_latch() -> None:
 
 
 def test_proofs_that_are_missing_are_said_to_be() -> None:
-    unseen = stop(acknowledged_us=None, observed_ms=None)
+    unseen = stop(acknowledged_s=None, observed_s=None)
     assert "has not acknowledged it and the IMU has not shown the wheels still." in text(
         paragraph.explain(latched(last_stop=unseen), [], NOW_S)
     )
     assert "has not acknowledged it yet" in text(paragraph.explain(latched(last_stop=unseen), [], NOW_S - 11))
-    unwritten = stop(written_us=None)
+    unwritten = stop(written_s=None)
     assert "told zero 5 times a second" in text(paragraph.explain(latched(last_stop=unwritten), [], NOW_S))
     lost = text(paragraph.explain(latched(causes.DEVICE_LOST(), last_stop=unwritten, device=LOST), [], NOW_S))
     assert "told zero" not in lost
@@ -100,7 +101,7 @@ def test_nothing_holds_them() -> None:
     "found",
     [
         latched(causes.DEVICE_LOST(), device=LOST),
-        state(device={"path": "/dev/ttyACM0", "state": "open", "link": "deaf"}),
+        state(device=Device("/dev/ttyACM0", "open", "deaf")),
         latched(causes.UNSTILL()),
     ],
 )
@@ -118,7 +119,7 @@ def test_troubles_are_told() -> None:
     )
     assert "gate died too often (it was killed by SIGKILL) and is down for a minute" in said
     assert "wait for gate, then `failstop reset`, then `failstop enable`" in said
-    found = {"times": 3, "longest_ms": 612, "process": "telemetry"}
+    found = Starved(3, 0.612, "telemetry")
     starved = text(paragraph.explain(state(starved=found), [], NOW_S))
     assert "The machine starved the service 3 times, at worst telemetry for 612 ms (`failstop doctor` has" in starved
     waiting = process(state="waiting", last_exit="killed by SIGKILL")
@@ -128,9 +129,9 @@ def test_troubles_are_told() -> None:
     assert "waits for a stop being carried out" in text(
         paragraph.explain(state(waiting_for="a stop being carried out"), [], NOW_S)
     )
-    unproven = {"path": "/dev/ttyACM0", "state": "open", "link": "unproven"}
+    unproven = Device("/dev/ttyACM0", "open", "unproven")
     assert "nobody knows that it hears" in text(paragraph.explain(state(device=unproven), [], NOW_S))
-    assert "said nothing for 3.0 s" in text(paragraph.explain(state(age_ms=3000.0), [], NOW_S))
+    assert "said nothing for 3.0 s" in text(paragraph.explain(state(age_s=3.0), [], NOW_S))
 
 
 def test_for_programs() -> None:

@@ -73,6 +73,6 @@ def _row(label: str, text: str, role: str = PLAIN) -> Line:
 
 
 def _battery(state: State) -> tuple[str, str]:
-    if not state.battery_mv:
+    if not state.battery_v:
         return "not known yet", PLAIN
-    return f"{state.battery_mv / 1000:.2f} V", WARN if state.battery_mv < summary.BATTERY_LOW_MV else PLAIN
+    return f"{state.battery_v:.2f} V", WARN if state.battery_v < summary.BATTERY_LOW_V else PLAIN

@@ -40,9 +40,9 @@ class Vibration:
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, float]] = deque(maxlen=WINDOW)
-        self._last: list[float] | None = None
+        self._last: Sequence[float] | None = None
 
-    def add(self, rate_radps: list[float] | None) -> float | None:
+    def add(self, rate_radps: Sequence[float] | None) -> float | None:
         """A new reading; returns the standard deviation in rad/s, None while too little is known."""
         if rate_radps is None or rate_radps == self._last:
             self._samples.clear()  # a sensor that repeats itself is silent
@@ -81,11 +81,11 @@ class Live:
         """The screen for a state. `mono_s`: a monotonic clock; call it at a steady rate, as a sparkline's step is one
         call. `events`: of this run, oldest first."""
         self._gone_s = 0.0
-        self._device = state.device["path"]
+        self._device = state.device.path
         vx, vy, wz = state.body_vel
         self._speed.append(hypot(vx, vy))
         self._turn.append(abs(wz))
-        self._shake.append(self._vibration.add(state.imu["rate_radps"] if state.imu else None))
+        self._shake.append(self._vibration.add(state.imu.rate_radps if state.imu else None))
         key = (columns, state.blocked, state.epoch, state.waiting_for, state.device, verdict.moving(state))
         if key != self._key or mono_s - self._drawn_s >= SLOW_S:
             self._key, self._drawn_s = key, mono_s

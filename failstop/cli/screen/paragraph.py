@@ -125,9 +125,8 @@ def _head(state: State, row: Block, since: str) -> tuple[str, ...]:
 def _free(state: State) -> str:
     """Nothing blocks: who drives, and how."""
     how = words.velocity(*state.body_vel) or "zero, so the wheels stand"
-    for row in state.sources:
-        if row["state"] == "drives":
-            return f"nothing holds the wheels: {row['who']} drives as {row['source']}, {how}"
+    if row := state.driver:
+        return f"nothing holds the wheels: {row.who} drives as {row.source}, {how}"
     return f"nothing holds the wheels: the command is {how}"
 
 
@@ -153,7 +152,7 @@ def _left_off(event: Event, state: State, now_s: float) -> str:
     """Who drove and did not stop in order. It may have driven on since: that is not told of each time."""
     text = f"the last that is known of a driver: {history.leaving(event)} ({words.ago(event.t, now_s)})"
     who = event.fields.get("who")
-    if any(who == f"{client['name']} (pid {client['pid']})" for client in state.clients):
+    if any(who == f"{client.name} (pid {client.pid})" for client in state.clients):
         text += "; it is still connected, so it hangs, waits, or commands too seldom"
     return text
 
@@ -172,7 +171,7 @@ def _before(state: State, events: Sequence[Event], now_s: float) -> str:
 def _proof(stop: Stop, state: State, now_s: float) -> str:
     """The three levels of the last stop."""
     which = "the stop" if state.estop else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)})"
-    if stop.written_us is None:
+    if stop.written_s is None:
         if verdict.doubt(state):
             return f"{which} could NOT be written to the port"
         return (
@@ -180,14 +179,14 @@ def _proof(stop: Stop, state: State, now_s: float) -> str:
         )
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
     by = stop.written_by.replace("_", " ")
-    found = [f"{which} was written to the port by the {by} {words.took(stop.written_us)} after its cause was noticed"]
-    if stop.acknowledged_us is None:
+    found = [f"{which} was written to the port by the {by} {words.took(stop.written_s)} after its cause was noticed"]
+    if stop.acknowledged_s is None:
         found.append(f"the board has not acknowledged it{yet}")
     else:
-        found.append(f"the board acknowledged it after {words.took(stop.acknowledged_us)}")
-    if stop.observed_ms is None:
+        found.append(f"the board acknowledged it after {words.took(stop.acknowledged_s)}")
+    if stop.observed_s is None:
         found.append(f"the IMU has not shown the wheels still{yet}")
-    elif stop.observed_ms:
+    elif stop.observed_s:
         found.append(f"the IMU showed the {words.wheels_seen(stop)}")
     else:
         found.append("the IMU saw no shaking before it or after")
@@ -206,16 +205,16 @@ def _troubles(state: State, events: Sequence[Event]) -> list[str]:
         elif process.state != "running":
             after = f", after it {history.last_exit(state, name, hung)}" if process.last_exit else ""
             found.append(f"{name} is {process.state}{after}")
-    if state.device["state"] == "open" and state.device["link"] == "unproven":
+    if state.device.state == "open" and state.device.link == "unproven":
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
     elif state.waiting_for and not found and not verdict.doubt(state):
         found.append(f"the service waits for {state.waiting_for}")
     if starved := words.starved(state.starved):
         found.append(f"{starved} (`failstop doctor` has the command that gives it real-time rights)")
-    if state.age_ms > verdict.STALE_MS:
-        found.append(f"the gate has said nothing for {words.span(state.age_ms / 1000)}, so this may be old")
+    if state.age_s > verdict.STALE_S:
+        found.append(f"the gate has said nothing for {words.span(state.age_s)}, so this may be old")
     if state.arm:
-        found += [f"the arm: {text}" for text in state.arm["wrong"]]
+        found += [f"the arm: {text}" for text in state.arm.wrong]
     return found + _said(state)
 
 

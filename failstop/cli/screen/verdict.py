@@ -17,20 +17,20 @@ STANDING = "STANDING"
 STOPPED = "STOPPED"
 MAY_TURN = "MAY TURN"
 """A stop that is not known to reach the wheels is none: nobody must rely on it."""
-STALE_MS = 500.0
+STALE_S = 0.5
 """A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
 
 
 def moving(state: State) -> bool:
     """True while the gate commands a velocity."""
-    return not state.blocked and any(state.wheels_rps)
+    return state.moving
 
 
 def doubt(state: State) -> str:
     """Why the wheels may turn though they were told to stop; empty when there is no reason to think so."""
-    if state.device["state"] != "open":
-        return f"the port {state.device['path'] or ''} is {state.device['state']}, so no stop reaches the board"
-    if state.device["link"] == "deaf":
+    if state.device.state != "open":
+        return f"the port {state.device.path or ''} is {state.device.state}, so no stop reaches the board"
+    if state.device.link == "deaf":
         return "the board does not answer, so a stop may not reach the wheels"
     if state.cause and state.cause.kind is causes.UNSTILL:
         return "the IMU sees the robot shake on"
@@ -71,10 +71,10 @@ def steps(state: State) -> list[str]:
     if state.blocked is None:
         return [] if moving(state) else [words.named(drive, state.name)]
     if any(process.state == "dead" for process in state.processes.values()):
-        return [host.start(state.name, state.device["path"]), words.named("`failstop enable`", state.name)]
+        return [host.start(state.name, state.device.path), words.named("`failstop enable`", state.name)]
     found = []
-    if state.device["state"] != "open":
-        found.append(f"plug the board in ({state.device['path']})")
+    if state.device.state != "open":
+        found.append(f"plug the board in ({state.device.path})")
     elif doubt(state):
         found.append("turn the robot's POWER SWITCH off and on")
     elif GATE in down(state):
