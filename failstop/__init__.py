@@ -10,33 +10,57 @@ from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, Undeclared
+    from failstop.api.aio import AsyncRobot
+    from failstop.api.driving import Answer, Blocked, Driving, Preempted
+    from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, TimedOut, Undeclared
+    from failstop.api.events import Event
     from failstop.api.robot import Robot
-    from failstop.api.state import Process, State, Stop
+    from failstop.api.snapshot import Block, Process, State, Stop, Velocity
+    from failstop.api.why import Why
 
 __all__ = [
+    "Answer",
+    "AsyncRobot",
+    "Block",
+    "Blocked",
+    "Driving",
+    "Event",
     "FailstopError",
     "NoAnswer",
     "NoService",
+    "Preempted",
     "Process",
     "Refused",
     "Robot",
     "State",
     "Stop",
+    "TimedOut",
     "Undeclared",
+    "Velocity",
+    "Why",
     "__version__",
 ]
 
 _HOMES = {
+    "Answer": "driving",
+    "AsyncRobot": "aio",
+    "Block": "snapshot",
+    "Blocked": "driving",
+    "Driving": "driving",
+    "Event": "events",
     "FailstopError": "errors",
     "NoAnswer": "errors",
     "NoService": "errors",
-    "Process": "state",
+    "Preempted": "driving",
+    "Process": "snapshot",
     "Refused": "errors",
     "Robot": "robot",
-    "State": "state",
-    "Stop": "state",
+    "State": "snapshot",
+    "Stop": "snapshot",
+    "TimedOut": "errors",
     "Undeclared": "errors",
+    "Velocity": "snapshot",
+    "Why": "why",
 }
 
 

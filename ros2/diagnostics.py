@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from failstop.api import verdict
 from failstop.api.state import Process, State
-from failstop.cli.screen import summary, verdict
+from failstop.cli.screen import summary
 from failstop.ros2 import report, words
 
 OK = 0
@@ -35,7 +36,7 @@ def _status(name: str, level: int, message: str, **values: object) -> Status:
 
 def _stop_layer(state: State) -> Status:
     """Why it is blocked, and the next command."""
-    word, _ = verdict.word(state)
+    word = verdict.word(state)
     level = ERROR if state.estop or verdict.doubt(state) or verdict.down(state) else OK
     if state.age_s > verdict.STALE_S:
         level = STALE

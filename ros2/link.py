@@ -44,7 +44,7 @@ class Link:
             if monotonic_ns() - self._tried_ns < AGAIN_NS:
                 raise self._problem
             self._tried_ns = monotonic_ns()
-            self._robot = Robot(self.name, client=CLIENT, answer_s=ANSWER_S)
+            self._robot = Robot(self.name, client=CLIENT, answer_s=ANSWER_S, disable_on_exit=False)
         return self._robot
 
     def state(self) -> State:

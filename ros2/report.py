@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from math import degrees, nan
 from typing import Any
 
+from failstop.api import verdict
 from failstop.api.state import State
-from failstop.cli.screen import verdict
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
 from failstop.shm import blocks

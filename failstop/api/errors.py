@@ -40,5 +40,9 @@ class Undeclared(FailstopError, ValueError):
     """A source or an interlock that the service's settings do not name, or that is not a client's to use."""
 
 
+class TimedOut(FailstopError, TimeoutError):
+    """What Robot.wait_for waited for did not come about in time; the message says what is, and what to do."""
+
+
 class NoAnswer(FailstopError):
     """The service runs but did not answer in time."""

@@ -78,6 +78,11 @@ class EventLog:
                 time.sleep(POLL_S)
                 yield None
 
+    def skip(self) -> None:
+        """Only what is told from here on."""
+        while self._ring.next():
+            pass
+
     def _look(self) -> None:
         """Raises NoService when this run of the service is over."""
         now_s = time.monotonic()

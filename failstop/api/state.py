@@ -118,6 +118,16 @@ class StateReader:
             arm=self._arm(decided.get("arm"), now_ns),
         )
 
+    def decided(self) -> tuple[dict[str, Any], Cause | None]:
+        """What the gate has decided last, and what is latched: the part of read() that a driving program needs each
+        time. Raises FailstopError."""
+        dead = self.run.dead()
+        epoch = self._epoch.get()
+        gate = self._gate.read()
+        if gate is None:
+            raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
+        return self._decided(gate[2], epoch, time.monotonic_ns(), dead=dead)
+
     def _wheels(self, speeds_rps: list[float]) -> Wheels:
         if not self._mounted:
             given = Settings(dict(self.settings()))

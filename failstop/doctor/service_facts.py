@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import subprocess
 
+from failstop.api import words
 from failstop.api.client import last_run, runtime_dir
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.state import State, StateReader
-from failstop.cli.screen import words
 from failstop.doctor.facts import Process, RemoveIpc, Service, Unit
 from failstop.doctor.system import System, user_name
 from failstop.install.layout import unit_of

@@ -11,7 +11,8 @@ from collections.abc import Callable
 
 import pytest
 
-from failstop import FailstopError, NoService, Robot, State, run
+from failstop import FailstopError, NoService, Robot, State
+from failstop.api import run
 from failstop.api.client import attach
 from failstop.api.client import run as run_of
 from failstop.api.state import StateReader

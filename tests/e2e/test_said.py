@@ -20,7 +20,7 @@ def test_words_of_a_client_reach_people(trial: Trial) -> None:
             for words in (("status",), ("why",), ("doctor", "--quick"))
         )
         assert "says eyes: looks ahead wrong eyes: nobody feeds the lidar" in status
-        assert "eyes says: nobody feeds the lidar." in why
+        assert "also eyes says: nobody feeds the lidar" in why
         assert "eyes says: nobody feeds the lidar" in doctor
         robot.say("looks ahead")
         wait_for("that it is well", lambda: not any(client.wrong for client in robot.state.clients))

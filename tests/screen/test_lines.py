@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 
+from failstop.api import host, verdict, words
 from failstop.api.errors import FailstopError
 from failstop.api.events import Event
 from failstop.api.snapshot import Client, Device, Imu, Source
 from failstop.cli import style
-from failstop.cli.screen import cockpit, host, live, summary, told, verdict, words
+from failstop.cli.screen import cockpit, live, summary, told
 from failstop.cli.screen.painter import CLEAR, Painter
 from failstop.cli.screen.sparkline import spark
 from failstop.policy import causes

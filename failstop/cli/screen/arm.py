@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.cli.screen import words
+from failstop.api import words
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from failstop.api import verdict, words
 from failstop.cli import style
-from failstop.cli.screen import summary, verdict, words
+from failstop.cli.screen import summary
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 
 TYPE_CHECKING = False
@@ -37,7 +38,7 @@ def lines(
     columns: int,
 ) -> list[Line]:
     """The screen. `command`: the last one while it counts; `speeds`: m/s and rad/s that a key commands."""
-    word, role = verdict.word(state)
+    word, role = verdict.word(state), summary.role_of(state)
     rows: list[Line] = [
         [("failstop teleop", STRONG), (f"  {state.name}, as {source}", DIM)],
         [],

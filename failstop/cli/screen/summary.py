@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from failstop.api import history, verdict, words
 from failstop.cli import style
-from failstop.cli.screen import arm, history, verdict, words
+from failstop.cli.screen import arm
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 from failstop.shm import blocks
 
@@ -12,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from failstop.api.events import Event
+    from failstop.api.history import Earlier
     from failstop.api.state import Process, State, Stop
-    from failstop.cli.screen.history import Earlier
     from failstop.cli.style import Line
 
 LABEL = 10
@@ -45,9 +46,15 @@ def _row(label: str, text: str, role: str = PLAIN) -> Line:
     return [(f"{label:<{LABEL}}", DIM), (text, role)]
 
 
+def role_of(state: State) -> str:
+    """The role of the verdict's word."""
+    roles = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
+    return roles.get(verdict.word(state)) or (FAIL if state.cause else WARN)
+
+
 def wheels(state: State) -> list[Line]:
     """What the wheels do, why, and the next command."""
-    word, role = verdict.word(state)
+    word, role = verdict.word(state), role_of(state)
     rows: list[Line] = [[(f"{'wheels':<{LABEL}}", DIM), (word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)]]
     if step := verdict.next_step(state):
         rows.append([(f"{'next':<{LABEL}}", DIM), *commands(step)])
@@ -79,7 +86,7 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
     for source in state.sources:
         drives = source.state == "drives"
         text = f"{source.who} as {source.source}, priority {source.priority}"
-        rows.append(_row("driver" if drives else "waits", text, OK if drives and verdict.moving(state) else PLAIN))
+        rows.append(_row("driver" if drives else "waits", text, OK if drives and state.moving else PLAIN))
     return rows
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.cli import style
-from failstop.cli.screen import host, words
+from failstop.api import host, words
 from failstop.policy import causes
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
@@ -21,11 +20,6 @@ STALE_S = 0.5
 """A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
 
 
-def moving(state: State) -> bool:
-    """True while the gate commands a velocity."""
-    return state.moving
-
-
 def doubt(state: State) -> str:
     """Why the wheels may turn though they were told to stop; empty when there is no reason to think so."""
     if state.device.state != "open":
@@ -37,15 +31,13 @@ def doubt(state: State) -> str:
     return ""
 
 
-def word(state: State) -> tuple[str, str]:
-    """What the wheels do, and its role."""
+def word(state: State) -> str:
+    """What the wheels do."""
     if doubt(state):
-        return MAY_TURN, style.FAIL
-    if moving(state):
-        return DRIVING, style.OK
-    if not state.blocked:
-        return STANDING, style.OK
-    return STOPPED, style.FAIL if state.estop else style.WARN
+        return MAY_TURN
+    if state.moving:
+        return DRIVING
+    return STOPPED if state.blocked else STANDING
 
 
 def headline(state: State, blocked: str | None = None) -> str:
@@ -69,7 +61,7 @@ def steps(state: State) -> list[str]:
     """What to do, in order, for the wheels to move; commands in backquotes. Empty while they move."""
     drive = "`failstop drive 0.1 0 0`, or commands by your program"
     if state.blocked is None:
-        return [] if moving(state) else [words.named(drive, state.name)]
+        return [] if state.moving else [words.named(drive, state.name)]
     if any(process.state == "dead" for process in state.processes.values()):
         return [host.start(state.name, state.device.path), words.named("`failstop enable`", state.name)]
     found = []
