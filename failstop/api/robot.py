@@ -275,7 +275,7 @@ class Robot:
         until_s = time.monotonic() + TAKEN_S
         while (answer := self._answer(source)) is None or not settled(answer):
             if time.monotonic() > until_s:
-                return answer or Blocked(Block.NO_COMMAND, "the gate has not taken the command yet")
+                return Blocked(Block.NO_COMMAND, "the gate has not taken the command yet") if answer is None else answer
             time.sleep(POLL_S)
         return answer
 

@@ -78,6 +78,8 @@ class Stop:
     """Acknowledged: until the board answered a ping that was written after the stop, s."""
     observed_s: float | None
     """Observed: until the gyro showed the wheels still, s; 0: it saw no shaking before the stop either."""
+    epoch: int = 0
+    """That was raised for it: whoever asked for a stop in an earlier one was answered by this."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -262,6 +262,7 @@ class StateReader:
             written_s=_seconds(found["written_us"], 1e6),
             acknowledged_s=_seconds(found["acknowledged_us"], 1e6),
             observed_s=_seconds(found["observed_ms"], 1e3),
+            epoch=found["epoch"],
         )
 
     def _pad_mode(self) -> PadMode | None:

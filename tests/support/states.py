@@ -63,9 +63,7 @@ def latched(cause: Cause = KEY, **changed: Any) -> State:
 
 def arm(*joints: str, **changed: Any) -> ArmState:
     """An arm that stands, with these joints."""
-    rows = {
-        name: JointState(servo, 0.0, 500, 0.1, 0.0, 500.0, True, None, None) for servo, name in enumerate(joints, 1)
-    }
+    rows = {name: JointState(servo, 0.0, 500, 0.1, 0.0, 500.0, True, 40, 7.4) for servo, name in enumerate(joints, 1)}
     base = ArmState("", "", False, "", "", "", False, (), (), "", None, False, None, rows)
     return dataclasses.replace(base, **changed)
 
