@@ -1,9 +1,19 @@
-"""failstop: the layer that makes a robot stop.
+"""failstop: the layer that makes a robot stop. This drives one for two seconds:
 
-from failstop import Robot
-with Robot() as robot:
-    robot.enable()
-    robot.drive(0.2, 0.0, 0.0)
+    import time
+    from failstop import Robot
+
+    with Robot() as robot:                          # the service that runs on this machine
+        robot.reset()                               # clears a latched stop, if there is one
+        robot.enable()                              # raises Refused, which says why not and what to do
+        for _ in range(40):
+            robot.sensed()                          # the obstacle sensor delivered just now
+            if not robot.drive(0.2, 0.0, 0.0):      # m/s forward, m/s left, rad/s counter-clockwise
+                print(robot.why())                  # what holds the wheels, what proves it, what to do
+            time.sleep(0.05)                        # a command counts for 0.3 s
+                                                    # leaving `with` stops the wheels and disables motion
+
+Robot.connect() is the same for asyncio. Times are s, lengths m, angles rad, voltages V. More: docs/python.md.
 """
 
 from __future__ import annotations

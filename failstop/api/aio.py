@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 
-from failstop.api.events import Event, EventLog
+from failstop.api.events import LOOK_EVERY_S, Event, EventLog
 from failstop.api.request import Request
 from failstop.api.robot import POLL_S, Robot
-from failstop.api.waiting import LOOK_S, Watch
+from failstop.api.waiting import Watch
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import records
+from failstop.shm.news import News
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -65,20 +66,17 @@ class AsyncRobot:
 
     async def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
         """As Robot.wait_for."""
-        watch = Watch(self.robot, what, timeout_s)
-        while (state := watch.look()) is None:
-            await asyncio.sleep(LOOK_S)
-        return state
+        with Watch(self.robot, what, timeout_s) as watch:
+            while (state := watch.look()) is None:
+                await _news(watch.news, watch.sleep_s())
+            return state
 
-    async def events(self, *, past: bool = False) -> AsyncIterator[Event]:
+    def events(self, *, past: bool = False) -> AsyncIterator[Event]:
         """As Robot.events: `async for event in robot.events()`."""
         log = EventLog(self.robot.name)
         if not past:
             log.skip()
-        while True:
-            for event in log.read():
-                yield event
-            await asyncio.sleep(LOOK_S)
+        return _follow(log)
 
     def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> Answer:
         """As Robot.drive; it is not awaited, since it takes no time."""
@@ -117,3 +115,33 @@ class AsyncRobot:
     def settings(self) -> dict[str, float | str]:
         """As Robot.settings."""
         return self.robot.settings
+
+
+async def _follow(log: EventLog) -> AsyncIterator[Event]:
+    news = News(log.name)
+    try:
+        while True:
+            news.clear()
+            news.watch()
+            found = log.read()
+            for event in found:
+                yield event
+            if not found:
+                await _news(news, LOOK_EVERY_S)
+    finally:
+        news.close()
+
+
+async def _news(news: News, timeout_s: float) -> None:
+    """Wait until there may be news, as news.wait() does; the event loop goes on."""
+    loop = asyncio.get_running_loop()
+    told = asyncio.Event()
+    if news.fd >= 0:
+        loop.add_reader(news.fd, told.set)
+    try:
+        await asyncio.wait_for(told.wait(), timeout_s)
+    except asyncio.TimeoutError:
+        pass
+    finally:
+        if news.fd >= 0:
+            loop.remove_reader(news.fd)

@@ -15,7 +15,7 @@ from failstop.api.arm import Arm
 from failstop.api.client import Client, gone, runtime_dir, send_stop
 from failstop.api.driving import Answer, Blocked, judge, settled
 from failstop.api.errors import FailstopError, NoService, Refused
-from failstop.api.events import Event, EventLog
+from failstop.api.events import LOOK_EVERY_S, Event, EventLog
 from failstop.api.request import Request
 from failstop.api.run import Run
 from failstop.api.samples import Sample, SampleReader
@@ -342,10 +342,10 @@ class Robot:
         """Wait until the state is so, and return it: a word (failstop.api.waiting), or what a function of the state
         says. A service that is not there is waited for too, unless this Robot is of one run. Raises TimedOut, which
         says what is the case and what to do, and ValueError for a word that there is not."""
-        watch = Watch(self, what, timeout_s)
-        while (state := watch.look()) is None:
-            watch.sleep()
-        return state
+        with Watch(self, what, timeout_s) as watch:
+            while (state := watch.look()) is None:
+                watch.news.wait(watch.sleep_s())
+            return state
 
     def events(self, *, past: bool = False) -> Iterator[Event]:
         """What the service tells people, as it happens: stops, deaths, requests (docs/journal.md). Waits for the next
@@ -354,7 +354,7 @@ class Robot:
         log = EventLog(self.name)
         if not past:
             log.skip()
-        return (event for event in log.follow() if event)
+        return (event for event in log.follow(LOOK_EVERY_S) if event)
 
     @property
     def settings(self) -> dict[str, float | str]:

@@ -53,9 +53,13 @@ class Wheels(NamedTuple):
     """The speed of each wheel in rad/s: positive rolls the robot forward, however the motor is mounted."""
 
     front_left: float
+    """rad/s."""
     rear_left: float
+    """rad/s."""
     front_right: float
+    """rad/s."""
     rear_right: float
+    """rad/s."""
 
 
 @dataclasses.dataclass(frozen=True)

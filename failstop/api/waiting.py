@@ -7,6 +7,7 @@ from typing import Literal, get_args
 
 from failstop.api import verdict
 from failstop.api.errors import FailstopError, NoService, TimedOut
+from failstop.shm.news import News
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def check(what: Word | Callable[[State], bool]) -> tuple[Callable[[State], bool]
     return _CHECKS[what], what
 
 
-def late(name: str, timeout_s: float, state: State | None) -> str:
+def _late(name: str, timeout_s: float, state: State | None) -> str:
     """What is told when it did not come about in time, with what to do."""
     if state is None:
         return f"waited {timeout_s:g} s for {name!r}: the service tells nothing; see `failstop doctor`"
@@ -51,39 +52,44 @@ def late(name: str, timeout_s: float, state: State | None) -> str:
     return f"waited {timeout_s:g} s for {name!r}: {now}" + (f"; next: {step}" if step else "")
 
 
-LOOK_S = 0.005
+LOOK_S = 0.02
+"""Time between two looks without news: what is told to people wakes who waits, and a velocity is no such thing."""
 
 
 class Watch:
-    """Look until the state is so, sleeping in between."""
+    """Look until the state is so; a context manager. Between two looks there is sleep_s() to wait for news."""
 
     def __init__(self, robot: Robot, what: Word | Callable[[State], bool], timeout_s: float | None) -> None:
         """Raises ValueError."""
         self._check, self._name = check(what)
         self._robot = robot
         self._timeout_s = timeout_s
-        self._until_s = None if timeout_s is None else time.monotonic() + timeout_s
+        self._until_s = float("inf") if timeout_s is None else time.monotonic() + timeout_s
+        self.news = News(robot.name)
+
+    def __enter__(self) -> Watch:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.news.close()
 
     def look(self) -> State | None:
         """The state, if it is so. Raises TimedOut, NoService."""
-        state = None
+        self.news.clear()
+        self.news.watch()
+        late, state = time.monotonic() >= self._until_s, None
         try:
             state = self._robot.state
-        except NoService:
-            if not self._robot.reconnects or self._late():
-                raise
-        except FailstopError:
-            if self._robot.closed or self._late():
+        except FailstopError as error:
+            wrong = isinstance(error, NoService) and not self._robot.reconnects
+            if late or wrong or self._robot.closed:
                 raise
         if state and self._check(state):
             return state
-        if self._timeout_s is not None and self._late():
-            raise TimedOut(late(self._name, self._timeout_s, state))
+        if late and self._timeout_s is not None:
+            raise TimedOut(_late(self._name, self._timeout_s, state))
         return None
 
-    def _late(self) -> bool:
-        return self._until_s is not None and time.monotonic() > self._until_s
-
-    def sleep(self) -> None:
-        """Until the next look is worth it."""
-        time.sleep(LOOK_S)
+    def sleep_s(self) -> float:
+        """How long until the next look is worth it without news."""
+        return min(LOOK_S, max(0.0, self._until_s - time.monotonic()))
