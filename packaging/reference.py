@@ -11,8 +11,8 @@ from pathlib import Path
 API = Path(__file__).resolve().parent.parent / "failstop" / "api"
 HEAD = """# Python: reference
 
-Generated from the docstrings of `failstop/api` (`make docs`). The guide is [python.md](python.md). What has no module beside it
-comes from `failstop` itself: `from failstop import Robot`.
+Generated from the docstrings of `failstop/api` (`make docs`). The guide is [python.md](python.md). What has no module
+beside it comes from `failstop` itself: `from failstop import Robot`.
 """
 CLASSES = {
     "robot": ("Robot",),
