@@ -161,7 +161,7 @@ class ArmTrial(Trial):
 
     def _turns(self) -> bool:
         arm = self.robot.state.arm
-        return bool(arm and arm["mode"] == "follow" and arm["moving"])
+        return bool(arm and arm.mode == "follow" and arm.moving)
 
     def stop_following(self) -> None:
         """End that program."""
