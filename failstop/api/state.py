@@ -175,7 +175,7 @@ class StateReader:
         if gate is None or table is None:
             raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
         now_ns = time.monotonic_ns()
-        battery = records.unpack_battery(found[2]) if (found := self._battery.read()) else None
+        battery = records.BATTERY.unpack(found[2]) if (found := self._battery.read()) else None
         decided, cause = self._decided(gate[2], epoch, now_ns, dead=dead)
         known: dict[str, Any] = msgpack.unpackb(table[2])
         return State(
@@ -198,7 +198,7 @@ class StateReader:
             imu=self._sample(),
             gyro_bias=self._gyro_bias(),
             odometry=self._pose(),
-            pad_mode=records.PAD_MODES[records.unpack_pad(pad[2])[6]] if (pad := self._pad.read()) else None,
+            pad_mode=records.PAD_MODES[records.PAD.unpack(pad[2])[6]] if (pad := self._pad.read()) else None,
             battery_mv=battery[0] if battery else None,
             plugged=records.PLUGGED[battery[1] if battery else 0],
             age_ms=max(0, now_ns - gate[1]) / 1e6,
@@ -260,14 +260,14 @@ class StateReader:
     def _latched(self) -> Cause | None:
         """By the supervisor's word."""
         entry = self._latch.read()
-        since, _, _, cause = records.unpack_latch(entry[2]) if entry else (0, 0, 0, b"")
+        since, _, _, cause = records.LATCH.unpack(entry[2]) if entry else (0, 0, 0, b"")
         return causes.read(cause) if since else None
 
     def _own_stop(self, epoch: int) -> Cause | None:
         """Why the port owner stopped by itself in this epoch, which the supervisor has not answered yet; else None.
         The first cause wins."""
         while entry := self._stops.next():
-            stopped_in, _, _, cause = records.unpack_stop(entry[2])
+            stopped_in, _, _, cause = records.STOPPED.unpack(entry[2])
             if stopped_in > self._stopped[0]:
                 self._stopped = stopped_in, causes.read(cause)
         return self._stopped[1] if self._stopped[0] >= epoch else None
@@ -285,7 +285,7 @@ class StateReader:
         proof = link[2].decode("ascii", "replace") if link else "unproven"
         if entry is None:
             return {"path": None, "state": "closed", "link": proof}
-        _, _, state, path = records.unpack_port(entry[2])
+        _, _, state, path = records.PORT.unpack(entry[2])
         return {"path": path, "state": records.PORT_STATES[state], "link": proof}
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
@@ -329,7 +329,7 @@ class StateReader:
         entry = self._imu.read()
         if entry is None:
             return None
-        values = records.unpack_imu(entry[2])
+        values = records.IMU.unpack(entry[2])
         return {
             "acceleration_mps2": list(values[:3]),
             "rate_radps": list(values[3:]),
@@ -340,7 +340,7 @@ class StateReader:
         entry = self._bias.read()
         if entry is None:
             return None
-        bias, tracking, calibrated = records.unpack_bias(entry[2])
+        *bias, tracking, calibrated = records.BIAS.unpack(entry[2])
         return {"bias_radps": list(bias), "tracking": tracking, "calibrated": calibrated}
 
     def _pose(self) -> dict[str, float] | None:
@@ -348,4 +348,4 @@ class StateReader:
         if entry is None:
             return None
         names = ("x_m", "y_m", "th_rad", "vx_mps", "vy_mps", "wz_radps", "twist_std_mps", "twist_std_radps")
-        return {**dict(zip(names, records.unpack_odometry(entry[2]), strict=True)), "pose_variance": POSE_VARIANCE}
+        return {**dict(zip(names, records.ODOMETRY.unpack(entry[2]), strict=True)), "pose_variance": POSE_VARIANCE}
