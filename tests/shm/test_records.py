@@ -198,7 +198,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     "bias": (lambda text: records.BIAS.pack(*TOPS, True, True), ["telemetry/bias"]),
     "odometry": (lambda text: records.ODOMETRY.pack(*TOPS, *TOPS, 1e308, 1e308), ["telemetry/odometry"]),
     "pad_command": (lambda text: records.PAD_COMMAND.pack(1e308, 1e308, 1e308), ["telemetry/pad_command"]),
-    "pad_request": (lambda text: records.PAD_REQUEST.pack(255, b"\xff" * 260), ["telemetry/wishes"]),
+    "pad_request": (lambda text: records.PAD_REQUEST.pack(255, b"\xff" * 260), ["telemetry/pad_requests"]),
     # A wire frame has at most 260 bytes.
     "frame": (lambda text: records.FRAME.pack(TOP, 255, b"\xff" * 260), ["gate/frames"]),
 }

@@ -39,9 +39,6 @@ class GateStage(Stage):
         self._resets_word = supervisor.word("resets")
         self._made = self.own.ring_reader("frames")
 
-    def client_slots(self) -> list[Segment]:
-        return [segment.read_client_slot(self.name, index, INCARNATION) for index in range(layout.CLIENT_SLOTS)]
-
     def ready(self, word: int) -> None:
         """What the supervisor says of the service: 1 when motion may be enabled."""
         self._views[layout.SUPERVISOR].word("ready").set(word)

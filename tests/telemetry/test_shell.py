@@ -195,28 +195,28 @@ def test_mode_held_since_before_a_newer_stop_resets_nothing(scene: Scene) -> Non
     scene.gate["epoch"] += 1
     for _ in range(38):
         scene.pad(MODE)
-    assert scene.told("wishes") == []
+    assert scene.told("pad_requests") == []
     for _ in range(4):
         scene.pad(MODE)
-    assert [records.PAD_REQUEST.unpack(wish)[0] for wish in scene.told("wishes")] == [records.PAD_RESET]
+    assert [records.PAD_REQUEST.unpack(request)[0] for request in scene.told("pad_requests")] == [records.PAD_RESET]
 
 
-def test_mode_held_for_2_s_while_latched_wishes_one_reset(scene: Scene) -> None:
+def test_mode_held_for_2_s_while_latched_requests_one_reset(scene: Scene) -> None:
     scene.gate["estop"] = causes.KEY(1).pack()
     for _ in range(60):
         scene.pad(MODE)
-    assert [records.PAD_REQUEST.unpack(wish) for wish in scene.told("wishes")] == [(records.PAD_RESET, b"")]
+    assert [records.PAD_REQUEST.unpack(request) for request in scene.told("pad_requests")] == [(records.PAD_RESET, b"")]
     assert scene.rung("gate_bell")
     assert scene.notes() == ["gamepad: MODE was held, reset requested"]
 
 
-def test_tones_are_wishes_for_frames_that_are_not_motion(sounding: Scene) -> None:
+def test_tones_are_requests_for_frames_that_are_not_motion(sounding: Scene) -> None:
     sounding.pad(MODE)
     sounding.gate["estop"] = causes.KEY(1).pack()
     sounding.turn(elapsed_ns=20 * MS)
-    wishes = [records.PAD_REQUEST.unpack(wish) for wish in sounding.told("wishes")]
-    assert wishes == [(records.PAD_FRAME, tones.MODES[1]), (records.PAD_FRAME, tones.TRIP)]
-    assert all(frame[2] == codec.BUZZER for _, frame in wishes)
+    requests = [records.PAD_REQUEST.unpack(request) for request in sounding.told("pad_requests")]
+    assert requests == [(records.PAD_FRAME, tones.MODES[1]), (records.PAD_FRAME, tones.TRIP)]
+    assert all(frame[2] == codec.BUZZER for _, frame in requests)
     assert sounding.rung("gate_bell")
 
 
@@ -224,7 +224,7 @@ def test_off_by_default_nothing_sounds(scene: Scene) -> None:
     scene.pad(MODE)
     scene.gate["estop"] = causes.KEY(1).pack()
     scene.turn(elapsed_ns=20 * MS)
-    assert scene.told("wishes") == []
+    assert scene.told("pad_requests") == []
 
 
 def test_the_charger_is_seen_told_and_remembered(scene: Scene) -> None:
