@@ -142,9 +142,9 @@ class Driver:
         wait_for("the gate to latch", lambda: robot.state.cause is not None, RECOVER_S)
         entry = self._cause.read()
         self.soak.stops.append(
-            (round(t_s, 3), causes.read(records.unpack_latch(entry[2])[3]) if entry else causes.UNKNOWN())
+            (round(t_s, 3), causes.read(records.LATCH.unpack(entry[2])[3]) if entry else causes.UNKNOWN())
         )
-        self.soak.caused_ns.append(records.unpack_latch(entry[2])[1] if entry else time.monotonic_ns())
+        self.soak.caused_ns.append(records.LATCH.unpack(entry[2])[1] if entry else time.monotonic_ns())
         wait_for("a motion enable after a false stop", self._enabled, RECOVER_S)
         self._known_epoch = self._epoch.get()
 

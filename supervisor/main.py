@@ -247,7 +247,7 @@ class Supervisor:
         stops = []
         for process, ring in ((layout.PORT_OWNER, self._stops), (layout.GATE, self._trips)):
             while entry := ring.next():
-                _, cause_ns, written_ns, cause = records.unpack_stop(entry[2])
+                _, cause_ns, written_ns, cause = records.STOPPED.unpack(entry[2])
                 stops.append(Stop(cause_ns, process, causes.read(cause), written_ns))
         for child in dead:
             child.dead = True

@@ -7,7 +7,7 @@ from math import isfinite
 from failstop.api.errors import FailstopError, Refused
 from failstop.policy.capsules import Model, would_hit
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.joints import Joint
+from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.shm import records
 
 TYPE_CHECKING = False
@@ -30,17 +30,11 @@ class Arm:
     def __init__(self, robot: Robot) -> None:
         """Raises FailstopError for a robot whose settings name no joints."""
         self._robot = robot
-        tables: dict[str, dict[str, float | str]] = {}
-        for key, value in robot.settings.items():
-            family, _, rest = key.partition(".")
-            if family == "joints":
-                name, _, last = rest.partition(".")
-                tables.setdefault(name, {})[last] = value
-        if not tables:
-            raise FailstopError(f"the robot of {robot.name!r} has no arm: its settings name no [joints.NAME]")
-        self.joints = {name: Joint(index, name, table) for index, (name, table) in enumerate(tables.items())}
-        """Each joint by name, with its range (range_rad)."""
         settings = Settings(dict(robot.settings))
+        self.joints = {joint.name: joint for joint in from_settings(settings)}
+        """Each joint by name, with its range (range_rad)."""
+        if not self.joints:
+            raise FailstopError(f"the robot of {robot.name!r} has no arm: its settings name no [joints.NAME]")
         self._model = Model(settings) if settings.on("arm.collision") else None
 
     def move(

@@ -110,7 +110,7 @@ def port_of(name: str) -> str:
             entry = found.latest_reader("port").read()
         finally:
             found.close()
-        return records.unpack_port(entry[2])[3] if entry else ""
+        return records.PORT.unpack(entry[2])[3] if entry else ""
     except Exception:  # whatever is wrong with its memory
         return ""
 

@@ -110,7 +110,7 @@ class SampleReader:
         news = self._odometry.read()
         if news and news[0] != self._odometry_seq:
             self._odometry_seq = news[0]
-            found.append(OdometrySample(news[1], *records.unpack_odometry(news[2])))
+            found.append(OdometrySample(news[1], *records.ODOMETRY.unpack(news[2])))
         if not found and self.run.over():
             raise NoService(f"the service {self.run.name!r} has ended, or was started anew: read its samples anew")
         return found

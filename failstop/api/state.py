@@ -88,7 +88,7 @@ class StateReader:
         if gate is None or table is None:
             raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
         now_ns = time.monotonic_ns()
-        battery = records.unpack_battery(found[2]) if (found := self._battery.read()) else None
+        battery = records.BATTERY.unpack(found[2]) if (found := self._battery.read()) else None
         decided, cause = self._decided(gate[2], epoch, now_ns, dead=dead)
         known: dict[str, Any] = msgpack.unpackb(table[2])
         return State(
@@ -192,14 +192,14 @@ class StateReader:
     def _latched(self) -> Cause | None:
         """By the supervisor's word."""
         entry = self._latch.read()
-        since, _, _, cause = records.unpack_latch(entry[2]) if entry else (0, 0, 0, b"")
+        since, _, _, cause = records.LATCH.unpack(entry[2]) if entry else (0, 0, 0, b"")
         return causes.read(cause) if since else None
 
     def _own_stop(self, epoch: int) -> Cause | None:
         """Why the port owner stopped by itself in this epoch, which the supervisor has not answered yet; else None.
         The first cause wins."""
         while entry := self._stops.next():
-            stopped_in, _, _, cause = records.unpack_stop(entry[2])
+            stopped_in, _, _, cause = records.STOPPED.unpack(entry[2])
             if stopped_in > self._stopped[0]:
                 self._stopped = stopped_in, causes.read(cause)
         return self._stopped[1] if self._stopped[0] >= epoch else None
@@ -217,7 +217,7 @@ class StateReader:
         proof = cast("Link", link[2].decode("ascii", "replace") if link else "unproven")
         if entry is None:
             return Device(None, "closed", proof)
-        _, _, state, path = records.unpack_port(entry[2])
+        _, _, state, path = records.PORT.unpack(entry[2])
         return Device(path, cast("PortState", records.PORT_STATES[state]), proof)
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
@@ -268,14 +268,14 @@ class StateReader:
 
     def _pad_mode(self) -> PadMode | None:
         entry = self._pad.read()
-        mode = records.PAD_MODES[records.unpack_pad(entry[2])[6]] if entry else None
+        mode = records.PAD_MODES[records.PAD.unpack(entry[2])[6]] if entry else None
         return cast("PadMode | None", mode)
 
     def _sample(self) -> Imu | None:
         entry = self._imu.read()
         if entry is None:
             return None
-        ax, ay, az, *rate = records.unpack_imu(entry[2])
+        ax, ay, az, *rate = records.IMU.unpack(entry[2])
         x, y, z = rate
         return Imu((ax, ay, az), (x, y, z), RATE_VARIANCE)
 
@@ -283,15 +283,14 @@ class StateReader:
         entry = self._bias.read()
         if entry is None:
             return None
-        bias, tracking, calibrated = records.unpack_bias(entry[2])
-        x, y, z = bias
+        x, y, z, tracking, calibrated = records.BIAS.unpack(entry[2])
         return GyroBias((x, y, z), tracking, calibrated)
 
     def _pose(self) -> Odometry | None:
         entry = self._odometry.read()
         if entry is None:
             return None
-        x_m, y_m, th_rad, vx_mps, vy_mps, wz_radps, std_mps, std_radps = records.unpack_odometry(entry[2])
+        x_m, y_m, th_rad, vx_mps, vy_mps, wz_radps, std_mps, std_radps = records.ODOMETRY.unpack(entry[2])
         return Odometry(x_m, y_m, th_rad, vx_mps, vy_mps, wz_radps, std_mps, std_radps, POSE_VARIANCE)
 
 

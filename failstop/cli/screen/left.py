@@ -86,7 +86,7 @@ def find(name: str) -> Left | None:
 
 def _device(copies: Copies) -> str | None:
     entries = copying.whole(layout.PORT_OWNER, "port", *copies[layout.PORT_OWNER])
-    return records.unpack_port(entries[-1][2])[3] if entries else None
+    return records.PORT.unpack(entries[-1][2])[3] if entries else None
 
 
 def refusal(name: str, error: NoService) -> NoService:
