@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from failstop.api import verdict, words
 from failstop.cli import style
-from failstop.cli.screen import arm, summary, verdict, words
+from failstop.cli.screen import arm, summary
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 
 TYPE_CHECKING = False
@@ -41,7 +42,7 @@ def lines(
 ) -> list[Line]:
     """The screen. `command`: the last one while it counts; `speeds`: m/s and rad/s that a key commands; `joint`: the
     arm's that is chosen, by its place."""
-    word, role = verdict.word(state)
+    word, role = verdict.word(state), summary.role_of(state)
     rows: list[Line] = [
         [("failstop teleop", STRONG), (f"  {state.name}, as {source}", DIM)],
         [],
@@ -78,7 +79,7 @@ def _arm_keys(state: State) -> list[Line]:
     """On a robot with an arm."""
     if not state.arm:
         return []
-    digits = f"1 - {len(state.arm['joints'])}"
+    digits = f"1 - {len(state.arm.joints)}"
     row: Line = [(f"{ARM_KEYS:<10}", STRONG), (f"{'turn the chosen joint':<22}", PLAIN)]
     return [[*row, (f"{digits:<7}", STRONG), ("choose a joint of the arm", PLAIN)]]
 
@@ -87,10 +88,10 @@ def _arm(state: State, chosen: int) -> list[Line]:
     """What it does, and the chosen joint: where it is, or was sent."""
     if not state.arm:
         return []
-    joints = list(state.arm["joints"].items())
+    joints = list(state.arm.joints.items())
     name, joint = joints[min(chosen, len(joints) - 1)]
-    where = "not read yet" if joint["at_rad"] is None else f"{joint['at_rad']:+.2f} rad, {joint['at_by']}"
-    closed = f"; {state.arm['closed']}" if state.arm["closed"] else ""
+    where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad, {joint.at_by}"
+    closed = f"; {state.arm.closed}" if state.arm.closed else ""
     return [_row("arm", f"{arm.headline(state.arm)}{closed}"), _row("joint", f"{chosen + 1} {name}: {where}")]
 
 
@@ -99,6 +100,6 @@ def _row(label: str, text: str, role: str = PLAIN) -> Line:
 
 
 def _battery(state: State) -> tuple[str, str]:
-    if not state.battery_mv:
+    if not state.battery_v:
         return "not known yet", PLAIN
-    return f"{state.battery_mv / 1000:.2f} V", WARN if state.battery_mv < summary.BATTERY_LOW_MV else PLAIN
+    return f"{state.battery_v:.2f} V", WARN if state.battery_v < summary.BATTERY_LOW_V else PLAIN

@@ -107,7 +107,7 @@ class ArmTrial(Trial):
 
     def _turns(self, mode: str) -> bool:
         arm = self.robot.state.arm
-        return bool(arm and arm["mode"] == mode and arm["moving"])
+        return bool(arm and arm.mode == mode and arm.moving)
 
     def stop_following(self) -> None:
         """End that program."""

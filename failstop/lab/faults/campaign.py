@@ -140,7 +140,7 @@ class _Injection:
             scene.wait_for_stop_tool()
         if fault.link:
             self._check(
-                f"the link to be shown {fault.link}", lambda: scene.driver.robot.state.device["link"] == fault.link
+                f"the link to be shown {fault.link}", lambda: scene.driver.robot.state.device.link == fault.link
             )
         if fault.bar_ms is None and not scene.trial.moving():
             self.outcome.wrong.append("the wheels stand, and nothing was to stop them")

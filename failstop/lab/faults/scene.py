@@ -94,7 +94,7 @@ class Scene:
     def _stopped_by_fault(self) -> bool:
         """Whether the service is too damaged to end in order."""
         try:
-            return self.driver.robot.state.processes[SUPERVISOR].age_ms > 500
+            return self.driver.robot.state.processes[SUPERVISOR].age_s > 0.5
         except FailstopError:
             return True
         finally:
