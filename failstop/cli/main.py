@@ -35,13 +35,15 @@ COMMANDS = {
     "install": ("cli.commands.install", "make it a service of this machine, whole or not at all"),
     "uninstall": ("cli.commands.uninstall", "stop the service and take away what install put there"),
     "ros2": ("cli.commands.ros2", "the bridge to ROS 2: its nodes drive through the service"),
+    "metrics": ("cli.commands.metrics", "the state as Prometheus reads it, once or over HTTP"),
+    "fleet": ("cli.commands.fleet", "all robots of a broker: see them, stop them, publish this one"),
     "web": ("cli.commands.web", "the operator's page: STOP, why, and what happened, on a phone"),
     "completion": ("cli.commands.completion", "the script that completes commands in a shell"),
 }
 
 GROUPS = (
     ("drive", ("enable", "disable", "drive", "teleop", "stop", "estop", "reset", "arm")),
-    ("look", ("status", "watch", "why", "events", "incident")),
+    ("look", ("status", "watch", "why", "events", "incident", "metrics", "fleet")),
     ("check", ("demo", "doctor", "prove", "chaos", "config")),
     ("service", ("run", "sim", "web", "ros2", "install", "uninstall", "completion")),
 )
