@@ -47,7 +47,7 @@ class Process:
 
     pid: int
     state: str
-    """starting, running, hanging, waiting (to be restarted), down, stopping, or dead (with the supervisor)."""
+    """starting, running, hanging, fenced (killed for that), dead, waiting (to be restarted), down, or stopping."""
     age_ms: float
     """Since its last heartbeat."""
     restarts: int
