@@ -123,7 +123,7 @@ class Driver:
         sent_now, decoded_now = self._imu_counts()
         soak.imu_sent, soak.imu_decoded = sent_now - sent, decoded_now - decoded
         processes = trial.robot.state.processes
-        soak.worst_ms = {name: process.worst_ms for name, process in processes.items()}
+        soak.worst_ms = {name: process.worst_s * 1e3 for name, process in processes.items()}
         soak.restarts = sum(process.restarts for process in processes.values())
 
     def _command(self) -> None:

@@ -87,7 +87,7 @@ class Supervisor:
         self.loop = Loop()
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
         self.heartbeat = Heartbeat(own, os.getpid(), self._granted, monotonic_ns())
-        self._events = Events(name, own.ring_writer("events"), journal)
+        self._events = Events(name, own.ring_writer("events"), journal, resources.published)
         advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
         self.teller = Teller(name, self._events, views, advice)
         self._silence = Silence(views, resources.bells, self._events, advice)

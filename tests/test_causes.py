@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import failstop
+from failstop.api import reasons
 from failstop.board.decoder import BUTTONS
 from failstop.board.interface import BOARD
-from failstop.cli.screen import reasons
 from failstop.policy import causes
 from failstop.policy.causes import BY_NAME, BY_NUMBER, Cause, Kind
 from failstop.policy.processes import ROLES

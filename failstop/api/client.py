@@ -7,7 +7,7 @@ import os
 import weakref
 
 from failstop.api.errors import FailstopError, NoService
-from failstop.policy.reply import unpack
+from failstop.policy.reply import Reply, unpack
 from failstop.shm import bell, claim, instance, layout, records, segment
 from failstop.shm.barrier import Barrier
 from failstop.shm.lifeline import HeldByThread, pid_namespace
@@ -17,9 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import TypeVar
 
-    from failstop.policy.reply import Reply
-
     T = TypeVar("T")
+
+
+GIVEN_UP = "given up for a later request of this program"
 
 
 def runtime_dir(name: str) -> str:
@@ -236,12 +237,12 @@ class Client:
 
     def answer(self, asked: int) -> Reply | None:
         """The answer to a request; None while there is none. What the request has changed is in the state from then
-        on."""
+        on. A later request that was answered meanwhile, by another thread, has taken its place."""
         if (entry := self._reply.read()) is not None:
             session, number, reply = unpack(entry[2])
-            if (session, number) == (self._session, asked):
+            if session == self._session and number >= asked:
                 Barrier()()
-                return reply
+                return reply if number == asked else Reply(records.REFUSED, GIVEN_UP)
         return None
 
     def close(self, *, in_order: bool = True) -> None:

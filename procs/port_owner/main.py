@@ -11,7 +11,7 @@ from time import monotonic_ns
 from failstop.board.interface import BOARD
 from failstop.policy import causes
 from failstop.procs.handover import Control
-from failstop.procs.loop import GONE, NEVER, READ, WRITE, Deadline, Loop
+from failstop.procs.loop import EDGE, GONE, NEVER, READ, WRITE, Deadline, Loop
 from failstop.procs.peer import Peer
 from failstop.procs.port_owner import admission, repeats
 from failstop.procs.port_owner.admission import Admission
@@ -405,9 +405,14 @@ class PortOwner:
             self._publish_port(now_ns)
 
     def _watch_port(self) -> None:
-        """Watch the open port for what the board sends, and for room while the kernel has not taken everything."""
+        """Watch the open port for what the board sends, and for room while the kernel has not taken everything.
+
+        Each read takes all that is there. Without EDGE the kernel looks for more at the next wait, and lets this
+        process sleep until its own worker, of ordinary priority, has ended (n_tty_poll): after every frame of the
+        board, on a busy machine for as long as others run, deaf to stops.
+        """
         fd = self.wire.fd
-        wanted = (fd, READ | WRITE if self.wire.unsent else READ)
+        wanted = (fd, READ | WRITE if self.wire.unsent else READ | EDGE)
         if fd >= 0 and wanted != self._watched:
             self.loop.watch(*wanted)
         self._watched = wanted
