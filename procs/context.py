@@ -26,22 +26,6 @@ if TYPE_CHECKING:
 class Context:
     """A started process's own segment, heartbeat, settings, and the descriptors it inherited."""
 
-    __slots__ = (
-        "_fds",
-        "early",
-        "heartbeat",
-        "held",
-        "incarnation",
-        "instance",
-        "memory",
-        "own",
-        "parent",
-        "port_number",
-        "process",
-        "runtime_dir",
-        "settings",
-    )
-
     def __init__(self, process: str, words: dict[str, str], priority: int, *, outlives_parent: bool) -> None:
         self.process = process
         self.instance = words.pop("name")

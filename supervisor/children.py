@@ -1,4 +1,4 @@
-"""Children: what the supervisor knows of each process of the table."""
+"""Children: what the supervisor knows of each process of the table: above all its state, and what changes that."""
 
 from __future__ import annotations
 
@@ -19,74 +19,75 @@ _SIGNALS = {found.value: found.name for found in signal.Signals}
 STARTING_NS = 5_000_000_000
 """A process that does not say that it runs within this time is killed."""
 
+# The states of a process, in the words that people read.
+WAITING = "waiting"  # to be started
+DOWN = "down"  # it died too often: not started before a reset
+STARTING = "starting"
+RUNNING = "running"
+HUNG = "hanging"  # silent past its deadline, which the machine explains: not killed for that
+FENCED = "fenced"  # killed for hanging, and not gone yet
+DEAD = "dead"  # that is known, and answered; still to be reaped
+ALIVE = (STARTING, RUNNING, HUNG, FENCED)
+
+# What happens to it. SPARED: it is silent, which the machine explains; BEATS: again, after that.
+STARTED, RUNS, SPARED, BEATS, KILLED, DIED, REAPED, GIVEN_UP, RECALLED = EVENTS = range(9)
+
+NEXT = {
+    WAITING: {STARTED: STARTING, GIVEN_UP: DOWN},
+    DOWN: {STARTED: STARTING, RECALLED: WAITING},  # a gate is started after a while all the same
+    STARTING: {RUNS: RUNNING, SPARED: STARTING, BEATS: STARTING, KILLED: FENCED, DIED: DEAD},
+    RUNNING: {SPARED: HUNG, BEATS: RUNNING, KILLED: FENCED, DIED: DEAD},  # it may have been spared as it started
+    HUNG: {SPARED: HUNG, BEATS: RUNNING, KILLED: FENCED, DIED: DEAD},
+    FENCED: {BEATS: FENCED, DIED: DEAD},  # just before its end
+    DEAD: {BEATS: DEAD, REAPED: WAITING},
+}
+"""What each state becomes. What is not here cannot happen, and would leave the state as it is: the supervisor must not
+die of it."""
+
 
 class Child:
     """One row of the process table as it is now."""
-
-    __slots__ = (
-        "beat",
-        "block",
-        "dead",
-        "down",
-        "ended",
-        "excused_ns",
-        "fence",
-        "last_exit",
-        "life",
-        "pid",
-        "restart",
-        "restarts",
-        "row",
-        "spared_ns",
-        "started_ns",
-        "times_restarted",
-    )
 
     def __init__(self, row: Process, beat: HeartbeatReader, restarts: Restarts, restart: Deadline) -> None:
         self.row = row
         self.beat = beat
         self.restarts = restarts
+        self.state = WAITING
         self.pid = 0
+        """0: there is none, since it waits or is down."""
         self.block = 0
         """The block of futexes that it holds."""
-        self.dead = False
-        """Its death is known, and answered; it is still to be reaped."""
-        self.ended = False
-        """Its pidfd has said so."""
         self.life: Lifeline | None = None
         self.started_ns = 0
         self.restart = restart
-        """When it is to be started again; never: it runs, or is down until a reset."""
+        """When it is to be started again, if it is not started yet."""
         self.fence: Fence | None = None
         """It was killed for hanging: when and how."""
         self.excused_ns = 0
         """Silence before this is not its own."""
-        self.spared_ns = 0
+        self._spared_ns = 0
         """Its last sign of life before a silence that the machine explains, and that lasts; 0: there is none such."""
-        self.down = False
-        """The epoch in which it had died too often, and is down since; 0: it is not."""
         self.times_restarted = 0
         self.last_exit = ""
+
+    def on(self, event: int) -> None:
+        """One of EVENTS has happened to it."""
+        self.state = NEXT[self.state].get(event, self.state)
 
     def started(self, pid: int, block: int, now_ns: int) -> None:
         """It was just started. Raises OSError, and then nothing is changed."""
         self.life = Lifeline(pid)
         self.pid = pid
         self.block = block
-        self.dead = self.ended = False
         self.fence = None
         self.started_ns = now_ns
         self.restart.set(NEVER)
-        self.spared_ns = 0
-        self.down = False
+        self._spared_ns = 0
+        self.on(STARTED)
 
     def running(self) -> bool:
-        """True when it has said that it runs."""
-        return self.pid != 0 and not self.dead and not self.fence and self.beat.running(self.pid)
-
-    def well(self) -> bool:
-        """True when it runs, and the machine lets it."""
-        return self.running() and not self.spared_ns
+        """True when it has said that it runs, whether or not the machine lets it."""
+        return self.state in (RUNNING, HUNG)
 
     def heard_ns(self) -> int:
         """Its last sign of life."""
@@ -99,15 +100,25 @@ class Child:
     def spare(self, now_ns: int) -> None:
         """Its silence is the machine's: as long again from now on."""
         self.excused_ns = now_ns
-        self.spared_ns = self.spared_ns or self.heard_ns()
+        self._spared_ns = self._spared_ns or self.heard_ns()
+        self.on(SPARED)
 
-    def hangs(self, now_ns: int) -> bool:
-        """True when its heartbeat, or its first one, is overdue."""
-        return now_ns >= self.overdue_ns()
+    def beaten(self) -> int:
+        """Once it has beaten again after it was spared: how long it was silent (ns); else 0."""
+        silent_ns = self.heard_ns() - self._spared_ns if self._spared_ns else 0
+        if silent_ns:
+            self._spared_ns = 0
+            self.on(BEATS)
+        return silent_ns
+
+    def fenced(self, fence: Fence) -> None:
+        """It hung, and was killed for that."""
+        self.fence = fence
+        self.on(KILLED)
 
     def overdue_ns(self) -> int:
         """When it counts as hanging unless it beats before; NEVER: there is nothing to wait for."""
-        if not self.pid or self.fence or self.dead:
+        if self.state not in (STARTING, RUNNING, HUNG):
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns
         return max(sign_ns, self.excused_ns) + self.allowed_ns()
@@ -117,6 +128,8 @@ class Child:
         if self.life:
             self.life.kill()
             self.life.wait(wait_s)
+            if self.state in ALIVE:
+                self.on(DIED)
             self.reap()
 
     def reap(self) -> str:
@@ -125,20 +138,11 @@ class Child:
         pid, status = os.waitpid(self.pid, os.WNOHANG)
         if not pid:
             return ""
-        if os.WIFSIGNALED(status):
-            number = os.WTERMSIG(status)
-            self.last_exit = f"killed by {_SIGNALS.get(number, number)}"
-        else:
-            self.last_exit = f"exited with code {os.waitstatus_to_exitcode(status)}"
+        code = os.waitstatus_to_exitcode(status)
+        self.last_exit = f"exited with code {code}" if code >= 0 else f"killed by {_SIGNALS.get(-code, -code)}"
         if self.life:
             self.life.close()
             self.life = None
         self.pid = 0
-        self.ended = False
+        self.on(REAPED)
         return self.last_exit
-
-    def state(self) -> str:
-        """In one word: running, starting, waiting (to be restarted) or down."""
-        if self.pid:
-            return "running" if self.running() else "starting"
-        return "down" if self.down else "waiting"

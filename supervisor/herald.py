@@ -6,6 +6,7 @@ import msgpack
 
 from failstop.shm import layout
 from failstop.supervisor import health
+from failstop.supervisor.children import DOWN
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class Herald:
         children = self._processes.children
         killed_ns = {child.row.name: child.fence.kill_ns for child in children if child.fence and child.pid}
         self.fault = health.fault(now_ns, killed_ns, owed_since_ns, port_open=port_open)
-        down = ", ".join(child.row.name for child in children if child.state() == "down")
+        down = ", ".join(child.row.name for child in children if child.state == DOWN)
         if now_ns - self._gate_ns >= GATE_EVERY_NS:
             self._gate_ns = now_ns
             if entry := self._gate_record.read():

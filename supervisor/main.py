@@ -21,6 +21,7 @@ from failstop.shm.packing import pack
 from failstop.supervisor import grant, written
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
+from failstop.supervisor.children import ALIVE, DIED, RUNNING
 from failstop.supervisor.epochs import Epochs
 from failstop.supervisor.events import Events
 from failstop.supervisor.fence import Fence
@@ -147,6 +148,7 @@ class Supervisor:
         self._stop_for_news(ready, now_ns)
         self._follow_aftermath(now_ns)
         self.processes.reap(ready, now_ns)
+        self.processes.arm()
         self._follow_port(ready, now_ns)
         self._follow_answer(now_ns)
         self._follow_reset(now_ns)
@@ -156,7 +158,6 @@ class Supervisor:
         self._follow_names(now_ns)
         self.processes.restart_due(self._port, now_ns)
         self.teller.pass_notes()
-        self.processes.arm()
         self._publish(now_ns)
         self.blackbox.follow(now_ns, ready=self.readiness.ever)
         self.heartbeat.beat(now_ns, self.epoch)
@@ -235,7 +236,7 @@ class Supervisor:
     def _listening(self, now_ns: int) -> bool:
         """True while pings are written and their answers decoded: what nobody could hear makes no board deaf."""
         asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
-        if self._port.fd < 0 or not asks.well() or not hears.well():
+        if self._port.fd < 0 or asks.state != RUNNING or hears.state != RUNNING:
             return False
         # Who was held up comes late to an answer. While motion is enabled that is no excuse.
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
@@ -250,7 +251,7 @@ class Supervisor:
                 _, cause_ns, written_ns, cause = records.STOPPED.unpack(entry[2])
                 stops.append(Stop(cause_ns, process, causes.read(cause), written_ns))
         for child in dead:
-            child.dead = True
+            child.on(DIED)
             death = causes.DIED(child.row.name)
             if death not in (stop.cause for stop in stops):
                 stops.append(Stop(now_ns, layout.SUPERVISOR, death, burst_ns))
@@ -293,7 +294,7 @@ class Supervisor:
         found = written.who_wrote(
             stop,
             answered=self.epochs.answered(),
-            may_answer=port_owner.pid != 0 and not port_owner.dead and not self._answer_by.due(now_ns),
+            may_answer=port_owner.state in ALIVE and not self._answer_by.due(now_ns),
             port_owner_ns=self._port_owner_written.get(),
         )
         if found is None:
@@ -313,9 +314,9 @@ class Supervisor:
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline: at that moment, not at a tick after it."""
         for child in self.children:
-            if child.hangs(now_ns):
+            if now_ns >= child.overdue_ns():
                 is_starved = self._silence.starved(child)
-                if child.hangs(now_ns):  # else it has just beaten
+                if now_ns >= child.overdue_ns():  # else it has just beaten
                     self._answer_silence(child, now_ns, is_starved=is_starved)
         self._overdue.set(min(child.overdue_ns() for child in self.children))
 
@@ -337,7 +338,7 @@ class Supervisor:
         kill_ns = monotonic_ns()
         stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0
         self._raise_epoch([stop])
-        child.fence = Fence(now_ns, kill_ns, stop.written_ns, silent_ns, was_starved=is_starved)
+        child.fenced(Fence(now_ns, kill_ns, stop.written_ns, silent_ns, was_starved=is_starved))
 
     def _publish(self, now_ns: int) -> None:
         """What motion waits for, and the service manager's part."""

@@ -30,20 +30,6 @@ SHARE_NS = 100_000_000
 class PortHandover:
     """The supervisor's part of it; `controls`: its ends of the control sockets."""
 
-    __slots__ = (
-        "_bell",
-        "_events",
-        "_loop",
-        "_lost_ns",
-        "_port",
-        "_processes",
-        "_record",
-        "_shared_ns",
-        "_stopper_port",
-        "controls",
-        "opener",
-    )
-
     def __init__(
         self,
         port: OwnPort,

@@ -12,7 +12,7 @@ from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import EarlyNews
-from failstop.supervisor.children import Child
+from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RECALLED, RUNS, STARTING, Child
 from failstop.supervisor.restarts import Restarts
 from failstop.supervisor.starter import Starter
 
@@ -66,16 +66,15 @@ class ProcessTable:
 
     def died(self, ready: dict[int, int]) -> list[Child]:
         """Those whose death this wake-up, or the early news before it, tells; each once."""
-        return [child for child in self.children if child.life and not child.dead and child.life.died(ready)]
+        return [child for child in self.children if child.life and child.state != DEAD and child.life.died(ready)]
 
     def reap(self, ready: dict[int, int], now_ns: int) -> None:
         """Collect the processes that have died, and plan their restarts."""
         for child in self.children:
             if child.life and child.life.fd in ready:
-                child.ended = True
                 self._loop.forget(child.life.fd)  # it stays readable, however long it takes to be collected
             pid = child.pid
-            if child.ended and (death := child.reap()):
+            if child.state == DEAD and (death := child.reap()):
                 self._tell_death(child, pid, death)
                 self._plan_restart(child, now_ns)
 
@@ -94,7 +93,7 @@ class ProcessTable:
         if wait_ns is not None:
             self._restart_in(child, wait_ns, now_ns)
             return
-        child.down = True
+        child.on(GIVEN_UP)
         todo = f"next: see to the cause, then {self._events.command('reset')} starts it anew"
         if name == layout.GATE:
             child.restart.set(now_ns + GATE_AGAIN_NS)
@@ -110,17 +109,19 @@ class ProcessTable:
     def recall(self, now_ns: int) -> None:
         """Start those anew that are down, after a reset by people who know of it."""
         for child in self.children:
-            if child.down:
-                child.down = False
+            if child.state == DOWN:
+                child.on(RECALLED)
                 child.restarts.forget()
                 self._restart_in(child, 0, now_ns)
 
     def arm(self) -> None:
         """A process that runs holds its block: wait for the early news of its death."""
         for child in self.children:
-            if child.life and not child.life.armed and child.running():
-                self.early.arm(child.life, child.block, 0)
+            if child.state == STARTING and child.beat.running(child.pid):
+                child.on(RUNS)
                 self._tell_watchers()
+                if child.life:
+                    self.early.arm(child.life, child.block, 0)
 
     def _tell_watchers(self) -> None:
         """Those who watch others look up whom, and who runs."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from failstop.shm.packing import pack
+from failstop.supervisor.children import RUNNING
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ class Readiness:
 
     def missing(self, children: list[Child], *, stopping: bool) -> str:
         """What motion is still waiting for; empty when nothing. `stopping`: a stop is not answered yet."""
-        absent = [child.row.name for child in children if not child.well()]
+        absent = [child.row.name for child in children if child.state != RUNNING]
         if not absent and not self._handover.complete():
             return "the port"
         # A stop that the supervisor wrote itself is still to be answered: a port owner that was held up would cut into
@@ -39,7 +40,7 @@ class Readiness:
         processes = {
             child.row.name: {
                 "pid": child.pid,
-                "state": child.state(),
+                "state": child.state,
                 "restarts": child.times_restarted,
                 "last_exit": child.last_exit or None,
             }

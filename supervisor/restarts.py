@@ -7,8 +7,6 @@ class Restarts:
     """Counts one process's deaths: the first in the window is restarted at once, the next after a doubling wait, and
     after the limit it is down (and the service stopped) until people reset, rather than loop."""
 
-    __slots__ = ("_backoff_ns", "_deaths", "_limit", "_window_ns")
-
     def __init__(self, limit: int, window_ns: int, backoff_ns: int) -> None:
         self._limit = limit
         self._window_ns = window_ns

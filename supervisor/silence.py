@@ -62,9 +62,7 @@ class Silence:
     def follow(self, children: list[Child], now_ns: int) -> None:
         """Once a turn: who was excused and has beaten again is told of."""
         for child in children:
-            if child.spared_ns and child.heard_ns() != child.spared_ns:
-                silent_ns = child.heard_ns() - child.spared_ns
-                child.spared_ns = 0
+            if silent_ns := child.beaten():
                 self.over(child.row.name, silent_ns, now_ns)
 
     def over(self, name: str, silent_ns: int, now_ns: int) -> None:

@@ -51,27 +51,6 @@ def wheels_seen(seconds: float) -> str:
 class Stop:
     """One stop. Times are CLOCK_MONOTONIC in ns."""
 
-    __slots__ = (
-        "_after_ns",
-        "_again_ns",
-        "_looked_ns",
-        "_proved_ns",
-        "_since_ns",
-        "_was_still",
-        "acknowledged_ns",
-        "by",
-        "cause",
-        "epoch",
-        "latched",
-        "noticed_by",
-        "observed_ns",
-        "t_ns",
-        "told",
-        "unix_s",
-        "unstill",
-        "written_ns",
-    )
-
     def __init__(self, t_ns: int, noticed_by: str, cause: Cause, written_ns: int = 0) -> None:
         """`t_ns`: when the process `noticed_by` noticed it; `written_ns`: when that wrote the burst, where it says."""
         self.cause = cause

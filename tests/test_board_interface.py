@@ -11,7 +11,7 @@ import pytest
 from failstop.board import decoder
 from failstop.board.codec import FrameError
 from failstop.board.interface import BOARD
-from failstop.board.receiver import Receiver
+from failstop.lab.sim.receiver import Receiver
 from failstop.shm import layout
 
 ROOT = Path(__file__).resolve().parent.parent

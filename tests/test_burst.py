@@ -14,7 +14,7 @@ from failstop.board import codec
 from failstop.board.burst import BURST, FIRST_STOP_END
 from failstop.board.codec import MOTOR, STOP
 from failstop.board.motors import Motors
-from failstop.board.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
+from failstop.lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
 
 VERSIONS = (10, 11, 12)
 STOP_DATA = STOP[4:-1]

@@ -17,7 +17,7 @@ from failstop.board.burst import BURST
 from failstop.board.codec import MOTOR, STOP, FrameError, check_aux
 from failstop.board.framing import AUX_FUNCS, MAX_DATA, PWM_SERVO, seal
 from failstop.board.motors import Motors
-from failstop.board.receiver import Receiver
+from failstop.lab.sim.receiver import Receiver
 
 pytestmark = pytest.mark.slow  # they cut each frame at every byte
 VERSIONS = (10, 11, 12)

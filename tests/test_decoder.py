@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board import decoder, upward
+from failstop.board import decoder
 from failstop.board.codec import BUS_SERVO, GAMEPAD, IMU, KEY, PWM_SERVO, SBUS, SYS, crc8
 from failstop.board.decoder import Decoder
 from failstop.board.framing import seal
+from failstop.lab.sim import upward
 
 UP = {
     name: bytes.fromhex(text)

@@ -16,7 +16,7 @@ from failstop.board.burst import BURST
 from failstop.board.codec import MOTOR, PING, STOP, FrameError, check_aux, check_motion
 from failstop.board.framing import seal
 from failstop.board.motors import Motors
-from failstop.board.receiver import Receiver
+from failstop.lab.sim.receiver import Receiver
 
 VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text())
 REFUSE = {name: bytes.fromhex(text) for name, text in VECTORS["refuse"].items()}

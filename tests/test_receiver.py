@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from failstop.board import codec
 from failstop.board.framing import seal
 from failstop.board.motors import Motors
-from failstop.board.receiver import CRC, DATA, FUNC, LEN, START1, START2, STATE_NAMES, Receiver
+from failstop.lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, STATE_NAMES, Receiver
 
 VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text())
 FRAME = bytes.fromhex(VECTORS["down"]["motors 0..3 at 0.5, -0.25, 0, 1.5 rps"])

@@ -20,8 +20,8 @@ from failstop.board.codec import BUS_SERVO, MOTOR, STOP, check_aux, check_motion
 from failstop.board.framing import seal
 from failstop.board.interface import BOARD
 from failstop.board.motors import Motors
-from failstop.board.receiver import Receiver
 from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, bus_ns, bus_servo_move, bus_servo_stop, check_bus
+from failstop.lab.sim.receiver import Receiver
 
 ARM = (1, 2, 3, 4, 5, 10)
 WRITE = burst_with(ARM)

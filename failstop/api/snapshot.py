@@ -93,7 +93,7 @@ class Process:
     pid: int
     """0: there is none now."""
     state: str
-    """starting, running, hanging, waiting (to be restarted), down, stopping, or dead (with the supervisor)."""
+    """starting, running, hanging, fenced (killed for that), dead, waiting (to be restarted), down, or stopping."""
     age_s: float
     """Since its last heartbeat, s."""
     restarts: int

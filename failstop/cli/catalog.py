@@ -1,8 +1,8 @@
-"""The journal's message catalog, from the table of kinds: `python -m failstop.cli.catalog FILE` writes it.
+"""The journal's message catalog, from the tables of kinds and texts: `python -m failstop.cli.catalog FILE` writes it.
 
 For a file FILE.md, it writes the table of docs/journal.md into it, between its two marks.
 
-Write it anew when supervisor/kinds.py changes: a test compares the two.
+Write it anew when one of the tables changes: a test compares them.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ import argparse
 import sys
 from pathlib import Path
 
+from failstop.cli.catalog_texts import TEXTS
 from failstop.supervisor.kinds import KINDS, EventKind
 
 HEAD = """\
 # What `journalctl -x` says below an entry of failstop.
-# Made from supervisor/kinds.py by `python -m failstop.cli.catalog`: do not edit.
+# Made from supervisor/kinds.py and failstop/cli/catalog_texts.py by `python -m failstop.cli.catalog`: do not edit.
 # Install as /usr/lib/systemd/catalog/failstop.catalog, then run `journalctl --update-catalog`.
 """
 BEGIN = "<!-- kinds: made by `python -m failstop.cli.catalog docs/journal.md` -->"
@@ -24,7 +25,8 @@ END = "<!-- end of kinds -->"
 
 def entry(kind: EventKind) -> str:
     """The catalog's entry of one kind."""
-    return f"-- {kind.message_id}\nSubject: {kind.subject}\nDefined-By: failstop\n\n{kind.body}\n"
+    subject, body = TEXTS[kind.name]
+    return f"-- {kind.message_id}\nSubject: {subject}\nDefined-By: failstop\n\n{body}\n"
 
 
 def text() -> str:

@@ -45,31 +45,6 @@ def seen(reader: LatestReader) -> int:
 class Slot:
     """One client slot and the session that holds it; session 0: nobody."""
 
-    __slots__ = (
-        "_arm_goal",
-        "_arm_goal_seq",
-        "_arm_path",
-        "_attended",
-        "_command",
-        "_command_seq",
-        "_hello",
-        "_interlocks",
-        "_request",
-        "_request_seq",
-        "_said",
-        "_sensed",
-        "_session_seen",
-        "ended",
-        "index",
-        "life",
-        "name",
-        "parted",
-        "pid",
-        "pid_namespace",
-        "segment",
-        "session",
-    )
-
     def __init__(self, index: int, segment: Segment) -> None:
         self.index = index
         self.segment = segment

@@ -63,23 +63,6 @@ class GyroBias:
     with the time constant from the start, by 0.10 like this (40 seeds; docs/dev/telemetry.md).
     """
 
-    __slots__ = (
-        "_averaged_s",
-        "_band_radps",
-        "_calibration_ns",
-        "_last_ns",
-        "_rest_ns",
-        "_resting_since_ns",
-        "_samples",
-        "_since_ns",
-        "_std_radps",
-        "_tau_s",
-        "_tracks",
-        "bias_radps",
-        "calibrated",
-        "tracking",
-    )
-
     def __init__(
         self,
         *,

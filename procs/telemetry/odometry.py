@@ -17,19 +17,6 @@ POSE_VARIANCE = 1e3
 class Odometry:
     """The pose since the start: x, y in m, th in rad from -pi to pi; and the twist in the robot's own frame."""
 
-    __slots__ = (
-        "_forward_scale",
-        "_last_ns",
-        "_sideways_scale",
-        "th_rad",
-        "twist_std",
-        "vx_mps",
-        "vy_mps",
-        "wz_radps",
-        "x_m",
-        "y_m",
-    )
-
     def __init__(self, forward_scale: float, sideways_scale: float, twist_std: tuple[float, float]) -> None:
         """The scales say how much of a commanded speed mecanum wheels make good; they are in the odometry only, never
         in what the motors are sent. `twist_std`: m/s of vx and vy, rad/s of wz, to publish with the twist."""

@@ -51,26 +51,6 @@ class PadNews:
 class Pad:
     """What is remembered from frame to frame. A pad that falls silent in drive mode is left to the command timeout."""
 
-    __slots__ = (
-        "_changed_ns",
-        "_chose",
-        "_dead_zone",
-        "_hold_frames_missing",
-        "_hold_ns",
-        "_hold_spent",
-        "_joints",
-        "_last_ns",
-        "_latched_ns",
-        "_limits",
-        "_lockout_ns",
-        "_mode_button",
-        "_raw",
-        "_reset_hold_ns",
-        "_trips",
-        "joint",
-        "mode",
-    )
-
     def __init__(
         self,
         trips: Trips,

@@ -18,6 +18,7 @@ from failstop.shm import instance, layout, segment
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import REALTIME
 from failstop.supervisor import grant
+from failstop.supervisor.children import WAITING
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.health import OWED_NS, UNDYING_NS
 from failstop.supervisor.journal import Journal
@@ -143,13 +144,13 @@ def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) 
 
 
 def test_without_a_port_owner_the_burst_is_written_at_once(scene: Scene) -> None:
-    scene.supervisor.processes[layout.PORT_OWNER].pid = 0
+    scene.supervisor.processes[layout.PORT_OWNER].state = WAITING
     scene.trip()
     assert scene.turn() == BURST
 
 
 def test_a_full_port_is_said_to_be_not_written(scene: Scene) -> None:
-    scene.supervisor.processes[layout.PORT_OWNER].pid = 0
+    scene.supervisor.processes[layout.PORT_OWNER].state = WAITING
     fill(scene.port.fd)
     scene.trip()
     scene.supervisor.turn({})
@@ -336,7 +337,7 @@ def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, t
     """And only while there is a port to write it to."""
     notify = Notify(str(tmp_path / "nobody"), 2)
     scene.supervisor.herald.notify = notify
-    scene.supervisor.processes[layout.PORT_OWNER].pid = 0
+    scene.supervisor.processes[layout.PORT_OWNER].state = WAITING
     fill(scene.port.fd)
     scene.trip()
     scene.supervisor.turn({})

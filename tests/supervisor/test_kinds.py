@@ -10,6 +10,7 @@ import pytest
 
 import failstop
 from failstop.cli import catalog
+from failstop.cli.catalog_texts import TEXTS
 from failstop.supervisor.kinds import BY_NAME, KINDS, LEVELS, EventKind
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
@@ -23,6 +24,7 @@ AGREED = {
 
 def test_no_name_and_no_id_is_given_twice() -> None:
     assert len(BY_NAME) == len({kind.message_id for kind in KINDS}) == len(KINDS)
+    assert list(TEXTS) == list(BY_NAME), "each has its text"
 
 
 def test_the_kinds_that_programs_go_by_are_there() -> None:
@@ -34,11 +36,12 @@ def test_every_kind_is_whole(kind: EventKind) -> None:
     assert re.fullmatch(r"[a-z]+(_[a-z]+)*", kind.name)
     assert re.fullmatch(r"[0-9a-f]{32}", kind.message_id)
     assert kind.level in LEVELS
-    assert kind.subject
-    assert "\n" not in kind.subject
-    assert kind.body.endswith((".", "@", "`")) or "Next: " in kind.body
-    assert max(map(len, kind.body.split("\n"))) <= 120
-    placed = set(re.findall(r"@([A-Z_]+)@", kind.subject + kind.body))
+    subject, body = TEXTS[kind.name]
+    assert subject
+    assert "\n" not in subject
+    assert body.endswith((".", "@", "`")) or "Next: " in body
+    assert max(map(len, body.split("\n"))) <= 120
+    placed = set(re.findall(r"@([A-Z_]+)@", subject + body))
     assert placed <= ALWAYS | {f"FAILSTOP_{field.upper()}" for field in kind.fields}, "not in every event of the kind"
 
 

@@ -14,7 +14,8 @@ from failstop.policy.settings import Settings
 from failstop.procs.handover import Control
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
-from failstop.supervisor import port_handover
+from failstop.supervisor import children, port_handover
+from failstop.supervisor.children import WAITING
 from failstop.supervisor.main import ALONE_EVERY_NS
 from failstop.supervisor.port_handover import SHARE_NS
 from tests.support.supervisor_scene import MS, Scene
@@ -34,7 +35,8 @@ class Three(Scene):
         self.handover = self.supervisor.handover
         self.handover.opener.finder._path = self.handover.opener.finder.at = str(self.path)
         self.stopper = segment.attach(self.resources.memory, layout.STOPPER, write=True)
-        self.supervisor.processes[layout.STOPPER].pid = NOBODY
+        stopper = self.supervisor.processes[layout.STOPPER]
+        stopper.state, stopper.pid = children.RUNNING, NOBODY
         self.stopper.word("beat_pid").set(NOBODY)
         self.stopper.word("beat_state").set(RUNNING)
         self.ends = {name: Control(os.dup(self.resources.controls[name][1])) for name in OTHERS}
@@ -85,7 +87,7 @@ class Three(Scene):
     def waits_for_its_restart(self) -> None:
         """The port owner has died."""
         child = self.supervisor.processes[layout.PORT_OWNER]
-        child.pid = 0
+        child.state, child.pid = WAITING, 0
         child.restart.set(self.now_ns + 10**12)
 
     def close(self) -> None:
@@ -157,6 +159,7 @@ def test_and_sent_to_each_until_it_has_it(three: Three, name: str) -> None:
 @pytest.mark.parametrize("name", OTHERS)
 def test_one_that_is_starting_inherits_it_and_gets_it_when_it_runs_without(three: Three, name: str) -> None:
     segment.attach(three.resources.memory, name, write=True).word("beat_state").set(RUNNING - 1)
+    three.supervisor.processes[name].state = children.STARTING
     three.has(name, 0)
     three.turn(SHARE_NS)
     assert three.received(name) == []

@@ -15,8 +15,10 @@ from failstop.policy.processes import Process
 from failstop.procs.loop import NEVER, READ
 from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS
+from failstop.shm.heartbeat import RUNNING
 from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.supervisor import children
+from failstop.supervisor.children import DIED
 from failstop.supervisor.process_table import TRY_AGAIN_NS
 from failstop.supervisor.starter import Starter
 from tests.support.supervisor_scene import Scene
@@ -47,7 +49,7 @@ def test_a_process_that_can_not_be_watched_is_not_left_running(scene: Scene, mon
     processes.start(gate, scene.port)
     (pid,) = started
     assert not os.path.exists(f"/proc/{pid}")
-    assert (gate.pid, gate.life, gate.state()) == (0, None, "waiting")
+    assert (gate.pid, gate.life, gate.state) == (0, None, "waiting")
     assert before_ns + TRY_AGAIN_NS <= gate.restart.ns <= time.monotonic_ns() + TRY_AGAIN_NS
     scene.supervisor._events.flush()
     (event,) = scene.events()
@@ -64,13 +66,14 @@ def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene) -> 
     gate.started(pid, 1, scene.now_ns)
     assert gate.life
     scene.supervisor.loop.watch(gate.life.fd, READ)
+    gate.on(DIED)
     processes.reap({gate.life.fd: READ}, scene.now_ns)
     assert (gate.pid, gate.restart.ns) == (pid, NEVER)
     os.kill(pid, signal.SIGKILL)
     assert gate.life.wait(20.0)
     assert gate.life.fd not in scene.supervisor.loop.wait(0), "it would wake the supervisor without end"
     processes.reap({}, scene.now_ns)
-    assert (gate.pid, gate.life, gate.last_exit, gate.state()) == (0, None, "killed by SIGKILL", "waiting")
+    assert (gate.pid, gate.life, gate.last_exit, gate.state) == (0, None, "killed by SIGKILL", "waiting")
     scene.supervisor._events.flush()
     assert scene.events()[0]["text"] == f"gate (pid {pid}) was killed by SIGKILL"
 
@@ -116,7 +119,7 @@ def test_a_process_that_starts_is_named_to_those_who_watch_it(scene: Scene, monk
     scene.port.number = 55
     processes.start(gate, scene.port)
     assert told == [("gate", 1, 55)]
-    assert (gate.block, gate.state(), gate.restart.ns) == (1, "starting", NEVER)
+    assert (gate.block, gate.state, gate.restart.ns) == (1, "starting", NEVER)
     assert before_ns <= gate.started_ns <= time.monotonic_ns()
     assert scene.word("gate_life").get() == records.life(gate.pid, 1)
     for process in (layout.PORT_OWNER, layout.STOPPER):
@@ -136,7 +139,7 @@ def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monk
         telemetry.started(pid, 1, scene.now_ns)
         assert telemetry.life
         assert telemetry.life.wait(20.0)
-        telemetry.ended = True
+        telemetry.on(DIED)
         scene.supervisor.loop.watch(telemetry.life.fd, READ)
         processes.reap({}, scene.now_ns)
         scene.supervisor._events.flush()
@@ -152,9 +155,9 @@ def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monk
     todo = f"next: see to the cause, then `failstop reset --name {scene.resources.name}` starts it anew"
     text = f"telemetry died too often and is down, the wheels stopped; {todo}"
     assert told == [*restarts, ("down", text, {"process": "telemetry"})]
-    assert (telemetry.down, telemetry.state(), telemetry.restart.ns) == (True, "down", NEVER)
+    assert (telemetry.state, telemetry.restart.ns) == ("down", NEVER)
     processes.recall(scene.now_ns)
-    assert (telemetry.state(), telemetry.restart.ns) == ("waiting", scene.now_ns)
+    assert (telemetry.state, telemetry.restart.ns) == ("waiting", scene.now_ns)
 
 
 def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
@@ -169,9 +172,10 @@ def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
         asked.append((life.pid, block, watcher))
 
     monkeypatch.setattr(EarlyNews, "arm", arm)
-    monkeypatch.setattr(children.Child, "running", lambda child: child is gate)
     for child, block in ((gate, 5), (stopper, 6)):
         child.started(os.posix_spawnp("sleep", ["sleep", "120"], os.environ), block, scene.now_ns)
+    scene.gate.word("beat_pid").set(gate.pid)
+    scene.gate.word("beat_state").set(RUNNING)
     processes.arm()
     processes.arm()
     assert asked == [(gate.pid, 5, 0)], "one that starts holds nothing yet"

@@ -24,7 +24,7 @@ from failstop.shm.heartbeat import STARTING
 from failstop.shm.packing import pack
 from failstop.supervisor import main
 from failstop.supervisor import process_table as table_module
-from failstop.supervisor.children import STARTING_NS
+from failstop.supervisor.children import DEAD, DIED, RUNNING, STARTING_NS
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS, Supervisor
 from failstop.supervisor.notify import Notify
@@ -161,7 +161,7 @@ def test_of_two_that_were_fenced_together_the_stop_is_the_port_owner_s(watching:
     watching.employ(layout.GATE)
     fence(watching, layout.PORT_OWNER)
     gate = watching.supervisor.processes[layout.GATE]
-    gate.fence = Fence(watching.now_ns, watching.now_ns, 0)
+    gate.fenced(Fence(watching.now_ns, watching.now_ns, 0))
     os.kill(gate.pid, signal.SIGKILL)
     assert gate.life
     assert gate.life.wait(20.0)
@@ -238,11 +238,11 @@ def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(watching: Watc
     supervisor, gate = watching.supervisor, watching.supervisor.processes[layout.GATE]
     watching.notice("gate died", written_ns=watching.now_ns + 7)
     for noticed_by, written_ns in ((layout.PORT_OWNER, watching.now_ns + 7), (layout.SUPERVISOR, 5)):
-        gate.dead = False
+        gate.state = RUNNING
         (stop,) = supervisor._collect([gate], watching.now_ns, 5)
         assert (stop.t_ns, stop.noticed_by, str(stop.cause)) == (watching.now_ns, noticed_by, "gate died")
         assert stop.written_ns == written_ns
-        assert gate.dead
+        assert gate.state == DEAD
 
 
 def test_its_own_beat_tells_the_epoch_that_it_has_raised(watching: Watching) -> None:
@@ -339,7 +339,7 @@ def test_nobody_is_spared_for_ever_and_none_is_down_for_it(starving: Watching) -
         assert starved.LONGEST_NS <= turns * 10 * MS - deadline_ns <= starved.LONGEST_NS + deadline_ns
         until(lambda: starving.supervisor.loop.wait(0), "the news of its death")
         starving.pass_time(0)
-        assert processes[layout.TELEMETRY].state() == "waiting"
+        assert processes[layout.TELEMETRY].state == "waiting"
 
 
 def test_who_has_just_beaten_after_all_is_left_alone(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -352,7 +352,7 @@ def test_who_has_just_beaten_after_all_is_left_alone(watching: Watching, monkeyp
 
 def die_too_often(watching: Watching, name: str) -> None:
     child = watching.supervisor.processes[name]
-    while child.state() != "down":
+    while child.state != "down":
         child.restart.set(NEVER)
         watching.employ(name).kill()
         until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
@@ -371,14 +371,14 @@ def test_a_reset_starts_one_anew_that_is_down(watching: Watching, name: str, mon
     watching.ask_reset(1)
     for _ in range(10):
         watching.pass_time(20 * MS)
-    assert (started, child.state()) == ([], "down"), "a reset from before it was down is not for it"
+    assert (started, child.state) == ([], "down"), "a reset from before it was down is not for it"
     watching.ask_reset()
     watching.pass_time(20 * MS)
     assert started == [name]
     watching.employ(name).kill()
     until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
     watching.pass_time(0)
-    assert child.state() == "waiting", "its deaths from before the reset are forgotten"
+    assert child.state == "waiting", "its deaths from before the reset are forgotten"
 
 
 def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(
@@ -395,7 +395,7 @@ def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(
         lambda _, child, fd: (started.append(watching.now_ns), child.restart.set(NEVER)),
     )
     while not started and watching.now_ns < down_ns + 2 * GATE_AGAIN_NS:
-        assert watching.supervisor.processes[layout.GATE].state() == "down"
+        assert watching.supervisor.processes[layout.GATE].state == "down"
         watching.pass_time(200 * MS)
     assert started == [down_ns + GATE_AGAIN_NS]
 
@@ -459,7 +459,7 @@ def test_nobody_listens_while_telemetry_is_down(watching: Watching) -> None:
     watching.employ(layout.PORT_OWNER)
     watching.employ(layout.TELEMETRY)
     assert watching.supervisor._listening(watching.now_ns)
-    watching.supervisor.processes[layout.TELEMETRY].dead = True
+    watching.supervisor.processes[layout.TELEMETRY].on(DIED)
     assert not watching.supervisor._listening(watching.now_ns)
 
 
@@ -481,8 +481,8 @@ def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) ->
     watching.employ(layout.TELEMETRY)
     segment.attach(watching.resources.memory, layout.TELEMETRY, write=True).word("beat_state").set(STARTING)
     child = watching.supervisor.processes[layout.TELEMETRY]
-    assert not child.hangs(watching.now_ns + STARTING_NS - 1)
-    assert child.hangs(watching.now_ns + STARTING_NS)
+    child.state = "starting"
+    assert child.overdue_ns() == watching.now_ns + STARTING_NS
     assert STARTING_NS <= 10_000 * MS
 
 
@@ -490,6 +490,7 @@ def test_one_that_starts_has_its_time_from_its_start_whatever_the_one_before_it_
     watching.employ(layout.GATE)
     gate = watching.supervisor.processes[layout.GATE]
     watching.gate.word("beat_state").set(STARTING)
+    gate.state = "starting"
     for beaten_ns in (watching.now_ns - 10**10, watching.now_ns + 10**10):
         watching.beats[layout.GATE].set(beaten_ns)
         assert gate.overdue_ns() == gate.started_ns + STARTING_NS
@@ -677,7 +678,7 @@ def test_the_end_is_a_stop_that_is_heard_then_every_process_ended_then_another_s
     ]
     assert ending.wrote(1)
     assert ending.now_ns == began_ns, "it waits for nothing that is known"
-    assert [child.state() for child in ending.supervisor.children] == ["waiting"] * len(BY_NAME)
+    assert [child.state for child in ending.supervisor.children] == ["waiting"] * len(BY_NAME)
     assert ending.word("beat_state").get() == heartbeat.STOPPING
     assert ending.supervisor.blackbox._savers == [], "an end in order is no incident"
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from failstop.board.codec import MOTOR
 from failstop.board.motors import Motors
-from failstop.board.receiver import Receiver
+from failstop.lab.sim.receiver import Receiver
 
 DEADLINE_S = 20.0
 

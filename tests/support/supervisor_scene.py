@@ -19,7 +19,7 @@ from failstop.policy.settings import Settings
 from failstop.procs import rights
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
-from failstop.supervisor import main
+from failstop.supervisor import children, main
 from failstop.supervisor.journal import Journal
 from failstop.supervisor.main import Supervisor
 from failstop.supervisor.port import OwnPort
@@ -55,6 +55,7 @@ class Scene:
         self.word = segment.attach(memory, layout.SUPERVISOR).word
         self._events = segment.attach(memory, layout.SUPERVISOR).ring_reader("events")
         child = self.supervisor.processes[layout.PORT_OWNER]
+        child.state = children.RUNNING
         child.pid = 2**31 - 1  # no such process; it beats at every turn, so that nobody kills it
         self.port_owner.word("beat_pid").set(child.pid)
         self.port_owner.word("beat_state").set(RUNNING)

@@ -15,6 +15,7 @@ from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.shm.packing import pack
 from failstop.supervisor import process_table as table_module
+from failstop.supervisor.children import RUNS, WAITING
 from tests.support.stage import MOST_LATE, Dummy
 from tests.support.supervisor_scene import MS, Scene
 
@@ -25,7 +26,7 @@ class Watching(Scene):
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)
         monkeypatch.setattr(table_module.ProcessTable, "start", lambda _, child, port: child.restart.set(NEVER))
-        self.supervisor.processes[layout.PORT_OWNER].pid = 0
+        self.supervisor.processes[layout.PORT_OWNER].state = WAITING
         self.dummies: list[Dummy] = []
         self.beats = {name: segment.attach(self.resources.memory, name, write=True).word("beat_ns") for name in BY_NAME}
 
@@ -41,6 +42,7 @@ class Watching(Scene):
         own.word("beat_pid").set(dummy.pid)
         own.word("beat_state").set(RUNNING)
         own.word("beat_ns").set(self.now_ns)
+        child.on(RUNS)
         return dummy
 
     def pass_time(self, elapsed_ns: int) -> bytes:

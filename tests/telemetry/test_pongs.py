@@ -11,12 +11,13 @@ from typing import Any
 
 import pytest
 
-from failstop.board import codec, framing, upward
+from failstop.board import codec, framing
 from failstop.board.decoder import Decoder
 from failstop.board.interface import BOARD
 from failstop.board.port import open_port
-from failstop.board.receiver import Receiver
+from failstop.lab.sim import upward
 from failstop.lab.sim.client import SimBoard
+from failstop.lab.sim.receiver import Receiver
 from failstop.shm import layout, records
 from tests.support.telemetry_scene import DEADLINE_S, MS, S, Scene
 

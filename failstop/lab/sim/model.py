@@ -19,11 +19,11 @@ from collections import deque
 from dataclasses import dataclass
 from random import Random
 
-from failstop.board import upward
 from failstop.board.codec import BUS_SERVO, MOTOR, PWM_SERVO
 from failstop.board.motors import Motors
-from failstop.board.receiver import Receiver
+from failstop.lab.sim import upward
 from failstop.lab.sim.imu import Imu
+from failstop.lab.sim.receiver import Receiver
 from failstop.lab.sim.servos import Servos
 
 Speeds = tuple[float, float, float, float]

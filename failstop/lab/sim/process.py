@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-from failstop.board import upward
+from failstop.lab.sim import upward
 from failstop.lab.sim.control import SUFFIX, Answer, ControlServer, Wait
 from failstop.lab.sim.model import BoardModel, Frame
 from failstop.lab.sim.options import Options

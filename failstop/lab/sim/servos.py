@@ -11,8 +11,8 @@ from random import Random
 from struct import unpack_from
 
 from failstop.board import servos as wire
-from failstop.board import upward
 from failstop.board.framing import BUS_SERVO
+from failstop.lab.sim import upward
 
 ARM = (1, 2, 3, 4, 5, 10)
 HOT_C = 85
