@@ -6,6 +6,7 @@ import contextlib
 import os
 import random
 import select
+import socket
 import ssl
 import time
 
@@ -15,6 +16,7 @@ from failstop.shm import durable
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from typing import Any
 
     from paho.mqtt.client import Client, MQTTMessage
 
@@ -30,8 +32,13 @@ overrun."""
 MOST_SECRET_BYTES = 1024
 BACKLOG = 200
 """Messages of ours that may wait for the broker; of a state the newest counts."""
+MOST_READS = 100
+"""Messages that are read in one turn, so that a flood leaves time for the rest."""
 ONCE = 1
-"""MQTT's quality of service for what must arrive."""
+"""MQTT's quality of service for what the broker keeps until it has arrived: a thousand at most for each client, of
+which a few are on their way at a time."""
+ANYHOW = 0
+"""And for what goes out as it comes, in any number, and is lost with the connection."""
 
 
 class Broker:
@@ -41,12 +48,12 @@ class Broker:
         self,
         settings: FleetSettings,
         client_id: str,
-        subscriptions: tuple[str, ...],
+        subscriptions: dict[str, int],
         hear: Callable[[str, bytes, bool], None],
         up: Callable[[], None] = lambda: None,
     ) -> None:
-        """`hear`: is given topic, payload, and whether it was retained; `up`: is called at each connection. Raises
-        FleetError: no paho-mqtt, a file that can't be read."""
+        """`subscriptions`: the quality of service by topic; `hear`: is given topic, payload, and whether it was
+        retained; `up`: is called at each connection. Raises FleetError: no paho-mqtt, a file that can't be read."""
         try:
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
@@ -68,6 +75,7 @@ class Broker:
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
         self._client.on_message = self._on_message
+        self._client.on_socket_open = self._on_socket
         self._secure()
 
     def _secure(self) -> None:
@@ -105,19 +113,28 @@ class Broker:
 
     def turn(self, timeout_s: float) -> None:
         """Wait for the broker at most so long, and do what there is to do."""
-        if (fd := self.fileno()) < 0:
+        if self.fileno() < 0:
             self.connect(time.monotonic())
             if self.fileno() < 0:
                 time.sleep(timeout_s)
             return
+        self.serve(readable=self._poll(0.0 if self._buffered() else timeout_s))
+
+    def _poll(self, timeout_s: float) -> bool:
+        """Wait at most so long; True when something is there to be read, or the connection has ended."""
+        if (fd := self.fileno()) < 0:
+            return False
         poll = select.poll()
-        poll.register(fd, select.POLLIN | (select.POLLOUT if self.wants_write() else 0))
-        self.serve(readable=bool(poll.poll(0 if self._buffered() else timeout_s * 1e3)))
+        poll.register(fd, select.POLLIN | (select.POLLOUT if timeout_s and self.wants_write() else 0))
+        return any(event != select.POLLOUT for _, event in poll.poll(timeout_s * 1e3))
 
     def serve(self, *, readable: bool) -> None:
         """Read what has come, write what waits, keep the connection alive."""
-        if readable or self._buffered():
-            self._client.loop_read()
+        for _ in range(MOST_READS):
+            if not (readable or self._buffered()):
+                break
+            self._client.loop_read()  # one message
+            readable = self._poll(0.0)
         if self.wants_write():
             self._client.loop_write()
         self._client.loop_misc()
@@ -148,6 +165,10 @@ class Broker:
         with contextlib.suppress(OSError, ValueError):
             self._client.disconnect()
 
+    def _on_socket(self, _client: Client, _: object, found: Any) -> None:
+        """Small messages leave at once: waiting for more to send costs 40 ms each time."""
+        found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
     def _on_connect(self, client: Client, _: object, _flags: object, reason: object, _properties: object) -> None:
         if getattr(reason, "is_failure", False):
             self.problem = f"the broker at {self.where} refuses: {reason}"
@@ -155,7 +176,7 @@ class Broker:
         self.problem = ""
         self._wait_s = FIRST_WAIT_S
         for topic in self._subscriptions:
-            client.subscribe(topic, qos=ONCE)
+            client.subscribe(topic, qos=self._subscriptions[topic])
         self._up()
 
     def _on_disconnect(self, _client: Client, _: object, _flags: object, reason: object, _properties: object) -> None:
