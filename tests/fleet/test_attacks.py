@@ -33,7 +33,7 @@ def settings(broker: Mosquitto, key: str, request: pytest.FixtureRequest) -> Fle
 def stop_all(settings: FleetSettings, *robots: Publisher | Listener, wait_s: float = 10.0) -> Tally:
     """A stop by somebody else, while the robots go on."""
     sender = Sender(settings, "smoke", "ann")
-    running = threading.Thread(target=sender.run, args=(wait_s,))
+    running = threading.Thread(daemon=True, target=sender.run, args=(wait_s,))
     running.start()
     while running.is_alive():
         for each in robots:
@@ -164,11 +164,13 @@ def test_a_flood(enrol: Enrol, broker: Mosquitto, key: str, settings: FleetSetti
 
     flooding = threading.Thread(target=flood)
     flooding.start()
-    pump("the flood", lambda: publisher._obedience.forged > 500, publisher)
-    tally = stop_all(settings, publisher)
-    ended.set()
-    flooding.join()
-    flooder.broker.close()
+    try:
+        pump("the flood", lambda: publisher._obedience.forged > 500, publisher)
+        tally = stop_all(settings, publisher)
+    finally:
+        ended.set()
+        flooding.join()
+        flooder.broker.close()
     assert tally.all_reached(levels.OBSERVED)
     assert len(robot.asked) == 1
     assert sum(sent) > 1000
@@ -185,7 +187,7 @@ def test_a_forged_confirmation(enrol: Enrol, listener: Listener, settings: Fleet
     done = dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0)
     topic = topics.answer(maker_id, sender.id, "r1")
     recorded = Answer(STOP, "r1", done).message(key)
-    running = threading.Thread(target=sender.run, args=(2.0,))
+    running = threading.Thread(daemon=True, target=sender.run, args=(2.0,))
     running.start()
     while running.is_alive():
         listener.broker.say(topic, Answer(sender.id, "r1", done).message(other))
@@ -215,7 +217,7 @@ def test_the_broker_goes_and_comes_back(enrol: Enrol, settings: FleetSettings, b
     broker.kill()
     pump("the loss", lambda: publisher.broker.problem, publisher)
     sender = Sender(settings, "smoke", "ann")
-    running = threading.Thread(target=sender.run, args=(20.0,))
+    running = threading.Thread(daemon=True, target=sender.run, args=(20.0,))
     running.start()
     pump("an attempt in vain", lambda: sender.broker.problem.startswith("no broker"), publisher)
     broker.start()
@@ -230,7 +232,7 @@ def test_a_robot_that_comes_late_is_stopped_too(enrol: Enrol, settings: FleetSet
     enrol("r2").close()
     here = enrol("r1")
     sender = Sender(settings, "smoke", "ann")
-    running = threading.Thread(target=sender.run, args=(20.0,))
+    running = threading.Thread(daemon=True, target=sender.run, args=(20.0,))
     running.start()
     pump("the first to confirm", lambda: sender.tally.reached(levels.ACKNOWLEDGED) == ["r1"], here)
     late = Pretended()
@@ -292,7 +294,7 @@ def test_two_senders_at_once(enrol: Enrol, settings: FleetSettings) -> None:
     robot = Pretended()
     publisher = enrol(robot=robot)
     senders = [Sender(settings, f"reason {number}", "ann") for number in range(2)]
-    threads = [threading.Thread(target=sender.run, args=(10.0,)) for sender in senders]
+    threads = [threading.Thread(daemon=True, target=sender.run, args=(10.0,)) for sender in senders]
     for thread in threads:
         thread.start()
     while any(thread.is_alive() for thread in threads):
