@@ -20,7 +20,7 @@ from failstop.fleet.broker import ANYHOW, ONCE, Broker
 from failstop.fleet.obey import Obedience
 from failstop.fleet.replay import Seen
 from failstop.procs.telemetry.state_files import state_directory
-from failstop.shm import durable
+from failstop.shm import durable, records
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class Service:
     def stop(self, reason: str, by: str) -> str:
         """Ask for one; returns what is wrong."""
         try:
-            send_stop(self.name, reason, by)
+            send_stop(self.name, reason, f"{records.FLEET}{by}")
         except FailstopError as error:
             return str(error)
         return ""

@@ -51,6 +51,7 @@ NO_FAULT = {
     causes.OPERATOR_GONE,  # only where a setting asks for one (tests/procs/test_gate_attendance.py, tests/web)
     causes.TWO_MOVE_THE_ARM,  # only where there is an arm (failstop/lab/faults/arm.py)
     causes.UNSTILL,  # comes after the stop of another row
+    causes.FLEET,  # as PIPED, by a publisher (tests/fleet/test_publish.py)
     causes.REQUESTED,  # as PIPED, but that somebody says who it is
     *(causes.REMOVED, causes.STOPPING, causes.ALL_DIED, causes.SILENT),  # with them the run ends, or nobody is to latch
 }
