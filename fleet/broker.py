@@ -81,7 +81,7 @@ class Broker:
     def _secure(self) -> None:
         settings = self._settings
         if user := settings.text("broker.user"):
-            path = settings.text("broker.password_file")
+            path = settings.secret("broker.password_file", "broker.password")
             self._client.username_pw_set(user, read_secret(path) if path else None)
         if not settings.on("broker.tls"):
             return

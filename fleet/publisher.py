@@ -240,7 +240,7 @@ class Publisher:
 def _key(settings: FleetSettings) -> tuple[bytes, str]:
     """The fleet's key, or why there is none."""
     try:
-        return signed.read_key(settings.text("stop.key_file")), ""
+        return signed.read_key(settings.secret("stop.key_file", "fleet.key")), ""
     except FleetError as error:
         standard.say(f"no stop of the fleet is obeyed here: {error}")
         return b"", str(error)
