@@ -27,6 +27,7 @@ CONNECT_S = 3.0
 """How long a connection may take."""
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 5.0
+NOT_YET = "not connected yet"
 """Between two attempts: doubling, and a little different for each robot, so that a broker that comes back is not
 overrun."""
 MOST_SECRET_BYTES = 1024
@@ -60,7 +61,7 @@ class Broker:
         except ImportError:
             raise FleetError(EXTRA) from None
         self.where = f"{settings.text('broker.host')}:{settings.number('broker.port'):.0f}"
-        self.problem = "not connected yet"
+        self.problem = NOT_YET
         self._settings = settings
         self._subscriptions = subscriptions
         self._hear = hear
@@ -180,7 +181,8 @@ class Broker:
         self._up()
 
     def _on_disconnect(self, _client: Client, _: object, _flags: object, reason: object, _properties: object) -> None:
-        self.problem = self.problem or f"the broker at {self.where} is gone: {reason}"
+        if self.problem in ("", NOT_YET):
+            self.problem = f"the broker at {self.where} has ended the connection: {reason}"
 
     def _on_message(self, _client: Client, _: object, message: MQTTMessage) -> None:
         self._hear(message.topic, bytes(message.payload), message.retain)
