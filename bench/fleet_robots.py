@@ -12,7 +12,7 @@ import sys
 import time
 
 from failstop.api.events import Event
-from failstop.api.state import Process, State, Stop
+from failstop.api.snapshot import Device, Process, State, Stop, Velocity, Wheels
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.settings import FleetSettings
 from failstop.policy import causes
@@ -34,24 +34,25 @@ class Pretended:
     def __init__(self, number: int) -> None:
         self._asked_s = 0.0
         self._driving = bool(number % 3)
-        process = Process(1, "running", 5.0, 0, None, 20.0, realtime=True, memory_locked=True)
+        process = Process(1, "running", 0.005, 0, None, 0.02, realtime=True, memory_locked=True)
         self._state = State(
             name="failstop", enabled=True, estop=None, cause=None, blocked=None if self._driving else "cmd timeout",
-            body_vel=(0.1 * self._driving, 0.0, 0.0), wheels_rps=(0.4 * self._driving,) * 4, epoch=1, waiting_for=None,
-            device={"path": "/dev/ttyACM0", "state": "open", "link": "alive"},
-            processes=dict.fromkeys(PROCESSES, process), starved=None, clients=[], sources=[], scan_age_s=0.05,
-            last_stop=None, imu=None, gyro_bias=None, odometry=None, pad_mode=None, battery_mv=12_000,
-            plugged="unknown", age_ms=10.0,
+            body_vel=Velocity(0.1 * self._driving, 0.0, 0.0),
+            wheels_radps=Wheels(*(2.5 * self._driving,) * 4), epoch=1, waiting_for=None,
+            device=Device("/dev/ttyACM0", "open", "alive"),
+            processes=dict.fromkeys(PROCESSES, process), starved=None, clients=(), sources=(), scan_age_s=0.05,
+            last_stop=None, imu=None, gyro_bias=None, odometry=None, pad_mode=None, battery_v=12.0,
+            plugged="unknown", age_s=0.01,
         )  # fmt: skip
         self._moving = self._state
 
     def read(self) -> tuple[State | None, str]:
         """As a service publishes it."""
         stop, age_s = self._state.last_stop, time.monotonic() - self._asked_s
-        if stop and stop.observed_ms is None:
-            acknowledged = 5000.0 if age_s > ACKNOWLEDGED_S else None
+        if stop and stop.observed_s is None:
+            acknowledged = 0.005 if age_s > ACKNOWLEDGED_S else None
             known = dataclasses.replace(
-                stop, acknowledged_us=acknowledged, observed_ms=300.0 if age_s > OBSERVED_S else None
+                stop, acknowledged_s=acknowledged, observed_s=0.3 if age_s > OBSERVED_S else None
             )
             self._state = dataclasses.replace(self._state, last_stop=known)
         elif stop and age_s > 2 * OBSERVED_S:
@@ -67,10 +68,10 @@ class Pretended:
         self._asked_s = time.monotonic()
         cause = causes.REQUESTED(reason, by, 1)
         epoch = self._state.epoch + 1
-        stop = Stop(cause, str(cause), time.time(), "port_owner", "port_owner", 200.0, None, None, epoch)
+        stop = Stop(cause, str(cause), time.time(), "port_owner", "port_owner", 2e-4, None, None, epoch)
         self._state = dataclasses.replace(
             self._state, enabled=False, estop=str(cause), cause=cause, blocked=f"estop: {cause}", epoch=epoch,
-            body_vel=(0.0, 0.0, 0.0), wheels_rps=(0.0,) * 4, last_stop=stop,
+            body_vel=Velocity(0.0, 0.0, 0.0), wheels_radps=Wheels(*(0.0,) * 4), last_stop=stop,
         )  # fmt: skip
         return ""
 

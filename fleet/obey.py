@@ -42,10 +42,10 @@ class Duty:
         if stop is None or not self._answers_it(stop):
             return False
         known = {
-            levels.FAILED: stop.written_us is None,
-            levels.WRITTEN: stop.written_us is not None,
-            levels.ACKNOWLEDGED: stop.written_us is not None and stop.acknowledged_us is not None,
-            levels.OBSERVED: stop.written_us is not None and stop.observed_ms is not None,
+            levels.FAILED: stop.written_s is None,
+            levels.WRITTEN: stop.written_s is not None,
+            levels.ACKNOWLEDGED: stop.written_s is not None and stop.acknowledged_s is not None,
+            levels.OBSERVED: stop.written_s is not None and stop.observed_s is not None,
         }
         new = {
             level: round(now_s - self._since_s, 4) for level, so in known.items() if so and level not in self.reached

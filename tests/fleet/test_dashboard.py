@@ -51,7 +51,7 @@ def test_words_of_a_state_are_those_that_are_exported() -> None:
 def test_panels_have_ids_of_their_own_and_do_not_overlap() -> None:
     panels = DASHBOARD["panels"]
     assert len({panel["id"] for panel in panels}) == len(panels)
-    cells = set()
+    cells: set[tuple[int, int]] = set()
     for panel in panels:
         place = panel["gridPos"]
         assert place["x"] + place["w"] <= COLUMNS

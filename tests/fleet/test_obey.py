@@ -24,7 +24,7 @@ def order(number: int = 1, dated_s: float = UNIX_S) -> Order:
 
 def stopped(epoch: int = EPOCH + 1, **changed: Any) -> State:
     """After a stop in that epoch, of which nothing but `changed` is known."""
-    proofs = {"written_us": None, "acknowledged_us": None, "observed_ms": None}
+    proofs = {"written_s": None, "acknowledged_s": None, "observed_s": None}
     return states.latched(epoch=epoch, last_stop=states.stop(epoch=epoch, **{**proofs, "t": UNIX_S + 0.1, **changed}))
 
 
@@ -46,43 +46,43 @@ def test_each_level_is_told_of_when_it_is_known_and_once(robot: Obedience) -> No
     begin(robot, order())
     assert told(robot.look(states.state(epoch=EPOCH), 0.01)) == [[levels.ASKED]]
     assert robot.look(states.state(epoch=EPOCH), 0.02) == []
-    (written,) = robot.look(stopped(written_us=200.0), 0.03)
+    (written,) = robot.look(stopped(written_s=0.0002), 0.03)
     assert written == Answer(order().id, "robot-1", {levels.ASKED: 0.0, levels.WRITTEN: 0.03}, "")
-    assert robot.look(stopped(written_us=200.0), 0.04) == []
-    (acknowledged,) = robot.look(stopped(written_us=200.0, acknowledged_us=4000.0), 0.05)
+    assert robot.look(stopped(written_s=0.0002), 0.04) == []
+    (acknowledged,) = robot.look(stopped(written_s=0.0002, acknowledged_s=0.004), 0.05)
     assert acknowledged.reached == {**written.reached, levels.ACKNOWLEDGED: 0.05}
     assert robot.busy(0.05)
-    known = stopped(written_us=200.0, acknowledged_us=4000.0, observed_ms=0.0)
+    known = stopped(written_s=0.0002, acknowledged_s=0.004, observed_s=0)
     assert told(robot.look(known, 0.9)) == [[levels.ASKED, *levels.PROOFS]]
     assert not robot.busy(0.9)
 
 
 def test_levels_may_come_at_once_and_out_of_order(robot: Obedience) -> None:
     begin(robot, order())
-    assert told(robot.look(stopped(written_us=1.0, observed_ms=300.0), 1.0)) == [
+    assert told(robot.look(stopped(written_s=1e-06, observed_s=0.3), 1.0)) == [
         [levels.ASKED, levels.WRITTEN, levels.OBSERVED]
     ]
-    known = stopped(written_us=1.0, observed_ms=300.0, acknowledged_us=9.0)
+    known = stopped(written_s=1e-06, observed_s=0.3, acknowledged_s=9e-06)
     (all_of_them,) = robot.look(known, 1.1)
     assert set(all_of_them.reached) == {levels.ASKED, *levels.PROOFS}
 
 
 def test_a_stop_of_before_the_request_confirms_nothing(robot: Obedience) -> None:
     begin(robot, order())
-    old = stopped(epoch=EPOCH, written_us=1.0, acknowledged_us=1.0, observed_ms=1.0)
+    old = stopped(epoch=EPOCH, written_s=1e-06, acknowledged_s=1e-06, observed_s=0.001)
     assert told(robot.look(old, 1.0)) == [[levels.ASKED]]
     assert robot.look(None, 1.0) == []
 
 
 def test_whatever_stop_came_after_the_request_confirms_it(robot: Obedience) -> None:
     begin(robot, order())
-    assert told(robot.look(stopped(epoch=EPOCH + 3, written_us=1.0), 1.0)) == [[levels.ASKED, levels.WRITTEN]]
+    assert told(robot.look(stopped(epoch=EPOCH + 3, written_s=1e-06), 1.0)) == [[levels.ASKED, levels.WRITTEN]]
 
 
 @pytest.mark.parametrize(("t", "confirms"), [(UNIX_S - 1, False), (UNIX_S + 0.1, True)])
 def test_where_the_epoch_was_not_known_the_time_decides(robot: Obedience, t: float, confirms: bool) -> None:
     begin(robot, order(), epoch=None)
-    (answer,) = robot.look(stopped(epoch=1, written_us=1.0, t=t), 1.0)
+    (answer,) = robot.look(stopped(epoch=1, written_s=1e-06, t=t), 1.0)
     assert (levels.WRITTEN in answer.reached) is confirms
 
 
@@ -92,7 +92,7 @@ def test_latched_but_not_written_is_no_confirmation_until_it_is_written(robot: O
     assert failed.reached == {levels.ASKED: 0.0, levels.FAILED: 0.1}
     assert "NOT written" in failed.why
     assert robot.look(stopped(), 0.2) == [], "once"
-    (written,) = robot.look(stopped(written_us=9e6), 3.0)
+    (written,) = robot.look(stopped(written_s=9), 3.0)
     assert written.reached == {**failed.reached, levels.WRITTEN: 3.0}, "the port came back"
     assert written.why == ""
 
@@ -109,7 +109,7 @@ def test_what_could_not_be_asked_for_is_said_and_tried_again_when_the_sender_rep
 
 def test_a_repeated_message_is_answered_and_not_carried_out_again(robot: Obedience) -> None:
     begin(robot, order())
-    (answered,) = robot.look(stopped(written_us=1.0), 0.1)
+    (answered,) = robot.look(stopped(written_s=1e-06), 0.1)
     repeated = order(dated_s=UNIX_S + 1).message(KEY)
     assert robot.hear(repeated, 0.5, UNIX_S + 1) == (None, answered)
     assert robot.hear(repeated, 0.6, UNIX_S + 1) == (None, None), "not more often than that"
@@ -151,4 +151,4 @@ def test_a_flood_of_genuine_stops_keeps_a_bounded_number() -> None:
     robot = Obedience(KEY, "robot-1", Seen(10.0))
     for number in range(200):
         begin(robot, order(number, UNIX_S + number * 1e-3))
-    assert len(robot.look(stopped(written_us=1.0), 0.1)) == obey.MOST_DUTIES
+    assert len(robot.look(stopped(written_s=1e-6), 0.1)) == obey.MOST_DUTIES

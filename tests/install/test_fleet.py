@@ -7,8 +7,10 @@ import dataclasses
 import pytest
 
 from failstop.fleet import settings
+from failstop.fleet.settings import KEY_PLACE
+from failstop.fleet.settings import PLACE as SETTINGS
 from failstop.install import InstallError, parts
-from failstop.install.fleet import KEY_PLACE, PLACE, SETTINGS, UNIT
+from failstop.install.fleet import PLACE, UNIT
 from failstop.install.plan import Found, Request, install
 from failstop.install.steps import File
 from failstop.install.unplan import uninstall
