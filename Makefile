@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs site deb vm wheels clean
+.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs site fleet deb vm wheels clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -75,11 +75,19 @@ docs: $(VENV)/.installed
 	$(BIN)/python -m failstop.cli.catalog systemd/failstop.catalog
 	$(BIN)/python -m failstop.cli.catalog docs/journal.md
 	$(BIN)/python -m failstop.ros2.page docs/ros2.md
+	$(BIN)/python -m failstop.fleet.page docs/fleet.md
 
 # The pages as a site, in build/site; a link that leads nowhere is an error.
 site: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,docs]'
 	$(BIN)/zensical build --clean --strict
+
+# What a fleet needs a broker for: the tests on a real one, then a thousand robots on it. Installs mosquitto where it may.
+fleet: $(VENV)/.dev
+	@PATH="$$PATH:/usr/sbin" command -v mosquitto >/dev/null || apt-get install -y --no-install-recommends mosquitto || \
+	  { echo "no mosquitto here: install it (Debian and Ubuntu: apt install mosquitto)"; exit 1; }
+	$(BIN)/pytest --numprocesses 0 tests/fleet
+	$(BIN)/python -m bench.fleet
 
 deb: $(VENV)/.installed
 	@$(BIN)/python packaging/deb/build.py

@@ -6,6 +6,7 @@ import contextlib
 import os
 import random
 import select
+import socket
 import ssl
 import time
 
@@ -15,6 +16,7 @@ from failstop.shm import durable
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from typing import Any
 
     from paho.mqtt.client import Client, MQTTMessage
 
@@ -25,13 +27,19 @@ CONNECT_S = 3.0
 """How long a connection may take."""
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 5.0
+NOT_YET = "not connected yet"
 """Between two attempts: doubling, and a little different for each robot, so that a broker that comes back is not
 overrun."""
 MOST_SECRET_BYTES = 1024
 BACKLOG = 200
 """Messages of ours that may wait for the broker; of a state the newest counts."""
+MOST_READS = 100
+"""Messages that are read in one turn, so that a flood leaves time for the rest."""
 ONCE = 1
-"""MQTT's quality of service for what must arrive."""
+"""MQTT's quality of service for what the broker keeps until it has arrived: a thousand at most for each client, of
+which a few are on their way at a time."""
+ANYHOW = 0
+"""And for what goes out as it comes, in any number, and is lost with the connection."""
 
 
 class Broker:
@@ -41,19 +49,19 @@ class Broker:
         self,
         settings: FleetSettings,
         client_id: str,
-        subscriptions: tuple[str, ...],
+        subscriptions: dict[str, int],
         hear: Callable[[str, bytes, bool], None],
         up: Callable[[], None] = lambda: None,
     ) -> None:
-        """`hear`: is given topic, payload, and whether it was retained; `up`: is called at each connection. Raises
-        FleetError: no paho-mqtt, a file that can't be read."""
+        """`subscriptions`: the quality of service by topic; `hear`: is given topic, payload, and whether it was
+        retained; `up`: is called at each connection. Raises FleetError: no paho-mqtt, a file that can't be read."""
         try:
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
         except ImportError:
             raise FleetError(EXTRA) from None
         self.where = f"{settings.text('broker.host')}:{settings.number('broker.port'):.0f}"
-        self.problem = "not connected yet"
+        self.problem = NOT_YET
         self._settings = settings
         self._subscriptions = subscriptions
         self._hear = hear
@@ -68,12 +76,13 @@ class Broker:
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
         self._client.on_message = self._on_message
+        self._client.on_socket_open = self._on_socket
         self._secure()
 
     def _secure(self) -> None:
         settings = self._settings
         if user := settings.text("broker.user"):
-            path = settings.text("broker.password_file")
+            path = settings.secret("broker.password_file", "broker.password")
             self._client.username_pw_set(user, read_secret(path) if path else None)
         if not settings.on("broker.tls"):
             return
@@ -105,19 +114,28 @@ class Broker:
 
     def turn(self, timeout_s: float) -> None:
         """Wait for the broker at most so long, and do what there is to do."""
-        if (fd := self.fileno()) < 0:
+        if self.fileno() < 0:
             self.connect(time.monotonic())
             if self.fileno() < 0:
                 time.sleep(timeout_s)
             return
+        self.serve(readable=self._poll(0.0 if self._buffered() else timeout_s))
+
+    def _poll(self, timeout_s: float) -> bool:
+        """Wait at most so long; True when something is there to be read, or the connection has ended."""
+        if (fd := self.fileno()) < 0:
+            return False
         poll = select.poll()
-        poll.register(fd, select.POLLIN | (select.POLLOUT if self.wants_write() else 0))
-        self.serve(readable=bool(poll.poll(0 if self._buffered() else timeout_s * 1e3)))
+        poll.register(fd, select.POLLIN | (select.POLLOUT if timeout_s and self.wants_write() else 0))
+        return any(event != select.POLLOUT for _, event in poll.poll(timeout_s * 1e3))
 
     def serve(self, *, readable: bool) -> None:
         """Read what has come, write what waits, keep the connection alive."""
-        if readable or self._buffered():
-            self._client.loop_read()
+        for _ in range(MOST_READS):
+            if not (readable or self._buffered()):
+                break
+            self._client.loop_read()  # one message
+            readable = self._poll(0.0)
         if self.wants_write():
             self._client.loop_write()
         self._client.loop_misc()
@@ -148,6 +166,10 @@ class Broker:
         with contextlib.suppress(OSError, ValueError):
             self._client.disconnect()
 
+    def _on_socket(self, _client: Client, _: object, found: Any) -> None:
+        """Small messages leave at once: waiting for more to send costs 40 ms each time."""
+        found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
     def _on_connect(self, client: Client, _: object, _flags: object, reason: object, _properties: object) -> None:
         if getattr(reason, "is_failure", False):
             self.problem = f"the broker at {self.where} refuses: {reason}"
@@ -155,11 +177,12 @@ class Broker:
         self.problem = ""
         self._wait_s = FIRST_WAIT_S
         for topic in self._subscriptions:
-            client.subscribe(topic, qos=ONCE)
+            client.subscribe(topic, qos=self._subscriptions[topic])
         self._up()
 
     def _on_disconnect(self, _client: Client, _: object, _flags: object, reason: object, _properties: object) -> None:
-        self.problem = self.problem or f"the broker at {self.where} is gone: {reason}"
+        if self.problem in ("", NOT_YET):
+            self.problem = f"the broker at {self.where} has ended the connection: {reason}"
 
     def _on_message(self, _client: Client, _: object, message: MQTTMessage) -> None:
         self._hear(message.topic, bytes(message.payload), message.retain)

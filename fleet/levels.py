@@ -57,24 +57,25 @@ class Answer:
     id: str
     """The stop's."""
     robot: str
-    level: str
-    why: str
+    reached: dict[str, float]
+    """Every level that it has come to, and after how many seconds at the robot."""
+    why: str = ""
     """In words, for REFUSED and FAILED."""
-    after_s: float
-    """From the message's arrival at the robot until the robot knew."""
 
     def message(self, key: bytes) -> bytes:
         """Signed."""
-        return signed.sign(key, signed.ANSWER, dataclasses.asdict(self))
+        body = {"id": self.id, "robot": self.robot, "reached": self.reached, "why": self.why}
+        return signed.sign(key, signed.ANSWER, body)
 
 
 def read_answer(key: bytes, message: bytes) -> Answer:
     """Raises signed.Forged."""
     body = signed.verify(key, signed.ANSWER, message)
-    level = _text(body, "level")
-    if level not in ORDER:
-        raise signed.Forged(f"no level {level!r}")
-    return Answer(_id(body), _text(body, "robot"), level, _text(body, "why"), _number(body, "after_s"))
+    reached = body.get("reached")
+    if not isinstance(reached, dict) or not set(reached) <= set(ORDER):
+        raise signed.Forged("no levels")
+    known = {level: _number(reached, level) for level in reached}
+    return Answer(_id(body), _text(body, "robot"), known, _text(body, "why"))
 
 
 def _id(body: dict[str, Any]) -> str:

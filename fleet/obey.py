@@ -18,58 +18,49 @@ FOLLOWED_S = 6.0
 AGAIN_EVERY_S = 0.25
 """An id that comes again is answered this often at most."""
 MOST_DUTIES = 32
+UNWRITTEN = "latched, but NOT written: the board did not get it"
+FORGOTTEN = "asked for before its publisher was started anew, which does not know what became of it"
 
 
 class Duty:
     """One stop that this robot carries out."""
 
-    def __init__(self, order: Order, robot: str, now_s: float, unix_s: float, epoch: int | None) -> None:
-        """`now_s`: monotonic; `epoch`: the service's before it was asked, None where that was not to be read."""
-        self.order = order
-        self.answers: list[Answer] = []
-        """All that were given."""
+    def __init__(self, order: Order, now_s: float, unix_s: float, epoch: int | None) -> None:
+        """It is in the stop pipe. `now_s`: monotonic; `epoch`: the service's before that, None where that was not to be
+        read."""
+        self.id = order.id
+        self.reached: dict[str, float] = {levels.ASKED: 0.0}
+        self.why = ""
         self.told_s = now_s
-        self._robot = robot
         self._since_s = now_s
         self._unix_s = unix_s
         self._epoch = epoch
 
-    def asked(self, problem: str, now_s: float) -> list[Answer]:
-        """The request went into the pipe, or there is a problem."""
-        return [self._answer(levels.FAILED if problem else levels.ASKED, problem, now_s)]
-
-    def look(self, state: State | None, now_s: float) -> list[Answer]:
-        """What has become known of it."""
+    def look(self, state: State | None, now_s: float) -> bool:
+        """True when something more has become known of it."""
         stop = state.last_stop if state else None
         if stop is None or not self._answers_it(stop):
-            return []
-        told = {answer.level for answer in self.answers}
-        if stop.written_s is None:
-            text = "latched, but NOT written: the board did not get it"
-            return [] if levels.FAILED in told else [self._answer(levels.FAILED, text, now_s)]
+            return False
         known = {
-            levels.WRITTEN: True,
-            levels.ACKNOWLEDGED: stop.acknowledged_s is not None,
-            levels.OBSERVED: stop.observed_s is not None,
+            levels.FAILED: stop.written_s is None,
+            levels.WRITTEN: stop.written_s is not None,
+            levels.ACKNOWLEDGED: stop.written_s is not None and stop.acknowledged_s is not None,
+            levels.OBSERVED: stop.written_s is not None and stop.observed_s is not None,
         }
-        return [self._answer(level, "", now_s) for level, there in known.items() if there and level not in told]
+        new = {
+            level: round(now_s - self._since_s, 4) for level, so in known.items() if so and level not in self.reached
+        }
+        self.reached |= new
+        self.why = UNWRITTEN if known[levels.FAILED] else ""
+        return bool(new)
 
     def _answers_it(self, stop: Stop) -> bool:
         """A stop of before the request is no answer to it; whichever came after it is."""
         return stop.t >= self._unix_s if self._epoch is None else stop.epoch > self._epoch
 
-    def over(self, now_s: float) -> bool:
-        """Nothing more will be known of it."""
-        return now_s - self._since_s > FOLLOWED_S
-
-    def complete(self) -> bool:
-        """Every proof is there."""
-        return set(levels.PROOFS) <= {answer.level for answer in self.answers}
-
-    def _answer(self, level: str, why: str, now_s: float) -> Answer:
-        found = Answer(self.order.id, self._robot, level, why, round(now_s - self._since_s, 4))
-        self.answers.append(found)
-        return found
+    def open(self, now_s: float) -> bool:
+        """More may become known of it."""
+        return now_s - self._since_s <= FOLLOWED_S and not set(levels.PROOFS) <= set(self.reached)
 
 
 class Obedience:
@@ -83,56 +74,62 @@ class Obedience:
         self._robot = robot
         self._seen = seen
         self._duties: dict[str, Duty] = {}
-        self._refused_s = 0.0
+        self._new: list[str] = []
+        """Asked for, and not told of yet."""
+        self._refused_s = -AGAIN_EVERY_S
 
-    def hear(self, message: bytes, now_s: float, unix_s: float) -> tuple[Order | None, list[Answer]]:
-        """A message came: the stop to carry out now, if it is a new one, and what to answer."""
+    def hear(self, message: bytes, now_s: float, unix_s: float) -> tuple[Order | None, Answer | None]:
+        """A message came: the stop to carry out now, if it is a new one, or what to answer."""
         try:
             order = levels.read_order(self._key, message)
         except signed.Forged as error:
             self.forged += 1
             self.last_forged = str(error)
-            return None, []
+            return None, None
         verdict = self._seen.judge(order.id, order.unix_s, unix_s)
         if verdict == replay.NEW:
-            return order, []
+            return order, None
         if verdict == replay.AGAIN:
             return None, self._again(order, now_s)
         if now_s - self._refused_s < AGAIN_EVERY_S:
-            return None, []
+            return None, None
         self._refused_s = now_s
-        return None, [Answer(order.id, self._robot, levels.REFUSED, verdict, 0.0)]
+        return None, Answer(order.id, self._robot, {levels.REFUSED: 0.0}, verdict)
 
-    def _again(self, order: Order, now_s: float) -> list[Answer]:
-        """What was answered before; of a stop from before a restart, that it was."""
+    def _again(self, order: Order, now_s: float) -> Answer | None:
+        """What was answered before; of a stop from before a restart, that it was asked for."""
         duty = self._duties.get(order.id)
         if duty is None:
-            text = "obeyed before this program was started anew: what became of it is not known here"
-            return [Answer(order.id, self._robot, levels.ASKED, text, 0.0)]
+            return Answer(order.id, self._robot, {levels.ASKED: 0.0}, FORGOTTEN)
         if now_s - duty.told_s < AGAIN_EVERY_S:
-            return []
-        duty.told_s = now_s
-        return duty.answers
+            return None
+        return self._answer(duty, now_s)
 
-    def begin(self, order: Order, problem: str, now_s: float, unix_s: float, epoch: int | None) -> list[Answer]:
-        """It was asked for, at `now_s` and in `epoch` or later; what to answer. A problem keeps it new: it is tried
-        again when the sender repeats it."""
-        duty = Duty(order, self._robot, now_s, unix_s, epoch)
-        found = duty.asked(problem, now_s)
-        if not problem:
-            self._seen.obeyed(order.id, order.unix_s, unix_s)
-            self._duties[order.id] = duty
-            while len(self._duties) > MOST_DUTIES:
-                del self._duties[next(iter(self._duties))]
-        return found
+    def failed(self, order: Order, problem: str) -> Answer:
+        """It could not be asked for. It stays new: it is tried again when the sender repeats it."""
+        return Answer(order.id, self._robot, {levels.FAILED: 0.0}, problem)
+
+    def begin(self, order: Order, now_s: float, unix_s: float, epoch: int | None) -> None:
+        """It was asked for, at `now_s` and in `epoch` or later."""
+        self._seen.obeyed(order.id, order.unix_s, unix_s)
+        self._duties[order.id] = Duty(order, now_s, unix_s, epoch)
+        while len(self._duties) > MOST_DUTIES:
+            del self._duties[next(iter(self._duties))]
+        self._new.append(order.id)
 
     def look(self, state: State | None, now_s: float) -> list[Answer]:
-        """What has become known of those that are carried out."""
-        return [answer for duty in self._open(now_s) for answer in duty.look(state, now_s)]
+        """What to answer, as more has become known; the first time, that it was asked for."""
+        new, self._new = self._new, []
+        changed = [duty for duty in self._open(now_s) if duty.look(state, now_s) or duty.id in new]
+        return [self._answer(duty, now_s) for duty in changed]
+
+    def _answer(self, duty: Duty, now_s: float) -> Answer:
+        duty.told_s = now_s
+        return Answer(duty.id, self._robot, dict(duty.reached), duty.why)
 
     def busy(self, now_s: float) -> bool:
         """True while more is to be known of one."""
         return bool(self._open(now_s))
 
     def _open(self, now_s: float) -> list[Duty]:
-        return [duty for duty in self._duties.values() if not (duty.over(now_s) or duty.complete())]
+        return [duty for duty in self._duties.values() if duty.open(now_s)]

@@ -16,11 +16,11 @@ from failstop.api.events import EventLog
 from failstop.api.state import StateReader
 from failstop.cli import standard
 from failstop.fleet import FleetError, signed, topics, vda5050
-from failstop.fleet.broker import Broker
+from failstop.fleet.broker import ANYHOW, ONCE, Broker
 from failstop.fleet.obey import Obedience
 from failstop.fleet.replay import Seen
 from failstop.procs.telemetry.state_files import state_directory
-from failstop.shm import durable
+from failstop.shm import durable, records
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -41,8 +41,10 @@ if TYPE_CHECKING:
 
 LOOK_S = 0.2
 """Between two looks at the state."""
-BUSY_LOOK_S = 0.01
+BUSY_LOOK_S = 0.02
 """While a stop is carried out."""
+FIRST_LOOK_S = 0.003
+"""By then the service has written it: its first answer says so at once."""
 CHANGES_S = 1.0
 """What changes all the time, as a velocity does, is published this often at most."""
 MOST_EVENTS = 20
@@ -84,7 +86,7 @@ class Service:
     def stop(self, reason: str, by: str) -> str:
         """Ask for one; returns what is wrong."""
         try:
-            send_stop(self.name, reason, by)
+            send_stop(self.name, reason, f"{records.FLEET}{by}")
         except FailstopError as error:
             return str(error)
         return ""
@@ -110,10 +112,13 @@ class Publisher:
         """Written after the answers have left: a disk may take its time."""
         self._said_forged = 0
         self._forged_s = -FORGED_S
-        self._look_at_s = self._published_s = 0.0
+        self._look_at_s = self._published_s = self._built_s = 0.0
         self._shown: tuple[object, object] = (None, None)
-        self.broker = Broker(settings, f"failstop-{robot_id}", (self._stop_topic,), self._hear, self._up)
+        self.broker = Broker(settings, f"failstop-{robot_id}", self._stop_topics(), self._hear, self._up)
         self._will()
+
+    def _stop_topics(self) -> dict[str, int]:
+        return dict.fromkeys((self._stop_topic, topics.stop(self._manufacturer, self.robot_id)), ONCE)
 
     def turn(self, longest_s: float = LOOK_S) -> None:
         """Wait for the broker, for as long as there is nothing else to do, then do that."""
@@ -127,17 +132,25 @@ class Publisher:
         """Publish what is new, if it is time."""
         if now_s < self._look_at_s:
             return
-        busy = self._obedience.busy(now_s)
+        busy = self.busy(now_s)
         self._look_at_s = now_s + (BUSY_LOOK_S if busy else LOOK_S)
         state, note = self._robot.read()
-        self._answer(self._obedience.look(state, now_s))
+        for answer in self._obedience.look(state, now_s):
+            self._answer(answer)
+        if busy and now_s - self._built_s < LOOK_S:
+            return
+        self._built_s = now_s
         self._publish(state, note, now_s)
         if self._unsaved and not self.broker.wants_write():
             self._unsaved = False
             self._remember()
-        if not (busy or self.broker.problem):
+        if not self.broker.problem:
             for event in self._robot.events()[-MOST_EVENTS:]:
                 self._tell(event)
+
+    def busy(self, now_s: float) -> bool:
+        """True while a stop of the fleet is carried out."""
+        return self._obedience.busy(now_s)
 
     def close(self) -> None:
         """In order: the robot is OFFLINE, which is not lost."""
@@ -170,12 +183,12 @@ class Publisher:
         if new or age_s >= self._publish_s:
             self._shown, self._published_s = (steady, body), now_s
             payload = self._header.message(topics.STATE, body, time.time())
-            self.broker.say(self._header.topic(topics.STATE), payload, qos=0, retain=True)
+            self.broker.say(self._header.topic(topics.STATE), payload, qos=ANYHOW, retain=True)
 
     def _tell(self, event: Event) -> None:
         body = {"kind": event.kind, "level": event.level, "text": event.text, "t": vda5050.stamp(event.t)}
         payload = self._header.message(topics.EVENT, {**body, "fields": event.fields}, time.time())
-        self.broker.say(self._header.topic(topics.EVENT), payload, qos=0, retain=True)
+        self.broker.say(self._header.topic(topics.EVENT), payload, qos=ANYHOW, retain=True)
 
     def _own_errors(self, now_s: float) -> tuple[dict[str, Any], ...]:
         found = []
@@ -191,18 +204,18 @@ class Publisher:
         if self._off:
             return
         now_s, unix_s = time.monotonic(), time.time()
-        order, answers = self._obedience.hear(payload, now_s, unix_s)
+        order, answer = self._obedience.hear(payload, now_s, unix_s)
         if order:
             state, _ = self._robot.read()
-            problem = self._robot.stop(order.reason, order.by)
-            answers = self._obedience.begin(order, problem, now_s, unix_s, state.epoch if state else None)
-            self._look_at_s = 0.0
-            self._answer(answers)
-            self._unsaved = True
+            if problem := self._robot.stop(order.reason, order.by):
+                answer = self._obedience.failed(order, problem)
+            else:
+                self._obedience.begin(order, now_s, unix_s, state.epoch if state else None)
+                self._look_at_s, self._unsaved = now_s + FIRST_LOOK_S, True
             standard.say(f"fleet stop by {order.by}: {order.reason or 'no reason given'}: {problem or 'asked for'}")
-        else:
-            self._answer(answers)
-            self._note_forged(now_s)
+        if answer:
+            self._answer(answer)
+        self._note_forged(now_s)
 
     def _note_forged(self, now_s: float) -> None:
         if self._obedience.forged > self._said_forged:
@@ -210,10 +223,9 @@ class Publisher:
                 standard.say(f"a message on {self._stop_topic} is not the fleet's: {self._obedience.last_forged}")
             self._said_forged, self._forged_s = self._obedience.forged, now_s
 
-    def _answer(self, answers: list[Answer]) -> None:
-        for answer in answers:
-            topic = topics.answer(self._manufacturer, answer.id, self.robot_id)
-            self.broker.say(topic, answer.message(self._key))
+    def _answer(self, answer: Answer) -> None:
+        topic = topics.answer(self._manufacturer, answer.id, self.robot_id)
+        self.broker.say(topic, answer.message(self._key))
 
     def _remember(self) -> None:
         """What was obeyed, over a restart. That it can't be is said, and is no reason not to stop."""
@@ -228,7 +240,7 @@ class Publisher:
 def _key(settings: FleetSettings) -> tuple[bytes, str]:
     """The fleet's key, or why there is none."""
     try:
-        return signed.read_key(settings.text("stop.key_file")), ""
+        return signed.read_key(settings.secret("stop.key_file", "fleet.key")), ""
     except FleetError as error:
         standard.say(f"no stop of the fleet is obeyed here: {error}")
         return b"", str(error)

@@ -8,7 +8,7 @@ import secrets
 import time
 
 from failstop.fleet import FleetError, levels, settings, signed, topics
-from failstop.fleet.broker import Broker
+from failstop.fleet.broker import ANYHOW, Broker
 from failstop.fleet.levels import Order
 from failstop.fleet.tally import CONFIRMED, Tally
 
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 
 AGAIN_S = 0.5
 """Between two sendings of the same stop, dated anew."""
+ALL_AGAIN_S = 1.5
+"""While many are missing: what all are told again, all answer again."""
+MOST_SINGLE = 100
+"""Robots that are told one by one."""
 OBSERVED_S = 2.5
 """How long to go on for the third proof when all have acknowledged."""
 TURN_S = 0.05
@@ -46,7 +50,10 @@ class Sender:
             topics.of_robot(self._manufacturer, topics.ANY, topics.CONNECTION),
             self._probe,
         )
-        self.broker = Broker(found, f"failstop-stop-{self.id[:12]}", wanted, self._hear, self._up)
+        # All at once, from a thousand robots: what is lost all the same, the next sending is answered with.
+        self.broker = Broker(
+            found, f"failstop-stop-{self.id[:12]}", dict.fromkeys(wanted, ANYHOW), self._hear, self._up
+        )
 
     def run(self, wait_s: float, progress: Callable[[Tally], None] = lambda _: None) -> bool:
         """Send until all have confirmed, `wait_s` at most; returns whether they did. Raises FleetError when no broker
@@ -74,12 +81,17 @@ class Sender:
         self.broker.say(self._probe, b"end")
 
     def _send(self, now_s: float) -> None:
+        """To all; then to those who have not confirmed, unless these are many."""
         if self.broker.problem:
             return
-        self._again_s = now_s + AGAIN_S
+        message = dataclasses.replace(self._order, unix_s=time.time()).message(self._key)
+        missing = [row.robot for row in self.tally.missing()]
+        many = len(missing) > MOST_SINGLE
+        some = self.sent_s is not None and self._heard_all and not many
+        self._again_s = now_s + (ALL_AGAIN_S if many else AGAIN_S)
         self.sent_s = self.sent_s or now_s
-        order = dataclasses.replace(self._order, unix_s=time.time())
-        self.broker.say(topics.stop(self._manufacturer), order.message(self._key))
+        for robot in missing if some else ("",):
+            self.broker.say(topics.stop(self._manufacturer, robot), message)
 
     def _hear(self, topic: str, payload: bytes, _retained: bool) -> None:
         if topic == self._probe:

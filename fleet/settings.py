@@ -57,6 +57,12 @@ class FleetSettings:
         """A text's value."""
         return str(self._values[key])
 
+    def secret(self, key: str, credential: str) -> str:
+        """The path of a secret: what systemd has handed over under that name, else the one that is set."""
+        folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
+        handed = os.path.join(folder, credential)
+        return handed if folder and os.path.exists(handed) else self.text(key)
+
     def number(self, key: str) -> float:
         """A number's value."""
         return float(self._values[key])

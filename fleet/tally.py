@@ -30,7 +30,9 @@ class Tally:
         """`expected`: by a list of the user's; None: whoever was ever seen on the broker."""
         self._listed = expected
         self._connections: dict[str, str] = {}
-        self._answers: dict[str, dict[str, tuple[float, Answer]]] = {}
+        self._answers: dict[str, dict[str, float]] = {}
+        self._whys: dict[str, str] = {}
+        self._counts: dict[str, int] = {}
 
     def connection(self, robot: str, word: str) -> None:
         """What the broker keeps of a robot's connection; empty: nothing any more."""
@@ -40,8 +42,13 @@ class Tally:
             self._connections.pop(robot, None)
 
     def answer(self, answer: Answer, after_s: float) -> None:
-        """The first of each level counts."""
-        self._answers.setdefault(answer.robot, {}).setdefault(answer.level, (after_s, answer))
+        """The first of each level counts, and what was said last of what is wrong."""
+        told = self._answers.setdefault(answer.robot, {})
+        for level in answer.reached:
+            if level not in told:
+                told[level] = after_s
+                self._counts[level] = self._counts.get(level, 0) + 1
+        self._whys[answer.robot] = answer.why
 
     def robots(self) -> list[str]:
         """Everybody who must confirm: as listed, or seen; and whoever answered."""
@@ -54,12 +61,14 @@ class Tally:
 
     def all_reached(self, level: str) -> bool:
         """Everybody did; False while nobody is known."""
+        if self._counts.get(level, 0) < max(1, len(self._answers)):
+            return False  # the quick way: this is asked after each answer
         robots = self.robots()
         return bool(robots) and self.reached(level) == robots
 
     def times_s(self, level: str) -> list[float]:
         """When they told of it, the first one first."""
-        return sorted(told[level][0] for told in self._answers.values() if level in told)
+        return sorted(told[level] for told in self._answers.values() if level in told)
 
     def missing(self, level: str = CONFIRMED) -> list[Missing]:
         """Who did not, and why, as far as is known."""
@@ -72,7 +81,7 @@ class Tally:
             return "written, but its board has not acknowledged it"
         for level in (levels.FAILED, levels.REFUSED, levels.ASKED):
             if level in told:
-                why = told[level][1].why
+                why = self._whys[robot]
                 return f"{level}: {why}" if why else "asked, but not written as far as it knows"
         connection = self._connections.get(robot, "")
         return f"no answer: {WORDS[connection]}" if connection in WORDS else "no answer"

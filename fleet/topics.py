@@ -22,9 +22,9 @@ def robot_of(topic: str) -> tuple[str, str]:
     return (parts[-2], parts[-1]) if len(parts) > 1 else ("", topic)
 
 
-def stop(manufacturer: str) -> str:
-    """To all robots: stop."""
-    return f"failstop/v1/{manufacturer}/stop"
+def stop(manufacturer: str, robot: str = "") -> str:
+    """To all robots, or to one: stop."""
+    return f"failstop/v1/{manufacturer}/stop{'/' if robot else ''}{robot}"
 
 
 def answer(manufacturer: str, stop_id: str, robot: str) -> str:

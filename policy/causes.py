@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 
+from failstop.shm import records
 from failstop.shm.records import cut, printable
 
 TYPE_CHECKING = False
@@ -150,6 +151,8 @@ def requested(line: bytes) -> Cause:
     words, _, rest = text.partition("\t")
     who, _, pid = rest.partition("\t")
     if who and pid.isascii() and pid.isdigit() and len(pid) <= LONGEST_PID:
+        if who.startswith(records.FLEET):
+            return FLEET(printable(words), printable(who.removeprefix(records.FLEET)))
         return REQUESTED(printable(words), printable(who), int(pid))
     return PIPED(printable(text))
 
@@ -264,6 +267,12 @@ PIPED = _row(
     18, "piped", "stop request[: {words}]", "words:s",
     "port_owner",
     'somebody wrote to the stop pipe[: "{words}"]',
+    "make sure that whatever it was for is over",
+)  # fmt: skip
+FLEET = _row(
+    24, "fleet", "fleet stop[: {words}] (by {who})", "words:s who:s",
+    "port_owner",
+    '{who} stopped the whole fleet[: "{words}"]',
     "make sure that whatever it was for is over",
 )  # fmt: skip
 BATTERY = _row(

@@ -26,6 +26,8 @@ ARM = 4
 ASKED_BYTES = 180
 """Of the words in which a client asks for a stop, in UTF-8: with who asks they fit a record."""
 WHO_BYTES = 64
+FLEET = "fleet:"
+"""What the name of who asks begins with where a stop of the whole fleet is passed on."""
 CAUSE = "{cause}"
 """In the text of a reply: the place of the cause's own."""
 REPLY_BYTES = 290

@@ -32,7 +32,7 @@ LONGEST_HOLD_NS = 50_000_000
 MOST_WAITING = 256
 CUTS = ((280, 280), (200, 60), (120, 24))
 """Bytes that are left of the text, and of each field's: the first that fit into the ring."""
-ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name))
+ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name, causes.FLEET.name))
 AGAIN = frozenset(("stop_again", "stop_also"))
 """What anybody can bring about without end; a stop that is latched anew takes somebody who resets."""
 ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity

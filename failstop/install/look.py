@@ -6,7 +6,8 @@ import glob
 import os
 
 from failstop.board import discovery
-from failstop.install import bridge, machine, tree
+from failstop.fleet.settings import KEY_PLACE, PLACE
+from failstop.install import bridge, fleet, machine, tree
 from failstop.install.layout import (
     COMMAND_LINK,
     MANIFEST,
@@ -38,6 +39,7 @@ def look(request: Request, units: dict[str, str]) -> Found:
     wants = [f"{UNITS}/{target}.wants/{unit}" for target in targets for unit in (unit_of(request.name), SLEEP)]
     paths = [*files_of(), COMMAND_LINK, MANIFEST, *wants]
     paths += [bridge.PLACE, *(f"{UNITS}/{target}.wants/{bridge.UNIT}" for target in targets)]
+    paths += [fleet.PLACE, PLACE, *(f"{UNITS}/{target}.wants/{fleet.UNIT}" for target in targets)]
     paths += [configuration_of(request.name), "/etc/passwd", "/etc/group"]
     files, links = {}, {}
     for path in [*paths, PREFIX]:
@@ -56,6 +58,7 @@ def look(request: Request, units: dict[str, str]) -> Found:
         request.live and os.path.exists(UDEV_CONTROL),
         os.path.exists(at(PACKAGE_UNIT)),
         board=request.live and discovery.board_there(),
+        fleet_key=os.path.isfile(at(KEY_PLACE)),
         ros_setup=max((f"/{os.path.relpath(path, request.root)}" for path in glob.glob(at(SETUPS))), default=""),
     )
 

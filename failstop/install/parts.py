@@ -36,12 +36,17 @@ class Parts:
     """The completion script by shell."""
     bridge: str = ""
     """The unit of the bridge to ROS 2."""
+    fleet: str = ""
+    """The unit of the robot in its fleet."""
+    fleet_example: str = ""
+    """Its settings, every value its default."""
 
 
 def of_this_version() -> Parts:
     """The parts of the running failstop. Raises InstallError when its files are not there."""
     from failstop.cli.commands import completion, config
     from failstop.cli.manual import grammar, man
+    from failstop.fleet import settings
 
     return Parts(
         VERSION,
@@ -53,6 +58,8 @@ def of_this_version() -> Parts:
         man.page(grammar.read()),
         {shell: completion.script(shell) for shell in completion.SHELLS},
         _text("failstop-ros2.service"),
+        _text("failstop-fleet.service"),
+        settings.example(),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from failstop.board.discovery import LINK
-from failstop.install import InstallError, bridge
+from failstop.install import InstallError, bridge, fleet
 from failstop.install.layout import (
     ACCOUNT_FILES,
     CATALOG,
@@ -50,6 +50,8 @@ class Request:
     """What the units call; another than the default: no environment is made."""
     ros2_user: str = ""
     """The user of the robot's ROS nodes, whose the bridge is to be; empty: no bridge, or the one that is there."""
+    fleet: bool = False
+    """The robot is to be published to its fleet's broker; False: it is not, or goes on to be."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,6 +76,8 @@ class Found:
     """The board is plugged in; true if it would be looked for under a name that only the installation's rule makes."""
     board: bool = False
     """A board is plugged in that the rule gives a name."""
+    fleet_key: bool = False
+    """The fleet's key is where its unit wants it."""
     ros_setup: str = ""
     """What makes the environment of the ROS 2 that is there."""
 
@@ -94,18 +98,19 @@ def install(parts: Parts, request: Request, tree: str, found: Found) -> Plan:
     """The steps to what is wanted; `tree` is the digest of the environment to install, empty for none. Raises
     InstallError."""
     _refuse(parts, request, found)
-    files = _files(parts, request) | bridge.files(parts, request, found)
-    links = _links(parts, request) | bridge.links(parts, request, found)
+    files = _files(parts, request) | bridge.files(parts, request, found) | fleet.files(parts, request, found)
+    links = _links(parts, request) | bridge.links(parts, request, found) | fleet.links(parts, request, found)
     gone = _outdated(found, files)
     new_tree = bool(tree) and tree != found.tree
     content = _file_steps(files, found) + _configuration(parts, request, found)
+    content += fleet.configuration(parts, request, found)
     linking = [_link(path, target, found) for path, target in links.items() if found.links.get(path) != target]
     written = {step.path for step in content}
     reload = any(path.startswith(UNITS) for path in {*written, *(step.path for step in linking), *gone})
     restarts = found.active if new_tree or any(unit_file(unit) in written for unit in found.active) else ()
     missing = _missing_accounts(parts, found)
     directories = _directories(
-        [*files, *links, PREFIX if new_tree else MANIFEST, configuration_of(request.name)], found
+        [*files, *links, PREFIX if new_tree else MANIFEST, *(step.path for step in content)], found
     )
     steps: list[Step] = [
         *_stops(restarts),
@@ -139,17 +144,19 @@ def _starts(request: Request, found: Found, restarts: tuple[str, ...]) -> list[S
     if not (request.live and request.start):
         return []
     unit = unit_of(request.name)
-    wanted = [name for name in (unit, *bridge.units(request, found)) if name not in found.active]
+    others = (*bridge.units(request, found), *fleet.units(request, found))
+    wanted = [name for name in (unit, *others) if name not in found.active]
     units = dict.fromkeys((*restarts, *wanted))
-    remarks = {bridge.UNIT: "ROS 2 nodes drive through the service"}
+    remarks = {bridge.UNIT: "ROS 2 nodes drive through the service", fleet.UNIT: fleet.REMARK}
     return [
         Start("start", unit, remarks.get(unit, "motion stays disabled until somebody enables it"), unit)
-        for unit in sorted(units, key=lambda unit: unit == bridge.UNIT)
+        for unit in sorted(units, key=lambda unit: unit in (bridge.UNIT, fleet.UNIT))
     ]
 
 
 def _refuse(parts: Parts, request: Request, found: Found) -> None:
     bridge.refuse(request, found)
+    fleet.refuse(request, found)
     if found.package:
         raise InstallError(
             "the Debian package of failstop is installed here: it is the service already; "

@@ -50,6 +50,7 @@ NO_FAULT = {
     causes.BATTERY,  # only where a setting asks for it
     causes.OPERATOR_GONE,  # only where a setting asks for one (tests/procs/test_gate_attendance.py, tests/web)
     causes.UNSTILL,  # comes after the stop of another row
+    causes.FLEET,  # as PIPED, by a publisher (tests/fleet/test_publish.py)
     *(causes.REMOVED, causes.STOPPING, causes.ALL_DIED, causes.SILENT),  # with them the run ends, or nobody is to latch
 }
 """Causes that no row latches."""

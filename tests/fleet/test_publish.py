@@ -15,6 +15,7 @@ import pytest
 
 from failstop.api.events import Event
 from failstop.lab.trial import Trial
+from failstop.policy import causes
 from tests.support import states
 from tests.support.commands import FAILSTOP, failstop
 
@@ -137,9 +138,8 @@ def test_a_real_robot_is_stopped_and_confirms(trial: Trial, published: Any, list
     for level in ("written", "acknowledged", "observed"):
         assert found[level]["robots"] == [f"real-{trial.name}"], level
     state = trial.robot.state
-    assert state.estop is not None
-    assert "smoke" in state.estop
-    assert "ann" in state.estop
+    assert state.cause == causes.FLEET("smoke", "ann")
+    assert state.estop == "fleet stop: smoke (by ann)"
     assert not trial.moving()
     pump("the latch", lambda: said(listener, "state")["safetyState"]["eStop"] == "MANUAL", listener)
 

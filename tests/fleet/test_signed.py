@@ -15,7 +15,7 @@ from failstop.fleet.levels import Answer, Order
 KEY = bytes(range(32))
 OTHER = bytes(32)
 ORDER = Order("0" * 32, 1000.5, "smoke", "ann@desk")
-ANSWER = Answer("0" * 32, "robot-1", levels.WRITTEN, "", 0.01)
+ANSWER = Answer("0" * 32, "robot-1", {levels.ASKED: 0.0, levels.WRITTEN: 0.01}, "")
 
 
 def test_what_is_signed_is_read() -> None:
@@ -90,6 +90,13 @@ def test_messages_that_are_hard_to_read(message: bytes) -> None:
 def test_who_has_the_key_can_make_nonsense_too(body: dict[str, object]) -> None:
     with pytest.raises(signed.Forged):
         levels.read_order(KEY, signed.sign(KEY, signed.STOP, body))
+
+
+@pytest.mark.parametrize("reached", [None, [], {"sent": 0.0}, {"written": "now"}, {"written": None}])
+def test_levels_that_are_none(reached: object) -> None:
+    body = {"id": "0" * 32, "robot": "r", "why": "", "reached": reached}
+    with pytest.raises(signed.Forged):
+        levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER, body))
 
 
 def test_texts_are_one_line_and_not_too_long() -> None:

@@ -12,7 +12,7 @@ STOP = "0" * 32
 
 def say(tally: Tally, robot: str, *told: str, why: str = "", after_s: float = 0.1) -> None:
     for level in told:
-        tally.answer(Answer(STOP, robot, level, why, 0.0), after_s)
+        tally.answer(Answer(STOP, robot, {level: 0.0}, why), after_s)
 
 
 def connected(*robots: str, expected: frozenset[str] | None = None) -> Tally:

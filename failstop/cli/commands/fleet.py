@@ -136,13 +136,13 @@ class _Seen:
         import secrets
 
         from failstop.fleet import topics
-        from failstop.fleet.broker import Broker
+        from failstop.fleet.broker import ANYHOW, Broker
         from failstop.fleet.roster import Roster
 
         manufacturer = found.text("robot.manufacturer")
-        wanted = tuple(topics.of_robot(manufacturer, topics.ANY, last) for last in (topics.CONNECTION, topics.STATE))
+        wanted = [topics.of_robot(manufacturer, topics.ANY, last) for last in (topics.CONNECTION, topics.STATE)]
         self.roster = Roster()
-        self.broker = Broker(found, f"failstop-view-{secrets.token_hex(6)}", wanted, self._hear)
+        self.broker = Broker(found, f"failstop-view-{secrets.token_hex(6)}", dict.fromkeys(wanted, ANYHOW), self._hear)
 
     def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
         self.roster.hear(topic, payload, time.monotonic(), retained=retained)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import os
 import sys
+from importlib.util import find_spec
 
 from failstop.api.errors import Refused
 from failstop.board.discovery import LINK
+from failstop.fleet.broker import EXTRA
 from failstop.install import InstallError, dialogue, look, parts, plan, tree
 from failstop.install.do import Doer
 from failstop.install.layout import PREFIX, unit_of
@@ -41,6 +43,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--name", default=DEFAULT_NAME, help=f"the robot's name, if there are several (default: {DEFAULT_NAME})"
     )
     parser.add_argument("--ros2-user", metavar="NAME", default="", help="the bridge to ROS 2 too, as this user")
+    parser.add_argument("--fleet", action="store_true", help="publish it to its fleet's broker too, and obey its stop")
     parser.add_argument("--root", metavar="DIR", help="install into this directory, the root of another system")
     parser.add_argument("--no-start", action="store_true", help="start it at the next boot, not now")
     parser.add_argument(
@@ -95,6 +98,8 @@ def main(arguments: Namespace) -> int:
 
 def _request(arguments: Namespace) -> plan.Request:
     instance.check_name(arguments.name)
+    if arguments.fleet and not find_spec("paho"):
+        raise InstallError(f"--fleet: {EXTRA}")
     if arguments.device is not None:
         BY_KEY["device.path"].check(arguments.device, "--device")
         if '"' in arguments.device or "\\" in arguments.device:
@@ -109,6 +114,7 @@ def _request(arguments: Namespace) -> plan.Request:
         not arguments.no_start,
         _running_command() if arguments.use_running_venv else plan.OWN_COMMAND,
         arguments.ros2_user,
+        arguments.fleet,
     )
 
 

@@ -1,0 +1,303 @@
+"""What somebody on the network may try against a stop of the fleet, each on a real broker."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from failstop.fleet import levels, signed, topics
+from failstop.fleet.levels import Answer, Order
+from failstop.fleet.publisher import Publisher
+from failstop.fleet.sender import Sender
+from failstop.fleet.settings import FleetSettings
+from failstop.fleet.tally import Tally
+from tests.support import states
+
+from .conftest import Enrol, maker
+from .scene import Listener, Mosquitto, Pretended, pump
+
+STOP = "f" * 32
+
+
+@pytest.fixture
+def settings(broker: Mosquitto, key: str, request: pytest.FixtureRequest) -> FleetSettings:
+    """Of who stops this test's fleet."""
+    return broker.settings(stop__key_file=key, robot__manufacturer=maker(request))
+
+
+def stop_all(settings: FleetSettings, *robots: Publisher | Listener, wait_s: float = 10.0) -> Tally:
+    """A stop by somebody else, while the robots go on."""
+    sender = Sender(settings, "smoke", "ann")
+    running = threading.Thread(daemon=True, target=sender.run, args=(wait_s,))
+    running.start()
+    while running.is_alive():
+        for each in robots:
+            each.turn(0.005)
+        running.join(0.001)
+    return sender.tally
+
+
+def order(key: str, **changed: object) -> bytes:
+    """A genuine stop, now, unless something else is said."""
+    given = dataclasses.replace(Order(STOP, time.time(), "smoke", "ann"), **changed)  # type: ignore[arg-type]
+    return given.message(signed.read_key(key))
+
+
+def answers(listener: Listener, key: str) -> list[Answer]:
+    found = [payload for topic, payload in listener.all if "/answer/" in topic]
+    return [levels.read_answer(signed.read_key(key), payload) for payload in found]
+
+
+def arrived(publisher: Publisher, listener: Listener, topic: str, payload: bytes) -> None:
+    """The robot has dealt with this message, and with all before it: a broker keeps the order."""
+    heard = len(listener.all)
+    listener.broker.say(topic, payload)
+    pump("the message", lambda: len(listener.all) > heard, publisher, listener)
+    turned_s = time.monotonic()
+    pump("some turns", lambda: time.monotonic() > turned_s + 0.3, publisher, listener)
+
+
+def test_all_confirm(enrol: Enrol, settings: FleetSettings) -> None:
+    robots = [Pretended() for _ in range(3)]
+    publishers = [enrol(f"r{number}", robot) for number, robot in enumerate(robots)]
+    tally = stop_all(settings, *publishers)
+    assert tally.all_reached(levels.OBSERVED)
+    assert tally.robots() == ["r0", "r1", "r2"]
+    assert [robot.asked for robot in robots] == [[("smoke", "ann")]] * 3, "once, however often it was sent"
+
+
+def test_a_replayed_stop(enrol: Enrol, listener: Listener, settings: FleetSettings) -> None:
+    robot = Pretended()
+    publisher = enrol(robot=robot)
+    stop_all(settings, publisher, listener)
+    topic, recorded = next((topic, payload) for topic, payload in listener.all if topic.endswith("/stop"))
+    robot.state = states.driving(epoch=9)
+    arrived(publisher, listener, topic, recorded)
+    assert len(robot.asked) == 1
+
+
+def test_a_replayed_stop_after_a_restart(enrol: Enrol, listener: Listener, settings: FleetSettings) -> None:
+    first = enrol("r1")
+    stop_all(settings, first, listener)
+    pump("what is remembered to be written", lambda: not first._unsaved, first)
+    first.broker.close()
+    topic, recorded = next((topic, payload) for topic, payload in listener.all if topic.endswith("/stop"))
+    robot = Pretended()
+    again = enrol("r1", robot)
+    arrived(again, listener, topic, recorded)
+    assert robot.asked == []
+
+
+def test_an_old_one_and_one_of_the_future(enrol: Enrol, listener: Listener, key: str, settings: FleetSettings) -> None:
+    robot = Pretended()
+    publisher = enrol(robot=robot)
+    topic = topics.stop(settings.text("robot.manufacturer"))
+    for off_s, words in ((-60.0, "old by 60 s"), (3600.0, "ahead by 36")):
+        listener.all.clear()
+        arrived(publisher, listener, topic, order(key, id=f"{abs(off_s):032.0f}", unix_s=time.time() + off_s))
+        (answer,) = answers(listener, key)
+        assert list(answer.reached) == [levels.REFUSED]
+        assert words in answer.why
+    assert robot.asked == []
+
+
+def test_a_retained_stop_waits_for_nobody(
+    enrol: Enrol, listener: Listener, key: str, settings: FleetSettings, broker: Mosquitto
+) -> None:
+    topic = topics.stop(settings.text("robot.manufacturer"))
+    listener.broker.say(topic, order(key, unix_s=time.time() - 20), retain=True)
+    pump("it to be kept", lambda: listener.all, listener)
+    robot = Pretended()
+    publisher = enrol(robot=robot)
+    pump("the robot's answer", lambda: answers(listener, key), publisher, listener)
+    assert robot.asked == []
+    listener.broker.say(topic, b"", retain=True)
+    listener.turn(0.05)
+
+
+def test_another_key(enrol: Enrol, listener: Listener, settings: FleetSettings, tmp_path: Path) -> None:
+    robot = Pretended()
+    publisher = enrol(robot=robot)
+    signed.make_key(str(tmp_path / "other"))
+    arrived(publisher, listener, topics.stop(settings.text("robot.manufacturer")), order(str(tmp_path / "other")))
+    assert robot.asked == []
+    assert not [topic for topic, _ in listener.all if "/answer/" in topic], "nobody is answered who can't sign"
+
+    def warned() -> bool:
+        shown = [json.loads(payload) for topic, payload in listener.all if topic.endswith("/state")]
+        return any(row["errorType"] == "forgedStop" for body in shown for row in body["errors"])
+
+    pump("the warning", warned, publisher, listener)
+
+
+@pytest.mark.parametrize("payload", [b"", b"stop", b"\xff" * 100, b"{}" + b" " * 5000, b'{"body": "{}", "mac": "00"}'])
+def test_nonsense(enrol: Enrol, listener: Listener, settings: FleetSettings, payload: bytes) -> None:
+    robot = Pretended()
+    publisher = enrol(robot=robot)
+    arrived(publisher, listener, topics.stop(settings.text("robot.manufacturer")), payload)
+    assert robot.asked == []
+    assert stop_all(settings, publisher).all_reached(levels.OBSERVED), "and a genuine one is obeyed"
+
+
+def test_a_flood(enrol: Enrol, broker: Mosquitto, key: str, settings: FleetSettings) -> None:
+    """Of messages that look like stops, from who has no key and goes on with it."""
+    robot = Pretended()
+    publisher = enrol(robot=robot)
+    topic = topics.stop(settings.text("robot.manufacturer"))
+    junk = order(key)[:-4] + b'00"}'
+    flooder = Listener(settings, "nothing")
+    pump("the flooder", lambda: not flooder.broker.problem, flooder)
+    ended = threading.Event()
+    sent = []
+
+    def flood() -> None:
+        while not ended.is_set():
+            for _ in range(50):
+                flooder.broker.say(topic, junk, qos=0)
+            flooder.turn(0.0)
+            sent.append(50)
+
+    flooding = threading.Thread(target=flood)
+    flooding.start()
+    try:
+        pump("the flood", lambda: publisher._obedience.forged > 500, publisher)
+        tally = stop_all(settings, publisher)
+    finally:
+        ended.set()
+        flooding.join()
+        flooder.broker.close()
+    assert tally.all_reached(levels.OBSERVED)
+    assert len(robot.asked) == 1
+    assert sum(sent) > 1000
+
+
+def test_a_forged_confirmation(enrol: Enrol, listener: Listener, settings: FleetSettings, tmp_path: Path) -> None:
+    """By who sees the stop's id and has no key; and one of another stop, recorded."""
+    signed.make_key(str(tmp_path / "other"))
+    other = signed.read_key(str(tmp_path / "other"))
+    maker_id = settings.text("robot.manufacturer")
+    key = signed.read_key(settings.text("stop.key_file"))
+    enrol().broker.close()
+    sender = Sender(settings, "smoke", "ann")
+    done = dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0)
+    topic = topics.answer(maker_id, sender.id, "r1")
+    recorded = Answer(STOP, "r1", done).message(key)
+    running = threading.Thread(daemon=True, target=sender.run, args=(2.0,))
+    running.start()
+    while running.is_alive():
+        listener.broker.say(topic, Answer(sender.id, "r1", done).message(other))
+        listener.broker.say(topic, recorded)
+        listener.turn(0.02)
+    assert sender.sent_s is not None
+    assert [row.robot for row in sender.tally.missing()] == ["r1"]
+
+
+def test_somebody_takes_a_robot_off_the_broker(
+    enrol: Enrol, listener: Listener, settings: FleetSettings, broker: Mosquitto, key: str, tmp_path: Path
+) -> None:
+    """Without a list nobody misses it; with one it is missed."""
+    maker_id = settings.text("robot.manufacturer")
+    publisher = enrol("r1")
+    enrol("r2").broker.close()
+    arrived(publisher, listener, topics.of_robot(maker_id, "r2", topics.CONNECTION), b"")
+    names = tmp_path / "robots"
+    names.write_text("r1\nr2  # the one in hall 2\n")
+    listed = broker.settings(stop__key_file=key, robot__manufacturer=maker_id, stop__robots_file=str(names))
+    assert [row.robot for row in stop_all(listed, publisher, wait_s=1.0).missing()] == ["r2"]
+
+
+def test_the_broker_goes_and_comes_back(enrol: Enrol, settings: FleetSettings, broker: Mosquitto) -> None:
+    robot = Pretended()
+    publisher = enrol(robot=robot)
+    broker.kill()
+    pump("the loss", lambda: publisher.broker.problem, publisher)
+    sender = Sender(settings, "smoke", "ann")
+    running = threading.Thread(daemon=True, target=sender.run, args=(20.0,))
+    running.start()
+    pump("an attempt in vain", lambda: sender.broker.problem.startswith("no broker"), publisher)
+    broker.start()
+    while running.is_alive():
+        publisher.turn(0.005)
+    assert sender.tally.all_reached(levels.OBSERVED)
+    assert len(robot.asked) == 1
+
+
+def test_a_robot_that_comes_late_is_stopped_too(enrol: Enrol, settings: FleetSettings, key: str) -> None:
+    """It was away when the stop was sent, and the broker knows of it."""
+    enrol("r2").close()
+    here = enrol("r1")
+    sender = Sender(settings, "smoke", "ann")
+    running = threading.Thread(daemon=True, target=sender.run, args=(20.0,))
+    running.start()
+    pump("the first to confirm", lambda: sender.tally.reached(levels.ACKNOWLEDGED) == ["r1"], here)
+    late = Pretended()
+    publisher = enrol("r2", late)
+    while running.is_alive():
+        publisher.turn(0.005)
+        here.turn(0.005)
+    assert sender.tally.missing() == []
+    assert len(late.asked) == 1
+
+
+def test_no_key_on_the_robot_is_said_and_missed(
+    enrol: Enrol, listener: Listener, settings: FleetSettings, tmp_path: Path
+) -> None:
+    robot = Pretended()
+    publisher = enrol(robot=robot, stop__key_file=str(tmp_path / "none"))
+
+    def said() -> bool:
+        shown = [json.loads(payload) for topic, payload in listener.all if topic.endswith("/state")]
+        return any(row["errorType"] == "fleetStopOff" for body in shown for row in body["errors"])
+
+    pump("the warning", said, publisher, listener)
+    tally = stop_all(settings, publisher, wait_s=1.0)
+    assert [row.why for row in tally.missing()] == ["no answer"]
+    assert robot.asked == []
+
+
+def test_a_service_that_is_not_there_is_no_confirmation(enrol: Enrol, settings: FleetSettings) -> None:
+    robot = Pretended()
+    robot.state, robot.problem = None, "no service named 'failstop' is running"
+    tally = stop_all(settings, enrol(robot=robot), wait_s=1.0)
+    assert [row.why for row in tally.missing()] == ["failed: no service named 'failstop' is running"]
+    assert len(robot.asked) > 1, "it is tried again"
+
+
+def test_a_store_that_can_not_be_written_keeps_nobody_from_stopping(
+    enrol: Enrol, settings: FleetSettings, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    robot = Pretended()
+    publisher = enrol(robot=robot)
+    (tmp_path / "r1").rename(tmp_path / "away")
+    assert stop_all(settings, publisher).all_reached(levels.OBSERVED)
+    pump("the complaint", lambda: not publisher._unsaved, publisher)
+    assert "a restart forgets what was obeyed" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("data", [b"", b"nonsense", b'{"ids": 3}'])
+def test_a_damaged_store_keeps_nobody_from_stopping(
+    enrol: Enrol, settings: FleetSettings, tmp_path: Path, data: bytes
+) -> None:
+    (tmp_path / "r1").mkdir()
+    (tmp_path / "r1" / "fleet-stops.json").write_bytes(data)
+    robot = Pretended()
+    assert stop_all(settings, enrol(robot=robot)).all_reached(levels.OBSERVED)
+    assert len(robot.asked) == 1
+
+
+def test_two_senders_at_once(enrol: Enrol, settings: FleetSettings) -> None:
+    robot = Pretended()
+    publisher = enrol(robot=robot)
+    senders = [Sender(settings, f"reason {number}", "ann") for number in range(2)]
+    threads = [threading.Thread(daemon=True, target=sender.run, args=(10.0,)) for sender in senders]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        publisher.turn(0.005)
+    assert all(sender.tally.all_reached(levels.ACKNOWLEDGED) for sender in senders)
+    assert len(robot.asked) == 2
