@@ -66,7 +66,7 @@ def _blocked(robot: Robot) -> str:
     """Why driving is pointless, with the command that helps."""
     state = robot.state
     if state.estop:
-        return f"stop latched ({state.cause}); next: {next_step(state)}"
+        return f"e-stop latched ({state.cause}); next: {next_step(state)}"
     if not state.enabled:
         return f"motion is disabled; next: {next_step(state)}"
     return ""
