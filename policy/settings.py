@@ -260,13 +260,18 @@ BY_KEY = {setting.key: setting for setting in DECLARED}
 WHEEL_IDS = ("wheels.id_1", "wheels.id_2", "wheels.id_3", "wheels.id_4")
 
 
+MOST_TOLD = 8
+"""Wrong settings that are told of at once."""
+
+
 class Settings:
     """A complete, checked set of values."""
 
     __slots__ = ("named", "values")
 
     def __init__(self, changed: dict[str, object] | None = None) -> None:
-        """Raises SettingError for an unknown key, a wrong type, a value out of range, or values that contradict.
+        """Raises SettingError for unknown keys, wrong types, values out of range, all of them at once, or values that
+        contradict.
 
         An empty dict as a value is an empty table: of a source or an interlock it is one with every default.
         """
@@ -274,15 +279,25 @@ class Settings:
         # Family, name, key: every value of every named table.
         self.named: dict[str, dict[str, dict[str, float | str]]] = {family: {} for family in FAMILIES}
         self.named["sources"][FIRST_SOURCE] = {}
+        wrong = []
         for key, value in (changed or {}).items():
-            if key in BY_KEY:
-                self.values[key] = BY_KEY[key].check(value)
-            elif key.partition(".")[0] in FAMILIES:
-                self._set_named(key, value)
-            elif not (value == {} and any(known.startswith(f"{key}.") for known in BY_KEY)):
-                raise _unknown(key)
+            try:
+                self._set(key, value)
+            except SettingError as error:
+                wrong.append(str(error))
+        if wrong:
+            more = f"; and {len(wrong) - MOST_TOLD} more" if len(wrong) > MOST_TOLD else ""
+            raise SettingError("; ".join(wrong[:MOST_TOLD]) + more)
         self._fill_named()
         self._cross_check()
+
+    def _set(self, key: str, value: object) -> None:
+        if key in BY_KEY:
+            self.values[key] = BY_KEY[key].check(value)
+        elif key.partition(".")[0] in FAMILIES:
+            self._set_named(key, value)
+        elif not (value == {} and any(known.startswith(f"{key}.") for known in BY_KEY)):
+            raise _unknown(key)
 
     def _set_named(self, key: str, value: object) -> None:
         family, _, rest = key.partition(".")

@@ -42,8 +42,12 @@ def word(state: State) -> str:
 
 def headline(state: State, blocked: str | None = None) -> str:
     """What the wheels do and why, in a line; `blocked`: the same block in other words."""
-    if state.blocked:
-        return f"blocked: {blocked or state.blocked}"
+    if blocked and state.blocked:
+        return f"blocked: {blocked}"
+    if state.cause:
+        return f"stop latched: {state.cause}"
+    if state.block:
+        return f"blocked: {state.block.value}"
     return words.velocity(*state.body_vel) or "zero is commanded"
 
 

@@ -15,8 +15,8 @@ COMMANDS = {
     "run": ("cli.commands.run", "run the service in the foreground"),
     "sim": ("lab.commands.sim", "a simulated board on a pty"),
     "demo": ("lab.commands.demo", "simulated robot: a drive, every kill, and its measured stop"),
-    "status": ("cli.commands.status", "what the wheels may do and why, processes, last stop"),
-    "watch": ("cli.commands.watch", "the same as status, live, with velocity and vibration"),
+    "status": ("cli.commands.status", "what the wheels do and why, processes, last stop; live with -w"),
+    "watch": ("cli.commands.watch", "the same as status --watch"),
     "why": ("cli.commands.why", "what holds the wheels, since when, and what to do, in plain words"),
     "events": ("cli.commands.events", "what happened: stops, deaths, requests"),
     "incident": ("cli.commands.incident", "the black box: each stop as a story, a picture, MCAP"),
@@ -48,6 +48,8 @@ GROUPS = (
     ("service", ("run", "sim", "web", "ros2", "install", "uninstall", "completion")),
 )
 """What `failstop --help` shows together; a command that is in none is shown at the end."""
+HIDDEN = frozenset(("watch", "estop", "chaos"))
+"""What it leaves out: second names, and what is for those who change failstop."""
 
 DESCRIPTION = """The layer that makes a robot stop.
 Whatever dies or hangs, the wheels are told to stop.
@@ -66,8 +68,8 @@ def _usage() -> str:
     width = max(map(len, COMMANDS))
     parts = ["usage: failstop COMMAND [OPTION ...]", DESCRIPTION]
     for title, names in groups():
-        if names:
-            parts.append("\n".join([f"{title}:", *(f"  {name:<{width}}  {COMMANDS[name][1]}" for name in names)]))
+        if shown := [name for name in names if name not in HIDDEN]:
+            parts.append("\n".join([f"{title}:", *(f"  {name:<{width}}  {COMMANDS[name][1]}" for name in shown)]))
     parts.append("`failstop COMMAND --help` says more, with examples; so does `man failstop`.")
     return "\n\n".join(parts) + "\n"
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.cli.main import COMMANDS, main
+from failstop.cli.main import COMMANDS, HIDDEN, main
 from failstop.lab.trial import Trial
 from tests.support.commands import failstop
 
@@ -36,7 +36,7 @@ def test_a_session(trial: Trial) -> None:
     assert "e-stop latched (stop request: hand near wheel" in refused.stderr
     assert failstop("drive", "0.1", "0", "0", *at).returncode == 2
     screen = failstop("status", *at).stdout
-    assert "blocked: estop: stop request: hand near wheel" in screen
+    assert "stop latched: stop request: hand near wheel" in screen
     assert "`failstop reset --name" in screen
     assert "motion still disabled" in failstop("reset", *at).stdout
     assert failstop("disable", *at).stdout == "motion disabled\n"
@@ -89,7 +89,7 @@ def test_status_is_quick(trial: Trial) -> None:
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     text = failstop("--help").stdout
     for command in COMMANDS:
-        assert f"  {command} " in text
+        assert (f"  {command} " in text) == (command not in HIDDEN)
         with contextlib.suppress(SystemExit):
             assert main([command, "--help"]) == 0
         assert f"failstop {command}" in capsys.readouterr().out
@@ -122,3 +122,20 @@ def test_config_lists_every_setting() -> None:
     text = failstop("config").stdout
     for setting in DECLARED:
         assert setting.key in text
+
+
+def test_a_differential_base_says_that_it_cannot_move_sideways(name: str, tmp_path: Path) -> None:
+    config = tmp_path / "failstop.toml"
+    config.write_text('[wheels]\nlayout = "differential"\n')
+    with Trial(name, ("--config", str(config))) as trial:
+        trial.enable()
+        sideways = failstop("drive", "0", "0.1", "0", "--name", trial.name)
+        assert sideways.returncode == 2
+        assert "a differential base can't move sideways" in sideways.stderr
+        assert failstop("drive", "0.1", "0", "0.1", "--for", "0.2", "--name", trial.name).returncode == 0
+
+
+def test_status_is_live_with_an_option_and_needs_a_terminal_for_it(trial: Trial) -> None:
+    live = failstop("status", "-w", "--name", trial.name)
+    assert (live.returncode, live.stdout) == (1, "")
+    assert "needs a terminal" in live.stderr

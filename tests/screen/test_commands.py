@@ -40,10 +40,10 @@ def test_status_through_its_states(trial: Trial) -> None:
     head = f"wheels    STOPPED  blocked: disabled\nnext      `failstop enable --name {trial.name}`\n"
     assert said(trial, "status").startswith(head)
     trial.enable()
-    assert "blocked: cmd timeout" in said(trial, "status")
+    assert "blocked: no command" in said(trial, "status")
     latch(trial)
     shown = said(trial, "status")
-    assert "blocked: estop: stop request: hand near (trial, pid" in shown
+    assert "stop latched: stop request: hand near (trial, pid" in shown
     named = f"--name {trial.name}`"
     assert f"`failstop reset {named}, then `failstop enable {named}" in " ".join(shown.split())
     assert "written after" in shown

@@ -57,7 +57,7 @@ def test_a_screen_of_24_lines_holds_it(name: str) -> None:
 def test_what_the_screen_says() -> None:
     said = shown(summary.lines(STATES["latched"], NOW_S, 120))
     for part in (
-        "wheels    STOPPED  blocked: estop: stop request: hand near the left wheel (failstop estop, pid 4711)",
+        "wheels    STOPPED  stop latched: stop request: hand near the left wheel (failstop estop, pid 4711)",
         "next      `failstop reset`, then `failstop enable`",
         "written after 0.21 ms, acknowledged after 4.40 ms, still after about 0.3 s",
         "/dev/ttyACM0 open, link alive",
@@ -118,7 +118,7 @@ def _live(rows: int = 40, columns: int = 100) -> tuple[live.Live, list[style.Lin
 
 def test_the_live_screen_has_its_history() -> None:
     _, lines = _live()
-    speed, turn, shake = (style.plain(line) for line in lines[2:5])
+    speed, turn, shake = (style.plain(line) for line in lines[3:6])
     assert speed.endswith("▁" * 15 + "█" * 15)
     assert turn.endswith("▁" * 30)
     assert "rad/s shakes" in shake
@@ -277,3 +277,15 @@ def test_the_word_is_on_the_live_screen_too() -> None:
 @pytest.mark.parametrize("text", ["a ` alone", "`", "two `ones` and one `", "`failstop reset`, then", ""])
 def test_no_text_is_changed_by_its_backquotes(text: str) -> None:
     assert style.plain(summary.commands(text)) == text
+
+
+def test_the_last_events_fill_the_rows_that_are_free() -> None:
+    told_ = [Event(at, NOW_S - 9 + at, 0, "enabled", "notice", f"number {at}", {}) for at in range(1, 6)]
+    tall = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, 60, told_)
+    assert [style.plain(line).split()[-1] for line in tall[-5:]] == ["1", "2", "3", "4", "5"]
+    plain = [style.plain(line) for line in tall]
+    assert plain[1].startswith("wheels    STOPPED"), "the headline is first"
+    short = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, len(tall) - 3, told_)
+    assert [style.plain(line).split()[-1] for line in short[-2:]] == ["4", "5"], "the newest"
+    none = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, len(tall) - 6, told_)
+    assert "last events" not in "".join(style.plain(line) for line in none)

@@ -33,11 +33,11 @@ def watch(trial: Trial) -> Iterator[Typist]:
 
 def test_it_follows_what_happens(watch: Typist, trial: Trial) -> None:
     trial.enable()
-    watch.wait("blocked: cmd timeout")
+    watch.wait("blocked: no command")
     trial.drive(0.8, each=watch.peek)
     assert "█" in watch.screen()
     trial.robot.estop("hand near")
-    watch.wait("blocked: estop: stop request: hand near")
+    watch.wait("stop latched: stop request: hand near")
     watch.wait(f"`failstop reset --name {trial.name}`")
 
 
@@ -120,7 +120,7 @@ def _ticks(pid: int) -> int:
 def test_it_costs_little(watch: Typist, trial: Trial) -> None:
     """While the robot drives, when everything on the screen changes."""
     trial.enable()
-    wait_for("the screen to settle", lambda: "cmd timeout" in watch.look(0.05))
+    wait_for("the screen to settle", lambda: "no command" in watch.look(0.05))
     before = _ticks(watch.process.pid)
     trial.drive(CPU_S, each=watch.peek)
     spent_s = (_ticks(watch.process.pid) - before) / os.sysconf("SC_CLK_TCK")

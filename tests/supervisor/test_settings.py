@@ -421,3 +421,14 @@ def test_no_allowed_values_make_a_wheel_that_no_frame_can_carry(layout: str) -> 
     worst = {key: value for key, value in worst.items() if key not in WHEEL_IDS}
     worst["wheels.diameter_m"] = BY_KEY["wheels.diameter_m"].low
     assert Settings({**worst, "wheels.layout": layout}).max_wheel_rps() * ROUNDING_OF_LIMITS < RPS_CEILING
+
+
+def test_everything_that_is_wrong_is_told_at_once() -> None:
+    given = {"gate.period": 1, "limits.vx_mps": "fast", "sources.nav.prio": 1, "gate.period_s": 0.02}
+    with pytest.raises(SettingError) as told:
+        Settings(dict(given))
+    assert str(told.value).startswith("gate.period: no such setting")
+    for key in ("gate.period:", "limits.vx_mps = ", "sources.nav.prio:"):
+        assert key in str(told.value)
+    with pytest.raises(SettingError, match=r"; and 12 more$"):
+        Settings({f"x.y{at}": 1 for at in range(20)})

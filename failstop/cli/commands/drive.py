@@ -39,6 +39,8 @@ def main(arguments: Namespace) -> int:
         if reason := _blocked(robot):
             raise Refused(reason)
         asked = (arguments.vx, arguments.vy, arguments.wz)
+        if arguments.vy and robot.settings["wheels.layout"] == "differential":
+            raise Refused(f"a differential base can't move sideways: {arguments.vy:g} m/s left is not for it; give 0")
         reached = asked
         while time.monotonic() < until_s:
             robot.drive(*asked, manual=True)
@@ -64,7 +66,7 @@ def _blocked(robot: Robot) -> str:
     """Why driving is pointless, with the command that helps."""
     state = robot.state
     if state.estop:
-        return f"e-stop latched ({state.estop}); next: {next_step(state)}"
+        return f"e-stop latched ({state.cause}); next: {next_step(state)}"
     if not state.enabled:
         return f"motion is disabled; next: {next_step(state)}"
     return ""

@@ -74,7 +74,9 @@ def main(arguments: Namespace) -> int:
     configured = look.configured_device(request)
     found = dataclasses.replace(look.look(request, brought.units), configured_device=configured)
     device = plan.device_of(brought, request, found)
-    found = dataclasses.replace(found, device_there=device == LINK or os.path.exists(device))
+    there = device == LINK or os.path.exists(device)
+    # What would be done can be shown without a board.
+    found = dataclasses.replace(found, device_there=there or dry)
     made = plan.install(brought, request, environment.digest() if environment else "", found)
     if arguments.json:
         print(dialogue.as_json(made))

@@ -1,4 +1,4 @@
-"""`failstop status`: one screen, or JSON."""
+"""`failstop status`: one screen, live with --watch, or JSON."""
 
 from __future__ import annotations
 
@@ -17,19 +17,27 @@ if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
 EXAMPLES = """\
-failstop status                        # one screen; live: failstop watch
+failstop status                        # one screen
+failstop status -w                     # live; q or Ctrl-C ends it
+ssh -t robot failstop status -w        # from elsewhere
 failstop status --json | jq .blocked   # for programs
 """
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop status`."""
-    parser.add_argument("--json", action="store_true", help="for programs")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("-w", "--watch", action="store_true", help="live, with velocity and vibration, until q or Ctrl-C")
+    how.add_argument("--json", action="store_true", help="for programs")
     add_name(parser)
 
 
 def main(arguments: Namespace) -> int:
     """Print the state."""
+    if arguments.watch:
+        from failstop.cli.commands import watch
+
+        return watch.main(arguments)
     try:
         state = StateReader(arguments.name).read()
     except NoService as error:

@@ -1,4 +1,4 @@
-"""`failstop watch`: the state live, until q or Ctrl-C."""
+"""`failstop status --watch`: the state live, until q or Ctrl-C; `failstop watch` is a second name of it."""
 
 from __future__ import annotations
 

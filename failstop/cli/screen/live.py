@@ -7,7 +7,7 @@ from math import hypot, sqrt
 
 from failstop.api import host, words
 from failstop.cli import style
-from failstop.cli.screen import summary
+from failstop.cli.screen import summary, told
 from failstop.cli.screen.sparkline import spark
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 from failstop.policy.settings import BY_KEY
@@ -24,6 +24,7 @@ REMEMBERED = 400
 """Values a sparkline can show; a wider terminal leaves a gap."""
 WINDOW = 10
 """Samples, a second of them, that a vibration is taken from."""
+MOST_EVENTS = 12
 SLOW_S = 0.5
 """Ages and the process table are drawn anew this often: digits that change faster can't be read."""
 STILL_RADPS = float(BY_KEY["still.std_radps"].default)
@@ -91,8 +92,9 @@ class Live:
         if key != self._key or mono_s - self._drawn_s >= SLOW_S:
             self._key, self._drawn_s = key, mono_s
             self._slow = summary.lines(state, unix_s, columns, events)[len(self._wheels(state, columns)) :]
-        body = [*self._wheels(state, columns), *self._slow]
-        return fit([self._title(unix_s, columns), [], *self._bars(state, columns), [], *body], rows)
+        head = [self._title(unix_s, columns), *self._wheels(state, columns), []]
+        body = [*head, *self._bars(state, columns), [], *self._slow]
+        return fit([*body, *_news(events, unix_s, rows - len(body))], rows)
 
     def _wheels(self, state: State, columns: int) -> list[Line]:
         return style.wrap(summary.wheels(state)[0], columns, summary.LABEL)
@@ -143,6 +145,12 @@ class Live:
             [("to start it:         ", PLAIN), (host.start(self._name, self._device), STRONG)],
         ]
         return [part for row in rows for part in (style.wrap(row, columns, 0) if row else [row])]
+
+
+def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
+    """The last events, as many as there are rows for them, each in one."""
+    count = min(room - 2, len(events), MOST_EVENTS)
+    return [[], [("last events", DIM)], *(told.line(event, unix_s) for event in events[-count:])] if count > 0 else []
 
 
 def fit(lines: list[Line], rows: int) -> list[Line]:

@@ -9,6 +9,7 @@ from failstop.lab.sim.usb.port import VHCI
 
 IMU_HZ = 110.0
 BATTERY_MV = 12_000
+LINK = "/tmp/board"
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,12 @@ class Options:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `failstop sim`."""
     add = parser.add_argument
-    add("--device", metavar="LINK", required=True, help="where to place the link to the simulated port")
+    add(
+        "--device",
+        metavar="LINK",
+        default=LINK,
+        help="where to place the link to the simulated port (default: %(default)s)",
+    )
     add("--record", metavar="FILE", help="write every chunk, frame and fault to FILE, one JSON object per line")
     add(
         "--imu-hz",
