@@ -137,7 +137,7 @@ def _run(made: image.Image, saved: Path, place: Path, disk: Path, names: list[st
             except (GuestError, SimBoardError, TrialError, OSError) as error:
                 run.say(f"{OUTSIDE}: {error}")
 
-    with Guest(made, place / INSIDE, disk, disk=saved) as machine:
+    with Guest(made, place / INSIDE, disk, disk=saved, clock=guest.LEAPS) as machine:
         install(machine, run)
         thread = None
         if mine[OUTSIDE]:
