@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants deb vm wheels clean
+.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs site deb vm wheels clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -64,6 +64,21 @@ mutants: $(VENV)/.dev
 TRIALS ?=
 vm: $(VENV)/.dev
 	@$(BIN)/python -m bench.vm $(if $(TRIALS),--only $(TRIALS))
+
+# What is made from tables of the code: tests compare each with its table.
+docs: $(VENV)/.installed
+	$(BIN)/failstop config --example > examples/failstop.toml
+	$(BIN)/failstop config --markdown > docs/configuration.md
+	$(BIN)/python -m failstop.cli.manual > man/failstop.1
+	$(BIN)/python -m failstop.cli.manual causes > docs/causes.md
+	$(BIN)/python -m failstop.cli.catalog systemd/failstop.catalog
+	$(BIN)/python -m failstop.cli.catalog docs/journal.md
+	$(BIN)/python -m failstop.ros2.page docs/ros2.md
+
+# The pages as a site, in build/site; a link that leads nowhere is an error.
+site: $(VENV)/.dev
+	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,docs]'
+	$(BIN)/zensical build --clean --strict
 
 deb: $(VENV)/.installed
 	@$(BIN)/python packaging/deb/build.py

@@ -10,7 +10,7 @@ import os
 import sys
 import time
 
-from bench import beside, kills, oneway, peers, report, service, visit
+from bench import arm, beside, kills, oneway, peers, report, service, visit
 from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
@@ -25,6 +25,7 @@ def main() -> int:
     parser.add_argument("--hangs", type=int, default=20, help="of each process (default: 20)")
     parser.add_argument("--peer-kills", type=int, default=30, help="of each peer (default: 30)")
     parser.add_argument("--unit-kills", type=int, default=30, help="of the systemd unit, of each kind (default: 30)")
+    parser.add_argument("--arm-faults", type=int, default=40, help="of each fault of the arm's (default: 40)")
     parser.add_argument("--messages", type=int, default=3000, help="through each channel (default: 3000)")
     parser.add_argument("--seconds", type=float, default=20, help="of driving for processor and memory (default: 20)")
     parser.add_argument("--seed", type=int, default=1, help="of the random moments")
@@ -51,6 +52,8 @@ def main() -> int:
     with carriers, kills.heavy(), Trial(options=("--config", config)) as trial:
         quarter = arguments.kills // 4
         rows += kills.measure(trial, quarter, arguments.seed, progress, carriers, ballast_mb=kills.BALLAST_MB)
+    with carriers:
+        rows += arm.measure(arguments.arm_faults, arguments.seconds, arguments.seed, carriers, progress)
     rows += service.measure(arguments.unit_kills, arguments.seed, progress)
     rows += peers.measure(arguments.peer_kills, arguments.seed, progress)
     rows += oneway.measure(arguments.messages, progress)

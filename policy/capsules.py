@@ -7,7 +7,7 @@ joint turns what is behind it about the vertical (yaw), about an axis across (pi
 
 from __future__ import annotations
 
-from math import ceil, cos, sin
+from math import ceil, cos, inf, sin, sqrt
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -50,45 +50,57 @@ class Model:
             at = end
         return found
 
-    def hit(self, angles: dict[str, float]) -> tuple[str, str] | None:
-        """The pair that touches in these angles; None: none does. What is mounted on each other is no pair."""
+    def nearest(self, angles: dict[str, float]) -> tuple[float, str, str]:
+        """The pair that is nearest to touching in these angles, with the gap between both (m; below 0: they touch).
+        What is mounted on each other is no pair."""
         links = self.capsules(angles)
+        found = (inf, "", "")
         for index, link in enumerate(links):
             name, begin, end, radius_m = link
-            if index and min(begin[2], end[2]) < radius_m:
-                return name, FLOOR
-            if index and _touch(link, self._chassis):
-                return name, CHASSIS
+            if index:
+                found = min(
+                    found, (min(begin[2], end[2]) - radius_m, name, FLOOR), (_gap_m(link, self._chassis), name, CHASSIS)
+                )
             for other in links[index + 2 :]:
-                if _touch(link, other):
-                    return name, other[0]
-        return None
+                found = min(found, (_gap_m(link, other), name, other[0]))
+        return found
+
+    def hit(self, angles: dict[str, float]) -> tuple[str, str] | None:
+        """The pair that touches in these angles; None: none does."""
+        gap_m, name, other = self.nearest(angles)
+        return (name, other) if gap_m < 0.0 else None
 
     def on_the_way(
         self, start: dict[str, float], rows: list[tuple[float, dict[str, float]]]
     ) -> tuple[float, str, str] | None:
         """When (s; 0 where a row has no time), and the pair that touches first, on the straight way (in angles) from
-        `start` along the rows; None: none does."""
-        before = (0.0, start)
+        `start` along the rows; None: none does. What touches already may part."""
+        before, gap_m = (0.0, start), self.nearest(start)[0]
         for t_s, to in rows:
             row = (t_s, {**before[1], **to})
             steps = max(1, ceil(max(abs(row[1][name] - before[1].get(name, 0.0)) for name in row[1]) / STEP_RAD))
             for step in range(1, steps + 1):
                 share = step / steps
                 angles = {name: _between(before[1].get(name, 0.0), angle, share) for name, angle in row[1].items()}
-                if found := self.hit(angles):
-                    return _between(before[0], row[0], share), *found
+                was_m, (gap_m, name, other) = gap_m, self.nearest(angles)
+                if gap_m < min(0.0, was_m):
+                    return _between(before[0], row[0], share), name, other
             before = row
         return None
+
+
+def would_hit(name: str, other: str, when_s: float | None = None) -> str:
+    """In words."""
+    when = "" if when_s is None else f"after {when_s:.2f} s "
+    return f"the arm would hit something {when}on its way: {name} and {other}"
 
 
 def _between(a: float, b: float, share: float) -> float:
     return a + share * (b - a)
 
 
-def _touch(one: Capsule, other: Capsule) -> bool:
-    reach_m = one[3] + other[3]
-    return _apart_squared(one[1], one[2], other[1], other[2]) < reach_m * reach_m
+def _gap_m(one: Capsule, other: Capsule) -> float:
+    return sqrt(_apart_squared(one[1], one[2], other[1], other[2])) - one[3] - other[3]
 
 
 def _dot(a: Point, b: Point) -> float:

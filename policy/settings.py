@@ -91,6 +91,7 @@ LONGEST_TEXT = 255
 SWITCH = ("on", "off")
 TURNS = ("none", "yaw", "pitch", "roll")
 LAYOUTS = ("mecanum", "differential")
+WEB_TLS = ("auto", "on", "off")
 
 DECLARED = (
     Setting("device.path", "/dev/ttyACM0", "", None, None, "the motor board's port"),
@@ -182,7 +183,15 @@ DECLARED = (
     Setting("arm.auto_tuck", "on", "", None, None, "an arm that is left alone goes to its tuck pose", SWITCH),
     Setting("arm.auto_tuck_s", 120.0, "s", 1.0, 86400.0, "left alone for this long, motion disabled, nothing latched"),
     Setting("arm.tuck_notice_s", 5.0, "s", 0.1, 60.0, "so long before that it is told, with a tone"),
-    Setting("arm.collision", "off", "", None, None, "a way on which the arm would hit something is refused", SWITCH),
+    Setting(
+        "arm.collision",
+        "off",
+        "",
+        None,
+        None,
+        "what would have the arm hit itself, the chassis or the floor is not sent",
+        SWITCH,
+    ),
     Setting("arm.mount_x_m", 0.0, "m", -1.0, 1.0, "where the arm is mounted, forward of the chassis' middle"),
     Setting("arm.mount_z_m", 0.1, "m", 0.0, 2.0, "and how high above the floor"),
     Setting("arm.chassis_length_m", 0.3, "m", 0.0, 3.0, "the chassis as a capsule along the robot: its length"),
@@ -196,6 +205,11 @@ DECLARED = (
     Setting("incidents.save", "on", "", None, None, "keep the black box in a file after each latched stop", SWITCH),
     Setting("incidents.keep", 50, "", 1, 10000, "so many of these files; the oldest go first"),
     Setting("incidents.max_mb", 100, "MB", 1, 100000, "and no more than this together; the newest stays in any case"),
+    Setting("web.address", "127.0.0.1", "", None, None, "the operator's page (`failstop web`) listens here"),
+    Setting("web.port", 8477, "", 0, 65535, "on this port; 0: any that is free"),
+    Setting("web.hosts", "", "", None, None, "names that the page answers to, with blanks between; its own always"),
+    Setting("web.tls", "auto", "", None, None, "HTTPS; auto: unless only this machine is listened to", WEB_TLS),
+    Setting("web.pairing", "off", "", None, None, "paired devices may reset and enable; others see and stop", SWITCH),
     Setting("restart.deaths", 5, "", 1, 100000, "after this many deaths within the window, down until a reset"),
     Setting("restart.window_s", 60.0, "s", 1.0, 3600.0, "the window in which deaths are counted"),
     Setting("restart.backoff_s", 0.1, "s", 0.001, 2.0, "wait before the second restart in the window; then doubled"),

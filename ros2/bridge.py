@@ -17,6 +17,7 @@ from failstop.ros2.link import Link
 from failstop.ros2.mirrors import BY_NAME
 from failstop.ros2.outward import Outward
 from failstop.ros2.shared import Shared
+from failstop.ros2.spinner import Spinner
 
 CONNECT_S = 1.0
 """How long the start waits for a service, whose settings the parameters show."""
@@ -101,18 +102,14 @@ class Bridge:
 
     def run(self) -> None:
         """Until a signal, or the end of the ROS context."""
-        from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+        from rclpy.executors import ExternalShutdownException
 
-        executor = SingleThreadedExecutor()
-        executor.add_node(self._node)
-        if hasattr(executor, "_guard"):
-            # After each callback it wakes up whoever else may wait, itself here, builds another wait set, and finds
-            # nothing: half of its time. One thread alone spins.
-            executor._guard.trigger = lambda: None
+        spinner = Spinner(self._node)
         self._outward.start()
         try:
             while not self._shared.ending and self._rclpy.ok():
-                executor.spin_once()
+                spinner.turn(self._inward.due_s())
+                self._inward.turn()
                 self._follow_settings()
         except (KeyboardInterrupt, ExternalShutdownException):
             pass
@@ -122,7 +119,7 @@ class Bridge:
             if self._inward.arm:
                 self._inward.arm.close()
             self._outward.end()
-            executor.shutdown()
+            spinner.close()
             self._node.destroy_node()
 
     def _follow_settings(self) -> None:
@@ -134,7 +131,7 @@ class Bridge:
                 self._show(shown)
 
     def end(self, _number: int, _frame: object) -> None:
-        """Signal handler: end at the next turn, which comes within 20 ms."""
+        """Signal handler: end at the next turn, which comes within 50 ms."""
         self._shared.ending = True
 
 

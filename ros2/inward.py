@@ -20,7 +20,7 @@ from failstop.ros2.link import Link
 from failstop.ros2.scan import ScanWatch
 from failstop.ros2.shared import Shared
 
-WATCH_S = 0.05
+WATCH_NS = 50_000_000
 SAY_NS = 1_000_000_000
 LOOK_NS = 500_000_000
 STOP_NS = 1_000_000_000
@@ -66,7 +66,8 @@ class Inward:
         for service, answer in zip(SERVICES, (self._enable, self._reset, self._stop), strict=True):
             # Of groups of their own: all others wait while a callback of the node's group has not come to its end.
             node.create_service(type_of(service.type), service.name, answer, callback_group=group())
-        node.create_timer(WATCH_S, self._watch)
+        self._watch_ns = now_ns
+        """When the watch is due."""
 
     def _subscribe(self, topic: Topic, act: Any, kind: str = "", *, raw: bool = False) -> Any:
         found = type_of(kind or topic.type)
@@ -83,6 +84,16 @@ class Inward:
         latch(self._node, self._link, cause)
 
     # Who commands.
+
+    def due_s(self) -> float:
+        """How long nothing is to be done."""
+        return max(0, self._watch_ns - monotonic_ns()) / 1e9
+
+    def turn(self) -> None:
+        """After every turn of the spinner."""
+        if (now_ns := monotonic_ns()) >= self._watch_ns:
+            self._watch_ns = max(self._watch_ns + WATCH_NS, now_ns)
+            self._watch()
 
     def _turn(self) -> int:
         """Every callback begins so; returns the time."""

@@ -34,7 +34,7 @@ def test_straight_up_and_folded_forward_and_to_the_left() -> None:
 def test_what_it_hits_in_one_place() -> None:
     assert MODEL.hit({}) is None
     assert MODEL.hit({"base": pi / 2, "shoulder": pi / 2, "elbow": pi / 2}) == ("hand", FLOOR)
-    assert MODEL.hit({"shoulder": 2.6}) == ("shoulder", CHASSIS)
+    assert MODEL.hit({"shoulder": 2.6, "elbow": -2.6}) == ("elbow", CHASSIS)
     assert MODEL.hit({"shoulder": 0.3, "elbow": pi - 0.05, "hand": 0.4}) is not None
 
 

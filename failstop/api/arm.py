@@ -6,7 +6,7 @@ from math import isfinite
 from typing import Any
 
 from failstop.api.errors import FailstopError, Refused
-from failstop.policy.capsules import Model
+from failstop.policy.capsules import Model, would_hit
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import Joint
 from failstop.shm import records
@@ -74,6 +74,9 @@ class Arm:
         """Go to a pose of the settings, "drive" or "tuck", slowly (arm.pose_speed). Raises Refused, ValueError."""
         if name not in POSES:
             raise ValueError(f"no pose {name!r}: there are {' and '.join(POSES)}")
+        ends = {joint.name: joint.rad(at) for joint in self.joints.values() if (at := getattr(joint, name)) >= 0}
+        if ends:
+            self._check_way([(0.0, ends)])
         return self._robot._ask(POSES[name], told)
 
     def follow(self, to: Mapping[str, float]) -> None:
@@ -117,15 +120,17 @@ class Arm:
         return found
 
     def _check_way(self, rows: list[tuple[float, dict[str, float]]]) -> None:
-        """Refused where the arm would hit something, from where it was read to be. Here and not in the gate: it takes
-        milliseconds, and the gate has wheels to stop."""
+        """Refused where the arm would hit something, from where it was read to be: all of the way, before it begins.
+        Here and not in the gate, which looks at each move before it sends it, whoever wants it: all of a way takes
+        many milliseconds, and the gate has wheels to stop."""
         if self._model is None:
             return
-        found = self.state["joints"].items()
-        start = {name: joint["commanded_rad"] or joint["angle_rad"] or 0.0 for name, joint in found}
+        start = {}
+        for name, joint in self.state["joints"].items():
+            known = [angle for angle in (joint["commanded_rad"], joint["angle_rad"]) if angle is not None]
+            start[name] = known[0] if known else 0.0
         if hit := self._model.on_the_way(start, rows):
-            when = f"after {hit[0]:.2f} s " if rows[-1][0] else ""
-            raise Refused(f"the arm would hit something {when}on its way: {hit[1]} and {hit[2]}")
+            raise Refused(would_hit(*hit[1:], hit[0] if rows[-1][0] else None))
 
     def _joint(self, name: str) -> Joint:
         if name not in self.joints:

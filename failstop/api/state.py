@@ -37,6 +37,8 @@ class Stop:
     """From noticing the cause to the burst handed to the kernel."""
     acknowledged_us: float | None
     observed_ms: float | None
+    epoch: int = 0
+    """That was raised for it: whoever asked for a stop in an earlier one was answered by this."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -35,14 +35,17 @@ COMMANDS = {
     "install": ("cli.commands.install", "make it a service of this machine, whole or not at all"),
     "uninstall": ("cli.commands.uninstall", "stop the service and take away what install put there"),
     "ros2": ("cli.commands.ros2", "the bridge to ROS 2: its nodes drive through the service"),
+    "metrics": ("cli.commands.metrics", "the state as Prometheus reads it, once or over HTTP"),
+    "fleet": ("cli.commands.fleet", "all robots of a broker: see them, stop them, publish this one"),
+    "web": ("cli.commands.web", "the operator's page: STOP, why, and what happened, on a phone"),
     "completion": ("cli.commands.completion", "the script that completes commands in a shell"),
 }
 
 GROUPS = (
     ("drive", ("enable", "disable", "drive", "teleop", "stop", "estop", "reset", "arm")),
-    ("look", ("status", "watch", "why", "events", "incident")),
+    ("look", ("status", "watch", "why", "events", "incident", "metrics", "fleet")),
     ("check", ("demo", "doctor", "prove", "chaos", "config")),
-    ("service", ("run", "sim", "ros2", "install", "uninstall", "completion")),
+    ("service", ("run", "sim", "web", "ros2", "install", "uninstall", "completion")),
 )
 """What `failstop --help` shows together; a command that is in none is shown at the end."""
 
@@ -111,14 +114,27 @@ def _meant(word: str) -> str:
     return f" (did you mean `failstop {found[0]}`?)" if found else ""
 
 
+def here(name: str) -> bool:
+    """Whether this installation has the command: a robot's may come without the laboratory."""
+    if COMMANDS[name][0].partition(".")[0] != "lab":
+        return True
+    from importlib.util import find_spec
+
+    return find_spec("failstop.lab") is not None
+
+
 def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     """The parser of one command, and its module. The module's EXAMPLES, a text or one for each command of the module,
-    is shown at the end of its help."""
+    is shown at the end of its help. Raises FailstopError when the command is not installed."""
     import argparse
 
     from failstop.cli.manual.shape import EXAMPLES, Shape
 
     home, what = COMMANDS[name]
+    if not here(name):
+        from failstop.api.errors import FailstopError
+
+        raise FailstopError(f"`failstop {name}` is not installed here; next: pip install 'failstop[lab]'")
     module = __import__(f"failstop.{home}", fromlist=["main"])
     parser = argparse.ArgumentParser(
         prog=f"failstop {name}",
@@ -141,13 +157,13 @@ def examples(module: ModuleType, name: str) -> list[str]:
 def _run(name: str, words: list[str]) -> int:
     import argparse
 
-    parser, module = load(name)
     try:
-        arguments = parser.parse_args(words, argparse.Namespace(command=name))
-    except SystemExit as end:
-        # argparse ends with 2 for words that it can't make sense of; here 2 is a refusal.
-        return 1 if end.code else 0
-    try:
+        parser, module = load(name)
+        try:
+            arguments = parser.parse_args(words, argparse.Namespace(command=name))
+        except SystemExit as end:
+            # argparse ends with 2 for words that it can't make sense of; here 2 is a refusal.
+            return 1 if end.code else 0
         code: int = module.main(arguments)
     except KeyboardInterrupt:
         return 130

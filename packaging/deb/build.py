@@ -1,12 +1,13 @@
-"""Build the Debian package with dpkg-deb: `python packaging/deb/build.py [--out DIR]`, run by the environment to pack.
+"""Build the Debian packages with dpkg-deb: `python packaging/deb/build.py [--out DIR]`, run by the environment to pack.
 
-The package holds the Python environment that `failstop install` would make, for the system's interpreter of the running
-version, and the files of systemd/ in the places that belong to packages.
+The package failstop holds the Python environment that `failstop install` would make, for the system's interpreter of
+the running version, and the files of systemd/ in the places that belong to packages. failstop-lab adds the laboratory.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import email.utils
 import gzip
 import hashlib
@@ -27,6 +28,8 @@ HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent.parent
 SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
 CONFIGURATION = "etc/failstop/failstop.toml"
+LABORATORY = "failstop-lab"
+LAB = f"{tree.SITE}/failstop/lab/"
 NOBODY = "failstop developers <root@localhost>"
 DOC = "usr/share/doc/failstop"
 COMPLETIONS = {
@@ -49,32 +52,66 @@ def main() -> int:
     arguments.out.mkdir(parents=True, exist_ok=True)
     try:
         with tempfile.TemporaryDirectory(prefix="failstop-deb-") as directory:
-            print(build(Path(directory) / "root", arguments.out, interpreter))
+            for package in build(Path(directory), arguments.out, interpreter):
+                print(package)
     except InstallError as error:
         print(f"failstop: {error}", file=sys.stderr)
         return 1
     return 0
 
 
-def build(root: Path, out: Path, interpreter: str) -> Path:
-    """Lay the package out in a new directory and pack it; returns the package's path."""
+def build(directory: Path, out: Path, interpreter: str) -> tuple[Path, Path]:
+    """Lay the packages out in a directory and pack them; returns their paths."""
     brought = parts.of_this_version()
+    whole = tree.running(PREFIX, interpreter)
+    inside = {entry for entry in whole.entries if entry.path.startswith(LAB)}
+    robots = dataclasses.replace(whole, entries=tuple(entry for entry in whole.entries if entry not in inside))
+    laboratory = dataclasses.replace(whole, entries=tuple(inside))
+    return (
+        _robots(robots, brought, directory / "failstop", out),
+        _laboratory(laboratory, brought.version, directory / "failstop-lab", out),
+    )
+
+
+def _robots(environment: tree.Environment, brought: parts.Parts, root: Path, out: Path) -> Path:
     (root / "opt").mkdir(parents=True)
-    tree.running(PREFIX, interpreter).write(str(root / PREFIX.lstrip("/")))
+    environment.write(str(root / PREFIX.lstrip("/")))
     for path, text in files(brought).items():
         _write(root / path, text.encode())
     _write_compressed(root / DOC / "changelog.gz", changelog(brought.version))
     _write_compressed(root / "usr/share/man/man1/failstop.1.gz", brought.manual)
     (root / "usr/bin").mkdir(parents=True)
     (root / "usr/bin/failstop").symlink_to(f"{PREFIX}/bin/failstop")
+    _control(
+        root,
+        "control.in",
+        version=brought.version,
+        architecture=_said("dpkg", "--print-architecture"),
+        python=os.path.basename(environment.interpreter),
+        libc=newest_libc(root),
+    )
+    _write(root / "DEBIAN/conffiles", f"/{CONFIGURATION}\n".encode())
+    for name in SCRIPTS:
+        shutil.copyfile(HERE / name, root / "DEBIAN" / name)
+        os.chmod(root / "DEBIAN" / name, 0o755)
+    return _packed(root, out)
+
+
+def _laboratory(environment: tree.Environment, version: str, root: Path, out: Path) -> Path:
+    (root / "opt").mkdir(parents=True)
+    environment.write(str(root / PREFIX.lstrip("/")))
+    _write(root / f"usr/share/doc/{LABORATORY}/copyright", (CHECKOUT / "LICENSE").read_bytes())
+    _write_compressed(root / f"usr/share/doc/{LABORATORY}/changelog.gz", changelog(version, LABORATORY))
+    _control(root, "control-lab.in", version=version, architecture="all")
+    return _packed(root, out)
+
+
+def _packed(root: Path, out: Path) -> Path:
     for folder, _, _ in os.walk(root):
         os.chmod(folder, 0o755)
-    architecture = _said("dpkg", "--print-architecture")
-    _control(root, brought.version, architecture, os.path.basename(interpreter))
-    package = out / f"failstop_{brought.version}_{architecture}.deb"
-    # gzip: much faster than xz, and every dpkg reads it.
-    _said("dpkg-deb", "--root-owner-group", "-Zgzip", "-z4", "--build", str(root), str(package))
-    return package
+    # gzip: much faster than xz, and every dpkg reads it. The directory as target: dpkg-deb names the file.
+    said = _said("dpkg-deb", "--root-owner-group", "-Zgzip", "-z4", "--build", str(root), str(out))
+    return out / os.path.basename(said.split("'")[-2])
 
 
 def files(brought: parts.Parts) -> dict[str, str]:
@@ -107,11 +144,11 @@ def _git(key: str, folder: Path) -> str:
     return done.stdout.strip()
 
 
-def changelog(version: str) -> str:
+def changelog(version: str, package: str = "failstop") -> str:
     """What Debian wants to see of a version."""
     who = maintainer(os.environ)
     date = email.utils.formatdate(int(os.environ.get("SOURCE_DATE_EPOCH", time.time())))
-    return f"failstop ({version}) unstable; urgency=medium\n\n  * Version {version}.\n\n -- {who}  {date}\n"
+    return f"{package} ({version}) unstable; urgency=medium\n\n  * Version {version}.\n\n -- {who}  {date}\n"
 
 
 def newest_libc(root: Path) -> str:
@@ -122,29 +159,14 @@ def newest_libc(root: Path) -> str:
     return "{}.{}".format(*max(found))
 
 
-def _control(root: Path, version: str, architecture: str, python: str) -> None:
-    """DEBIAN/: control, checksums, the list of configuration files, the scripts."""
+def _control(root: Path, template: str, **words: str) -> None:
+    """DEBIAN/: the control file from its template, and the checksums."""
     regular = sorted(path for path in root.rglob("*") if path.is_file() and not path.is_symlink())
-    (root / "DEBIAN").mkdir(mode=0o755)
-    control = (
-        (HERE / "control.in")
-        .read_text()
-        .format(
-            version=version,
-            architecture=architecture,
-            maintainer=maintainer(os.environ),
-            installed_kib=sum(path.stat().st_size for path in regular) // 1024 + 1,
-            python=python,
-            libc=newest_libc(root),
-        )
-    )
+    size = sum(path.stat().st_size for path in regular) // 1024 + 1
+    control = (HERE / template).read_text().format(maintainer=maintainer(os.environ), installed_kib=size, **words)
     _write(root / "DEBIAN/control", control.encode())
-    _write(root / "DEBIAN/conffiles", f"/{CONFIGURATION}\n".encode())
     sums = [f"{hashlib.md5(path.read_bytes()).hexdigest()}  {path.relative_to(root)}\n" for path in regular]
     _write(root / "DEBIAN/md5sums", "".join(line for line in sums if not line.endswith(f"{CONFIGURATION}\n")).encode())
-    for name in SCRIPTS:
-        shutil.copyfile(HERE / name, root / "DEBIAN" / name)
-        os.chmod(root / "DEBIAN" / name, 0o755)
 
 
 def _write(path: Path, data: bytes) -> None:

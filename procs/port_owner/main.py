@@ -60,6 +60,8 @@ class PortOwner:
         """Until then, after a request."""
         self._lapse = self.loop.deadline()
         """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
+        self._arm_due = self.loop.deadline()
+        """When the arm's next frame may be written, that has to wait."""
         self._leave = self.loop.deadline()
         """Once the supervisor has died."""
         self._barrier = Barrier()
@@ -153,6 +155,7 @@ class PortOwner:
     def _stopped(self, written_ns: int) -> int:
         """What follows every burst. Returns when it was written: 0 when the kernel did not take all of it."""
         self.admission.moving = self._arm_moved = False
+        self.bus.waiting.clear()
         self._lapse.set(NEVER)
         self.repeats.restart(written_ns)
         self.pings.stopped(written_ns)
@@ -259,7 +262,6 @@ class PortOwner:
     def _forward_frames(self) -> None:
         """Drain the gate's ring: of motion the newest counts, a stop ends all motion queued before it."""
         motion: Motion | None = None
-        arm: list[Motion] = []
         while entry := self._frames.next():
             _, frame_ns, payload = entry
             epoch, kind, body = records.unpack_frame(payload)
@@ -267,14 +269,13 @@ class PortOwner:
                 motion = (body, epoch, frame_ns)
             elif kind == records.STOP:
                 motion = None
-                arm.clear()
+                self.bus.waiting.clear()
                 self._gate_stop()
             elif kind == records.ARM:
-                arm.append((body, epoch, frame_ns))
+                self.bus.waiting.append((body, epoch, frame_ns))
             elif not BOARD.check_aux(body):
                 self.wire.frame(body, backlog=OTHER_BACKLOG)
-        for move in arm:
-            self._forward_arm(move)
+        self._forward_arm()
         if motion:
             self._forward_motion(motion)
 
@@ -285,14 +286,23 @@ class PortOwner:
         if self.admission.moving or self._arm_moved or now_ns - self._written_word.get() >= PIPE_REST_NS:
             self._burst()
 
-    def _forward_arm(self, move: Motion) -> None:
-        """As for motion; what is dropped is sent no more, since the next move of the stream follows."""
-        now_ns = monotonic_ns()
-        verdict = self._decide(move, now_ns, self.bus.check)
-        if verdict != admission.WRITE:
-            self._obey(verdict, now_ns)
-        elif self.bus.admits(move[0], now_ns, wheels_move=self.admission.moving):
-            self._write_arm(move)
+    def _forward_arm(self) -> None:
+        """As for motion, one after the other; the first that has to wait holds up those behind it."""
+        due_ns = NEVER
+        while self.bus.waiting:
+            move, now_ns = self.bus.waiting[0], monotonic_ns()
+            verdict = self._decide(move, now_ns, self.bus.check)
+            if verdict == admission.WRITE:
+                due_ns = self.bus.due_ns(move[0], now_ns, wheels_move=self.admission.moving)
+                if now_ns < due_ns < NEVER:
+                    break
+            self.bus.waiting.popleft()
+            if verdict != admission.WRITE:
+                self._obey(verdict, now_ns)
+            elif due_ns != NEVER:
+                self._write_arm(move)
+            due_ns = NEVER
+        self._arm_due.set(due_ns)
 
     def _write_arm(self, move: Motion) -> None:
         """Says that it moves while it writes, as for motion; afterwards no more: a servo's move ends by itself."""

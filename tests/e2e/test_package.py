@@ -21,6 +21,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     subprocess.run(
         [sys.executable, "-m", "build", "--outdir", str(out), str(ROOT)], check=True, capture_output=True, timeout=280
     )
+    build = [sys.executable, "-m", "build", "--outdir", str(out / "lab"), str(ROOT / "packaging" / "lab")]
+    subprocess.run(build, check=True, capture_output=True, timeout=280)
     return out
 
 
@@ -36,6 +38,9 @@ def test_wheel_and_sdist_hold_one_package(built: Path) -> None:
         assert f"failstop/{path}" in wheel.namelist()
     assert "failstop/ros2/packages/failstop_msgs/msg/Status.msg" in wheel.namelist()
     assert "failstop/py.typed" in wheel.namelist()
+    laboratory = zipfile.ZipFile(next((built / "lab").glob("*.whl"))).namelist()
+    assert {"/".join(name.split("/")[:2]) for name in laboratory if ".dist-info" not in name} == {"failstop/lab"}
+    assert not [name for name in wheel.namelist() if name.startswith("failstop/lab")]
     with tarfile.open(next(built.glob("*.tar.gz"))) as sdist:
         assert not [member.name for member in sdist if member.issym()]
 
@@ -49,13 +54,14 @@ def test_installed_command_works_outside_the_checkout(built: Path, tmp_path: Pat
     pip = [str(environment / "bin" / "pip"), "install", "--quiet", "--disable-pip-version-check"]
     subprocess.run([*pip, str(next(built.glob("*.whl")))], check=True, timeout=280)
     clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    result = subprocess.run(
-        [str(environment / "bin" / "failstop"), "demo"],
-        cwd=tmp_path,
-        env=clean,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
+
+    def demo() -> subprocess.CompletedProcess[str]:
+        command = [str(environment / "bin" / "failstop"), "demo"]
+        return subprocess.run(command, cwd=tmp_path, env=clean, capture_output=True, text=True, timeout=60, check=False)
+
+    refused = demo()
+    assert refused.returncode == 1
+    assert refused.stderr == "failstop: `failstop demo` is not installed here; next: pip install 'failstop[lab]'\n"
+    subprocess.run([*pip, str(next((built / "lab").glob("*.whl")))], check=True, timeout=280)
+    shown = demo()
+    assert shown.returncode == 0, shown.stdout + shown.stderr

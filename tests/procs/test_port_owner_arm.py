@@ -11,6 +11,7 @@ import pytest
 from failstop.board import servos
 from failstop.board.burst import BURST, burst_with
 from failstop.board.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque
+from failstop.procs.port_owner.servo_bus import MOST_WAITING
 from failstop.shm import layout, records
 from tests.support.port_scene import MOTION, Scene
 from tests.support.stage import MS
@@ -116,17 +117,57 @@ def test_while_the_wheels_may_turn_nothing_goes_to_the_servos(scene: Scene) -> N
     assert arm(scene) == MOVE
 
 
-def test_what_a_stop_would_wait_for_is_bounded_over_frames(scene: Scene) -> None:
+def test_what_a_stop_would_wait_for_is_bounded_over_frames_and_no_move_is_lost(scene: Scene) -> None:
     settle(scene)
+    other = bus_servo_move([(3, 500)], 40)
     scene.put(TWO, kind=records.ARM)
     scene.put(MOVE, kind=records.ARM)
+    scene.put(other, kind=records.ARM)
+    begun_ns = scene.clock()
     assert scene.turn() == TWO
-    assert scene.turn(1 * MS) == b""
-    scene.put(MOVE, kind=records.ARM)
-    assert scene.turn(1 * MS) == MOVE
+    # 2 x 0.87 ms are before the second, which adds as much: 0.61 ms until both are 2 ms.
+    due_ns = scene.owner.loop.until_ns(begun_ns, 20 * MS)
+    assert due_ns - begun_ns == 610_000
+    assert scene.turn(due_ns - begun_ns - 1) == b""
+    assert scene.turn(1) == MOVE
+    assert scene.turn(868_000) == b""
+    assert scene.turn(2_000) == other
 
 
-def test_a_question_waits_until_no_servo_moves_and_nothing_follows_it_for_its_time(scene: Scene) -> None:
+@pytest.mark.parametrize("end", ["stop", "pipe", "epoch", "age"])
+def test_a_move_that_waits_is_ended_by_a_stop_and_by_its_age(scene: Scene, end: str) -> None:
+    settle(scene)
+    scene.put(TWO, kind=records.ARM)
+    scene.put(TWO, kind=records.ARM, age_ns=59 * MS if end == "age" else 0)
+    assert scene.turn() == TWO
+    if end == "stop":
+        scene.put(b"held", kind=records.STOP)
+    elif end == "pipe":
+        scene.ask_to_stop(b"now\n")
+    elif end == "epoch":
+        scene.raise_epoch(2)
+    assert scene.turn(1_000) == (b"" if end == "age" else STOP)
+    assert scene.turn(5 * MS) == b""
+
+
+def test_a_move_that_waits_is_dropped_once_the_wheels_may_turn(scene: Scene) -> None:
+    settle(scene)
+    scene.put(TWO, kind=records.ARM)
+    scene.put(TWO, kind=records.ARM)
+    scene.put()
+    assert scene.turn() == TWO + MOTION
+    assert scene.turn(5 * MS) == b""
+
+
+def test_a_gate_that_floods_is_not_remembered_for_ever(scene: Scene) -> None:
+    settle(scene)
+    for _ in range(40):
+        scene.put(TWO, kind=records.ARM)
+    assert scene.turn() == TWO
+    assert len(scene.owner.bus.waiting) <= MOST_WAITING
+
+
+def test_a_question_waits_until_no_servo_moves_and_a_move_behind_it_waits_for_its_time(scene: Scene) -> None:
     settle(scene)
     assert arm(scene) == MOVE
     assert arm(scene, READ) == b""
@@ -135,9 +176,10 @@ def test_a_question_waits_until_no_servo_moves_and_nothing_follows_it_for_its_ti
     scene.turn(21 * MS)
     assert arm(scene, READ) == READ
     assert arm(scene, READ) == b""
-    assert arm(scene) == b""
     scene.turn(5 * MS)
     assert arm(scene, READ) == READ
+    assert arm(scene) == b""
+    assert scene.turn(5 * MS) == MOVE
 
 
 BAD = [

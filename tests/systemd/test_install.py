@@ -215,7 +215,7 @@ def package(module_place: Place) -> str:
     build = [sys.executable, str(ROOT / "packaging/deb/build.py"), "--out", str(module_place.packages)]
     done = subprocess.run(build, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
-    return f"/packages/{Path(done.stdout.strip()).name}"
+    return f"/packages/{Path(done.stdout.splitlines()[0]).name}"
 
 
 def test_the_package_as_a_machine_sees_it(place: Place, package: str) -> None:
@@ -231,6 +231,19 @@ def test_the_package_as_a_machine_sees_it(place: Place, package: str) -> None:
         f"./usr/{part}" for part in ("bin", "lib", "share")
     }, "nothing below /lib, which is a link where /usr is merged"
     assert not any(row[5].endswith(".egg-link") or "__editable__" in row[5] for row in rows)
+
+
+def test_the_laboratory_is_a_package_of_its_own(place: Place, package: str) -> None:
+    laboratory = next(module.name for module in place.packages.glob("failstop-lab_*_all.deb"))
+    inside = [f"./opt/failstop/{tree.SITE}/failstop/lab/", f"./opt/failstop/{tree.SITE}/failstop/lab/trial.py"]
+    rows = place.box.run("dpkg-deb", "--contents", f"/packages/{laboratory}").stdout
+    robots = place.box.run("dpkg-deb", "--contents", package).stdout
+    assert all(path in rows for path in inside)
+    assert not any(path in robots for path in inside)
+    version = place.box.run("dpkg-deb", "--field", package, "Version").stdout.strip()
+    assert (
+        f"failstop (= {version})" in place.box.run("dpkg-deb", "--field", f"/packages/{laboratory}", "Depends").stdout
+    )
 
 
 def test_the_package_installed_upgraded_removed_and_purged(place: Place, package: str) -> None:

@@ -60,8 +60,9 @@ class Command:
 
 
 def read() -> list[tuple[str, list[Command]]]:
-    """All commands by purpose, in the order of `failstop --help`."""
-    return [(title, [command(name) for name in names]) for title, names in cli.groups() if names]
+    """All commands that are installed, by purpose, in the order of `failstop --help`."""
+    found = [(title, [command(name) for name in names if cli.here(name)]) for title, names in cli.groups()]
+    return [(title, commands) for title, commands in found if commands]
 
 
 def command(name: str) -> Command:

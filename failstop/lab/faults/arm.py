@@ -133,6 +133,8 @@ class Rested:
     """To the last moment at which a joint turned."""
     stop_ms: float | None
     """To the arrival of the arm's stop, behind the first burst."""
+    wheels_ms: float | None
+    """To the execution of the wheels' first stop, behind what servos' frames still hold the receiver."""
     moves_after: int
     """Frames that moved servos, executed after that stop."""
     latched: Cause | None
@@ -177,6 +179,11 @@ class ArmTrial(Trial):
         if self.robot.state.estop:
             wait_for("a reset", self._reset)
         self.leave()
+
+    def drive_pose(self) -> None:
+        """Put the joints there by hand, so that motion is enabled without a way to go."""
+        for servo, _, drive in JOINTS.values():
+            self.board.servo(servo, position=drive)
 
     def _whole(self) -> bool:
         with contextlib.suppress(FailstopError):
@@ -266,7 +273,9 @@ def judge(fault: ArmFault, fault_ns: int, events: list[Event], track: list[Leg],
     if not any(leg.begin_ns < fault_ns < leg.end_ns and leg.begin != leg.end for leg in track):
         wrong.append(NOT_TURNING)
     stop_ms = None if stop is None else (stop.arrival_ns - fault_ns) / 1e6
-    return Rested(fault, rest_ms, stop_ms, after, latched, tuple(wrong))
+    wheels = next((event for event in events if event.is_stop and event.arrival_ns >= fault_ns), None)
+    wheels_ms = None if wheels is None else (wheels.executed_ns - fault_ns) / 1e6
+    return Rested(fault, rest_ms, stop_ms, wheels_ms, after, latched, tuple(wrong))
 
 
 def _process(cause: Cause | None) -> tuple[object, ...]:

@@ -39,9 +39,11 @@ class Leg:
     end: float
 
     def at(self, t_ns: int) -> float:
-        """Where it was at a time in it, or after it."""
+        """Where it was at a time in it; before it and after it, at its ends."""
         if t_ns >= self.end_ns:
             return self.end
+        if t_ns <= self.begin_ns:
+            return self.begin
         share = (t_ns - self.begin_ns) / (self.end_ns - self.begin_ns)
         return self.begin + share * (self.end - self.begin)
 

@@ -13,7 +13,8 @@ from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, MOVE_NS
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.joints import from_settings
-from failstop.procs.gate.arm.reader import MOST_MISSES, QUIET_NS, Reader
+from failstop.procs.gate.arm.reader import QUIET_NS, Reader
+from failstop.procs.gate.arm.space import Space
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ class ArmCore:
         self.tolerance = int(settings["arm.drive_tolerance"])
         self.ignore_absent = settings.text("arm.absent") == "ignore"
         self._reader = Reader(self.joints, now_ns)
+        self._space = Space(settings, self.joints)
         self.journey: Journey | None = None
         self._goals: dict[str, Goal] = {}
         self._slots: list[tuple[int, list[Joint]]] = []
@@ -62,6 +64,8 @@ class ArmCore:
         """Why the last goal was dropped."""
         self.refused = ""
         """Why the last goal of a stream was not taken."""
+        self._blocked: dict[int, str] = {}
+        """Why the joints of a frame, by its first, do not go on toward the goal of a stream."""
         self.closed = "starting"
         """Why the arm takes no goal now; empty when it does. The gate says so."""
 
@@ -177,7 +181,7 @@ class ArmCore:
         wanted = self._follow_journey(now_ns)
         joints = self._to_stream(now_ns)
         if joints and not self._streaming:
-            if unknown := [joint for joint in joints if not joint.known]:
+            if unknown := [joint for joint in self._space.wanted(joints) if not joint.known]:
                 wanted = wanted or unknown
             elif not all(joint.loaded for joint in joints) or now_ns < self._free_ns():
                 return self._load(joints, now_ns), hold
@@ -187,9 +191,10 @@ class ArmCore:
             self._end_stream()
             return b"", True
         if self._streaming:
-            return self._move(now_ns), hold
+            frame = self._move(now_ns)
+            return frame or b"", hold or frame is None
         wanted = wanted or [joint for joint in self.joints if not joint.known]
-        question = self._reader.ask([joint for joint in wanted if joint.misses < MOST_MISSES], now_ns)
+        question = self._reader.ask([joint for joint in wanted if not joint.silent], now_ns)
         return BOARD.servo_read(question[0].servo, question[1]) if question else b"", hold
 
     def _free_ns(self) -> int:
@@ -239,7 +244,7 @@ class ArmCore:
         journey = self.journey
         if journey is None or journey.done:
             return []
-        silent = [joint for joint in journey.joints if joint.misses >= MOST_MISSES]
+        silent = [joint for joint in journey.joints if joint.silent]
         # All are asked before the answer is that some are silent: it tells a cable from an arm that is not there.
         asked = all(joint.known or joint in silent for joint in journey.joints)
         if silent and (asked or journey.phase != goals.FINDING):
@@ -315,14 +320,16 @@ class ArmCore:
             journey.phase = goals.UNDER_WAY
         self._load_ns = 0
         self._streaming = joints
+        self._space.begin()
+        self._blocked.clear()
         groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]
         step_ns = self._period_ns // len(groups)
         self._slots = [(now_ns + index * step_ns, group) for index, group in enumerate(groups)]
         for joint in joints:
             joint.velocity, joint.stepped_ns = 0.0, 0
 
-    def _move(self, now_ns: int) -> bytes:
-        """The moves that are due."""
+    def _move(self, now_ns: int) -> bytes | None:
+        """The moves that are due; None: the arm is to be held, since its journey would hit something."""
         due_ns, group = self._slots[0]
         if now_ns < max(due_ns, self._apart_ns):
             return b""
@@ -332,8 +339,17 @@ class ArmCore:
         self._slots = [*self._slots[1:], (again_ns if again_ns > now_ns else now_ns + self._period_ns, group)]
         journey = self.journey if self.journey and not self.journey.done else None
         targets = self._targets(journey, now_ns + self._period_ns)
+        before = [joint.position for joint in group]
         for joint in group:
             self._advance(joint, targets, journey.share if journey else 1.0, now_ns)
+        if hit := self._space.hit():
+            for joint, position in zip(group, before, strict=True):
+                joint.position, joint.velocity = position, 0.0
+            if journey:
+                journey.finish(hit)
+                self._end_stream()
+                return None
+        self._blocked[group[0].index] = hit
         self.active_ns = now_ns
         self._reader.moved(now_ns)
         moves = [(joint.servo, round(joint.position)) for joint in group]
@@ -377,7 +393,7 @@ class ArmCore:
 
     def silent(self) -> list[int]:
         """The servos that do not answer."""
-        return [joint.servo for joint in self.joints if joint.misses >= MOST_MISSES]
+        return [joint.servo for joint in self.joints if joint.silent]
 
     def state(self) -> dict[str, Any]:
         """What people and programs are told."""
@@ -387,7 +403,7 @@ class ArmCore:
             "phase": journey.phase if journey and not journey.done else "",
             "moving": self.moving(),
             "by": self._by(),
-            "refused": self.refused,
+            "refused": self.refused or next(filter(None, self._blocked.values()), ""),
             "released": self.released,
             "silent": self.silent(),
             "joints": [

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 PULSES_PER_RAD = 1500 / (2 * pi)
 """0.24 degrees each."""
+MOST_MISSES = 4
+"""Questions in a row without an answer: it counts as silent."""
 
 
 class Joint:
@@ -69,6 +71,11 @@ class Joint:
         """Questions in a row without an answer."""
         self.temperature_c = self.supply_mv = 0
         self.stepped_ns = 0
+
+    @property
+    def silent(self) -> bool:
+        """Its servo does not answer."""
+        return self.misses >= MOST_MISSES
 
     def pulses(self, angle_rad: float) -> float:
         """An angle as pulses."""

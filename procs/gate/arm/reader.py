@@ -8,6 +8,7 @@ counts when two in a row agree.
 from __future__ import annotations
 
 from failstop.board.servos import LONGEST_MOVE_MS, POSITION, SILENT_NS, SUPPLY, TEMPERATURE, TORQUE
+from failstop.procs.gate.arm.joints import MOST_MISSES
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ IDLE_NS = 150_000_000
 """Between two questions that nobody waits for."""
 AGREE = 5
 """Pulses by which two readings of a servo that stands may differ."""
-MOST_MISSES = 4
 _OTHERS = (TEMPERATURE, TORQUE, SUPPLY)
 
 

@@ -91,6 +91,8 @@ class Arm:
         self._releasing: list[bytes] = []
         self._release_ns = 0
         self._tuck = AutoTuck(context.settings)
+        self._tucking: Journey | None = None
+        """Its way, until people have been told how it ended."""
         self._notice_s = context.settings["arm.tuck_notice_s"]
         self._hot_c, self._low_mv = int(context.settings["arm.hot_c"]), int(context.settings["arm.low_mv"])
         self._told: dict[str, str] = {}
@@ -316,6 +318,10 @@ class Arm:
     def _follow_tuck(self, now_ns: int) -> None:
         """An arm that is left alone tucks itself; it is not left alone while it moves, or may not."""
         core = self.core
+        if self._tucking and self._tucking.done:
+            if self._tucking.outcome and core.journey is self._tucking:
+                self._tell(f"the arm did not tuck itself: {self._tucking.outcome}", "warning")
+            self._tucking = None
         if core.active_ns and (core.closed or core.mode() or core.released):
             core.active_ns = 0 if core.released else now_ns
         due = self._tuck.follow(core.active_ns, now_ns)
@@ -328,6 +334,7 @@ class Arm:
         elif due == GO:
             core.travel(journey, now_ns)
             core.active_ns = 0
+            self._tucking = journey
 
     def _tell(self, text: str, level: str = "") -> None:
         self._owner.core.notes.append(Note("arm", text, level=level))

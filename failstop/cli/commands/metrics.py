@@ -1,0 +1,41 @@
+"""`failstop metrics`: the state as Prometheus reads it, once or over HTTP."""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+from failstop.cli import standard
+from failstop.cli.commands import add_name
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+EXAMPLES = """\
+failstop metrics                         # one print
+failstop metrics --serve 127.0.0.1:9464  # http://127.0.0.1:9464/metrics
+failstop metrics > /var/lib/node_exporter/failstop.prom
+"""
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop metrics`."""
+    parser.add_argument("--serve", metavar="HOST:PORT", help="serve them over HTTP until Ctrl-C, instead of one print")
+    add_name(parser)
+
+
+def main(arguments: Namespace) -> int:
+    """Print, or serve. Raises FleetError. Without a service it is `failstop_up 0`, and no error."""
+    from failstop.fleet import exposition
+
+    if arguments.serve is None:
+        sys.stdout.write(exposition.text(arguments.name))
+        return 0
+    host, port = exposition.address(arguments.serve)
+    ends = {signal.SIGINT, signal.SIGTERM}
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # in the server's threads too
+    with exposition.serving(arguments.name, host, port) as bound:
+        shown = f"[{host}]" if ":" in host else host
+        standard.tell(f"http://{shown}:{bound}/metrics serves the metrics of {arguments.name!r}")
+        return 128 + signal.sigwait(ends)

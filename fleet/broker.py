@@ -1,0 +1,181 @@
+"""Broker: one connection to it, kept up. A thin shell around paho-mqtt, without its threads."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import select
+import ssl
+import time
+
+from failstop.fleet import FleetError
+from failstop.shm import durable
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from paho.mqtt.client import Client, MQTTMessage
+
+    from failstop.fleet.settings import FleetSettings
+
+EXTRA = "this needs paho-mqtt: pip install 'failstop[fleet]'"
+CONNECT_S = 3.0
+"""How long a connection may take."""
+FIRST_WAIT_S = 0.5
+LONGEST_WAIT_S = 5.0
+"""Between two attempts: doubling, and a little different for each robot, so that a broker that comes back is not
+overrun."""
+MOST_SECRET_BYTES = 1024
+BACKLOG = 200
+"""Messages of ours that may wait for the broker; of a state the newest counts."""
+ONCE = 1
+"""MQTT's quality of service for what must arrive."""
+
+
+class Broker:
+    """Connects by itself at turns. `problem` says why it is not connected; empty: it is."""
+
+    def __init__(
+        self,
+        settings: FleetSettings,
+        client_id: str,
+        subscriptions: tuple[str, ...],
+        hear: Callable[[str, bytes, bool], None],
+        up: Callable[[], None] = lambda: None,
+    ) -> None:
+        """`hear`: is given topic, payload, and whether it was retained; `up`: is called at each connection. Raises
+        FleetError: no paho-mqtt, a file that can't be read."""
+        try:
+            from paho.mqtt.client import Client
+            from paho.mqtt.enums import CallbackAPIVersion
+        except ImportError:
+            raise FleetError(EXTRA) from None
+        self.where = f"{settings.text('broker.host')}:{settings.number('broker.port'):.0f}"
+        self.problem = "not connected yet"
+        self._settings = settings
+        self._subscriptions = subscriptions
+        self._hear = hear
+        self._up = up
+        self._wait_s = FIRST_WAIT_S
+        self._try_at_s = 0.0
+        self._client: Client = Client(
+            CallbackAPIVersion.VERSION2, client_id=client_id, clean_session=True, reconnect_on_failure=False
+        )
+        self._client.connect_timeout = CONNECT_S
+        self._client.max_queued_messages_set(BACKLOG)
+        self._client.on_connect = self._on_connect
+        self._client.on_disconnect = self._on_disconnect
+        self._client.on_message = self._on_message
+        self._secure()
+
+    def _secure(self) -> None:
+        settings = self._settings
+        if user := settings.text("broker.user"):
+            path = settings.text("broker.password_file")
+            self._client.username_pw_set(user, read_secret(path) if path else None)
+        if not settings.on("broker.tls"):
+            return
+        try:
+            context = ssl.create_default_context(cafile=settings.text("broker.ca_file") or None)
+            if certificate := settings.text("broker.cert_file"):
+                context.load_cert_chain(certificate, settings.text("broker.cert_key_file") or None)
+        except (OSError, ssl.SSLError) as error:
+            raise FleetError(f"broker.ca_file, broker.cert_file: {error}") from None
+        self._client.tls_set_context(context)
+
+    def will(self, topic: str, payload: bytes) -> None:
+        """What the broker is to say, retained, when this client is lost; counts from the next connection on."""
+        self._client.will_set(topic, payload, qos=ONCE, retain=True)
+
+    def say(self, topic: str, payload: bytes, *, qos: int = ONCE, retain: bool = False) -> None:
+        """Publish; nothing happens while there is no connection."""
+        if not self.problem:
+            self._client.publish(topic, payload, qos=qos, retain=retain)
+
+    def fileno(self) -> int:
+        """What to wait for; -1 while there is no connection."""
+        found = self._client.socket()
+        return found.fileno() if found else -1
+
+    def wants_write(self) -> bool:
+        """True while something waits to be sent."""
+        return bool(self._client.want_write())
+
+    def turn(self, timeout_s: float) -> None:
+        """Wait for the broker at most so long, and do what there is to do."""
+        if (fd := self.fileno()) < 0:
+            self.connect(time.monotonic())
+            if self.fileno() < 0:
+                time.sleep(timeout_s)
+            return
+        poll = select.poll()
+        poll.register(fd, select.POLLIN | (select.POLLOUT if self.wants_write() else 0))
+        self.serve(readable=bool(poll.poll(0 if self._buffered() else timeout_s * 1e3)))
+
+    def serve(self, *, readable: bool) -> None:
+        """Read what has come, write what waits, keep the connection alive."""
+        if readable or self._buffered():
+            self._client.loop_read()
+        if self.wants_write():
+            self._client.loop_write()
+        self._client.loop_misc()
+
+    def _buffered(self) -> bool:
+        """Bytes that TLS has read already: no poll tells of them."""
+        found = self._client.socket()
+        return isinstance(found, ssl.SSLSocket) and found.pending() > 0
+
+    def connect(self, now_s: float) -> None:
+        """Try to, if it is time; the broker's answer comes in a turn."""
+        if now_s < self._try_at_s:
+            return
+        self._try_at_s = now_s + self._wait_s * random.uniform(0.8, 1.2)
+        self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
+        settings = self._settings
+        try:
+            self._client.connect(
+                settings.text("broker.host"),
+                int(settings.number("broker.port")),
+                int(settings.number("broker.keepalive_s")),
+            )
+        except (OSError, ValueError) as error:
+            self.problem = f"no broker at {self.where}: {getattr(error, 'strerror', None) or error}"
+
+    def close(self) -> None:
+        """In order: the last will is not said."""
+        with contextlib.suppress(OSError, ValueError):
+            self._client.disconnect()
+
+    def _on_connect(self, client: Client, _: object, _flags: object, reason: object, _properties: object) -> None:
+        if getattr(reason, "is_failure", False):
+            self.problem = f"the broker at {self.where} refuses: {reason}"
+            return
+        self.problem = ""
+        self._wait_s = FIRST_WAIT_S
+        for topic in self._subscriptions:
+            client.subscribe(topic, qos=ONCE)
+        self._up()
+
+    def _on_disconnect(self, _client: Client, _: object, _flags: object, reason: object, _properties: object) -> None:
+        self.problem = self.problem or f"the broker at {self.where} is gone: {reason}"
+
+    def _on_message(self, _client: Client, _: object, message: MQTTMessage) -> None:
+        self._hear(message.topic, bytes(message.payload), message.retain)
+
+
+def read_secret(path: str) -> str:
+    """The first line of a file that nobody else may read. Raises FleetError."""
+    try:
+        fd = durable.open_regular(path)
+        try:
+            found, text = os.fstat(fd), os.read(fd, MOST_SECRET_BYTES)
+        finally:
+            os.close(fd)
+        line = text.decode().partition("\n")[0].rstrip("\r")
+    except (OSError, UnicodeError) as error:
+        raise FleetError(f"broker.password_file {path}: {error}") from None
+    if found.st_mode & 0o007:
+        raise FleetError(f"broker.password_file {path} may be read by everybody: chmod 600 {path}")
+    return line

@@ -1,0 +1,107 @@
+"""Exposition: the metrics of a service as Prometheus reads them, once or over HTTP."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Iterator
+
+from failstop.api.errors import FailstopError
+from failstop.api.state import StateReader
+from failstop.fleet import FleetError, metrics
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from wsgiref.simple_server import WSGIServer
+
+    from prometheus_client import CollectorRegistry
+    from prometheus_client.core import Metric
+
+    from failstop.api.state import State
+
+EXTRA = "this needs prometheus-client: pip install 'failstop[fleet]'"
+
+
+class Collector:
+    """Reads whatever run of the service is there, at each scrape anew. For several threads."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._reader: StateReader | None = None
+        self._lock = threading.Lock()
+
+    def state(self) -> State | None:
+        """The state now; None while there is none."""
+        with self._lock:
+            for _ in range(2):  # a reader of a run that has ended says so, and the next run may be there
+                try:
+                    if self._reader is None or self._reader.run.over():
+                        self._reader = StateReader(self._name)
+                    return self._reader.read()
+                except FailstopError:
+                    self._reader = None
+        return None
+
+    def collect(self) -> Iterator[Metric]:
+        """What a registry of prometheus_client asks for."""
+        from prometheus_client.core import Metric
+
+        for family, samples in metrics.collect(self.state()):
+            # A counter's family is named without what its samples end in.
+            found = Metric(family.name.removesuffix("_total"), family.doc, family.kind)
+            for labels, value in samples:
+                found.add_sample(family.name, dict(labels), value)
+            yield found
+
+
+def registry(name: str) -> CollectorRegistry:
+    """With the service's metrics alone. Raises FleetError without prometheus_client."""
+    try:
+        from prometheus_client import CollectorRegistry
+    except ImportError:
+        raise FleetError(EXTRA) from None
+    made = CollectorRegistry()
+    made.register(Collector(name))
+    return made
+
+
+def text(name: str) -> str:
+    """The metrics now, in Prometheus's text format. Raises FleetError."""
+    found = registry(name)
+    from prometheus_client import generate_latest
+
+    return generate_latest(found).decode()
+
+
+@contextlib.contextmanager
+def serving(name: str, host: str, port: int) -> Iterator[int]:
+    """Serve /metrics, in threads, while the context lasts; gives the port. Raises FleetError."""
+    found = registry(name)
+    from prometheus_client import start_http_server
+
+    server: WSGIServer
+    try:
+        server, thread = start_http_server(port, host, found)
+    except (OSError, OverflowError) as error:
+        why = error.strerror if isinstance(error, OSError) else "no such port"
+        raise FleetError(f"{host}:{port} can't be listened at: {why}; choose another with --serve HOST:PORT") from None
+    try:
+        yield server.server_port
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+def address(text: str) -> tuple[str, int]:
+    """HOST:PORT, [IPv6]:PORT or :PORT, of which the host is then 127.0.0.1. Raises FleetError."""
+    host, colon, port = text.rpartition(":")
+    if not colon or not (port.isascii() and port.isdigit()) or int(port) > 65535:
+        raise FleetError(f"--serve {text}: HOST:PORT is expected, 127.0.0.1:9464 for one")
+    host = host.strip("[]") or "127.0.0.1"
+    try:
+        socket.getaddrinfo(host, int(port))
+    except OSError as error:
+        raise FleetError(f"--serve {text}: {error.strerror}") from None
+    return host, int(port)

@@ -1,0 +1,101 @@
+"""Levels: how far a stop of the fleet has come on one robot, and the two messages that tell of it. Pure."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from failstop.fleet import replay, signed
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+REFUSED = "refused"
+"""It is too old, or too far ahead."""
+FAILED = "failed"
+"""Nothing could be asked for here, or it was not written."""
+ASKED = "asked"
+"""It is in the stop pipe."""
+WRITTEN = "written"
+"""The kernel has its bytes."""
+ACKNOWLEDGED = "acknowledged"
+"""The board answered a ping that was written after it."""
+OBSERVED = "observed"
+"""The IMU calls the wheels still."""
+PROOFS = (WRITTEN, ACKNOWLEDGED, OBSERVED)
+ORDER = (REFUSED, FAILED, ASKED, *PROOFS)
+MOST_TEXT = 120
+"""Characters of a reason or a name."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Order:
+    """A stop of the fleet."""
+
+    id: str
+    unix_s: float
+    """When it was signed, by the sender's clock."""
+    reason: str
+    by: str
+
+    def message(self, key: bytes) -> bytes:
+        """Signed."""
+        body = {"id": self.id, "t": self.unix_s, "reason": self.reason, "by": self.by}
+        return signed.sign(key, signed.STOP, body)
+
+
+def read_order(key: bytes, message: bytes) -> Order:
+    """Raises signed.Forged."""
+    body = signed.verify(key, signed.STOP, message)
+    return Order(_id(body), _number(body, "t"), _text(body, "reason"), _text(body, "by"))
+
+
+@dataclasses.dataclass(frozen=True)
+class Answer:
+    """What a robot says of a stop of the fleet."""
+
+    id: str
+    """The stop's."""
+    robot: str
+    level: str
+    why: str
+    """In words, for REFUSED and FAILED."""
+    after_s: float
+    """From the message's arrival at the robot until the robot knew."""
+
+    def message(self, key: bytes) -> bytes:
+        """Signed."""
+        return signed.sign(key, signed.ANSWER, dataclasses.asdict(self))
+
+
+def read_answer(key: bytes, message: bytes) -> Answer:
+    """Raises signed.Forged."""
+    body = signed.verify(key, signed.ANSWER, message)
+    level = _text(body, "level")
+    if level not in ORDER:
+        raise signed.Forged(f"no level {level!r}")
+    return Answer(_id(body), _text(body, "robot"), level, _text(body, "why"), _number(body, "after_s"))
+
+
+def _id(body: dict[str, Any]) -> str:
+    found = body.get("id")
+    if not isinstance(found, str) or not replay.ID.fullmatch(found):
+        raise signed.Forged("no id")
+    return found
+
+
+def _text(body: dict[str, Any], key: str) -> str:
+    found = body.get(key)
+    if not isinstance(found, str):
+        raise signed.Forged(f"no {key}")
+    return "".join(c if c.isprintable() else "?" for c in found[:MOST_TEXT])
+
+
+def _number(body: dict[str, Any], key: str) -> float:
+    found = body.get(key)
+    if isinstance(found, bool) or not isinstance(found, (int, float)):
+        raise signed.Forged(f"no {key}")
+    try:
+        return float(found)
+    except OverflowError:
+        raise signed.Forged(f"no {key}") from None

@@ -1,0 +1,105 @@
+"""Sender: a stop of the whole fleet, repeated until every robot has confirmed it or the time is over."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import secrets
+import time
+
+from failstop.fleet import FleetError, levels, settings, signed, topics
+from failstop.fleet.broker import Broker
+from failstop.fleet.levels import Order
+from failstop.fleet.tally import CONFIRMED, Tally
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from failstop.fleet.settings import FleetSettings
+
+AGAIN_S = 0.5
+"""Between two sendings of the same stop, dated anew."""
+OBSERVED_S = 2.5
+"""How long to go on for the third proof when all have acknowledged."""
+TURN_S = 0.05
+
+
+class Sender:
+    """One stop."""
+
+    def __init__(self, found: FleetSettings, reason: str, by: str) -> None:
+        """Raises FleetError."""
+        self.id = secrets.token_hex(16)
+        self.tally = Tally(settings.robots(found))
+        self.sent_s: float | None = None
+        """When it was handed to the broker first, monotonic."""
+        self._key = signed.read_key(found.text("stop.key_file"))
+        self._order = Order(self.id, 0.0, reason, by)
+        self._manufacturer = found.text("robot.manufacturer")
+        self._probe = topics.answer(self._manufacturer, self.id, "probe/end")
+        self._heard_all = False
+        """The broker has said whom it knows."""
+        self._again_s = 0.0
+        wanted = (
+            topics.answer(self._manufacturer, self.id, topics.ANY),
+            topics.of_robot(self._manufacturer, topics.ANY, topics.CONNECTION),
+            self._probe,
+        )
+        self.broker = Broker(found, f"failstop-stop-{self.id[:12]}", wanted, self._hear, self._up)
+
+    def run(self, wait_s: float, progress: Callable[[Tally], None] = lambda _: None) -> bool:
+        """Send until all have confirmed, `wait_s` at most; returns whether they did. Raises FleetError when no broker
+        took it."""
+        until_s = time.monotonic() + wait_s
+        enough_s = until_s
+        while (now_s := time.monotonic()) < min(until_s, enough_s):
+            if now_s >= self._again_s:
+                self._send(now_s)
+            self.broker.turn(TURN_S)
+            progress(self.tally)
+            if self._heard_all and self.tally.all_reached(CONFIRMED):
+                if self.tally.all_reached(levels.OBSERVED):
+                    break
+                enough_s = min(enough_s, now_s + OBSERVED_S)
+            else:
+                enough_s = until_s
+        self.broker.close()
+        if self.sent_s is None:
+            raise FleetError(f"NO ROBOT WAS STOPPED: {self.broker.problem}; stop them by hand (power switch)")
+        return self._heard_all and self.tally.all_reached(CONFIRMED)
+
+    def _up(self) -> None:
+        self._send(time.monotonic())
+        self.broker.say(self._probe, b"end")
+
+    def _send(self, now_s: float) -> None:
+        if self.broker.problem:
+            return
+        self._again_s = now_s + AGAIN_S
+        self.sent_s = self.sent_s or now_s
+        order = dataclasses.replace(self._order, unix_s=time.time())
+        self.broker.say(topics.stop(self._manufacturer), order.message(self._key))
+
+    def _hear(self, topic: str, payload: bytes, _retained: bool) -> None:
+        if topic == self._probe:
+            self._heard_all = True
+            return
+        robot, last = topics.robot_of(topic)
+        if last == topics.CONNECTION:
+            self.tally.connection(robot, connection_word(payload))
+            return
+        try:
+            answer = levels.read_answer(self._key, payload)
+        except signed.Forged:
+            return  # nobody's word for it
+        if answer.id == self.id and self.sent_s is not None:
+            self.tally.answer(answer, time.monotonic() - self.sent_s)
+
+
+def connection_word(payload: bytes) -> str:
+    """What a connection message says; empty for one that was taken away, or is none."""
+    try:
+        return str(json.loads(payload)["connectionState"]) if payload else ""
+    except (ValueError, KeyError, TypeError):
+        return ""

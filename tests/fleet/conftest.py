@@ -1,0 +1,68 @@
+"""A broker for the tests that need one; a fleet's key; robots."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.fleet import signed
+from failstop.fleet.publisher import Publisher
+
+from .scene import MOSQUITTO, Listener, Mosquitto, Pretended, mosquitto, pump
+
+
+@pytest.fixture(scope="module")
+def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mosquitto]:
+    if MOSQUITTO is None:
+        pytest.skip("needs mosquitto: `make fleet` installs it")
+    with mosquitto(tmp_path_factory.mktemp("broker")) as running:
+        yield running
+
+
+@pytest.fixture(scope="session")
+def key(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("key") / "fleet.key"
+    signed.make_key(str(path))
+    return str(path)
+
+
+Enrol = Callable[..., Publisher]
+
+
+@pytest.fixture
+def enrol(broker: Mosquitto, key: str, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Enrol]:
+    """Publish a pretended robot; its manufacturer is the test's, so that no test sees another's robots."""
+    made: list[Publisher] = []
+
+    def publish(robot_id: str = "r1", robot: Pretended | None = None, **changed: object) -> Publisher:
+        settings = broker.settings(**{"stop__key_file": key, "robot__manufacturer": maker(request), **changed})
+        folder = tmp_path / robot_id
+        folder.mkdir(exist_ok=True)
+        publisher = Publisher(settings, "failstop", robot or Pretended(), robot_id, str(folder))
+        made.append(publisher)
+        pump(f"{robot_id} to be connected", lambda: not publisher.broker.problem, publisher)
+        return publisher
+
+    yield publish
+    for publisher in made:
+        publisher.broker.close()
+
+
+def maker(request: pytest.FixtureRequest) -> str:
+    """A name that no other test uses."""
+    return (
+        "t-"
+        + "".join(c if c.isalnum() else "-" for c in request.node.name)[:50]
+        + f"-{abs(hash(request.node.nodeid)) % 10**6}"
+    )
+
+
+@pytest.fixture
+def listener(broker: Mosquitto, request: pytest.FixtureRequest) -> Iterator[Listener]:
+    """Who hears all that this test's robots say."""
+    found = Listener(broker.settings(), f"uagv/v2/{maker(request)}/#", f"failstop/v1/{maker(request)}/#")
+    pump("the listener to be connected", lambda: not found.broker.problem, found)
+    yield found
+    found.broker.close()

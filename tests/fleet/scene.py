@@ -1,0 +1,131 @@
+"""A broker of the tests' own (mosquitto), robots that are pretended, and a view of what was published."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import pwd
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from failstop.api.events import Event
+from failstop.api.state import State
+from failstop.fleet.broker import Broker
+from failstop.fleet.publisher import Publisher
+from failstop.fleet.settings import FleetSettings
+from failstop.lab.trial import wait_for
+from failstop.policy import causes
+from tests.support import states
+
+MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/usr/local/sbin")
+LONGEST_S = 20.0
+
+
+class Mosquitto:
+    """A broker on a port of its own; can be killed and started anew."""
+
+    def __init__(self, folder: Path, *lines: str) -> None:
+        self.folder = folder
+        self.port = 0
+        self._lines = lines or ("allow_anonymous true",)
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """On the port that it had, or on one that is free."""
+        assert MOSQUITTO is not None
+        if not self.port:
+            with socket.create_server(("127.0.0.1", 0)) as found:
+                self.port = found.getsockname()[1]
+        config = self.folder / "mosquitto.conf"
+        me = pwd.getpwuid(os.getuid()).pw_name
+        config.write_text("\n".join([f"listener {self.port} 127.0.0.1", f"user {me}", *self._lines, ""]))
+        with (self.folder / "mosquitto.log").open("ab") as log:
+            self._process = subprocess.Popen([MOSQUITTO, "-v", "-c", str(config)], stdout=log, stderr=log)
+        wait_for(f"mosquitto ({self.folder}/mosquitto.log)", self._listens)
+
+    def _listens(self) -> bool:
+        assert self._process is not None
+        assert self._process.poll() is None, (self.folder / "mosquitto.log").read_text()
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):
+            return True
+        return False
+
+    def kill(self) -> None:
+        """SIGKILL."""
+        if self._process:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+    def settings(self, **changed: object) -> FleetSettings:
+        """To get there; `changed`: with `__` for the dot."""
+        given = {key.replace("__", "."): value for key, value in changed.items()}
+        return FleetSettings({"broker.port": self.port, "broker.keepalive_s": 2, **given})
+
+
+@contextlib.contextmanager
+def mosquitto(folder: Path, *lines: str) -> Iterator[Mosquitto]:
+    broker = Mosquitto(folder, *lines)
+    broker.start()
+    try:
+        yield broker
+    finally:
+        broker.kill()
+
+
+class Pretended:
+    """A robot without a service: it is stopped by being asked to, with all proofs at once, unless told otherwise."""
+
+    def __init__(self, state: State | None = None) -> None:
+        self.state: State | None = state or states.driving()
+        self.asked: list[tuple[str, str]] = []
+        self.proofs: dict[str, Any] = {"written_us": 200.0, "acknowledged_us": 4000.0, "observed_ms": 0.0}
+        self.told: list[Event] = []
+        self.problem = ""
+
+    def read(self) -> tuple[State | None, str]:
+        return self.state, "" if self.state else "no service named 'failstop' is running"
+
+    def events(self) -> list[Event]:
+        told, self.told = self.told, []
+        return told
+
+    def stop(self, reason: str, by: str) -> str:
+        self.asked.append((reason, by))
+        if self.state and not self.problem:
+            cause = causes.REQUESTED(reason, by, 1)
+            epoch = self.state.epoch + 1
+            stop = states.stop(cause, epoch=epoch, t=time.time(), **self.proofs)
+            self.state = dataclasses.replace(states.latched(cause), epoch=epoch, last_stop=stop)
+        return self.problem
+
+
+class Listener:
+    """Everything that is published, by topic."""
+
+    def __init__(self, settings: FleetSettings, *wanted: str) -> None:
+        self.last: dict[str, bytes] = {}
+        self.all: list[tuple[str, bytes]] = []
+        self.broker = Broker(settings, f"listener-{time.monotonic_ns()}", wanted or ("#",), self._hear)
+
+    def _hear(self, topic: str, payload: bytes, _retained: bool) -> None:
+        self.last[topic] = payload
+        self.all.append((topic, payload))
+
+    def turn(self, longest_s: float) -> None:
+        self.broker.turn(longest_s)
+
+
+def pump(what: str, until: Callable[[], object], *turning: Publisher | Listener) -> None:
+    """Let them turn until that is so."""
+    end_s = time.monotonic() + LONGEST_S
+    while not until():
+        assert time.monotonic() < end_s, f"waited {LONGEST_S:g} s for {what}"
+        for each in turning:
+            each.turn(0.005)

@@ -1,0 +1,173 @@
+"""A robot on a real broker: its connection, its state, its events, and a stop that a real service obeys."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from failstop.api.events import Event
+from failstop.lab.trial import Trial
+from tests.support import states
+from tests.support.commands import FAILSTOP, failstop
+
+from .conftest import Enrol, maker
+from .scene import Listener, Mosquitto, Pretended, pump
+
+
+def said(listener: Listener, last: str) -> dict[str, Any]:
+    """The newest message of the only robot."""
+    for topic, payload in listener.last.items():
+        if topic.endswith(f"/{last}"):
+            found: dict[str, Any] = json.loads(payload)
+            return found
+    return {}
+
+
+def word(listener: Listener) -> str:
+    rows = said(listener, "state").get("information", ())
+    return next((row["infoDescription"] for row in rows if row["infoType"] == "word"), "")
+
+
+def test_connection_state_and_end(enrol: Enrol, listener: Listener) -> None:
+    robot = Pretended(states.state())
+    publisher = enrol(robot=robot)
+    both = (publisher, listener)
+    pump("ONLINE", lambda: said(listener, "connection").get("connectionState") == "ONLINE", *both)
+    pump("its state", lambda: word(listener) == "STOPPED", *both)
+    robot.state = states.driving()
+    pump("a change", lambda: word(listener) == "DRIVING", *both)
+    robot.state = None
+    pump("no service", lambda: word(listener) == "NO SERVICE", *both)
+    publisher.close()
+    pump("its end", lambda: said(listener, "connection")["connectionState"] == "OFFLINE", listener)
+
+
+def test_what_is_retained_is_told_to_who_comes_later(enrol: Enrol, listener: Listener, broker: Mosquitto) -> None:
+    publisher = enrol()
+    pump("its state", lambda: word(listener), publisher, listener)
+    topic = next(topic for topic in listener.last if topic.endswith("/state"))
+    late = Listener(broker.settings(), topic)
+    pump("what is retained", lambda: late.last, late)
+    late.broker.close()
+
+
+def test_a_velocity_is_no_news_of_each_look(enrol: Enrol, listener: Listener) -> None:
+    robot = Pretended(states.driving())
+    publisher = enrol(robot=robot)
+    pump("its state", lambda: word(listener), publisher, listener)
+    now_s = time.monotonic() + 100.0
+    for number in range(30):  # 6 s of looks
+        robot.state = states.driving(body_vel=(0.1 + 0.01 * number, 0.0, 0.0))
+        publisher.look(now_s + 0.2001 * number)
+    robot.state = states.state()
+    publisher.look(now_s + 60.0)
+    pump("a change", lambda: word(listener) == "STOPPED", publisher, listener)
+    bodies = [json.loads(payload) for topic, payload in listener.all if topic.endswith("/state")]
+    speeds = [body["velocity"]["vx"] for body in bodies if body["driving"]]
+    assert speeds == pytest.approx([0.2, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35], abs=0.011)
+
+
+def test_events(enrol: Enrol, listener: Listener) -> None:
+    robot = Pretended()
+    robot.told = [Event(1, 1.0, 1, "stop", "warning", "gate died", {"cause": "died"})]
+    publisher = enrol(robot=robot)
+    pump("the event", lambda: said(listener, "event"), publisher, listener)
+    found = said(listener, "event")
+    assert (found["kind"], found["text"], found["fields"]) == ("stop", "gate died", {"cause": "died"})
+
+
+def test_a_broker_that_was_away_is_told_all_anew(enrol: Enrol, listener: Listener, broker: Mosquitto) -> None:
+    publisher = enrol()
+    pump("its state", lambda: word(listener), publisher, listener)
+    broker.kill()
+    pump("the loss", lambda: publisher.broker.problem and listener.broker.problem, publisher, listener)
+    listener.last.clear()
+    broker.start()
+    pump("ONLINE again", lambda: said(listener, "connection").get("connectionState") == "ONLINE", publisher, listener)
+    pump("its state again", lambda: word(listener) == "DRIVING", publisher, listener)
+
+
+@pytest.fixture(scope="module")
+def trial() -> Iterator[Trial]:
+    with Trial(f"fleet-{os.getpid()}") as running:
+        yield running
+
+
+@pytest.fixture
+def published(
+    trial: Trial, broker: Mosquitto, key: str, tmp_path: Path, listener: Listener, request: pytest.FixtureRequest
+) -> Any:
+    """`failstop fleet publish` beside a real service; gives the process and its options."""
+    config = tmp_path / "fleet.toml"
+    config.write_text(
+        f"[broker]\nport = {broker.port}\nkeepalive_s = 2\n[robot]\nmanufacturer = '{maker(request)}'\nid = 'real'\n"
+        f"[stop]\nkey_file = '{key}'\n"
+    )
+    options = ("--config", str(config))
+    with subprocess.Popen(
+        [*FAILSTOP, "fleet", "publish", "--name", trial.name, *options], stderr=subprocess.PIPE
+    ) as process:
+        try:
+            pump("the robot", lambda: word(listener), listener)
+            yield process, options
+        finally:
+            process.kill()
+
+
+def test_a_real_robot_is_stopped_and_confirms(trial: Trial, published: Any, listener: Listener) -> None:
+    _, options = published
+    trial.enable()
+    trial.drive(0.2)
+    assert trial.moving()
+    command = [*FAILSTOP, "fleet", "stop", "smoke", "--by", "ann", "--json", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as done:
+        while done.poll() is None:
+            trial.drive(0.1)  # whoever drives goes on commanding
+        assert done.stdout is not None
+        found = json.load(done.stdout)
+    assert (done.returncode, found["confirmed"], found["robots"], found["missing"]) == (0, 1, 1, {})
+    for level in ("written", "acknowledged", "observed"):
+        assert found[level]["robots"] == [f"real-{trial.name}"], level
+    state = trial.robot.state
+    assert state.estop is not None
+    assert "smoke" in state.estop
+    assert "ann" in state.estop
+    assert not trial.moving()
+    pump("the latch", lambda: said(listener, "state")["safetyState"]["eStop"] == "MANUAL", listener)
+
+
+def test_a_killed_publisher_is_lost_and_an_ended_one_is_not(published: Any, listener: Listener) -> None:
+    process, options = published
+    process.kill()
+    process.wait()
+    pump("the last will", lambda: said(listener, "connection")["connectionState"] == "CONNECTIONBROKEN", listener)
+    shown = failstop("fleet", "list", *options)
+    assert "LOST" in shown.stdout
+    done = failstop("fleet", "stop", "--wait", "1", *options)
+    assert done.returncode == 1
+    assert done.stdout.startswith("0 of 1 robots have confirmed the stop\n")
+    assert "no answer: its connection is broken" in done.stdout
+
+
+def test_sigterm_ends_it_in_order(published: Any, listener: Listener) -> None:
+    process, _ = published
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(10) == 0
+    pump("OFFLINE", lambda: said(listener, "connection")["connectionState"] == "OFFLINE", listener)
+
+
+def test_without_a_broker_nobody_was_stopped(key: str, tmp_path: Path) -> None:
+    config = tmp_path / "fleet.toml"
+    config.write_text(f"[broker]\nport = 1\n[stop]\nkey_file = '{key}'\n")
+    done = failstop("fleet", "stop", "--wait", "0.2", "--config", str(config))
+    assert done.returncode == 1
+    assert "NO ROBOT WAS STOPPED" in done.stderr
+    assert done.stdout == ""

@@ -1,0 +1,139 @@
+"""Signatures, the key's file, and what is taken for a message of the fleet."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.fleet import FleetError, levels, signed
+from failstop.fleet.levels import Answer, Order
+
+KEY = bytes(range(32))
+OTHER = bytes(32)
+ORDER = Order("0" * 32, 1000.5, "smoke", "ann@desk")
+ANSWER = Answer("0" * 32, "robot-1", levels.WRITTEN, "", 0.01)
+
+
+def test_what_is_signed_is_read() -> None:
+    assert levels.read_order(KEY, ORDER.message(KEY)) == ORDER
+    assert levels.read_answer(KEY, ANSWER.message(KEY)) == ANSWER
+
+
+def test_another_key() -> None:
+    with pytest.raises(signed.Forged, match="another key"):
+        levels.read_order(KEY, ORDER.message(OTHER))
+
+
+def test_an_answer_is_no_stop_and_a_stop_no_answer() -> None:
+    with pytest.raises(signed.Forged, match="another key"):
+        levels.read_order(KEY, ANSWER.message(KEY))
+    with pytest.raises(signed.Forged, match="another key"):
+        levels.read_answer(KEY, ORDER.message(KEY))
+
+
+@given(st.integers(0), st.integers(1, 255))
+def test_one_changed_byte_is_noticed_or_changes_nothing(at: int, change: int) -> None:
+    message = bytearray(ORDER.message(KEY))
+    message[at % len(message)] ^= change
+    try:
+        found = levels.read_order(KEY, bytes(message))
+    except signed.Forged:
+        return
+    assert found == ORDER
+
+
+@given(
+    st.binary()
+    | st.text().map(str.encode)
+    | st.recursive(
+        st.none() | st.booleans() | st.floats() | st.integers() | st.text(),
+        lambda inner: (
+            st.lists(inner) | st.dictionaries(st.text(), inner) | st.fixed_dictionaries({"body": inner, "mac": inner})
+        ),
+    ).map(lambda value: json.dumps(value).encode())
+)
+def test_whatever_comes_is_forged_and_nothing_else(message: bytes) -> None:
+    with pytest.raises(signed.Forged):
+        levels.read_order(KEY, message)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        b"[" * 4000,
+        b'{"body": "{}", "mac": "' + b"0" * 5000 + b'"}',
+        b'{"body": "\\ud800", "mac": "00"}',
+        b'{"body": "{}", "mac": "\\u00e9"}',
+    ],
+)
+def test_messages_that_are_hard_to_read(message: bytes) -> None:
+    with pytest.raises(signed.Forged):
+        levels.read_order(KEY, message)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {},
+        {"id": "0" * 32, "t": "now", "reason": "", "by": ""},
+        {"id": "0" * 32, "t": True, "reason": "", "by": ""},
+        {"id": "0" * 32, "t": 10**400, "reason": "", "by": ""},
+        {"id": "../../x", "t": 1.0, "reason": "", "by": ""},
+        {"id": 7, "t": 1.0, "reason": "", "by": ""},
+        {"id": "0" * 32, "t": 1.0, "reason": None, "by": ""},
+    ],
+)
+def test_who_has_the_key_can_make_nonsense_too(body: dict[str, object]) -> None:
+    with pytest.raises(signed.Forged):
+        levels.read_order(KEY, signed.sign(KEY, signed.STOP, body))
+
+
+def test_texts_are_one_line_and_not_too_long() -> None:
+    found = levels.read_order(KEY, Order("0" * 32, 1.0, "a\x1b[2Jb\n" + "x" * 500, "c\td").message(KEY))
+    assert found.reason.startswith("a?[2Jb?xxx")
+    assert len(found.reason) == levels.MOST_TEXT
+    assert found.by == "c?d"
+
+
+def test_a_key_is_made_once_and_nobody_else_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "fleet.key"
+    signed.make_key(str(path))
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert len(signed.read_key(str(path))) == 32
+    with pytest.raises(FleetError, match="there already"):
+        signed.make_key(str(path))
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620])
+def test_a_key_that_others_may_read_or_write_is_refused(tmp_path: Path, mode: int) -> None:
+    path = tmp_path / "key"
+    signed.make_key(str(path))
+    path.chmod(mode)
+    with pytest.raises(FleetError, match="chmod 600"):
+        signed.read_key(str(path))
+
+
+def test_a_key_that_systemd_hands_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "fleet.key"
+    signed.make_key(str(path))
+    path.chmod(0o440)
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
+    assert signed.read_key(str(path))
+
+
+@pytest.mark.parametrize("text", ["", "xyz", "00" * 31, "00" * 33, "é" * 32])
+def test_a_file_that_is_no_key(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "key"
+    path.touch(0o600)
+    path.write_text(text)
+    with pytest.raises(FleetError, match="no fleet's key"):
+        signed.read_key(str(path))
+
+
+def test_no_key(tmp_path: Path) -> None:
+    with pytest.raises(FleetError, match="`failstop fleet key` makes one"):
+        signed.read_key(str(tmp_path / "none"))

@@ -1,0 +1,86 @@
+"""The page of a running service, and a client of it that is no browser."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import signal
+import subprocess
+import sys
+from types import TracebackType
+from typing import Any
+
+from failstop.lab.trial import TrialError, wait_for
+
+HEADERS = {"X-Failstop": "1"}
+
+
+class Web:
+    """A context manager: `failstop web` for the service of that name, on a port of its own."""
+
+    def __init__(self, name: str, *options: str) -> None:
+        command = [sys.executable, "-m", "failstop", "web", "--name", name, "--port", "0", *options]
+        self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        self.url = self.process.stdout.readline().strip()
+        if not self.url:
+            raise TrialError(f"`failstop web` ended with {self.process.wait()}")
+        self.scheme, _, rest = self.url.partition("://")
+        self.host = rest.strip("/")
+
+    def __enter__(self) -> Web:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> int:
+        """SIGTERM; returns the exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+            self.process.send_signal(signal.SIGCONT)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+        try:
+            return self.process.wait(5)
+        finally:
+            self.process.kill()
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self.host.rpartition(":")[2])
+
+    def connect(self) -> http.client.HTTPConnection:
+        """A connection to it."""
+        return http.client.HTTPConnection("127.0.0.1", self.port, timeout=5)
+
+    def ask(
+        self, method: str, path: str, body: object = None, headers: dict[str, str] | None = None
+    ) -> tuple[int, dict[str, str], bytes]:
+        """Status, headers (by their small names), content."""
+        connection = self.connect()
+        try:
+            given = HEADERS if headers is None else headers
+            connection.request(method, path, None if body is None else json.dumps(body), given)
+            answer = connection.getresponse()
+            return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+        finally:
+            connection.close()
+
+    def get(self, path: str) -> Any:
+        """What is there, as an object. Raises AssertionError."""
+        status, _, content = self.ask("GET", path)
+        assert status == 200, (status, content)
+        return json.loads(content)
+
+    def post(self, path: str, body: object = None, headers: dict[str, str] | None = None) -> tuple[int, Any]:
+        """Status and object of a request that changes something."""
+        status, _, content = self.ask("POST", path, body, {**HEADERS, **(headers or {})})
+        return status, json.loads(content)
+
+    def until(self, word: str) -> dict[str, Any]:
+        """Wait until the page shows this word; returns what it shows."""
+        wait_for(f"{word} on the page", lambda: self.get("/api/state")["face"]["word"] == word)
+        found: dict[str, Any] = self.get("/api/state")["face"]
+        return found

@@ -1,0 +1,87 @@
+"""What the page shows of a state: the word, one reason, one step, and what stands in the way of a button."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from failstop.api.state import State
+from failstop.policy import causes
+from failstop.web import face
+from tests.support import states
+from tests.support.states import NOW_S
+
+PORT = {"path": "/dev/ttyACM0", "state": "open", "link": "alive"}
+DRIVING = {"enabled": True, "blocked": None, "body_vel": (0.2, 0.0, 0.0), "wheels_rps": (1.0, 1.0, -1.0, -1.0)}
+
+
+def shown(state: State) -> dict[str, Any]:
+    return face.face(state, [], NOW_S)
+
+
+@pytest.mark.parametrize(
+    ("state", "word", "why", "step"),
+    [
+        (states.state(), "STOPPED", "Motion is disabled", "Hold ENABLE"),
+        (states.state(enabled=True, blocked="cmd timeout"), "CAN MOVE", "nobody commands", "Start what is to drive"),
+        (states.state(enabled=True, blocked="no scan"), "CAN MOVE", "sensor is silent", "Start the obstacle sensor"),
+        (states.state(**DRIVING), "MOVING", "0.20 m/s forward.", ""),
+        (states.state(enabled=True, blocked=None), "CAN MOVE", "The command is zero.", ""),
+        (states.latched(), "STOPPED", "Somebody pressed key 1 on the board.", "then hold RESET"),
+        (states.state(waiting_for="the port"), "STOPPED", "Motion is disabled", "Wait for the port."),
+        (states.state(device={**PORT, "state": "lost"}), "WHEELS MAY TURN", "is lost", "POWER SWITCH"),
+        (states.latched(device={**PORT, "link": "deaf"}), "WHEELS MAY TURN", "does not answer", "POWER SWITCH"),
+        (states.latched(causes.UNSTILL()), "WHEELS MAY TURN", "shake on", "POWER SWITCH"),
+    ],
+)
+def test_word_reason_and_step(state: State, word: str, why: str, step: str) -> None:
+    found = shown(state)
+    assert found["word"] == word
+    assert why in found["why"]
+    assert step in found["next"]
+    assert bool(step) == bool(found["next"])
+    json.dumps(found)
+
+
+@pytest.mark.parametrize("kind", causes.BY_NUMBER.values(), ids=lambda kind: kind.name)
+def test_every_cause_is_a_sentence_and_a_step(kind: causes.Kind) -> None:
+    given: dict[type, Any] = {str: "gate", int: 1, float: 1.0}
+    cause = kind(*(given[of] for _, of in kind.parameters))
+    found = shown(states.latched(cause))
+    assert found["why"].endswith(".")
+    assert found["why"][0].isupper() or found["why"][0] in "\"'"
+    assert found["next"].endswith(".")
+    assert "`" not in found["why"] + found["next"]
+    assert found["latched"]
+
+
+def test_what_stands_in_the_way() -> None:
+    def can(state: State) -> dict[str, str]:
+        found: dict[str, str] = shown(state)["can"]
+        return found
+
+    assert can(states.state()) == {
+        "reset": "nothing is latched", "enable": "", "disable": "motion is disabled already"
+    }  # fmt: skip
+    assert can(states.latched()) == {
+        "reset": "", "enable": "a stop is latched: reset first", "disable": "motion is disabled already"
+    }  # fmt: skip
+    assert can(states.state(**DRIVING))["disable"] == ""
+    assert can(states.state(waiting_for="the gate"))["enable"] == "wait for the gate"
+
+
+def test_the_three_levels_of_a_stop() -> None:
+    stop = states.stop(acknowledged_us=None, observed_ms=None)
+    assert face.stop_of(stop) == {
+        "reason": "key1", "t": NOW_S - 12, "written": "0.21 ms", "acknowledged": "", "observed": ""
+    }  # fmt: skip
+    assert face.stop_of(None) is None
+
+
+def test_without_a_service() -> None:
+    found = face.absent("no service named 'left' is running")
+    assert found.keys() == shown(states.state()).keys()
+    assert found["word"] == "NO SERVICE"
+    assert "POWER SWITCH" in found["next"].upper()

@@ -1,0 +1,141 @@
+"""The page over real HTTP, beside a real service on a simulated board: the board decides whether a STOP came."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import time
+
+import pytest
+
+from failstop.lab.trial import Trial, judge, wait_for
+from failstop.web import assets, guard
+from tests.web.parts import HEADERS, Web
+
+MOST_BYTES = 150_000
+
+
+def test_a_stop_on_the_page_stops_the_wheels(trial: Trial, web: Web) -> None:
+    trial.enable()
+    trial.drive(0.3)
+    assert web.get("/api/state")["face"]["word"] == "MOVING"
+    trial.board.events()
+    moving, asked_ns = trial.moving(), time.monotonic_ns()
+    status, said = web.post("/api/stop")
+    assert (status, said["written"], moving) == (200, True, True)
+    trial.drive(0.2)
+    seen = judge(trial.board.events(), asked_ns, moving)
+    assert seen.stop_ns is not None
+    assert seen.motion_after == 0
+    assert not trial.moving()
+    found = web.until("STOPPED")
+    assert found["latched"]
+    assert 'asked for a stop: "STOP on the page"' in found["why"]
+    assert found["stop"]["written"]
+    assert found["stop"]["t"] == pytest.approx(said["asked"], abs=0.5)
+
+
+def test_stopped_again_while_it_is_stopped(trial: Trial, web: Web) -> None:
+    trial.robot.estop("somebody else")
+    wait_for("the latch", lambda: trial.robot.state.estop)
+    status, said = web.post("/api/stop")
+    assert (status, said["written"]) == (200, True)
+
+
+def test_everything_that_is_answered_carries_the_headers(web: Web) -> None:
+    for method, path in (("GET", "/"), ("GET", "/page.js"), ("GET", "/nowhere"), ("PUT", "/"), ("POST", "/api/stop/x")):
+        _, headers, _ = web.ask(method, path)
+        for name, value in guard.HEADERS.items():
+            if name == "Content-Security-Policy":
+                for part in (
+                    "default-src 'none'",
+                    "frame-ancestors 'none'",
+                    "form-action 'none'",
+                    "connect-src 'self'",
+                ):
+                    assert part in headers[name.lower()], path
+                assert "unsafe" not in headers[name.lower()]
+            else:
+                assert headers[name.lower()] == value, path
+        assert "server" not in headers
+        assert "access-control-allow-origin" not in headers
+
+
+def test_the_page_names_its_own_script_and_style(web: Web) -> None:
+    _, headers, content = web.ask("GET", "/")
+    assert headers["content-security-policy"].count("'sha256-") == 2
+    assert assets.SCRIPT.encode() not in content
+    assert assets.STYLE.encode() not in content
+    assert b"http" not in content.replace(b"http://www.w3.org", b""), "nothing is fetched from elsewhere"
+
+
+def test_it_is_small(web: Web) -> None:
+    sizes = {path: len(web.ask("GET", path)[2]) for path in assets.load()}
+    assert all(sizes.values())
+    assert sum(sizes.values()) < MOST_BYTES
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "headers", "status"),
+    [
+        ("GET", "/api/state", {"Host": "evil.example"}, 421),
+        ("POST", "/api/stop", {**HEADERS, "Host": "evil.example:8477"}, 421),
+        ("POST", "/api/stop", {**HEADERS, "Origin": "http://evil.example"}, 403),
+        ("POST", "/api/stop", {**HEADERS, "Sec-Fetch-Site": "cross-site"}, 403),
+        ("POST", "/api/stop", {}, 403),
+        ("GET", "/api/live", {"Upgrade": "websocket", "Connection": "Upgrade", "Origin": "http://evil.example"}, 403),
+        ("GET", "/api/stop", {}, 405),
+        ("GET", "/../page.html", {}, 404),
+        ("GET", "/%2e%2e/pyproject.toml", {}, 404),
+        ("DELETE", "/api/state", {}, 405),
+        ("POST", "/api/stop", {**HEADERS, "Content-Length": "100000"}, 400),
+    ],
+)
+def test_what_the_guard_refuses(
+    trial: Trial, web: Web, method: str, path: str, headers: dict[str, str], status: int
+) -> None:
+    """And nothing of it comes to the service."""
+    before = trial.robot.state.epoch
+    assert web.ask(method, path, headers=headers)[0] == status
+    assert trial.robot.state.epoch == before
+
+
+def test_garbage_is_answered_with_nothing_of_the_inside(web: Web) -> None:
+    for given in (b"\x16\x03\x01\x02\x00", b"GET / HTTP/9.9\r\n\r\n", b"\0" * 2000, b"POST /api/stop HTTP/1.1\r\n\r\n"):
+        with socket.create_connection(("127.0.0.1", web.port), timeout=5) as connection:
+            connection.sendall(given)
+            connection.shutdown(socket.SHUT_WR)
+            said = connection.makefile("rb").read()
+        assert b"Traceback" not in said
+    assert web.get("/api/state")["face"]["word"] == "STOPPED"
+
+
+def test_without_a_service_it_says_so_and_a_stop_is_not_written() -> None:
+    with Web("web-nobody") as alone:
+        assert alone.get("/api/state")["face"]["word"] == "NO SERVICE"
+        status, said = alone.post("/api/stop")
+        assert status == 503
+        assert "no service" in said["error"]
+
+
+def test_a_page_that_is_killed_or_hangs_leaves_the_robot_alone(trial: Trial) -> None:
+    """It is no part of the stop path, and of no driving either."""
+    with Web(trial.name) as other:
+        trial.enable()
+        trial.drive(0.3)
+        os.kill(other.process.pid, signal.SIGSTOP)
+        trial.drive(0.3)
+        assert trial.moving()
+        os.kill(other.process.pid, signal.SIGKILL)
+        trial.drive(0.3)
+        assert trial.moving()
+        assert trial.robot.state.estop is None
+    trial.robot.disable()
+
+
+def test_sigterm_ends_it_in_order(trial: Trial) -> None:
+    with Web(trial.name) as other:
+        assert json.loads(other.ask("GET", "/api/state")[2])["live"]
+        assert other.close() == 0

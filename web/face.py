@@ -1,0 +1,221 @@
+"""Face: what the page shows of a state, as plain values. Pure: the times are arguments.
+
+The word is for arm's length; the reason is one sentence; the next step is what a person does, by the buttons of the
+page and not by commands.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from failstop.cli.screen import history, reasons, verdict, words
+from failstop.shm import blocks
+from failstop.shm.layout import GATE
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.api.events import Event
+    from failstop.api.state import State, Stop
+
+MOVING = "MOVING"
+STOPPED = "STOPPED"
+CAN_MOVE = "CAN MOVE"
+MAY_TURN = "WHEELS MAY TURN"
+NO_SERVICE = "NO SERVICE"
+ROLES = {MOVING: "moves", STOPPED: "stopped", CAN_MOVE: "free", MAY_TURN: "bad", NO_SERVICE: "bad"}
+
+BLOCKS = {
+    blocks.DISABLED: "Motion is disabled, as after every start and every stop.",
+    blocks.NO_COMMAND: "Motion is enabled, and nobody commands.",
+    blocks.NO_SCAN: "Motion is enabled, but the obstacle sensor is silent.",
+}
+POWER = "Turn the robot's POWER SWITCH off"
+MOST_EVENTS = 40
+
+
+def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
+    """Everything that changes seldom. `events`: of this run, oldest first."""
+    word = _word(state)
+    return {
+        "name": state.name,
+        "word": word,
+        "role": ROLES[word],
+        "why": _why(state),
+        "since": _since(state, events),
+        "next": _next(state),
+        "latched": state.estop is not None,
+        "enabled": state.enabled,
+        "can": {"reset": _no_reset(state), "enable": _no_enable(state), "disable": _no_disable(state)},
+        "stop": stop_of(state.last_stop),
+        "driver": next((f"{row['who']} as {row['source']}" for row in state.sources if row["state"] == "drives"), ""),
+        "battery_v": state.battery_mv / 1000 if state.battery_mv else None,
+        "plugged": state.plugged,
+        "port": f"{state.device['path'] or 'no port'} {state.device['state']}",
+        "link": state.device["link"],
+        "clients": [f"{client['name']} (pid {client['pid']})" for client in state.clients],
+        "processes": [
+            {"name": name.replace("_", " "), "state": process.state, "restarts": process.restarts}
+            for name, process in state.processes.items()
+        ],
+        "troubles": _troubles(state),
+        "events": [
+            {"seq": event.seq, "t": event.t, "kind": event.kind, "level": event.level, "text": plain(event.text)}
+            for event in events[-MOST_EVENTS:]
+        ],
+    }
+
+
+def live(state: State, vibration_radps: float | None) -> list[Any]:
+    """What changes all the time: forward, left, turn, vibration (mrad/s, None: the IMU is silent), age of the gate's
+    word (ms)."""
+    shake = None if vibration_radps is None else round(vibration_radps * 1e3, 2)
+    return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_ms)]
+
+
+def absent(note: str) -> dict[str, Any]:
+    """The same as `face` where no service runs."""
+    return {
+        "name": "",
+        "word": NO_SERVICE,
+        "role": ROLES[NO_SERVICE],
+        "why": sentence(note),
+        "since": None,
+        "next": f"If the wheels turn: {POWER.lower()}. Then start the service.",
+        "latched": False,
+        "enabled": False,
+        "can": dict.fromkeys(("reset", "enable", "disable"), "no service runs"),
+        "stop": None,
+        "driver": "",
+        "battery_v": None,
+        "plugged": "unknown",
+        "port": "",
+        "link": "",
+        "clients": [],
+        "processes": [],
+        "troubles": [],
+        "events": [],
+    }
+
+
+def stop_of(stop: Stop | None) -> dict[str, Any] | None:
+    """The last stop with its three times in words; an empty text: not known (yet)."""
+    if stop is None:
+        return None
+    return {
+        "reason": stop.reason,
+        "t": stop.t,
+        "written": "" if stop.written_us is None else words.took(stop.written_us),
+        "acknowledged": "" if stop.acknowledged_us is None else words.took(stop.acknowledged_us),
+        "observed": "" if stop.observed_ms is None else _seen(stop),
+    }
+
+
+def _seen(stop: Stop) -> str:
+    """The third proof, short."""
+    return words.wheels_seen(stop).replace("wheels still", "still").replace("less than", "<")
+
+
+def sentence(text: str) -> str:
+    """A capital at its beginning, a full stop at its end."""
+    text = plain(text).strip()
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '!', '?')) else '.'}"
+
+
+def plain(text: str) -> str:
+    """Without the backquotes of commands."""
+    return text.replace("`", "")
+
+
+def _word(state: State) -> str:
+    if verdict.doubt(state):
+        return MAY_TURN
+    if verdict.moving(state):
+        return MOVING
+    return CAN_MOVE if state.enabled and not state.estop else STOPPED
+
+
+def _why(state: State) -> str:
+    if doubt := verdict.doubt(state):
+        return sentence(doubt)
+    if state.cause:
+        return sentence(reasons.explain(state.cause)[0])
+    if state.blocked:
+        return BLOCKS.get(state.blocked) or sentence(state.blocked)
+    return sentence(words.velocity(*state.body_vel) or "The command is zero")
+
+
+def _since(state: State, events: Sequence[Event]) -> float | None:
+    """Since when it is stopped, Unix time; None: not known, or not stopped."""
+    if state.cause and state.last_stop and state.last_stop.cause == state.cause:
+        return state.last_stop.t
+    if state.blocked == blocks.DISABLED:
+        return next((event.t for event in reversed(events) if event.kind in history.SINCE), None)
+    return None
+
+
+def _next(state: State) -> str:
+    """One step; empty while it moves."""
+    if any(process.state == "dead" for process in state.processes.values()):
+        return "Start the service again."
+    if state.device["state"] != "open":
+        return f"{POWER} if the wheels turn; then plug the board in."
+    if verdict.doubt(state):
+        return f"{POWER} and on again."
+    if state.cause:
+        return f"{sentence(reasons.explain(state.cause)[1])[:-1]}; then hold RESET."
+    if missing := _waits(state):
+        return sentence(missing)
+    if not state.enabled:
+        return "Hold ENABLE when nobody is in its way."
+    if state.blocked == blocks.NO_SCAN:
+        return "Start the obstacle sensor and the program that calls robot.sensed()."
+    if state.blocked == blocks.NO_COMMAND:
+        return "Start what is to drive."
+    return ""
+
+
+def _waits(state: State) -> str:
+    if GATE in verdict.down(state):
+        return "wait: the gate died too often and is tried again within a minute"
+    if state.waiting_for and not verdict.down(state):
+        return f"wait for {state.waiting_for}"
+    return ""
+
+
+def _no_reset(state: State) -> str:
+    """What stands in the way of a reset; empty when nothing does."""
+    if not state.estop:
+        return "nothing is latched"
+    if state.device["state"] != "open":
+        return "the board is not there"
+    return ""
+
+
+def _no_enable(state: State) -> str:
+    if state.enabled:
+        return "motion is enabled already"
+    if state.estop:
+        return "a stop is latched: reset first"
+    return _waits(state)
+
+
+def _no_disable(state: State) -> str:
+    return "" if state.enabled else "motion is disabled already"
+
+
+def _troubles(state: State) -> list[str]:
+    """What else is wrong."""
+    found = []
+    for name, process in state.processes.items():
+        if process.state not in ("running", "starting"):
+            found.append(f"The {name.replace('_', ' ')} is {process.state}.")
+    if state.device["state"] == "open" and state.device["link"] == "unproven":
+        found.append("The board has not answered yet, so nobody knows that it hears.")
+    if starved := words.starved(state.starved):
+        found.append(sentence(starved))
+    if state.age_ms > verdict.STALE_MS:
+        found.append(f"The gate has said nothing for {words.span(state.age_ms / 1000)}: this may be old.")
+    found += [f"{sentence(wrong)[:-1]} ({who})." for who, _, wrong in words.said(state) if wrong]
+    return found

@@ -1,0 +1,118 @@
+"""Guard: which requests are let in, as a table whose first row that fails decides. Pure.
+
+A page of another site can make a browser send requests here: under a name of its own that it lets point to the robot
+(rebinding), or to the robot's name from elsewhere (cross-site). The robot's network is no reason to trust anybody.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import ipaddress
+from urllib.parse import urlsplit
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+HEADER = "X-Failstop"
+"""Scripts of the page set it; a form or a link of another site can't."""
+READS = frozenset(("GET", "HEAD"))
+METHODS = READS | {"POST"}
+SAME = frozenset(("", "same-origin", "none"))
+"""What a browser says of where a request comes from, if it says so: here, or a person's own doing."""
+
+HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+        "manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), microphone=(), geolocation=(), payment=(), usb=()",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Cache-Control": "no-store",
+}
+"""Of every answer."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Request:
+    """What of a request decides. Texts that were not sent are empty."""
+
+    method: str
+    scheme: str
+    """http or https, as it was received."""
+    host: str
+    """The header, with the port."""
+    origin: str = ""
+    header: str = ""
+    """HEADER's value."""
+    site: str = ""
+    """Sec-Fetch-Site."""
+    upgrade: bool = False
+    """It asks for a websocket."""
+
+
+def names(hostname: str, more: str) -> frozenset[str]:
+    """Every name that the robot answers to, beside addresses: its own, with .local, localhost, and those of a setting,
+    with blanks between them."""
+    own = hostname.lower().partition(".")[0]
+    return frozenset(("localhost", hostname.lower(), own, f"{own}.local", *more.lower().split())) - {""}
+
+
+def host_of(header: str) -> str:
+    """The host of a Host header, without port and brackets; empty for what is none."""
+    try:
+        found = urlsplit(f"//{header}")
+        _ = found.port
+    except ValueError:
+        return ""
+    if found.username is not None or found.path or found.query or found.fragment:
+        return ""
+    return (found.hostname or "").rstrip(".")
+
+
+def is_address(host: str) -> bool:
+    """An address is nobody's name: a page that was opened under it came from there."""
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
+def _own_host(request: Request, known: frozenset[str]) -> bool:
+    host = host_of(request.host)
+    return is_address(host) or host in known
+
+
+def _own_origin(request: Request, known: frozenset[str]) -> bool:
+    if request.origin:
+        return request.origin.lower() == f"{request.scheme}://{request.host.lower()}"
+    # A browser names the origin of each of these; a program has none.
+    return not request.upgrade
+
+
+ROWS: tuple[tuple[str, int, Callable[[Request, frozenset[str]], bool], str], ...] = (
+    ("method", 405, lambda request, known: request.method in METHODS, "only GET, HEAD and POST are answered"),
+    ("host", 421, _own_host, "this robot does not answer to that name: the setting web.hosts adds names"),
+    ("site", 403, lambda request, known: request.site in SAME, "a page of another site may not call this one"),
+    ("origin", 403, _own_origin, "a page of another site may not call this one"),
+    (
+        "header",
+        403,
+        lambda request, known: request.method in READS or request.header == "1",
+        f"a request that changes something carries the header {HEADER}: 1",
+    ),
+)
+"""Name, status, what must hold, what is said otherwise."""
+
+
+def refusal(request: Request, known: frozenset[str]) -> tuple[int, str] | None:
+    """Status and reason for a request that is not let in; None for one that is."""
+    for _, status, holds, why in ROWS:
+        if not holds(request, known):
+            return status, why
+    return None

@@ -1,0 +1,120 @@
+// The page: what comes over the websocket is shown as it is. STOP is in stop.js, and needs none of this.
+import {Chart} from "/chart.js";
+import {connect} from "/link.js";
+
+const $ = (id) => document.getElementById(id);
+const STALE_MS = 1000; // no news for this long: the last word is not shown as if it held
+const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
+let face = null, heard = -Infinity, behind = 0, asked = null;
+
+function text(id, value) {
+  if ($(id).textContent !== value) $(id).textContent = value;
+}
+
+function clock(unix) {
+  return new Date(unix * 1000).toLocaleTimeString([], {hour: "2-digit", minute: "2-digit", second: "2-digit", hour12: false});
+}
+
+function ago(unix) {
+  const seconds = Math.max(0, Date.now() / 1000 + behind - unix);
+  if (seconds < 120) return `${Math.round(seconds)} s ago`;
+  return seconds < 7200 ? `${Math.floor(seconds / 60)} min ago` : `${Math.floor(seconds / 3600)} h ago`;
+}
+
+function show() {
+  text("robot", `${face.name || "failstop"} on ${location.hostname}`);
+  text("word", face.word);
+  $("word").classList.toggle("long", face.word.length > 9);
+  $("head").dataset.role = face.role;
+  text("why", face.why);
+  text("next", face.next);
+  document.title = `${face.word} - failstop`;
+  showStop();
+  showFacts();
+  showEvents();
+  dispatchEvent(new CustomEvent("face", {detail: face}));
+}
+
+function showStop() {
+  const stop = face.stop;
+  text("last-reason", stop ? `${stop.reason} (${clock(stop.t)})` : "none since the service was started");
+  $("last-proof").hidden = !stop;
+  if (!stop) return;
+  for (const item of $("last-proof").children) {
+    const level = item.dataset.level, when = stop[level];
+    item.classList.toggle("there", !!when);
+    const said = level === "observed" ? when : when && `after ${when}`;
+    item.replaceChildren(level, Object.assign(document.createElement("b"), {textContent: said || "not known"}));
+  }
+  if (asked === null) return;
+  if (!face.latched) { asked = null; dispatchEvent(new Event("unstopped")); return; }
+  const own = stop.t >= asked - 0.5;
+  const levels = own ? ["written", "acknowledged", "observed"].filter((level) => stop[level]) : ["written"];
+  text("stop-said", own ? levels.map((level) => `\u2713 ${level}`).join("  ") || "written" : "\u2713 written; it was stopped already");
+  $("stop").dataset.phase = levels.at(-1) || "written";
+}
+
+function showFacts() {
+  const rows = [
+    ["Drives", face.driver || "nobody"],
+    ["Battery", face.battery_v ? `${face.battery_v.toFixed(2)} V${face.plugged === "unknown" ? "" : `, charger ${face.plugged}`}` : "not known"],
+    ["Port", face.port],
+    ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has not answered yet"}[face.link] || face.link],
+    ["Clients", face.clients.join(", ") || "none"],
+  ];
+  $("facts").replaceChildren(...rows.flatMap(([name, value]) => [node("dt", name), node("dd", value)]));
+  $("troubles").replaceChildren(...face.troubles.map((trouble) => node("li", trouble)));
+  $("processes").replaceChildren(...face.processes.map(({name, state, restarts}) => {
+    const shown = node("li", `${name} ${state}${restarts ? `, started anew ${restarts} times` : ""}`);
+    shown.classList.toggle("wrong", state !== "running");
+    return shown;
+  }));
+}
+
+function showEvents() {
+  $("events").replaceChildren(...face.events.slice().reverse().map(({t, level, text: said}) => {
+    const row = document.createElement("li");
+    row.dataset.level = level;
+    row.append(node("time", clock(t)), node("span", said));
+    return row;
+  }));
+}
+
+function node(kind, content) {
+  return Object.assign(document.createElement(kind), {textContent: content});
+}
+
+function showLive(live) {
+  const speed = live && Math.hypot(live[0], live[1]), shake = live && live[3];
+  charts.speed.add(live ? speed : null);
+  charts.shake.add(shake);
+  text("speed", live ? `${speed.toFixed(2)} m/s, ${live[2].toFixed(2)} rad/s` : "not known");
+  text("shake", shake === null || shake === undefined ? "IMU silent" : `${shake.toFixed(1)} mrad/s`);
+}
+
+function lost() {
+  if (performance.now() - heard < STALE_MS || $("head").dataset.role === "lost") return;
+  $("head").dataset.role = "lost";
+  $("word").classList.add("long");
+  text("word", "NO CONTACT");
+  text("why", `The robot is not heard.${face ? ` Last known: ${face.word}.` : ""}`);
+  text("next", "STOP is tried all the same. If it must stop now: POWER SWITCH.");
+  text("since", "");
+  showLive(null);
+}
+
+function news(message) {
+  heard = performance.now();
+  behind = message.t - Date.now() / 1000;
+  if ("live" in message) showLive(message.live);
+  if (message.face) face = message.face;
+  if (face && (message.face || $("head").dataset.role === "lost")) show();
+  if (face) text("since", face.since ? `Since ${clock(face.since)}, ${ago(face.since)}` : "");
+}
+
+addEventListener("stopped", (event) => {
+  asked = event.detail.asked;
+  if (event.detail.face) { face = event.detail.face; heard = performance.now(); show(); }
+});
+setInterval(lost, 200);
+connect(news);

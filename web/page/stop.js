@@ -1,0 +1,61 @@
+"use strict";
+// STOP, by itself: it stands in the page, needs nothing else of it, and works before anything is connected.
+(() => {
+  const EVERY_MS = 300; // an answer comes within that when it is written, or says that it was not
+  const TRIES = 60;
+  const MOST_OPEN = 4;
+  const button = document.getElementById("stop");
+  const said = document.getElementById("stop-said");
+  const HINT = matchMedia("(pointer: coarse)").matches ? "at a touch" : "so do Space and Escape";
+  let running = false;
+
+  function say(text, phase) {
+    said.textContent = text;
+    button.dataset.phase = phase;
+  }
+
+  function ask(open) {
+    const given = new AbortController();
+    open.push(given);
+    if (open.length > MOST_OPEN) open.shift().abort();
+    // keepalive: it goes out even if the page is closed at once.
+    return fetch("/api/stop", {method: "POST", headers: {"X-Failstop": "1"}, keepalive: true, signal: given.signal})
+      .then((answer) => answer.json().then((found) => ({...found, status: answer.status})));
+  }
+
+  async function stop() {
+    if (running) return;
+    running = true;
+    say("asking ...", "asking");
+    if (navigator.vibrate) navigator.vibrate(40);
+    const open = [];
+    let asked = 0, done = false, wrong = "no answer";
+    for (let number = 0; number < TRIES && !done; number++) {
+      const wait = new Promise((next) => setTimeout(next, EVERY_MS));
+      const answer = ask(open).then((found) => {
+        asked ||= found.asked || 0;
+        if (found.written && !done) {
+          done = true;
+          say("written", "written");
+          dispatchEvent(new CustomEvent("stopped", {detail: {...found, asked}}));
+        } else if (found.error) wrong = found.error;
+      }).catch(() => {});
+      await Promise.race([answer, wait]);
+      if (!done) await wait;
+      if (!done && number >= 3) say(`NOT WRITTEN (${wrong}). Still trying: use the POWER SWITCH`, "failed");
+    }
+    open.forEach((given) => given.abort());
+    if (!done) say(`NOT WRITTEN (${wrong}): use the POWER SWITCH`, "failed");
+    running = false;
+  }
+
+  addEventListener("unstopped", () => say(HINT, ""));
+  say(HINT, "");
+  // On touch-down, not when the finger is lifted; a click alone is a screen reader's or a keyboard's.
+  button.addEventListener("pointerdown", (event) => { event.preventDefault(); stop(); });
+  button.addEventListener("click", stop);
+  addEventListener("keydown", (event) => {
+    const writes = event.target.closest && event.target.closest("input");
+    if (event.key === "Escape" || (event.key === " " && !writes)) { event.preventDefault(); stop(); }
+  }, true);
+})();
