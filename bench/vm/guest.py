@@ -26,8 +26,8 @@ MEMORY_MB = 768
 WAITS = "shift=2"
 """An instruction takes 4 ns of guest time; where the guest waits, its time is that of the machine outside."""
 LEAPS = "shift=2,sleep=off"
-"""The same, but a guest that waits goes on at once, to the time it waits for: for what is wholly inside. A state that was
-saved with it can be gone on with by either, one that was saved without it only without."""
+"""The same, but a guest that waits goes on at once, to the time it waits for: for what is wholly inside. From a state
+that was saved with it either can go on, from one that was saved without it only the other."""
 STATE = "ready"
 """The saved state of the booted guest, inside its disk."""
 BOOT_S = 420.0
@@ -39,8 +39,8 @@ UNUSED = (
 APPEND = f"console=ttyS0 quiet clocksource=tsc tsc=reliable mitigations=off module_blacklist={','.join(UNUSED)}"
 """Counting instructions, the time stamp counter is exact, which the kernel does not believe of an emulated one."""
 CPU = "qemu64,+ssse3,+sse4.1,+sse4.2,+popcnt,-svm"
-"""The least that numpy runs on: what `max` has besides (AVX, pages of five levels) is slower, emulated. A boot takes this
-machine 40 s of its processor instead of 57."""
+"""The least that numpy runs on: what `max` has besides (AVX, pages of five levels) is slower, emulated. A boot took the
+machine outside 40 s of its processor instead of 57."""
 MACHINE = "q35,sata=off,smbus=off,i8042=off,vmport=off"
 
 
@@ -247,7 +247,10 @@ def state(image: Image, payload: Path) -> Path:
     if path.exists():
         return path
     print("booting the guest once, to keep its state ...", flush=True)
-    with tempfile.TemporaryDirectory(prefix="failstop-vm-") as place, Guest(image, Path(place), payload, clock=LEAPS) as guest:
+    with (
+        tempfile.TemporaryDirectory(prefix="failstop-vm-") as place,
+        Guest(image, Path(place), payload, clock=LEAPS) as guest,
+    ):
         guest.start()
         guest.greeted()
         guest.must("systemctl", "is-system-running", "--wait", timeout_s=120.0)

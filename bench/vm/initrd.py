@@ -1,6 +1,6 @@
-"""An initrd that loads what the disk needs and hands over to it, as an archive in cpio's format newc. Pure but for reading.
+"""An initrd that loads what the disk needs and hands over to it, as an archive in cpio's format newc; it only reads.
 
-Debian's own starts udev and looks for the disk for eight seconds of the guest's; what is tried begins with the system's init.
+Debian's own takes the guest four seconds more, with udev; what is tried begins with the system's init.
 """
 
 from __future__ import annotations

@@ -118,8 +118,8 @@ class Environment:
 
 
 def _copy_compiled(source: str, path: str) -> bool:
-    """Put the compiled module that lies beside the source, if it is of that very source, beside its copy, which gets the
-    source's time for it; True when done. The import mends the path in it."""
+    """Put the compiled module that lies beside the source, if it is of that very source, beside its copy, which gets
+    the source's time for it; True when done. The import mends the path in it."""
     try:
         with open(cache_from_source(source), "rb") as file:
             compiled = file.read()
