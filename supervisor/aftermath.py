@@ -19,6 +19,8 @@ from failstop.supervisor.written import BY_SUPERVISOR
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from failstop.policy.causes import Cause
     from failstop.policy.settings import Settings
     from failstop.shm.segment import Segment
@@ -29,8 +31,12 @@ if TYPE_CHECKING:
 class Aftermath:
     """Follows the last stop, and the link. One follow() a turn."""
 
-    def __init__(self, views: dict[str, Segment], latch: Latch, settings: Settings, events: Events) -> None:
+    def __init__(
+        self, views: dict[str, Segment], latch: Latch, settings: Settings, events: Events, holds: Callable[[], bool]
+    ) -> None:
+        """`holds`: whether the kernel holds bytes for the board."""
         self._events = events
+        self._holds = holds
         port_owner, telemetry = views[layout.PORT_OWNER], views[layout.TELEMETRY]
         self._record = views[layout.SUPERVISOR].latest_writer("stop")
         self._link_record = views[layout.SUPERVISOR].latest_writer("link")
@@ -179,7 +185,8 @@ class Aftermath:
 
     def _tell_outcome(self, stop: Stop) -> None:
         link = self.link.state
-        level = "error" if stop.state == UNSTILL else ""
+        stop.held = stop.written_ns > 0 and stop.acknowledged_ns is None and self._holds()
+        level = "error" if stop.held or stop.state == UNSTILL else ""
         self._events.tell("stop_outcome", stop.outcome(link), stop.fields(link), level=level)
 
     def _tell_link(self, before: str, state: str) -> None:

@@ -95,7 +95,9 @@ class Supervisor:
         self.processes = ProcessTable(resources, settings, self.loop, own, views, lifelines, self._events)
         self.children = self.processes.children
         self.epochs = Epochs(own, views, resources.bells)
-        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, self.epochs.latch, settings, self._events)
+        self.aftermath = Aftermath(
+            views | {layout.SUPERVISOR: own}, self.epochs.latch, settings, self._events, port.holds
+        )
         self.blackbox = BlackBox(resources, settings, own, views, self._events)
         self.handover = PortHandover(
             port, settings.text("device.path"), resources, views, self.loop, self.processes, self._events
@@ -309,7 +311,9 @@ class Supervisor:
         """Publish the stop for people, and log it."""
         latched = self.epochs.latch.stop or stop
         self.aftermath.written(stop, written_ns, by, latched.cause, self.epoch)
-        self.teller.stopped(stop, written_ns, by, latched, self.epoch, ending=self.ending)
+        # Held for a moment is any burst; behind one that the board has not taken for long it goes nowhere.
+        held = causes.STUCK in (stop.cause.kind, latched.cause.kind) and self._port.holds()
+        self.teller.stopped(stop, written_ns, by, latched, self.epoch, ending=self.ending, held=held)
 
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline: at that moment, not at a tick after it."""

@@ -1,7 +1,7 @@
 """A stop and its life, from the moment somebody noticed a cause until all that can be known of it is known. Pure.
 
     RAISED         its cause was noticed
-    WRITTEN        its bytes were handed to the kernel (UNWRITTEN: they were not)
+    WRITTEN        its bytes were handed to the kernel (UNWRITTEN: they were not; held: it has not passed them on)
     ACKNOWLEDGED   the board answered a ping that was written after it: its receiver was in step by then
     OBSERVED       the IMU says that the wheels are still (UNSTILL: they are not)
 
@@ -34,6 +34,8 @@ LEAST_NS = 1_000_000
 """The shortest time to rest: 0 means that there was nothing to come to rest."""
 LATE_LOOK_NS = 200_000_000
 """A first look at the IMU's word this long after the cause (the supervisor was held up) may have missed the shaking."""
+NOT_SENT = "NOT sent: the board takes no bytes"
+"""For people: of bytes that the kernel was handed and holds (with cdc_acm; a pty that is full takes none)."""
 RESOLUTION_S = 0.2
 """The IMU's word of when the wheels came to rest is no better than this."""
 
@@ -71,6 +73,8 @@ class Stop:
         """From the cause until the wheels were still; 0: the IMU saw no shaking before it either."""
         self.unstill = False
         """They were found not to be still when they should be."""
+        self.held = False
+        """Its bytes were still in the kernel when it was told of: the board takes none."""
         self.told = False
         """All that can be known of it was told."""
         self._was_still = True
@@ -151,7 +155,7 @@ class Stop:
     def outcome(self, link: str) -> str:
         """What became of it, for the journal; `link` as of link.py."""
         heard = f"acknowledged by the board after {self.acknowledged_ns / 1e6:.1f} ms" if self.acknowledged_ns else ""
-        heard = heard or f"not acknowledged (link {link})"
+        heard = heard or (f"handed over, {NOT_SENT}" if self.held else f"not acknowledged (link {link})")
         if self.observed_ns is None:
             seen = "wheels NOT seen still" if self.state == UNSTILL else "not observed"
         else:
@@ -166,6 +170,7 @@ class Stop:
             "cause": self.cause.kind.name,
             "epoch": self.epoch,
             "link": link,
+            "sent": not self.held,
             **self._proofs(),
             "wheels": "unstill" if self.state == UNSTILL else seen,
         }

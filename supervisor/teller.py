@@ -5,6 +5,7 @@ from __future__ import annotations
 from failstop.shm import heartbeat, layout
 from failstop.shm.notes import Note
 from failstop.supervisor.link import UNPROVEN
+from failstop.supervisor.stops import NOT_SENT
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -60,10 +61,16 @@ class Teller:
             fields = {**_named(stop.cause), "noticed_by": stop.noticed_by}
             self.events.tell("stop_also", f"also: {stop.cause}", fields)
 
-    def stopped(self, stop: Stop, written_ns: int, by: str, latched: Stop, epoch: int, *, ending: bool) -> None:
-        """A stop was answered; `written_ns` 0: it could not be written. `latched`: the one that is latched."""
+    def stopped(
+        self, stop: Stop, written_ns: int, by: str, latched: Stop, epoch: int, *, ending: bool, held: bool = False
+    ) -> None:
+        """A stop was answered; `written_ns` 0: it could not be written; `held`: the kernel has its bytes, and the board
+        takes none. `latched`: the one that is latched."""
         written_us = max(0, written_ns - stop.t_ns) / 1000
-        wrote = f"stop frame written by the {by} after {written_us:.0f} us" if written_ns else "stop frame NOT written"
+        done = "handed over" if held else "written"
+        wrote = f"stop frame {done} by the {by} after {written_us:.0f} us" if written_ns else "stop frame NOT written"
+        held = held and written_ns > 0
+        wrote += f", {NOT_SENT}" if held else ""
         fields = {
             **_named(stop.cause),
             "noticed_by": stop.noticed_by,
@@ -71,7 +78,7 @@ class Teller:
             "latency_us": round(written_us, 1) if written_ns else None,
             "epoch": epoch,
         }
-        level = "" if written_ns else "critical"
+        level = "" if written_ns and not held else "critical"
         if ending:
             self.events.tell("stopping", f"{stop.cause}; {wrote}", fields, level=level)
         elif latched is stop:
@@ -121,7 +128,7 @@ class Teller:
         as of link.py; `written`: the kernel took the second stop; `sent`: it has passed it on."""
         told = "the stop was written twice" if sent else "the second stop could NOT be written"
         if written and not sent:
-            told = "the second stop was handed over, NOT sent: the board takes no bytes"
+            told = f"the second stop was handed over, {NOT_SENT}"
         fields = {"link": link, "acknowledged_us": round(heard_ns / 1e3, 1) if heard_ns else None}
         if heard_ns:
             heard, level = f"acknowledged by the board after {heard_ns / 1e6:.1f} ms", ""

@@ -9,6 +9,7 @@ import argparse
 import contextlib
 import dataclasses
 import json
+import resource
 import shutil
 import signal
 import sys
@@ -39,11 +40,27 @@ class Run:
         self.results: list[Result] = []
         self._lock = threading.Lock()
         self._start_s = time.monotonic()
+        self._phases: list[str] = []
 
     def say(self, line: str) -> None:
         """A line for who watches, with the time."""
         with self._lock:
             print(f"[{time.monotonic() - self._start_s:5.0f} s] {line}", flush=True)
+
+    @contextlib.contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """A part of the run, whose time is told of at the end."""
+        start_s = time.monotonic()
+        try:
+            yield
+        finally:
+            self._phases.append(f"{name} {time.monotonic() - start_s:.0f}")
+
+    def times(self) -> str:
+        """Where the time went; what the processor did for it is to be seen only when every guest has ended."""
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        whole_s = time.monotonic() - self._start_s
+        return f"{whole_s:.0f} s, of a processor {used.ru_utime + used.ru_stime:.0f}: {', '.join(self._phases)}"
 
     def take(self, line: str) -> None:
         """What the trials in a guest print."""
@@ -65,11 +82,13 @@ class Run:
 
 def install(machine: Guest, run: Run) -> None:
     """The guest goes on from its saved state, gets what is to be tried, and installs it: the first trial."""
-    machine.start(guest.STATE)
-    machine.must("date", "--set", f"@{int(time.time())}")
-    machine.must("sh", "-c", payload.UNPACK, timeout_s=UNPACK_S)
+    with run.phase("start"):
+        machine.start(guest.STATE)
+        machine.must("date", "--set", f"@{int(time.time())}")
+        machine.must("sh", "-c", payload.UNPACK, timeout_s=UNPACK_S)
     run.say("the guest is ready")
-    inside(machine, ["install"], run)
+    with run.phase("install"):
+        inside(machine, ["install"], run)
 
 
 def inside(machine: Guest, names: list[str], run: Run) -> None:
@@ -107,16 +126,18 @@ def main() -> int:
     # However it is ended, the guests end with it.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
-        made = image.make()
         with _place(arguments.keep) as place:
-            disk = payload.make(place / "payload.img")
-            saved = guest.state(made, payload.blank(place / "blank.img"))
+            with run.phase("preparing"):
+                made = image.make()
+                disk = payload.make(place / "payload.img")
+                saved = guest.state(made, payload.blank(place / "blank.img"))
             _run(made, saved, place, disk, names, run)
     except (ImageError, GuestError) as error:
         print(f"make vm: {error}", file=sys.stderr)
         return 2
     rows = table.rows(run.results, names)
     print(table.markdown(rows))
+    print(run.times())
     if arguments.json:
         Path(arguments.json).write_text(json.dumps([dataclasses.asdict(found) for found in run.results], indent=2))
     return int(any(row.problems for row in rows))
@@ -132,19 +153,23 @@ def _run(made: image.Image, saved: Path, place: Path, disk: Path, names: list[st
     def serve_outside(state: Path) -> None:
         for number, life in enumerate(table.lives(mine[OUTSIDE])):
             try:
-                with Guest(made, place / f"{OUTSIDE}{number}", disk, disk=state) as machine:
+                with (
+                    run.phase(f"{OUTSIDE} {number}"),
+                    Guest(made, place / f"{OUTSIDE}{number}", disk, disk=state) as machine,
+                ):
                     outside(machine, life, run)
             except (GuestError, SimBoardError, TrialError, OSError) as error:
                 run.say(f"{OUTSIDE}: {error}")
 
-    with Guest(made, place / INSIDE, disk, disk=saved) as machine:
+    with Guest(made, place / INSIDE, disk, disk=saved, clock=guest.LEAPS) as machine:
         install(machine, run)
         thread = None
         if mine[OUTSIDE]:
             thread = threading.Thread(target=serve_outside, args=(machine.fork(INSTALLED),), daemon=True)
             thread.start()
         try:
-            inside(machine, mine[INSIDE], run)
+            with run.phase(INSIDE):
+                inside(machine, mine[INSIDE], run)
         except GuestError as error:
             run.say(f"{INSIDE}: {error}")
     if thread is not None:

@@ -17,6 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from bench.vm import initrd
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:
@@ -39,7 +41,12 @@ PACKAGES = (
     "python3-venv",
     "modemmanager",
 )
-KERNEL = ("linux-image-amd64", "initramfs-tools", "zstd")
+KERNEL = ("linux-image-amd64", "klibc-utils")
+LEFT_OUT = (
+    *(f"/usr/share/{name}/*" for name in ("doc", "locale", "man")),
+    # bench.vm.initrd makes one.
+    "/etc/kernel/postinst.d/initramfs-tools",
+)
 NEEDED = {
     "qemu-system-x86_64": "qemu-system-x86",
     "qemu-img": "qemu-utils",
@@ -49,11 +56,13 @@ NEEDED = {
 }
 """Programs of this machine, and the Debian packages that have them."""
 DISK_SIZE = "2G"
-BOOT_MODULES = "virtio_pci\nvirtio_blk\next4\n"
-"""All that the initrd needs to reach the disk: a stock one has everything, and takes half a minute to unpack there."""
 MASKED = (
     *("apt-daily.timer", "apt-daily-upgrade.timer", "dpkg-db-backup.timer", "fstrim.timer", "e2scrub_all.timer"),
     *("e2scrub_reap.service", "systemd-timesyncd.service", "getty@tty1.service", "systemd-pstore.service"),
+    *("serial-getty@ttyS0.service", "systemd-binfmt.service", "systemd-update-utmp.service"),
+    *("systemd-update-utmp-runlevel.service", "dev-hugepages.mount", "dev-mqueue.mount", "sys-kernel-debug.mount"),
+    *("sys-kernel-tracing.mount", "sys-kernel-config.mount", "sys-fs-fuse-connections.mount"),
+    *(f"modprobe@{name}.service" for name in ("configfs", "dm_mod", "drm", "fuse", "loop")),
 )
 """Units that would only take the one processor from what is looked at."""
 AGENT_UNIT = """\
@@ -116,31 +125,27 @@ def make() -> Image:
     """The image, made as far as it is not there. Raises ImageError."""
     check()
     cache().mkdir(parents=True, exist_ok=True)
-    packages = key(SUITE, *PACKAGES, *KERNEL, BOOT_MODULES)
-    name = key(packages, *dependencies(), AGENT_UNIT, AGENT_RULE, *MASKED, DISK_SIZE, (HERE / "agent.py").read_text())
+    packages = key(SUITE, *PACKAGES, *KERNEL, *LEFT_OUT)
+    made_by = ((HERE / name).read_text() for name in ("agent.py", "initrd.py"))
+    name = key(packages, *dependencies(), AGENT_UNIT, AGENT_RULE, *MASKED, DISK_SIZE, *made_by)
     place = cache() / f"disk-{name}"
     if not place.is_dir():
         with _new(place) as beside:
             beside.mkdir()
             _disk(_rootfs(packages), beside)
-    return Image(name, place / "disk.img", place / "vmlinuz", place / "initrd.img")
+    return Image(name, place / "disk.img", place / "vmlinux", place / "initrd.img")
 
 
 def _rootfs(key: str) -> Path:
     path = cache() / f"rootfs-{key}.tar"
     if not path.exists():
         _say(f"getting Debian ({SUITE}) ...")
-        modules = "/usr/share/initramfs-tools/modules.d"
-        hook = f"""mkdir -p "$1{modules}" "$1/etc/initramfs-tools/conf.d"
-            printf '{BOOT_MODULES.encode("unicode_escape").decode()}' > "$1{modules}/vm"
-            echo MODULES=list > "$1/etc/initramfs-tools/conf.d/vm" """
         with _new(path) as beside:
             _run(
                 *("mmdebstrap", "--quiet", "--mode=root", "--variant=minbase", "--format=tar"),
                 f"--include={','.join((*PACKAGES, *KERNEL))}",
                 '--aptopt=Acquire::Languages "none"',
-                *(f"--dpkgopt=path-exclude=/usr/share/{name}/*" for name in ("doc", "locale", "man")),
-                f"--essential-hook={hook}",
+                *(f"--dpkgopt=path-exclude={left}" for left in LEFT_OUT),
                 *(SUITE, str(beside)),
             )
     return path
@@ -152,8 +157,9 @@ def _disk(rootfs: Path, place: Path) -> None:
         root = Path(directory)
         root.chmod(0o755)
         _run("tar", "--extract", "--numeric-owner", "--file", str(rootfs), "--directory", directory)
-        for name, pattern in (("vmlinuz", "vmlinuz-*"), ("initrd.img", "initrd.img-*")):
-            shutil.copy(next((root / "boot").glob(pattern)), place / name)
+        kernel = next((root / "boot").glob("vmlinuz-*")).read_bytes()
+        (place / "vmlinux").write_bytes(initrd.unpacked(kernel))
+        (place / "initrd.img").write_bytes(initrd.make(root))
         _environment(root)
         _settle(root)
         _run("truncate", "--size", DISK_SIZE, str(place / "disk.img"))

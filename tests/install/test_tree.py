@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
+import py_compile
 import subprocess
 import sys
 from importlib import metadata
@@ -59,6 +61,48 @@ def test_written_it_runs_by_itself_and_has_the_same_digest(running: tree.Environ
     modules = sorted(place.rglob("*.py"))
     assert len(modules) > 100
     assert all(list((module.parent / "__pycache__").glob(f"{module.stem}.cpython-*.pyc")) for module in modules)
+
+
+def one_module(tmp_path: Path) -> tuple[Path, tree.Environment]:
+    source = tmp_path / "module.py"
+    source.write_text("where = (lambda: 0).__code__.co_filename\n")
+    return source, tree.Environment(str(tmp_path / "new"), BASE, (tree.Entry("module.py", str(source)),))
+
+
+def compiled(source: Path) -> Path:
+    return Path(importlib.util.cache_from_source(str(source)))
+
+
+def test_what_is_compiled_is_copied_and_used(tmp_path: Path) -> None:
+    source, environment = one_module(tmp_path)
+    py_compile.compile(str(source))
+    os.utime(source, ns=(0, 10**18))
+    py_compile.compile(str(source))
+    marked = compiled(source).read_bytes() + b"marked"
+    compiled(source).write_bytes(marked)
+    environment.write(str(tmp_path / "new"))
+    copy = tmp_path / "new/module.py"
+    assert compiled(copy).read_bytes() == marked
+    code = "import module; print(module.__cached__, module.where)"
+    said = subprocess.run([BASE, "-v", "-c", code], cwd=copy.parent, capture_output=True, text=True, check=True)
+    assert said.stdout.split() == [str(compiled(copy)), str(copy)], "the path in it is mended"
+    assert f"matches {copy}" in said.stderr
+
+
+@pytest.mark.parametrize("why", ["of another time", "of another size", "of another Python", "by a hash", "cut short"])
+def test_what_is_compiled_of_something_else_is_compiled_anew(tmp_path: Path, why: str) -> None:
+    source, environment = one_module(tmp_path)
+    by_hash = py_compile.PycInvalidationMode.CHECKED_HASH
+    py_compile.compile(str(source), invalidation_mode=by_hash if why == "by a hash" else None)
+    found = bytearray(compiled(source).read_bytes())
+    at = {"of another Python": 0, "of another time": 8, "of another size": 12}
+    if why in at:
+        found[at[why]] ^= 1
+    compiled(source).write_bytes(found[:12] if why == "cut short" else bytes(found) + b"marked")
+    environment.write(str(tmp_path / "new"))
+    anew = compiled(tmp_path / "new/module.py").read_bytes()
+    assert anew[:4] == importlib.util.MAGIC_NUMBER
+    assert not anew.endswith(b"marked")
 
 
 def test_the_digest_sees_content_names_and_links(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import msgpack
 import pytest
 
+from failstop.board import port
 from failstop.policy import causes
 from failstop.procs.loop import GONE
 from failstop.shm import layout, records, segment
@@ -208,7 +209,7 @@ def test_what_is_told_of_wheels_that_do_not_rest(scene: Watched) -> None:
     scene.telemetry.word("judged_ns").set(scene.now_ns + 1_600 * MS)
     assert scene.follow(1_600 * MS) == [(scene.now_ns, layout.SUPERVISOR, UNSTILL)]
     told = {"reason": FIRST, "epoch": 2}
-    outcome = {**told, "cause": "piped", "link": "unproven", "wheels": "unstill"}
+    outcome = {**told, "cause": "piped", "link": "unproven", "sent": True, "wheels": "unstill"}
     assert scene.said() == [
         ("unstill", "critical", f"CRITICAL: {UNSTILL} ({FIRST}; 1.6 s ago)", told),
         ("stop_outcome", "error", f"{FIRST}: not acknowledged (link unproven), wheels NOT seen still", outcome),
@@ -230,7 +231,7 @@ def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Watche
     acknowledged_us = outcome[3].pop("acknowledged_us")
     assert acknowledged_us == 2_000.0
     text = f"{FIRST}: acknowledged by the board after 2.0 ms, not observed"
-    fields = {"reason": FIRST, "cause": "piped", "epoch": 2, "link": "alive", "wheels": "unknown"}
+    fields = {"reason": FIRST, "cause": "piped", "epoch": 2, "link": "alive", "sent": True, "wheels": "unknown"}
     assert outcome == ("stop_outcome", "notice", text, fields)
 
 
@@ -247,3 +248,19 @@ def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Watched)
         opened(noticed_ns + late_ms * MS)
         told = {"reason": "the first", "written_by": "supervisor", "written_us": 1_000.0}
         assert scene.told() == told, "once"
+
+
+@pytest.mark.parametrize("answered", [False, True])
+def test_a_stop_that_the_kernel_holds_is_told_of_as_that_unless_the_board_has_answered(
+    scene: Watched, monkeypatch: pytest.MonkeyPatch, answered: bool
+) -> None:
+    monkeypatch.setattr(port, "unsent_bytes", lambda fd: 1280)  # of a later write, where the board has answered
+    scene.stop("the first")
+    scene.said()
+    scene.pings(0, answered=answered)
+    scene.turn(2 * MS)
+    scene.reset()
+    scene.stop("the second")
+    [(_, level, text, fields)] = [event for event in scene.said() if event[0] == "stop_outcome"]
+    assert (fields["sent"], level) == ((True, "notice") if answered else (False, "error"))
+    assert ("handed over, NOT sent" in text) is not answered

@@ -41,7 +41,8 @@ class Scene:
         events = Events(self.resources.name)
         events.tell = self._tell  # type: ignore[method-assign,assignment]
         self.latch = Latch()
-        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, self.latch, settings, events)
+        self.held = False
+        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, self.latch, settings, events, lambda: self.held)
         self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
         self.now_ns = 100 * S
         self.epoch = 1

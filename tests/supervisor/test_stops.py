@@ -125,6 +125,13 @@ def test_it_is_told_at_last_without_answer_and_without_imu() -> None:
     assert last.outcome("unproven") == "gate died: not acknowledged (link unproven), not observed"
 
 
+def test_what_the_kernel_still_holds_is_not_said_to_be_sent() -> None:
+    last = stop()
+    last.held = True
+    assert last.outcome("deaf") == "gate died: handed over, NOT sent: the board takes no bytes, not observed"
+    assert last.fields("deaf")["sent"] is False
+
+
 def test_a_rest_within_the_resolution_is_told_as_that() -> None:
     assert still_after(0.19) == "less than 0.2 s"
     assert still_after(0.2) == "about 0.2 s"
@@ -133,7 +140,7 @@ def test_a_rest_within_the_resolution_is_told_as_that() -> None:
 
 def test_what_programs_are_told_of_it() -> None:
     last = stop()
-    told = {"reason": "gate died", "cause": "died", "epoch": 2, "link": "alive"}
+    told = {"reason": "gate died", "cause": "died", "epoch": 2, "link": "alive", "sent": True}
     assert last.fields("alive") == {**told, "acknowledged_us": None, "observed_ms": None, "wheels": "unknown"}
     assert last.ponged(T0 + MS, T0 + 2 * MS)
     last.judged(0, T0 + AFTER, T0 + AFTER)

@@ -162,6 +162,19 @@ def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(teller: Teller, 
     assert events.whole == [("stopped", handed + DEAF, {"link": "deaf", "acknowledged_us": None}, "critical")]
 
 
+def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(teller: Teller, events: Told) -> None:
+    teller.stopped(KEY, KEY.t_ns + 80_000, "port owner", KEY, 7, ending=False, held=True)
+    [(kind, text, _, level)] = events.whole
+    handed = "stop frame handed over by the port owner after 80 us, NOT sent: the board takes no bytes"
+    assert (kind, text, level) == ("stop", f"E-STOP latched: key1; {handed}; {NEXT}", "critical")
+
+
+def test_what_was_not_handed_over_is_held_by_nobody(teller: Teller, events: Told) -> None:
+    teller.stopped(KEY, 0, "port owner", KEY, 7, ending=True, held=True)
+    [(_, text, _, level)] = events.whole
+    assert (text, level) == ("key1; stop frame NOT written", "critical")
+
+
 def test_a_short_wait_is_not_told_of(teller: Teller, events: Told) -> None:
     for since_ns, missing in ((0, "gate, telemetry"), (WAITED_NS - 1, "gate"), (WAITED_NS, "gate"), (WAITED_NS, "")):
         teller.missing(missing, T0 + since_ns)

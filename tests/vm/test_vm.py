@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import lzma
 import os
 import pty
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.vm import guest, image, inside, outside, table
+from bench.vm import guest, image, initrd, inside, outside, table
 from bench.vm.image import Image
 from bench.vm.table import INSIDE, OUTSIDE, Result
 
@@ -129,7 +130,7 @@ def test_the_agent_ends_what_takes_too_long_and_lives_on(agent: int) -> None:
 
 def test_a_state_is_of_one_machine() -> None:
     nowhere = Path("-")
-    words = guest.command(Image("", nowhere, nowhere, nowhere), nowhere, nowhere, nowhere, 2, "")
+    words = guest.command(Image("", nowhere, nowhere, nowhere), nowhere, nowhere, nowhere, guest.WAITS, "")
     assert image.key(*words) == image.key(*words)
     assert image.key(*words) != image.key(*words, "-device", "another")
     assert image.key("a", "b") != image.key("ab")
@@ -151,3 +152,60 @@ def test_the_guest_has_what_failstop_needs() -> None:
     assert any(one.startswith("posix-ipc") for one in found)
     assert any(one.startswith("setuptools") for one in found)
     assert not any("python_version" in one for one in found)
+
+
+# The initrd.
+
+DEPENDENCIES = """\
+kernel/lib/crc16.ko:
+kernel/fs/jbd2/jbd2.ko:
+kernel/fs/ext4/ext4.ko: kernel/lib/crc16.ko kernel/fs/jbd2/jbd2.ko
+kernel/virtio/virtio-pci.ko: kernel/virtio/virtio.ko kernel/virtio/virtio_ring.ko
+kernel/virtio/virtio.ko: kernel/virtio/virtio_ring.ko
+kernel/virtio/virtio_ring.ko:
+"""
+
+
+def test_a_module_is_loaded_after_what_it_needs() -> None:
+    found = initrd.order(DEPENDENCIES, ("virtio_pci", "ext4"))
+    names = [Path(path).stem for path in found]
+    assert names == ["virtio_ring", "virtio", "virtio-pci", "jbd2", "crc16", "ext4"]
+
+
+def entries(archive: bytes) -> dict[str, tuple[int, bytes]]:
+    """Mode and content by name, as cpio(5) says that newc is read."""
+    found, at = {}, 0
+    while "TRAILER!!!" not in found:
+        assert archive[at : at + 6] == b"070701"
+        fields = [int(archive[at + 6 + 8 * n : at + 14 + 8 * n], 16) for n in range(13)]
+        name_at, size = at + 110, fields[6]
+        name = archive[name_at : name_at + fields[11] - 1].decode()
+        data_at = (name_at + fields[11] + 3) // 4 * 4
+        found[name] = (fields[1], archive[data_at : data_at + size])
+        at = (data_at + size + 3) // 4 * 4
+    assert at == len(archive)
+    return found
+
+
+def test_the_initrd_is_an_archive_that_loads_mounts_and_hands_over(tmp_path: Path) -> None:
+    kernel = tmp_path / "lib/modules/6.1"
+    dependencies = "".join(f"{name}.ko:\n" for name in initrd.MODULES)
+    contents = {f"usr/lib/klibc/bin/{name}": name * 3 for name in initrd.PROGRAMS}
+    contents |= {f"lib/modules/6.1/{name}.ko": f"module {name}" for name in initrd.MODULES}
+    contents |= {"usr/lib/klibc-x.so": "so", "lib/modules/6.1/modules.dep": dependencies}
+    for name, content in contents.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(content)
+    assert kernel.is_dir()
+    found = entries(initrd.make(tmp_path))
+    assert found["modules/ext4.ko"] == (0o100755, b"module ext4")
+    assert found["bin/run-init"] == (0o100755, b"run-init" * 3)
+    assert found["dev/console"][0] == 0o20600
+    script = found["init"][1].decode().splitlines()
+    assert script[:2] == ["#!/bin/sh", "insmod /modules/virtio_pci.ko"]
+    assert script[-1].startswith("exec run-init /root /sbin/init ")
+
+
+def test_a_kernel_is_unpacked_where_xz_has_packed_it() -> None:
+    assert initrd.unpacked(b"head" + lzma.compress(b"ELF") + b"tail") == b"ELF"
+    assert initrd.unpacked(b"packed by something else") == b"packed by something else"
