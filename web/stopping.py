@@ -8,6 +8,7 @@ import os
 import struct
 import termios
 import time
+from collections import deque
 
 from failstop.api.client import send_stop
 from failstop.shm import bell, instance
@@ -19,16 +20,38 @@ if TYPE_CHECKING:
 WRITTEN_S = 0.3
 """How long a request is watched; the page repeats one that was not written by then."""
 LOOK_S = 0.001
+MOST_IDS = 64
+MOST_OF_AN_ID = 32
 REASON = "STOP on the page"
 _INT = struct.Struct("i")
 
 
-async def stop(name: str, who: str, epoch: Callable[[], int | None]) -> bool:
-    """Ask for a stop; True once it is written to the board, by the word of the port owner, which reads the pipe after
-    that. A flood of others' requests may never leave the pipe empty: then a newer epoch says as much. Raises
-    NoService, FailstopError."""
-    before = epoch()
+def ask(name: str, who: str) -> None:
+    """Ask for a stop. Raises NoService, FailstopError."""
     send_stop(name, REASON, who)
+
+
+class Asked:
+    """The requests of late, by the id that the page gives each: one may come by two ways, and is one stop."""
+
+    def __init__(self) -> None:
+        self._ids: deque[str] = deque(maxlen=MOST_IDS)
+
+    def first(self, identity: object) -> bool:
+        """True for an id that is new, and for none."""
+        if not isinstance(identity, str) or not identity:
+            return True
+        if identity in self._ids:
+            return False
+        self._ids.append(identity[:MOST_OF_AN_ID])
+        return True
+
+
+async def written(name: str, epoch: Callable[[], int | None]) -> bool:
+    """Wait for a stop that was asked for; True once it is written to the board, by the word of the port owner, which
+    reads the pipe after that. A flood of others' requests may never leave the pipe empty: then a newer epoch says as
+    much."""
+    before = epoch()
     try:
         pipe = bell.open_pipe_to_write(instance.stop_path(instance.find(name)))
     except (OSError, instance.InstanceError, instance.NoService):

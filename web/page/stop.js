@@ -14,25 +14,29 @@
     button.dataset.phase = phase;
   }
 
-  function ask(open) {
+  function ask(open, id) {
     const given = new AbortController();
     open.push(given);
     if (open.length > MOST_OPEN) open.shift().abort();
     // keepalive: it goes out even if the page is closed at once.
-    return fetch("/api/stop", {method: "POST", headers: {"X-Failstop": "1"}, keepalive: true, signal: given.signal})
+    const headers = {"X-Failstop": "1"}, body = JSON.stringify({id});
+    return fetch("/api/stop", {method: "POST", headers, body, keepalive: true, signal: given.signal})
       .then((answer) => answer.json().then((found) => ({...found, status: answer.status})));
   }
 
   async function stop() {
     if (running) return;
     running = true;
+    const id = Math.random().toString(36).slice(2);
+    // Where the websocket is up it is the shorter way, as it needs no new request; by its id the robot knows it for the same.
+    dispatchEvent(new CustomEvent("stopping", {detail: id}));
+    const open = [];
     say("asking ...", "asking");
     if (navigator.vibrate) navigator.vibrate(40);
-    const open = [];
     let asked = 0, done = false, wrong = "no answer";
     for (let number = 0; number < TRIES && !done; number++) {
       const wait = new Promise((next) => setTimeout(next, EVERY_MS));
-      const answer = ask(open).then((found) => {
+      const answer = ask(open, number ? `${id}-${number}` : id).then((found) => {
         asked ||= found.asked || 0;
         if (found.written && !done) {
           done = true;
