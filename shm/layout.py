@@ -203,7 +203,7 @@ SEGMENTS = (
             _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
             _ring("trips", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
             _ring("servos", 16, 64, "gate"),  # answers of the arm's servos, in order (records)
-            _ring("wishes", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
+            _ring("pad_requests", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _ring("events", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
             _ring("box", box.BOARD_BYTES, box.BOARD_SLOTS, "everyone"),  # what it decoded (box.py)

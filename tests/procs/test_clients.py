@@ -313,7 +313,7 @@ def test_the_futex_tells_of_a_death_whatever_the_number_is(service: Service, nam
     go.set()
     thread.join()
     ready = {service.early.bell.fd: 1}
-    until(lambda: service.table.active[0].life.fallen, "the early news")  # type: ignore[union-attr]
+    until(lambda: service.table.active[0].life.marked, "the early news")  # type: ignore[union-attr]
     service.told.clear()
     service.table.lives_ended(ready, NOW)
     assert service.told == [("gone", 11)]
@@ -389,11 +389,11 @@ def test_what_a_session_holds_is_read_with_its_time(service: Service) -> None:
     client = service.join()
     service.look()
     assert service.held == (0, (0, []))
-    client.segment.latest_writer("sensed").write(records.pack_held(11, []), 1234)
-    client.segment.latest_writer("interlocks").write(records.pack_held(11, ["arm", "lid"]), 5678)
+    client.segment.latest_writer("sensed").write(records.HELD.pack(11, []), 1234)
+    client.segment.latest_writer("interlocks").write(records.HELD.pack(11, ["arm", "lid"]), 5678)
     service.look()
     assert service.held == (1234, (5678, ["arm", "lid"]))
-    client.segment.latest_writer("sensed").write(records.pack_held(12, []), 9999)
+    client.segment.latest_writer("sensed").write(records.HELD.pack(12, []), 9999)
     client.segment.latest_writer("interlocks").write(b"\xff")
     service.look()
     assert service.held == (0, (0, [])), "another session's word, and damage"

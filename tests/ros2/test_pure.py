@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from failstop.api.samples import ImuSample, OdometrySample, PadSample
+from failstop.api.snapshot import Device, GyroBias
 from failstop.policy import causes
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.ros2 import diagnostics, leftovers, messages, mirrors, report, words
@@ -56,50 +57,55 @@ def test_two_places_for_one_setting_are_told_of(given: dict[str, object], line: 
 # Messages.
 
 
-def test_imu_fields() -> None:
-    fields = messages.imu(ImuSample(5, (1.0, 2.0, 9.8), (0.1, 0.2, 0.3)), 3 * S + 7)
-    assert fields["header"]["stamp"] == {"sec": 3, "nanosec": 7}
-    assert fields["linear_acceleration"] == {"x": 1.0, "y": 2.0, "z": 9.8}
-    assert fields["angular_velocity"] == {"x": 0.1, "y": 0.2, "z": 0.3}
+def test_imu_values() -> None:
+    values = messages.imu(ImuSample(5, (1.0, 2.0, 9.8), (0.1, 0.2, 0.3)), 3 * S + 7)
+    assert dict(zip(messages.IMU_PLACES, values, strict=True)) == {
+        "header.stamp": (3, 7),
+        "angular_velocity": (0.1, 0.2, 0.3),
+        "linear_acceleration": (1.0, 2.0, 9.8),
+    }
 
 
 def test_odometry_and_transform_agree() -> None:
     sample = OdometrySample(0, 1.0, 2.0, math.pi / 2, 0.2, 0.1, 0.3, 0.05, 0.2)
-    pose = messages.odometry(sample, S)["pose"]["pose"]
-    moved = messages.transform(sample, "odom", "base_link", S)["transform"]
-    assert pose["position"] == moved["translation"] == {"x": 1.0, "y": 2.0}
-    assert pose["orientation"] == moved["rotation"]
-    assert 2 * math.atan2(pose["orientation"]["z"], pose["orientation"]["w"]) == pytest.approx(math.pi / 2)
+    stamp, pose, twist = messages.odometry(sample, S)
+    assert messages.transform(sample, S) == (stamp, pose)
+    assert stamp == (1, 0)
+    assert pose[:5] == (1.0, 2.0, 0.0, 0.0, 0.0)
+    assert 2 * math.atan2(*pose[5:]) == pytest.approx(math.pi / 2)
+    assert twist == (0.2, 0.1, 0.0, 0.0, 0.0, 0.3)
 
 
 @pytest.mark.parametrize(("plugged", "status"), [("plugged", 1), ("unplugged", 2), ("unknown", 0)])
 def test_battery_fields(plugged: str, status: int) -> None:
-    assert messages.battery(11_900, plugged, 0)["voltage"] == 11.9
-    assert messages.battery(11_900, plugged, 0)["power_supply_status"] == status
+    assert messages.battery(11.9, plugged, 0)["voltage"] == 11.9
+    assert messages.battery(11.9, plugged, 0)["power_supply_status"] == status
 
 
-def test_gamepad_fields() -> None:
-    fields = messages.gamepad(PadSample(0, 0x8001, 3, (127, -128, 0, 64), "drive"), S)
-    assert fields["axes"] == pytest.approx([1.0, -128 / 127, 0.0, 64 / 127, 3.0])
-    assert fields["buttons"] == [1] + [0] * 14 + [1]
+def test_gamepad_values() -> None:
+    _, axes, buttons = messages.gamepad(PadSample(0, 0x8001, 3, (127, -128, 0, 64), "drive"), S)
+    assert axes == pytest.approx([1.0, -128 / 127, 0.0, 64 / 127, 3.0])
+    assert buttons == [1] + [0] * 14 + [1]
 
 
 def test_wheels_turn_as_far_as_they_were_told() -> None:
     wheels = messages.Wheels()
-    wheels.follow((1.0, 1.0, -1.0, -1.0), (1, 1, -1, -1), 0)
-    assert wheels.fields(0)["position"] == [0.0] * 4
-    wheels.follow((0.0, 0.0, 0.0, 0.0), (1, 1, -1, -1), S // 2)
-    assert wheels.fields(0)["position"] == pytest.approx([math.pi] * 4)
-    assert wheels.fields(0)["velocity"] == [0.0] * 4
-    wheels.follow((0.0, 0.0, 0.0, 0.0), (1, 1, -1, -1), 9 * S)
-    assert wheels.fields(0)["position"] == pytest.approx([math.pi] * 4)
+    wheels.follow((2 * math.pi,) * 4, 0)
+    assert wheels.fields(0)[1][1:] == ([0.0] * 4, [2 * math.pi] * 4)
+    wheels.follow((0.0,) * 4, S // 2)
+    names, (_, position, velocity) = wheels.fields(0)
+    assert names == list(messages.WHEELS)
+    assert position == pytest.approx([math.pi] * 4)
+    assert velocity == [0.0] * 4
+    wheels.follow((0.0,) * 4, 9 * S)
+    assert wheels.fields(0)[1][1] == pytest.approx([math.pi] * 4)
 
 
 # The state.
 
 
 def test_state_values() -> None:
-    bias = {"bias_radps": [0.01, 0.0, -0.01], "tracking": True, "calibrated": True}
+    bias = GyroBias((0.01, 0.0, -0.01), tracking=True, calibrated=True)
     given = states.latched(
         causes.REQUESTED("estop topic", "ros2", 9), scan_age_s=0.12345, gyro_bias=bias, plugged="plugged"
     )
@@ -140,7 +146,7 @@ def test_the_proof_of_a_stop_grows() -> None:
     before, asked_for = states.driving(), causes.REQUESTED("stop service", "ros2", 9)
     assert report.proof(before, before) == ""
     assert report.proof(before, None) == ""
-    asked = states.latched(asked_for, last_stop=states.stop(acknowledged_us=None, observed_ms=None))
+    asked = states.latched(asked_for, last_stop=states.stop(acknowledged_s=None, observed_s=None))
     assert report.proof(before, asked) == ""
     assert report.proof(before, asked, final=True) == (
         "stop latched (stop service): written after 0.2 ms, not acknowledged yet, not seen still yet"
@@ -149,7 +155,7 @@ def test_the_proof_of_a_stop_grows() -> None:
     assert report.proof(before, seen) == (
         "stop latched (stop service): written after 0.2 ms, acknowledged after 4.4 ms, observed after 300 ms"
     )
-    lost = states.latched(asked_for, last_stop=states.stop(written_us=None))
+    lost = states.latched(asked_for, last_stop=states.stop(written_s=None))
     assert "could NOT be written: use the POWER SWITCH" in report.proof(before, lost)
     assert report.proof(before, None, final=True).startswith("asked for a stop")
 
@@ -180,12 +186,12 @@ def test_diagnostics_of_a_service_that_is_well() -> None:
 @pytest.mark.parametrize(
     ("changed", "name", "level"),
     [
-        ({"age_ms": 900.0}, "stop layer", diagnostics.STALE),
-        ({"device": {"path": "/dev/x", "state": "lost", "link": "alive"}}, "port", diagnostics.ERROR),
-        ({"device": {"path": "/dev/x", "state": "open", "link": "deaf"}}, "link", diagnostics.ERROR),
-        ({"device": {"path": "/dev/x", "state": "open", "link": "unproven"}}, "link", diagnostics.WARN),
-        ({"battery_mv": 9_000}, "battery", diagnostics.WARN),
-        ({"battery_mv": None}, "battery", diagnostics.WARN),
+        ({"age_s": 0.9}, "stop layer", diagnostics.STALE),
+        ({"device": Device("/dev/x", "lost", "alive")}, "port", diagnostics.ERROR),
+        ({"device": Device("/dev/x", "open", "deaf")}, "link", diagnostics.ERROR),
+        ({"device": Device("/dev/x", "open", "unproven")}, "link", diagnostics.WARN),
+        ({"battery_v": 9.0}, "battery", diagnostics.WARN),
+        ({"battery_v": None}, "battery", diagnostics.WARN),
         ({"processes": {"gate": states.process(state="down")}}, "process gate", diagnostics.ERROR),
         ({"processes": {"gate": states.process(state="waiting")}}, "process gate", diagnostics.WARN),
         ({"processes": {"gate": states.process(realtime=False)}}, "real-time rights", diagnostics.WARN),
@@ -204,7 +210,7 @@ def test_diagnostics_of_a_latch_name_the_next_command() -> None:
 
 def test_diagnostics_change_with_levels_and_words_and_not_with_ages() -> None:
     one = diagnostics.statuses("base", states.state(), "", [], [])
-    processes = {name: states.process(age_ms=9.0) for name in states.state().processes}
+    processes = {name: states.process(age_s=0.009) for name in states.state().processes}
     other = diagnostics.statuses("base", states.state(processes=processes), "", [], [])
     assert one != other
     assert not diagnostics.changed(one, other)

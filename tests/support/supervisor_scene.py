@@ -54,12 +54,12 @@ class Scene:
         self.stop_record = segment.attach(memory, layout.SUPERVISOR).latest_reader("stop")
         self.word = segment.attach(memory, layout.SUPERVISOR).word
         self._events = segment.attach(memory, layout.SUPERVISOR).ring_reader("events")
-        child = self.supervisor.family[layout.PORT_OWNER]
+        child = self.supervisor.processes[layout.PORT_OWNER]
         child.pid = 2**31 - 1  # no such process; it beats at every turn, so that nobody kills it
         self.port_owner.word("beat_pid").set(child.pid)
         self.port_owner.word("beat_state").set(RUNNING)
         self.port_owner.word("beat_ns").set(self.now_ns)
-        port = records.pack_port(1, self.now_ns, records.PORT_OPEN, "/dev/board")
+        port = records.PORT.pack(1, self.now_ns, records.PORT_OPEN, "/dev/board")
         self.port_owner.latest_writer("port").write(port)
         self.answers(written_ns=self.now_ns - 10_000 * MS)
 
@@ -71,12 +71,12 @@ class Scene:
 
     def notice(self, reason: str = "key1", *, written_ns: int = 0) -> None:
         """The port owner has stopped for a cause of its own."""
-        stop = records.pack_stop(1, self.now_ns, written_ns, why(reason).pack())
+        stop = records.STOPPED.pack(1, self.now_ns, written_ns, why(reason).pack())
         self.port_owner.ring_writer("stops").put(stop)
 
     def trip(self, reason: str = "multiple cmd_vel publishers") -> None:
         """The gate has latched."""
-        self.gate.ring_writer("trips").put(records.pack_stop(1, self.now_ns, 0, why(reason).pack()))
+        self.gate.ring_writer("trips").put(records.STOPPED.pack(1, self.now_ns, 0, why(reason).pack()))
 
     def turn(self, elapsed_ns: int = 0) -> bytes:
         """Time passes and the supervisor wakes up; returns what it wrote to the port."""
@@ -112,7 +112,7 @@ class Scene:
         """What everybody reads: since which epoch it is latched (0: it is not), and the cause."""
         entry = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("latch").read()
         assert entry is not None
-        since, _, _, cause = records.unpack_latch(entry[2])
+        since, _, _, cause = records.LATCH.unpack(entry[2])
         return since, said(causes.read(cause))
 
     def ask_reset(self, asked_ns: int | None = None) -> None:
@@ -136,14 +136,14 @@ class Scene:
 
     def close(self) -> None:
         self.resources.remove()
-        for control in self.supervisor.sharing.controls.values():
+        for control in self.supervisor.handover.controls.values():
             control.close()
-        os.close(self.supervisor.sharing.opener._spare)
+        os.close(self.supervisor.handover.opener._spare)
         for pair in self.resources.controls.values():
             os.close(pair[1])
         for fd in (self.master, self.resources.stop_pipe, self.resources.client_bell, self.resources.published):
             os.close(fd)
-        for bell in (*self.resources.bells.values(), self.supervisor.family.early.bell):
+        for bell in (*self.resources.bells.values(), self.supervisor.processes.early.bell):
             os.close(bell.fd)
         for saver in self.supervisor.blackbox._savers:
             os.killpg(saver.pid, signal.SIGKILL)

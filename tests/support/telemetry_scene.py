@@ -58,7 +58,7 @@ class Scene:
         self._gate = self.owned(layout.GATE).latest_writer("state")
         self._bells = {name: EventBell.create() for name in ("bell", "port_owner_bell", "gate_bell", "supervisor_bell")}
         self.gate: dict[str, Any] = {"enabled": False, "estop": None, "epoch": 1, "body_vel": [0.0, 0.0, 0.0]}
-        self._readers = {name: self.own.ring_reader(name) for name in ("trips", "wishes", "notes", "events")}
+        self._readers = {name: self.own.ring_reader(name) for name in ("trips", "pad_requests", "notes", "events")}
         self.telemetry: Telemetry
         self.start()
 
@@ -117,7 +117,8 @@ class Scene:
         return entry[2] if entry else None
 
     def bias(self) -> tuple[tuple[float, float, float], bool, bool]:
-        return records.unpack_bias(self.latest("bias") or b"")
+        x, y, z, tracking, calibrated = records.BIAS.unpack(self.latest("bias") or b"")
+        return (x, y, z), tracking, calibrated
 
     def commands(self) -> int:
         """How many pad commands were written."""

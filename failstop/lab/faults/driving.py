@@ -33,7 +33,7 @@ class Driver:
     def robot(self) -> Robot:
         """Connected to the run that is there now. Raises NoService, FailstopError."""
         if self._robot is None:
-            self._robot = Robot(self.name, client=self._client)
+            self._robot = Robot(self.name, client=self._client, disable_on_exit=False)
         return self._robot
 
     def leave(self) -> None:
@@ -86,14 +86,17 @@ class Driver:
         self.commands = self.senses = self.holds = True
         refusal = ""
 
+        def hold(_: str = "") -> None:
+            self.robot.hold(*self._interlocks)
+            self.held_ns = time.monotonic_ns()
+
         def enabled() -> bool:
             nonlocal refusal
             try:
-                self.robot.hold(*self._interlocks)
-                self.held_ns = time.monotonic_ns()
+                hold()
                 if self.robot.state.estop:
                     self.robot.reset()
-                self.robot.enable()
+                self.robot.enable(hold)  # an arm's way to its drive pose takes longer than an interlock's time
             except Refused as error:
                 refusal = str(error)
                 return False
