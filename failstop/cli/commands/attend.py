@@ -6,11 +6,12 @@ import os
 import select
 import time
 
+from failstop.api import verdict
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
 from failstop.cli import style
 from failstop.cli.commands import add_name
-from failstop.cli.screen import summary, verdict
+from failstop.cli.screen import summary
 from failstop.cli.screen.follow import Follower
 from failstop.cli.screen.questions import Questions
 from failstop.cli.screen.terminal import OUT, Terminal
