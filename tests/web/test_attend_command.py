@@ -57,7 +57,7 @@ class Answering:
 def test_it_attends_while_the_terminal_answers(trial: Trial) -> None:
     with Typist.failstop("attend", "--name", trial.name, "--as", "Anna") as typist:
         with Answering(typist):
-            wait_for("Anna", lambda: trial.robot.state.attended_by == ["Anna (terminal)"])
+            wait_for("Anna", lambda: trial.robot.state.attended_by == ("Anna (terminal)",))
             trial.enable()
             trial.drive(LEASE_S * 1.5)
             assert trial.moving()

@@ -86,7 +86,7 @@ def driving(trial: Trial, tab: Tab) -> None:
     trial.robot.disable()
     if tab.run("document.getElementById('attend').getAttribute('aria-pressed')") != "true":
         tab.tap("#attend")
-    wait_for("the operator", lambda: trial.robot.state.attended_by == ["Anna"])
+    wait_for("the operator", lambda: trial.robot.state.attended_by == ("Anna",))
     enabled(trial)
     trial.drive(0.3)
     assert trial.moving()
