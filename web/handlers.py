@@ -139,8 +139,7 @@ class Stop(Guarded):
         """Answers when it is written, or was not within 0.3 s; then the page asks again."""
         asked = time.time()
         try:
-            if self.page.asked.first(self.body().get("id")):
-                stopping.ask(self.page.name, self.who())
+            self.page.asked.ask(self.page.name, self.who(), self.body().get("id"))
             written = await stopping.written(self.page.name, self.page.watcher.epoch)
         except NoService as error:
             self.refuse(503, str(error))
@@ -287,9 +286,9 @@ class Live(Guarded, WebSocketHandler):
             return
         if not isinstance(found, dict):
             return
-        if (identity := found.get("stop")) and self.page.asked.first(identity):
+        if identity := found.get("stop"):
             with contextlib.suppress(FailstopError):  # the request that comes by the other way is answered
-                stopping.ask(self.page.name, self.who())
+                self.page.asked.ask(self.page.name, self.who(), identity)
         elif found.get("attend") is True:
             self._attend()
         elif found.get("attend") is False:

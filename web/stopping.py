@@ -26,25 +26,19 @@ REASON = "STOP on the page"
 _INT = struct.Struct("i")
 
 
-def ask(name: str, who: str) -> None:
-    """Ask for a stop. Raises NoService, FailstopError."""
-    send_stop(name, REASON, who)
-
-
 class Asked:
     """The requests of late, by the id that the page gives each: one may come by two ways, and is one stop."""
 
     def __init__(self) -> None:
         self._ids: deque[str] = deque(maxlen=MOST_IDS)
 
-    def first(self, identity: object) -> bool:
-        """True for an id that is new, and for none."""
-        if not isinstance(identity, str) or not identity:
-            return True
-        if identity in self._ids:
-            return False
-        self._ids.append(identity[:MOST_OF_AN_ID])
-        return True
+    def ask(self, name: str, who: str, identity: object) -> None:
+        """Ask for a stop, unless that was done for this id. Raises NoService, FailstopError, and then it was not."""
+        known = str(identity)[:MOST_OF_AN_ID] if identity else ""
+        if known and known in self._ids:
+            return
+        send_stop(name, REASON, who)
+        self._ids.append(known)
 
 
 async def written(name: str, epoch: Callable[[], int | None]) -> bool:

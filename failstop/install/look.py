@@ -6,7 +6,7 @@ import glob
 import os
 
 from failstop.board import discovery
-from failstop.install import bridge, machine, tree
+from failstop.install import bridge, machine, page, tree
 from failstop.install.layout import (
     COMMAND_LINK,
     MANIFEST,
@@ -37,7 +37,8 @@ def look(request: Request, units: dict[str, str]) -> Found:
     targets = {target for unit in units.values() for target in wanted_by(unit)}
     wants = [f"{UNITS}/{target}.wants/{unit}" for target in targets for unit in (unit_of(request.name), SLEEP)]
     paths = [*files_of(), COMMAND_LINK, MANIFEST, *wants]
-    paths += [bridge.PLACE, *(f"{UNITS}/{target}.wants/{bridge.UNIT}" for target in targets)]
+    for place, unit in ((bridge.PLACE, bridge.UNIT), (page.PLACE, page.UNIT)):
+        paths += [place, *(f"{UNITS}/{target}.wants/{unit}" for target in targets)]
     paths += [configuration_of(request.name), "/etc/passwd", "/etc/group"]
     files, links = {}, {}
     for path in [*paths, PREFIX]:

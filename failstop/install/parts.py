@@ -36,6 +36,8 @@ class Parts:
     """The completion script by shell."""
     bridge: str = ""
     """The unit of the bridge to ROS 2."""
+    page: str = ""
+    """The unit of the operator's page."""
 
 
 def of_this_version() -> Parts:
@@ -53,6 +55,7 @@ def of_this_version() -> Parts:
         man.page(grammar.read()),
         {shell: completion.script(shell) for shell in completion.SHELLS},
         _text("failstop-ros2.service"),
+        _text("failstop-web.service"),
     )
 
 

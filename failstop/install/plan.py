@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from failstop.board.discovery import LINK
-from failstop.install import InstallError, bridge
+from failstop.install import InstallError, bridge, page
 from failstop.install.layout import (
     ACCOUNT_FILES,
     CATALOG,
@@ -50,6 +50,8 @@ class Request:
     """What the units call; another than the default: no environment is made."""
     ros2_user: str = ""
     """The user of the robot's ROS nodes, whose the bridge is to be; empty: no bridge, or the one that is there."""
+    web: str = ""
+    """The operator's page: page.VIEW or page.OPERATE; empty: none, or the one that is there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,7 +97,9 @@ def install(parts: Parts, request: Request, tree: str, found: Found) -> Plan:
     InstallError."""
     _refuse(parts, request, found)
     files = _files(parts, request) | bridge.files(parts, request, found)
+    files |= page.files(parts, request, found)
     links = _links(parts, request) | bridge.links(parts, request, found)
+    links |= page.links(parts, request, found)
     gone = _outdated(found, files)
     new_tree = bool(tree) and tree != found.tree
     content = _file_steps(files, found) + _configuration(parts, request, found)
@@ -139,17 +143,19 @@ def _starts(request: Request, found: Found, restarts: tuple[str, ...]) -> list[S
     if not (request.live and request.start):
         return []
     unit = unit_of(request.name)
-    wanted = [name for name in (unit, *bridge.units(request, found)) if name not in found.active]
+    others = (*bridge.units(request, found), *page.units(request, found))
+    wanted = [name for name in (unit, *others) if name not in found.active]
     units = dict.fromkeys((*restarts, *wanted))
-    remarks = {bridge.UNIT: "ROS 2 nodes drive through the service"}
+    remarks = {bridge.UNIT: "ROS 2 nodes drive through the service", page.UNIT: "the address: failstop web pair"}
     return [
         Start("start", unit, remarks.get(unit, "motion stays disabled until somebody enables it"), unit)
-        for unit in sorted(units, key=lambda unit: unit == bridge.UNIT)
+        for unit in sorted(units, key=lambda unit: unit in (bridge.UNIT, page.UNIT))
     ]
 
 
 def _refuse(parts: Parts, request: Request, found: Found) -> None:
     bridge.refuse(request, found)
+    page.refuse(request, found)
     if found.package:
         raise InstallError(
             "the Debian package of failstop is installed here: it is the service already; "

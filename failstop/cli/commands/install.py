@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import os
 import sys
 
 from failstop.api.errors import Refused
 from failstop.board.discovery import LINK
-from failstop.install import InstallError, dialogue, look, parts, plan, tree
+from failstop.install import InstallError, dialogue, look, page, parts, plan, tree
 from failstop.install.do import Doer
 from failstop.install.layout import PREFIX, unit_of
 from failstop.install.machine import READY_S, Machine
@@ -27,6 +28,7 @@ sudo failstop install                # show it, ask, do it, wait until ready
 sudo failstop install --device /dev/ttyUSB0 --yes
 sudo failstop install --name front --device /dev/ttyACM1   # one more robot
 sudo failstop install --ros2-user robot   # and the bridge to ROS 2
+sudo failstop install --web           # and the operator's page
 sudo failstop install --root /mnt/image --yes   # of a system not running
 """
 
@@ -41,6 +43,14 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--name", default=DEFAULT_NAME, help=f"the robot's name, if there are several (default: {DEFAULT_NAME})"
     )
     parser.add_argument("--ros2-user", metavar="NAME", default="", help="the bridge to ROS 2 too, as this user")
+    parser.add_argument(
+        "--web",
+        nargs="?",
+        choices=(page.VIEW, page.OPERATE),
+        const=page.VIEW,
+        default="",
+        help="the operator's page too; operate: its paired devices may reset and enable",
+    )
     parser.add_argument("--root", metavar="DIR", help="install into this directory, the root of another system")
     parser.add_argument("--no-start", action="store_true", help="start it at the next boot, not now")
     parser.add_argument(
@@ -95,6 +105,8 @@ def main(arguments: Namespace) -> int:
 
 def _request(arguments: Namespace) -> plan.Request:
     instance.check_name(arguments.name)
+    if arguments.web and importlib.util.find_spec("tornado") is None:
+        raise InstallError("--web: the page needs tornado: pip install 'failstop[web]', then this again")
     if arguments.device is not None:
         BY_KEY["device.path"].check(arguments.device, "--device")
         if '"' in arguments.device or "\\" in arguments.device:
@@ -109,6 +121,7 @@ def _request(arguments: Namespace) -> plan.Request:
         not arguments.no_start,
         _running_command() if arguments.use_running_venv else plan.OWN_COMMAND,
         arguments.ros2_user,
+        arguments.web,
     )
 
 
