@@ -217,6 +217,7 @@ def test_a_browser_that_is_suspended_stops_the_robot(trial: Trial, browser: Brow
 
 def test_an_incident_shows_its_story_and_its_picture(trial: Trial, paired: Tab) -> None:
     paired.until("document.querySelector('.card') !== null", "a card", 30)
+    assert " ms, acknowledged after " in paired.text(".card small") or " us, acknowledged" in paired.text(".card small")
     paired.run("document.querySelector('.card summary').click()")
     picture = "document.querySelector('.card img')"
     paired.until(f"{picture}?.naturalWidth > 400 && !!document.querySelector('.card .cause')", "a picture", 60)
