@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs site fleet deb vm wheels clean
+.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs site fleet web deb vm wheels clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -16,8 +16,8 @@ demo: $(VENV)/.installed
 JOBS ?= 3
 AGAIN := --numprocesses 0 --last-failed --last-failed-no-failures none
 test: $(VENV)/.dev lint
-	$(BIN)/pytest --numprocesses $(JOBS) --dist loadfile -m 'not alone' || \
-	  { [ $$? -eq 1 ] && $(BIN)/pytest $(AGAIN) -m 'not alone'; }
+	$(BIN)/pytest --numprocesses $(JOBS) --dist loadfile -m 'not alone and not page' || \
+	  { [ $$? -eq 1 ] && $(BIN)/pytest $(AGAIN) -m 'not alone and not page'; }
 	$(BIN)/pytest --numprocesses 0 -m alone || { [ $$? -eq 1 ] && $(BIN)/pytest $(AGAIN) -m alone; }
 
 # Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults.
@@ -29,7 +29,7 @@ campaigns: $(VENV)/.dev
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py). Compiled copies
 # of the tests are kept, wherever else they are not wanted: without them each run compiles for ten seconds.
 quick: $(VENV)/.dev lint
-	env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest --quick --quiet --numprocesses 2 -m 'not slow and not alone and not starts'
+	env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest --quick --quiet --numprocesses 2 -m 'not slow and not alone and not page and not starts'
 
 # The quick tests on Python 3.10 and 3.13, where there are such interpreters; it says which it lacks.
 versions: $(VENV)/bin/python
@@ -88,6 +88,11 @@ fleet: $(VENV)/.dev
 	  { echo "no mosquitto here: install it (Debian and Ubuntu: apt install mosquitto)"; exit 1; }
 	$(BIN)/pytest --numprocesses 0 tests/fleet
 	$(BIN)/python -m bench.fleet
+
+# The operator's page in a real browser, Debian's chromium, and under attack. Needs root where there is no chromium yet.
+web: $(VENV)/.dev
+	@command -v chromium >/dev/null || apt-get install --yes --no-install-recommends chromium
+	$(BIN)/pytest --numprocesses 0 tests/web
 
 deb: $(VENV)/.installed
 	@$(BIN)/python packaging/deb/build.py

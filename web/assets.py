@@ -4,6 +4,7 @@ second request takes half a second."""
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
 from pathlib import Path
 
@@ -14,15 +15,17 @@ SCRIPT = "/*script*/"
 INDEX = "/"
 
 
-def load() -> dict[str, tuple[bytes, str, str]]:
-    """(content, type, what its Content-Security-Policy adds) by path; the style and the first script stand in the
-    page itself, and the policy names them by their hashes."""
+def load() -> dict[str, tuple[bytes, bytes, str, str]]:
+    """(content, the same compressed, type, what its Content-Security-Policy adds) by path; the style and the first
+    script stand in the page itself, and the policy names them by their hashes."""
     style, script = (_text(name) for name in ("page.css", "stop.js"))
     page = _text("page.html").replace(STYLE, style).replace(SCRIPT, script)
-    found = {INDEX: (page.encode(), TYPES[".html"], f"style-src {_hash(style)}; script-src 'self' {_hash(script)}")}
+    more = f"style-src {_hash(style)}; script-src 'self' {_hash(script)}"
+    found = {INDEX: (page.encode(), _small(page.encode()), TYPES[".html"], more)}
     for path in sorted(FOLDER.iterdir()):
         if path.suffix in TYPES and path.name not in ("page.html", "stop.js"):
-            found[f"/{path.name}"] = path.read_bytes(), TYPES[path.suffix], ""
+            content = path.read_bytes()
+            found[f"/{path.name}"] = content, _small(content), TYPES[path.suffix], ""
     return found
 
 
@@ -31,6 +34,10 @@ def policy(given: str, more: str) -> str:
     rows = dict(row.strip().partition(" ")[::2] for row in given.split(";"))
     rows |= dict(row.strip().partition(" ")[::2] for row in more.split(";") if row)
     return "; ".join(f"{name} {value}" for name, value in rows.items())
+
+
+def _small(content: bytes) -> bytes:
+    return gzip.compress(content, mtime=0)
 
 
 def _text(name: str) -> str:

@@ -110,7 +110,11 @@ class Asset(Guarded):
         if found is None:
             self.refuse(404, "there is nothing here")
             return
-        content, kind, more = found
+        content, small, kind, more = found
+        self.set_header("Vary", "Accept-Encoding")
+        if "gzip" in self.request.headers.get("Accept-Encoding", ""):
+            content = small
+            self.set_header("Content-Encoding", "gzip")
         self.set_header("Content-Type", kind)
         if more:
             self.set_header("Content-Security-Policy", assets.policy(guard.HEADERS["Content-Security-Policy"], more))
@@ -135,7 +139,8 @@ class Stop(Guarded):
         """Answers when it is written, or was not within 0.3 s; then the page asks again."""
         asked = time.time()
         try:
-            written = await stopping.stop(self.page.name, self.who(), self.page.watcher.epoch)
+            self.page.asked.ask(self.page.name, self.who(), self.body().get("id"))
+            written = await stopping.written(self.page.name, self.page.watcher.epoch)
         except NoService as error:
             self.refuse(503, str(error))
             return
@@ -281,7 +286,10 @@ class Live(Guarded, WebSocketHandler):
             return
         if not isinstance(found, dict):
             return
-        if found.get("attend") is True:
+        if identity := found.get("stop"):
+            with contextlib.suppress(FailstopError):  # the request that comes by the other way is answered
+                self.page.asked.ask(self.page.name, self.who(), identity)
+        elif found.get("attend") is True:
             self._attend()
         elif found.get("attend") is False:
             self.page.attending.end(self)

@@ -116,9 +116,9 @@ def _proof(stop: dict[str, Any] | None) -> str:
         return "not known whether a stop was written"
     if stop.get("written_us") is None:
         return "NOT written"
-    found = [f"written after {words.took(stop['written_us'])}"]
+    found = [f"written after {words.took(stop['written_us'] / 1e6)}"]
     if (heard_us := stop.get("acknowledged_us")) is not None:
-        found.append(f"acknowledged after {words.took(heard_us)}")
+        found.append(f"acknowledged after {words.took(heard_us / 1e6)}")
     if stop.get("observed_ms") is not None:
         found.append("wheels seen still")
     return ", ".join(found)

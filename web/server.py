@@ -15,7 +15,7 @@ from tornado.ioloop import PeriodicCallback
 from tornado.netutil import bind_sockets
 from tornado.web import Application
 
-from failstop.web import assets, control, devices, guard, handlers, kept
+from failstop.web import assets, control, devices, guard, handlers, kept, stopping
 from failstop.web.attending import Attending
 from failstop.web.door import Door
 from failstop.web.hands import VERBS, Hands
@@ -50,6 +50,7 @@ class Page:
         self.pair_limit = Limit(0.2, 5)
         self.verb_limit = Limit(2.0, 6)
         self.story_limit = Limit(4.0, 40)
+        self.asked = stopping.Asked()
         self.hands = Hands(name)
         self.attending = Attending(name)
         self.incidents = Incidents(name)

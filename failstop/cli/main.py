@@ -26,6 +26,7 @@ COMMANDS = {
     "reset": ("cli.commands.requests", "clear a latched stop; enables nothing"),
     "stop": ("cli.commands.stop", "stop now: by the running service, else on the port itself"),
     "estop": ("cli.commands.stop", "the same as stop"),
+    "attend": ("cli.commands.attend", "be the operator without whom the robot does not move"),
     "drive": ("cli.commands.drive", "drive for a while"),
     "arm": ("cli.commands.arm", "the arm: where it is, move, jog, poses, hold, release"),
     "config": ("cli.commands.config", "every setting with its value and origin"),
@@ -42,7 +43,7 @@ COMMANDS = {
 }
 
 GROUPS = (
-    ("drive", ("enable", "disable", "drive", "teleop", "stop", "estop", "reset", "arm")),
+    ("drive", ("enable", "disable", "drive", "teleop", "attend", "stop", "estop", "reset", "arm")),
     ("look", ("status", "watch", "why", "events", "incident", "metrics", "fleet")),
     ("check", ("demo", "doctor", "prove", "chaos", "config")),
     ("service", ("run", "sim", "web", "ros2", "install", "uninstall", "completion")),

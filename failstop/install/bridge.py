@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from failstop.install.plan import Found, Request
 
 UNIT = "failstop-ros2.service"
+REMARK = "ROS 2 nodes drive through the service"
 PLACE = f"{UNITS}/{UNIT}"
 SETUP = "/opt/ros/humble/setup.sh"
 """What the unit sources as it is shipped."""

@@ -40,6 +40,8 @@ class Parts:
     """The unit of the robot in its fleet."""
     fleet_example: str = ""
     """Its settings, every value its default."""
+    page: str = ""
+    """The unit of the operator's page."""
 
 
 def of_this_version() -> Parts:
@@ -60,6 +62,7 @@ def of_this_version() -> Parts:
         _text("failstop-ros2.service"),
         _text("failstop-fleet.service"),
         settings.example(),
+        _text("failstop-web.service"),
     )
 
 

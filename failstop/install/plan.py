@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from failstop.board.discovery import LINK
-from failstop.install import InstallError, bridge, fleet
+from failstop.install import InstallError, bridge, fleet, page
 from failstop.install.layout import (
     ACCOUNT_FILES,
     CATALOG,
@@ -34,6 +34,9 @@ MASK = "/dev/null"
 SETTLE_S = 5
 """How long the new rule may take to name a board that is plugged in; else the service waits for it."""
 
+EXTRAS = (bridge, fleet, page)
+"""Units beside the service's own, each installed when it is asked for."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Request:
@@ -52,6 +55,8 @@ class Request:
     """The user of the robot's ROS nodes, whose the bridge is to be; empty: no bridge, or the one that is there."""
     fleet: bool = False
     """The robot is to be published to its fleet's broker; False: it is not, or goes on to be."""
+    web: str = ""
+    """The operator's page: page.VIEW or page.OPERATE; empty: none, or the one that is there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,8 +103,10 @@ def install(parts: Parts, request: Request, tree: str, found: Found) -> Plan:
     """The steps to what is wanted; `tree` is the digest of the environment to install, empty for none. Raises
     InstallError."""
     _refuse(parts, request, found)
-    files = _files(parts, request) | bridge.files(parts, request, found) | fleet.files(parts, request, found)
-    links = _links(parts, request) | bridge.links(parts, request, found) | fleet.links(parts, request, found)
+    files, links = _files(parts, request), _links(parts, request)
+    for extra in EXTRAS:
+        files |= extra.files(parts, request, found)
+        links |= extra.links(parts, request, found)
     gone = _outdated(found, files)
     new_tree = bool(tree) and tree != found.tree
     content = _file_steps(files, found) + _configuration(parts, request, found)
@@ -144,19 +151,19 @@ def _starts(request: Request, found: Found, restarts: tuple[str, ...]) -> list[S
     if not (request.live and request.start):
         return []
     unit = unit_of(request.name)
-    others = (*bridge.units(request, found), *fleet.units(request, found))
+    others = [name for extra in EXTRAS for name in extra.units(request, found)]
     wanted = [name for name in (unit, *others) if name not in found.active]
     units = dict.fromkeys((*restarts, *wanted))
-    remarks = {bridge.UNIT: "ROS 2 nodes drive through the service", fleet.UNIT: fleet.REMARK}
+    remarks = {extra.UNIT: extra.REMARK for extra in EXTRAS}
     return [
         Start("start", unit, remarks.get(unit, "motion stays disabled until somebody enables it"), unit)
-        for unit in sorted(units, key=lambda unit: unit in (bridge.UNIT, fleet.UNIT))
+        for unit in sorted(units, key=lambda unit: unit in remarks)
     ]
 
 
 def _refuse(parts: Parts, request: Request, found: Found) -> None:
-    bridge.refuse(request, found)
-    fleet.refuse(request, found)
+    for extra in EXTRAS:
+        extra.refuse(request, found)
     if found.package:
         raise InstallError(
             "the Debian package of failstop is installed here: it is the service already; "

@@ -120,6 +120,7 @@ def files(brought: parts.Parts) -> dict[str, str]:
         CONFIGURATION: brought.example,
         **{f"usr/lib/systemd/system/{name}": text for name, text in brought.units.items()},
         "usr/lib/systemd/system/failstop-ros2.service": brought.bridge,
+        "usr/lib/systemd/system/failstop-web.service": brought.page,
         "usr/lib/sysusers.d/failstop.conf": brought.sysusers,
         "usr/lib/udev/rules.d/90-failstop.rules": brought.udev,
         "usr/lib/systemd/catalog/failstop.catalog": brought.catalog,

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from bench.web.parts import Web
 from failstop.lab.trial import Trial
-from tests.web.parts import Web
 
 _numbers = itertools.count()
 

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from bench.web.parts import Web
+from bench.web.viewer import Viewer
 from failstop.api.errors import Refused
 from failstop.api.robot import Robot
 from failstop.lab.trial import Trial, judge, wait_for
-from tests.web.parts import Web
-from tests.web.viewer import Viewer
 
 LEASE_S = 0.5
 SETTINGS = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n[web]\npairing = "on"\n'
@@ -157,7 +157,7 @@ def moving(trial: Trial, viewer: Viewer) -> None:
 Ends = Callable[[Web, Viewer], None]
 SUDDEN: list[tuple[str, Ends]] = [
     ("leaves", lambda web, viewer: viewer.send(attend=False)),
-    ("closes", lambda web, viewer: viewer.connection.close()),
+    ("closes", lambda web, viewer: viewer.hang_up()),
     ("page-killed", lambda web, viewer: os.kill(web.process.pid, signal.SIGKILL)),
     ("page-ended", lambda web, viewer: os.kill(web.process.pid, signal.SIGTERM)),
 ]
@@ -167,6 +167,7 @@ SLOW: list[tuple[str, Ends]] = [
 ]
 
 
+@pytest.mark.page
 @pytest.mark.parametrize(("name", "end"), SUDDEN, ids=[name for name, _ in SUDDEN])
 def test_an_end_that_is_seen_counts_at_once(trial: Trial, web: Web, name: str, end: Ends) -> None:
     with driven(trial), Viewer(web, web.pair()) as viewer:
@@ -188,6 +189,7 @@ def test_an_end_that_nobody_sees_counts_when_the_lease_ends(trial: Trial, web: W
         assert LEASE_S - 0.3 < took_s < LEASE_S + LATE_S
 
 
+@pytest.mark.page
 def test_a_backlog_and_replays_renew_nothing(trial: Trial, web: Web) -> None:
     """What a network held back comes all at once, right and in order; and what was taken once, again."""
     with Viewer(web, web.pair()) as viewer:
@@ -220,6 +222,7 @@ def test_a_wrong_key_renews_nothing(trial: Trial, web: Web) -> None:
         assert trial.robot.state.attended_by == ()
 
 
+@pytest.mark.page
 def test_two_operators_the_last_one_counts(trial: Trial, web: Web) -> None:
     with driven(trial), Viewer(web, web.pair("Bert")) as bert:
         with Viewer(web, web.pair("Anna")) as anna:
@@ -233,6 +236,7 @@ def test_two_operators_the_last_one_counts(trial: Trial, web: Web) -> None:
         assert stopped(trial, since_ns, "operator gone: Bert, left") < LEASE_S
 
 
+@pytest.mark.page
 def test_a_revoked_device_attends_no_more(trial: Trial, web: Web) -> None:
     with driven(trial), Viewer(web, web.pair("Dora")) as viewer:
         moving(trial, viewer)

@@ -10,9 +10,9 @@ import time
 
 import pytest
 
+from bench.web.parts import HEADERS, Web
 from failstop.lab.trial import Trial, judge, wait_for
 from failstop.web import assets, guard
-from tests.web.parts import HEADERS, Web
 
 MOST_BYTES = 150_000
 

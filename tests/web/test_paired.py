@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from bench.web.parts import HEADERS, Web
+from bench.web.viewer import Viewer
 from failstop.lab.trial import Trial, wait_for
 from failstop.web import devices
-from tests.web.parts import HEADERS, Web
-from tests.web.viewer import Viewer
 
 PAIRING = '[web]\npairing = "on"\ntls = "on"\n'
 

@@ -48,7 +48,7 @@ for (const button of document.querySelectorAll("#hands button")) {
   button.addEventListener("keyup", cancel);
 }
 addEventListener("visibilitychange", cancel);
-addEventListener("stopped", cancel);
+addEventListener("stopped", () => { cancel(); said("", false); });
 addEventListener("link-lost", cancel);
 addEventListener("face", (event) => {
   can = event.detail.can;

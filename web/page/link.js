@@ -6,6 +6,8 @@ export function send(message) {
   if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
 }
 
+addEventListener("stopping", (event) => send({stop: event.detail}));
+
 export function connected() {
   return !!socket && socket.readyState === WebSocket.OPEN;
 }

@@ -7,55 +7,61 @@
   const button = document.getElementById("stop");
   const said = document.getElementById("stop-said");
   const HINT = matchMedia("(pointer: coarse)").matches ? "at a touch" : "so do Space and Escape";
-  let running = false;
+  let newest = "";
 
   function say(text, phase) {
     said.textContent = text;
     button.dataset.phase = phase;
   }
 
-  function ask(open) {
+  function ask(open, id) {
     const given = new AbortController();
     open.push(given);
     if (open.length > MOST_OPEN) open.shift().abort();
     // keepalive: it goes out even if the page is closed at once.
-    return fetch("/api/stop", {method: "POST", headers: {"X-Failstop": "1"}, keepalive: true, signal: given.signal})
+    const headers = {"X-Failstop": "1"}, body = JSON.stringify({id});
+    return fetch("/api/stop", {method: "POST", headers, body, keepalive: true, signal: given.signal})
       .then((answer) => answer.json().then((found) => ({...found, status: answer.status})));
   }
 
   async function stop() {
-    if (running) return;
-    running = true;
+    const id = Math.random().toString(36).slice(2);
+    // Where the websocket is up it is the shorter way, as it needs no new request; by its id the robot knows it for the same.
+    dispatchEvent(new CustomEvent("stopping", {detail: id}));
+    const open = [];
+    newest = id;
     say("asking ...", "asking");
     if (navigator.vibrate) navigator.vibrate(40);
-    const open = [];
     let asked = 0, done = false, wrong = "no answer";
     for (let number = 0; number < TRIES && !done; number++) {
       const wait = new Promise((next) => setTimeout(next, EVERY_MS));
-      const answer = ask(open).then((found) => {
+      const answer = ask(open, number ? `${id}-${number}` : id).then((found) => {
         asked ||= found.asked || 0;
         if (found.written && !done) {
           done = true;
-          say("written", "written");
+          if (newest === id) say("written", "written");
           dispatchEvent(new CustomEvent("stopped", {detail: {...found, asked}}));
         } else if (found.error) wrong = found.error;
       }).catch(() => {});
       await Promise.race([answer, wait]);
       if (!done) await wait;
+      if (newest !== id && number) break; // touched anew: that one goes on
       if (!done && number >= 3) say(`NOT WRITTEN (${wrong}). Still trying: use the POWER SWITCH`, "failed");
     }
     open.forEach((given) => given.abort());
-    if (!done) say(`NOT WRITTEN (${wrong}): use the POWER SWITCH`, "failed");
-    running = false;
+    if (!done && newest === id) say(`NOT WRITTEN (${wrong}): use the POWER SWITCH`, "failed");
   }
 
   addEventListener("unstopped", () => say(HINT, ""));
   say(HINT, "");
-  // On touch-down, not when the finger is lifted; a click alone is a screen reader's or a keyboard's.
+  // On touch-down, not when the finger is lifted; a click without one is a screen reader's or a keyboard's.
   button.addEventListener("pointerdown", (event) => { event.preventDefault(); stop(); });
-  button.addEventListener("click", stop);
+  button.addEventListener("click", (event) => { if (!event.detail) stop(); });
   addEventListener("keydown", (event) => {
     const writes = event.target.closest && event.target.closest("input");
-    if (event.key === "Escape" || (event.key === " " && !writes)) { event.preventDefault(); stop(); }
+    if (event.key === "Escape" || (event.key === " " && !writes)) {
+      event.preventDefault();
+      if (!event.repeat) stop();
+    }
   }, true);
 })();

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from failstop.api.errors import Refused
 from failstop.board.discovery import LINK
 from failstop.fleet.broker import EXTRA
-from failstop.install import InstallError, dialogue, look, parts, plan, tree
+from failstop.install import InstallError, dialogue, look, page, parts, plan, tree
 from failstop.install.do import Doer
 from failstop.install.layout import PREFIX, unit_of
 from failstop.install.machine import READY_S, Machine
@@ -29,6 +29,7 @@ sudo failstop install                # show it, ask, do it, wait until ready
 sudo failstop install --device /dev/ttyUSB0 --yes
 sudo failstop install --name front --device /dev/ttyACM1   # one more robot
 sudo failstop install --ros2-user robot   # and the bridge to ROS 2
+sudo failstop install --web           # and the operator's page
 sudo failstop install --root /mnt/image --yes   # of a system not running
 """
 
@@ -44,6 +45,14 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--ros2-user", metavar="NAME", default="", help="the bridge to ROS 2 too, as this user")
     parser.add_argument("--fleet", action="store_true", help="publish it to its fleet's broker too, and obey its stop")
+    parser.add_argument(
+        "--web",
+        nargs="?",
+        choices=(page.VIEW, page.OPERATE),
+        const=page.VIEW,
+        default="",
+        help="the operator's page too; operate: its paired devices may reset and enable",
+    )
     parser.add_argument("--root", metavar="DIR", help="install into this directory, the root of another system")
     parser.add_argument("--no-start", action="store_true", help="start it at the next boot, not now")
     parser.add_argument(
@@ -102,6 +111,8 @@ def _request(arguments: Namespace) -> plan.Request:
     instance.check_name(arguments.name)
     if arguments.fleet and not find_spec("paho"):
         raise InstallError(f"--fleet: {EXTRA}")
+    if arguments.web and not find_spec("tornado"):
+        raise InstallError("--web: the page needs tornado: pip install 'failstop[web]', then this again")
     if arguments.device is not None:
         BY_KEY["device.path"].check(arguments.device, "--device")
         if '"' in arguments.device or "\\" in arguments.device:
@@ -117,6 +128,7 @@ def _request(arguments: Namespace) -> plan.Request:
         _running_command() if arguments.use_running_venv else plan.OWN_COMMAND,
         arguments.ros2_user,
         arguments.fleet,
+        arguments.web,
     )
 
 

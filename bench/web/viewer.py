@@ -11,8 +11,8 @@ from typing import Any
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
+from bench.web.parts import Web
 from failstop.web import lease
-from tests.web.parts import Web
 
 WAIT_S = 10.0
 
@@ -38,9 +38,17 @@ class Viewer:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.connection.close()
-        self.loop.run_until_complete(asyncio.sleep(0.05))
+        self.hang_up()
         self.loop.close()
+
+    def hang_up(self) -> None:
+        """End the connection."""
+
+        async def close() -> None:
+            self.connection.close()
+            await asyncio.sleep(0.05)
+
+        self.loop.run_until_complete(close())
 
     def send(self, **message: Any) -> None:
         """One message."""

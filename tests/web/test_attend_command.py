@@ -1,0 +1,90 @@
+"""`failstop attend` in a terminal that answers as long as its operator is there."""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.cli.commands.attend import BETWEEN
+from failstop.lab.trial import Trial, wait_for
+from tests.screen.typist import Typist
+from tests.support.commands import FAILSTOP
+
+LEASE_S = 0.5
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
+    """A service that needs an operator."""
+    path = tmp_path_factory.mktemp("attend") / "attend.toml"
+    path.write_text(f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n')
+    with Trial(f"terminal-{os.getpid()}", ("--config", str(path))) as running:
+        yield running
+
+
+class Answering:
+    """A context manager: reads what a command writes, and answers where the cursor is, as every terminal does."""
+
+    def __init__(self, typist: Typist) -> None:
+        self._typist = typist
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> Answering:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._ended.wait(0.01):
+            try:
+                written = os.read(self._typist.master, 65536)
+            except (BlockingIOError, OSError):
+                continue
+            for row, column in re.findall(rb"\x1b\[(\d+);(\d+)H\x1b\[6n", written):
+                os.write(self._typist.master, b"\x1b[%s;%sR" % (row, column))
+
+
+def test_it_attends_while_the_terminal_answers(trial: Trial) -> None:
+    with Typist.failstop("attend", "--name", trial.name, "--as", "Anna") as typist:
+        with Answering(typist):
+            wait_for("Anna", lambda: trial.robot.state.attended_by == ("Anna (terminal)",))
+            trial.enable()
+            trial.drive(LEASE_S * 1.5)
+            assert trial.moving()
+        since_s = time.monotonic()
+        trial.drive(LEASE_S + 0.2)
+        assert "operator gone: Anna (terminal), was not heard" in str(trial.robot.state.estop)
+        assert not trial.moving()
+        assert time.monotonic() - since_s < 5
+
+
+def test_q_leaves_at_once(trial: Trial) -> None:
+    with Typist.failstop("attend", "--name", trial.name) as typist:
+        with Answering(typist):
+            wait_for("somebody", lambda: trial.robot.state.attended_by)
+            trial.enable()
+            os.write(typist.master, b"q")
+            wait_for("the stop", lambda: trial.robot.state.estop)
+        assert ", left" in str(trial.robot.state.estop)
+        assert typist.process.wait(10) == 0
+
+
+@pytest.mark.parametrize("name", ["tmux", "screen", "mosh-server"])
+def test_what_answers_in_its_place_is_refused(trial: Trial, name: str, tmp_path: Path) -> None:
+    """A program of that name above it; a real tmux's server calls itself `tmux: server`."""
+    shell = tmp_path / name
+    shell.symlink_to("/bin/sh")
+    with Typist([str(shell), "-c", f"{' '.join(FAILSTOP)} attend --name {trial.name}; exit $?"]) as typist:
+        assert typist.process.wait(20) == 1
+        written = os.read(typist.master, 4096).decode()
+    assert f"{BETWEEN[name]} answers in your terminal's place" in " ".join(written.split())

@@ -1,0 +1,223 @@
+"""The page in a real browser: every button, a lost network, a phone that sleeps. Needs chromium: `make web`."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from bench.web.browser import CHROMIUM, Browser, Tab
+from bench.web.parts import Web
+from failstop.api.errors import Refused
+from failstop.lab.trial import Trial, judge, wait_for
+
+pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
+
+LEASE_S = 0.5
+SETTINGS = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n[web]\npairing = "on"\n'
+WORD = "document.getElementById('word').textContent"
+SAID = "document.getElementById('stop-said').textContent"
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
+    """A service that needs an operator."""
+    path = tmp_path_factory.mktemp("browser") / "browser.toml"
+    path.write_text(SETTINGS)
+    with Trial(f"browser-{os.getpid()}", ("--config", str(path))) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def web(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
+    """Its page."""
+    path = tmp_path_factory.mktemp("web") / "web.toml"
+    path.write_text(SETTINGS)
+    with Web(trial.name, "--config", str(path), state=trial.state) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with Browser() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def tab(browser: Browser, web: Web) -> Iterator[Tab]:
+    """A phone that shows the page, not paired yet; no script of it may throw."""
+    found = browser.tab(web.url)
+    found.until(f"{WORD} !== 'CONNECTING'")
+    yield found
+    assert found.errors == []
+
+
+@pytest.fixture(scope="module")
+def paired(tab: Tab, web: Web) -> Tab:
+    """The same, paired with a photographed code."""
+    code = web.code()
+    tab.open("about:blank")
+    tab.open(f"{web.url}#{code}")
+    tab.until(f"document.getElementById('code').value === '{code}'")
+    assert tab.run("location.hash") == "", "the code does not stay in the history"
+    tab.until("!document.getElementById('pair').hidden")
+    tab.run("document.getElementById('device-name').value = 'Anna'")
+    tab.tap("#pair button")
+    tab.until("!document.getElementById('attendance').hidden")
+    return tab
+
+
+def enabled(trial: Trial) -> None:
+    def enable() -> bool:
+        with contextlib.suppress(Refused):
+            trial.enable()
+            return True
+        return False
+
+    wait_for("motion to be enabled", enable)
+
+
+def driving(trial: Trial, tab: Tab) -> None:
+    """Somebody attends by this page, and the robot drives."""
+    trial.robot.disable()
+    if tab.run("document.getElementById('attend').getAttribute('aria-pressed')") != "true":
+        tab.tap("#attend")
+    wait_for("the operator", lambda: trial.robot.state.attended_by == ("Anna",))
+    enabled(trial)
+    trial.drive(0.3)
+    assert trial.moving()
+    trial.board.events()
+
+
+def test_a_stranger_sees_and_stops_and_nothing_else(trial: Trial, tab: Tab) -> None:
+    assert tab.run("document.getElementById('hands').hidden")
+    assert tab.run("document.getElementById('attendance').hidden")
+    assert not tab.run("document.getElementById('pair').hidden")
+
+
+def test_a_wrong_code_is_told(tab: Tab) -> None:
+    tab.run("document.getElementById('code').value = '0000-0000'")
+    tab.tap("#pair button")
+    tab.until("document.getElementById('pair-why').textContent.includes('no code is on offer')")
+
+
+def test_space_in_a_field_is_a_space(trial: Trial, tab: Tab) -> None:
+    before = trial.robot.state.epoch
+    tab.run("document.getElementById('device-name').focus()")
+    tab.key(" ", "Space", 32)
+    assert tab.run("document.getElementById('device-name').value") == " "
+    assert trial.robot.state.epoch == before
+    tab.run("document.activeElement.blur()")
+
+
+@pytest.mark.parametrize(("key", "code", "number"), [(" ", "Space", 32), ("Escape", "Escape", 27)])
+def test_keys_stop(trial: Trial, tab: Tab, key: str, code: str, number: int) -> None:
+    before = trial.robot.state.epoch
+    tab.key(key, code, number)
+    wait_for("the stop", lambda: trial.robot.state.epoch > before)
+    tab.until(f"{SAID}.includes('written')")
+
+
+def test_the_finger_is_still_down_when_the_wheels_stop(trial: Trial, paired: Tab) -> None:
+    driving(trial, paired)
+    asked_ns = time.monotonic_ns()
+    lift = paired.press("#stop")
+    wait_for("the latch", lambda: trial.robot.state.estop)
+    seen = judge(trial.board.events(), asked_ns, was_moving=True)
+    assert seen.stop_ns is not None
+    assert seen.motion_after == 0
+    lift()
+    paired.until(f"{WORD} === 'STOPPED'")
+    paired.until(f"{SAID}.includes('acknowledged') && {SAID}.includes('observed')")
+    assert "asked for a stop" in paired.text("#why")
+
+
+def test_reset_and_enable_are_held_and_letting_go_cancels(trial: Trial, paired: Tab) -> None:
+    trial.robot.estop("to be reset")
+    paired.until("document.getElementById('reset').getAttribute('aria-disabled') === 'false'")
+    lift = paired.press("#reset")
+    paired.until("document.getElementById('reset').classList.contains('held')")
+    lift()
+    paired.until("!document.getElementById('reset').classList.contains('held')")
+    assert trial.robot.state.estop
+    lift = paired.press("#reset")
+    wait_for("the reset", lambda: not trial.robot.state.estop)
+    lift()
+    if paired.run("document.getElementById('attend').getAttribute('aria-pressed')") != "true":
+        paired.tap("#attend")
+    paired.until("document.getElementById('enable').getAttribute('aria-disabled') === 'false'")
+    lift = paired.press("#enable")
+    wait_for("motion to be enabled", lambda: trial.robot.state.enabled)
+    lift()
+    paired.until(f"{WORD} === 'CAN MOVE'")
+    paired.tap("#disable")
+    wait_for("motion to be disabled", lambda: not trial.robot.state.enabled)
+
+
+def test_what_stands_in_the_way_is_said_instead_of_a_dead_button(trial: Trial, paired: Tab) -> None:
+    wait_for("nothing latched", lambda: not trial.robot.state.estop)
+    paired.tap("#reset")
+    paired.until("document.getElementById('answer').textContent.includes('nothing is latched')")
+
+
+def test_without_the_network_it_says_so_and_goes_on_trying_to_stop(trial: Trial, paired: Tab) -> None:
+    driving(trial, paired)
+    paired.network(offline=True)
+    # Emulated networks cut requests, and a websocket only once it is closed: what the robot hears ends here by itself.
+    paired.run("dispatchEvent(new Event('link-lost'))")
+    before = trial.robot.state.epoch
+    lift = paired.press("#stop")
+    paired.until(f"{SAID}.includes('NOT WRITTEN')")
+    assert "POWER SWITCH" in paired.text("#stop-said")
+    lift()
+    paired.network()
+    wait_for("the stop", lambda: trial.robot.state.epoch > before, 5)
+    paired.until(f"{SAID}.includes('written') && !{SAID}.includes('NOT')")
+
+
+def test_a_page_that_hears_nothing_shows_no_old_word(trial: Trial, web: Web, paired: Tab) -> None:
+    os.kill(web.process.pid, signal.SIGSTOP)
+    try:
+        paired.until(f"{WORD} === 'NO CONTACT'", timeout_s=3)
+        assert "Last known" in paired.text("#why")
+    finally:
+        os.kill(web.process.pid, signal.SIGCONT)
+    paired.until(f"{WORD} !== 'NO CONTACT'")
+
+
+def test_a_page_that_is_hidden_gives_up_at_once(trial: Trial, browser: Browser, paired: Tab) -> None:
+    driving(trial, paired)
+    other = browser.tab()
+    other.call("Page.bringToFront")
+    trial.drive(LEASE_S + 0.2)
+    assert "operator gone: Anna" in str(trial.robot.state.estop)
+    assert not trial.moving()
+    paired.call("Page.bringToFront")
+
+
+def test_a_browser_that_is_suspended_stops_the_robot(trial: Trial, browser: Browser, paired: Tab) -> None:
+    """As a phone that falls asleep."""
+    driving(trial, paired)
+    browser.signal(signal.SIGSTOP)
+    suspended_ns = time.monotonic_ns()
+    try:
+        trial.drive(LEASE_S + 0.3)
+        seen = judge(trial.board.events(), suspended_ns, was_moving=True)
+    finally:
+        browser.signal(signal.SIGCONT)
+    assert "operator gone: Anna, was not heard" in str(trial.robot.state.estop)
+    assert seen.stop_ns is not None
+    assert seen.stop_ns / 1e9 < LEASE_S + 0.02
+    assert seen.motion_after == 0
+
+
+def test_an_incident_shows_its_story_and_its_picture(trial: Trial, paired: Tab) -> None:
+    paired.until("document.querySelector('.card') !== null", "a card", 30)
+    assert " ms, acknowledged after " in paired.text(".card small") or " us, acknowledged" in paired.text(".card small")
+    paired.run("document.querySelector('.card summary').click()")
+    picture = "document.querySelector('.card img')"
+    paired.until(f"{picture}?.naturalWidth > 400 && !!document.querySelector('.card .cause')", "a picture", 60)

@@ -1,0 +1,34 @@
+"""Incidents as cards: what a card says, and which lines of a story it tells."""
+
+from __future__ import annotations
+
+import pytest
+
+from failstop.web import incidents
+
+HEAD = {"id": "20260101-120000-key1", "t": 1.0, "reason": "key1", "stop": None}
+
+
+@pytest.mark.parametrize(
+    ("stop", "proof"),
+    [
+        (None, "not known whether a stop was written"),
+        ({"written_us": None}, "NOT written"),
+        ({"written_us": 94.0}, "written after 94 us"),
+        (
+            {"written_us": 210.0, "acknowledged_us": 5310.0, "observed_ms": 0.0},
+            "written after 0.21 ms, acknowledged after 5.31 ms, wheels seen still",
+        ),
+    ],
+)
+def test_a_card_says_how_far_the_stop_was_proven(stop: dict[str, float] | None, proof: str) -> None:
+    assert incidents._card({**HEAD, "stop": stop})["proof"] == proof
+
+
+def test_the_story_is_of_the_seconds_around_the_cause() -> None:
+    lines = [{"ms": float(ms), "what": "gate", "text": str(ms), "count": 1} for ms in range(-9000, 9000, 100)]
+    found = [line["ms"] for line in incidents._near(lines)]
+    assert len(found) == incidents.LINES
+    assert found == sorted(found)
+    assert max(map(abs, found)) <= incidents.NEAR_MS
+    assert 0.0 in found
