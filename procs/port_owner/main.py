@@ -64,6 +64,10 @@ class PortOwner:
         """When the arm's next frame may be written, that has to wait."""
         self._leave = self.loop.deadline()
         """Once the supervisor has died."""
+        self._tick = self.loop.deadline()
+        """When it looks at everything, if nothing happens before."""
+        self._bytes_alone: dict[int, int] | None = None
+        """What is ready when the board has sent something, and nothing else has happened."""
         self._barrier = Barrier()
         self._moved_ns = 0
         self._arm_moved = False
@@ -114,8 +118,13 @@ class PortOwner:
             self.loop.watch(fd, READ)
 
     def turn(self, ready: dict[int, int]) -> bool:
-        """Handle one wake-up; False when it is time to exit."""
+        """Handle one wake-up; False when it is time to exit. One for bytes of the board alone, of which there are the
+        most, only passes them on: stops and motion ring, and what else there is to look at waits for the tick."""
         now_ns = monotonic_ns()
+        if ready == self._bytes_alone and now_ns < self.loop.due_ns():
+            self._serve_port(ready, now_ns)
+            return True
+        self._tick.set(now_ns + TICK_NS)
         self._hear_requests(ready, now_ns)
         bell.clear_rung((self._bell, self._early.bell), ready)
         self._hear_trips()
@@ -415,12 +424,13 @@ class PortOwner:
         wanted = (fd, READ | WRITE if self.wire.unsent else READ | EDGE)
         if fd >= 0 and wanted != self._watched:
             self.loop.watch(*wanted)
+            self._bytes_alone = None if self.wire.unsent else {fd: READ}
         self._watched = wanted
 
     def _port_lost(self, now_ns: int) -> None:
         if self._watched[0] == self.wire.fd:
             self.loop.forget(self.wire.fd)
-        self._watched = (-1, 0)
+        self._watched, self._bytes_alone = (-1, 0), None
         self.wire.close()
         self.stop(now_ns, causes.DEVICE_LOST())
         self._publish_port(now_ns)
