@@ -296,6 +296,12 @@ UNKNOWN = _row(
     "the supervisor stopped the wheels, and why can't be read any more",
     "look at `failstop events`, which may still know",
 )  # fmt: skip
+OPERATOR_GONE = _row(
+    40, "operator_gone", "operator gone: {who}, {how}", "who:s how:s",
+    CLIENTS,
+    "the operator {who}, without whom this robot may not move, {how}",
+    "see to it that somebody attends again, by the page or by `failstop attend`",
+)  # fmt: skip
 TWO_MOVE_THE_ARM = _row(
     30, "two_move_the_arm", "multiple arm/goal publishers: {who}, {rival}", "who:s rival:s",
     CLIENTS,

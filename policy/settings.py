@@ -135,6 +135,8 @@ DECLARED = (
     Setting("wheels.id_4", 3, "", 0, 3, "the rear right motor's id"),
     Setting("scan.gate", "on", "", None, None, "software commands move nothing while the sensor is silent", SWITCH),
     Setting("scan.timeout_s", 0.5, "s", 0.05, 10.0, "an obstacle sensor silent for this long blocks (no scan)"),
+    Setting("attend.required", "off", "", None, None, "motion needs an operator who is there, again and again", SWITCH),
+    Setting("attend.lease_s", 1.0, "s", 0.3, 10.0, "an operator who is not heard for this long is gone: stop, latched"),
     Setting("imu.offset_x_g", 0.0, "g", -1.0, 1.0, "subtracted from the raw acceleration along x"),
     Setting("imu.offset_y_g", 0.0, "g", -1.0, 1.0, "subtracted from the raw acceleration along y"),
     Setting("imu.offset_z_g", 0.0, "g", -1.0, 1.0, "subtracted from the raw acceleration along z"),

@@ -55,9 +55,9 @@ class Peer:
             self._early.arm(self.life, block, _LINE)
         return died
 
-    def down(self, ready: dict[int, int]) -> int:
+    def died(self, ready: dict[int, int]) -> int:
         """Its pid when this wake-up, or the early news before it, says that it has died, else 0."""
-        return self.life.pid if self.life and self.life.down(ready) else 0
+        return self.life.pid if self.life and self.life.died(ready) else 0
 
     def demote(self) -> None:
         """Take its real-time rights: its end is to hold nobody up."""

@@ -1,7 +1,7 @@
-"""Messages: samples and states as the fields of ROS messages, in plain dictionaries. Pure.
+"""Messages: samples and states as the fields of ROS messages, in plain values. Pure.
 
-Each kind has what never changes (set once in a message that is used again and again) and what every message changes.
-Times are ROS times in ns.
+Each kind has what never changes (set once in a message that is used again and again) and what every message changes:
+of what goes out often, numbers at the places of a stencil (stencil.py). Times are ROS times in ns.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from typing import Any
 from failstop.api.samples import ImuSample, OdometrySample, PadSample
 
 Fields = dict[str, Any]
+Values = tuple[Sequence[float], ...]
+"""Of the places of a stencil, in their order."""
 
 CHARGE = {"plugged": 1, "unplugged": 2, "unknown": 0}
 """power_supply_status: charging, discharging, unknown."""
@@ -29,8 +31,9 @@ def stamp(ns: int) -> Fields:
     return {"sec": ns // 1_000_000_000, "nanosec": ns % 1_000_000_000}
 
 
-def _xyz(values: Sequence[float]) -> Fields:
-    return dict(zip("xyz", values, strict=True))
+def _stamped(ns: int) -> tuple[int, int]:
+    """The same, for a stencil."""
+    return divmod(ns, 1_000_000_000)
 
 
 def imu_constant(frame: str, rate_variance: float) -> Fields:
@@ -43,13 +46,12 @@ def imu_constant(frame: str, rate_variance: float) -> Fields:
     }
 
 
-def imu(sample: ImuSample, ros_ns: int) -> Fields:
+IMU_PLACES = ("header.stamp", "angular_velocity", "linear_acceleration")
+
+
+def imu(sample: ImuSample, ros_ns: int) -> Values:
     """sensor_msgs/Imu."""
-    return {
-        "header": {"stamp": stamp(ros_ns)},
-        "angular_velocity": _xyz(sample.rate_radps),
-        "linear_acceleration": _xyz(sample.acceleration_mps2),
-    }
+    return _stamped(ros_ns), sample.rate_radps, sample.acceleration_mps2
 
 
 BATTERY_CONSTANT: Fields = {
@@ -87,41 +89,44 @@ def odometry_covariances(sample: OdometrySample) -> Fields:
     return {"pose": {"covariance": pose}, "twist": {"covariance": twist}}
 
 
-def _turn(th_rad: float) -> Fields:
-    return {"z": sin(th_rad / 2), "w": cos(th_rad / 2)}
+ODOMETRY_PLACES = ("header.stamp", "pose.pose", "twist.twist")
 
 
-def odometry(sample: OdometrySample, ros_ns: int) -> Fields:
+def _pose(sample: OdometrySample) -> Sequence[float]:
+    """x, y, z and a quaternion."""
+    return (sample.x_m, sample.y_m, 0.0, 0.0, 0.0, sin(sample.th_rad / 2), cos(sample.th_rad / 2))
+
+
+def odometry(sample: OdometrySample, ros_ns: int) -> Values:
     """nav_msgs/Odometry."""
-    position = {"x": sample.x_m, "y": sample.y_m}
-    return {
-        "header": {"stamp": stamp(ros_ns)},
-        "pose": {"pose": {"position": position, "orientation": _turn(sample.th_rad)}},
-        "twist": {
-            "twist": {
-                "linear": {"x": sample.vx_mps, "y": sample.vy_mps},
-                "angular": {"z": sample.wz_radps},
-            }
-        },
-    }
+    return _stamped(ros_ns), _pose(sample), (sample.vx_mps, sample.vy_mps, 0.0, 0.0, 0.0, sample.wz_radps)
 
 
-def transform(sample: OdometrySample, frame: str, child: str, ros_ns: int) -> Fields:
-    """geometry_msgs/TransformStamped of the pose."""
-    return {
-        "header": {"stamp": stamp(ros_ns), "frame_id": frame},
-        "child_frame_id": child,
-        "transform": {"translation": {"x": sample.x_m, "y": sample.y_m}, "rotation": _turn(sample.th_rad)},
-    }
+TRANSFORM_PLACES = ("transforms.0.header.stamp", "transforms.0.transform")
 
 
-def gamepad(sample: PadSample, ros_ns: int) -> Fields:
+def transform_constant(frame: str, child: str) -> Fields:
+    """What is the same in every TransformStamped."""
+    return {"header": {"frame_id": frame}, "child_frame_id": child}
+
+
+def transform(sample: OdometrySample, ros_ns: int) -> Values:
+    """tf2_msgs/TFMessage of the pose."""
+    return _stamped(ros_ns), _pose(sample)
+
+
+GAMEPAD_PLACES = ("header.stamp", "axes", "buttons")
+GAMEPAD_CONSTANT: Fields = {"axes": [0.0] * 5, "buttons": [0] * BUTTONS}
+"""Of lasting length."""
+
+
+def gamepad(sample: PadSample, ros_ns: int) -> Values:
     """sensor_msgs/Joy."""
-    return {
-        "header": {"stamp": stamp(ros_ns)},
-        "axes": [*(axis / FULL_AXIS for axis in sample.axes), float(sample.hat)],
-        "buttons": [sample.buttons >> bit & 1 for bit in range(BUTTONS)],
-    }
+    axes = (*(axis / FULL_AXIS for axis in sample.axes), float(sample.hat))
+    return _stamped(ros_ns), axes, [sample.buttons >> bit & 1 for bit in range(BUTTONS)]
+
+
+JOINT_PLACES = ("header.stamp", "position", "velocity")
 
 
 class Wheels:
@@ -141,18 +146,14 @@ class Wheels:
         self._ns = now_ns
         self._velocity_radps = [rps * sign * 2 * pi for rps, sign in zip(wheels_rps, signs, strict=True)]
 
-    def fields(self, ros_ns: int, arm: Mapping[str, Any] | None = None) -> Fields:
-        """sensor_msgs/JointState; `arm`: as in State.arm. A joint that was not read yet is left out; while it moves it
-        is where it was sent."""
+    def fields(self, ros_ns: int, arm: Mapping[str, Any] | None = None) -> tuple[list[str], Values]:
+        """sensor_msgs/JointState: names, and what changes; `arm`: as in State.arm. A joint that was not read yet is
+        left out; while it moves it is where it was sent."""
         joints = arm["joints"] if arm else {}
         found = {
             name: joint["commanded_rad"] if joint["commanded_rad"] is not None else joint["angle_rad"]
             for name, joint in joints.items()
             if joint["angle_rad"] is not None
         }
-        return {
-            "header": {"stamp": stamp(ros_ns)},
-            "name": [*WHEELS, *found],
-            "position": [*self._position_rad, *found.values()],
-            "velocity": [*self._velocity_radps, *([0.0] * len(found))],
-        }
+        position = [*self._position_rad, *found.values()]
+        return [*WHEELS, *found], (_stamped(ros_ns), position, [*self._velocity_radps, *([0.0] * len(found))])

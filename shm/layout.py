@@ -14,7 +14,7 @@ from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.latest import record_bytes, slot_bytes
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 5
+LAYOUT_VERSION = 6
 SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
@@ -116,6 +116,7 @@ def _client(index: int) -> SegmentSpec:
             _latest("command", 64, "gate"),
             _latest("sensed", 64, "gate"),  # its time is that of the obstacle sensor's last delivery
             _latest("interlocks", 224, "gate"),  # the conditions that this client says hold, at its time
+            _latest("attended", 96, "gate"),  # the operator who was there at its time; 0: who is there no more
             _latest("request", 320, "gate"),
             _latest("arm_goal", 128, "gate"),  # follow or jog, renewed (records)
             _latest("arm_path", 8192, "gate"),  # the trajectory that a request is about (records)
@@ -202,7 +203,7 @@ SEGMENTS = (
             _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
             _ring("trips", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
             _ring("servos", 16, 64, "gate"),  # answers of the arm's servos, in order (records)
-            _ring("wishes", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
+            _ring("pad_requests", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _ring("events", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
             _ring("box", box.BOARD_BYTES, box.BOARD_SLOTS, "everyone"),  # what it decoded (box.py)

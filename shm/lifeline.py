@@ -1,6 +1,6 @@
 """Lifelines: the news of a process's death, in the same poll as everything else.
 
-Early, from a robust futex that the process holds (futex.py): a thread blocks on it, marks the lifeline as fallen and
+Early, from a robust futex that the process holds (futex.py): a thread blocks on it, marks the lifeline as dead and
 rings a bell. Late, from a pidfd, which nothing in the watched process can hold back and no reused pid can confuse.
 Either is enough. Heartbeats are for what neither sees: hangs.
 """
@@ -41,7 +41,7 @@ def pid_namespace() -> int:
 class Lifeline:
     """Watches one process. `fd` becomes readable when the process has died; it then stays readable."""
 
-    __slots__ = ("armed", "early", "fallen", "fd", "pid")
+    __slots__ = ("armed", "early", "fd", "marked", "pid")
 
     def __init__(self, pid: int = 0) -> None:
         """0: a process whose number is not known here, as in a container: the early news alone can tell. Raises
@@ -51,16 +51,16 @@ class Lifeline:
         self.armed = False
         self.early: Futex | None = None
         """Once it is armed: where a thread waits for the early news."""
-        self.fallen = False
+        self.marked = False
         """The early news has come."""
 
-    def down(self, ready: dict[int, int]) -> bool:
+    def died(self, ready: dict[int, int]) -> bool:
         """True when this wake-up, or the early news before it, says that the process has died."""
-        return self.fallen or self.fd in ready
+        return self.marked or self.fd in ready
 
     def dead(self) -> bool:
         """True once the process has died. One system call; never blocks."""
-        return self.fallen or self.wait(0)
+        return self.marked or self.wait(0)
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the process has ended; False: it has not within `timeout_s`."""
@@ -100,7 +100,7 @@ class Lifeline:
 
 
 class EarlyNews:
-    """One process's waiting threads; `bell` rings after a lifeline has fallen."""
+    """One process's waiting threads; `bell` rings after a lifeline has told of a death."""
 
     __slots__ = ("_lifelines", "_policy", "bell")
 
@@ -128,7 +128,7 @@ class EarlyNews:
         # A thread does not inherit what SCHED_RESET_ON_FORK takes away.
         os.sched_setscheduler(0, *self._policy)
         if word.wait_for_death(lambda: life.fd >= 0):
-            life.fallen = True
+            life.marked = True
             self.bell.ring()
         word.close()
 

@@ -77,8 +77,8 @@ ARM_JOG = 2
 MOST_JOINTS = 8
 MOST_ROWS = 200
 
-WISH_RESET = 1
-WISH_FRAME = 2
+PAD_RESET = 1
+PAD_FRAME = 2
 PLUGGED = ("unknown", "plugged", "unplugged")
 PAD_MODES = ("locked", "drive", "joint")
 
@@ -397,12 +397,12 @@ def unpack_pad_arm(payload: bytes) -> tuple[int, float]:
     return int(joint), share
 
 
-def pack_wish(kind: int, frame: bytes = b"") -> bytes:
-    """What telemetry asks the gate for: WISH_RESET, or WISH_FRAME with a wire frame that is not motion."""
+def pack_pad_request(kind: int, frame: bytes = b"") -> bytes:
+    """What telemetry asks the gate for: PAD_RESET, or PAD_FRAME with a wire frame that is not motion."""
     return _WISH.pack(kind) + frame
 
 
-def unpack_wish(payload: bytes) -> tuple[int, bytes]:
+def unpack_pad_request(payload: bytes) -> tuple[int, bytes]:
     """Return (kind, frame)."""
     (kind,), frame = _head(_WISH, payload)
     return kind, frame

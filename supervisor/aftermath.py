@@ -13,9 +13,9 @@ from failstop.policy import causes
 from failstop.shm import layout, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.packing import pack
-from failstop.supervisor.answer import BY_SUPERVISOR
 from failstop.supervisor.link import ALIVE, DEAF, Link
 from failstop.supervisor.stops import Stop
+from failstop.supervisor.written import BY_SUPERVISOR
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -26,10 +26,10 @@ class Child:
     __slots__ = (
         "beat",
         "block",
+        "dead",
         "down",
         "ended",
         "excused_ns",
-        "fallen",
         "fence",
         "last_exit",
         "life",
@@ -49,8 +49,8 @@ class Child:
         self.pid = 0
         self.block = 0
         """The block of futexes that it holds."""
-        self.fallen = False
-        """Its death is known, and answered; it is still to be buried."""
+        self.dead = False
+        """Its death is known, and answered; it is still to be reaped."""
         self.ended = False
         """Its pidfd has said so."""
         self.life: Lifeline | None = None
@@ -73,7 +73,7 @@ class Child:
         self.life = Lifeline(pid)
         self.pid = pid
         self.block = block
-        self.fallen = self.ended = False
+        self.dead = self.ended = False
         self.fence = None
         self.started_ns = now_ns
         self.restart.set(NEVER)
@@ -82,7 +82,7 @@ class Child:
 
     def running(self) -> bool:
         """True when it has said that it runs."""
-        return self.pid != 0 and not self.fallen and not self.fence and self.beat.running(self.pid)
+        return self.pid != 0 and not self.dead and not self.fence and self.beat.running(self.pid)
 
     def well(self) -> bool:
         """True when it runs, and the machine lets it."""
@@ -107,7 +107,7 @@ class Child:
 
     def overdue_ns(self) -> int:
         """When it counts as hanging unless it beats before; NEVER: there is nothing to wait for."""
-        if not self.pid or self.fence or self.fallen:
+        if not self.pid or self.fence or self.dead:
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns
         return max(sign_ns, self.excused_ns) + self.allowed_ns()
@@ -117,9 +117,9 @@ class Child:
         if self.life:
             self.life.kill()
             self.life.wait(wait_s)
-            self.buried()
+            self.reap()
 
-    def buried(self) -> str:
+    def reap(self) -> str:
         """Collect the dead process and return how it died, in words; empty: it can't be collected yet, as while a
         debugger holds it."""
         pid, status = os.waitpid(self.pid, os.WNOHANG)

@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from typing import Any
 
     from failstop.shm.segment import Segment
-    from failstop.supervisor.family import Family
     from failstop.supervisor.latch import Latch
     from failstop.supervisor.notify import Notify
+    from failstop.supervisor.process_table import ProcessTable
 
 GATE_EVERY_NS = 100_000_000
 """The gate's state is decoded this often at most: it is new at every tick while something drives."""
@@ -23,9 +23,9 @@ GATE_EVERY_NS = 100_000_000
 class Herald:
     """One follow() a turn, after everything else."""
 
-    def __init__(self, notify: Notify, family: Family, latch: Latch, views: dict[str, Segment]) -> None:
+    def __init__(self, notify: Notify, processes: ProcessTable, latch: Latch, views: dict[str, Segment]) -> None:
         self.notify = notify
-        self._family = family
+        self._processes = processes
         self._latch = latch
         self._gate_record = views[layout.GATE].latest_reader("state")
         self._gate: dict[str, Any] = {}
@@ -37,7 +37,7 @@ class Herald:
         """Status, watchdog. `missing`: what motion waits for; `owed_since_ns`, `port_open`: as in health.fault."""
         if not self.notify.active:
             return
-        children = self._family.children
+        children = self._processes.children
         killed_ns = {child.row.name: child.fence.kill_ns for child in children if child.fence and child.pid}
         self.fault = health.fault(now_ns, killed_ns, owed_since_ns, port_open=port_open)
         down = ", ".join(child.row.name for child in children if child.state() == "down")

@@ -10,7 +10,7 @@ LEVELS = {"critical": 2, "error": 3, "warning": 4, "notice": 5, "info": 6}
 """The journal's PRIORITY of each level."""
 
 
-class Kind:
+class EventKind:
     """One kind of event. `fields`: those that every event of the kind has; `body`: what it means and what to do, with
     @FIELD@ for a field's value."""
 
@@ -28,7 +28,7 @@ class Kind:
 
 
 KINDS = (
-    Kind(
+    EventKind(
         "ready",
         "notice",
         "019484cdaf0545c2b4ff5e8fc487d4bb",
@@ -37,7 +37,7 @@ KINDS = (
         "Every process runs, the port is open and the wheels were told to stop. Motion is disabled.\n"
         "Next: failstop enable --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "waiting",
         "warning",
         "e12d029f8969465ebe24b87501c4fa50",
@@ -48,7 +48,7 @@ KINDS = (
         "says how it died.\n"
         "Next: failstop doctor --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "stop",
         "warning",
         "d64c7adf98c047808bc2802fe77d504b",
@@ -60,7 +60,7 @@ KINDS = (
         "two seconds. Nothing moves until people reset and enable.\n"
         "Next: see to the cause, then failstop reset and failstop enable, each with --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "stop_again",
         "warning",
         "2c6e64c285a7435ab4556b269c245db3",
@@ -69,7 +69,7 @@ KINDS = (
         "Another cause while a stop is latched for: @FAILSTOP_LATCHED@. The first cause is the one to look for.\n"
         "Next: journalctl -x FAILSTOP_EVENT=stop FAILSTOP_NAME=@FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "stop_also",
         "notice",
         "16e91c030a5347e792e929e9f1a13adb",
@@ -78,7 +78,7 @@ KINDS = (
         "Several causes came at once, or several processes noticed the same one. Nothing is to be done beyond the\n"
         "stop itself.",
     ),
-    Kind(
+    EventKind(
         "stop_outcome",
         "notice",
         "fc05c1f31f724be5bca7cd7dd6834b42",
@@ -89,7 +89,7 @@ KINDS = (
         "(FAILSTOP_OBSERVED_MS). What is missing is not known; it does not say that the wheels turn.\n"
         "Next: if the wheels were NOT seen still, use the POWER SWITCH; else failstop status --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "unstill",
         "critical",
         "f71aa7ca3afa4b01a9932952acebe386",
@@ -99,7 +99,7 @@ KINDS = (
         "pushes the robot. The stop is written again and again, and still.command is run where there is one.\n"
         "Next: use the POWER SWITCH. Software can do no more.",
     ),
-    Kind(
+    EventKind(
         "died",
         "error",
         "1e64f97a9f8242b9bbd9dac4d3533ca8",
@@ -108,7 +108,7 @@ KINDS = (
         "Process @FAILSTOP_PID@ @FAILSTOP_HOW@. Its death was a stop cause; how it died is known only now.\n"
         "Next: journalctl _PID=@FAILSTOP_PID@, and coredumpctl info @FAILSTOP_PID@ where it crashed",
     ),
-    Kind(
+    EventKind(
         "restarting",
         "notice",
         "839c001330c04363ace8f58dd80349f3",
@@ -117,7 +117,7 @@ KINDS = (
         "In @FAILSTOP_WAIT_S@ s. A restarted process never enables motion again: that is for people.\n"
         "Next: failstop status --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "down",
         "critical",
         "d425ec3582c843a999835f153362effe",
@@ -129,7 +129,7 @@ KINDS = (
         "Next: journalctl FAILSTOP_EVENT=died FAILSTOP_PROCESS=@FAILSTOP_PROCESS@; see to the cause; then\n"
         "failstop reset --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "start_failed",
         "error",
         "136159b2497249b0a1a23e57aa59480a",
@@ -138,7 +138,7 @@ KINDS = (
         "@FAILSTOP_REASON@. It is tried again twice a second; motion waits for it.\n"
         "Next: look for what the machine is short of: memory, processes, file descriptors",
     ),
-    Kind(
+    EventKind(
         "not_started",
         "error",
         "192201d8d49d43efb4ce40b1729976ac",
@@ -147,7 +147,7 @@ KINDS = (
         "@FAILSTOP_REASON@. The stop was written before; nothing watches the robot from here on.\n"
         "Next: see to the reason, then start the service again",
     ),
-    Kind(
+    EventKind(
         "fenced",
         "error",
         "61960dd921854ce5960e3d28f97288ee",
@@ -158,7 +158,7 @@ KINDS = (
         "stops on the supervisor's own descriptor, one after the kill and one after the end.\n"
         "Next: was the machine overloaded or frozen? failstop doctor --name @FAILSTOP_NAME@ looks for real-time rights",
     ),
-    Kind(
+    EventKind(
         "starved",
         "warning",
         "3823733a664c4c1aa730d19d41555c76",
@@ -171,7 +171,7 @@ KINDS = (
         "Next: give the service real-time rights (failstop doctor --name @FAILSTOP_NAME@ has the command), or see\n"
         "what else the machine does",
     ),
-    Kind(
+    EventKind(
         "enabled",
         "notice",
         "3bfd144a1c00461f861da553c93614d9",
@@ -180,7 +180,7 @@ KINDS = (
         "From here on commands move the wheels. The name and the pid are what the client says of itself.\n"
         "Next: failstop disable --name @FAILSTOP_NAME@ takes it back",
     ),
-    Kind(
+    EventKind(
         "disabled",
         "notice",
         "9ed186beffa7488bbf12bd4f6463b06f",
@@ -190,7 +190,7 @@ KINDS = (
         "were stopped; nothing is latched.\n"
         "Next: failstop enable --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "reset",
         "notice",
         "085c02e749f54017874cb058835723df",
@@ -199,7 +199,7 @@ KINDS = (
         "A reset clears the latch and nothing else: motion stays disabled.\n"
         "Next: failstop enable --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "refused",
         "notice",
         "e46f8afd78764309952f8428eebda5b9",
@@ -207,7 +207,7 @@ KINDS = (
         "@FAILSTOP_WHO@ was refused: @FAILSTOP_VERB@",
         "The reason: @FAILSTOP_REASON@. Nothing was changed.\nNext: failstop status --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "ignored",
         "warning",
         "b3b319d319c74c748c77923638d33b72",
@@ -217,7 +217,7 @@ KINDS = (
         "board's gamepad, which no program may stand in for.\n"
         "Next: correct the program, or declare a source under [sources] and restart the service",
     ),
-    Kind(
+    EventKind(
         "said",
         "info",
         "7d3f0b6e9c1a4f52a8e45b0c6d2f9137",
@@ -226,7 +226,7 @@ KINDS = (
         "A client's own words, shown as they are: what it sees, and what is wrong by its account.\n"
         "Next: failstop why --name @FAILSTOP_NAME@ shows what holds the wheels, with the newest words of each client",
     ),
-    Kind(
+    EventKind(
         "driver_silent",
         "warning",
         "c551b8c00bd64343874e0bef0e460f9d",
@@ -236,7 +236,7 @@ KINDS = (
         "wheels were told zero. Nothing is latched: they turn again as soon as it commands again.\n"
         "Next: does that program still run, and does it repeat its command often enough?",
     ),
-    Kind(
+    EventKind(
         "driver_gone",
         "warning",
         "5c69d278e12541c884ee76082770b8f7",
@@ -246,7 +246,7 @@ KINDS = (
         "Nothing is latched: they turn again as soon as somebody commands.\n"
         "Next: that program's own log; coredumpctl list, where it crashed",
     ),
-    Kind(
+    EventKind(
         "driver_ended",
         "info",
         "92de198a2b114a578f729782376c96f8",
@@ -255,7 +255,7 @@ KINDS = (
         "The program that drove ended in order, or a person let go of the key: the wheels were told zero. Nothing is\n"
         "wrong, and nothing is latched.",
     ),
-    Kind(
+    EventKind(
         "device_lost",
         "error",
         "ad86431d272243de804dc53ce7353048",
@@ -265,7 +265,7 @@ KINDS = (
         "The stop is written the moment the port is back.\n"
         "Next: use the POWER SWITCH if the wheels turn; look at the cable; journalctl -k shows what the kernel saw",
     ),
-    Kind(
+    EventKind(
         "device_back",
         "notice",
         "9ccb732a9e874f2ba9495eeedcf3228f",
@@ -274,7 +274,7 @@ KINDS = (
         "The first bytes on it were a stop. What is latched stays latched.\n"
         "Next: failstop reset, then failstop enable, each with --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "link",
         "notice",
         "26df9cadbcba4b67963b906680e6a454",
@@ -284,7 +284,7 @@ KINDS = (
         "alive: it answers. deaf: it answered before and is silent now, a stop cause: then use the POWER SWITCH.\n"
         "Next: failstop status --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "rights",
         "warning",
         "a56c088a927e4d8f9106a8df85dec9c6",
@@ -294,7 +294,7 @@ KINDS = (
         "them, as the unit's LimitRTPRIO=40 and LimitMEMLOCK=infinity do.\n"
         "Next: failstop doctor --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "pad",
         "notice",
         "a06ff401a7f049889d61e332ac51386f",
@@ -304,7 +304,7 @@ KINDS = (
         "told with a button: they show whether somebody pressed it or the pad sent garbage.\n"
         "Next: failstop status --name @FAILSTOP_NAME@ shows the mode",
     ),
-    Kind(
+    EventKind(
         "arm",
         "notice",
         "7873e90547884f3d9adf7b087d72596e",
@@ -314,7 +314,7 @@ KINDS = (
         "holds; or the arm, left alone, is about to go to its tuck pose.\n"
         "Next: failstop arm --name @FAILSTOP_NAME@ shows each joint",
     ),
-    Kind(
+    EventKind(
         "charger",
         "info",
         "72df7bd7397a41fca08599cf028e6a11",
@@ -323,7 +323,7 @@ KINDS = (
         "Judged from a step of the battery's voltage, to @FAILSTOP_BATTERY_MV@ mV.\n"
         "Next: failstop config shows battery.step_mv, in case that it is wrong",
     ),
-    Kind(
+    EventKind(
         "scan",
         "warning",
         "5db72888dc83420d9884c7633dd8d1f9",
@@ -333,7 +333,7 @@ KINDS = (
         "from zero speed, when the sensor delivers again.\n"
         "Next: does the sensor's driver run, and does its client call sensed()?",
     ),
-    Kind(
+    EventKind(
         "gyro",
         "info",
         "082c033a964f4063a2b4f6814ee960e8",
@@ -342,7 +342,7 @@ KINDS = (
         "Its bias at the start, or that the robot did not stand still for it.\n"
         "Next: after `not stationary`, leave the robot standing and restart the service",
     ),
-    Kind(
+    EventKind(
         "disk",
         "warning",
         "9e790b1bc2634737a9047e698e7df8ff",
@@ -351,7 +351,7 @@ KINDS = (
         "A file in the state directory could not be read or written, or can be again. Stops do not depend on it.\n"
         "Next: df and ls -ld on the directory that the entry names",
     ),
-    Kind(
+    EventKind(
         "command",
         "warning",
         "24cb47b33041490ba3a67714e953ea58",
@@ -360,7 +360,7 @@ KINDS = (
         "The command that the settings name for wheels that do not come to rest.\n"
         "Next: did what it switches do its work? Its own output is in the journal too",
     ),
-    Kind(
+    EventKind(
         "left_out",
         "notice",
         "8a1febefb5a44a38a98feb2f2d38c465",
@@ -370,7 +370,7 @@ KINDS = (
         "latched; what is more is counted. Every stop was written all the same.\n"
         "Next: journalctl FAILSTOP_EVENT=@FAILSTOP_OF@ FAILSTOP_NAME=@FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "note",
         "info",
         "52bb8f68c7914cb6b272bc07f6b0b35c",
@@ -378,7 +378,7 @@ KINDS = (
         "A remark",
         "What no other kind is for; the entry's own text says all of it.",
     ),
-    Kind(
+    EventKind(
         "incident",
         "notice",
         "03354876ce0c41f98bc62f66572f716a",
@@ -387,7 +387,7 @@ KINDS = (
         "The last minute before a latched stop, and what followed, as a file; or why there is none.\n"
         "Next: failstop incident list --name @FAILSTOP_NAME@",
     ),
-    Kind(
+    EventKind(
         "stopping",
         "notice",
         "59066ee0452549998781172916643259",
@@ -395,7 +395,7 @@ KINDS = (
         "@FAILSTOP_NAME@ is stopping",
         "It was told to end. The stop is written first, then its processes end, then it is written once more.",
     ),
-    Kind(
+    EventKind(
         "stopped",
         "notice",
         "a9c157b26c984105a437043f1ba39f09",

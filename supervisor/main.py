@@ -18,19 +18,19 @@ from failstop.shm import bell, heartbeat, layout, records, segment
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import pid_namespace
 from failstop.shm.packing import pack
-from failstop.supervisor import answer, grant
+from failstop.supervisor import grant, written
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
 from failstop.supervisor.epochs import Epochs
 from failstop.supervisor.events import Events
-from failstop.supervisor.family import Family
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.herald import Herald
 from failstop.supervisor.link import UNPROVEN
 from failstop.supervisor.names import Names
 from failstop.supervisor.notify import Notify
+from failstop.supervisor.port_handover import PortHandover
+from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.readiness import Readiness
-from failstop.supervisor.sharing import Sharing
 from failstop.supervisor.silence import Silence
 from failstop.supervisor.stops import Stop
 from failstop.supervisor.teller import Teller
@@ -91,16 +91,16 @@ class Supervisor:
         self.teller = Teller(name, self._events, views, advice)
         self._silence = Silence(views, resources.bells, self._events, advice)
         lifelines = segment.attach_unmapped(memory, "lifelines", run)
-        self.family = Family(resources, settings, self.loop, own, views, lifelines, self._events)
-        self.children = self.family.children
+        self.processes = ProcessTable(resources, settings, self.loop, own, views, lifelines, self._events)
+        self.children = self.processes.children
         self.epochs = Epochs(own, views, resources.bells)
         self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, self.epochs.latch, settings, self._events)
         self.blackbox = BlackBox(resources, settings, own, views, self._events)
-        self.sharing = Sharing(
-            port, settings.text("device.path"), resources, views, self.loop, self.family, self._events
+        self.handover = PortHandover(
+            port, settings.text("device.path"), resources, views, self.loop, self.processes, self._events
         )
-        self.readiness = Readiness(own.latest_writer("processes"), self.epochs, self.sharing, self._silence)
-        self.herald = Herald(notify, self.family, self.epochs.latch, views)
+        self.readiness = Readiness(own.latest_writer("processes"), self.epochs, self.handover, self._silence)
+        self.herald = Herald(notify, self.processes, self.epochs.latch, views)
         self._names = Names(resources.named, self._events)
         self._written_word = own.word("written_ns")
         self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
@@ -126,7 +126,7 @@ class Supervisor:
         self.ending = False
         self.broken = False
         """It can't go on, and ends by itself, when its stop is answered."""
-        self._bells = (own_bell, self.family.early.bell)
+        self._bells = (own_bell, self.processes.early.bell)
         for each in self._bells:
             self.loop.watch(each.fd, READ)
 
@@ -146,7 +146,7 @@ class Supervisor:
         bell.clear_rung(self._bells, ready)
         self._stop_for_news(ready, now_ns)
         self._follow_aftermath(now_ns)
-        self.family.bury(ready, now_ns)
+        self.processes.reap(ready, now_ns)
         self._follow_port(ready, now_ns)
         self._follow_answer(now_ns)
         self._follow_reset(now_ns)
@@ -154,9 +154,9 @@ class Supervisor:
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
         self._follow_names(now_ns)
-        self.family.restart_due(self._port, now_ns)
+        self.processes.restart_due(self._port, now_ns)
         self.teller.pass_notes()
-        self.family.arm()
+        self.processes.arm()
         self._publish(now_ns)
         self.blackbox.follow(now_ns, ready=self.readiness.ever)
         self.heartbeat.beat(now_ns, self.epoch)
@@ -164,16 +164,16 @@ class Supervisor:
 
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
         """Deaths, and what others noticed: the burst where nobody else can write it, then the epoch, then the rest."""
-        fallen = self.family.fallen(ready)
-        port_owner = self.family[layout.PORT_OWNER]
-        written_ns = self._burst() if port_owner in fallen else 0
-        for child in fallen:
+        dead = self.processes.died(ready)
+        port_owner = self.processes[layout.PORT_OWNER]
+        written_ns = self._burst() if port_owner in dead else 0
+        for child in dead:
             if child.fence:
                 child.fence.gone(now_ns, written_ns if child is port_owner else 0)
-        stops = self._collect(fallen, now_ns, written_ns) + self._held_up(now_ns)
+        stops = self._collect(dead, now_ns, written_ns) + self._held_up(now_ns)
         if stops:
             self._raise_epoch(stops)
-        for child in fallen:
+        for child in dead:
             if child.life:
                 child.life.demote()
 
@@ -196,17 +196,17 @@ class Supervisor:
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
         """A port that has gone, and one that is back: the opener has written the burst on it, unless it could not."""
-        if self.sharing.lost(ready):
+        if self.handover.lost(ready):
             self.aftermath.link.opened()
-        opened_ns = self.sharing.opened(now_ns)
+        opened_ns = self.handover.opened(now_ns)
         if opened_ns is not None:
             self._tried_ns = opened_ns
             self.aftermath.opened(self._wrote(opened_ns) if opened_ns else self._burst())
-        self.sharing.make_up(now_ns)
+        self.handover.make_up(now_ns)
 
     def _stop_alone(self, now_ns: int) -> None:
         """Nobody else says zero to the board while no port owner runs that has the port."""
-        served = self.family[layout.PORT_OWNER].running() and self.sharing.has(layout.PORT_OWNER)
+        served = self.processes[layout.PORT_OWNER].running() and self.handover.has(layout.PORT_OWNER)
         if not served and now_ns - self._tried_ns >= ALONE_EVERY_NS:
             self._burst()
 
@@ -234,14 +234,14 @@ class Supervisor:
 
     def _listening(self, now_ns: int) -> bool:
         """True while pings are written and their answers decoded: what nobody could hear makes no board deaf."""
-        asks, hears = self.family[layout.PORT_OWNER], self.family[layout.TELEMETRY]
+        asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
         if self._port.fd < 0 or not asks.well() or not hears.well():
             return False
         # Who was held up comes late to an answer. While motion is enabled that is no excuse.
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
         return now_ns - heard_ns < LATE_NS or self._silence.motion(self.epoch)
 
-    def _collect(self, fallen: list[Child], now_ns: int, burst_ns: int) -> list[Stop]:
+    def _collect(self, dead: list[Child], now_ns: int, burst_ns: int) -> list[Stop]:
         """Every stop that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
         death was answered."""
         stops = []
@@ -249,8 +249,8 @@ class Supervisor:
             while entry := ring.next():
                 _, cause_ns, written_ns, cause = records.unpack_stop(entry[2])
                 stops.append(Stop(cause_ns, process, causes.read(cause), written_ns))
-        for child in fallen:
-            child.fallen = True
+        for child in dead:
+            child.dead = True
             death = causes.DIED(child.row.name)
             if death not in (stop.cause for stop in stops):
                 stops.append(Stop(now_ns, layout.SUPERVISOR, death, burst_ns))
@@ -281,7 +281,7 @@ class Supervisor:
     def _follow_reset(self, now_ns: int) -> None:
         """Once the last stop is carried out."""
         if not self._unanswered and self.epochs.decide_reset():
-            self.family.recall(now_ns)
+            self.processes.recall(now_ns)
 
     def _follow_answer(self, now_ns: int) -> None:
         """The port owner answers a raised epoch with a stop. If it does not, or could not write it, the supervisor
@@ -289,11 +289,11 @@ class Supervisor:
         stop = self._unanswered
         if stop is None:
             return
-        port_owner = self.family[layout.PORT_OWNER]
-        found = answer.answer(
+        port_owner = self.processes[layout.PORT_OWNER]
+        found = written.who_wrote(
             stop,
             answered=self.epochs.answered(),
-            may_answer=port_owner.pid != 0 and not port_owner.fallen and not self._answer_by.due(now_ns),
+            may_answer=port_owner.pid != 0 and not port_owner.dead and not self._answer_by.due(now_ns),
             port_owner_ns=self._port_owner_written.get(),
         )
         if found is None:
@@ -399,11 +399,11 @@ def _rules(settings: Settings) -> dict[str, object]:
 def run(resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Journal | None) -> int:
     """Run the service until SIGTERM or SIGINT, or until it can't go on; returns the exit code."""
     supervisor = Supervisor(resources, port, settings, notify, journal)
-    supervisor.sharing.opener.begin()
+    supervisor.handover.opener.begin()
     signal.signal(signal.SIGTERM, supervisor.end)
     signal.signal(signal.SIGINT, supervisor.end)
     for child in supervisor.children:
-        supervisor.family.start(child, port)
+        supervisor.processes.start(child, port)
     supervisor.blackbox.begin()
     rights.settle()
     ready: dict[int, int] = {}

@@ -9,17 +9,17 @@ if TYPE_CHECKING:
     from failstop.shm.latest import LatestWriter
     from failstop.supervisor.children import Child
     from failstop.supervisor.epochs import Epochs
-    from failstop.supervisor.sharing import Sharing
+    from failstop.supervisor.port_handover import PortHandover
     from failstop.supervisor.silence import Silence
 
 
 class Readiness:
     """One publish() a turn. `ever`: the service has been ready."""
 
-    def __init__(self, record: LatestWriter, epochs: Epochs, sharing: Sharing, silence: Silence) -> None:
+    def __init__(self, record: LatestWriter, epochs: Epochs, handover: PortHandover, silence: Silence) -> None:
         self._record = record
         self._epochs = epochs
-        self._sharing = sharing
+        self._handover = handover
         self._silence = silence
         self._table = b""
         self.ever = False
@@ -27,7 +27,7 @@ class Readiness:
     def missing(self, children: list[Child], *, stopping: bool) -> str:
         """What motion is still waiting for; empty when nothing. `stopping`: a stop is not answered yet."""
         absent = [child.row.name for child in children if not child.well()]
-        if not absent and not self._sharing.complete():
+        if not absent and not self._handover.complete():
             return "the port"
         # A stop that the supervisor wrote itself is still to be answered: a port owner that was held up would cut into
         # motion of a later enable, with frames of an older one perhaps before that.

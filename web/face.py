@@ -55,6 +55,7 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "port": f"{state.device['path'] or 'no port'} {state.device['state']}",
         "link": state.device["link"],
         "clients": [f"{client['name']} (pid {client['pid']})" for client in state.clients],
+        "attended": state.attended_by,
         "processes": [
             {"name": name.replace("_", " "), "state": process.state, "restarts": process.restarts}
             for name, process in state.processes.items()
@@ -93,6 +94,7 @@ def absent(note: str) -> dict[str, Any]:
         "port": "",
         "link": "",
         "clients": [],
+        "attended": None,
         "processes": [],
         "troubles": [],
         "events": [],
@@ -167,6 +169,8 @@ def _next(state: State) -> str:
         return f"{sentence(reasons.explain(state.cause)[1])[:-1]}; then hold RESET."
     if missing := _waits(state):
         return sentence(missing)
+    if not state.enabled and state.attended_by == []:
+        return "Somebody has to attend: press ATTEND."
     if not state.enabled:
         return "Hold ENABLE when nobody is in its way."
     if state.blocked == blocks.NO_SCAN:
@@ -198,7 +202,7 @@ def _no_enable(state: State) -> str:
         return "motion is enabled already"
     if state.estop:
         return "a stop is latched: reset first"
-    return _waits(state)
+    return "nobody attends: press ATTEND first" if state.attended_by == [] else _waits(state)
 
 
 def _no_disable(state: State) -> str:

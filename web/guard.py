@@ -83,6 +83,11 @@ def is_address(host: str) -> bool:
     return True
 
 
+def only_here(address: str) -> bool:
+    """This machine alone can reach that address."""
+    return address == "localhost" or (is_address(address) and ipaddress.ip_address(address).is_loopback)
+
+
 def _own_host(request: Request, known: frozenset[str]) -> bool:
     host = host_of(request.host)
     return is_address(host) or host in known

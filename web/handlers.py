@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import secrets
 import time
 from typing import Any
 
@@ -13,12 +14,14 @@ from tornado.web import RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from failstop.api.errors import FailstopError, NoService
-from failstop.web import assets, guard, stopping
+from failstop.web import assets, devices, guard, lease, stopping
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.web.devices import Device
     from failstop.web.server import Page
 
+YEAR_DAYS = 365
 MOST_VIEWERS = 64
 STUCK_S = 10.0
 """A viewer that takes nothing for this long is let go."""
@@ -73,9 +76,29 @@ class Guarded(RequestHandler):
             return {}
         return found if isinstance(found, dict) else {}
 
+    @property
+    def cookie(self) -> str:
+        """The name of the cookie; over HTTPS one that no other name of the robot, and no plain answer, can set."""
+        return "__Host-failstop" if self.request.protocol == "https" else "failstop"
+
+    def token(self) -> str:
+        """What the device says it is."""
+        return self.get_cookie(self.cookie) or ""
+
+    def device(self) -> Device | None:
+        """The paired device that asks; None: somebody who sees and stops."""
+        return self.page.devices.of(self.token())
+
     def who(self) -> str:
         """Whose request it is, for people."""
-        return f"page at {self.request.remote_ip}"
+        device = self.device()
+        return f"page at {self.request.remote_ip}" if device is None else f"{device.name} (page)"
+
+    def paired(self) -> Device | None:
+        """The paired device that asks; None, and the refusal is sent."""
+        if (device := self.device()) is None:
+            self.refuse(401, "this device is not paired")
+        return device
 
 
 class Asset(Guarded):
@@ -123,6 +146,100 @@ class Stop(Guarded):
         self.finish({"asked": asked, "written": written, "face": self.page.watcher.shown})
 
 
+class Me(Guarded):
+    """What this device may."""
+
+    def get(self) -> None:
+        """Its name, if it is paired."""
+        device = self.device()
+        self.finish({"pairing": self.page.pairing_on, "device": device.name if device else None})
+
+
+class Pair(Guarded):
+    """A code makes this a paired device."""
+
+    def post(self) -> None:
+        """The token is the cookie's alone; the page gets the key that proves that the operator is there."""
+        if not self.page.pairing_on:
+            self.refuse(403, "pairing is off on this robot")
+            return
+        if not self.page.pair_limit.take(str(self.request.remote_ip), time.monotonic()):
+            self.refuse(429, "too many tries: wait a few seconds")
+            return
+        given = self.body()
+        try:
+            token = self.page.pair(str(given.get("code", "")), str(given.get("name", "")))
+        except (devices.NotPaired, FailstopError) as error:
+            self.refuse(403, str(error))
+            return
+        secure = self.request.protocol == "https"
+        self.set_cookie(
+            self.cookie, token, expires_days=YEAR_DAYS, httponly=True, secure=secure, samesite="Strict", path="/"
+        )
+        found = self.page.devices.of(token)
+        self.finish({"device": found.name if found else "", "key": lease.key_of(token).hex()})
+
+
+class Forget(Guarded):
+    """This device is paired no more."""
+
+    def post(self) -> None:
+        """By its own wish."""
+        if device := self.paired():
+            self.page.revoke(device.id)
+            self.clear_cookie(self.cookie, path="/")
+            self.finish({"device": None})
+
+
+class Verb(Guarded):
+    """Reset, enable, disable, for paired devices."""
+
+    async def post(self, verb: str) -> None:
+        """The gate decides."""
+        if self.paired() is None:
+            return
+        if not self.page.verb_limit.take(verb, time.monotonic()):
+            self.refuse(429, "too many requests: wait a second")
+            return
+        done, said = await self.page.hands.ask(verb, self.who())
+        if done:
+            self.finish({"said": said})
+        else:
+            self.refuse(409, said)
+
+
+class Cards(Guarded):
+    """The incidents that are kept."""
+
+    async def get(self) -> None:
+        """The newest first."""
+        self.finish({"incidents": await self.page.incidents.cards()})
+
+
+class Story(Guarded):
+    """What happened, and how it looked."""
+
+    async def get(self, identity: str, what: str) -> None:
+        """The picture as PNG, the story as lines."""
+        if not self.page.story_limit.take(what, time.monotonic()):
+            self.refuse(429, "too many requests: wait a second")
+            return
+        if what == "picture":
+            picture = await self.page.incidents.picture(identity)
+            if picture is None:
+                self.refuse(404, "no picture: that needs failstop[plots] on the robot")
+                return
+            self.set_header("Content-Type", "image/png")
+            self.set_header("Cache-Control", "private, max-age=86400, immutable")
+            self.finish(picture)
+            return
+        story = await self.page.incidents.story(identity)
+        if story is None:
+            self.refuse(404, "no such incident")
+        else:
+            self.finish({"story": story})
+
+
 class Live(Guarded, WebSocketHandler):
     """The state, ten times a second, to one viewer."""
 
@@ -134,10 +251,15 @@ class Live(Guarded, WebSocketHandler):
         self._sent_s = 0.0
 
     def prepare(self) -> None:
-        """The guard, and room for one more."""
+        """The guard, and room for one more: a paired device takes somebody else's place."""
         super().prepare()
         if not self._finished and len(self.page.viewers) >= MOST_VIEWERS:
-            self.refuse(503, "too many viewers")
+            strangers = [viewer for viewer in self.page.viewers if viewer.device() is None]
+            if self.device() is None or not strangers:
+                self.refuse(503, "too many viewers")
+            else:
+                strangers[0].close(1013, "a paired device takes this place")
+                self.page.leave(strangers[0])
 
     def check_origin(self, origin: str) -> bool:
         """The guard has seen to it."""
@@ -152,7 +274,29 @@ class Live(Guarded, WebSocketHandler):
         self.page.leave(self)
 
     def on_message(self, message: str | bytes) -> None:
-        """Nothing is asked of a viewer."""
+        """It attends, answers, or attends no more; anything else means nothing."""
+        try:
+            found = json.loads(message)
+        except ValueError:
+            return
+        if not isinstance(found, dict):
+            return
+        if found.get("attend") is True:
+            self._attend()
+        elif found.get("attend") is False:
+            self.page.attending.end(self)
+        elif (held := self.page.attending.of(self)) and held.take(str(found.get("nonce")), str(found.get("answer"))):
+            if self.device() is None:  # revoked since
+                self.page.attending.end(self)
+            elif wrong := self.page.attending.proven(self):
+                self.send({"attend": wrong})
+
+    def _attend(self) -> None:
+        device = self.device()
+        if device is None:
+            self.send({"attend": "this device is not paired"})
+        else:
+            self.page.attending.begin(self, device.name, lease.key_of(self.token()))
 
     def show(self, now_s: float, unix_s: float) -> None:
         """Send what is new. Nothing waits: a viewer that has not taken the last message misses this one."""
@@ -163,6 +307,8 @@ class Live(Guarded, WebSocketHandler):
             return
         watcher = self.page.watcher
         message: dict[str, Any] = {"t": unix_s, "live": watcher.values}
+        if held := self.page.attending.of(self):
+            message["nonce"] = held.ask(secrets.token_bytes(lease.NONCE_BYTES), time.monotonic_ns())
         if self._number != watcher.number:
             self._number = watcher.number
             message["face"] = watcher.shown

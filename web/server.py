@@ -3,36 +3,67 @@
 from __future__ import annotations
 
 import asyncio
+import logging
+import os
+import secrets
 import signal
 import socket
-import sys
 import time
+from typing import Any
 
 from tornado.ioloop import PeriodicCallback
 from tornado.netutil import bind_sockets
 from tornado.web import Application
 
-from failstop.web import assets, guard, handlers
+from failstop.web import assets, control, devices, guard, handlers, kept
+from failstop.web.attending import Attending
 from failstop.web.door import Door
+from failstop.web.hands import VERBS, Hands
+from failstop.web.incidents import Incidents
+from failstop.web.limits import Limit
 from failstop.web.watcher import PERIOD_S, Watcher
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    import ssl
+
     from failstop.policy.settings import Settings
 
 PING_S = 5.0
+ID_BYTES = 4
 
 
 class Page:
     """What the handlers share."""
 
     def __init__(self, name: str, settings: Settings) -> None:
+        """Raises FailstopError."""
         self.name = name
+        self.address = settings.text("web.address")
+        self.port = int(settings["web.port"])
         self.assets = assets.load()
         self.names = guard.names(socket.gethostname(), settings.text("web.hosts"))
         self.watcher = Watcher(name)
         self.viewers: list[handlers.Live] = []
+        self.pairing_on = settings.on("web.pairing")
+        self.pairing = devices.Pairing()
+        self.pair_limit = Limit(0.2, 5)
+        self.verb_limit = Limit(2.0, 6)
+        self.story_limit = Limit(4.0, 40)
+        self.hands = Hands(name)
+        self.attending = Attending(name)
+        self.incidents = Incidents(name)
+        self._kept = kept.Kept(kept.folder(name, os.environ))
+        self.devices = self._kept.devices() if self.pairing_on else devices.Devices()
+        self.tls = self._tls(settings.text("web.tls"))
+        self.fingerprint = self._kept.fingerprint() if self.tls else ""
+        self.control_path = self._kept.path(kept.CONTROL)
         self._timer = PeriodicCallback(self._tick, PERIOD_S * 1e3)
+
+    def _tls(self, wanted: str) -> ssl.SSLContext | None:
+        if wanted == "off" or (wanted == "auto" and guard.only_here(self.address)):
+            return None
+        return self._kept.tls(sorted(self.names))
 
     def application(self) -> Application:
         """Every address that is answered."""
@@ -40,6 +71,12 @@ class Page:
             ("/api/state", handlers.State),
             ("/api/stop", handlers.Stop),
             ("/api/live", handlers.Live),
+            ("/api/me", handlers.Me),
+            ("/api/pair", handlers.Pair),
+            ("/api/forget", handlers.Forget),
+            (f"/api/({'|'.join(VERBS)})", handlers.Verb),
+            ("/api/incidents", handlers.Cards),
+            ("/api/incidents/([^/]+)/(story|picture)", handlers.Story),
             ("/(.*)", handlers.Asset),
         ]
         return Application(
@@ -50,9 +87,40 @@ class Page:
             log_function=lambda handler: None,
         )
 
+    def whereabouts(self) -> dict[str, Any]:
+        """Where it listens, for whoever is to find it."""
+        scheme = "https" if self.tls else "http"
+        return {"scheme": scheme, "address": self.address, "port": self.port, "fingerprint": self.fingerprint}
+
     def look(self) -> None:
         """Read the state now, for one request."""
         self.watcher.look(time.monotonic(), time.time())
+
+    def pair(self, code: str, name: str) -> str:
+        """A new device's token. Raises NotPaired, FailstopError."""
+        self.pairing.take(code, time.monotonic())
+        token = secrets.token_urlsafe(devices.TOKEN_BYTES)
+        made = devices.Device(
+            secrets.token_hex(ID_BYTES), devices.clean(name), devices.digest_of(token), round(time.time())
+        )
+        self.devices.add(made)
+        try:
+            self._kept.keep(self.devices)
+        except Exception:
+            self.devices.revoke(made.id)
+            raise
+        return token
+
+    def revoke(self, identity: str) -> str:
+        """The name of the device that may nothing any more; empty when there is none of that id."""
+        found = self.devices.revoke(identity)
+        if found is None:
+            return ""
+        for viewer in tuple(self.viewers):
+            if viewer.device() is None:
+                self.attending.end(viewer)
+        self._kept.keep(self.devices)
+        return found.name
 
     def join(self, viewer: handlers.Live) -> None:
         """Somebody looks: from now on the state is read."""
@@ -63,7 +131,8 @@ class Page:
         viewer.show(time.monotonic(), time.time())
 
     def leave(self, viewer: handlers.Live) -> None:
-        """The last one ends it."""
+        """Who attended by it does no more. The last one ends the reading."""
+        self.attending.end(viewer)
         if viewer in self.viewers:
             self.viewers.remove(viewer)
         if not self.viewers:
@@ -75,22 +144,33 @@ class Page:
         for viewer in tuple(self.viewers):
             viewer.show(now_s, unix_s)
 
+    def close(self) -> None:
+        """Give everything back."""
+        self._timer.stop()
+        self.attending.close()
+        self.hands.close()
+        self.incidents.close()
+        control.remove(self.control_path)
+
 
 async def serve(name: str, settings: Settings) -> None:
-    """Serve until SIGTERM or SIGINT. Raises OSError where the address can't be had."""
+    """Serve until SIGTERM or SIGINT. Raises FailstopError, and OSError where the address can't be had."""
+    logging.getLogger("tornado.general").setLevel(logging.ERROR)  # who sends garbage must not fill the journal
     page = Page(name, settings)
-    address, port = settings.text("web.address"), int(settings["web.port"])
-    sockets = bind_sockets(port, address)
-    door = Door(page.application())
+    sockets = bind_sockets(page.port, page.address)
+    page.port = sockets[0].getsockname()[1]
+    door = Door(page.application(), ssl_options=page.tls)
     door.add_sockets(sockets)
+    commands = control.listen(page, page.control_path)
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, ended.set)
-    shown = f"[{address}]" if ":" in address else address
-    print(f"http://{shown}:{sockets[0].getsockname()[1]}/", flush=True)
+    shown = f"[{page.address}]" if ":" in page.address else page.address
+    print(f"{page.whereabouts()['scheme']}://{shown}:{page.port}/", flush=True)
     await ended.wait()
     door.stop()
+    commands.stop()
+    page.close()
     for viewer in tuple(page.viewers):
         viewer.close(1001, "the page is stopping")
     await door.close_all_connections()
-    sys.stdout.flush()

@@ -156,6 +156,7 @@ class Client:
         self._requests = self._segment.latest_writer("request")
         self._sensed = self._segment.latest_writer("sensed")
         self._interlocks = self._segment.latest_writer("interlocks")
+        self._attended = self._segment.latest_writer("attended")
         self._said = self._segment.latest_writer("said")
         self._arm_goal = self._segment.latest_writer("arm_goal")
         self._arm_path = self._segment.latest_writer("arm_path")
@@ -206,6 +207,12 @@ class Client:
     def hold(self, names: list[str]) -> None:
         """Say that these interlocks hold now, and no others by this client; the gate sees it at its next tick."""
         self._interlocks.write(records.pack_held(self._session, names))
+
+    def attended(self, who: str, t_ns: int) -> None:
+        """Say that an operator was there at that time; 0: is there no more. Raises NoService, and ValueError for a name
+        that is too long."""
+        self._attended.write(records.pack_held(self._session, [who]), t_ns)
+        self._ring()
 
     def say(self, sees: str, wrong: str) -> None:
         """Say in a line what this program sees, and what is wrong; the gate passes it on within 0.2 s."""

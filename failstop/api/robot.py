@@ -20,14 +20,19 @@ from failstop.api.state import State, StateReader
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import records
 from failstop.shm.instance import DEFAULT_NAME
+from failstop.shm.records import cut
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from failstop.api.attend import Attendance
+
 ANSWER_S = 1.0
 """How long a request may take; the gate answers within a tick."""
 POLL_S = 0.0003
+MOST_OF_A_NAME = 64
+"""Bytes of an operator's name; the rest is left out."""
 
 
 class Robot:
@@ -230,6 +235,17 @@ class Robot:
             run = self._current()
             run.check_interlocks(interlocks)
             self._slot(run).hold(list(interlocks))
+
+    def attend(self, who: str) -> Attendance:
+        """An operator attends, once the attendance that comes back is renewed, and for as long as it is (see there).
+        Where the setting attend.required is "on", motion needs somebody who attends; elsewhere it changes nothing."""
+        from failstop.api.attend import Attendance
+
+        return Attendance(self, cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody")
+
+    def _attended(self, who: str, t_ns: int) -> None:
+        with self._lock:
+            self._client().attended(who, t_ns)
 
     def say(self, sees: str, wrong: str = "") -> None:
         """Tell people in a line what this program sees, and what is wrong, if anything is: `status`, `why`, `doctor`

@@ -108,6 +108,8 @@ class State:
     """unknown, plugged or unplugged."""
     age_ms: float
     """Of the gate's record."""
+    attended_by: list[str] | None = None
+    """The operators who are there; None: none is needed (setting attend.required)."""
     arm: dict[str, Any] | None = None
     """None without an arm in the settings. mode (trajectory, follow, jog or nothing), phase, moving, by, closed (why it
     takes no goal), refused (why the last goal of a stream was not taken), released, silent (servos that do not answer),
@@ -118,8 +120,9 @@ class State:
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as in `failstop status --json`; no word of an arm where there is none."""
         plain = dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None))
-        if self.arm is None:
-            del plain["arm"]
+        for absent in ("arm", "attended_by"):
+            if plain[absent] is None:
+                del plain[absent]
         return plain | {
             "cause": _plain(self.cause),
             "last_stop": self.last_stop and {**vars(self.last_stop), "cause": _plain(self.last_stop.cause)},
@@ -202,6 +205,7 @@ class StateReader:
             battery_mv=battery[0] if battery else None,
             plugged=records.PLUGGED[battery[1] if battery else 0],
             age_ms=max(0, now_ns - gate[1]) / 1e6,
+            attended_by=decided.get("attended"),
             arm=self._arm(decided.get("arm"), now_ns),
         )
 

@@ -11,7 +11,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from failstop.supervisor.kinds import KINDS, Kind
+from failstop.supervisor.kinds import KINDS, EventKind
 
 HEAD = """\
 # What `journalctl -x` says below an entry of failstop.
@@ -22,7 +22,7 @@ BEGIN = "<!-- kinds: made by `python -m failstop.cli.catalog docs/journal.md` --
 END = "<!-- end of kinds -->"
 
 
-def entry(kind: Kind) -> str:
+def entry(kind: EventKind) -> str:
     """The catalog's entry of one kind."""
     return f"-- {kind.message_id}\nSubject: {kind.subject}\nDefined-By: failstop\n\n{kind.body}\n"
 

@@ -321,6 +321,13 @@ def _default(key: str) -> str | None:
     return str(setting.default) if setting else None
 
 
+def _gate(incident: Incident) -> dict[str, Any]:
+    """What the gate said last, with what it had latched in words."""
+    found = incident.latest_map("gate", "state")
+    packed = found.get("estop")
+    return {**found, "estop": str(causes.read(packed))} if isinstance(packed, bytes) else found
+
+
 def as_dict(incident: Incident) -> dict[str, Any]:
     """For programs: everything of the report, and every setting."""
     return {
@@ -337,7 +344,7 @@ def as_dict(incident: Incident) -> dict[str, Any]:
             for line in story.tell(incident)
         ],
         "processes": incident.processes(),
-        "gate": incident.latest_map("gate", "state"),
+        "gate": _gate(incident),
         "machine": incident.machine,
         "settings": incident.settings,
     }

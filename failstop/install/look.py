@@ -21,24 +21,24 @@ from failstop.install.layout import (
     unit_of,
 )
 from failstop.install.parts import SLEEP, wanted_by
-from failstop.install.plan import Found, Wish, files_of
+from failstop.install.plan import Found, Request, files_of
 
 SETUPS = "/opt/ros/*/setup.sh"
 UDEV_CONTROL = "/run/udev/control"
 
 
-def look(wish: Wish, units: dict[str, str]) -> Found:
+def look(request: Request, units: dict[str, str]) -> Found:
     """What is there of what an installation of these units would have. Raises InstallError when the list of what was
     installed is damaged."""
 
     def at(path: str) -> str:
-        return os.path.join(wish.root, path.lstrip("/"))
+        return os.path.join(request.root, path.lstrip("/"))
 
     targets = {target for unit in units.values() for target in wanted_by(unit)}
-    wants = [f"{UNITS}/{target}.wants/{unit}" for target in targets for unit in (unit_of(wish.name), SLEEP)]
+    wants = [f"{UNITS}/{target}.wants/{unit}" for target in targets for unit in (unit_of(request.name), SLEEP)]
     paths = [*files_of(), COMMAND_LINK, MANIFEST, *wants]
     paths += [bridge.PLACE, *(f"{UNITS}/{target}.wants/{bridge.UNIT}" for target in targets)]
-    paths += [configuration_of(wish.name), "/etc/passwd", "/etc/group"]
+    paths += [configuration_of(request.name), "/etc/passwd", "/etc/group"]
     files, links = {}, {}
     for path in [*paths, PREFIX]:
         if os.path.islink(at(path)):
@@ -52,11 +52,11 @@ def look(wish: Wish, units: dict[str, str]) -> Found:
         frozenset(part for path in [*paths, f"{STATE}/x"] for part in parents(path) if os.path.isdir(at(part))),
         _tree(at(PREFIX)),
         Manifest.load(files[MANIFEST]) if MANIFEST in files else None,
-        machine.active_units() if wish.live else (),
-        wish.live and os.path.exists(UDEV_CONTROL),
+        machine.active_units() if request.live else (),
+        request.live and os.path.exists(UDEV_CONTROL),
         os.path.exists(at(PACKAGE_UNIT)),
-        board=wish.live and discovery.board_there(),
-        ros_setup=max((f"/{os.path.relpath(path, wish.root)}" for path in glob.glob(at(SETUPS))), default=""),
+        board=request.live and discovery.board_there(),
+        ros_setup=max((f"/{os.path.relpath(path, request.root)}" for path in glob.glob(at(SETUPS))), default=""),
     )
 
 
@@ -65,10 +65,10 @@ def _tree(path: str) -> str:
     return tree.digest_of(path, MANIFEST_NAME) if os.path.isdir(path) and os.listdir(path) else ""
 
 
-def configured_device(wish: Wish) -> str:
+def configured_device(request: Request) -> str:
     """What the instance's configuration says of the board's port; empty when there is none. Raises SettingError when
     this version refuses it."""
     from failstop.policy import config
 
-    path = os.path.join(wish.root, configuration_of(wish.name).lstrip("/"))
+    path = os.path.join(request.root, configuration_of(request.name).lstrip("/"))
     return str(config.load(path).flat()["device.path"]) if os.path.exists(path) else ""

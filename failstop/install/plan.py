@@ -36,7 +36,7 @@ SETTLE_S = 5
 
 
 @dataclasses.dataclass(frozen=True)
-class Wish:
+class Request:
     """What the user asked for."""
 
     name: str = DEFAULT_NAME
@@ -78,9 +78,9 @@ class Found:
     """What makes the environment of the ROS 2 that is there."""
 
 
-def device_of(parts: Parts, wish: Wish, found: Found) -> str:
+def device_of(parts: Parts, request: Request, found: Found) -> str:
     """The board's port, as the service will have it: by the name that outlives a replug, where the rule gives one."""
-    named = wish.device or found.configured_device
+    named = request.device or found.configured_device
     return named or (LINK if found.board else _example_device(parts.example.splitlines())[1])
 
 
@@ -90,40 +90,42 @@ def _example_device(lines: list[str]) -> tuple[int, str]:
     return at, lines[at].split('"')[1]
 
 
-def install(parts: Parts, wish: Wish, tree: str, found: Found) -> Plan:
+def install(parts: Parts, request: Request, tree: str, found: Found) -> Plan:
     """The steps to what is wanted; `tree` is the digest of the environment to install, empty for none. Raises
     InstallError."""
-    _refuse(parts, wish, found)
-    files = _files(parts, wish) | bridge.files(parts, wish, found)
-    links = _links(parts, wish) | bridge.links(parts, wish, found)
+    _refuse(parts, request, found)
+    files = _files(parts, request) | bridge.files(parts, request, found)
+    links = _links(parts, request) | bridge.links(parts, request, found)
     gone = _outdated(found, files)
     new_tree = bool(tree) and tree != found.tree
-    content = _file_steps(files, found) + _configuration(parts, wish, found)
+    content = _file_steps(files, found) + _configuration(parts, request, found)
     linking = [_link(path, target, found) for path, target in links.items() if found.links.get(path) != target]
     written = {step.path for step in content}
     reload = any(path.startswith(UNITS) for path in {*written, *(step.path for step in linking), *gone})
     restarts = found.active if new_tree or any(unit_file(unit) in written for unit in found.active) else ()
     missing = _missing_accounts(parts, found)
-    directories = _directories([*files, *links, PREFIX if new_tree else MANIFEST, configuration_of(wish.name)], found)
+    directories = _directories(
+        [*files, *links, PREFIX if new_tree else MANIFEST, configuration_of(request.name)], found
+    )
     steps: list[Step] = [
         *_stops(restarts),
-        *_on_undo(wish, reload, UDEV in written and found.udev),
+        *_on_undo(request, reload, UDEV in written and found.udev),
         *directories,
         # First the list: what was cut short by a power failure can be taken away, or done again.
-        *_listed(_manifest(parts, wish, tree, found, files, links, directories), new_tree, found),
+        *_listed(_manifest(parts, request, tree, found, files, links, directories), new_tree, found),
         *(Remove("remove", path, "of another version", path) for path in gone),
         *content,
-        *([_make_accounts(parts, wish)] if missing else []),
-        *bridge.membership(wish, found),
+        *([_make_accounts(parts, request)] if missing else []),
+        *bridge.membership(request, found),
         *linking,
     ]
-    starts = _starts(wish, found, restarts)
+    starts = _starts(request, found, restarts)
     if not (steps or starts):
-        return Plan((), _notes(wish, found))
-    steps += _told(wish, found, reload, UDEV in written, CATALOG in written)
-    if wish.live and (new_tree or missing or content):
-        steps.append(_check(wish))
-    return Plan((*steps, *starts), _notes(wish, found), restarts)
+        return Plan((), _notes(request, found))
+    steps += _told(request, found, reload, UDEV in written, CATALOG in written)
+    if request.live and (new_tree or missing or content):
+        steps.append(_check(request))
+    return Plan((*steps, *starts), _notes(request, found), restarts)
 
 
 def _listed(manifest: bytes, new_tree: bool, found: Found) -> list[Step]:
@@ -133,11 +135,11 @@ def _listed(manifest: bytes, new_tree: bool, found: Found) -> list[Step]:
     return [File("", MANIFEST, "", MANIFEST, manifest)] if found.files.get(MANIFEST) != manifest else []
 
 
-def _starts(wish: Wish, found: Found, restarts: tuple[str, ...]) -> list[Start]:
-    if not (wish.live and wish.start):
+def _starts(request: Request, found: Found, restarts: tuple[str, ...]) -> list[Start]:
+    if not (request.live and request.start):
         return []
-    unit = unit_of(wish.name)
-    wanted = [name for name in (unit, *bridge.units(wish, found)) if name not in found.active]
+    unit = unit_of(request.name)
+    wanted = [name for name in (unit, *bridge.units(request, found)) if name not in found.active]
     units = dict.fromkeys((*restarts, *wanted))
     remarks = {bridge.UNIT: "ROS 2 nodes drive through the service"}
     return [
@@ -146,8 +148,8 @@ def _starts(wish: Wish, found: Found, restarts: tuple[str, ...]) -> list[Start]:
     ]
 
 
-def _refuse(parts: Parts, wish: Wish, found: Found) -> None:
-    bridge.refuse(wish, found)
+def _refuse(parts: Parts, request: Request, found: Found) -> None:
+    bridge.refuse(request, found)
     if found.package:
         raise InstallError(
             "the Debian package of failstop is installed here: it is the service already; "
@@ -157,26 +159,26 @@ def _refuse(parts: Parts, wish: Wish, found: Found) -> None:
         raise InstallError(f"{PREFIX} is a link to {found.links[PREFIX]}: remove it")
     if found.tree and found.manifest is None:
         raise InstallError(f"{PREFIX} is there, and is not an installation's: remove it, or move it away")
-    if found.manifest and found.manifest.command != wish.command:
+    if found.manifest and found.manifest.command != request.command:
         raise InstallError(
-            f"an installation that runs {found.manifest.command} is here, this one would run {wish.command}: "
+            f"an installation that runs {found.manifest.command} is here, this one would run {request.command}: "
             "`failstop uninstall` first; it keeps your configuration"
         )
-    for path in (*files_of(), unit_file(unit_of(wish.name)), configuration_of(wish.name)):
+    for path in (*files_of(), unit_file(unit_of(request.name)), configuration_of(request.name)):
         if (target := found.links.get(path)) == MASK:
-            raise InstallError(f"{path} is masked: systemctl unmask {unit_of(wish.name)}")
+            raise InstallError(f"{path} is masked: systemctl unmask {unit_of(request.name)}")
         if target is not None:
             raise InstallError(f"{path} is a link to {target}, and is not an installation's: remove it")
-    if wish.name != DEFAULT_NAME and not wish.device and not found.configured_device:
-        raise InstallError(f"robot {wish.name!r} needs a board of its own: name its port with --device PATH")
-    if wish.device and found.configured_device not in ("", wish.device):
+    if request.name != DEFAULT_NAME and not request.device and not found.configured_device:
+        raise InstallError(f"robot {request.name!r} needs a board of its own: name its port with --device PATH")
+    if request.device and found.configured_device not in ("", request.device):
         raise InstallError(
-            f"{configuration_of(wish.name)} says device.path = {found.configured_device!r}: "
-            f"change it there to {wish.device!r}, and call this without --device"
+            f"{configuration_of(request.name)} says device.path = {found.configured_device!r}: "
+            f"change it there to {request.device!r}, and call this without --device"
         )
-    if not found.device_there and wish.live and wish.start and unit_of(wish.name) not in found.active:
+    if not found.device_there and request.live and request.start and unit_of(request.name) not in found.active:
         raise InstallError(
-            f"no device {device_of(parts, wish, found)}: plug the board in, name another port with "
+            f"no device {device_of(parts, request, found)}: plug the board in, name another port with "
             "--device PATH, or say --no-start, and the service is started at the next boot"
         )
 
@@ -193,9 +195,9 @@ def files_of() -> tuple[str, ...]:
     )
 
 
-def _files(parts: Parts, wish: Wish) -> dict[str, tuple[bytes, str]]:
+def _files(parts: Parts, request: Request) -> dict[str, tuple[bytes, str]]:
     """Content and remark of every file but the configuration."""
-    units = [parts.units[name].replace(UNIT_COMMAND, wish.command).encode() for name in OWN_UNITS]
+    units = [parts.units[name].replace(UNIT_COMMAND, request.command).encode() for name in OWN_UNITS]
     shells = [parts.completions[shell] for shell in COMPLETIONS]
     rest = [text.encode() for text in (parts.sysusers, parts.udev, parts.catalog, parts.manual, *shells)]
     remarks = (
@@ -212,9 +214,9 @@ def _files(parts: Parts, wish: Wish) -> dict[str, tuple[bytes, str]]:
     return dict(zip(files_of(), zip((*units, *rest), remarks, strict=True), strict=True))
 
 
-def _links(parts: Parts, wish: Wish) -> dict[str, str]:
-    links = {COMMAND_LINK: wish.command}
-    for unit in (unit_of(wish.name), SLEEP):
+def _links(parts: Parts, request: Request) -> dict[str, str]:
+    links = {COMMAND_LINK: request.command}
+    for unit in (unit_of(request.name), SLEEP):
         source = unit_file(unit)
         targets = wanted_by(parts.units[source.rpartition("/")[2]])
         links |= {f"{UNITS}/{target}.wants/{unit}": source for target in targets}
@@ -234,14 +236,14 @@ def _file_steps(files: dict[str, tuple[bytes, str]], found: Found) -> list[File]
     return steps
 
 
-def _configuration(parts: Parts, wish: Wish, found: Found) -> list[File]:
+def _configuration(parts: Parts, request: Request, found: Found) -> list[File]:
     """The example, unless there is a configuration: that is the user's, and stays as it is."""
-    path = configuration_of(wish.name)
+    path = configuration_of(request.name)
     if path in found.files:
         return []
     lines = parts.example.splitlines(keepends=True)
     at, _ = _example_device(lines)
-    device = device_of(parts, wish, found)
+    device = device_of(parts, request, found)
     lines[at] = f'path = "{device}"\n'
     return [File("create", path, f"your settings; the board at {device}", path, "".join(lines).encode())]
 
@@ -277,12 +279,12 @@ def _stops(units: tuple[str, ...]) -> list[Command]:
     ]
 
 
-def _on_undo(wish: Wish, reload: bool, udev: bool) -> list[Command]:
+def _on_undo(request: Request, reload: bool, udev: bool) -> list[Command]:
     """What is to be told of the files once they are back as they were: undone last, so it comes first."""
     told: list[tuple[str, ...]] = []
-    if wish.live and reload:
+    if request.live and reload:
         told.append(("systemctl", "daemon-reload"))
-    if wish.live and udev:
+    if request.live and udev:
         told.append(("udevadm", "control", "--reload"))
     return [Command("", " ".join(words), "", (), words) for words in told]
 
@@ -297,10 +299,10 @@ def _missing_accounts(parts: Parts, found: Found) -> bool:
     )
 
 
-def _make_accounts(parts: Parts, wish: Wish) -> Command:
+def _make_accounts(parts: Parts, request: Request) -> Command:
     users, memberships = accounts(parts.sysusers)
     lines = [line for line in parts.sysusers.splitlines() if line.strip() and not line.startswith("#")]
-    root = () if wish.live else (f"--root={wish.root}",)
+    root = () if request.live else (f"--root={request.root}",)
     groups = ", ".join(group for _, group in memberships)
     remark = f"the service runs as it{f'; in the groups of {groups}' if groups else ''}"
     return Command(
@@ -314,7 +316,7 @@ def _make_accounts(parts: Parts, wish: Wish) -> Command:
 
 def _manifest(
     parts: Parts,
-    wish: Wish,
+    request: Request,
     tree: str,
     found: Found,
     files: dict[str, tuple[bytes, str]],
@@ -325,7 +327,7 @@ def _manifest(
     made = [step.path for step in directories]
     return Manifest(
         parts.version,
-        wish.command,
+        request.command,
         tree,
         {path: sha256(data) for path, (data, _) in files.items()},
         {**(before.links if before else {}), **links},
@@ -333,16 +335,16 @@ def _manifest(
     ).dump()
 
 
-def _told(wish: Wish, found: Found, reload: bool, udev: bool, catalog: bool) -> list[Command]:
+def _told(request: Request, found: Found, reload: bool, udev: bool, catalog: bool) -> list[Command]:
     """Those who are to read the new files."""
     told = []
     if catalog:
-        root = () if wish.live else (f"--root={wish.root}",)
+        root = () if request.live else (f"--root={request.root}",)
         words = ("journalctl", *root, "--update-catalog")
         told.append(Command("run", " ".join(words), "", words, touches=(CATALOG_DATABASE,)))
-    if wish.live and reload:
+    if request.live and reload:
         told.append(Command("run", "systemctl daemon-reload", "", ("systemctl", "daemon-reload")))
-    if wish.live and udev and found.udev:
+    if request.live and udev and found.udev:
         asked = ("udevadm", "control", "--reload"), ("udevadm", "trigger", "--subsystem-match=tty")
         told += [Command("run", " ".join(words), "", words) for words in asked]
         settle = ("udevadm", "settle", f"--timeout={SETTLE_S}")
@@ -350,17 +352,17 @@ def _told(wish: Wish, found: Found, reload: bool, udev: bool, catalog: bool) -> 
     return told
 
 
-def _check(wish: Wish) -> Command:
+def _check(request: Request) -> Command:
     """That the service's user can run what was installed, before anything is started."""
     who = ("setpriv", "--reuid=failstop", "--regid=failstop", "--clear-groups")
-    words = (*who, wish.command, "config", "--check", configuration_of(wish.name))
+    words = (*who, request.command, "config", "--check", configuration_of(request.name))
     return Command("check", "that the user failstop can run it", "", words)
 
 
-def _notes(wish: Wish, found: Found) -> tuple[str, ...]:
+def _notes(request: Request, found: Found) -> tuple[str, ...]:
     notes = []
-    if configuration_of(wish.name) in found.files:
-        notes.append(f"{configuration_of(wish.name)} is yours and stays as it is")
-    if wish.live and not found.udev:
+    if configuration_of(request.name) in found.files:
+        notes.append(f"{configuration_of(request.name)} is yours and stays as it is")
+    if request.live and not found.udev:
         notes.append("udev does not run here: its rule takes effect when it does")
     return tuple(notes)

@@ -20,65 +20,65 @@ from failstop.install.layout import (
     unit_of,
 )
 from failstop.install.parts import LATE
-from failstop.install.plan import Found, Wish
+from failstop.install.plan import Found, Request
 from failstop.install.steps import Command, File, Plan, Remove, Step
 
 NO_SUCH_GROUP = 6
 """groupdel's exit code, when userdel has taken the group along."""
 
 
-def uninstall(wish: Wish, found: Found, purge: bool = False) -> Plan:
+def uninstall(request: Request, found: Found, purge: bool = False) -> Plan:
     """The steps that take everything away, configuration and logs only with `purge`. Raises InstallError."""
     manifest = found.manifest
     if manifest is None:
         if purge and not found.package:
-            return Plan(tuple(_purge(wish, found)))
+            return Plan(tuple(_purge(request, found)))
         raise InstallError(_absent(found))
     reload = ("systemctl", "daemon-reload")
     files = [*manifest.links, *manifest.files]
     steps: list[Step] = [*_stops(found.active)]
-    if wish.live:
+    if request.live:
         steps += [_given_up("*"), Command("", "", "", (), reload)]
     steps += [Remove("remove", path, "", path) for path in files]
     whole = "the Python environment" if manifest.tree else "the list of what was installed"
     steps.append(Remove("remove", PREFIX, whole, PREFIX))
-    if wish.live:
+    if request.live:
         steps.append(Command("run", " ".join(reload), "", reload))
         if found.udev and UDEV in manifest.files:
             words = ("udevadm", "control", "--reload")
             steps.append(Command("run", " ".join(words), "", words))
     if CATALOG in manifest.files:
-        root = () if wish.live else (f"--root={wish.root}",)
+        root = () if request.live else (f"--root={request.root}",)
         words = ("journalctl", *root, "--update-catalog")
         steps.append(Command("run", " ".join(words), "", words, touches=(CATALOG_DATABASE,)))
     if purge:
-        steps += _purge(wish, found)
+        steps += _purge(request, found)
     steps += [Remove("", path, "", path, only_empty=True) for path in reversed(manifest.directories)]
     kept = () if purge else (f"{CONFIGURATION}, {STATE} and the user failstop stay; --purge removes them too",)
     return Plan(tuple(steps), kept, found.active)
 
 
-def uninstall_instance(wish: Wish, found: Found, purge: bool = False) -> Plan:
+def uninstall_instance(request: Request, found: Found, purge: bool = False) -> Plan:
     """The steps that take one instance away and leave the rest. Raises InstallError."""
     manifest = found.manifest
     if manifest is None:
         raise InstallError(_absent(found))
-    unit = unit_of(wish.name)
+    unit = unit_of(request.name)
     links = [path for path in manifest.links if path.startswith(UNITS) and path.endswith(f"/{unit}")]
     if not links:
-        raise InstallError(f"no instance {wish.name!r} is installed")
+        raise InstallError(f"no instance {request.name!r} is installed")
     active = tuple(name for name in found.active if name == unit)
     left = {path: target for path, target in manifest.links.items() if path not in links}
     reload = ("systemctl", "daemon-reload")
     steps: list[Step] = [*_stops(active)]
-    if wish.live:
-        steps += [_given_up(wish.name), Command("", "", "", (), reload)]
+    if request.live:
+        steps += [_given_up(request.name), Command("", "", "", (), reload)]
     steps += [Remove("remove", path, "no longer starts at boot", path) for path in links]
     if purge:
-        steps.append(Remove("remove", configuration_of(wish.name), "your settings", configuration_of(wish.name)))
-        steps.append(Remove("remove", f"{STATE}/{wish.name}", "logs and incidents", f"{STATE}/{wish.name}"))
+        steps.append(Remove("remove", configuration_of(request.name), "your settings", configuration_of(request.name)))
+        steps.append(Remove("remove", f"{STATE}/{request.name}", "logs and incidents", f"{STATE}/{request.name}"))
     steps.append(File("", MANIFEST, "", MANIFEST, dataclasses.replace(manifest, links=left).dump()))
-    if wish.live:
+    if request.live:
         steps.append(Command("run", " ".join(reload), "", reload))
     return Plan(tuple(steps), (), active)
 
@@ -103,18 +103,18 @@ def _given_up(name: str) -> Command:
     return Command("", f"who tries to stop {name}", "", ("systemctl", "stop", LATE.replace("@", f"@{name}")))
 
 
-def _purge(wish: Wish, found: Found) -> list[Step]:
+def _purge(request: Request, found: Found) -> list[Step]:
     """What an installation leaves, and what an earlier uninstall has left."""
     steps: list[Step] = [
         Remove("remove", CONFIGURATION, "your configuration", CONFIGURATION),
         Remove("remove", STATE, "logs and incidents", STATE),
     ]
-    if wish.live:
+    if request.live:
         steps.append(Remove("", RUNTIME, "", RUNTIME))
     rows = [line.split(":") for line in found.files.get("/etc/passwd", b"").decode().splitlines()]
     # With another home it is a person's, or another program's.
     if any(row[0] == "failstop" and row[5] == STATE for row in rows if len(row) == 7):
-        where = () if wish.live else ("--prefix", wish.root)
+        where = () if request.live else ("--prefix", request.root)
         user, group = ("userdel", *where, "failstop"), ("groupdel", *where, "failstop")
         steps.append(Command("remove", "user failstop", "", user, touches=ACCOUNT_FILES))
         steps.append(Command("", "group failstop", "", group, touches=ACCOUNT_FILES, accepted=(0, NO_SUCH_GROUP)))

@@ -49,6 +49,7 @@ class Slot:
         "_arm_goal",
         "_arm_goal_seq",
         "_arm_path",
+        "_attended",
         "_command",
         "_command_seq",
         "_hello",
@@ -82,6 +83,7 @@ class Slot:
         self._request = segment.latest_reader("request")
         self._sensed = segment.latest_reader("sensed")
         self._interlocks = segment.latest_reader("interlocks")
+        self._attended = segment.latest_reader("attended")
         self._said = segment.latest_reader("said")
         self._arm_goal = segment.latest_reader("arm_goal")
         self._arm_path = segment.latest_reader("arm_path")
@@ -168,6 +170,15 @@ class Slot:
         """Which conditions this session says hold, and when it said so last; 0: never."""
         return self._held(self._interlocks)
 
+    def attended(self) -> tuple[int, str] | None:
+        """When the operator that this session speaks for was there last, 0: is there no more; who it is. None: it
+        speaks for none."""
+        entry = self._attended.read()
+        if entry is None:
+            return None
+        t_ns, names = self._held(self._attended)
+        return (t_ns, records.cut(records.printable(names[0]), NAME_BYTES).decode()) if names else None
+
     def _held(self, reader: LatestReader) -> tuple[int, list[str]]:
         entry = reader.read()
         if entry is None:
@@ -239,10 +250,10 @@ class ClientTable:
             self._look(slot, now_ns)
 
     def lives_ended(self, ready: dict[int, int], now_ns: int) -> None:
-        """Whose lifeline has fallen has gone, even while the kernel takes its memory down, and even if a process that
-        it forked still holds the claim."""
+        """Whose lifeline has told of its death has gone, even while the kernel takes its memory down, and even if a
+        process that it forked still holds the claim."""
         for slot in tuple(self.active):
-            if slot.life and slot.life.down(ready):
+            if slot.life and slot.life.died(ready):
                 self._leave(slot, now_ns)
 
     def _watch(self, slot: Slot) -> None:

@@ -16,6 +16,7 @@ from math import isfinite
 from failstop.policy import causes
 from failstop.policy.reply import Reply
 from failstop.procs.gate import remarks
+from failstop.procs.gate.attendance import Attendance
 from failstop.procs.gate.interlocks import Interlocks
 from failstop.procs.gate.scan import ScanGate
 from failstop.procs.gate.sources import PAD, Command, Sources
@@ -51,6 +52,7 @@ class GateCore:
         self.sources = Sources(settings.sources(), settings.ns("gate.command_timeout_s"))
         self.scan = ScanGate(settings.ns("scan.timeout_s"), on=settings.text("scan.gate") == "on")
         self.interlocks = Interlocks(settings.interlocks())
+        self.attendance = Attendance(settings.ns("attend.lease_s"), on=settings.on("attend.required"))
         self.enabled = False
         self.latch: Cause | None = None
         """What is latched by the supervisor's word, or by its own until the supervisor has answered that."""
@@ -89,6 +91,8 @@ class GateCore:
         if driving is None or (not driving.manual and self.scan.silent(now_ns)):
             return None
         stale_ns = self.sources.stale_ns(driving)
+        if self.attendance.on:
+            stale_ns = min(stale_ns, self.attendance.due_ns())
         return stale_ns if driving.manual or not self.scan.on else min(stale_ns, self.scan.silent_ns())
 
     def take(self, command: Command, now_ns: int) -> Cause | None:
@@ -157,7 +161,7 @@ class GateCore:
             return Reply(False, f"e-stop latched ({CAUSE})", self.latch)
         if missing:
             return Reply(False, f"not ready: {missing}")
-        unmet = self.interlocks.unmet(now_ns)
+        unmet = self.interlocks.unmet(now_ns) or self.attendance.unmet(now_ns)
         return Reply(False, unmet) if unmet else None
 
     def enable(self, epoch: int, missing: str, now_ns: int) -> Reply:

@@ -96,7 +96,7 @@ class Gate:
         self._resets = Resets(context.own, supervisor, self.supervisor_bell)
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = seen(self._pad_command)
-        self._wishes = telemetry.ring_reader("wishes")
+        self._pad_requests = telemetry.ring_reader("pad_requests")
         self._client_bell = context.fd("client_bell")
         self._bells = (context.bell("bell"), context.early.bell)
         for fd in (*(each.fd for each in self._bells), self._client_bell):
@@ -120,6 +120,7 @@ class Gate:
         if self._client_bell in ready:  # last: who joins may get the number of a descriptor that was closed above
             self._client_rang(now_ns)
         self._follow_telemetry(now_ns)
+        self._check_attendance(now_ns)
         if self._next_tick.due(now_ns):
             self._tick(now_ns)
         elif self._due.due(now_ns):
@@ -162,6 +163,11 @@ class Gate:
         self._step(now_ns)
         self._box.tick(now_ns, self.core, self.epoch)
 
+    def _check_attendance(self, now_ns: int) -> None:
+        """Motion goes on only while an operator is there, where the settings ask for one."""
+        if self.core.enabled and (gone := self.core.attendance.gone(now_ns)):
+            self.trip(gone, now_ns)
+
     def _check_supervisor(self, now_ns: int) -> None:
         """The port owner admits nothing without it: then nobody is to be told that motion is enabled."""
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
@@ -200,17 +206,17 @@ class Gate:
                 self.arm.stopped(LATCHED)
 
     def _follow_telemetry(self, now_ns: int) -> None:
-        """The gamepad's sticks, and what telemetry wishes: a reset, or a frame that is not motion."""
+        """The gamepad's sticks, and what telemetry asks for: a reset, or a frame that is not motion."""
         entry = self._pad_command.read()
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
             velocity = records.unpack_pad_command(payload)
             self.client_command(Command(PAD_SESSION, PAD, t_ns, velocity, manual=True, source=PAD), now_ns)
-        while wish := self._wishes.next():
-            kind, frame = records.unpack_wish(wish[2])
-            if kind == records.WISH_RESET:
+        while request := self._pad_requests.next():
+            kind, frame = records.unpack_pad_request(request[2])
+            if kind == records.PAD_RESET:
                 self._resets.ask((None, 0, 0, now_ns))
-            elif kind == records.WISH_FRAME:
+            elif kind == records.PAD_FRAME:
                 self._frames.put(records.pack_frame(self.epoch, records.OTHER, frame), now_ns)
                 self._port_owner_bell.ring()
 
@@ -265,8 +271,16 @@ class Gate:
         asserted_ns, names = slot.interlocks()
         if asserted_ns:
             self.core.interlocks.hold(names, asserted_ns, now_ns)
+        if found := slot.attended():
+            self._hear_operator(slot.session, *found, now_ns)
         if self.arm:
             self.arm.goal(slot, now_ns)
+
+    def _hear_operator(self, session: int, t_ns: int, who: str, now_ns: int) -> None:
+        if t_ns:
+            self.core.attendance.hear(session, who, t_ns, now_ns)
+        else:
+            self.core.attendance.leave(session)
 
     def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
         """Decide, act, answer; a reset is the supervisor's. Who asked to enable before a stop did not know of it."""
@@ -321,6 +335,7 @@ class Gate:
 
     def client_gone(self, slot: Slot, now_ns: int) -> None:
         """It has left, or its claim is gone: if it was the one that drives, the wheels stand at once."""
+        self.core.attendance.leave(slot.session)
         if self.core.client_gone(slot.session, now_ns, parted=slot.parted):
             self._step(now_ns)
         if self.arm:
@@ -331,10 +346,12 @@ class Gate:
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0
-        arm = {"arm": self.arm.state(now_ns)} if self.arm else {}
+        more: dict[str, object] = {"arm": self.arm.state(now_ns)} if self.arm else {}
+        if core.attendance.on:
+            more["attended"] = core.attendance.names(now_ns)
         state = pack(
             {
-                **arm,
+                **more,
                 "enabled": core.enabled,
                 "estop": core.latch and core.latch.pack(),
                 "blocked": core.blocked(now_ns) or None,

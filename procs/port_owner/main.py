@@ -208,12 +208,12 @@ class PortOwner:
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
         """The supervisor's is the end of this process too, when the stop has been repeated."""
         for peer in self._peers:
-            if peer.down(ready):
+            if peer.died(ready):
                 self.wire.burst()
                 peer.demote()
                 self._own_stop(now_ns, monotonic_ns(), peer.death)
                 peer.drop()
-        if self._leave.ns == NEVER and self._supervisor_life.down(ready):
+        if self._leave.ns == NEVER and self._supervisor_life.died(ready):
             self._leave.set(now_ns + repeats.LEAVE_AFTER_NS)
             self.wire.burst()
             self._supervisor_life.demote()

@@ -93,10 +93,10 @@ class Stopper:
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
         """The port owner's at once. It has the first go at the supervisor's, which is the end of this process too."""
-        if died := self._port_owner.down(ready):
+        if died := self._port_owner.died(ready):
             self._port_owner_died(died, now_ns)
             self._port_owner.drop()
-        if not self._orphaned_ns and self._supervisor_life.down(ready):
+        if not self._orphaned_ns and self._supervisor_life.died(ready):
             self._orphaned_ns = now_ns
             self.loop.forget(self._supervisor_life.fd)
             self.loop.forget(self._control.fd)

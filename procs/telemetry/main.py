@@ -1,5 +1,5 @@
 """Telemetry's loop: bytes from the port owner's ring, decoded, published; buttons and keys become trips for the port
-owner, the pad's sticks and its reset become wishes for the gate."""
+owner, the pad's sticks and its reset become requests for the gate."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Telemetry:
         self._arm_command = own.latest_writer("pad_arm")
         self._events = own.ring_writer("events")
         self._trips_out = own.ring_writer("trips")
-        self._wishes = own.ring_writer("wishes")
+        self._pad_requests = own.ring_writer("pad_requests")
         self._notes = own.ring_writer("notes")
         self._servos = own.ring_writer("servos")
         self._box = own.ring_writer("box")
@@ -140,7 +140,7 @@ class Telemetry:
                 if handler := self._handlers.get(func):
                     handler(data, entry[1])
         if frame := self._tones.follow(self._gate.latched, self._pad.mode, tucks=self._gate.tucks):
-            self._wish(records.WISH_FRAME, frame)
+            self._request(records.PAD_FRAME, frame)
         self._publish(now_ns)
         self._tell_pad_mode()
         for line in self._files.notes():
@@ -209,8 +209,8 @@ class Telemetry:
             self._pad_mode = mode
             self._note("pad", f"gamepad mode: {mode}", {"mode": mode})
 
-    def _wish(self, kind: int, frame: bytes = b"") -> None:
-        self._wishes.put(records.pack_wish(kind, frame))
+    def _request(self, kind: int, frame: bytes = b"") -> None:
+        self._pad_requests.put(records.pack_pad_request(kind, frame))
         self._gate_bell.ring()
 
     def _trip(self, cause: Cause | None) -> None:
@@ -260,7 +260,7 @@ class Telemetry:
                 self._arm_command.write(records.pack_pad_arm(*news.arm), t_ns)
                 self._gate_bell.ring()
             if news.reset:
-                self._wish(records.WISH_RESET)
+                self._request(records.PAD_RESET)
                 self._note("pad", "gamepad: MODE was held, reset requested")
             self._records["pad"].write(records.pack_pad(*sample, self._pad.mode), t_ns)
             self._box.put(box.pack_pad(sample, self._pad.mode), t_ns)

@@ -1,4 +1,4 @@
-"""The gamepad: buttons that trip, the modes, the sticks, the hold that wishes a reset. Pure.
+"""The gamepad: buttons that trip, the modes, the sticks, the hold that asks for a reset. Pure.
 
 locked --MODE--> drive --MODE--> locked ...     with a lockout between two changes
 any --any latch, any other button--> locked     and locked it stays while latched
@@ -35,7 +35,7 @@ STANDSTILL = (0.0, 0.0, 0.0)
 
 class PadNews:
     """What one frame means: a cause of a stop or None, a velocity to command (m/s, m/s, rad/s) or None, and whether to
-    wish a reset."""
+    request a reset."""
 
     __slots__ = ("arm", "cause", "command", "reset")
 

@@ -48,6 +48,7 @@ DESIGN = {
 NO_FAULT = {
     *(causes.BAD_FRAME, causes.UNKNOWN),  # a defect of the service's own
     causes.BATTERY,  # only where a setting asks for it
+    causes.OPERATOR_GONE,  # only where a setting asks for one (tests/procs/test_gate_attendance.py, tests/web)
     causes.TWO_MOVE_THE_ARM,  # only where there is an arm (failstop/lab/faults/arm.py)
     causes.UNSTILL,  # comes after the stop of another row
     causes.REQUESTED,  # as PIPED, but that somebody says who it is

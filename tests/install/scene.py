@@ -11,7 +11,7 @@ from pathlib import Path
 from failstop.install import InstallError
 from failstop.install.layout import MANIFEST, Manifest
 from failstop.install.parts import Parts
-from failstop.install.plan import Found, Wish
+from failstop.install.plan import Found, Request
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Tree
 from failstop.install.tree import Entry, Environment
 
@@ -99,7 +99,7 @@ BARE = Found(
 )
 
 
-LIVE = Wish()
+LIVE = Request()
 
 
 def after(plan: Plan, found: Found, tree: str = "tree 1") -> Found:

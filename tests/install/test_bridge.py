@@ -8,12 +8,12 @@ import pytest
 
 from failstop.install import InstallError, parts
 from failstop.install.bridge import PLACE
-from failstop.install.plan import Found, Wish, install
+from failstop.install.plan import Found, Request, install
 from failstop.install.steps import Command, File
 from failstop.install.unplan import uninstall
 from tests.install.scene import BARE, GROUP, LIVE, PARTS, PASSWD, after, shown
 
-WISH = Wish(ros2_user="anna")
+REQUEST = Request(ros2_user="anna")
 BROUGHT = dataclasses.replace(PARTS, bridge=parts.of_this_version().bridge)
 ANNA = PASSWD + b"anna:x:1000:1000::/home/anna:/bin/bash\n"
 MACHINE = dataclasses.replace(
@@ -21,14 +21,14 @@ MACHINE = dataclasses.replace(
 )
 
 
-def installed(wish: Wish = WISH) -> Found:
+def installed(request: Request = REQUEST) -> Found:
     """What is there after it; the machine's own account files stay the test's."""
-    found = after(install(BROUGHT, wish, "tree 1", MACHINE), MACHINE)
+    found = after(install(BROUGHT, request, "tree 1", MACHINE), MACHINE)
     return dataclasses.replace(found, files={**found.files, "/etc/passwd": ANNA})
 
 
 def test_the_unit_is_written_for_that_user_and_that_ros() -> None:
-    plan = install(BROUGHT, WISH, "tree 1", MACHINE)
+    plan = install(BROUGHT, REQUEST, "tree 1", MACHINE)
     unit = next(step.data.decode() for step in plan.steps if isinstance(step, File) and step.path == PLACE)
     assert "User=anna\n" in unit
     assert "/opt/ros/jazzy/setup.sh /opt/failstop/bin/failstop ros2\n" in unit
@@ -50,7 +50,7 @@ def test_without_the_option_there_is_none_and_one_that_is_there_stays() -> None:
 
 def test_who_is_a_member_already_is_not_made_one() -> None:
     member = dataclasses.replace(MACHINE, files={**MACHINE.files, "/etc/group": GROUP.replace(b"990:", b"990:anna")})
-    plan = install(BROUGHT, WISH, "tree 1", member)
+    plan = install(BROUGHT, REQUEST, "tree 1", member)
     assert not [step for step in plan.steps if isinstance(step, Command) and "usermod" in step.words]
 
 
@@ -62,13 +62,13 @@ def test_uninstall_takes_it_away() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wish", "said"),
+    ("asked", "said"),
     [
-        (Wish(ros2_user="nobody-here"), "--ros2-user nobody-here: no such user"),
-        (Wish(ros2_user="failstop"), "the service's own user"),
-        (Wish("front", "/dev/ttyACM1", ros2_user="anna"), "for the robot 'failstop' alone"),
+        (Request(ros2_user="nobody-here"), "--ros2-user nobody-here: no such user"),
+        (Request(ros2_user="failstop"), "the service's own user"),
+        (Request("front", "/dev/ttyACM1", ros2_user="anna"), "for the robot 'failstop' alone"),
     ],
 )
-def test_who_can_not_be_its_user(wish: Wish, said: str) -> None:
+def test_who_can_not_be_its_user(asked: Request, said: str) -> None:
     with pytest.raises(InstallError, match=said):
-        install(BROUGHT, wish, "tree 1", MACHINE)
+        install(BROUGHT, asked, "tree 1", MACHINE)

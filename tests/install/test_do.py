@@ -14,7 +14,7 @@ import pytest
 from failstop.install import InstallError
 from failstop.install.do import NEW, OLD, Doer
 from failstop.install.look import look
-from failstop.install.plan import Wish, install
+from failstop.install.plan import Request, install
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
 from failstop.install.unplan import uninstall
 from tests.install.scene import GROUP, PARTS, PASSWD, NotingMachine, environment, snapshot
@@ -22,11 +22,11 @@ from tests.install.scene import GROUP, PARTS, PASSWD, NotingMachine, environment
 
 def plan_for(root: Path, version: str = "1.0", units: tuple[str, ...] = (), live: bool = True) -> Plan:
     """The plan of an installation into a directory, as if the system there ran and these units with it."""
-    wish = Wish(root=str(root), live=live)
-    found = look(dataclasses.replace(wish, live=False), PARTS.units)
+    request = Request(root=str(root), live=live)
+    found = look(dataclasses.replace(request, live=False), PARTS.units)
     changed = {name: f"# {version}\n{text}" for name, text in PARTS.units.items()}
     parts = dataclasses.replace(PARTS, version=version, units=changed, catalog=f"{PARTS.catalog}{version}\n")
-    return install(parts, wish, environment(version).digest(), dataclasses.replace(found, active=units, udev=True))
+    return install(parts, request, environment(version).digest(), dataclasses.replace(found, active=units, udev=True))
 
 
 def do(root: Path, plan: Plan, version: str = "1.0", machine: NotingMachine | None = None) -> NotingMachine:
@@ -79,11 +79,14 @@ def test_installed_again_it_is_nothing_and_uninstalled_it_is_as_before(root: Pat
     before = snapshot(root)
     do(root, plan_for(root))
     assert plan_for(root, units=("failstop.service",)).steps == ()
-    wish = Wish(root=str(root), live=False)
-    do(root, uninstall(wish, look(wish, PARTS.units)))
+    request = Request(root=str(root), live=False)
+    do(root, uninstall(request, look(request, PARTS.units)))
     assert {path for path in snapshot(root) if path not in before} == {"etc/failstop", "etc/failstop/failstop.toml"}
-    wish = Wish(root=str(root), live=False)
-    do(root, Plan(tuple(s for s in uninstall(wish, look(wish, PARTS.units), True).steps if isinstance(s, Remove))))
+    request = Request(root=str(root), live=False)
+    do(
+        root,
+        Plan(tuple(s for s in uninstall(request, look(request, PARTS.units), True).steps if isinstance(s, Remove))),
+    )
     assert snapshot(root) == before
 
 
@@ -228,8 +231,8 @@ def test_remains_of_a_power_failure_do_not_matter(root: Path) -> None:
 def test_a_directory_with_something_of_somebody_else_stays(root: Path) -> None:
     do(root, plan_for(root))
     (root / "usr/local/lib/systemd/catalog/other.catalog").write_text("other")
-    wish = Wish(root=str(root), live=False)
-    do(root, uninstall(wish, look(wish, PARTS.units)))
+    request = Request(root=str(root), live=False)
+    do(root, uninstall(request, look(request, PARTS.units)))
     assert (root / "usr/local/lib/systemd/catalog/other.catalog").exists()
     assert not (root / "usr/local/bin").exists()
 
@@ -291,8 +294,8 @@ def test_an_installation_that_lost_its_power_can_be_done_again_or_taken_away(roo
     for path in sorted(set(snapshot(root)) - set(partly), reverse=True):
         target = root / path
         target.rmdir() if target.is_dir() and not target.is_symlink() else target.unlink()
-    wish = Wish(root=str(root), live=False)
-    do(root, uninstall(wish, look(wish, PARTS.units)))
+    request = Request(root=str(root), live=False)
+    do(root, uninstall(request, look(request, PARTS.units)))
     assert set(snapshot(root)) - set(before) <= {"etc/failstop"}
 
 

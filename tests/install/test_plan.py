@@ -8,7 +8,7 @@ import pytest
 
 from failstop.install import InstallError
 from failstop.install.layout import MANIFEST, PREFIX, Manifest
-from failstop.install.plan import Found, Wish, install
+from failstop.install.plan import Found, Request, install
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
 from failstop.install.unplan import uninstall, uninstall_instance
 from tests.install.scene import BARE, EXAMPLE, GROUP, LIVE, PARTS, PASSWD, after, shown
@@ -134,7 +134,7 @@ def test_the_device_is_written_into_a_new_configuration_and_nothing_else_is_chan
 
 
 def test_a_second_robot_is_an_instance_with_a_board_of_its_own() -> None:
-    front = Wish("front", "/dev/ttyACM1")
+    front = Request("front", "/dev/ttyACM1")
     found = dataclasses.replace(installed(), configured_device="")
     plan = install(PARTS, front, "tree 1", found)
     assert shown(plan) == [
@@ -146,7 +146,7 @@ def test_a_second_robot_is_an_instance_with_a_board_of_its_own() -> None:
     ]
     assert plan.restarts == (), "the first robot's service runs on"
     with pytest.raises(InstallError, match=r"'front' needs a board of its own: .* --device"):
-        install(PARTS, Wish("front"), "tree 1", found)
+        install(PARTS, Request("front"), "tree 1", found)
 
 
 def test_another_environment_is_called_where_it_is() -> None:
@@ -160,7 +160,7 @@ def test_another_environment_is_called_where_it_is() -> None:
 
 
 def test_a_system_that_does_not_run_is_not_told_anything() -> None:
-    plan = install(PARTS, Wish(root="/mnt/image", live=False), "tree 1", BARE)
+    plan = install(PARTS, Request(root="/mnt/image", live=False), "tree 1", BARE)
     commands = [step.words for step in plan.steps if isinstance(step, Command)]
     assert [words[:2] for words in commands] == [
         ("systemd-sysusers", "--root=/mnt/image"),
@@ -250,7 +250,7 @@ def test_nothing_to_uninstall_is_said(found: Found, said: str) -> None:
 
 
 def test_one_instance_goes_and_the_other_stays() -> None:
-    front = Wish("front", "/dev/ttyACM1")
+    front = Request("front", "/dev/ttyACM1")
     one = dataclasses.replace(installed(), configured_device="")
     both = after(install(PARTS, front, "tree 1", one), one)
     plan = uninstall_instance(front, both)
@@ -278,8 +278,8 @@ def test_an_absent_board_is_said_before_anything_is_done() -> None:
         install(PARTS, LIVE, "tree 1", absent)
     with pytest.raises(InstallError, match="no device /dev/board"):
         install(PARTS, dataclasses.replace(LIVE, device="/dev/board"), "tree 1", absent)
-    for wish in (dataclasses.replace(LIVE, start=False), dataclasses.replace(LIVE, live=False, root="/mnt")):
-        assert install(PARTS, wish, "tree 1", absent).steps
+    for request in (dataclasses.replace(LIVE, start=False), dataclasses.replace(LIVE, live=False, root="/mnt")):
+        assert install(PARTS, request, "tree 1", absent).steps
     running = dataclasses.replace(installed(), device_there=False)
     assert install(PARTS, LIVE, "tree 1", running).steps == (), "it runs: it waits for the board itself"
 
@@ -296,8 +296,8 @@ def test_a_file_that_was_changed_by_hand_is_named_before_it_is_replaced() -> Non
 
 
 def test_without_a_start_nothing_is_started_and_what_ran_stays_stopped() -> None:
-    wish = dataclasses.replace(LIVE, start=False)
-    plan = install(dataclasses.replace(PARTS, version="2"), wish, "tree 2", installed())
+    request = dataclasses.replace(LIVE, start=False)
+    plan = install(dataclasses.replace(PARTS, version="2"), request, "tree 2", installed())
     assert shown(plan)[0] == "stop failstop.service"
     assert not [step for step in plan.steps if isinstance(step, Start)]
 

@@ -145,7 +145,7 @@ SUPERVISOR = (
     Reason("supervisor/main.py", r"\n\+.*\(heard_ns > 1 or", "it is 0 or as long as an answer takes"),
     Reason("supervisor/main.py", r"\n\+.*wait\(monotonic_ns\(\) - HURRY_NS\)", "it looks without a rest", same=False),
     Reason(
-        "supervisor/sharing.py",
+        "supervisor/port_handover.py",
         r"\n\+.*ready\.get\(self\._port\.fd, 1\) & GONE",
         "1 is READ, and GONE has not that bit",
     ),
@@ -186,7 +186,7 @@ SUPERVISOR = (
     Reason("supervisor/events.py", r"<= LONGEST_HOLD_NS", "two times in ns at exact equality"),
     Reason("supervisor/events.py", r'get\("reason", (None)?\)', "no request begins with None"),
     Reason("supervisor/events.py", r"len\(data\) < ROOM", "an event that fills its slot to the byte", same=False),
-    Reason("supervisor/family.py", r'futex\("held", write=True\)', "the supervisor's block is the first"),
+    Reason("supervisor/process_table.py", r'futex\("held", write=True\)', "the supervisor's block is the first"),
     Reason("supervisor/fence.py", r"silent_ns: int = 1,", "a nanosecond, of what is told in ms", same=False),
     Reason("supervisor/grant.py", r"open\(CONTROL_GROUP, (encoding=None)?\)", "the service runs in C.UTF-8"),
     Reason("supervisor/link.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
@@ -208,9 +208,11 @@ SUPERVISOR = (
     Reason("supervisor/resources.py", r"create=True, gid=gid", "the mode is what it would be without"),
     Reason("supervisor/restarts.py", r"count - 2, 17", "the shortest wait doubled 16 times is beyond the longest"),
     Reason("policy/settings.py", r"known, 2, 0\.5", "the first of them is taken"),
-    Reason("supervisor/sharing.py", r"opened_ns(\(\))? > 1", "no port is opened in the machine's first nanosecond"),
     Reason(
-        "supervisor/sharing.py",
+        "supervisor/port_handover.py", r"opened_ns(\(\))? > 1", "no port is opened in the machine's first nanosecond"
+    ),
+    Reason(
+        "supervisor/port_handover.py",
         r"else \([01], [01], records\.PORT_CLOSED",
         "of a port that is closed nothing else is looked at",
     ),

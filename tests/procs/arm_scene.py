@@ -71,9 +71,6 @@ class ArmScene(Stage):
         self._answers: list[tuple[int, bytes]] = []
         self._numbers = [0, 0]
 
-    def client_slots(self) -> list[Segment]:
-        return [segment.read_client_slot(self.name, index, INCARNATION) for index in range(layout.CLIENT_SLOTS)]
-
     def _join(self, index: int, session: int, who: str) -> Segment:
         found = segment.attach_client_slot(self.name, index, INCARNATION)
         assert claim.take(self._claims, index)

@@ -313,7 +313,7 @@ def test_the_futex_tells_of_a_death_whatever_the_number_is(service: Service, nam
     go.set()
     thread.join()
     ready = {service.early.bell.fd: 1}
-    until(lambda: service.table.active[0].life.fallen, "the early news")  # type: ignore[union-attr]
+    until(lambda: service.table.active[0].life.marked, "the early news")  # type: ignore[union-attr]
     service.told.clear()
     service.table.lives_ended(ready, NOW)
     assert service.told == [("gone", 11)]

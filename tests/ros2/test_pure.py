@@ -56,20 +56,23 @@ def test_two_places_for_one_setting_are_told_of(given: dict[str, object], line: 
 # Messages.
 
 
-def test_imu_fields() -> None:
-    fields = messages.imu(ImuSample(5, (1.0, 2.0, 9.8), (0.1, 0.2, 0.3)), 3 * S + 7)
-    assert fields["header"]["stamp"] == {"sec": 3, "nanosec": 7}
-    assert fields["linear_acceleration"] == {"x": 1.0, "y": 2.0, "z": 9.8}
-    assert fields["angular_velocity"] == {"x": 0.1, "y": 0.2, "z": 0.3}
+def test_imu_values() -> None:
+    values = messages.imu(ImuSample(5, (1.0, 2.0, 9.8), (0.1, 0.2, 0.3)), 3 * S + 7)
+    assert dict(zip(messages.IMU_PLACES, values, strict=True)) == {
+        "header.stamp": (3, 7),
+        "angular_velocity": (0.1, 0.2, 0.3),
+        "linear_acceleration": (1.0, 2.0, 9.8),
+    }
 
 
 def test_odometry_and_transform_agree() -> None:
     sample = OdometrySample(0, 1.0, 2.0, math.pi / 2, 0.2, 0.1, 0.3, 0.05, 0.2)
-    pose = messages.odometry(sample, S)["pose"]["pose"]
-    moved = messages.transform(sample, "odom", "base_link", S)["transform"]
-    assert pose["position"] == moved["translation"] == {"x": 1.0, "y": 2.0}
-    assert pose["orientation"] == moved["rotation"]
-    assert 2 * math.atan2(pose["orientation"]["z"], pose["orientation"]["w"]) == pytest.approx(math.pi / 2)
+    stamp, pose, twist = messages.odometry(sample, S)
+    assert messages.transform(sample, S) == (stamp, pose)
+    assert stamp == (1, 0)
+    assert pose[:5] == (1.0, 2.0, 0.0, 0.0, 0.0)
+    assert 2 * math.atan2(*pose[5:]) == pytest.approx(math.pi / 2)
+    assert twist == (0.2, 0.1, 0.0, 0.0, 0.0, 0.3)
 
 
 @pytest.mark.parametrize(("plugged", "status"), [("plugged", 1), ("unplugged", 2), ("unknown", 0)])
@@ -78,21 +81,23 @@ def test_battery_fields(plugged: str, status: int) -> None:
     assert messages.battery(11_900, plugged, 0)["power_supply_status"] == status
 
 
-def test_gamepad_fields() -> None:
-    fields = messages.gamepad(PadSample(0, 0x8001, 3, (127, -128, 0, 64), "drive"), S)
-    assert fields["axes"] == pytest.approx([1.0, -128 / 127, 0.0, 64 / 127, 3.0])
-    assert fields["buttons"] == [1] + [0] * 14 + [1]
+def test_gamepad_values() -> None:
+    _, axes, buttons = messages.gamepad(PadSample(0, 0x8001, 3, (127, -128, 0, 64), "drive"), S)
+    assert axes == pytest.approx([1.0, -128 / 127, 0.0, 64 / 127, 3.0])
+    assert buttons == [1] + [0] * 14 + [1]
 
 
 def test_wheels_turn_as_far_as_they_were_told() -> None:
     wheels = messages.Wheels()
     wheels.follow((1.0, 1.0, -1.0, -1.0), (1, 1, -1, -1), 0)
-    assert wheels.fields(0)["position"] == [0.0] * 4
+    assert wheels.fields(0)[1][1:] == ([0.0] * 4, [2 * math.pi] * 4)
     wheels.follow((0.0, 0.0, 0.0, 0.0), (1, 1, -1, -1), S // 2)
-    assert wheels.fields(0)["position"] == pytest.approx([math.pi] * 4)
-    assert wheels.fields(0)["velocity"] == [0.0] * 4
+    names, (_, position, velocity) = wheels.fields(0)
+    assert names == list(messages.WHEELS)
+    assert position == pytest.approx([math.pi] * 4)
+    assert velocity == [0.0] * 4
     wheels.follow((0.0, 0.0, 0.0, 0.0), (1, 1, -1, -1), 9 * S)
-    assert wheels.fields(0)["position"] == pytest.approx([math.pi] * 4)
+    assert wheels.fields(0)[1][1] == pytest.approx([math.pi] * 4)
 
 
 # The state.

@@ -140,7 +140,7 @@ def test_one_whose_number_is_not_known_here_has_the_early_news_alone() -> None:
     assert life.pid == 0
     assert not os.get_inheritable(life.fd)
     assert not life.dead()
-    life.fallen = True
+    life.marked = True
     assert life.dead()
     life.close()
 
@@ -269,7 +269,7 @@ def watching(instance: str, pid: int, block: int, watcher: int) -> Child:
         news.arm(life, block, watcher)
         send("armed")
         rung = bool(select.select([news.bell.fd], [], [], 10)[0])
-        return rung, life.fallen, life.down({})
+        return rung, life.marked, life.died({})
 
     child = Child(work)
     assert child.receive() == "armed"
@@ -313,11 +313,11 @@ def test_the_news_comes_by_one_thread_for_each_lifeline(name: str, held: Segment
             for _ in range(3):
                 news.arm(life, 2, index)
             assert len(threads() - before) == 1
-            assert not life.down({})
+            assert not life.died({})
             os.kill(holder.pid, signal.SIGKILL)
             assert select.select([news.bell.fd], [], [], 20)[0]
-            assert life.fallen
-            assert life.down({})
+            assert life.marked
+            assert life.died({})
             assert life.dead()
             life.close()
         os.close(news.bell.fd)
@@ -418,8 +418,8 @@ def test_the_pidfd_alone_is_enough(held: Segment) -> None:
         os.kill(child.pid, signal.SIGKILL)
         ready = dict(select_poll(life.fd))
         until(lambda: _thread._count() == threads, "the waiting thread has given up")
-        assert life.down(ready)
-        assert not life.fallen
+        assert life.died(ready)
+        assert not life.marked
         assert life.dead()
         life.close()
     os.close(news.bell.fd)
@@ -435,7 +435,7 @@ def test_a_lifeline_that_is_closed_keeps_no_thread(name: str, held: Segment) -> 
         until(lambda: waits_on_a_futex(set(os.listdir("/proc/self/task")) - before), "the thread waits")
         life.close()
         until(lambda: _thread._count() == threads, "the waiting thread has given up")
-    assert not life.fallen
+    assert not life.marked
     os.close(news.bell.fd)
 
 
@@ -590,7 +590,7 @@ def test_the_line_that_a_client_holds_is_the_first_where_none_is_named(name: str
         news.watch(life, held)
         holder.kill()
         assert select.select([news.bell.fd], [], [], 20)[0]
-        assert life.fallen
+        assert life.marked
         life.close()
     os.close(news.bell.fd)
 
@@ -616,8 +616,8 @@ def test_a_machine_that_is_out_of_something_still_has_the_late_news(
                 patched.setattr(Segment, "futex", no_memory)
             news.arm(life, 7, 0)
         os.kill(child.pid, signal.SIGKILL)
-        assert life.down(dict(select_poll(life.fd)))
-        assert not life.fallen
+        assert life.died(dict(select_poll(life.fd)))
+        assert not life.marked
         life.close()
     os.close(news.bell.fd)
 

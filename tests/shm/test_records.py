@@ -195,7 +195,7 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     "bias": (lambda text: records.pack_bias((1e308,) * 3, True, True), ["telemetry/bias"]),
     "odometry": (lambda text: records.pack_odometry((1e308,) * 3, (1e308,) * 3, (1e308,) * 2), ["telemetry/odometry"]),
     "pad_command": (lambda text: records.pack_pad_command(1e308, 1e308, 1e308), ["telemetry/pad_command"]),
-    "wish": (lambda text: records.pack_wish(255, b"\xff" * 260), ["telemetry/wishes"]),
+    "pad_request": (lambda text: records.pack_pad_request(255, b"\xff" * 260), ["telemetry/pad_requests"]),
     # A wire frame has at most 260 bytes.
     "frame": (lambda text: records.pack_frame(TOP, 255, b"\xff" * 260), ["gate/frames"]),
 }
@@ -310,7 +310,7 @@ SIZES: dict[str, tuple[Callable[[bytes], Any], int, bool]] = {
     "bias": (records.unpack_bias, 26, True),
     "odometry": (records.unpack_odometry, 64, True),
     "pad_command": (records.unpack_pad_command, 24, True),
-    "wish": (records.unpack_wish, 1, False),
+    "pad_request": (records.unpack_pad_request, 1, False),
     "pad": (records.unpack_pad, 8, True),
 }
 

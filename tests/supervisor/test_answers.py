@@ -143,13 +143,13 @@ def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) 
 
 
 def test_without_a_port_owner_the_burst_is_written_at_once(scene: Scene) -> None:
-    scene.supervisor.family[layout.PORT_OWNER].pid = 0
+    scene.supervisor.processes[layout.PORT_OWNER].pid = 0
     scene.trip()
     assert scene.turn() == BURST
 
 
 def test_a_full_port_is_said_to_be_not_written(scene: Scene) -> None:
-    scene.supervisor.family[layout.PORT_OWNER].pid = 0
+    scene.supervisor.processes[layout.PORT_OWNER].pid = 0
     fill(scene.port.fd)
     scene.trip()
     scene.supervisor.turn({})
@@ -336,7 +336,7 @@ def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, t
     """And only while there is a port to write it to."""
     notify = Notify(str(tmp_path / "nobody"), 2)
     scene.supervisor.herald.notify = notify
-    scene.supervisor.family[layout.PORT_OWNER].pid = 0
+    scene.supervisor.processes[layout.PORT_OWNER].pid = 0
     fill(scene.port.fd)
     scene.trip()
     scene.supervisor.turn({})
@@ -368,7 +368,7 @@ def test_a_stop_that_the_port_owner_has_written_is_owed_no_more(scene: Scene, tm
 def test_a_killed_process_that_does_not_go_is_what_the_watchdog_is_for(scene: Scene, tmp_path: Path) -> None:
     notify = Notify(str(tmp_path / "nobody"), 2)
     scene.supervisor.herald.notify = notify
-    telemetry = scene.supervisor.family[layout.TELEMETRY]
+    telemetry = scene.supervisor.processes[layout.TELEMETRY]
     telemetry.pid, telemetry.fence = 2**31 - 1, Fence(scene.now_ns, scene.now_ns, 0)
     scene.turn()
     assert scene.supervisor.herald.fault == ""

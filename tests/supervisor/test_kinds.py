@@ -10,7 +10,7 @@ import pytest
 
 import failstop
 from failstop.cli import catalog
-from failstop.supervisor.kinds import BY_NAME, KINDS, LEVELS, Kind
+from failstop.supervisor.kinds import BY_NAME, KINDS, LEVELS, EventKind
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
 ALWAYS = {"MESSAGE", "FAILSTOP_NAME", "FAILSTOP_EVENT"}
@@ -30,7 +30,7 @@ def test_the_kinds_that_programs_go_by_are_there() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_every_kind_is_whole(kind: Kind) -> None:
+def test_every_kind_is_whole(kind: EventKind) -> None:
     assert re.fullmatch(r"[a-z]+(_[a-z]+)*", kind.name)
     assert re.fullmatch(r"[0-9a-f]{32}", kind.message_id)
     assert kind.level in LEVELS

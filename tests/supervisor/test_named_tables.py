@@ -69,11 +69,11 @@ def test_names_that_are_allowed(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["A", "a b", "ä", "abcdefghijklmnopq", "a=b", "a\nb"])
-@pytest.mark.parametrize("family", FAMILIES)
-def test_names_that_are_not(family: str, name: str) -> None:
+@pytest.mark.parametrize("processes", FAMILIES)
+def test_names_that_are_not(processes: str, name: str) -> None:
     with pytest.raises(SettingError) as raised:
-        Settings({f"{family}.{name}": {}})
-    assert str(raised.value) == f"{family}.{name!r}: allowed as a name is 1 to 16 of a-z 0-9 _ -"
+        Settings({f"{processes}.{name}": {}})
+    assert str(raised.value) == f"{processes}.{name!r}: allowed as a name is 1 to 16 of a-z 0-9 _ -"
 
 
 def test_at_most_eight_of_each() -> None:

@@ -315,7 +315,7 @@ def test_what_is_sent_every_period_may_be() -> None:
 
 def test_nothing_that_is_looked_at_every_period_times_out_sooner() -> None:
     longest = BY_KEY["gate.period_s"].high or 0.0
-    timeouts = [BY_KEY["scan.timeout_s"], *(family[key] for family, key in NAMED_TIMEOUTS)]
+    timeouts = [BY_KEY["scan.timeout_s"], *(processes[key] for processes, key in NAMED_TIMEOUTS)]
     assert all(setting.key.endswith("timeout_s") and (setting.low or 0.0) >= longest for setting in timeouts)
 
 

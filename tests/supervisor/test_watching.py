@@ -22,14 +22,14 @@ from failstop.procs.loop import GONE, NEVER
 from failstop.shm import heartbeat, layout, records, segment
 from failstop.shm.heartbeat import STARTING
 from failstop.shm.packing import pack
-from failstop.supervisor import family as family_module
 from failstop.supervisor import main
+from failstop.supervisor import process_table as table_module
 from failstop.supervisor.children import STARTING_NS
-from failstop.supervisor.family import GATE_AGAIN_NS
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS, Supervisor
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
+from failstop.supervisor.process_table import GATE_AGAIN_NS
 from tests.support.supervisor_scene import MS, fill
 from tests.support.waiting import until
 from tests.support.watching_scene import Watching
@@ -100,7 +100,7 @@ def test_who_is_silent_for_its_deadline_is_killed_first_and_the_port_owner_answe
     assert watching.supervisor.epoch == 2
     deadline_ms = BY_NAME[name].deadline_ns // MS
     assert watching.cause()[1] == f"{name} hangs: {deadline_ms} ms silent"
-    found = watching.supervisor.family[name].fence
+    found = watching.supervisor.processes[name].fence
     assert found
     assert found.fields()["silent_ms"] == deadline_ms
     until(lambda: os.waitid(os.P_PID, dummy.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG), "its end")
@@ -160,7 +160,7 @@ def test_of_another_that_was_fenced_no_stop_is_told_though_one_was_written_since
 def test_of_two_that_were_fenced_together_the_stop_is_the_port_owner_s(watching: Watching) -> None:
     watching.employ(layout.GATE)
     fence(watching, layout.PORT_OWNER)
-    gate = watching.supervisor.family[layout.GATE]
+    gate = watching.supervisor.processes[layout.GATE]
     gate.fence = Fence(watching.now_ns, watching.now_ns, 0)
     os.kill(gate.pid, signal.SIGKILL)
     assert gate.life
@@ -181,7 +181,7 @@ def test_the_death_of_another_is_no_stop_that_was_written(watching: Watching) ->
 
 
 def test_a_ring_wakes_it_once(watching: Watching) -> None:
-    for bell in (watching.resources.bells[layout.SUPERVISOR], watching.supervisor.family.early.bell):
+    for bell in (watching.resources.bells[layout.SUPERVISOR], watching.supervisor.processes.early.bell):
         bell.ring()
         assert bell.fd in watching.supervisor.loop.wait(0)
         watching.pass_time(0)
@@ -230,19 +230,19 @@ def test_from_when_on_it_was_held_up(
     watching.enabled()
     watching.pass_time(0)
     watching.pass_time(gap_ns)
-    assert (watching.supervisor.family[layout.TELEMETRY].excused_ns == watching.now_ns) is excused
+    assert (watching.supervisor.processes[layout.TELEMETRY].excused_ns == watching.now_ns) is excused
     assert watching.supervisor.epoch == epoch
 
 
 def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(watching: Watching) -> None:
-    supervisor, gate = watching.supervisor, watching.supervisor.family[layout.GATE]
+    supervisor, gate = watching.supervisor, watching.supervisor.processes[layout.GATE]
     watching.notice("gate died", written_ns=watching.now_ns + 7)
     for noticed_by, written_ns in ((layout.PORT_OWNER, watching.now_ns + 7), (layout.SUPERVISOR, 5)):
-        gate.fallen = False
+        gate.dead = False
         (stop,) = supervisor._collect([gate], watching.now_ns, 5)
         assert (stop.t_ns, stop.noticed_by, str(stop.cause)) == (watching.now_ns, noticed_by, "gate died")
         assert stop.written_ns == written_ns
-        assert gate.fallen
+        assert gate.dead
 
 
 def test_its_own_beat_tells_the_epoch_that_it_has_raised(watching: Watching) -> None:
@@ -300,7 +300,7 @@ def test_who_is_starved_while_motion_is_enabled_is_stopped_for_once_and_left_alo
     starving: Watching, name: str
 ) -> None:
     starving.enabled()
-    child = starving.supervisor.family[name]
+    child = starving.supervisor.processes[name]
     while starving.supervisor.epoch == 1:
         starving.beat_but(name)
     _, standing = starving.cause()
@@ -317,7 +317,7 @@ def test_a_starved_port_owner_is_fenced_while_it_may_move(starving: Watching, si
         starving.enabled()
     else:
         starving.port_owner.word("moving").set(1)
-    port_owner = starving.supervisor.family[layout.PORT_OWNER]
+    port_owner = starving.supervisor.processes[layout.PORT_OWNER]
     for _ in range(10):
         starving.beat_but(layout.PORT_OWNER)
     assert port_owner.fence
@@ -327,19 +327,19 @@ def test_a_starved_port_owner_is_fenced_while_it_may_move(starving: Watching, si
 
 
 def test_nobody_is_spared_for_ever_and_none_is_down_for_it(starving: Watching) -> None:
-    family = starving.supervisor.family
+    processes = starving.supervisor.processes
     for _ in range(6):
         starving.employ(layout.TELEMETRY)
-        family[layout.TELEMETRY].restart.set(NEVER)
+        processes[layout.TELEMETRY].restart.set(NEVER)
         turns = 0
-        while not family[layout.TELEMETRY].fence:
+        while not processes[layout.TELEMETRY].fence:
             starving.beat_but(layout.TELEMETRY)
             turns += 1
         deadline_ns = BY_NAME[layout.TELEMETRY].deadline_ns
         assert starved.LONGEST_NS <= turns * 10 * MS - deadline_ns <= starved.LONGEST_NS + deadline_ns
         until(lambda: starving.supervisor.loop.wait(0), "the news of its death")
         starving.pass_time(0)
-        assert family[layout.TELEMETRY].state() == "waiting"
+        assert processes[layout.TELEMETRY].state() == "waiting"
 
 
 def test_who_has_just_beaten_after_all_is_left_alone(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,7 +351,7 @@ def test_who_has_just_beaten_after_all_is_left_alone(watching: Watching, monkeyp
 
 
 def die_too_often(watching: Watching, name: str) -> None:
-    child = watching.supervisor.family[name]
+    child = watching.supervisor.processes[name]
     while child.state() != "down":
         child.restart.set(NEVER)
         watching.employ(name).kill()
@@ -363,9 +363,9 @@ def die_too_often(watching: Watching, name: str) -> None:
 def test_a_reset_starts_one_anew_that_is_down(watching: Watching, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[str] = []
     die_too_often(watching, name)
-    child = watching.supervisor.family[name]
+    child = watching.supervisor.processes[name]
     monkeypatch.setattr(
-        family_module.Family, "start", lambda _, found, fd: (started.append(name), found.restart.set(NEVER))
+        table_module.ProcessTable, "start", lambda _, found, fd: (started.append(name), found.restart.set(NEVER))
     )
     watching.answers(written_ns=watching.now_ns)
     watching.ask_reset(1)
@@ -390,12 +390,12 @@ def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(
     text = watching.events()[-1]["text"]
     assert text.endswith("; it is started anew in 60 s, since nobody else could hear a reset")
     monkeypatch.setattr(
-        family_module.Family,
+        table_module.ProcessTable,
         "start",
         lambda _, child, fd: (started.append(watching.now_ns), child.restart.set(NEVER)),
     )
     while not started and watching.now_ns < down_ns + 2 * GATE_AGAIN_NS:
-        assert watching.supervisor.family[layout.GATE].state() == "down"
+        assert watching.supervisor.processes[layout.GATE].state() == "down"
         watching.pass_time(200 * MS)
     assert started == [down_ns + GATE_AGAIN_NS]
 
@@ -413,7 +413,7 @@ def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open(watching
     assert missing(watching.supervisor) == "a stop being carried out", "answered for an older epoch only"
     watching.answers()
     assert missing(watching.supervisor) == ""
-    watching.supervisor.sharing.lost({watching.port.fd: GONE})
+    watching.supervisor.handover.lost({watching.port.fd: GONE})
     assert missing(watching.supervisor) == "the port"
 
 
@@ -438,7 +438,7 @@ def test_a_port_that_has_gone_is_let_go_and_the_stopper_told(watching: Watching,
 def test_the_wait_before_a_restart_is_kept(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[int] = []
     monkeypatch.setattr(
-        family_module.Family,
+        table_module.ProcessTable,
         "start",
         lambda _, child, fd: (started.append(watching.now_ns), child.restart.set(NEVER)),
     )
@@ -450,7 +450,7 @@ def test_the_wait_before_a_restart_is_kept(watching: Watching, monkeypatch: pyte
     assert len(started) == 1, "the first at once, the second not yet"
     for _ in range(20):
         watching.pass_time(20 * MS)
-    backoff_ns = watching.supervisor.family.children[0].restarts._backoff_ns
+    backoff_ns = watching.supervisor.processes.children[0].restarts._backoff_ns
     assert len(started) == 2
     assert backoff_ns <= started[1] - second_ns <= backoff_ns + 20 * MS
 
@@ -459,7 +459,7 @@ def test_nobody_listens_while_telemetry_is_down(watching: Watching) -> None:
     watching.employ(layout.PORT_OWNER)
     watching.employ(layout.TELEMETRY)
     assert watching.supervisor._listening(watching.now_ns)
-    watching.supervisor.family[layout.TELEMETRY].fallen = True
+    watching.supervisor.processes[layout.TELEMETRY].dead = True
     assert not watching.supervisor._listening(watching.now_ns)
 
 
@@ -469,7 +469,7 @@ def test_who_was_held_up_did_not_listen_unless_something_may_move(watching: Watc
     for name in (layout.PORT_OWNER, layout.TELEMETRY):
         watching.employ(name)
         watching.beats[name].set(watching.now_ns - LATE_NS * (name == held_up))
-        supervisor.family[name].started_ns = 0
+        supervisor.processes[name].started_ns = 0
     supervisor._watched_ns = watching.now_ns - LATE_NS * (held_up == layout.SUPERVISOR)
     assert not supervisor._listening(watching.now_ns)
     assert supervisor._listening(watching.now_ns - 1)
@@ -480,7 +480,7 @@ def test_who_was_held_up_did_not_listen_unless_something_may_move(watching: Watc
 def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) -> None:
     watching.employ(layout.TELEMETRY)
     segment.attach(watching.resources.memory, layout.TELEMETRY, write=True).word("beat_state").set(STARTING)
-    child = watching.supervisor.family[layout.TELEMETRY]
+    child = watching.supervisor.processes[layout.TELEMETRY]
     assert not child.hangs(watching.now_ns + STARTING_NS - 1)
     assert child.hangs(watching.now_ns + STARTING_NS)
     assert STARTING_NS <= 10_000 * MS
@@ -488,7 +488,7 @@ def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) ->
 
 def test_one_that_starts_has_its_time_from_its_start_whatever_the_one_before_it_has_beaten(watching: Watching) -> None:
     watching.employ(layout.GATE)
-    gate = watching.supervisor.family[layout.GATE]
+    gate = watching.supervisor.processes[layout.GATE]
     watching.gate.word("beat_state").set(STARTING)
     for beaten_ns in (watching.now_ns - 10**10, watching.now_ns + 10**10):
         watching.beats[layout.GATE].set(beaten_ns)
@@ -505,9 +505,9 @@ def test_it_sleeps_until_what_is_due_next(watching: Watching) -> None:
     assert watching.next_ns() == overdue_ns, "who hangs is not waited for until a tick"
     watching.beats[layout.GATE].set(watching.now_ns)
     watching.pass_time(0)
-    supervisor.family[layout.TELEMETRY].restart.set(watching.now_ns + 3 * MS)
+    supervisor.processes[layout.TELEMETRY].restart.set(watching.now_ns + 3 * MS)
     assert watching.next_ns() == watching.now_ns + 3 * MS
-    supervisor.family[layout.TELEMETRY].restart.set(NEVER)
+    supervisor.processes[layout.TELEMETRY].restart.set(NEVER)
     watching.port.close()
     assert watching.next_ns() == watching.now_ns + TICK_NS, "a lost port is the opener's to look for"
 
@@ -544,7 +544,7 @@ def test_the_process_table_is_written_anew_when_it_changes(watching: Watching) -
     watching.employ(layout.PORT_OWNER).kill()
     until(lambda: watching.supervisor.loop.wait(0), "the news of the death")
     watching.pass_time(0)
-    watching.supervisor.family[layout.PORT_OWNER].restart.set(NEVER)
+    watching.supervisor.processes[layout.PORT_OWNER].restart.set(NEVER)
     gate = watching.employ(layout.GATE)
     watching.pass_time(MS)
     number, table = read(watching, "processes")
@@ -720,7 +720,7 @@ def test_a_second_stop_that_can_not_be_written_is_a_failure(ending: Ending) -> N
 def test_an_end_without_a_port_owner_is_stopped_for_by_the_supervisor_and_waits_for_no_answer(
     ending: Ending,
 ) -> None:
-    ending.supervisor.family[layout.PORT_OWNER].kill(20.0)
+    ending.supervisor.processes[layout.PORT_OWNER].kill(20.0)
     ending.port_owner.word("stopped_epoch").set(1)
     began_ns = ending.now_ns
     well, told = ending.end()

@@ -48,9 +48,6 @@ class Scene(Stage):
         assert claim.take(self._claims, 0)
         self._client.latest_writer("hello").write(records.pack_hello(SESSION, 0, 0, "test"))
 
-    def client_slots(self) -> list[Segment]:
-        return [segment.read_client_slot(self.name, index, INCARNATION) for index in range(layout.CLIENT_SLOTS)]
-
     def start_gate(self) -> None:
         """For the first time, or after its death."""
         self.gate = Gate(self)  # type: ignore[arg-type]

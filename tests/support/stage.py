@@ -115,10 +115,17 @@ class Stage:
         self._bells = {name: EventBell.create() for name in BELLS}
         self._views = {name: self.owned(name) for name in layout.PROCESSES}
         self.frames = self._views[layout.GATE].ring_writer("frames")
+        self._slots: list[Segment] = []
         self.raise_epoch(1)
         self.beat(layout.SUPERVISOR, layout.GATE)
 
     # What Context offers.
+
+    def client_slots(self) -> list[Segment]:
+        """Every client's slot, to read."""
+        found = [segment.read_client_slot(self.name, index, INCARNATION) for index in range(layout.CLIENT_SLOTS)]
+        self._slots += found
+        return found
 
     def fd(self, key: str) -> int:
         return self._fds[key]
@@ -172,6 +179,8 @@ class Stage:
             dummy.close()
         self.control.close()
         self.pty.close()
+        for slot in self._slots:
+            slot.close()
         for fd in (self._fds["stop"], self.early.bell.fd, *(found.fd for found in self._bells.values())):
             os.close(fd)
         segment.unlink_all(self.name)

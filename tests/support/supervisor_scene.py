@@ -54,7 +54,7 @@ class Scene:
         self.stop_record = segment.attach(memory, layout.SUPERVISOR).latest_reader("stop")
         self.word = segment.attach(memory, layout.SUPERVISOR).word
         self._events = segment.attach(memory, layout.SUPERVISOR).ring_reader("events")
-        child = self.supervisor.family[layout.PORT_OWNER]
+        child = self.supervisor.processes[layout.PORT_OWNER]
         child.pid = 2**31 - 1  # no such process; it beats at every turn, so that nobody kills it
         self.port_owner.word("beat_pid").set(child.pid)
         self.port_owner.word("beat_state").set(RUNNING)
@@ -136,14 +136,14 @@ class Scene:
 
     def close(self) -> None:
         self.resources.remove()
-        for control in self.supervisor.sharing.controls.values():
+        for control in self.supervisor.handover.controls.values():
             control.close()
-        os.close(self.supervisor.sharing.opener._spare)
+        os.close(self.supervisor.handover.opener._spare)
         for pair in self.resources.controls.values():
             os.close(pair[1])
         for fd in (self.master, self.resources.stop_pipe, self.resources.client_bell, self.resources.published):
             os.close(fd)
-        for bell in (*self.resources.bells.values(), self.supervisor.family.early.bell):
+        for bell in (*self.resources.bells.values(), self.supervisor.processes.early.bell):
             os.close(bell.fd)
         for saver in self.supervisor.blackbox._savers:
             os.killpg(saver.pid, signal.SIGKILL)

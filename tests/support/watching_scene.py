@@ -14,7 +14,7 @@ from failstop.procs.loop import NEVER, READ
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.shm.packing import pack
-from failstop.supervisor import family as family_module
+from failstop.supervisor import process_table as table_module
 from tests.support.stage import MOST_LATE, Dummy
 from tests.support.supervisor_scene import MS, Scene
 
@@ -24,8 +24,8 @@ class Watching(Scene):
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)
-        monkeypatch.setattr(family_module.Family, "start", lambda _, child, port: child.restart.set(NEVER))
-        self.supervisor.family[layout.PORT_OWNER].pid = 0
+        monkeypatch.setattr(table_module.ProcessTable, "start", lambda _, child, port: child.restart.set(NEVER))
+        self.supervisor.processes[layout.PORT_OWNER].pid = 0
         self.dummies: list[Dummy] = []
         self.beats = {name: segment.attach(self.resources.memory, name, write=True).word("beat_ns") for name in BY_NAME}
 
@@ -33,7 +33,7 @@ class Watching(Scene):
         """A process that says that it runs."""
         dummy = Dummy()
         self.dummies.append(dummy)
-        child = self.supervisor.family[name]
+        child = self.supervisor.processes[name]
         child.started(dummy.pid, 1 + len(self.dummies), self.now_ns)
         child.life.armed = True  # type: ignore[union-attr]
         self.supervisor.loop.watch(child.life.fd, READ)  # type: ignore[union-attr]

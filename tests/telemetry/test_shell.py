@@ -195,17 +195,17 @@ def test_mode_held_since_before_a_newer_stop_resets_nothing(scene: Scene) -> Non
     scene.gate["epoch"] += 1
     for _ in range(38):
         scene.pad(MODE)
-    assert scene.told("wishes") == []
+    assert scene.told("pad_requests") == []
     for _ in range(4):
         scene.pad(MODE)
-    assert [records.unpack_wish(wish)[0] for wish in scene.told("wishes")] == [records.WISH_RESET]
+    assert [records.unpack_pad_request(request)[0] for request in scene.told("pad_requests")] == [records.PAD_RESET]
 
 
 def test_mode_held_for_2_s_while_latched_wishes_one_reset(scene: Scene) -> None:
     scene.gate["estop"] = causes.KEY(1).pack()
     for _ in range(60):
         scene.pad(MODE)
-    assert [records.unpack_wish(wish) for wish in scene.told("wishes")] == [(records.WISH_RESET, b"")]
+    assert [records.unpack_pad_request(request) for request in scene.told("pad_requests")] == [(records.PAD_RESET, b"")]
     assert scene.rung("gate_bell")
     assert scene.notes() == ["gamepad: MODE was held, reset requested"]
 
@@ -214,9 +214,9 @@ def test_tones_are_wishes_for_frames_that_are_not_motion(sounding: Scene) -> Non
     sounding.pad(MODE)
     sounding.gate["estop"] = causes.KEY(1).pack()
     sounding.turn(elapsed_ns=20 * MS)
-    wishes = [records.unpack_wish(wish) for wish in sounding.told("wishes")]
-    assert wishes == [(records.WISH_FRAME, tones.MODES[1]), (records.WISH_FRAME, tones.TRIP)]
-    assert all(frame[2] == codec.BUZZER for _, frame in wishes)
+    requests = [records.unpack_pad_request(request) for request in sounding.told("pad_requests")]
+    assert requests == [(records.PAD_FRAME, tones.MODES[1]), (records.PAD_FRAME, tones.TRIP)]
+    assert all(frame[2] == codec.BUZZER for _, frame in requests)
     assert sounding.rung("gate_bell")
 
 
@@ -224,7 +224,7 @@ def test_off_by_default_nothing_sounds(scene: Scene) -> None:
     scene.pad(MODE)
     scene.gate["estop"] = causes.KEY(1).pack()
     scene.turn(elapsed_ns=20 * MS)
-    assert scene.told("wishes") == []
+    assert scene.told("pad_requests") == []
 
 
 def test_the_charger_is_seen_told_and_remembered(scene: Scene) -> None:

@@ -217,5 +217,6 @@ class Tab:
 
     def picture(self, path: str | Path, *, whole: bool = False) -> None:
         """What it looks like, as PNG."""
+        self.call("Page.bringToFront")
         found = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
         Path(path).write_bytes(base64.b64decode(found["data"]))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import http.client
 import json
+import os
 import signal
+import ssl
 import subprocess
 import sys
 from types import TracebackType
@@ -13,14 +15,21 @@ from typing import Any
 from failstop.lab.trial import TrialError, wait_for
 
 HEADERS = {"X-Failstop": "1"}
+TIMEOUT_S = 30.0
+"""A picture takes seconds to draw on a busy machine."""
 
 
 class Web:
     """A context manager: `failstop web` for the service of that name, on a port of its own."""
 
-    def __init__(self, name: str, *options: str) -> None:
+    def __init__(self, name: str, *options: str, state: str = "") -> None:
+        """`state`: where it keeps what it keeps, and finds the incidents of a trial."""
+        self.name = name
+        self.environment = {**os.environ, **({"STATE_DIRECTORY": state} if state else {})}
         command = [sys.executable, "-m", "failstop", "web", "--name", name, "--port", "0", *options]
-        self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, env=self.environment
+        )
         assert self.process.stdout is not None
         self.url = self.process.stdout.readline().strip()
         if not self.url:
@@ -53,7 +62,11 @@ class Web:
 
     def connect(self) -> http.client.HTTPConnection:
         """A connection to it."""
-        return http.client.HTTPConnection("127.0.0.1", self.port, timeout=5)
+        if self.scheme == "https":
+            context = ssl.create_default_context()
+            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+            return http.client.HTTPSConnection("127.0.0.1", self.port, timeout=TIMEOUT_S, context=context)
+        return http.client.HTTPConnection("127.0.0.1", self.port, timeout=TIMEOUT_S)
 
     def ask(
         self, method: str, path: str, body: object = None, headers: dict[str, str] | None = None
@@ -78,6 +91,22 @@ class Web:
         """Status and object of a request that changes something."""
         status, _, content = self.ask("POST", path, body, {**HEADERS, **(headers or {})})
         return status, json.loads(content)
+
+    def command(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """`failstop web WORDS`, beside it."""
+        command = [sys.executable, "-m", "failstop", "web", *words, "--name", self.name]
+        return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=self.environment)
+
+    def code(self) -> str:
+        """A new code of `failstop web pair`."""
+        said = self.command("pair").stdout
+        return next(line.split()[1] for line in said.splitlines() if line.startswith("code"))
+
+    def pair(self, name: str = "Anna's phone") -> dict[str, str]:
+        """The headers of a device that is paired."""
+        status, headers, content = self.ask("POST", "/api/pair", {"code": self.code(), "name": name})
+        assert status == 200, content
+        return {"Cookie": headers["set-cookie"].partition(";")[0]}
 
     def until(self, word: str) -> dict[str, Any]:
         """Wait until the page shows this word; returns what it shows."""

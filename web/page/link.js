@@ -10,6 +10,10 @@ export function connected() {
   return !!socket && socket.readyState === WebSocket.OPEN;
 }
 
+export function reconnect() {
+  if (socket) socket.close();
+}
+
 export function connect(news) {
   let wait = LEAST_MS, polling = 0;
   const poll = () => fetch("/api/state", {cache: "no-store"}).then((answer) => answer.ok && answer.json())

@@ -1,6 +1,10 @@
 // The page: what comes over the websocket is shown as it is. STOP is in stop.js, and needs none of this.
 import {Chart} from "/chart.js";
 import {connect} from "/link.js";
+import "/hands.js";
+import "/device.js";
+import "/attend.js";
+import "/incidents.js";
 
 const $ = (id) => document.getElementById(id);
 const STALE_MS = 1000; // no news for this long: the last word is not shown as if it held
@@ -50,14 +54,16 @@ function showStop() {
   if (!face.latched) { asked = null; dispatchEvent(new Event("unstopped")); return; }
   const own = stop.t >= asked - 0.5;
   const levels = own ? ["written", "acknowledged", "observed"].filter((level) => stop[level]) : ["written"];
-  text("stop-said", own ? levels.map((level) => `\u2713 ${level}`).join("  ") || "written" : "\u2713 written; it was stopped already");
+  const said = levels.map((level) => `\u2713 ${level}`).join("  ");
+  text("stop-said", own ? said || "written" : `${said}; it was stopped already`);
   $("stop").dataset.phase = levels.at(-1) || "written";
 }
 
 function showFacts() {
+  const charger = face.plugged === "unknown" ? "" : `, charger ${face.plugged}`;
   const rows = [
     ["Drives", face.driver || "nobody"],
-    ["Battery", face.battery_v ? `${face.battery_v.toFixed(2)} V${face.plugged === "unknown" ? "" : `, charger ${face.plugged}`}` : "not known"],
+    ["Battery", face.battery_v ? `${face.battery_v.toFixed(2)} V${charger}` : "not known"],
     ["Port", face.port],
     ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has not answered yet"}[face.link] || face.link],
     ["Clients", face.clients.join(", ") || "none"],
@@ -106,6 +112,7 @@ function lost() {
 function news(message) {
   heard = performance.now();
   behind = message.t - Date.now() / 1000;
+  if ("nonce" in message || "attend" in message) dispatchEvent(new CustomEvent("lease", {detail: message}));
   if ("live" in message) showLive(message.live);
   if (message.face) face = message.face;
   if (face && (message.face || $("head").dataset.role === "lost")) show();

@@ -39,6 +39,7 @@ GROUPS = {
     "limits": "Speeds and ramps that no command passes.",
     "wheels": "What the base stands on. Layouts: mecanum; differential (wheels 1 and 2 left, 3 and 4 right).",
     "scan": "The sensor-validity interlock: software drives only while the obstacle sensor delivers.",
+    "attend": "An operator without whom nothing moves: the page, `failstop attend`, or a program proves one.",
     "imu": "Inertial measurement: calibration, and the gyro's bias.",
     "odometry": "Where the robot got to, from what it was told.",
     "battery": "Charger detection and the voltage log.",

@@ -60,41 +60,40 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Install. Raises InstallError, Refused, SettingError; then nothing is changed."""
-    wish = _wish(arguments)
+    request = _request(arguments)
     dry = arguments.dry_run or arguments.json
     if not dry:
         dialogue.need_root()
-        if wish.live:
+        if request.live:
             dialogue.need_systemd()
     brought = parts.of_this_version()
     environment = None if arguments.use_running_venv else tree.running(PREFIX, tree.interpreter())
-    configured = look.configured_device(wish)
-    found = dataclasses.replace(look.look(wish, brought.units), configured_device=configured)
-    device = plan.device_of(brought, wish, found)
+    configured = look.configured_device(request)
+    found = dataclasses.replace(look.look(request, brought.units), configured_device=configured)
+    device = plan.device_of(brought, request, found)
     found = dataclasses.replace(found, device_there=device == LINK or os.path.exists(device))
-    made = plan.install(brought, wish, environment.digest() if environment else "", found)
+    made = plan.install(brought, request, environment.digest() if environment else "", found)
     if arguments.json:
         print(dialogue.as_json(made))
         return 0
     if not made.steps:
-        print(
-            f"nothing to do: failstop {brought.version} is installed{' and runs' if wish.live and wish.start else ''}"
-        )
+        runs = " and runs" if request.live and request.start else ""
+        print(f"nothing to do: failstop {brought.version} is installed{runs}")
         return 0
-    print(f"failstop {brought.version}, to be installed {'here' if wish.live else f'in {wish.root}'}:\n")
+    print(f"failstop {brought.version}, to be installed {'here' if request.live else f'in {request.root}'}:\n")
     print(dialogue.as_text(made) + "\n")
     if dry:
         return 0
     _consent(made, arguments)
     dialogue.undo_when_ended()
-    left = Doer(wish.root, Machine(arguments.wait), environment).do(made.steps)
+    left = Doer(request.root, Machine(arguments.wait), environment).do(made.steps)
     for what in left:
         print(f"failstop: {what}: remove it by hand", file=sys.stderr)
-    print(_done(wish, environment))
+    print(_done(request, environment))
     return 0
 
 
-def _wish(arguments: Namespace) -> plan.Wish:
+def _request(arguments: Namespace) -> plan.Request:
     instance.check_name(arguments.name)
     if arguments.device is not None:
         BY_KEY["device.path"].check(arguments.device, "--device")
@@ -102,7 +101,7 @@ def _wish(arguments: Namespace) -> plan.Wish:
             raise InstallError(f"--device {arguments.device}: no path of a port has quotes or backslashes")
     if arguments.root is not None and not os.path.isdir(arguments.root):
         raise InstallError(f"--root {arguments.root}: no such directory")
-    return plan.Wish(
+    return plan.Request(
         arguments.name,
         arguments.device or "",
         os.path.abspath(arguments.root or "/"),
@@ -134,14 +133,16 @@ def _consent(made: Plan, arguments: Namespace) -> None:
     dialogue.consent(f"{warning}Go ahead?", arguments.yes)
 
 
-def _done(wish: plan.Wish, environment: tree.Environment | None) -> str:
-    if not wish.live:
-        needs = environment.interpreter if environment else wish.command
-        missing = not os.path.exists(os.path.join(wish.root, needs.lstrip("/")))
+def _done(request: plan.Request, environment: tree.Environment | None) -> str:
+    if not request.live:
+        needs = environment.interpreter if environment else request.command
+        missing = not os.path.exists(os.path.join(request.root, needs.lstrip("/")))
         return f"done{f'; {needs} is still to come there' if missing else ''}"
     user = os.environ.get("SUDO_USER", "USER")
-    started = f"{unit_of(wish.name)} runs" if wish.start else f"done; systemctl start {unit_of(wish.name)} starts it"
+    started = (
+        f"{unit_of(request.name)} runs" if request.start else f"done; systemctl start {unit_of(request.name)} starts it"
+    )
     return (
-        f"{started}. Next: failstop status{option(wish.name)}\n"
+        f"{started}. Next: failstop status{option(request.name)}\n"
         f"Who is to drive has to be in the group failstop: sudo usermod -aG failstop {user} (and a new login)"
     )

@@ -42,20 +42,20 @@ def main(arguments: Namespace) -> int:
             dialogue.need_systemd()
     if not live and not os.path.isdir(arguments.root):
         raise InstallError(f"--root {arguments.root}: no such directory")
-    name = instance.check_name(arguments.name) if arguments.name else plan.Wish.name
-    wish = plan.Wish(name, "", os.path.abspath(arguments.root or "/"), live)
-    found = look.look(wish, parts.of_this_version().units)
+    name = instance.check_name(arguments.name) if arguments.name else plan.Request.name
+    request = plan.Request(name, "", os.path.abspath(arguments.root or "/"), live)
+    found = look.look(request, parts.of_this_version().units)
     make = unplan.uninstall_instance if arguments.name else unplan.uninstall
-    made = make(wish, found, arguments.purge)
+    made = make(request, found, arguments.purge)
     if arguments.json:
         print(dialogue.as_json(made))
         return 0
-    print(f"to be removed{'' if live else f' from {wish.root}'}:\n\n{dialogue.as_text(made)}\n")
+    print(f"to be removed{'' if live else f' from {request.root}'}:\n\n{dialogue.as_text(made)}\n")
     if dry:
         return 0
     dialogue.consent("The wheels stop. Go ahead?" if made.restarts else "Go ahead?", arguments.yes)
     dialogue.undo_when_ended()
-    for what in Doer(wish.root, Machine()).do(made.steps):
+    for what in Doer(request.root, Machine()).do(made.steps):
         print(f"failstop: {what}: remove it by hand", file=sys.stderr)
     print("done")
     return 0

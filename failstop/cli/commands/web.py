@@ -1,4 +1,4 @@
-"""`failstop web`: the operator's page, for a phone or a desk."""
+"""`failstop web`: the operator's page, for a phone or a desk, and the devices that may do more than see and stop."""
 
 from __future__ import annotations
 
@@ -12,17 +12,24 @@ from failstop.shm import instance
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
+    from typing import Any
 
     from failstop.policy.settings import Settings
 
 EXAMPLES = """\
 failstop web                          # http://127.0.0.1:8477/
-failstop web --listen 0.0.0.0         # for the network
+failstop web --listen 0.0.0.0         # https, for the network
+failstop web pair                     # a code, and as a picture to photograph
+failstop web devices                  # which devices are paired
+failstop web revoke 1a2b3c4d          # not that one any more
 """
+ACTIONS = ("serve", "pair", "devices", "revoke")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop web`."""
+    parser.add_argument("action", nargs="?", choices=ACTIONS, default="serve", help="what to do (default: serve)")
+    parser.add_argument("device", nargs="?", metavar="ID", help="the device to revoke, as `failstop web devices` says")
     parser.add_argument("--listen", metavar="ADDRESS", help="where to listen (default: the setting web.address)")
     parser.add_argument("--port", type=int, metavar="N", help="on which port, 0: any (default: the setting web.port)")
     parser.add_argument("--config", metavar="FILE", help="TOML file with settings (default: the installed service's)")
@@ -30,15 +37,23 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Serve until it is ended. Raises FailstopError, SettingError."""
+    """Carry out one action. Raises FailstopError, SettingError."""
     instance.check_name(arguments.name)
-    settings = _settings(arguments)
     try:
-        import asyncio
+        import tornado  # noqa: F401  # what every action needs
+    except ImportError:
+        raise FailstopError("the page needs tornado: pip install 'failstop[web]'") from None
+    actions = {"serve": _serve, "pair": _pair, "devices": _devices, "revoke": _revoke}
+    return actions[arguments.action](arguments)
 
-        from failstop.web import server
-    except ImportError as error:
-        raise FailstopError(f"the page needs {error.name}: pip install 'failstop[web]'") from None
+
+def _serve(arguments: Namespace) -> int:
+    """Until it is ended."""
+    import asyncio
+
+    from failstop.web import server
+
+    settings = _settings(arguments)
     try:
         asyncio.run(server.serve(arguments.name, settings))
     except OSError as error:
@@ -52,3 +67,36 @@ def _settings(arguments: Namespace) -> Settings:
     path = arguments.config or (installed if os.path.exists(installed) else None)
     given = {"web.address": arguments.listen, "web.port": arguments.port}
     return config.load(path, {key: value for key, value in given.items() if value is not None})
+
+
+def _pair(arguments: Namespace) -> int:
+    from failstop.web import control, whereabouts
+
+    found = control.ask(arguments.name, os.environ, "POST", "/pair")
+    print(whereabouts.told(found))
+    return 0
+
+
+def _devices(arguments: Namespace) -> int:
+    import time
+
+    from failstop.web import control
+
+    rows: list[dict[str, Any]] = control.ask(arguments.name, os.environ, "GET", "/devices")["devices"]
+    for row in rows:
+        print(f"{row['id']}  {time.strftime('%Y-%m-%d %H:%M', time.localtime(row['made']))}  {row['name']}")
+    if not rows:
+        print("no device is paired: `failstop web pair`")
+    return 0
+
+
+def _revoke(arguments: Namespace) -> int:
+    from failstop.web import control
+
+    if not arguments.device:
+        raise FailstopError("revoke which device? `failstop web devices` lists them")
+    name = control.ask(arguments.name, os.environ, "POST", "/devices", {"id": arguments.device})["revoked"]
+    if not name:
+        raise FailstopError(f"no device {arguments.device!r}: `failstop web devices` lists them")
+    print(f"{name} may see and stop, and nothing else any more")
+    return 0

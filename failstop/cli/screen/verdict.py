@@ -84,6 +84,7 @@ def steps(state: State) -> list[str]:
     if state.estop:
         found.append("`failstop reset`")
     if not state.enabled:
+        found += ["have somebody attend (`failstop attend`, or the page)"] if state.attended_by == [] else []
         found.append("`failstop enable`")
     elif state.blocked == blocks.NO_SCAN:
         found.append("start the obstacle sensor and the program that calls robot.sensed()")

@@ -18,7 +18,8 @@ from failstop.lab.prove import report, table
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.session import check_free, interruptible, session
 from failstop.lab.prove.stand import Stand
-from failstop.lab.prove.table import BY_PATH, BY_VELOCITY, Path, Velocity
+from failstop.lab.prove.swing import REACH_RAD
+from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_VELOCITY, Path, Velocity
 from failstop.lab.sim.client import SimBoard
 from failstop.policy import config
 from failstop.procs.telemetry.state_files import state_directory
@@ -32,6 +33,11 @@ failstop prove --only deadman,stop-request --at 0.2 --out /tmp/evidence
 WORD = "spin"
 PROVE_FOLDER = "prove"
 RUN_S = 3.5
+KNOWN = (*BY_PATH, *BY_ARM_PATH)
+ARM = """\
+  5. THE ARM MOVES: to its drive pose, and its base joint swings by {reach:g} rad. Nobody and nothing is in its reach.
+
+"""
 SAFETY = """\
 THIS TURNS THE WHEELS, at {fastest}, and kills the programs that stop them: {count} runs, {minutes:.0f} min.
 
@@ -40,7 +46,7 @@ THIS TURNS THE WHEELS, at {fastest}, and kills the programs that stop them: {cou
   3. The POWER SWITCH is at hand, and you will use it when the wheels turn on.
   4. This is a latched protective stop by software, no emergency stop in the sense of ISO 13850.
 
-Ctrl-C stops the wheels at any time. Type "{word}" to begin, anything else to leave it: """
+{arm}Ctrl-C stops everything at any time. Type "{word}" to begin, anything else to leave it: """
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -48,7 +54,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("--sim", action="store_true", help="on a simulated board of its own, without questions")
     add("--quick", action="store_true", help="the main paths, each at one velocity in turn")
-    add("--only", metavar="PATH,...", help=f"these stop paths alone: {', '.join(BY_PATH)}")
+    add("--only", metavar="PATH,...", help=f"these stop paths alone: {', '.join(KNOWN)}")
     add("--at", metavar="V,...", help=f"these velocities alone: {', '.join(BY_VELOCITY)}")
     add("--pad", action="store_true", help="ask a person to press a button of the gamepad")
     add("--device", metavar="PATH", help="the board's port (default: the setting device.path)")
@@ -60,13 +66,21 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Run the stand test; exit code 1 when anything failed or was left out, 2 without consent."""
-    plan = _plan(arguments)
-    velocities = list(dict.fromkeys(velocity for _, velocity in plan))
+    only, at = _words(arguments)
     say = (lambda _: None) if arguments.json else report.say
 
     def taken(device: str, user: dict[str, object], board: SimBoard | None) -> Evidence:
         ask = report.say if arguments.pad else None
         stand = Stand(device, user, folder, board)
+        has_arm = bool(stand.settings.servos())
+        plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm)
+        if not plan:
+            raise FailstopError(
+                "nothing to do: the settings name no joints, and only the arm's stop paths are asked for"
+            )
+        if not board:
+            _ask_consent(device, plan, has_arm=has_arm)
+        velocities = list(dict.fromkeys(velocity for path, velocity in plan if not path.arm))
         runs = ((path, velocity, random.Random()) for path, velocity in plan)
         return session(runs, velocities, stand, quick=arguments.quick, say=say, ask=ask)
 
@@ -79,31 +93,32 @@ def main(arguments: Namespace) -> int:
             path, settings = settings_of(arguments.name, arguments.config, System())
             device = arguments.device or settings.text("device.path")
             check_free(device, arguments.name)
-            _ask_consent(device, plan)
             evidence = taken(device, config.read(path), None)
     _show(arguments, evidence)
     return evidence.exit_code
 
 
-def _plan(arguments: Namespace) -> list[tuple[Path, Velocity]]:
+def _words(arguments: Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The names that --only and --at give. Raises FailstopError for one that is in no table."""
     chosen = []
     for given, known, what in (
-        (arguments.only, BY_PATH, "stop path"),
-        (arguments.at, BY_VELOCITY, "velocity"),
+        (arguments.only, KNOWN, "stop path"),
+        (arguments.at, tuple(BY_VELOCITY), "velocity"),
     ):
         names = tuple(given.split(",")) if given else ()
         for name in names:
             if name not in known:
                 raise FailstopError(f"no {what} {name!r}: there is {', '.join(known)}")
         chosen.append(names)
-    return table.plan(quick=arguments.quick, only=chosen[0], at=chosen[1])
+    return chosen[0], chosen[1]
 
 
-def _ask_consent(device: str, plan: list[tuple[Path, Velocity]]) -> None:
+def _ask_consent(device: str, plan: list[tuple[Path, Velocity]], *, has_arm: bool) -> None:
     fastest = " and ".join(dict.fromkeys(velocity.words for _, velocity in plan))
+    arm = ARM.format(reach=REACH_RAD) if has_arm else ""
     print(f"{device}:", file=sys.stderr)
     minutes = max(1.0, len(plan) * RUN_S / 60)
-    sys.stderr.write(SAFETY.format(fastest=fastest, count=len(plan), minutes=minutes, word=WORD))
+    sys.stderr.write(SAFETY.format(fastest=fastest, count=len(plan), minutes=minutes, word=WORD, arm=arm))
     sys.stderr.flush()
     if sys.stdin.readline().strip() != WORD:
         raise Refused("no consent: nothing was moved")

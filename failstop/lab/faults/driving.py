@@ -86,14 +86,17 @@ class Driver:
         self.commands = self.senses = self.holds = True
         refusal = ""
 
+        def hold(_: str = "") -> None:
+            self.robot.hold(*self._interlocks)
+            self.held_ns = time.monotonic_ns()
+
         def enabled() -> bool:
             nonlocal refusal
             try:
-                self.robot.hold(*self._interlocks)
-                self.held_ns = time.monotonic_ns()
+                hold()
                 if self.robot.state.estop:
                     self.robot.reset()
-                self.robot.enable()
+                self.robot.enable(hold)  # an arm's way to its drive pose takes longer than an interlock's time
             except Refused as error:
                 refusal = str(error)
                 return False

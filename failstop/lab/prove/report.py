@@ -101,6 +101,7 @@ def _record(result: Result) -> dict[str, Any]:
         "board_ms": result.board_ms,
         "back_s": result.back_s,
         "latched": result.latched,
+        "arm": result.arm,
         "samples": [[round(t_ns / 1e6, 2), round(x, 5), round(y, 5)] for t_ns, x, y in result.samples],
     }
 

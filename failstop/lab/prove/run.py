@@ -6,6 +6,7 @@ import dataclasses
 import random
 import subprocess
 import time
+from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.lab.faults.fault import fits, told
@@ -15,6 +16,7 @@ from failstop.lab.prove.shake import Noise, Sample, Verdict
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.strike import Ask, Skipped, strike
 from failstop.lab.prove.table import Path, Velocity
+from failstop.lab.prove.watch import Watch
 from failstop.lab.trial import TrialError
 from failstop.shm.layout import SUPERVISOR
 
@@ -65,6 +67,8 @@ class Result:
     over: str = ""
     """Why no other run can follow; empty: one can."""
     wrong: list[str] = dataclasses.field(default_factory=list)
+    arm: dict[str, Any] | None = None
+    """Of a joint that swung: name and rate, where it was told to be at the cause, where it was read to be (pulses)."""
     samples: list[Sample] = dataclasses.field(default_factory=list)
     """Around the cause; the times count from it, ns."""
 
@@ -177,17 +181,8 @@ class Run:
     def _after(self) -> list[Sample]:
         return [sample for sample in self.stand.watch.samples if sample[0] >= self._cause_ns]
 
-    def _written(self) -> tuple[int, str] | None:
-        watch = self.stand.watch
-        found = [(t_ns, "gate") for t_ns in watch.zeros] if self.path.by_gate else watch.written
-        return min((entry for entry in found if entry[0] >= self._cause_ns), default=None)
-
     def _acknowledged(self) -> int | None:
-        written = self._written()
-        if written is None:
-            return None
-        answers = self.stand.watch.answers
-        return min((t_ns for asked_ns, t_ns in answers if asked_ns >= written[0]), default=None)
+        return acknowledged_ns(self.stand.watch, self._cause_ns, by_gate=self.path.by_gate)
 
     def _judge(self) -> None:
         result, path = self.result, self.path
@@ -195,30 +190,12 @@ class Run:
         before = [sample for sample in self.stand.watch.samples if -0.55 * NS < sample[0] - self._cause_ns < 0]
         if not shake.turning(before, self.character.limit_radps):
             result.wrong.append("the wheels were not seen turning before the stop")
-        self._judge_written()
+        judge_written(result, self.stand.watch, self._cause_ns)
         self._judge_rest(before)
         if self.stand.board:
             self._judge_board()
         if not path.ends and path.process != SUPERVISOR:
             self._judge_latch()
-
-    def _judge_written(self) -> None:
-        result = self.result
-        written = self._written()
-        if written is None:
-            result.wrong.append("NO STOP written")
-            return
-        result.written_ms, result.written_by = (written[0] - self._cause_ns) / 1e6, written[1]
-        bar_ms = self.path.reaction_bar_ms(simulated=result.simulated)
-        if result.written_ms > bar_ms:
-            result.wrong.append(f"written after {result.written_ms:.1f} ms, the bar is {bar_ms:.0f}")
-        answer_ns = self._acknowledged()
-        if answer_ns is None:
-            result.wrong.append("not acknowledged by the board")
-            return
-        result.acknowledged_ms = (answer_ns - self._cause_ns) / 1e6
-        if result.acknowledged_ms - result.written_ms > table.ACKNOWLEDGED_MS:
-            result.wrong.append(f"acknowledged after {result.acknowledged_ms:.0f} ms")
 
     def _judge_rest(self, before: list[Sample]) -> None:
         result, character = self.result, self.character
@@ -309,3 +286,34 @@ def speed_up_s(stand: Stand, velocity: Velocity) -> float:
     forward, _, turn = velocity.command
     settings = stand.settings
     return max(abs(forward) / settings["limits.acceleration_mps2"], abs(turn) / settings["limits.acceleration_radps2"])
+
+
+def _written(watch: Watch, cause_ns: int, *, by_gate: bool) -> tuple[int, str] | None:
+    found = [(t_ns, "gate") for t_ns in watch.zeros] if by_gate else watch.written
+    return min((entry for entry in found if entry[0] >= cause_ns), default=None)
+
+
+def acknowledged_ns(watch: Watch, cause_ns: int, *, by_gate: bool) -> int | None:
+    """When the board answered what it was asked behind the stop; None: it did not yet."""
+    written = _written(watch, cause_ns, by_gate=by_gate)
+    return written and min((t_ns for asked_ns, t_ns in watch.answers if asked_ns >= written[0]), default=None)
+
+
+def judge_written(result: Result, watch: Watch, cause_ns: int) -> None:
+    """The stop and its acknowledgement."""
+    path = result.path
+    written = _written(watch, cause_ns, by_gate=path.by_gate)
+    if written is None:
+        result.wrong.append("NO STOP written")
+        return
+    result.written_ms, result.written_by = (written[0] - cause_ns) / 1e6, written[1]
+    bar_ms = path.reaction_bar_ms(simulated=result.simulated)
+    if result.written_ms > bar_ms:
+        result.wrong.append(f"written after {result.written_ms:.1f} ms, the bar is {bar_ms:.0f}")
+    answer_ns = acknowledged_ns(watch, cause_ns, by_gate=path.by_gate)
+    if answer_ns is None:
+        result.wrong.append("not acknowledged by the board")
+        return
+    result.acknowledged_ms = (answer_ns - cause_ns) / 1e6
+    if result.acknowledged_ms - result.written_ms > table.ACKNOWLEDGED_MS:
+        result.wrong.append(f"acknowledged after {result.acknowledged_ms:.0f} ms")

@@ -18,9 +18,10 @@ from failstop.doctor import port_facts
 from failstop.doctor.system import System
 from failstop.install.layout import unit_of
 from failstop.lab.prove import report
+from failstop.lab.prove.arm_run import ArmRun
 from failstop.lab.prove.character import Unfit, characterize
 from failstop.lab.prove.report import Evidence
-from failstop.lab.prove.run import Character, Run
+from failstop.lab.prove.run import Character, Result, Run
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.strike import Ask
 from failstop.lab.prove.table import Path, Velocity
@@ -46,19 +47,22 @@ def session(
     keep_all: bool = True,
     width: int = report.NAME,
 ) -> Evidence:
-    """Characterize the robot at `velocities` and make the runs, saying rows as they come. Ends at the first wheel that
-    turns on. `stand` is entered here; `tool`: which command this is; `keep_all`: the IMU's samples of the
-    runs that passed, too; `width`: of the paths' names."""
+    """Characterize the robot at `velocities`, if there are any, and make the runs, saying rows as they come. Ends at
+    the first wheel that turns on. `stand` is entered here; `tool`: which command this is; `keep_all`: the IMU's samples
+    of the runs that passed, too; `width`: of the paths' names."""
     evidence = Evidence(stand.device, stand.board is not None, False, tool=tool)
     try:
         with stand:
             with Robot(stand.name) as robot:
                 evidence.realtime = all(process.realtime for process in robot.state.processes.values())
             say("\n".join(report.head_lines(evidence)) + "\n")
-            evidence.character = _characterize(stand, velocities, quick=quick)
-            say("\n".join([*report.character_lines(evidence.character), "", report.head(width)]))
+            character: list[str] = []
+            if velocities:
+                evidence.character = _characterize(stand, velocities, quick=quick)
+                character = [*report.character_lines(evidence.character), ""]
+            say("\n".join([*character, report.head(width)]))
             for path, velocity, chance in runs:
-                result = Run(stand, evidence.character, path, velocity, ask, chance).take()
+                result = _take(stand, evidence.character, path, velocity, ask, chance)
                 if result.verdict == "PASS" and not keep_all:
                     result.samples = []
                 evidence.results.append(result)
@@ -77,6 +81,15 @@ def session(
     if stand.unsafe and not stand.board:
         evidence.ended = f"{evidence.ended}; {stand.unsafe}: use the POWER SWITCH".lstrip("; ")
     return evidence
+
+
+def _take(
+    stand: Stand, character: Character | None, path: Path, velocity: Velocity, ask: Ask | None, chance: random.Random
+) -> Result:
+    if path.arm:
+        return ArmRun(stand, path, velocity).take()
+    assert character
+    return Run(stand, character, path, velocity, ask, chance).take()
 
 
 def _characterize(stand: Stand, velocities: Sequence[Velocity], *, quick: bool) -> Character:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
@@ -23,6 +24,9 @@ from failstop.policy import config
 from failstop.policy.settings import Settings
 from failstop.procs.stopper import tool
 from failstop.shm.layout import SUPERVISOR
+
+if TYPE_CHECKING:
+    from failstop.lab.prove.swing import Swing
 
 LOOK_EVERY_S = 0.001
 _PR_SET_PDEATHSIG = 1
@@ -54,11 +58,11 @@ class StandService(Service):
             stdin=subprocess.DEVNULL,
             stderr=self._log,
             env=self._environment,
-            preexec_fn=_end_with_parent,
+            preexec_fn=end_with_parent,
         )
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """In the child, before exec: SIGTERM when the parent dies. The supervisor then stops the wheels and ends."""
     _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
@@ -92,6 +96,8 @@ class Stand:
         self.watch = Watch(device)
         self.driver.each = self.look
         self.unsafe = ""
+        self.swing: Swing | None = None
+        """How the arm is moved; chosen by its first run."""
         self._pids: dict[str, int] = {}
 
     def __enter__(self) -> Stand:

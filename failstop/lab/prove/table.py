@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+from failstop.lab.faults import arm
+from failstop.lab.faults.arm import ArmFault
 from failstop.lab.faults.fault import Fault, Wanted
 from failstop.lab.faults.table import BY_NAME
 from failstop.policy import causes
@@ -19,10 +21,14 @@ class Velocity:
     """m/s forward, m/s left, rad/s counter-clockwise."""
     coast_s: float
     """From the stop to rest, as measured on the robot with the driver before (stop request)."""
+    said: str = ""
+    """For people, where no wheel turns."""
 
     @property
     def words(self) -> str:
         """For people."""
+        if self.said:
+            return self.said
         forward, _, turn = self.command
         return f"{forward:g} m/s" if forward else f"{turn:g} rad/s"
 
@@ -32,6 +38,9 @@ VELOCITIES = (
     Velocity("0.35", (0.35, 0.0, 0.0), 0.50),
     Velocity("turn", (0.0, 0.0, 1.0), 0.25),
 )
+
+SWINGING = Velocity("arm", (0.0, 0.0, 0.0), 0.0, "arm swings")
+"""Instead of a velocity, for the arm's paths: the wheels stand."""
 
 DEADMAN = "deadman"
 REQUEST = "request"
@@ -43,7 +52,9 @@ HANG = "hang"
 END = "end"
 FAULT = "fault"
 """Any other row of the fault table about processes."""
-DISABLE_MS = 5.0
+ARM = "arm"
+"""A row of the arm's faults."""
+DISABLE_MS = STOP_MS = 5.0
 
 KILLED_S = (0.55, 0.55, 0.55)
 MEASURED_S: dict[str, tuple[float, float, float]] = {
@@ -58,6 +69,8 @@ MEASURED_S: dict[str, tuple[float, float, float]] = {
 
 RESOLUTION_S = 0.1
 """Of the moment of rest: 110 samples a second, of which five to ten are needed to tell rest from turning."""
+ARM_RESOLUTION_S = 0.03
+"""Of the moment at which a joint stood, by where it is read to be: 5 pulses at 0.8 rad/s."""
 ACKNOWLEDGED_MS = 1000.0
 """From the stop to the answer; a board that is silent for longer counts as deaf."""
 SLACK_MS = {False: 20.0, True: 100.0}
@@ -84,13 +97,17 @@ class Path:
     """No service is left."""
     fault: Fault | None = None
     """The row whose steps bring it about; None: it is not done to processes."""
+    arm: ArmFault | None = None
+    """The row of the arm's faults; None: the wheels turn."""
 
     def reaction_bar_ms(self, *, simulated: bool) -> float:
         """The written stop may take this long."""
         return self.reaction_ms + SLACK_MS[simulated]
 
     def rest_bar_s(self, velocity: Velocity) -> float:
-        """From the cause to wheels at rest."""
+        """From the cause to wheels, or a joint, at rest."""
+        if self.arm:
+            return self.arm.bar_ms / 1000 + ARM_RESOLUTION_S
         if measured := MEASURED_S.get(self.kind):
             return measured[VELOCITIES.index(velocity)] + RESOLUTION_S
         return self.reaction_ms / 1000 + velocity.coast_s + RESOLUTION_S
@@ -127,19 +144,40 @@ PATHS = (
     Path("service-stop", END, "the service is stopped (SIGTERM)", _bar("service-stopped"), ends=True),
 )
 
+
+def _moving(row: ArmFault) -> Path:
+    """The path of a row of the arm's faults: who stops is asked for what its wheels' row asks for."""
+    latched: tuple[Wanted, ...] = (
+        ((row.latched, row.process) if row.process else (row.latched,),) if row.latched else ()
+    )
+    if row.what == arm.REQUEST:
+        latched = BY_PATH["stop-request"].latched
+    reaction_ms = row.bar_ms - arm.BY_ITSELF_MS + STOP_MS
+    return Path(row.name, ARM, row.cause, reaction_ms, row.process, latched, arm=row)
+
+
 QUICK = (DEADMAN, "stop-request", SCAN, "kill-port_owner", "kill-supervisor", "hang-gate", "hang-port_owner")
 """Each at one velocity in turn, and the service's end."""
 QUICK_NAMES = (*QUICK, "service-stop")
 
 BY_PATH = {path.name: path for path in PATHS}
 BY_VELOCITY = {velocity.name: velocity for velocity in VELOCITIES}
+ARM_PATHS = tuple(_moving(row) for row in arm.ROWS if row.what != arm.UNPLUG)
+"""Taken once each on a robot with an arm, while one of its joints swings."""
+ARM_QUICK = ("arm-kill-gate", "arm-client-killed", "arm-stop-request")
+BY_ARM_PATH = {path.name: path for path in ARM_PATHS}
 
 
-def plan(*, quick: bool, only: tuple[str, ...] = (), at: tuple[str, ...] = ()) -> list[tuple[Path, Velocity]]:
-    """What to run, in order: every path at every velocity, or each once. `only` and `at` are names of the tables."""
+def plan(
+    *, quick: bool, only: tuple[str, ...] = (), at: tuple[str, ...] = (), has_arm: bool = False
+) -> list[tuple[Path, Velocity]]:
+    """What to run, in order: every path at every velocity, or each once. `only` and `at` are names of the tables;
+    `has_arm`: the arm's too, but for a plan of velocities."""
     velocities = [velocity for velocity in VELOCITIES if not at or velocity.name in at]
     names = only or (QUICK_NAMES if quick else tuple(BY_PATH))
     paths = [path for path in PATHS if path.name in names]
+    moving = only or (() if at else ARM_QUICK if quick else tuple(BY_ARM_PATH))
+    swings = [(path, SWINGING) for path in ARM_PATHS if has_arm and path.name in moving]
     if quick:
-        return [(path, velocities[number % len(velocities)]) for number, path in enumerate(paths)]
-    return [(path, velocity) for velocity in velocities for path in paths]
+        return [(path, velocities[number % len(velocities)]) for number, path in enumerate(paths)] + swings
+    return [(path, velocity) for velocity in velocities for path in paths] + swings

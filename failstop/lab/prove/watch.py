@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+from struct import Struct
 
 from failstop.api.client import attach
-from failstop.board import decoder, framing
+from failstop.board import decoder, framing, servos
 from failstop.board.interface import BOARD
 from failstop.board.port import PortError, open_port
 from failstop.doctor.tap import Tap
@@ -22,6 +23,20 @@ from failstop.shm.words import Word
 
 WRITERS = (layout.PORT_OWNER, layout.SUPERVISOR, layout.STOPPER)
 ASK_EVERY_NS = 100_000_000
+
+
+_COMMAND_AT = 4
+_ID_POSITION = Struct("<BH")
+Move = tuple[int, int, int, int]
+"""(when it was made, servo, where to, ns that it takes)."""
+Reading = tuple[int, int, int]
+"""(when its answer was read, servo, where it is)."""
+
+
+def moves(t_ns: int, data: bytes) -> list[Move]:
+    """The moves of one frame's data."""
+    took_ns = int.from_bytes(data[1:3], "little") * 1_000_000
+    return [(t_ns, servo, position, took_ns) for servo, position in _ID_POSITION.iter_unpack(data[4:])]
 
 
 class Watch:
@@ -47,6 +62,10 @@ class Watch:
         """When the gate handed a stop of its own to the port owner."""
         self.buttons: list[tuple[int, int]] = []
         """(when, which) of every gamepad frame with a button pressed."""
+        self.moves: list[Move] = []
+        """Every move of a servo that the gate handed to the port owner."""
+        self.readings: list[Reading] = []
+        """Every answer of a servo about where it is."""
 
     def attach(self, name: str) -> None:
         """Follow the run of this name. Raises FailstopError."""
@@ -82,7 +101,7 @@ class Watch:
 
     def forget(self) -> None:
         """Begin anew; what lies ahead is kept in order."""
-        for found in (self.samples, self.answers, self.written, self.zeros, self.buttons):
+        for found in (self.samples, self.answers, self.written, self.zeros, self.buttons, self.moves, self.readings):
             found.clear()
 
     def look(self, now_ns: int) -> None:
@@ -95,6 +114,8 @@ class Watch:
             _, kind, body = records.unpack_frame(entry[2])
             if kind == records.STOP or (kind == records.MOTION and body == BOARD.stop):
                 self.zeros.append(entry[1])
+            elif kind == records.ARM and body[_COMMAND_AT] == servos.MOVE:
+                self.moves += moves(entry[1], body[_COMMAND_AT:-1])
         while self._received and (entry := self._received.next()):
             for func, data in self._decoder.feed(entry[2]):
                 self._take(entry[1], func, data)
@@ -119,6 +140,9 @@ class Watch:
         elif func == framing.GAMEPAD and (pad := decoder.gamepad(data)):
             if pad[0]:
                 self.buttons.append((t_ns, pad[0]))
+        elif func == framing.BUS_SERVO and (reply := decoder.servo_reply(func, data)):
+            if reply[1] == servos.POSITION and reply[2]:  # 0 is what a late answer makes of the next (docs/arm.md)
+                self.readings.append((t_ns, reply[0], reply[2]))
         elif (index := BOARD.pong(func, data)) is not None:
             asked_ns = self._asked.get(index, 0) if self._tap else self._pings[index].get()
             if 0 < asked_ns <= t_ns:

@@ -14,9 +14,9 @@ from failstop.policy.settings import Settings
 from failstop.procs.handover import Control
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
-from failstop.supervisor import sharing
+from failstop.supervisor import port_handover
 from failstop.supervisor.main import ALONE_EVERY_NS
-from failstop.supervisor.sharing import SHARE_NS
+from failstop.supervisor.port_handover import SHARE_NS
 from tests.support.supervisor_scene import MS, Scene
 
 NOBODY = 2**31 - 1
@@ -28,13 +28,13 @@ class Three(Scene):
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)
-        monkeypatch.setattr(sharing, "monotonic_ns", lambda: self.now_ns)
+        monkeypatch.setattr(port_handover, "monotonic_ns", lambda: self.now_ns)
         self._held = [os.dup(self.port.fd)]  # else the board's side of a pty reads an error
         self.path = directory / "board"
-        self.sharing = self.supervisor.sharing
-        self.sharing.opener.finder._path = self.sharing.opener.finder.at = str(self.path)
+        self.handover = self.supervisor.handover
+        self.handover.opener.finder._path = self.handover.opener.finder.at = str(self.path)
         self.stopper = segment.attach(self.resources.memory, layout.STOPPER, write=True)
-        self.supervisor.family[layout.STOPPER].pid = NOBODY
+        self.supervisor.processes[layout.STOPPER].pid = NOBODY
         self.stopper.word("beat_pid").set(NOBODY)
         self.stopper.word("beat_state").set(RUNNING)
         self.ends = {name: Control(os.dup(self.resources.controls[name][1])) for name in OTHERS}
@@ -78,13 +78,13 @@ class Three(Scene):
         self._held += [master, slave]
         os.set_blocking(master, False)
         self.path.symlink_to(os.ttyname(slave))
-        assert self.sharing.opener._asked.acquire(False), "it is looked for"
-        assert self.sharing.opener.attempt()
+        assert self.handover.opener._asked.acquire(False), "it is looked for"
+        assert self.handover.opener.attempt()
         return master
 
     def waits_for_its_restart(self) -> None:
         """The port owner has died."""
-        child = self.supervisor.family[layout.PORT_OWNER]
+        child = self.supervisor.processes[layout.PORT_OWNER]
         child.pid = 0
         child.restart.set(self.now_ns + 10**12)
 
@@ -112,14 +112,14 @@ def wrote(master: int) -> bytes:
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_complete_only_with_everybody_s_own_descriptor_of_this_very_port(three: Three, name: str) -> None:
-    assert three.sharing.complete()
+    assert three.handover.complete()
     for number in (0, 2):
         three.has(name, number)
-        assert not three.sharing.complete()
+        assert not three.handover.complete()
     three.has(name, 1)
-    assert three.sharing.complete()
+    assert three.handover.complete()
     three.record(records.PORT_LOST)
-    assert not three.sharing.complete()
+    assert not three.handover.complete()
 
 
 def test_a_port_that_is_back_is_stopped_before_the_supervisor_turns(three: Three) -> None:
@@ -151,7 +151,7 @@ def test_and_sent_to_each_until_it_has_it(three: Three, name: str) -> None:
     three.has(name, 2)
     three.turn(SHARE_NS)
     assert (three.received(name), three.received(other)) == ([], [])
-    assert three.sharing.complete()
+    assert three.handover.complete()
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -245,5 +245,5 @@ def test_a_port_that_has_gone_again_before_anybody_heard_of_it_is_lost_again(thr
 
 def test_the_settings_name_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(tmp_path, monkeypatch)
-    assert scene.supervisor.sharing.opener.finder.at == Settings().text("device.path")
+    assert scene.supervisor.handover.opener.finder.at == Settings().text("device.path")
     scene.close()

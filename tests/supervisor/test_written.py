@@ -7,8 +7,8 @@ import itertools
 import pytest
 
 from failstop.shm import layout
-from failstop.supervisor.answer import SOONER_NS, answer
 from failstop.supervisor.stops import Stop
+from failstop.supervisor.written import SOONER_NS, who_wrote
 from tests.support.why import why
 
 T = 10**12
@@ -53,7 +53,7 @@ def test_table(
     told: tuple[str, int] | None,
 ) -> None:
     cause = Stop(T, noticed_by, why("x"), written_ns)
-    assert answer(cause, answered=answered, may_answer=may_answer, port_owner_ns=port_owner_ns) == told
+    assert who_wrote(cause, answered=answered, may_answer=may_answer, port_owner_ns=port_owner_ns) == told
 
 
 def test_a_time_is_told_with_who_wrote_then() -> None:
@@ -61,7 +61,7 @@ def test_a_time_is_told_with_who_wrote_then() -> None:
     times = (0, T - SOONER_NS - 1, T + 1)
     for by, answered, may, port_owner_ns in itertools.product((OWN, OTHER), (True, False), (True, False), times):
         for written_ns in (0, WRITTEN):
-            told = answer(
+            told = who_wrote(
                 Stop(T, by, why("x"), written_ns), answered=answered, may_answer=may, port_owner_ns=port_owner_ns
             )
             if told and told[1]:

@@ -1,4 +1,4 @@
-"""Family: the supervisor's children - starting them, naming them to those who watch them, burying and restarting."""
+"""ProcessTable: starts the supervisor's children, names them to those who watch them, reaps and restarts them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ GATE_AGAIN_NS = 60_000_000_000
 """A gate that died too often is tried again: it is the one that hears a reset."""
 
 
-class Family:
+class ProcessTable:
     """Every process of the table as it is now. The early news of their deaths ring `early.bell`."""
 
     def __init__(
@@ -64,18 +64,18 @@ class Family:
     def __getitem__(self, name: str) -> Child:
         return self._by_name[name]
 
-    def fallen(self, ready: dict[int, int]) -> list[Child]:
+    def died(self, ready: dict[int, int]) -> list[Child]:
         """Those whose death this wake-up, or the early news before it, tells; each once."""
-        return [child for child in self.children if child.life and not child.fallen and child.life.down(ready)]
+        return [child for child in self.children if child.life and not child.dead and child.life.died(ready)]
 
-    def bury(self, ready: dict[int, int], now_ns: int) -> None:
+    def reap(self, ready: dict[int, int], now_ns: int) -> None:
         """Collect the processes that have died, and plan their restarts."""
         for child in self.children:
             if child.life and child.life.fd in ready:
                 child.ended = True
                 self._loop.forget(child.life.fd)  # it stays readable, however long it takes to be collected
             pid = child.pid
-            if child.ended and (death := child.buried()):
+            if child.ended and (death := child.reap()):
                 self._tell_death(child, pid, death)
                 self._plan_restart(child, now_ns)
 

@@ -1,4 +1,4 @@
-"""Sharing: the port's descriptors of supervisor, port owner and stopper, which are one port or none.
+"""PortHandover: the port's descriptors of supervisor, port owner and stopper, which are one port or none.
 
 The supervisor alone opens a port and numbers it; the others inherit it, or are sent it. All let it go at once when it
 has gone.
@@ -19,24 +19,24 @@ if TYPE_CHECKING:
     from failstop.procs.loop import Loop
     from failstop.shm.segment import Segment
     from failstop.supervisor.events import Events
-    from failstop.supervisor.family import Family
     from failstop.supervisor.port import OwnPort
+    from failstop.supervisor.process_table import ProcessTable
     from failstop.supervisor.resources import Resources
 
 SHARE_NS = 100_000_000
 """How often a process is sent the port until it has it."""
 
 
-class Sharing:
+class PortHandover:
     """The supervisor's part of it; `controls`: its ends of the control sockets."""
 
     __slots__ = (
         "_bell",
         "_events",
-        "_family",
         "_loop",
         "_lost_ns",
         "_port",
+        "_processes",
         "_record",
         "_shared_ns",
         "_stopper_port",
@@ -51,7 +51,7 @@ class Sharing:
         resources: Resources,
         views: dict[str, Segment],
         loop: Loop,
-        family: Family,
+        processes: ProcessTable,
         events: Events,
     ) -> None:
         """`path`: where a lost port is looked for first."""
@@ -60,7 +60,7 @@ class Sharing:
         finder.learn(port.fd)
         self.opener = Opener(finder, resources.bells[layout.SUPERVISOR])
         self._loop = loop
-        self._family = family
+        self._processes = processes
         self._events = events
         self._bell = resources.bells[layout.STOPPER]
         self._record = views[layout.PORT_OWNER].latest_reader("port")
@@ -102,13 +102,15 @@ class Sharing:
     def make_up(self, now_ns: int) -> None:
         """A descriptor is lost on its way to a process that has no free number for it: it is sent again."""
         if self._port.fd >= 0 and now_ns - self._shared_ns >= SHARE_NS:
-            self._share([name for name in self.controls if not self.has(name) and self._family[name].running()], now_ns)
+            self._share(
+                [name for name in self.controls if not self.has(name) and self._processes[name].running()], now_ns
+            )
 
     def _share(self, names: list[str], now_ns: int) -> None:
         """One that is still to be started inherits it, and one in its queue would stay open."""
         for name in names:
             self._shared_ns = now_ns
-            if self._family[name].pid:
+            if self._processes[name].pid:
                 self.controls[name].send(self._port.fd, self._port.number, self.opener.finder.at)
 
     def _port_owner_s(self) -> int:

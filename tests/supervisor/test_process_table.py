@@ -1,4 +1,4 @@
-"""The family when the machine is short of something: no process that nobody watches, and it is tried again."""
+"""The processes when the machine is short of something: no process that nobody watches, and it is tried again."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS
 from failstop.shm.lifeline import EarlyNews, Lifeline
 from failstop.supervisor import children
-from failstop.supervisor.family import TRY_AGAIN_NS
+from failstop.supervisor.process_table import TRY_AGAIN_NS
 from failstop.supervisor.starter import Starter
 from tests.support.supervisor_scene import Scene
 
@@ -39,12 +39,12 @@ def test_a_process_that_can_not_be_watched_is_not_left_running(scene: Scene, mon
     def no_descriptor(_pid: int) -> None:
         raise OSError(24, "Too many open files")
 
-    family = scene.supervisor.family
+    processes = scene.supervisor.processes
     monkeypatch.setattr(Starter, "start", start)
     monkeypatch.setattr(children, "Lifeline", no_descriptor)
-    gate = family[layout.GATE]
+    gate = processes[layout.GATE]
     before_ns = time.monotonic_ns()
-    family.start(gate, scene.port)
+    processes.start(gate, scene.port)
     (pid,) = started
     assert not os.path.exists(f"/proc/{pid}")
     assert (gate.pid, gate.life, gate.state()) == (0, None, "waiting")
@@ -58,18 +58,18 @@ def test_a_process_that_can_not_be_watched_is_not_left_running(scene: Scene, mon
 
 def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene) -> None:
     """As while a debugger holds the dead process; here it has not even died, and its pidfd is said to be ready."""
-    family = scene.supervisor.family
-    gate = family[layout.GATE]
+    processes = scene.supervisor.processes
+    gate = processes[layout.GATE]
     pid = os.posix_spawnp("sleep", ["sleep", "120"], os.environ)
     gate.started(pid, 1, scene.now_ns)
     assert gate.life
     scene.supervisor.loop.watch(gate.life.fd, READ)
-    family.bury({gate.life.fd: READ}, scene.now_ns)
+    processes.reap({gate.life.fd: READ}, scene.now_ns)
     assert (gate.pid, gate.restart.ns) == (pid, NEVER)
     os.kill(pid, signal.SIGKILL)
     assert gate.life.wait(20.0)
     assert gate.life.fd not in scene.supervisor.loop.wait(0), "it would wake the supervisor without end"
-    family.bury({}, scene.now_ns)
+    processes.reap({}, scene.now_ns)
     assert (gate.pid, gate.life, gate.last_exit, gate.state()) == (0, None, "killed by SIGKILL", "waiting")
     scene.supervisor._events.flush()
     assert scene.events()[0]["text"] == f"gate (pid {pid}) was killed by SIGKILL"
@@ -77,16 +77,16 @@ def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene) -> 
 
 @pytest.mark.parametrize(("number", "told"), [(signal.SIGTERM, "SIGTERM"), (signal.SIGRTMIN + 2, "36")])
 def test_a_signal_is_told_by_its_name_where_it_has_one(scene: Scene, number: int, told: str) -> None:
-    gate = scene.supervisor.family[layout.GATE]
+    gate = scene.supervisor.processes[layout.GATE]
     gate.started(os.posix_spawnp("sleep", ["sleep", "120"], os.environ), 1, scene.now_ns)
     os.kill(gate.pid, number)
     assert gate.life
     assert gate.life.wait(20.0)
-    assert gate.buried() == gate.last_exit == f"killed by {told}"
+    assert gate.reap() == gate.last_exit == f"killed by {told}"
 
 
 def test_a_process_that_is_ended_is_collected(scene: Scene) -> None:
-    gate = scene.supervisor.family[layout.GATE]
+    gate = scene.supervisor.processes[layout.GATE]
     pid = os.posix_spawnp("sleep", ["sleep", "120"], os.environ)
     gate.started(pid, 1, scene.now_ns)
     gate.kill(20.0)
@@ -96,14 +96,14 @@ def test_a_process_that_is_ended_is_collected(scene: Scene) -> None:
 
 
 def test_no_process_is_given_the_futexes_of_one_that_lives_or_of_the_one_before(scene: Scene) -> None:
-    family = scene.supervisor.family
-    family[layout.PORT_OWNER].block = 3
-    found = [family._free_block() for _ in range(BLOCKS)]
+    processes = scene.supervisor.processes
+    processes[layout.PORT_OWNER].block = 3
+    found = [processes._free_block() for _ in range(BLOCKS)]
     assert found == [*(block for block in range(BLOCKS) if block not in (layout.SUPERVISOR_BLOCK, 3)), 1, 2]
 
 
 def test_a_process_that_starts_is_named_to_those_who_watch_it(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    family, gate = scene.supervisor.family, scene.supervisor.family[layout.GATE]
+    processes, gate = scene.supervisor.processes, scene.supervisor.processes[layout.GATE]
     told: list[tuple[str, int, int]] = []
 
     def start(_starter: Starter, row: Process, block: int, number: int, descriptors: dict[str, int]) -> int:
@@ -114,7 +114,7 @@ def test_a_process_that_starts_is_named_to_those_who_watch_it(scene: Scene, monk
     monkeypatch.setattr(Starter, "start", start)
     before_ns = time.monotonic_ns()
     scene.port.number = 55
-    family.start(gate, scene.port)
+    processes.start(gate, scene.port)
     assert told == [("gate", 1, 55)]
     assert (gate.block, gate.state(), gate.restart.ns) == (1, "starting", NEVER)
     assert before_ns <= gate.started_ns <= time.monotonic_ns()
@@ -129,7 +129,7 @@ def test_a_process_that_starts_is_named_to_those_who_watch_it(scene: Scene, monk
 
 
 def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    family, telemetry = scene.supervisor.family, scene.supervisor.family[layout.TELEMETRY]
+    processes, telemetry = scene.supervisor.processes, scene.supervisor.processes[layout.TELEMETRY]
     told: list[tuple[str, str, dict[str, object]]] = []
     for _ in range(5):
         pid = os.posix_spawnp("false", ["false"], os.environ)
@@ -138,7 +138,7 @@ def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monk
         assert telemetry.life.wait(20.0)
         telemetry.ended = True
         scene.supervisor.loop.watch(telemetry.life.fd, READ)
-        family.bury({}, scene.now_ns)
+        processes.reap({}, scene.now_ns)
         scene.supervisor._events.flush()
         died, then = ((event["kind"], event["text"], event["fields"]) for event in scene.events())
         how = {"process": "telemetry", "pid": pid, "how": "exited with code 1"}
@@ -153,15 +153,15 @@ def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monk
     text = f"telemetry died too often and is down, the wheels stopped; {todo}"
     assert told == [*restarts, ("down", text, {"process": "telemetry"})]
     assert (telemetry.down, telemetry.state(), telemetry.restart.ns) == (True, "down", NEVER)
-    family.recall(scene.now_ns)
+    processes.recall(scene.now_ns)
     assert (telemetry.state(), telemetry.restart.ns) == ("waiting", scene.now_ns)
 
 
 def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    family = scene.supervisor.family
-    gate, stopper = family[layout.GATE], family[layout.STOPPER]
+    processes = scene.supervisor.processes
+    gate, stopper = processes[layout.GATE], processes[layout.STOPPER]
     asked: list[tuple[int, int, int]] = []
 
     def arm(_news: EarlyNews, life: Lifeline, block: int, watcher: int) -> None:
@@ -172,17 +172,17 @@ def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
     monkeypatch.setattr(children.Child, "running", lambda child: child is gate)
     for child, block in ((gate, 5), (stopper, 6)):
         child.started(os.posix_spawnp("sleep", ["sleep", "120"], os.environ), block, scene.now_ns)
-    family.arm()
-    family.arm()
+    processes.arm()
+    processes.arm()
     assert asked == [(gate.pid, 5, 0)], "one that starts holds nothing yet"
     for child in (gate, stopper):
         child.kill(20.0)
 
 
 def test_every_restart_is_counted(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    family, gate = scene.supervisor.family, scene.supervisor.family[layout.GATE]
-    monkeypatch.setattr(type(family), "start", lambda _family, child, _port: child.restart.set(NEVER))
+    processes, gate = scene.supervisor.processes, scene.supervisor.processes[layout.GATE]
+    monkeypatch.setattr(type(processes), "start", lambda _processes, child, _port: child.restart.set(NEVER))
     for _ in range(3):
         gate.restart.set(scene.now_ns)
-        family.restart_due(-1, scene.now_ns)  # type: ignore[arg-type]
+        processes.restart_due(-1, scene.now_ns)  # type: ignore[arg-type]
     assert gate.times_restarted == 3

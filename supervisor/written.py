@@ -26,7 +26,7 @@ BY_PORT_OWNER = "port owner"
 BY_SUPERVISOR = "supervisor"
 
 
-def answer(stop: Stop, *, answered: bool, may_answer: bool, port_owner_ns: int) -> tuple[str, int] | None:
+def who_wrote(stop: Stop, *, answered: bool, may_answer: bool, port_owner_ns: int) -> tuple[str, int] | None:
     """Return (by whom, when in ns; 0: the supervisor is to write it now), or None to wait. `answered`: the port owner
     has; `may_answer`: it lives and has had little time; `port_owner_ns`: its last burst."""
     if may_answer and not answered:

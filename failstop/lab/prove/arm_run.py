@@ -1,0 +1,185 @@
+"""One stop path while the arm moves: a joint swings, the stop is brought about, and where it is read back says when it
+stood: how far it is from where it was told to be at the cause, by the rate of its swing.
+
+While it moves no servo is asked (it would hold the board's receiver), and after the stop it stands: so the time is read
+from the place. A servo that lags behind its goal stands earlier by that lag: what is judged is what it went on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import time
+
+from failstop.api.client import send_stop
+from failstop.api.errors import FailstopError, Refused
+from failstop.lab.faults import arm
+from failstop.lab.faults.fault import fits, told
+from failstop.lab.prove import swing
+from failstop.lab.prove.run import WHOLE_S, Result, judge_written
+from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.swing import Swing
+from failstop.lab.prove.table import Path, Velocity
+from failstop.lab.trial import TrialError
+from failstop.shm.layout import SUPERVISOR
+
+SWUNG_S = 10.0
+AFTER_S = 0.4
+"""Watched after a stop should have been, for one that comes late and for its answer."""
+STAYS_S = 0.4
+BEHIND_S = 0.4
+"""A joint that stands so much behind where it was told to be did not follow before."""
+STAYS = 6
+"""Pulses by which it may be read elsewhere later."""
+
+
+class ArmRun:
+    """From the middle of the swing to a whole service with nothing latched."""
+
+    def __init__(self, stand: Stand, path: Path, velocity: Velocity) -> None:
+        assert path.arm
+        self.stand = stand
+        self.path = path
+        self.fault = path.arm
+        self.result = Result(path, velocity, stand.board is not None)
+        self._swing: Swing | None = None
+        self._way = 1
+        self._program: subprocess.Popen[bytes] | None = None
+        self._struck = 0
+        self._cause_ns = 0
+
+    def take(self) -> Result:
+        """Do it. What can't be done, and what must not happen, is in the result."""
+        driver, result = self.stand.driver, self.result
+        driver.commands = driver.senses = driver.holds = False
+        try:
+            self._begin()
+            self._strike()
+            self.stand.run(self.path.reaction_bar_ms(simulated=result.simulated) / 1000 + AFTER_S, self._seen)
+            self._judge_stop()
+            self._recover()
+            self._read_back()
+        except (TrialError, FailstopError, OSError) as error:
+            result.wrong.append(f"{type(error).__name__}: {error}")
+            self._start_over()
+        finally:
+            self._end_program()
+        return result
+
+    def _begin(self) -> None:
+        """To a joint in mid-swing."""
+        stand = self.stand
+        stand.watch.forget()
+        self._reset()
+        stand.driver.robot.disable()
+        found = self._swing = stand.swing = stand.swing or swing.choose(
+            stand.driver.robot.arm, int(stand.settings["arm.base_servo"])
+        )
+        stand.driver.robot.arm.move({found.joint.name: found.middle_rad})
+        if stand.board:
+            stand.board.events()
+        self._program = found.begin(stand.name)
+        if not stand.run(SWUNG_S, lambda: found.struck_now(stand.watch.moves)):
+            raise TrialError(f"joint {found.joint.name} did not swing within {SWUNG_S:g} s")
+
+    def _strike(self) -> None:
+        fault, stand, program = self.fault, self.stand, self._program
+        assert program
+        pids = stand.look_up_pids()
+        number = signal.SIGKILL if fault.what in (arm.KILL, arm.CLIENT_KILL) else signal.SIGSTOP
+        self._cause_ns = time.monotonic_ns()
+        if fault.what == arm.REQUEST:
+            send_stop(stand.name, "prove")
+        else:
+            os.kill(pids[fault.process] if fault.process else program.pid, number)
+        self._struck = pids.get(fault.process, 0)
+
+    def _seen(self) -> bool:
+        """A service that has gone leaves the port to us, which asks the board; nothing ends this before its time."""
+        if self.fault.process == SUPERVISOR and self.fault.what == arm.KILL and self.stand.gone():
+            self.stand.watch.take_port()
+        return False
+
+    def _judge_stop(self) -> None:
+        found, watch, result = self._swing, self.stand.watch, self.result
+        assert found
+        result.arm = {"joint": found.joint.name, "rate_radps": round(found.rate_radps, 4)}
+        result.arm["told"], self._way = found.at(watch.moves, self._cause_ns)
+        judge_written(result, watch, self._cause_ns)
+        if self.stand.board:
+            after = [event for event in self.stand.board.events() if event.arrival_ns >= self._cause_ns]
+            stop = next((event for event in after if event.is_stop), None)
+            result.board_ms = None if stop is None else (stop.arrival_ns - self._cause_ns) / 1e6
+
+    def _recover(self) -> None:
+        """To a service that is whole; the program that moved the arm is gone by then."""
+        stand = self.stand
+        if self.fault.what == arm.HANG:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._struck, signal.SIGCONT)
+        self._end_program()
+        if self.fault.process == SUPERVISOR:
+            stand.bury()
+            stand.start()
+        stand.driver.until("the service to be whole again", stand.whole, WHOLE_S)
+        state = stand.driver.robot.state
+        self.result.latched = state.estop
+        wanted = self.path.latched
+        if not fits(state.cause, wanted) if wanted else state.cause:
+            self.result.wrong.append(f"latched: {state.estop}" + (f", not {told(wanted)}" if wanted else ""))
+        self._reset()
+
+    def _reset(self) -> None:
+        robot = self.stand.driver.robot
+
+        def reset() -> bool:
+            if robot.state.estop:
+                with contextlib.suppress(Refused):
+                    robot.reset()
+            return robot.state.estop is None
+
+        self.stand.driver.until("a reset", reset)
+
+    def _read_back(self) -> None:
+        """Where it stands, and that it stays there."""
+        result, found = self.result, self._swing
+        assert found
+        places = []
+        for wait_s in (0.0, STAYS_S):
+            self.stand.run(wait_s)
+            begun_ns = time.monotonic_ns()
+            self.stand.driver.robot.arm.read()
+            self.stand.look()
+            if (place := found.read(self.stand.watch.readings, begun_ns)) is None:
+                result.wrong.append(f"joint {found.joint.name}: where it is can't be read")
+                return
+            places.append(place)
+        assert result.arm is not None
+        result.arm["read"] = places[0]
+        result.rest_s = (places[0] - result.arm["told"]) * self._way / found.joint.speed
+        bar_s = self.path.rest_bar_s(result.velocity)
+        if result.rest_s > bar_s:
+            result.wrong.append(f"at rest after {result.rest_s:.2f} s, the bar is {bar_s:.2f}")
+        elif result.rest_s < -BEHIND_S:
+            result.wrong.append(f"it stands {-result.rest_s:.2f} s behind its goal: it did not follow before the stop")
+        if abs(places[1] - places[0]) > STAYS:
+            result.wrong.append(f"it stood at {places[0]:g}, and later at {places[1]:g}")
+
+    def _end_program(self) -> None:
+        if self._program:
+            self._program.kill()
+            self._program.wait()
+            self._program = None
+
+    def _start_over(self) -> None:
+        """Everything stopped by every means, then anew. An arm stands by itself when its last move ends."""
+        stand, result = self.stand, self.result
+        self._end_program()
+        if problem := stand.safe():
+            result.wrong.append(problem)
+        try:
+            stand.start()
+        except (TrialError, FailstopError, OSError) as error:
+            result.over = f"the service could not be started again: {error}"

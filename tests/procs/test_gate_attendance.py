@@ -1,0 +1,129 @@
+"""Motion needs an operator who is there: enabled only while one is, stopped by the lease's end and by leaving."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failstop.policy import causes
+from failstop.procs.gate.attendance import LEFT, NOBODY, Attendance
+from failstop.procs.gate.stamps import AHEAD_NS
+from tests.procs.gate_bench import MS, T0, Gate
+from tests.support.why import told
+
+LEASE = 1000 * MS
+
+
+def attended() -> Gate:
+    """A gate that needs an operator, and has one since now."""
+    gate = Gate(attend__required="on")  # type: ignore[arg-type]
+    gate.core.attendance.hear(1, "Anna", gate.now, gate.now)
+    return gate
+
+
+def gone(gate: Gate) -> causes.Cause | None:
+    return gate.core.attendance.gone(gate.now)
+
+
+def test_it_is_off_by_default() -> None:
+    gate = Gate()
+    gate.enable()
+    assert gone(gate) is None
+
+
+def test_nobody_attends() -> None:
+    gate = Gate(attend__required="on")  # type: ignore[arg-type]
+    assert told(gate.core.enable(1, "", gate.now)) == (False, NOBODY)
+
+
+def test_somebody_attends_until_the_lease_ends() -> None:
+    gate = attended()
+    gate.enable()
+    gate.now += LEASE
+    assert gone(gate) is None
+    gate.now += 1
+    found = gone(gate)
+    assert found == causes.OPERATOR_GONE("Anna", "was not heard for 1000 ms")
+    assert str(found) == "operator gone: Anna, was not heard for 1000 ms"
+    assert told(gate.core.enable(1, "", gate.now)) == (False, NOBODY)
+
+
+def test_leaving_counts_at_once() -> None:
+    gate = attended()
+    gate.enable()
+    gate.core.attendance.leave(1)
+    assert gone(gate) == causes.OPERATOR_GONE("Anna", LEFT)
+
+
+def test_the_last_of_several_counts() -> None:
+    gate = attended()
+    gate.core.attendance.hear(2, "Bert", gate.now, gate.now)
+    gate.enable()
+    gate.core.attendance.leave(1)
+    assert gone(gate) is None
+    gate.core.attendance.leave(2)
+    assert gone(gate) == causes.OPERATOR_GONE("Bert", LEFT)
+
+
+def test_what_lies_in_a_slot_of_somebody_who_is_gone_names_nobody() -> None:
+    """The gate reads the same record at every tick."""
+    gate = attended()
+    gate.now += 2 * LEASE
+    assert gone(gate) == causes.OPERATOR_GONE("Anna", "was not heard for 2000 ms")
+    gate.core.attendance.hear(2, "Bert", gate.now, gate.now)
+    gate.core.attendance.leave(2)
+    gate.core.attendance.hear(1, "Anna", T0, gate.now)
+    assert gone(gate) == causes.OPERATOR_GONE("Bert", LEFT)
+
+
+def test_an_old_proof_renews_nothing() -> None:
+    """Of what a network held back for 5 s, nothing counts; and no proof takes a newer one back."""
+    gate = attended()
+    gate.now += 5 * LEASE
+    for age in range(50, 10, -1):
+        gate.core.attendance.hear(1, "Anna", gate.now - age * 100 * MS, gate.now)
+    assert gone(gate) is not None
+    gate.core.attendance.hear(1, "Anna", gate.now, gate.now)
+    gate.core.attendance.hear(1, "Anna", gate.now - 900 * MS, gate.now)
+    gate.now += LEASE
+    assert gone(gate) is None
+
+
+def test_a_stamp_from_the_future_is_none() -> None:
+    gate = Gate(attend__required="on")  # type: ignore[arg-type]
+    gate.core.attendance.hear(1, "Anna", gate.now + AHEAD_NS + 1, gate.now)
+    assert gone(gate) is not None
+    gate.core.attendance.hear(1, "Anna", gate.now + AHEAD_NS, gate.now)
+    assert gone(gate) is None
+    gate.now += LEASE + 1
+    assert gone(gate) is not None, "and it counts from when it was heard"
+
+
+def test_the_gate_wakes_when_the_lease_ends() -> None:
+    gate = attended()
+    gate.enable()
+    gate.take((0.2, 0.0, 0.0))
+    assert gate.core.due_ns(gate.now) == gate.now + 300 * MS + 1  # the command's end comes first
+    gate.now += 900 * MS
+    gate.take((0.2, 0.0, 0.0))
+    assert gate.core.due_ns(gate.now) == T0 + LEASE + 1
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 400), st.integers(0, 3000), st.booleans()), max_size=60))
+def test_never_longer_than_the_lease_after_the_newest_proof(steps: list[tuple[int, int, int, bool]]) -> None:
+    """Whatever comes, in whatever order and however late: it is attended exactly while some session that has not left
+    has proven a moment no older than the lease."""
+    attendance = Attendance(LEASE, on=True)
+    now = T0
+    proven: dict[int, int] = {}
+    for session, elapsed_ms, age_ms, leaves in steps:
+        now += elapsed_ms * MS
+        if leaves:
+            attendance.leave(session)
+            proven.pop(session, None)
+        else:
+            attendance.hear(session, str(session), now - age_ms * MS, now)
+            proven[session] = max(proven.get(session, 0), now - age_ms * MS)
+        there = {str(each) for each, at in proven.items() if now - at <= LEASE}
+        assert set(attendance.names(now)) == there
+        assert (attendance.gone(now) is None) == bool(there)

@@ -1,0 +1,188 @@
+"""The arm on the stand: when it stood, by where it is read to be; and what does not stand, or did not follow, fails."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.board.servos import bus_servo_move
+from failstop.lab.faults.arm import ROWS, UNPLUG
+from failstop.lab.prove import arm_run
+from failstop.lab.prove.arm_run import ArmRun
+from failstop.lab.prove.run import Result
+from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.swing import Swing
+from failstop.lab.prove.table import ARM_PATHS, BY_ARM_PATH, SWINGING, plan
+from failstop.lab.prove.watch import Move, moves
+from failstop.lab.sim.client import SimBoard
+from failstop.policy.settings import Settings
+from failstop.procs.gate.arm.joints import PULSES_PER_RAD, from_settings
+from tests.support.arm_settings import ARM
+from tests.support.commands import failstop
+
+MS = 1_000_000
+PERIOD_NS = 40 * MS
+BASE = from_settings(Settings(ARM))[0]
+SWING = Swing(BASE, 0.0, 0.5)
+SETTINGS = {**ARM, "interlocks.dock.timeout_s": 0.3}
+STEP = PULSES_PER_RAD * 0.04
+
+
+@pytest.fixture
+def stand(tmp_path: Path) -> Iterator[Stand]:
+    with SimBoard(tmp_path / "board") as board, Stand(board.link, SETTINGS, str(tmp_path), board) as made:
+        yield made
+
+
+def one(stand: Stand, name: str) -> Result:
+    return ArmRun(stand, BY_ARM_PATH[name], SWINGING).take()
+
+
+@pytest.mark.slow
+def test_what_is_read_back_is_when_it_stood(stand: Stand) -> None:
+    result = one(stand, "arm-stop-request")
+    assert result.verdict == "PASS", result.wrong
+    assert result.arm is not None
+    assert (result.arm["joint"], result.arm["rate_radps"]) == ("base", 1.0)
+    assert result.rest_s == pytest.approx(0.0, abs=0.06)
+    result = one(stand, "arm-hang-stopper")
+    assert result.verdict == "PASS", result.wrong
+    assert result.rest_s is not None
+    # It was followed on until the stopper was fenced, at some 0.25 s.
+    assert 0.15 < result.rest_s < 0.35
+    assert stand.whole()
+    assert not stand.driver.robot.state.estop
+
+
+@pytest.mark.slow
+def test_what_enabling_asks_for_is_asserted_all_the_way_to_the_drive_pose(stand: Stand) -> None:
+    begun_s = time.monotonic()
+    stand.driver.enable()
+    assert time.monotonic() - begun_s > 2 * SETTINGS["interlocks.dock.timeout_s"]  # type: ignore[operator]
+    assert stand.driver.robot.state.enabled
+
+
+@pytest.mark.slow
+def test_a_stop_that_is_not_made_fails(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("failstop.lab.prove.arm_run.send_stop", lambda *_: None)
+    result = one(stand, "arm-stop-request")
+    assert result.verdict == "FAIL"
+    assert result.rest_s is not None
+    assert result.rest_s > 0.4
+    assert "NO STOP written" in result.wrong
+    assert any(wrong.startswith("at rest after 0.") for wrong in result.wrong)
+    assert any(wrong.startswith("latched: None, not") for wrong in result.wrong)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("by_hand", "wrong"),
+    [(1000, "at rest after"), (0, "it did not follow before the stop")],
+)
+def test_a_joint_that_stands_elsewhere_fails(
+    stand: Stand, monkeypatch: pytest.MonkeyPatch, by_hand: int, wrong: str
+) -> None:
+    """Whichever way it was going: as far beyond as there is, or behind."""
+    read_back = ArmRun._read_back
+
+    def moved(run: ArmRun) -> None:
+        assert stand.board
+        stand.board.servo(BASE.servo, position=by_hand if run._way > 0 else 1000 - by_hand)
+        read_back(run)
+
+    monkeypatch.setattr(ArmRun, "_read_back", moved)
+    result = one(stand, "arm-stop-request")
+    assert [wrong in found for found in result.wrong] == [True], result.wrong
+
+
+@pytest.mark.slow
+def test_a_joint_that_goes_on_after_the_read_back_fails(stand: Stand) -> None:
+    board = stand.board
+    assert board
+    run = stand.run
+
+    def later(seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        if seconds == arm_run.STAYS_S:
+            board.servo(BASE.servo, position=400)
+        return run(seconds, until)
+
+    stand.run = later  # type: ignore[method-assign]
+    result = one(stand, "arm-stop-request")
+    assert any(found.startswith("it stood at ") for found in result.wrong), result.wrong
+
+
+def test_a_robot_without_an_arm_has_no_such_paths() -> None:
+    done = failstop("prove", "--sim", "--only", "arm-kill-gate")
+    assert done.returncode == 1
+    assert "the settings name no joints" in done.stderr
+
+
+def test_plans() -> None:
+    assert len(ARM_PATHS) == len(BY_ARM_PATH) == sum(row.what != UNPLUG for row in ROWS)
+    whole = [path for path, _ in plan(quick=False, has_arm=True) if path.arm]
+    assert whole == list(ARM_PATHS)
+    assert not [path for path, _ in plan(quick=False) if path.arm]
+    assert not [path for path, _ in plan(quick=False, at=("0.2",), has_arm=True) if path.arm]
+    assert plan(quick=True, only=("arm-kill-gate",), has_arm=True) == [(BY_ARM_PATH["arm-kill-gate"], SWINGING)]
+    assert [path.name for path, _ in plan(quick=True, has_arm=True) if path.arm] == [
+        "arm-kill-gate",
+        "arm-client-killed",
+        "arm-stop-request",
+    ]
+
+
+def test_every_bar_is_its_row_s_and_what_reading_adds() -> None:
+    for path in ARM_PATHS:
+        assert path.arm
+        assert 0 < path.reaction_bar_ms(simulated=False) < path.arm.bar_ms
+        assert path.rest_bar_s(SWINGING) == pytest.approx(path.arm.bar_ms / 1000 + 0.03)
+
+
+def track(*positions: float) -> list[Move]:
+    return [
+        (index * PERIOD_NS, servo, round(position), PERIOD_NS)
+        for index, position in enumerate(positions)
+        for servo in (BASE.servo, 2)
+    ]
+
+
+def test_a_frame_s_moves() -> None:
+    data = bus_servo_move([(1, 500), (2, 600)], 40)[4:-1]
+    assert [(servo, position) for _, servo, position, _ in moves(7, data)] == [(1, 500), (2, 600)]
+    assert moves(7, data)[0][0] == 7
+    assert 40 * MS <= moves(7, data)[0][3] <= 60 * MS
+
+
+def test_where_it_was_told_to_be_is_on_the_way_of_the_move_in_force() -> None:
+    found = track(400, 410, 420)
+    assert SWING.at(found, 2 * PERIOD_NS) == (410, 1)
+    assert SWING.at(found, 2 * PERIOD_NS + PERIOD_NS // 4) == (412.5, 1)
+    assert SWING.at(found, 9 * PERIOD_NS) == (420, 1)
+    assert SWING.at(track(420, 410, 400), 2 * PERIOD_NS + PERIOD_NS // 2) == (405, -1)
+
+
+@pytest.mark.parametrize(
+    ("positions", "good"),
+    [
+        ([440 - STEP, 440, 440 + STEP], True),
+        ([560 + STEP, 560, 560 - STEP], True),
+        ([440, 440 + STEP], False),
+        ([440, 445, 450], False),
+        ([440, 440 + STEP, 440], False),
+        ([540 - STEP, 540, 540 + STEP], False),
+        ([385 - 2 * STEP, 385 - STEP, 385], False),
+    ],
+    ids=["up", "down", "too few", "not at speed", "turning", "past the middle", "just turned"],
+)
+def test_the_moment_is_one_of_steady_motion_with_a_way_ahead(positions: list[float], good: bool) -> None:
+    assert SWING.struck_now(track(*positions)) is good
+
+
+def test_a_place_is_two_readings_that_agree_since_then() -> None:
+    assert SWING.read([(1, 1, 500), (2, 1, 502)], 1) == 501
+    assert SWING.read([(1, 1, 500), (2, 2, 700), (3, 1, 502)], 1) == 501
+    assert SWING.read([(1, 1, 500), (2, 1, 520)], 1) is None
+    assert SWING.read([(1, 1, 500), (2, 1, 500)], 2) is None

@@ -1,0 +1,245 @@
+"""A robot that moves only while an operator is there: the board says when the wheels stood. Times are the robot's."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from failstop.api.errors import Refused
+from failstop.api.robot import Robot
+from failstop.lab.trial import Trial, judge, wait_for
+from tests.web.parts import Web
+from tests.web.viewer import Viewer
+
+LEASE_S = 0.5
+SETTINGS = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n[web]\npairing = "on"\n'
+LATE_S = 0.02
+"""After the lease's end."""
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("attended") / "attended.toml"
+    path.write_text(SETTINGS)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def trial(settings: str) -> Iterator[Trial]:
+    """A service that needs an operator."""
+    with Trial(f"attended-{os.getpid()}", ("--config", settings)) as running:
+        yield running
+
+
+@pytest.fixture
+def web(trial: Trial, settings: str) -> Iterator[Web]:
+    with Web(trial.name, "--config", settings, state=trial.state) as running:
+        yield running
+
+
+@contextlib.contextmanager
+def driven(trial: Trial) -> Iterator[None]:
+    """Somebody commands all the time."""
+    ended = threading.Event()
+
+    def drive() -> None:
+        with Robot(trial.name, client="driver") as robot:
+            while not ended.wait(0.02):
+                with contextlib.suppress(Exception):
+                    robot.sensed()
+                    robot.drive(0.2, 0.0, 0.0)
+
+    thread = threading.Thread(target=drive)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def enabled(trial: Trial) -> None:
+    """As soon as somebody attends."""
+
+    def enable() -> bool:
+        with contextlib.suppress(Refused):
+            trial.enable()
+            return True
+        return False
+
+    wait_for("motion to be enabled", enable)
+
+
+def stopped(trial: Trial, since_ns: int, reason: str) -> float:
+    """Seconds from a moment to the stop, by the board's word."""
+    wait_for("the stop", lambda: trial.robot.state.estop, 5)
+    assert reason in str(trial.robot.state.estop)
+    seen = judge(trial.board.events(), since_ns, was_moving=True)
+    assert seen.stop_ns is not None
+    assert seen.motion_after == 0
+    return seen.stop_ns / 1e9
+
+
+def test_nobody_attends_and_nothing_is_enabled(trial: Trial) -> None:
+    with pytest.raises(Refused, match="nobody attends"):
+        trial.enable()
+    assert trial.robot.state.attended_by == []
+
+
+def test_a_program_attends_and_leaves(trial: Trial) -> None:
+    with driven(trial), trial.robot.attend("Anna") as attendance:
+        attendance.renew()
+        enabled(trial)
+        for _ in range(10):
+            attendance.renew()
+            time.sleep(0.05)
+        assert trial.moving()
+        assert trial.robot.state.attended_by == ["Anna"]
+        trial.board.events()
+        left_ns = time.monotonic_ns()
+        attendance.give_up()
+        assert stopped(trial, left_ns, "operator gone: Anna, left") < LATE_S + 0.02
+
+
+def test_a_program_that_stops_renewing(trial: Trial) -> None:
+    with driven(trial), Robot(trial.name) as other:
+        attendance = other.attend("Anna")
+        attendance.renew()
+        enabled(trial)
+        wait_for("motion", lambda: attendance.renew() or trial.moving())
+        trial.board.events()
+        attendance.renew()
+        last_ns = time.monotonic_ns()
+        took_s = stopped(trial, last_ns, "operator gone: Anna, was not heard for")
+        assert LEASE_S - 0.005 < took_s < LEASE_S + LATE_S
+
+
+def test_a_client_that_is_killed_has_left(trial: Trial) -> None:
+    """Its claim ends, and with it the attendance: the lease is not waited for."""
+    reading, writing = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        with Robot(trial.name, client="short") as robot:
+            attendance = robot.attend("Bert")
+            while True:
+                attendance.renew()
+                os.write(writing, b".")
+                time.sleep(0.05)
+    os.read(reading, 1)
+    with driven(trial):
+        enabled(trial)
+        wait_for("motion", trial.moving)
+        trial.board.events()
+        killed_ns = time.monotonic_ns()
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        assert stopped(trial, killed_ns, "operator gone: Bert, left") < LEASE_S / 2
+    os.close(reading)
+    os.close(writing)
+
+
+def moving(trial: Trial, viewer: Viewer) -> None:
+    """The page's operator attends, and the robot drives."""
+    viewer.attend()
+    viewer.stay(0.2)
+    enabled(trial)
+    viewer.stay(0.4)
+    assert trial.moving()
+    trial.board.events()
+
+
+Ends = Callable[[Web, Viewer], None]
+SUDDEN: list[tuple[str, Ends]] = [
+    ("leaves", lambda web, viewer: viewer.send(attend=False)),
+    ("closes", lambda web, viewer: viewer.connection.close()),
+    ("page-killed", lambda web, viewer: os.kill(web.process.pid, signal.SIGKILL)),
+    ("page-ended", lambda web, viewer: os.kill(web.process.pid, signal.SIGTERM)),
+]
+SLOW: list[tuple[str, Ends]] = [
+    ("silent", lambda web, viewer: None),
+    ("page-hangs", lambda web, viewer: os.kill(web.process.pid, signal.SIGSTOP)),
+]
+
+
+@pytest.mark.parametrize(("name", "end"), SUDDEN, ids=[name for name, _ in SUDDEN])
+def test_an_end_that_is_seen_counts_at_once(trial: Trial, web: Web, name: str, end: Ends) -> None:
+    with driven(trial), Viewer(web, web.pair()) as viewer:
+        moving(trial, viewer)
+        since_ns = time.monotonic_ns()
+        end(web, viewer)
+        with contextlib.suppress(ConnectionError):
+            viewer.next()
+        assert stopped(trial, since_ns, "operator gone: Anna's phone, ") < LEASE_S + LATE_S
+
+
+@pytest.mark.parametrize(("name", "end"), SLOW, ids=[name for name, _ in SLOW])
+def test_an_end_that_nobody_sees_counts_when_the_lease_ends(trial: Trial, web: Web, name: str, end: Ends) -> None:
+    with driven(trial), Viewer(web, web.pair()) as viewer:
+        moving(trial, viewer)
+        since_ns = time.monotonic_ns()
+        end(web, viewer)
+        took_s = stopped(trial, since_ns, "operator gone: Anna's phone, was not heard for")
+        assert LEASE_S - 0.3 < took_s < LEASE_S + LATE_S
+
+
+def test_a_backlog_and_replays_renew_nothing(trial: Trial, web: Web) -> None:
+    """What a network held back comes all at once, right and in order; and what was taken once, again."""
+    with Viewer(web, web.pair()) as viewer:
+        viewer.attend()
+        wait_for("the operator", lambda: trial.robot.state.attended_by)
+        held_back: list[str] = []
+        while len(held_back) < 12:
+            if nonce := viewer.next().get("nonce"):
+                held_back.append(nonce)
+        assert trial.robot.state.attended_by == [], "the lease is over"
+        for _ in range(3):
+            for nonce in held_back[:-3]:
+                viewer.answer(nonce)
+        viewer.next()
+        viewer.next()
+        assert trial.robot.state.attended_by == []
+        viewer.stay(0.15)
+        wait_for("the operator", lambda: viewer.stay(0.05) or trial.robot.state.attended_by)
+
+
+def test_a_wrong_key_renews_nothing(trial: Trial, web: Web) -> None:
+    headers = web.pair()
+    with Viewer(web, headers) as viewer:
+        viewer.send(attend=True)
+        for _ in range(10):
+            if nonce := viewer.next().get("nonce"):
+                viewer.answer(nonce, b"guess")
+                viewer.send(nonce=nonce, answer=7)
+                viewer.send(nonce=[nonce], answer=None)
+        assert trial.robot.state.attended_by == []
+
+
+def test_two_operators_the_last_one_counts(trial: Trial, web: Web) -> None:
+    with driven(trial), Viewer(web, web.pair("Bert")) as bert:
+        with Viewer(web, web.pair("Anna")) as anna:
+            anna.attend()
+            moving(trial, bert)
+            anna.stay(0.1)
+        bert.stay(LEASE_S * 1.5)
+        assert trial.moving()
+        since_ns = time.monotonic_ns()
+        bert.send(attend=False)
+        assert stopped(trial, since_ns, "operator gone: Bert, left") < LEASE_S
+
+
+def test_a_revoked_device_attends_no_more(trial: Trial, web: Web) -> None:
+    with driven(trial), Viewer(web, web.pair("Dora")) as viewer:
+        moving(trial, viewer)
+        listed = web.command("devices").stdout.splitlines()
+        identity = next(line.split()[0] for line in listed if line.endswith("Dora"))
+        threading.Thread(target=web.command, args=("revoke", identity)).start()
+        until_s = time.monotonic() + 10
+        while not trial.robot.state.estop and time.monotonic() < until_s:
+            viewer.stay(0.1)
+        assert "operator gone: Dora" in str(trial.robot.state.estop)

@@ -1,0 +1,141 @@
+"""Paired devices: who may, who may not any more, and what is kept. Over real HTTPS, beside a real service."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.lab.trial import Trial, wait_for
+from failstop.web import devices
+from tests.web.parts import HEADERS, Web
+from tests.web.viewer import Viewer
+
+PAIRING = '[web]\npairing = "on"\ntls = "on"\n'
+
+
+@pytest.fixture(scope="module")
+def web(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
+    """With pairing, over HTTPS; it finds the trial's incidents."""
+    config = tmp_path_factory.mktemp("web") / "web.toml"
+    config.write_text(PAIRING)
+    with Web(trial.name, "--config", str(config), state=trial.state) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def anna(web: Web) -> dict[str, str]:
+    """The headers of a paired device."""
+    return web.pair()
+
+
+def test_a_paired_device_resets_enables_and_disables(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    assert web.post("/api/stop", headers=anna)[0] == 200
+    wait_for("the latch", lambda: trial.robot.state.estop)
+    assert "Anna's phone (page)" in str(trial.robot.state.estop)
+    wait_for("the reset", lambda: web.post("/api/reset", headers=anna)[0] == 200)
+    assert web.post("/api/enable", headers=anna) == (200, {"said": "motion enabled"})
+    assert trial.robot.state.enabled
+    assert web.post("/api/disable", headers=anna)[0] == 200
+    assert not trial.robot.state.enabled
+
+
+def test_a_refusal_is_told(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    trial.robot.estop("test")
+    wait_for("the latch", lambda: trial.robot.state.estop)
+    status, said = web.post("/api/enable", headers=anna)
+    assert status == 409
+    assert "latched" in said["error"]
+    wait_for("the reset", lambda: web.post("/api/reset", headers=anna)[0] == 200)
+
+
+@pytest.mark.parametrize("cookie", ["", "__Host-failstop=", "__Host-failstop=guess", "failstop=guess"])
+def test_nobody_else_may(trial: Trial, web: Web, anna: dict[str, str], cookie: str) -> None:
+    assert anna
+    for verb in ("reset", "enable", "disable", "forget"):
+        assert web.post(f"/api/{verb}", headers={"Cookie": cookie})[0] == 401
+    assert not trial.robot.state.enabled
+
+
+def test_the_hash_of_a_token_is_no_token(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    kept = json.loads((Path(trial.state) / "devices.json").read_text())
+    token = anna["Cookie"].partition("=")[2]
+    assert devices.digest_of(token) in {row["digest"] for row in kept}
+    assert token not in json.dumps(kept)
+    for row in kept:
+        assert web.post("/api/enable", headers={"Cookie": f"__Host-failstop={row['digest']}"})[0] == 401
+
+
+def test_what_is_kept_is_its_own(trial: Trial) -> None:
+    for name in ("devices.json", "key.pem", "control"):
+        assert stat.S_IMODE(os.stat(Path(trial.state) / name).st_mode) & 0o077 == 0, name
+
+
+def test_the_cookie_is_out_of_reach_of_scripts_and_other_sites(web: Web) -> None:
+    status, headers, _ = web.ask("POST", "/api/pair", {"code": web.code(), "name": "Bert"})
+    assert status == 200
+    cookie = headers["set-cookie"]
+    for word in ("__Host-failstop=", "HttpOnly", "Secure", "SameSite=Strict", "Path=/"):
+        assert word in cookie
+    assert "Domain" not in cookie
+
+
+def test_a_stolen_cookie_ends_with_its_device(web: Web) -> None:
+    bert = web.pair("Bert's tablet")
+    assert web.ask("GET", "/api/me", headers=bert)[2] == b'{"pairing": true, "device": "Bert\'s tablet"}'
+    listed = web.command("devices").stdout
+    identity = next(line.split()[0] for line in listed.splitlines() if "Bert's tablet" in line)
+    assert web.command("revoke", identity).returncode == 0
+    assert web.post("/api/reset", headers=bert)[0] == 401
+    assert web.command("revoke", identity).returncode == 1
+
+
+def test_a_device_forgets_itself(web: Web) -> None:
+    carl = web.pair("Carl")
+    assert web.post("/api/forget", headers=carl)[0] == 200
+    assert web.post("/api/forget", headers=carl)[0] == 401
+
+
+def test_a_code_is_used_once_and_guesses_are_limited(web: Web) -> None:
+    code = web.code()
+    said = [web.ask("POST", "/api/pair", {"code": "0000-0000", "name": "Eve"}) for _ in range(8)]
+    assert {status for status, _, _ in said} == {403, 429}
+    assert 429 in {status for status, _, _ in said}, "and no more are heard"
+    assert web.ask("POST", "/api/pair", {"code": code, "name": "Eve"})[0] == 429
+    assert b"Eve" not in web.command("devices").stdout.encode()
+
+
+def test_attending_needs_a_paired_device(web: Web) -> None:
+    with Viewer(web) as stranger:
+        stranger.send(attend=True)
+        while "attend" not in (found := stranger.next()):
+            assert "nonce" not in found
+        assert "not paired" in found["attend"]
+
+
+@pytest.mark.parametrize("identity", ["nothing", "..", "%2e%2e%2fkey.pem", "--help", "a" * 200])
+def test_an_incident_that_there_is_not(web: Web, identity: str) -> None:
+    assert web.ask("GET", f"/api/incidents/{identity}/story")[0] == 404
+    assert web.ask("GET", f"/api/incidents/{identity}/picture")[0] == 404
+
+
+def test_plain_http_is_not_answered(web: Web) -> None:
+    with socket.create_connection(("127.0.0.1", web.port), timeout=5) as plain:
+        plain.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        said = b""
+        with contextlib.suppress(ConnectionResetError):
+            said = plain.makefile("rb").read()
+        assert b"HTTP" not in said
+
+
+def test_without_pairing_nobody_may(trial: Trial) -> None:
+    with Web(trial.name) as other:
+        assert other.post("/api/pair", {"code": "0000-0000"})[0] == 403
+        assert other.post("/api/enable", headers=HEADERS)[0] == 401
+        assert "pairing is off" in other.command("pair").stderr

@@ -1,0 +1,104 @@
+"""Control: what `failstop web pair`, `devices` and `revoke` ask of the page that runs, by a socket in its folder."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import os
+import secrets
+import socket
+import time
+from typing import Any
+
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_unix_socket
+from tornado.web import Application, RequestHandler
+
+from failstop.api.errors import FailstopError, Refused
+from failstop.web import devices, kept
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from failstop.web.server import Page
+
+TIMEOUT_S = 5.0
+
+
+class _Asked(RequestHandler):
+    def initialize(self, page: Page) -> None:
+        self.page = page
+
+
+class _Pair(_Asked):
+    def post(self) -> None:
+        if not self.page.pairing_on:
+            self.set_status(409)
+            self.finish({"error": 'pairing is off: set web.pairing = "on", and restart the page'})
+            return
+        code = devices.code_of(secrets.token_bytes(5))
+        self.page.pairing.offer(code, time.monotonic())
+        self.finish({"code": code, **self.page.whereabouts()})
+
+
+class _Devices(_Asked):
+    def get(self) -> None:
+        found = [{"id": device.id, "name": device.name, "made": device.made} for device in self.page.devices.all()]
+        self.finish({"devices": found})
+
+    def post(self) -> None:
+        identity = json.loads(self.request.body)["id"]
+        self.finish({"revoked": self.page.revoke(str(identity))})
+
+
+def listen(page: Page, path: str) -> HTTPServer:
+    """Serve at that path: who may open the folder may pair. Raises FailstopError."""
+    rows = [("/pair", _Pair, {"page": page}), ("/devices", _Devices, {"page": page})]
+    try:
+        found = bind_unix_socket(path, mode=0o600)
+    except (OSError, ValueError) as error:
+        raise FailstopError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    server = HTTPServer(Application(rows, log_function=lambda handler: None))
+    server.add_socket(found)
+    return server
+
+
+class _Connection(http.client.HTTPConnection):
+    def __init__(self, path: str) -> None:
+        super().__init__("localhost", timeout=TIMEOUT_S)
+        self._path = path
+
+    def connect(self) -> None:
+        self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.sock.settimeout(TIMEOUT_S)
+        self.sock.connect(self._path)
+
+
+def ask(name: str, environ: Mapping[str, str], method: str, path: str, body: object = None) -> dict[str, Any]:
+    """Ask the page that runs for this service. Raises Refused, FailstopError."""
+    denied = ""
+    for folder in kept.folders(name, environ):
+        connection = _Connection(os.path.join(folder, kept.CONTROL))
+        try:
+            connection.request(method, path, json.dumps(body))
+            answer = connection.getresponse()
+            found: dict[str, Any] = json.loads(answer.read())
+        except PermissionError:
+            denied = f"{folder} belongs to another user: sudo failstop web ..."
+            continue
+        except (OSError, ValueError, http.client.HTTPException):
+            continue
+        finally:
+            connection.close()
+        if answer.status != 200:
+            raise Refused(str(found.get("error", answer.status)))
+        return found
+    raise FailstopError(denied or f"no page of {name!r} runs: start it with `failstop web`")
+
+
+def remove(path: str) -> None:
+    """The socket of a page that has ended."""
+    with contextlib.suppress(OSError):
+        os.unlink(path)

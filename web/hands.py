@@ -1,0 +1,45 @@
+"""Hands: what a paired device may ask of the service. Each request takes a client slot for as long as it lasts."""
+
+from __future__ import annotations
+
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
+
+from failstop.api.errors import FailstopError, Refused
+from failstop.api.robot import Robot
+
+VERBS = ("reset", "enable", "disable")
+MOST_WAITING = 4
+
+
+class Hands:
+    """One thread, so that a request that takes its time holds up nothing else, and least of all a STOP."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._thread = ThreadPoolExecutor(1, "hands")
+        self._waiting = 0
+
+    async def ask(self, verb: str, who: str) -> tuple[bool, str]:
+        """(done, what was said)."""
+        if self._waiting >= MOST_WAITING:
+            return False, "others are asking: again in a moment"
+        self._waiting += 1
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._thread, self._ask, verb, who)
+        finally:
+            self._waiting -= 1
+
+    def _ask(self, verb: str, who: str) -> tuple[bool, str]:
+        try:
+            with Robot(self._name, client=who) as robot:
+                asked = {"reset": robot.reset, "enable": robot.enable, "disable": robot.disable}[verb]
+                return True, str(asked())
+        except Refused as refused:
+            return False, str(refused.args[0])
+        except FailstopError as error:
+            return False, str(error)
+
+    def close(self) -> None:
+        """Wait for nobody."""
+        self._thread.shutdown(wait=False, cancel_futures=True)

@@ -1,0 +1,45 @@
+// Attend: this device proves, ten times a second, that its owner is here: awake, unlocked, and looking at this page.
+import {reconnect, send} from "/link.js";
+import {kept, sign} from "/keys.js";
+
+const $ = (id) => document.getElementById(id);
+let key = null, attends = false, paired = false, needed = false, known = true;
+
+function show(why) {
+  $("attendance").hidden = !(needed && paired && known);
+  $("attend").setAttribute("aria-pressed", attends);
+  $("attend").textContent = attends ? "ATTENDING - tap to leave" : "ATTEND";
+  if (why !== undefined) $("attend-why").textContent = why;
+}
+
+function leave(why) {
+  if (attends) send({attend: false});
+  attends = false;
+  show(why);
+}
+
+async function begin() {
+  key = await kept().catch(() => null);
+  if (!key) { show("This device has no key: it has to be paired over HTTPS."); return; }
+  attends = true;
+  send({attend: true});
+  show("The robot stops when this page is hidden, the phone is locked, or the network is gone.");
+}
+
+$("attend").addEventListener("click", () => (attends ? leave("Nobody attends by this device.") : begin()));
+addEventListener("lease", async ({detail}) => {
+  if (detail.attend) { attends = false; show(detail.attend); return; }
+  if (attends && !document.hidden) send({nonce: detail.nonce, answer: await sign(key, detail.nonce)});
+});
+addEventListener("visibilitychange", () => { if (document.hidden) leave("The page was hidden: attending has ended."); });
+addEventListener("pagehide", () => leave("The page was left."));
+addEventListener("link-lost", () => { if (attends) leave("The link was lost: attending has ended."); });
+// The robot knows a connection by what it was when it began.
+addEventListener("paired", () => { known = false; reconnect(); });
+addEventListener("link-open", () => { known = true; show(); });
+addEventListener("device", ({detail}) => { paired = !!detail.device; if (!paired) leave(""); show(); });
+addEventListener("face", ({detail}) => {
+  needed = detail.attended !== null;
+  if (attends || !needed) show();
+  else show(detail.attended.length ? `Attended by ${detail.attended.join(", ")}.` : "Nobody attends.");
+});

@@ -1,0 +1,49 @@
+// Device: what this one may, and how it comes to may more.
+import {post} from "/link.js";
+import {forget, keep} from "/keys.js";
+
+const $ = (id) => document.getElementById(id);
+
+function show({pairing, device}) {
+  $("role").textContent = device ? `${device}: it sees, stops, resets and enables.` : "It sees, and it stops.";
+  $("pair").hidden = !pairing || !!device;
+  $("forget").hidden = !device;
+  dispatchEvent(new CustomEvent("device", {detail: {device}}));
+}
+
+async function look() {
+  try {
+    const answer = await fetch("/api/me", {cache: "no-store"});
+    if (answer.ok) show(await answer.json());
+  } catch { /* the link comes back, and then it is asked again */ }
+}
+
+$("pair").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  $("pair-why").textContent = "";
+  try {
+    const found = await post("/api/pair", {code: $("code").value, name: $("device-name").value});
+    if (!found.ok) { $("pair-why").textContent = found.error; return; }
+    if (globalThis.crypto && crypto.subtle) await keep(found.key);
+    $("code").value = "";
+    dispatchEvent(new Event("paired"));
+    show({pairing: true, device: found.device});
+  } catch {
+    $("pair-why").textContent = "The robot was not reached.";
+  }
+});
+
+$("forget").addEventListener("click", async () => {
+  const found = await post("/api/forget").catch(() => ({}));
+  if (found.ok) { await forget().catch(() => {}); show({pairing: true, device: null}); }
+});
+
+// A photographed code stands behind the #, which is sent to nobody; it is taken out of the history at once.
+const given = decodeURIComponent(location.hash.slice(1));
+if (given) {
+  history.replaceState(null, "", location.pathname);
+  $("code").value = given;
+  addEventListener("device", () => { if (!$("pair").hidden) $("device-name").focus(); }, {once: true});
+}
+addEventListener("link-open", look);
+look();

@@ -1,0 +1,66 @@
+"""Whereabouts: the addresses under which a phone finds the page, with the code, as text and as a QR code."""
+
+from __future__ import annotations
+
+import io
+import socket
+from typing import Any
+
+HERE = ("127.", "::1", "fe80")
+EVERYWHERE = ("0.0.0.0", "::", "")
+QUIET = 1
+"""Modules of margin: a terminal has its own."""
+
+
+def own_addresses() -> list[str]:
+    """Of this machine on its networks, those of a robot's first: no loopback, no link-local IPv6."""
+    import psutil
+
+    rows = [row for each in psutil.net_if_addrs().values() for row in each]
+    found = [row.address for row in rows if row.family in (socket.AF_INET, socket.AF_INET6)]
+    return sorted(
+        (address for address in found if not address.startswith(HERE)),
+        key=lambda address: (":" in address, address),
+    )
+
+
+def urls(found: dict[str, Any]) -> list[str]:
+    """The best first."""
+    hosts = [found["address"]]
+    if found["address"] in EVERYWHERE:
+        own = socket.gethostname().partition(".")[0]
+        hosts = [*own_addresses(), f"{own}.local"]
+    return [f"{found['scheme']}://{f'[{host}]' if ':' in host else host}:{found['port']}/" for host in hosts]
+
+
+def link(url: str, code: str) -> str:
+    """What the QR code says. What follows # stays in the phone: it is sent to nobody."""
+    return f"{url}#{code}"
+
+
+def told(found: dict[str, Any]) -> str:
+    """For the terminal."""
+    places = urls(found)
+    parts = []
+    if picture := qr(link(places[0], found["code"])):
+        parts.append(picture)
+    parts.append(f"code  {found['code']}   (once, for two minutes)")
+    parts += [f"page  {place}" for place in places]
+    if found["fingerprint"]:
+        parts.append(
+            "The browser warns of the certificate, which is the robot's own. Go on only if it shows this SHA-256:"
+        )
+        half = len(found["fingerprint"]) // 2 + 1
+        parts += [f"  {found['fingerprint'][:half]}", f"  {found['fingerprint'][half:]}"]
+    return "\n".join(parts)
+
+
+def qr(text: str) -> str:
+    """As blocks of a terminal; empty where segno is not installed."""
+    try:
+        import segno
+    except ImportError:
+        return ""
+    out = io.StringIO()
+    segno.make(text, error="m", micro=False).terminal(out, compact=True, border=QUIET)
+    return out.getvalue().rstrip("\n")
