@@ -21,7 +21,7 @@ from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell, heartbeat, layout, records
 from failstop.shm.barrier import Barrier
-from failstop.shm.lifeline import Lifeline
+from failstop.shm.lifeline import Lifeline, give_way
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -188,6 +188,7 @@ class PortOwner:
         """
         self.wire.burst()
         written_ns = monotonic_ns()
+        give_way()
         line = bell.take(self._stop_pipe).split(b"\n", 1)[0]
         self._own_stop(now_ns, written_ns, causes.requested(line))
         if self._pipe_rests.ns == NEVER:
@@ -211,6 +212,7 @@ class PortOwner:
             if peer.died(ready):
                 self.wire.burst()
                 peer.demote()
+                give_way()
                 self._own_stop(now_ns, monotonic_ns(), peer.death)
                 peer.drop()
         if self._leave.ns == NEVER and self._supervisor_life.died(ready):
@@ -219,6 +221,7 @@ class PortOwner:
             self._supervisor_life.demote()
             for peer in self._peers:
                 peer.demote()  # it dies with its parent
+            give_way()
             self._own_stop(now_ns, monotonic_ns(), causes.DIED(layout.SUPERVISOR))
             self.loop.forget(self._supervisor_life.fd)
             self.loop.forget(self._control.fd)
