@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 from collections.abc import Sequence
@@ -105,6 +106,9 @@ class Bridge:
         from rclpy.executors import ExternalShutdownException
 
         spinner = Spinner(self._node)
+        # What there is now stays: the collector need not go through rclpy again and again.
+        gc.collect()
+        gc.freeze()
         self._outward.start()
         try:
             while not self._shared.ending and self._rclpy.ok():

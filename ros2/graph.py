@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from typing import Any
 
 from failstop.api.errors import FailstopError
@@ -19,8 +20,14 @@ class Graph:
     def __init__(self, node: Any, topic: str, commanders: Commanders, shared: Shared) -> None:
         self._node = node
         self._topic = topic
+        # The whole name of the topic is known: rclpy's node would make it of its parts, and check it, each time.
+        self._count: Callable[[str], int] = getattr(
+            getattr(node, "handle", None), "get_count_publishers", node.count_publishers
+        )
         self._shared = shared
         self._lock = threading.Lock()
+        self.asked_ns = 0
+        """When it was asked last."""
         self.commanders = commanders
 
     def publishers(self, topic: str) -> list[Publisher]:
@@ -31,10 +38,11 @@ class Graph:
         """Who publishes cmd_vel now; a second one, or a stranger, is a stop. Takes some 20 us while nothing changes."""
         with self._lock:
             commanders = self.commanders
-            count = self._node.count_publishers(self._topic)
+            count = self._count(self._topic)
             if commanders.wants_look(count, now_ns):
                 commanders.look(self.publishers(self._topic), now_ns)
             commanders.counted(count, now_ns)
+            self.asked_ns = now_ns
             cause = commanders.cause(now_ns)
             state = self._shared.state
             due = commanders.due(cause, state is not None and state.estop is not None, now_ns)

@@ -21,6 +21,7 @@ from failstop.ros2.scan import ScanWatch
 from failstop.ros2.shared import Shared
 
 WATCH_NS = 50_000_000
+EARLY_NS = 20_000_000
 SAY_NS = 1_000_000_000
 LOOK_NS = 500_000_000
 STOP_NS = 1_000_000_000
@@ -90,9 +91,9 @@ class Inward:
         return max(0, self._watch_ns - monotonic_ns()) / 1e9
 
     def turn(self) -> None:
-        """After every turn of the spinner."""
-        if (now_ns := monotonic_ns()) >= self._watch_ns:
-            self._watch_ns = max(self._watch_ns + WATCH_NS, now_ns)
+        """After every turn of the spinner: with a message, so that the watch seldom wakes this thread up itself."""
+        if (now_ns := monotonic_ns()) >= self._watch_ns - EARLY_NS:
+            self._watch_ns = now_ns + WATCH_NS
             self._watch()
 
     def _turn(self) -> int:
@@ -230,6 +231,7 @@ class Inward:
     def _answer(self, response: Any, act: Any) -> Any:
         try:
             response.success, response.message = True, act()
+            self._shared.asked += 1
         except Refused as error:
             response.success, response.message = False, words.refused(error)
         except NoAnswer:

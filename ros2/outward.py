@@ -8,10 +8,11 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Sequence
-from time import monotonic_ns
+from time import monotonic_ns, sleep
 from typing import Any
 
 from failstop.api.errors import FailstopError
+from failstop.api.robot import Robot
 from failstop.api.samples import BatterySample, ImuSample, OdometrySample, PadSample
 from failstop.api.state import State
 from failstop.ros2 import contract, diagnostics, leftovers, messages, report
@@ -25,15 +26,17 @@ from failstop.ros2.stencil import Stencil, serializer
 
 PERIOD_S = 0.009
 """IMU samples come every 9 ms."""
-WATCH_NS = 20_000_000
-STATE_NS = 50_000_000
+WATCH_NS = 11_000_000
+"""The graph is asked at the first wake-up after this long, whoever asked it last: 50 times a second."""
 CLOCK_NS = 100_000_000
 """How often the time of ROS is compared with this machine's: it may be a simulator's, or be set."""
 LEAST_NS = 1000
 REPORT_NS = 100_000_000
+DIAGNOSE_NS = 200_000_000
+HEARD_NS = 500_000_000
+"""How often the graph is asked which topics somebody hears: the others are published when that is cheap."""
 SLOW_NS = 1_000_000_000
 SUPERVISOR = "supervisor"
-SIGNS = tuple(f"wheels.sign_{number}" for number in (1, 2, 3, 4))
 
 
 class Outward:
@@ -58,15 +61,17 @@ class Outward:
         self._wheels = messages.Wheels()
         self._scan_log = ScanLog(monotonic_ns())
         self._offset_ns = self._imu_ns = 0
-        self._watch_ns = self._clock_ns = 0
-        self._state_ns = self._report_ns = self._slow_ns = 0
+        self._clock_ns = self._heard_ns = 0
+        self._report_ns = self._diagnose_ns = self._slow_ns = 0
         self._stopped: bool | None = None
-        self._begun = False
+        self._begun = self._moves = self._ending = False
+        self._asked = 0
+        self._heard: dict[str, bool] = {}
+        """Topics, and whether somebody hears each."""
         self._told: list[diagnostics.Status] = []
-        self._covariances: dict[str, Any] = {}
+        self._deviations: tuple[float, ...] = ()
         self._joints: list[str] = []
-        self._battery: tuple[int, str] | None = None
-        self._end = threading.Event()
+        self._battery: tuple[float, str] | None = None
         self._thread = threading.Thread(target=self._run, name="outward", daemon=True)
 
     def _make(self, topic: Topic, qos: Any) -> None:
@@ -102,11 +107,12 @@ class Outward:
 
     def end(self) -> None:
         """Publish nothing more."""
-        self._end.set()
+        self._ending = True
         self._thread.join(1.0)
 
     def _run(self) -> None:
-        while not self._end.wait(PERIOD_S):
+        while not self._ending:
+            sleep(PERIOD_S)
             self.turn(monotonic_ns())
         self._link.close()
 
@@ -115,24 +121,29 @@ class Outward:
         if now_ns - self._clock_ns >= CLOCK_NS:
             self._clock_ns = now_ns
             self._offset_ns = self._node.get_clock().now().nanoseconds - monotonic_ns()
+        if now_ns - self._heard_ns >= HEARD_NS:
+            self._heard_ns = now_ns
+            self._heard = {name: bool(ends.get_subscription_count()) for name, ends in self._publishers.items()}
         try:
-            for sample in self._link.call(lambda robot: robot.samples()):
+            for sample in self._link.call(Robot.samples):
                 self._sample(sample)
         except FailstopError as error:
             self._lost(error)
-        if now_ns - self._watch_ns >= WATCH_NS:
-            self._watch_ns = max(self._watch_ns + WATCH_NS, now_ns - WATCH_NS // 2)
+        if now_ns - self._graph.asked_ns >= WATCH_NS:
             self._graph.ask(self._link, now_ns)
-        if now_ns - self._state_ns >= STATE_NS:
-            self._state_ns = max(self._state_ns + STATE_NS, now_ns - STATE_NS // 2)
+        if now_ns - self._report_ns >= REPORT_NS:
+            self._report_ns = max(self._report_ns + REPORT_NS, now_ns - REPORT_NS // 2)
+            self._follow(now_ns, due=True)
+        elif self._asked != self._shared.asked:
             self._follow(now_ns)
 
     def _publish(self, topic: Topic, fields: dict[str, Any]) -> None:
         self._publishers[topic.name].publish(fill(self._messages[topic.name], fields))
 
     def _send(self, topic: Topic, values: messages.Values) -> None:
-        """What is kept, with these numbers."""
-        self._publishers[topic.name].publish(self._stencils[topic.name].filled(values))
+        """What is kept, with these numbers, to whoever hears it."""
+        if self._heard[topic.name]:
+            self._publishers[topic.name].publish(self._stencils[topic.name].filled(values))
 
     def _sample(self, sample: object) -> None:
         if isinstance(sample, ImuSample):
@@ -144,34 +155,37 @@ class Outward:
         elif isinstance(sample, PadSample):
             self._send(contract.GAMEPAD, messages.gamepad(sample, sample.t_ns + self._offset_ns))
         elif isinstance(sample, BatterySample):
-            self._battery = (sample.battery_mv, sample.plugged)
+            self._battery = (sample.battery_v, sample.plugged)
 
     def _odometry(self, sample: OdometrySample) -> None:
         ros_ns = sample.t_ns + self._offset_ns
-        covariances = messages.odometry_covariances(sample)
-        if covariances != self._covariances:
-            self._covariances = covariances
-            self._keep(contract.ODOMETRY, covariances, messages.ODOMETRY_PLACES)
+        deviations = (sample.pose_variance, sample.twist_std_mps, sample.twist_std_radps)
+        if deviations != self._deviations:
+            self._deviations = deviations
+            self._keep(contract.ODOMETRY, messages.odometry_covariances(sample), messages.ODOMETRY_PLACES)
         self._send(contract.ODOMETRY, messages.odometry(sample, ros_ns))
         if TF.name in self._publishers:
             self._send(TF, messages.transform(sample, ros_ns))
+        moves = bool(sample.vx_mps or sample.vy_mps or sample.wz_radps)
+        if self._moves and not moves:  # it may be a stop
+            self._follow(monotonic_ns())
+        self._moves = moves
 
     def _lost(self, error: FailstopError) -> None:
         self._shared.problem = str(error)
         self._shared.state = None
 
-    def _follow(self, now_ns: int) -> None:
-        """What goes with the state: on every change, and at its rate."""
+    def _follow(self, now_ns: int, *, due: bool = False) -> None:
+        """What goes with the state: on every change that is noticed, and, when it is due, at its rate."""
+        self._asked = self._shared.asked
         state = self._state()
         if state:
             self._log(state, now_ns)
         stopped = report.latched(state)
-        due = now_ns - self._report_ns >= REPORT_NS
-        if stopped != self._stopped or due:
+        if stopped != self._stopped or (due and self._heard[contract.EMERGENCY_STOP.name]):
             self._stopped = stopped
             self._publish(contract.EMERGENCY_STOP, {"data": stopped})
         if due:
-            self._report_ns = max(self._report_ns + REPORT_NS, now_ns - REPORT_NS // 2)
             self._report(state)
             self._diagnose(state, now_ns)
 
@@ -189,7 +203,7 @@ class Outward:
 
     def _log(self, state: State, now_ns: int) -> None:
         settings = self._shared.settings or {}
-        self._wheels.follow(state.wheels_rps, [int(settings[key]) for key in SIGNS], now_ns)
+        self._wheels.follow(state.wheels_radps, now_ns)
         timeout_s = float(settings["scan.timeout_s"])
         if line := self._scan_log.follow(state.blocked, state.scan_age_s, timeout_s, now_ns):
             self._node.get_logger().warning(line)
@@ -197,10 +211,13 @@ class Outward:
     def _report(self, state: State | None) -> None:
         shared = self._shared
         ros_ns = monotonic_ns() + self._offset_ns
-        found = (
-            report.as_json(state, shared.publishers, shared.wrong) if state else report.without_service(shared.problem)
-        )
-        self._publish(contract.STATE, {"data": json.dumps(found)})
+        if self._heard[contract.STATE.name] or not self._begun:
+            known = (
+                report.as_json(state, shared.publishers, shared.wrong)
+                if state
+                else report.without_service(shared.problem)
+            )
+            self._publish(contract.STATE, {"data": json.dumps(known)})
         if not self._begun:
             self._begun = True
             self._node.get_logger().info(f"first state {leftovers.age_s():.2f} s after the start")
@@ -211,23 +228,26 @@ class Outward:
             constant = {"name": names, "position": lengths, "velocity": lengths}
             self._keep(contract.JOINT_STATES, constant, messages.JOINT_PLACES)
         self._send(contract.JOINT_STATES, values)
-        if state and STATUS.name in self._publishers:
+        if state and self._heard.get(STATUS.name):
             self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **report.status(state)})
 
     def _diagnose(self, state: State | None, now_ns: int) -> None:
+        slow = now_ns - self._slow_ns >= SLOW_NS
+        if slow:
+            self._slow_ns = max(self._slow_ns + SLOW_NS, now_ns - SLOW_NS // 2)
+        ros_ns = monotonic_ns() + self._offset_ns
+        if slow and state and self._battery:
+            self._publish(contract.BATTERY, messages.battery(*self._battery, ros_ns))
+        if not self._heard[contract.DIAGNOSTICS.name] or not (slow or now_ns - self._diagnose_ns >= DIAGNOSE_NS):
+            return
+        self._diagnose_ns = now_ns
         shared = self._shared
         rows = diagnostics.statuses(self._node.get_name(), state, shared.problem, shared.sees, shared.wrong)
-        slow = now_ns - self._slow_ns >= SLOW_NS
-        ros_ns = monotonic_ns() + self._offset_ns
         if slow or diagnostics.changed(self._told, rows):
             self._told = rows
             message = fill(type_of(contract.DIAGNOSTICS.type)(), {"header": {"stamp": messages.stamp(ros_ns)}})
             message.status = [_diagnostic(row) for row in rows]
             self._publishers[contract.DIAGNOSTICS.name].publish(message)
-        if slow:
-            self._slow_ns = max(self._slow_ns + SLOW_NS, now_ns - SLOW_NS // 2)
-            if state and self._battery:
-                self._publish(contract.BATTERY, messages.battery(*self._battery, ros_ns))
 
 
 def _diagnostic(row: diagnostics.Status) -> Any:

@@ -22,4 +22,6 @@ class Shared:
     publishers: tuple[str, ...] = ()
     sees: tuple[str, ...] = ()
     wrong: tuple[str, ...] = ()
+    asked: int = 0
+    """How often something was asked of the service that changes its state."""
     ending: bool = False

@@ -14,7 +14,6 @@ AWAITED_S = 0.002
 """How soon what awaits is looked at again."""
 EVENTS_S = 1.0
 """How often what DDS tells of the node's own ends is looked at: rclpy writes lines of it."""
-KINDS = ("service", "client", "guard_condition")
 COUNTS = ("num_subscriptions", "num_guard_conditions", "num_timers", "num_clients", "num_services")
 """What a wait set has room for, in its order; events come last."""
 
@@ -28,7 +27,10 @@ class Spinner:
         self._node = node
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
-        self._subscriptions: list[Any] = []
+        self._subscriptions: list[tuple[int, Any]] = []
+        """Each with the address that rclpy knows it by."""
+        self._kinds: list[str] = []
+        """Of what the node has, beside services."""
         self._others: list[Any] = []
         """Waitables, such as actions."""
         self._set: Any = None
@@ -57,19 +59,21 @@ class Spinner:
 
         self._stale = False
         node = self._node
-        self._subscriptions = list(node.subscriptions)
+        subscriptions = list(node.subscriptions)
+        self._subscriptions = [(each.handle.pointer, each) for each in subscriptions]
         guards, clients, services = list(node.guards), list(node.clients), list(node.services)
         # Events of DDS alone can wait for a second: they make each wait longer.
         counted = [(each, each.get_num_entities()) for each in node.waitables]
         counted = [(each, count) for each, count in counted if _beside_events(count)]
         self._others = [each for each, _ in counted]
-        own = (len(self._subscriptions), len(guards), 0, len(clients), len(services), 0)
+        self._kinds = [kind for kind, there in (("client", clients), ("guard_condition", guards)) if there]
+        own = (len(subscriptions), len(guards), 0, len(clients), len(services), 0)
         names = (*COUNTS, "num_events")
         more = [sum(getattr(count, name) for _, count in counted) for name in names]
         sizes = [size + others for size, others in zip(own, more, strict=True)]
         found = self._set = rclpy_implementation.WaitSet(*sizes, node.context.handle)
         self._add = [
-            *((found.add_subscription, each.handle) for each in self._subscriptions),
+            *((found.add_subscription, each.handle) for each in subscriptions),
             *((found.add_guard_condition, each.handle) for each in guards),
             *((found.add_client, each.handle) for each in clients),
             *((found.add_service, each.handle) for each in services),
@@ -84,25 +88,24 @@ class Spinner:
         if self._stale:
             self._build()
         awaited = any(not task.done() for task, _, _ in self._executor._tasks)
-        self._wait(min(timeout_s, AWAITED_S) if awaited else timeout_s)
-        arrived = self._set.get_ready_entities("subscription")
-        rest = awaited or self._has_others()
-        for subscription in self._subscriptions if arrived else ():
-            if subscription.handle.pointer in arrived:
-                self._take(subscription)
-        if rest or monotonic() >= self._events_s:
-            self._events_s = monotonic() + EVENTS_S
-            self._executor.spin_once(timeout_sec=0)
-
-    def _wait(self, timeout_s: float) -> None:
         self._set.clear_entities()
         for add, what in self._add:
             add(what)
-        self._set.wait(max(0, int(timeout_s * 1e9)))
+        self._set.wait(int(min(timeout_s, AWAITED_S) * 1e9) if awaited else int(timeout_s * 1e9))
+        ready = self._set.get_ready_entities
+        if arrived := ready("subscription"):
+            for pointer, subscription in self._subscriptions:
+                if pointer in arrived:
+                    self._take(subscription)
+        now_s = monotonic()
+        if awaited or ready("service") or now_s >= self._events_s or self._has_others():
+            self._events_s = now_s + EVENTS_S
+            self._executor.spin_once(timeout_sec=0)
 
     def _has_others(self) -> bool:
-        ready = self._set.get_ready_entities
-        return any(map(ready, KINDS)) or any(each.is_ready(self._set) for each in self._others)
+        return any(map(self._set.get_ready_entities, self._kinds)) or any(
+            each.is_ready(self._set) for each in self._others
+        )
 
     def _take(self, subscription: Any) -> None:
         """One message; a queue's next one makes the next wait short."""

@@ -153,7 +153,7 @@ class PortOwner:
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch)
         written_ns = self._stopped(written_ns)
-        self._stops.put(records.pack_stop(epoch, cause_ns, written_ns, cause.pack()))
+        self._stops.put(records.STOPPED.pack(epoch, cause_ns, written_ns, cause.pack()))
         self._supervisor_bell.ring()
 
     def _burst(self) -> None:
@@ -276,7 +276,7 @@ class PortOwner:
         motion: Motion | None = None
         while entry := self._frames.next():
             _, frame_ns, payload = entry
-            epoch, kind, body = records.unpack_frame(payload)
+            epoch, kind, body = records.FRAME.unpack(payload)
             if kind == records.MOTION:
                 motion = (body, epoch, frame_ns)
             elif kind == records.STOP:
@@ -440,7 +440,7 @@ class PortOwner:
 
     def _publish_port(self, now_ns: int) -> None:
         state = records.PORT_LOST if self.wire.lost else records.PORT_OPEN
-        self._port_record.write(records.pack_port(self._number, now_ns, state, self._path))
+        self._port_record.write(records.PORT.pack(self._number, now_ns, state, self._path))
         self._supervisor_bell.ring()
 
     def _repeat(self, now_ns: int) -> None:
