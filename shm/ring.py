@@ -83,6 +83,8 @@ class RingReader:
         self._seed = crc_seed
         self._blank = bytes(self._size)
         self.lost = 0
+        self._old = b""
+        """The bytes of its slot that were found to be an older entry, or blank: the same again need no other look."""
         last = newest(view, offset, capacity, slots, crc_seed)
         self._await(max(1, last - slots + 1) if from_oldest else last + 1)
 
@@ -118,7 +120,6 @@ class RingReader:
         at = self._at + seq % self._slots * self._size
         self._where = slice(at, at + self._size)
         self._old = b""
-        """The bytes of its slot that were found to be an older entry, or blank: the same again need no other look."""
 
     def _check(self, raw: bytes) -> Entry | None:
         """What a copy of the next entry's slot holds; what is whole but belongs in another slot is damage too."""
