@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 MS = 1_000_000
 TICK_NS = 20 * MS
+EARLY_NS = 10 * MS
+"""A tick that is due so soon is taken at a wake-up that there is anyway."""
 RECEIVED_CHUNK = 512
 OTHER_BACKLOG = 128
 """Bytes under way behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
@@ -121,7 +123,7 @@ class PortOwner:
         """Handle one wake-up; False when it is time to exit. One for bytes of the board alone, of which there are the
         most, only passes them on: stops and motion ring, and what else there is to look at waits for the tick."""
         now_ns = monotonic_ns()
-        if ready == self._bytes_alone and now_ns < self.loop.due_ns():
+        if ready == self._bytes_alone and now_ns + EARLY_NS < self.loop.due_ns():
             self._serve_port(ready, now_ns)
             return True
         self._tick.set(now_ns + TICK_NS)
