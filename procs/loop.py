@@ -86,15 +86,15 @@ class Loop:
 
     def until_ns(self, now_ns: int, longest_ns: int) -> int:
         """How long wait() waits that begins now."""
-        return min(now_ns + longest_ns, self._due_ns())
+        return min(now_ns + longest_ns, self.due_ns())
 
-    def _due_ns(self) -> int:
-        """The first of the deadlines."""
+    def due_ns(self) -> int:
+        """The first of the deadlines; NEVER: there is none."""
         return min([deadline.ns for deadline in self._deadlines], default=NEVER)
 
     def wait(self, longest_ns: int) -> dict[int, int]:
         """Block until a descriptor is ready, a deadline has come, or this time is over; return {fd: events}."""
-        left_ns = self._due_ns() - monotonic_ns()
+        left_ns = self.due_ns() - monotonic_ns()
         if LONG_NS <= longest_ns < left_ns - MS:
             return dict(self._poll(longest_ns * 1e-9))
         left_ns = min(left_ns, longest_ns)

@@ -16,29 +16,38 @@ if TYPE_CHECKING:
 
 
 class LatestReader:
-    """Reads the newest whole value of a record."""
+    """Reads the newest whole value of a record. Bytes that have not changed are not checked again: they are copied and
+    compared, which is a third of the work."""
 
-    __slots__ = ("_at", "_seed", "_seen", "_slot_bytes", "_view")
+    __slots__ = ("_known", "_raw", "_seed", "_seen", "_slot_bytes", "_view", "_where")
 
     def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
         self._view = view
-        self._at = offset
         self._slot_bytes = slot_bytes(capacity)
+        self._where = slice(offset, offset + 2 * self._slot_bytes)
         self._seed = crc_seed
         self._seen = 0
+        self._raw = b""
+        """The bytes of the value that was read last; empty: none was whole."""
+        self._known: Entry | None = None
 
     def read(self) -> Entry | None:
         """Return (seq, t_mono_ns, payload) of the newest whole value, or None when there is none."""
-        for _ in range(3):  # two writes that overtake a copy leave it without a value, or with one older than seen
-            entry = self._copy()
+        raw = self._view[self._where]
+        if raw == self._raw:
+            return self._known
+        entry = self._whole(raw)
+        for _ in range(2):  # two writes that overtake a copy leave it without a value, or with one older than seen
             if entry and entry[0] >= self._seen:
                 break
+            raw = self._view[self._where]
+            entry = self._whole(raw)
+        self._raw, self._known = raw if entry else b"", entry
         self._seen = entry[0] if entry else self._seen
         return entry
 
-    def _copy(self) -> Entry | None:
+    def _whole(self, raw: bytes) -> Entry | None:
         size = self._slot_bytes
-        raw = self._view[self._at : self._at + 2 * size]
         first = size if slot.sequence(raw, size) > slot.sequence(raw, 0) else 0
         return slot.check(raw, self._seed, first, size) or slot.check(raw, self._seed, size - first, size)
 

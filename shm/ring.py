@@ -71,7 +71,7 @@ class RingWriter:
 class RingReader:
     """One reader's place in the ring. `lost` counts the entries that were overwritten before it came to them."""
 
-    __slots__ = ("_at", "_blank", "_next", "_seed", "_size", "_slots", "_view", "lost")
+    __slots__ = ("_at", "_blank", "_next", "_old", "_seed", "_size", "_slots", "_view", "_where", "lost")
 
     def __init__(
         self, view: View, offset: int, capacity: int, slots: int, crc_seed: int, *, from_oldest: bool = False
@@ -83,19 +83,28 @@ class RingReader:
         self._seed = crc_seed
         self._blank = bytes(self._size)
         self.lost = 0
+        self._old = b""
+        """The bytes of its slot that were found to be an older entry, or blank: the same again need no other look."""
         last = newest(view, offset, capacity, slots, crc_seed)
-        self._next = max(1, last - slots + 1) if from_oldest else last + 1
+        self._await(max(1, last - slots + 1) if from_oldest else last + 1)
 
     def next(self) -> Entry | None:
         """Return the next entry (seq, t_mono_ns, payload) in order, or None when nothing new is published."""
         laps = 0
         while True:
-            raw, entry = self._copy()
+            raw = self._view[self._where]
+            if raw == self._old:
+                return None
+            entry = self._check(raw)
             if entry is None:
-                if (raw == self._blank and self._next <= self._slots) or not self._pass_damage():
+                if raw == self._blank and self._next <= self._slots:
+                    self._old = raw
+                    return None
+                if not self._pass_damage():
                     return None
                 continue
             if entry[0] < self._next:
+                self._old = raw
                 return None
             if entry[0] > self._next:
                 # In a ring at rest this takes fewer steps than there are slots. A writer at full speed overwrites the
@@ -103,21 +112,25 @@ class RingReader:
                 self._resume(entry[0] - (self._slots - 1 >> max(0, laps - self._slots)))
                 laps += 1
             if entry[0] == self._next:
-                self._next += 1
+                self._await(entry[0] + 1)
                 return entry
 
-    def _copy(self) -> tuple[bytes, Entry | None]:
-        """One copy of the next entry's slot; what is whole but belongs in another slot is damage too."""
-        at = self._at + (self._next % self._slots) * self._size
-        raw = self._view[at : at + self._size]
+    def _await(self, seq: int) -> None:
+        self._next = seq
+        at = self._at + seq % self._slots * self._size
+        self._where = slice(at, at + self._size)
+        self._old = b""
+
+    def _check(self, raw: bytes) -> Entry | None:
+        """What a copy of the next entry's slot holds; what is whole but belongs in another slot is damage too."""
         entry = slot.check(raw, self._seed)
         if entry and (entry[0] - self._next) % self._slots:
-            return raw, None
-        return raw, entry
+            return None
+        return entry
 
     def _resume(self, seq: int) -> None:
         self.lost += seq - self._next
-        self._next = seq
+        self._await(seq)
 
     def _pass_damage(self) -> bool:
         """False when the slot may yet become the next entry; True when it is worth another look, or was passed.
@@ -129,6 +142,6 @@ class RingReader:
             return False
         # It may have been published, and others after it, while the ring was looked through.
         Barrier()()
-        if self._copy()[1] is None:
+        if self._check(self._view[self._where]) is None:
             self._resume(min(later))
         return True

@@ -21,7 +21,7 @@ from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell, heartbeat, layout, records
 from failstop.shm.barrier import Barrier
-from failstop.shm.lifeline import Lifeline
+from failstop.shm.lifeline import Lifeline, give_way
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 MS = 1_000_000
 TICK_NS = 20 * MS
+EARLY_NS = 10 * MS
+"""A tick that is due so soon is taken at a wake-up that there is anyway."""
 RECEIVED_CHUNK = 512
 OTHER_BACKLOG = 128
 """Bytes under way behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
@@ -64,6 +66,10 @@ class PortOwner:
         """When the arm's next frame may be written, that has to wait."""
         self._leave = self.loop.deadline()
         """Once the supervisor has died."""
+        self._tick = self.loop.deadline()
+        """When it looks at everything, if nothing happens before."""
+        self._bytes_alone: dict[int, int] | None = None
+        """What is ready when the board has sent something, and nothing else has happened."""
         self._barrier = Barrier()
         self._moved_ns = 0
         self._arm_moved = False
@@ -114,8 +120,13 @@ class PortOwner:
             self.loop.watch(fd, READ)
 
     def turn(self, ready: dict[int, int]) -> bool:
-        """Handle one wake-up; False when it is time to exit."""
+        """Handle one wake-up; False when it is time to exit. One for bytes of the board alone, of which there are the
+        most, only passes them on: stops and motion ring, and what else there is to look at waits for the tick."""
         now_ns = monotonic_ns()
+        if ready == self._bytes_alone and now_ns + EARLY_NS < self.loop.due_ns():
+            self._serve_port(ready, now_ns)
+            return True
+        self._tick.set(now_ns + TICK_NS)
         self._hear_requests(ready, now_ns)
         bell.clear_rung((self._bell, self._early.bell), ready)
         self._hear_trips()
@@ -179,6 +190,7 @@ class PortOwner:
         """
         self.wire.burst()
         written_ns = monotonic_ns()
+        give_way()
         line = bell.take(self._stop_pipe).split(b"\n", 1)[0]
         self._own_stop(now_ns, written_ns, causes.requested(line))
         if self._pipe_rests.ns == NEVER:
@@ -202,6 +214,7 @@ class PortOwner:
             if peer.died(ready):
                 self.wire.burst()
                 peer.demote()
+                give_way()
                 self._own_stop(now_ns, monotonic_ns(), peer.death)
                 peer.drop()
         if self._leave.ns == NEVER and self._supervisor_life.died(ready):
@@ -210,6 +223,7 @@ class PortOwner:
             self._supervisor_life.demote()
             for peer in self._peers:
                 peer.demote()  # it dies with its parent
+            give_way()
             self._own_stop(now_ns, monotonic_ns(), causes.DIED(layout.SUPERVISOR))
             self.loop.forget(self._supervisor_life.fd)
             self.loop.forget(self._control.fd)
@@ -415,12 +429,13 @@ class PortOwner:
         wanted = (fd, READ | WRITE if self.wire.unsent else READ | EDGE)
         if fd >= 0 and wanted != self._watched:
             self.loop.watch(*wanted)
+            self._bytes_alone = None if self.wire.unsent else {fd: READ}
         self._watched = wanted
 
     def _port_lost(self, now_ns: int) -> None:
         if self._watched[0] == self.wire.fd:
             self.loop.forget(self.wire.fd)
-        self._watched = (-1, 0)
+        self._watched, self._bytes_alone = (-1, 0), None
         self.wire.close()
         self.stop(now_ns, causes.DEVICE_LOST())
         self._publish_port(now_ns)

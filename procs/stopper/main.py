@@ -22,7 +22,7 @@ from failstop.procs.peer import Peer
 from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
 from failstop.shm import bell, heartbeat, layout, records
 from failstop.shm.barrier import Barrier
-from failstop.shm.lifeline import Lifeline
+from failstop.shm.lifeline import Lifeline, give_way
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -108,6 +108,8 @@ class Stopper:
         self._stopped_for = pid
         if not self._succeeded():
             self._burst(now_ns)
+            self._port_owner.demote()
+            give_way()
 
     def _succeeded(self) -> bool:
         """True when a new port owner runs: it has stopped the wheels at its start, and by now they may have been

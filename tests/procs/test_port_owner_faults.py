@@ -10,6 +10,7 @@ import pytest
 
 from failstop.board import port
 from failstop.board.burst import BURST
+from failstop.procs.loop import READ, Loop
 from failstop.procs.port_owner import main
 from failstop.shm import layout, records
 from tests.support.port_scene import MOTION, TICK, Kernel, Scene
@@ -341,3 +342,44 @@ def test_bytes_from_the_board_go_into_the_ring_in_order(scene: Scene) -> None:
 
     until(arrived, "all of the bytes")
     assert found == sent
+
+
+def board_sends(scene: Scene) -> None:
+    os.write(scene.pty.master, b"imu")
+    until(lambda: Loop.readable(scene.owner.wire.fd), "the bytes")
+
+
+def test_bytes_alone_are_passed_on_and_the_rest_is_looked_at_at_the_tick(scene: Scene) -> None:
+    scene.turn()
+    received = scene.segment(layout.PORT_OWNER).ring_reader("received")
+    beat = scene.segment(layout.PORT_OWNER).word("beat_ns")
+    before_ns, tick_ns = beat.get(), scene.next_ns()
+    scene.raise_epoch(2)  # its bell is lost
+    for _ in range(3):
+        board_sends(scene)
+        assert scene.turn(MS) == b""
+        assert received.next()
+        assert beat.get() == before_ns, "not a whole turn"
+        assert scene.next_ns() == tick_ns, "and none that puts the next one off"
+    board_sends(scene)
+    scene.clock.now_ns = tick_ns
+    assert scene.turn() == BURST
+    assert beat.get() == tick_ns
+
+
+def test_bytes_of_the_board_hold_up_no_stop(scene: Scene) -> None:
+    scene.turn()
+    board_sends(scene)
+    scene.ask_to_stop(b"hand near wheel")
+    assert scene.turn().startswith(BURST)
+
+
+def test_bytes_alone_are_no_news_of_a_descriptor_that_has_the_number_of_a_lost_port(scene: Scene) -> None:
+    scene.turn()
+    number = scene.owner.wire.fd
+    scene.pty.close()
+    until(lambda: scene.turn() == b"" and scene.owner.wire.lost, "the loss")
+    scene.causes()
+    scene.raise_epoch(2)
+    scene.owner.turn({number: READ})
+    assert scene.word("stopped_epoch") == 2, "a whole turn"
