@@ -71,6 +71,7 @@ docs: $(VENV)/.installed
 	$(BIN)/failstop config --markdown > docs/configuration.md
 	$(BIN)/python -m failstop.cli.manual > man/failstop.1
 	$(BIN)/python -m failstop.cli.manual causes > docs/causes.md
+	$(BIN)/python packaging/reference.py > docs/python-reference.md
 	$(BIN)/python -m failstop.cli.catalog systemd/failstop.catalog
 	$(BIN)/python -m failstop.cli.catalog docs/journal.md
 	$(BIN)/python -m failstop.ros2.page docs/ros2.md

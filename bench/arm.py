@@ -14,6 +14,7 @@ from bench.stats import Row
 from failstop.api.errors import Refused
 from failstop.lab.faults import arm
 from failstop.lab.faults.arm import JOINTS, ArmTrial
+from failstop.lab.faults.arm_table import CLIENT_KILL, KILL, REQUEST, ROWS, SERVO
 
 SELDOM = 5
 """Hangs take long: a share of the count."""
@@ -22,16 +23,16 @@ SELDOM = 5
 def rests(trial: ArmTrial, count: int, carriers: Carriers, say: Callable[[str], None]) -> list[Row]:
     """The arm's other fault rows: until every joint stands."""
     rows = []
-    for fault in arm.ROWS:
-        if fault.what == arm.KILL:
+    for fault in ROWS:
+        if fault.what in (KILL, SERVO):
             continue
-        times = count if fault.what in (arm.CLIENT_KILL, arm.REQUEST) else max(1, count // SELDOM)
+        times = count if fault.what in (CLIENT_KILL, REQUEST) else max(1, count // SELDOM)
         stands, wrong = [], []
         for turn in range(times):
             say(f"{fault.name}, {turn + 1} of {times}")
             carriers.first()
             found = arm.strike(trial, fault)
-            stands.append(round(found.rest_ms * 1e6))
+            stands += [round(found.rest_ms * 1e6)] if found.rest_ms is not None else []
             wrong += [found.wrong] if found.wrong else []
         rows.append(stats.timing(f"{fault.cause} -> every joint stands", stands, p50_ms=None, p99_ms=fault.bar_ms))
         rows.append(stats.count(f"{fault.cause}: not as its row says", len(wrong), times))

@@ -12,10 +12,11 @@ from bench.stats import Row
 from failstop.board.servos import HELD_NS
 from failstop.lab.faults import arm
 from failstop.lab.faults.arm import ArmTrial, Rested
+from failstop.lab.faults.arm_table import KILL, ROWS
 from failstop.lab.trial import Stopped
 
 BUS_MS = HELD_NS / 1e6
-KILLS = {fault.process: fault for fault in arm.ROWS if fault.what == arm.KILL}
+KILLS = {fault.process: fault for fault in ROWS if fault.what == KILL}
 
 
 def measure(trial: ArmTrial, kills: int, seed: int, carriers: Carriers, say: Callable[[str], None]) -> list[Row]:
@@ -42,7 +43,7 @@ def _rows(process: str, driving: list[Stopped], moving: list[Rested]) -> list[Ro
     """To the execution of the stop: it is there that a servo's frame holds it up, behind its arrival."""
     alone = [stopped.executed_ns for stopped in driving if stopped.executed_ns is not None]
     behind = [round(rested.wheels_ms * 1e6) for rested in moving if rested.wheels_ms is not None]
-    rest = [round(rested.rest_ms * 1e6) for rested in moving]
+    rest = [round(rested.rest_ms * 1e6) for rested in moving if rested.rest_ms is not None]
     wrong = [rested.wrong for rested in moving if rested.wrong]
     least = stats.timing(f"kill {process} while driving -> the wheels' stop executed", alone, p50_ms=None, p99_ms=None)
     bar_ms = round(least.numbers["p99_ms"] + BUS_MS, 2)

@@ -94,7 +94,7 @@ def watch(trial: ArmTrial, seconds: float, carriers: Carriers) -> Hops:
         carriers.first()
         time.sleep(LOOK_EVERY_S)
         while entry := frames.next():
-            if _is_move(frame := records.unpack_frame(entry[2])[2]):
+            if _is_move(frame := records.FRAME.unpack(entry[2])[2]):
                 hops.made.append((entry[1], frame[4:-1]))
         while entry := wire.next():
             _, _, taken, frame = box.unpack_wire(entry[2])

@@ -27,7 +27,7 @@ def measure(trial: Trial, seconds: float, progress: Callable[[str], None]) -> li
         for name, was in before.items()
     }
     pss = {name: process.memory_full_info().pss / 1e6 for name, process in processes.items()}
-    worst = {name: process.worst_ms for name, process in trial.robot.state.processes.items()}
+    worst = {name: process.worst_s * 1e3 for name, process in trial.robot.state.processes.items()}
     trial.robot.disable()
     rows = [
         stats.limit("processor, driving, IMU at 110 Hz", sum(share.values()), 6, "% of a core", _parts(share)),

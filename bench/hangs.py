@@ -84,7 +84,7 @@ def replugs(trial: Trial, count: int, seed: int, progress: Callable[[str], None]
         trial.enable()
         trial.drive(chance.uniform(0.05, 0.1))
         trial.board.unplug()
-        wait_for("the loss to be noticed", lambda: trial.robot.state.device["state"] == "lost")
+        wait_for("the loss to be noticed", lambda: trial.robot.state.device.state == "lost")
         time.sleep(chance.uniform(0.02, 0.06))
         trial.board.events()
         back_ns = time.monotonic_ns()

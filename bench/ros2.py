@@ -101,7 +101,7 @@ class Scene:
 
     def sees(self, text: str) -> bool:
         """The bridge says so."""
-        return any(text in client.get("sees", "") for client in self.trial.robot.state.clients)
+        return any(text in client.sees for client in self.trial.robot.state.clients)
 
     def ready(self) -> None:
         """One node commands, a scan comes."""

@@ -123,7 +123,7 @@ class Driver:
         sent_now, decoded_now = self._imu_counts()
         soak.imu_sent, soak.imu_decoded = sent_now - sent, decoded_now - decoded
         processes = trial.robot.state.processes
-        soak.worst_ms = {name: process.worst_ms for name, process in processes.items()}
+        soak.worst_ms = {name: process.worst_s * 1e3 for name, process in processes.items()}
         soak.restarts = sum(process.restarts for process in processes.values())
 
     def _command(self) -> None:
@@ -142,9 +142,9 @@ class Driver:
         wait_for("the gate to latch", lambda: robot.state.cause is not None, RECOVER_S)
         entry = self._cause.read()
         self.soak.stops.append(
-            (round(t_s, 3), causes.read(records.unpack_latch(entry[2])[3]) if entry else causes.UNKNOWN())
+            (round(t_s, 3), causes.read(records.LATCH.unpack(entry[2])[3]) if entry else causes.UNKNOWN())
         )
-        self.soak.caused_ns.append(records.unpack_latch(entry[2])[1] if entry else time.monotonic_ns())
+        self.soak.caused_ns.append(records.LATCH.unpack(entry[2])[1] if entry else time.monotonic_ns())
         wait_for("a motion enable after a false stop", self._enabled, RECOVER_S)
         self._known_epoch = self._epoch.get()
 

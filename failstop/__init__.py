@@ -1,42 +1,76 @@
-"""failstop: the layer that makes a robot stop.
+"""failstop: the layer that makes a robot stop. This drives one for two seconds:
 
-from failstop import Robot
-with Robot() as robot:
-    robot.enable()
-    robot.drive(0.2, 0.0, 0.0)
+    import time
+    from failstop import Robot
+
+    with Robot() as robot:                          # the service that runs on this machine
+        robot.reset()                               # clears a latched stop, if there is one
+        robot.enable()                              # raises Refused, which says why not and what to do
+        for _ in range(40):
+            robot.sensed()                          # the obstacle sensor delivered just now
+            if not robot.drive(0.2, 0.0, 0.0):      # m/s forward, m/s left, rad/s counter-clockwise
+                print(robot.why())                  # what holds the wheels, what proves it, what to do
+            time.sleep(0.05)                        # a command counts for 0.3 s
+                                                    # leaving `with` stops the wheels and disables motion
+
+Robot.connect() is the same for asyncio. Times are s, lengths m, angles rad, voltages V. More: docs/python.md.
 """
 
 from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, Undeclared
+    from failstop.api.aio import AsyncRobot
+    from failstop.api.driving import Answer, Blocked, Driving, Preempted
+    from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, TimedOut, Undeclared
+    from failstop.api.events import Event
     from failstop.api.robot import Robot
-    from failstop.api.state import Process, State, Stop
+    from failstop.api.snapshot import Block, Process, State, Stop, Velocity
+    from failstop.api.why import Why
 
 __all__ = [
+    "Answer",
+    "AsyncRobot",
+    "Block",
+    "Blocked",
+    "Driving",
+    "Event",
     "FailstopError",
     "NoAnswer",
     "NoService",
+    "Preempted",
     "Process",
     "Refused",
     "Robot",
     "State",
     "Stop",
+    "TimedOut",
     "Undeclared",
+    "Velocity",
+    "Why",
     "__version__",
 ]
 
 _HOMES = {
+    "Answer": "driving",
+    "AsyncRobot": "aio",
+    "Block": "snapshot",
+    "Blocked": "driving",
+    "Driving": "driving",
+    "Event": "events",
     "FailstopError": "errors",
     "NoAnswer": "errors",
     "NoService": "errors",
-    "Process": "state",
+    "Preempted": "driving",
+    "Process": "snapshot",
     "Refused": "errors",
     "Robot": "robot",
-    "State": "state",
-    "Stop": "state",
+    "State": "snapshot",
+    "Stop": "snapshot",
+    "TimedOut": "errors",
     "Undeclared": "errors",
+    "Velocity": "snapshot",
+    "Why": "why",
 }
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 
-from failstop.cli.screen import verdict
+from failstop.api import verdict
 from failstop.shm import blocks, records
 from failstop.supervisor.link import ALIVE, DEAF, UNPROVEN
 from failstop.version import VERSION
@@ -78,9 +78,9 @@ def _processes(value: str) -> Read:
     return lambda state: _each("process", {name: getattr(row, value) for name, row in state.processes.items()})
 
 
-def _process_ms(value: str) -> Read:
+def _living(value: str) -> Read:
     return lambda state: _each(
-        "process", {name: getattr(row, value) / 1e3 for name, row in state.processes.items() if row.pid}
+        "process", {name: getattr(row, value) for name, row in state.processes.items() if row.pid}
     )
 
 
@@ -92,12 +92,8 @@ def _process_states(state: State) -> list[Sample]:
     ]
 
 
-def _stop(value: str, scale: float) -> Read:
-    def read(state: State) -> list[Sample]:
-        found = getattr(state.last_stop, value) if state.last_stop else None
-        return _one(None if found is None else found * scale)
-
-    return read
+def _stop(value: str) -> Read:
+    return lambda state: _one(getattr(state.last_stop, value) if state.last_stop else None)
 
 
 def _stop_cause(state: State) -> list[Sample]:
@@ -105,10 +101,11 @@ def _stop_cause(state: State) -> list[Sample]:
     return [((("cause", stop.cause.kind.name), ("noticed_by", stop.noticed_by)), 1.0)] if stop else []
 
 
-def _joints(value: str, scale: float = 1.0) -> Read:
+def _joints(value: str) -> Read:
     def read(state: State) -> list[Sample]:
-        joints = state.arm["joints"] if state.arm else {}
-        return _each("joint", {name: row[value] * scale for name, row in joints.items() if row[value] is not None})
+        joints = state.arm.joints if state.arm else {}
+        known = {name: getattr(row, value) for name, row in joints.items()}
+        return _each("joint", {name: found for name, found in known.items() if found is not None})
 
     return read
 
@@ -123,7 +120,7 @@ def _rows() -> Iterator[Family]:
         lambda state: [((("service", state.name), ("version", VERSION)), 1.0)], "service", "version",
     )  # fmt: skip
     yield row("motion_enabled", GAUGE, "1 while motion is enabled", lambda state: _one(state.enabled))
-    yield row("moving", GAUGE, "1 while a velocity is commanded", lambda state: _one(verdict.moving(state)))
+    yield row("moving", GAUGE, "1 while a velocity is commanded", lambda state: _one(state.moving))
     yield row(
         "wheels_may_turn", GAUGE, "1 while a stop is not known to reach the wheels: the POWER SWITCH is all there is",
         lambda state: _one(bool(verdict.doubt(state))),
@@ -142,19 +139,19 @@ def _rows() -> Iterator[Family]:
         "last_stop_info", GAUGE, "Always 1; why the robot was stopped last, and who noticed it",
         _stop_cause, "cause", "noticed_by",
     )  # fmt: skip
-    yield row("last_stop_timestamp_seconds", GAUGE, "When that was, Unix time", _stop("t", 1.0))
+    yield row("last_stop_timestamp_seconds", GAUGE, "When that was, Unix time", _stop("t"))
     yield row(
         "last_stop_written_seconds", GAUGE, "From its cause to its bytes in the kernel; missing: NOT written",
-        _stop("written_us", 1e-6),
+        _stop("written_s"),
     )  # fmt: skip
     yield row(
         "last_stop_acknowledged_seconds", GAUGE, "From its cause to the board's answer; missing: none came",
-        _stop("acknowledged_us", 1e-6),
+        _stop("acknowledged_s"),
     )  # fmt: skip
     yield row(
         "last_stop_observed_seconds", GAUGE,
         "From its cause to wheels that the IMU calls still; 0: nothing shook before it either; missing: not seen",
-        _stop("observed_ms", 1e-3),
+        _stop("observed_s"),
     )  # fmt: skip
     yield row(
         "velocity_meters_per_second", GAUGE, "Commanded now, x forward, y left",
@@ -165,21 +162,21 @@ def _rows() -> Iterator[Family]:
     )
     yield row(
         "port_state", GAUGE, "1 for what the port to the board is",
-        lambda state: _states("state", records.PORT_STATES, state.device["state"]), "state",
+        lambda state: _states("state", records.PORT_STATES, state.device.state), "state",
     )  # fmt: skip
     yield row(
         "link_state", GAUGE, "1 for what the board's answers prove",
-        lambda state: _states("state", LINKS, state.device["link"]), "state",
+        lambda state: _states("state", LINKS, state.device.link), "state",
     )  # fmt: skip
     yield row(
         "battery_volts", GAUGE, "The battery's voltage",
-        lambda state: _one(state.battery_mv / 1e3 if state.battery_mv else None),
+        lambda state: _one(state.battery_v),
     )  # fmt: skip
     yield row(
         "battery_charger_plugged", GAUGE, "1 while the charger is plugged in; missing: the board does not say",
         lambda state: _one({"plugged": 1.0, "unplugged": 0.0}.get(state.plugged)),
     )  # fmt: skip
-    yield row("decision_age_seconds", GAUGE, "Age of the gate's decision", lambda state: _one(state.age_ms / 1e3))
+    yield row("decision_age_seconds", GAUGE, "Age of the gate's decision", lambda state: _one(state.age_s))
     yield row(
         "scan_age_seconds", GAUGE, "Since the obstacle sensor delivered; missing: never",
         lambda state: _one(state.scan_age_s),
@@ -187,12 +184,10 @@ def _rows() -> Iterator[Family]:
     yield row("clients", GAUGE, "Programs that hold a client slot", lambda state: _one(len(state.clients)))
     yield row("process_state", GAUGE, "1 for what each process is", _process_states, "process", "state")
     yield row("process_restarts_total", COUNTER, "Restarts of each process", _processes("restarts"), "process")
-    yield row(
-        "process_heartbeat_age_seconds", GAUGE, "Since the last heartbeat of each", _process_ms("age_ms"), "process"
-    )
+    yield row("process_heartbeat_age_seconds", GAUGE, "Since the last heartbeat of each", _living("age_s"), "process")
     yield row(
         "process_longest_turn_seconds", GAUGE, "The longest time between two turns of its loop since its start",
-        _process_ms("worst_ms"), "process",
+        _living("worst_s"), "process",
     )  # fmt: skip
     yield row(
         "process_realtime", GAUGE, "1 with real-time rights, without which stops come later",
@@ -200,16 +195,16 @@ def _rows() -> Iterator[Family]:
     )  # fmt: skip
     yield row(
         "starved_total", COUNTER, "How often the machine did not run a process in time, since motion was disabled",
-        lambda state: _one(state.starved["times"] if state.starved else 0),
+        lambda state: _one(state.starved.times if state.starved else 0),
     )  # fmt: skip
     yield row(
         "arm_moving", GAUGE, "1 while the arm moves; missing without an arm",
-        lambda state: _one(state.arm["moving"] if state.arm else None),
+        lambda state: _one(state.arm.moving if state.arm else None),
     )  # fmt: skip
     yield row(
         "arm_joint_temperature_celsius", GAUGE, "Of each servo, as it was read last", _joints("temperature_c"), "joint"
     )
-    yield row("arm_joint_supply_volts", GAUGE, "Of each servo, likewise", _joints("supply_mv", 1e-3), "joint")
+    yield row("arm_joint_supply_volts", GAUGE, "Of each servo, likewise", _joints("supply_v"), "joint")
 
 
 LINKS = (UNPROVEN, ALIVE, DEAF)

@@ -44,13 +44,13 @@ class Duty:
         if stop is None or not self._answers_it(stop):
             return []
         told = {answer.level for answer in self.answers}
-        if stop.written_us is None:
+        if stop.written_s is None:
             text = "latched, but NOT written: the board did not get it"
             return [] if levels.FAILED in told else [self._answer(levels.FAILED, text, now_s)]
         known = {
             levels.WRITTEN: True,
-            levels.ACKNOWLEDGED: stop.acknowledged_us is not None,
-            levels.OBSERVED: stop.observed_ms is not None,
+            levels.ACKNOWLEDGED: stop.acknowledged_s is not None,
+            levels.OBSERVED: stop.observed_s is not None,
         }
         return [self._answer(level, "", now_s) for level, there in known.items() if there and level not in told]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import datetime
 import json
 
-from failstop.cli.screen import verdict
-from failstop.cli.screen.summary import BATTERY_LOW_MV
+from failstop.api import verdict
+from failstop.cli.screen.summary import BATTERY_LOW_V
 from failstop.policy.causes import Cause
 from failstop.shm import blocks
 
@@ -95,7 +95,7 @@ def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Mes
     latched = state.cause is not None
     return {
         **_NO_ORDER,
-        "driving": verdict.moving(state),
+        "driving": state.moving,
         "paused": not state.enabled and not latched,
         "operatingMode": _mode(state),
         "velocity": dict(zip(("vx", "vy", "omega"), (round(value, 4) for value in state.body_vel), strict=True)),
@@ -136,15 +136,15 @@ def _standing(mode: str) -> Message:
 
 def _mode(state: State) -> str:
     """Who has the wheels: a person, nobody while the service is not ready, else programs."""
-    if any(row["state"] == "drives" and row["source"] in BY_HAND for row in state.sources):
+    if any(row.state == "drives" and row.source in BY_HAND for row in state.sources):
         return "MANUAL"
     return "SERVICE" if state.waiting_for else "AUTOMATIC"
 
 
 def _battery(state: State) -> Message:
-    known = state.battery_mv or 0
-    charge = (GOOD_CHARGE if known >= BATTERY_LOW_MV else LOW_CHARGE) if known else 0.0
-    volts = {"batteryVoltage": known / 1e3} if known else {}
+    known = state.battery_v or 0.0
+    charge = (GOOD_CHARGE if known >= BATTERY_LOW_V else LOW_CHARGE) if known else 0.0
+    volts = {"batteryVoltage": known} if known else {}
     return {"batteryCharge": charge, **volts, "charging": state.plugged == "plugged"}
 
 
@@ -157,17 +157,16 @@ def _errors(state: State) -> list[Message]:
     for name, process in state.processes.items():
         if process.state != "running":
             found.append(_error("processNotRunning", WARNING, f"{name} is {process.state}", "", {"process": name}))
-    if state.device["state"] == "open" and state.device["link"] == "unproven":
+    if state.device.state == "open" and state.device.link == "unproven":
         found.append(_error("linkUnproven", WARNING, "the board has not answered a ping since the port was opened"))
     if state.starved:
         found.append(_error("starved", WARNING, "the machine did not run the service in time", "`failstop doctor`"))
-    return found + [_error("arm", WARNING, text) for text in (state.arm["wrong"] if state.arm else ())]
+    return found + [_error("arm", WARNING, text) for text in (state.arm.wrong if state.arm else ())]
 
 
 def _information(state: State) -> list[Message]:
-    word, _ = verdict.word(state)
-    found = [_info("word", word), _info("why", why(state)), _info("next", verdict.next_step(state))]
-    if state.battery_mv is None:
+    found = [_info("word", verdict.word(state)), _info("why", why(state)), _info("next", verdict.next_step(state))]
+    if state.battery_v is None:
         found.append(_info("battery", "not known"))
     if state.last_stop:
         found.append(_info("lastStop", state.last_stop.reason, _proofs(state.last_stop)))
@@ -191,9 +190,9 @@ def _proofs(stop: Stop) -> dict[str, object]:
     found = {
         "cause": stop.cause.kind.name,
         "t": stamp(stop.t),
-        "written_us": stop.written_us,
-        "acknowledged_us": stop.acknowledged_us,
-        "observed_ms": stop.observed_ms,
+        "written_s": stop.written_s,
+        "acknowledged_s": stop.acknowledged_s,
+        "observed_s": stop.observed_s,
     }
     return {key: value for key, value in found.items() if value is not None}
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from failstop.api import verdict, words
 from failstop.cli import style
-from failstop.cli.screen import live, verdict, words
+from failstop.cli.screen import live
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 from failstop.fleet import vda5050
 

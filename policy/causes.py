@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 ROOM = 280
 """Bytes that the arguments of a cause take at most, in UTF-8; what is longer is cut."""
-BYTES = ROOM + 2
 BETWEEN = "\x1f"
 LONGEST_PID = 10
 RESET = "a reset"
@@ -98,7 +97,7 @@ class Cause:
         return hash((self.kind.number, self.arguments))
 
     def pack(self) -> bytes:
-        """BYTES at most."""
+        """ROOM + 2 bytes at most."""
         texts = (str(value).replace(BETWEEN, "?") for value in self.arguments)
         return _NUMBER.pack(self.kind.number) + cut(BETWEEN.join(texts), ROOM)
 

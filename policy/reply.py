@@ -26,10 +26,15 @@ class Reply:
 
     def pack(self, session: int, number: int) -> bytes:
         """For the request of this number, of this client's session."""
-        return records.pack_reply(session, number, self.done, self.text, self.cause.pack() if self.cause else b"")
+        return records.REPLY.pack(session, number, self.done, self.text, self.cause.pack() if self.cause else b"")
+
+
+def asked_before(cause: Cause) -> Reply:
+    """Refused: who asked before the last stop, which is for this cause, did not know of it."""
+    return Reply(False, f"asked before the last stop ({CAUSE}): see to that, then ask again", cause)
 
 
 def unpack(payload: bytes) -> tuple[int, int, Reply]:
     """Return (session, number, reply). Raises ValueError."""
-    session, number, done, text, cause = records.unpack_reply(payload)
+    session, number, done, text, cause = records.REPLY.unpack(payload)
     return session, number, Reply(done, text, causes.read(cause) if cause else None)

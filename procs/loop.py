@@ -3,9 +3,10 @@
 Whoever sets a deadline also asks whether it is due, and the loop that made it waits for it: none is forgotten. One that
 is due and not taken or set anew keeps the loop awake.
 
-`epoll.poll` takes whole milliseconds; `select` is finer, but can't watch a port for its hang-up alone, and costs a call
-more. So the descriptors are in an epoll set, which waits by itself for the whole milliseconds, and `select` waits for
-that set for what is left.
+`epoll.poll` takes whole milliseconds; `select` is finer, but can't watch a port for its hang-up alone. So the
+descriptors are in an epoll set. For a deadline `select` waits for that set; for the longest time that a process may
+sleep, where a millisecond is nothing, the set waits by itself, which is a call less. It is one sleep either way: each
+costs about 0.12 ms of processor time (60 us of the kernel's, and as much in cold caches).
 """
 
 from __future__ import annotations
@@ -15,11 +16,15 @@ from time import monotonic_ns
 
 READ = select.EPOLLIN
 WRITE = select.EPOLLOUT
+EDGE = select.EPOLLET
+"""Beside READ: tell of new bytes once, whether all of them are read or not."""
 HANGUP = 0
 """Watch for the hang-up or error alone, which the kernel always reports."""
 
 GONE = select.EPOLLHUP | select.EPOLLERR
 MS = 1_000_000
+LONG_NS = 10 * MS
+"""A longest time from here on is not meant to the millisecond."""
 NEVER = 2**63 - 1
 
 
@@ -81,17 +86,18 @@ class Loop:
 
     def until_ns(self, now_ns: int, longest_ns: int) -> int:
         """How long wait() waits that begins now."""
-        return min([now_ns + longest_ns, *[deadline.ns for deadline in self._deadlines]])
+        return min(now_ns + longest_ns, self._due_ns())
+
+    def _due_ns(self) -> int:
+        """The first of the deadlines."""
+        return min([deadline.ns for deadline in self._deadlines], default=NEVER)
 
     def wait(self, longest_ns: int) -> dict[int, int]:
         """Block until a descriptor is ready, a deadline has come, or this time is over; return {fd: events}."""
-        until_ns = self.until_ns(monotonic_ns(), longest_ns)
-        left_ns = until_ns - monotonic_ns()
-        if left_ns > MS:
-            # Half a millisecond less, which the call rounds up again: the whole milliseconds that are left.
-            if ready := self._poll((left_ns // MS - 0.5) * 1e-3):
-                return dict(ready)
-            left_ns = until_ns - monotonic_ns()
-        if select.select(self._set, (), (), left_ns * 1e-9 if left_ns > 0 else 0)[0]:
+        left_ns = self._due_ns() - monotonic_ns()
+        if LONG_NS <= longest_ns < left_ns - MS:
+            return dict(self._poll(longest_ns * 1e-9))
+        left_ns = min(left_ns, longest_ns)
+        if left_ns <= 0 or select.select(self._set, (), (), left_ns * 1e-9)[0]:
             return dict(self._poll(0))
         return {}

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from failstop.api import verdict
 from failstop.api.state import Process, State
-from failstop.cli.screen import summary, verdict
+from failstop.cli.screen import summary
 from failstop.ros2 import report, words
 
 OK = 0
@@ -35,9 +36,9 @@ def _status(name: str, level: int, message: str, **values: object) -> Status:
 
 def _stop_layer(state: State) -> Status:
     """Why it is blocked, and the next command."""
-    word, _ = verdict.word(state)
+    word = verdict.word(state)
     level = ERROR if state.estop or verdict.doubt(state) or verdict.down(state) else OK
-    if state.age_ms > verdict.STALE_MS:
+    if state.age_s > verdict.STALE_S:
         level = STALE
     step = verdict.next_step(state)
     message = f"{word}: {verdict.headline(state, report.blocked(state))}" + (f"; next: {step}" if step else "")
@@ -59,8 +60,8 @@ def _processes(state: State) -> Iterator[Status]:
             _level(process),
             process.state,
             pid=process.pid,
-            age_ms=process.age_ms,
-            worst_ms=process.worst_ms,
+            age_ms=round(process.age_s * 1e3, 1),
+            worst_ms=round(process.worst_s * 1e3, 1),
             restarts=process.restarts,
             last_exit=process.last_exit or "",
         )
@@ -68,25 +69,25 @@ def _processes(state: State) -> Iterator[Status]:
 
 def _level(process: Process) -> int:
     if process.state == "running":
-        return WARN if process.age_ms > summary.LATE_BEAT_MS else OK
+        return WARN if process.age_s > summary.LATE_BEAT_S else OK
     return WARN if process.state in ("starting", "waiting") else ERROR
 
 
 def _port(state: State) -> Status:
-    found = state.device["state"]
-    return _status("port", OK if found == "open" else ERROR, found, path=state.device["path"] or "")
+    found = state.device.state
+    return _status("port", OK if found == "open" else ERROR, found, path=state.device.path or "")
 
 
 def _link(state: State) -> Status:
-    found = state.device["link"]
+    found = state.device.link
     return _status("link", LINK_LEVELS.get(found, ERROR), summary.LINKS[found][0] if found in summary.LINKS else found)
 
 
 def _battery(state: State) -> Status:
-    if not state.battery_mv:
+    if not state.battery_v:
         return _status("battery", WARN, "not known yet")
-    level = WARN if state.battery_mv < summary.BATTERY_LOW_MV else OK
-    return _status("battery", level, f"{state.battery_mv / 1000:.2f} V", charger=state.plugged)
+    level = WARN if state.battery_v < summary.BATTERY_LOW_V else OK
+    return _status("battery", level, f"{state.battery_v:.2f} V", charger=state.plugged)
 
 
 def _rights(state: State) -> Status:

@@ -13,7 +13,7 @@ from failstop.ros2.contract import CLIENT
 
 ANSWER_S = 0.5
 AGAIN_NS = 200_000_000
-STALE_MS = 500.0
+STALE_S = 0.5
 """A state as old as this may be of a run that is over."""
 T = TypeVar("T")
 
@@ -44,13 +44,13 @@ class Link:
             if monotonic_ns() - self._tried_ns < AGAIN_NS:
                 raise self._problem
             self._tried_ns = monotonic_ns()
-            self._robot = Robot(self.name, client=CLIENT, answer_s=ANSWER_S)
+            self._robot = Robot(self.name, client=CLIENT, answer_s=ANSWER_S, disable_on_exit=False)
         return self._robot
 
     def state(self) -> State:
         """A state of the run that is there now. Raises FailstopError."""
         found = self.call(lambda robot: robot.state)
-        if found.age_ms > STALE_MS and monotonic_ns() - self._tried_ns >= AGAIN_NS:
+        if found.age_s > STALE_S and monotonic_ns() - self._tried_ns >= AGAIN_NS:
             self.close()
             found = self.call(lambda robot: robot.state)
         return found

@@ -6,11 +6,12 @@ of what goes out often, numbers at the places of a stencil (stencil.py). Times a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import cos, nan, pi, sin
+from collections.abc import Sequence
+from math import cos, nan, sin
 from typing import Any
 
 from failstop.api.samples import ImuSample, OdometrySample, PadSample
+from failstop.api.snapshot import ArmState
 
 Fields = dict[str, Any]
 Values = tuple[Sequence[float], ...]
@@ -65,11 +66,11 @@ BATTERY_CONSTANT: Fields = {
 }
 
 
-def battery(millivolts: int, plugged: str, ros_ns: int) -> Fields:
+def battery(volts: float, plugged: str, ros_ns: int) -> Fields:
     """sensor_msgs/BatteryState."""
     return {
         "header": {"stamp": stamp(ros_ns)},
-        "voltage": millivolts / 1000,
+        "voltage": volts,
         "power_supply_status": CHARGE[plugged],
     }
 
@@ -137,23 +138,22 @@ class Wheels:
         self._velocity_radps = [0.0] * 4
         self._ns: int | None = None
 
-    def follow(self, wheels_rps: Sequence[float], signs: Sequence[int], now_ns: int) -> None:
-        """The speeds commanded from now on, as the motors have them; `signs`: 1 where a motor turns forward on a
-        positive speed."""
+    def follow(self, wheels_radps: Sequence[float], now_ns: int) -> None:
+        """The speeds commanded from now on: State.wheels_radps."""
         if self._ns is not None:
             for at, speed_radps in enumerate(self._velocity_radps):
                 self._position_rad[at] += speed_radps * (now_ns - self._ns) / 1e9
         self._ns = now_ns
-        self._velocity_radps = [rps * sign * 2 * pi for rps, sign in zip(wheels_rps, signs, strict=True)]
+        self._velocity_radps = list(wheels_radps)
 
-    def fields(self, ros_ns: int, arm: Mapping[str, Any] | None = None) -> tuple[list[str], Values]:
+    def fields(self, ros_ns: int, arm: ArmState | None = None) -> tuple[list[str], Values]:
         """sensor_msgs/JointState: names, and what changes; `arm`: as in State.arm. A joint that was not read yet is
         left out; while it moves it is where it was sent."""
-        joints = arm["joints"] if arm else {}
+        joints = arm.joints if arm else {}
         found = {
-            name: joint["commanded_rad"] if joint["commanded_rad"] is not None else joint["angle_rad"]
+            name: joint.angle_rad if joint.commanded_rad is None else joint.commanded_rad
             for name, joint in joints.items()
-            if joint["angle_rad"] is not None
+            if joint.angle_rad is not None
         }
         position = [*self._position_rad, *found.values()]
         return [*WHEELS, *found], (_stamped(ros_ns), position, [*self._velocity_radps, *([0.0] * len(found))])

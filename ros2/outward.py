@@ -37,7 +37,6 @@ HEARD_NS = 500_000_000
 """How often the graph is asked which topics somebody hears: the others are published when that is cheap."""
 SLOW_NS = 1_000_000_000
 SUPERVISOR = "supervisor"
-SIGNS = tuple(f"wheels.sign_{number}" for number in (1, 2, 3, 4))
 
 
 class Outward:
@@ -72,7 +71,7 @@ class Outward:
         self._told: list[diagnostics.Status] = []
         self._deviations: tuple[float, ...] = ()
         self._joints: list[str] = []
-        self._battery: tuple[int, str] | None = None
+        self._battery: tuple[float, str] | None = None
         self._thread = threading.Thread(target=self._run, name="outward", daemon=True)
 
     def _make(self, topic: Topic, qos: Any) -> None:
@@ -156,7 +155,7 @@ class Outward:
         elif isinstance(sample, PadSample):
             self._send(contract.GAMEPAD, messages.gamepad(sample, sample.t_ns + self._offset_ns))
         elif isinstance(sample, BatterySample):
-            self._battery = (sample.battery_mv, sample.plugged)
+            self._battery = (sample.battery_v, sample.plugged)
 
     def _odometry(self, sample: OdometrySample) -> None:
         ros_ns = sample.t_ns + self._offset_ns
@@ -204,7 +203,7 @@ class Outward:
 
     def _log(self, state: State, now_ns: int) -> None:
         settings = self._shared.settings or {}
-        self._wheels.follow(state.wheels_rps, [int(settings[key]) for key in SIGNS], now_ns)
+        self._wheels.follow(state.wheels_radps, now_ns)
         timeout_s = float(settings["scan.timeout_s"])
         if line := self._scan_log.follow(state.blocked, state.scan_age_s, timeout_s, now_ns):
             self._node.get_logger().warning(line)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from math import degrees, nan
 from typing import Any
 
+from failstop.api import verdict
 from failstop.api.state import State
-from failstop.cli.screen import verdict
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
 from failstop.shm import blocks
@@ -23,7 +23,7 @@ def blocked(state: State) -> str | None:
 
 def driver(state: State) -> str | None:
     """Who drives."""
-    return next((f"{row['who']} as {row['source']}" for row in state.sources if row["state"] == "drives"), None)
+    return next((f"{row.who} as {row.source}" for row in state.sources if row.state == "drives"), None)
 
 
 NO_ARM: dict[str, Any] = {
@@ -42,26 +42,26 @@ def arm(state: State) -> dict[str, Any]:
     found = state.arm
     if found is None:
         return NO_ARM
-    joints = found["joints"].values()
+    joints = found.joints.values()
     return {
-        "arm_enabled": not found["closed"],
-        "arm_moving": found["moving"],
-        "arm_pose": {str(joint["servo"]): joint["pulses"] for joint in joints if joint["pulses"] is not None},
-        "servo_silent": found["silent"],
-        "arm_holding": not found["moving"] and any(joint["torque"] for joint in joints),
-        "auto_tuck_in_s": found["auto_tuck_s"],
-        "pad_joint": found["pad_joint"],
+        "arm_enabled": not found.closed,
+        "arm_moving": found.moving,
+        "arm_pose": {str(joint.servo): joint.pulses for joint in joints if joint.pulses is not None},
+        "servo_silent": list(found.silent),
+        "arm_holding": not found.moving and any(joint.torque for joint in joints),
+        "auto_tuck_in_s": found.auto_tuck_s,
+        "pad_joint": found.pad_joint,
     }
 
 
 def busy(state: State | None) -> bool:
     """~/arm_busy: it moves, or is about to."""
-    return bool(state and state.arm and state.arm["mode"])
+    return bool(state and state.arm and state.arm.mode)
 
 
 def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> dict[str, Any]:
     """The values of ~/state, by the keys of contract.STATE_KEYS."""
-    bias = state.gyro_bias or {"bias_radps": (0.0, 0.0, 0.0), "tracking": False}
+    bias = state.gyro_bias
     stop = state.last_stop
     found = {
         "enabled": state.enabled,
@@ -71,27 +71,27 @@ def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> di
         "blocked": blocked(state),
         "body_vel": [round(value, 3) for value in state.body_vel],
         "scan_age": None if state.scan_age_s is None else round(state.scan_age_s, 2),
-        "gyro_bias_dps": [round(degrees(value), 4) for value in bias["bias_radps"]],
-        "gyro_bias_tracking": bias["tracking"],
+        "gyro_bias_dps": [round(degrees(value), 4) for value in (bias.bias_radps if bias else (0.0, 0.0, 0.0))],
+        "gyro_bias_tracking": bool(bias and bias.tracking),
         "pad_mode": state.pad_mode or "locked",
         "next": verdict.steps(state),
         "driver": driver(state),
         "publishers": list(publishers),
         "wrong": "; ".join(wrong) or None,
-        "link": state.device["link"],
-        "port": state.device["state"],
+        "link": state.device.link,
+        "port": state.device.state,
         "processes": {
-            name: {"pid": row.pid, "state": row.state, "age_ms": row.age_ms, "restarts": row.restarts}
+            name: {"pid": row.pid, "state": row.state, "age_ms": round(row.age_s * 1e3, 1), "restarts": row.restarts}
             for name, row in state.processes.items()
         },
         "last_stop": stop
         and {
             "reason": words.plain(stop.cause),
-            "written_us": stop.written_us,
-            "acknowledged_us": stop.acknowledged_us,
-            "observed_ms": stop.observed_ms,
+            "written_us": _times(stop.written_s, 1e6),
+            "acknowledged_us": _times(stop.acknowledged_s, 1e6),
+            "observed_ms": _times(stop.observed_s, 1e3),
         },
-        "state_age_ms": round(state.age_ms, 1),
+        "state_age_ms": round(state.age_s * 1e3, 1),
     }
     return {key: found[key] for key in STATE_KEYS}
 
@@ -131,18 +131,22 @@ def status(state: State) -> dict[str, Any]:
         "latched": state.estop is not None,
         "estop": words.plain(state.cause),
         "driver": driver(state) or "",
-        "state_age_s": state.age_ms / 1000,
+        "state_age_s": state.age_s,
         "scan_age_s": _known(state.scan_age_s),
-        "link": state.device["link"],
+        "link": state.device.link,
         "last_stop": words.plain(stop.cause) if stop else "",
-        "last_stop_written_s": _known(stop.written_us if stop else None, 1e6),
-        "last_stop_acknowledged_s": _known(stop.acknowledged_us if stop else None, 1e6),
-        "last_stop_observed_s": _known(stop.observed_ms if stop else None, 1e3),
+        "last_stop_written_s": _known(stop.written_s if stop else None),
+        "last_stop_acknowledged_s": _known(stop.acknowledged_s if stop else None),
+        "last_stop_observed_s": _known(stop.observed_s if stop else None),
     }
 
 
-def _known(value: float | None, unit: float = 1.0) -> float:
-    return nan if value is None else value / unit
+def _known(value: float | None) -> float:
+    return nan if value is None else value
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else round(value * factor, 1)
 
 
 def latched(state: State | None) -> bool:
@@ -161,15 +165,15 @@ def proof(before: State | None, now: State | None, *, final: bool = False) -> st
     stop = now.last_stop if now else None
     if now is None or stop is None or not now.estop or (before and stop == before.last_stop and not before.estop):
         return "asked for a stop; the service has not told of it yet" if final else ""
-    if stop.written_us is None:
+    if stop.written_s is None:
         return f"stop latched ({words.plain(now.cause)}), and it could NOT be written: use the POWER SWITCH"
-    if stop.observed_ms is None and not final:
+    if stop.observed_s is None and not final:
         return ""
-    told = [f"written after {stop.written_us / 1000:.1f} ms"]
+    told = [f"written after {stop.written_s * 1e3:.1f} ms"]
     told.append(
         "not acknowledged yet"
-        if stop.acknowledged_us is None
-        else f"acknowledged after {stop.acknowledged_us / 1000:.1f} ms"
+        if stop.acknowledged_s is None
+        else f"acknowledged after {stop.acknowledged_s * 1e3:.1f} ms"
     )
-    told.append("not seen still yet" if stop.observed_ms is None else f"observed after {stop.observed_ms:.0f} ms")
+    told.append("not seen still yet" if stop.observed_s is None else f"observed after {stop.observed_s * 1e3:.0f} ms")
     return f"stop latched ({words.plain(now.cause)}): {', '.join(told)}"

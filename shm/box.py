@@ -82,12 +82,12 @@ def pack_imu(acceleration_mps2: tuple[float, ...], rate_radps: tuple[float, ...]
 
 
 def pack_battery(millivolts: int, plugged: int) -> bytes:
-    """A reading, as in records.pack_battery."""
+    """A reading, as in records.BATTERY.pack."""
     return _BATTERY.pack(BATTERY, millivolts, plugged)
 
 
 def pack_pad(sample: tuple[int, ...], mode: int) -> bytes:
-    """A gamepad frame, as in records.pack_pad."""
+    """A gamepad frame, as in records.PAD.pack."""
     return _PAD.pack(PAD, *sample, mode)
 
 
@@ -131,7 +131,7 @@ def unpack_wire(payload: bytes) -> tuple[int, int, int, bytes]:
 
 
 def unpack_board(payload: bytes) -> tuple[int, tuple[float, ...]]:
-    """Return (IMU, six floats), (BATTERY, (millivolts, plugged)) or (PAD, as records.unpack_pad). Raises ValueError."""
+    """Return (IMU, six floats), (BATTERY, (millivolts, plugged)) or (PAD, as records.PAD.unpack). Raises ValueError."""
     form = {IMU: _IMU, BATTERY: _BATTERY, PAD: _PAD}.get(payload[0] if payload else 0)
     if form is None or len(payload) != form.size:
         raise ValueError(f"a record of the board of {len(payload)} bytes, of no known kind")

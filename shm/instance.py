@@ -15,6 +15,7 @@ _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 
 LETTING_GO_S = 0.5
 """How long a lock whose owner has died is waited for."""
+RUN_DIGITS = 16
 SHARED = "/dev/shm/failstop"
 _NOT_FOR_US = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOTDIR)
 """Why a place is another user's, or not there: the next one is tried."""
@@ -127,7 +128,7 @@ def bell_path(runtime_dir: str) -> str:
 
 
 def run_path(runtime_dir: str) -> str:
-    """The file that says which run's shared memory is the service's: its incarnation, 16 hexadecimal digits."""
+    """The file that says which run's shared memory is the service's: its incarnation, RUN_DIGITS hexadecimal digits."""
     return os.path.join(runtime_dir, "run")
 
 
@@ -176,7 +177,7 @@ def run(runtime_dir: str) -> tuple[int, int]:
     except OSError:
         raise no_service(os.path.basename(runtime_dir)) from None
     try:
-        return int(os.pread(fd, 16, 0), 16), os.fstat(fd).st_uid
+        return int(os.pread(fd, RUN_DIGITS, 0), 16), os.fstat(fd).st_uid
     except ValueError:
         raise no_service(os.path.basename(runtime_dir)) from None
     finally:

@@ -14,7 +14,7 @@ from failstop.shm import layout, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.packing import pack
 from failstop.supervisor.link import ALIVE, DEAF, Link
-from failstop.supervisor.stops import Stop
+from failstop.supervisor.stops import UNSTILL, Stop
 from failstop.supervisor.written import BY_SUPERVISOR
 
 TYPE_CHECKING = False
@@ -179,7 +179,7 @@ class Aftermath:
 
     def _tell_outcome(self, stop: Stop) -> None:
         link = self.link.state
-        level = "error" if stop.unstill and stop.observed_ns is None else ""
+        level = "error" if stop.state == UNSTILL else ""
         self._events.tell("stop_outcome", stop.outcome(link), stop.fields(link), level=level)
 
     def _tell_link(self, before: str, state: str) -> None:

@@ -10,7 +10,7 @@ import select
 import time
 
 from failstop.policy import causes
-from failstop.shm import instance, layout, packing
+from failstop.shm import instance, layout, news, packing
 from failstop.shm.records import cut
 from failstop.supervisor.allowance import ASKED_BYTES, OWN_BYTES, Allowance
 from failstop.supervisor.fold import PREFIX, fitted
@@ -51,11 +51,14 @@ def say(message: str) -> None:
 class Events:
     """The one place where events leave the service. Without a journal they are lines on stderr."""
 
-    def __init__(self, name: str, ring: RingWriter | None = None, journal: Journal | None = None) -> None:
-        """`name`: the instance's."""
+    def __init__(
+        self, name: str, ring: RingWriter | None = None, journal: Journal | None = None, published: int = -1
+    ) -> None:
+        """`name`: the instance's; `published`: the descriptor of its run's file, by which whoever waits is woken."""
         self._name = name
         self._ring = ring
         self._journal = journal
+        self._published = published
         self._waiting: list[Told] = []
         self._allowances: dict[Sort, Allowance] = {}
         self._short: set[Sort] = set()
@@ -93,6 +96,8 @@ class Events:
         waiting, self._waiting = self._waiting, []
         for told in waiting:
             self._send(*told)
+        if waiting and self._published >= 0:
+            news.touch(self._published)
 
     def _send(self, t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value]) -> None:
         """To everybody, unless there was too much of its sort."""

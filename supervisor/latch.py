@@ -5,7 +5,7 @@ The supervisor alone latches and resets. What it publishes of it is read by ever
 
 from __future__ import annotations
 
-from failstop.policy.reply import Reply
+from failstop.policy.reply import Reply, asked_before
 from failstop.shm import records
 from failstop.shm.records import CAUSE
 
@@ -37,10 +37,9 @@ class Latch:
             self.stop, self.since = self.newest, epoch
 
     def reset(self, epoch: int, asked_ns: int) -> Reply:
-        """Clear it and nothing else. Who asked before the last stop did not know of it."""
+        """Clear it and nothing else."""
         if self.newest and asked_ns < self._raised_ns:
-            text = f"asked before the last stop ({CAUSE}): see to that, then ask again"
-            return Reply(False, text, self.newest.cause)
+            return asked_before(self.newest.cause)
         self.reset_epoch = epoch
         if self.stop is None:
             return Reply(True, "no e-stop is latched")
@@ -51,4 +50,4 @@ class Latch:
         """For everybody, once there was a stop."""
         told = self.stop or self.newest
         assert told is not None
-        return records.pack_latch(self.since, told.t_ns, self._raised_ns, told.cause.pack())
+        return records.LATCH.pack(self.since, told.t_ns, self._raised_ns, told.cause.pack())

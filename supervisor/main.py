@@ -86,7 +86,7 @@ class Supervisor:
         self.loop = Loop()
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
         self.heartbeat = Heartbeat(own, os.getpid(), self._granted, monotonic_ns())
-        self._events = Events(name, own.ring_writer("events"), journal)
+        self._events = Events(name, own.ring_writer("events"), journal, resources.published)
         advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
         self.teller = Teller(name, self._events, views, advice)
         self._silence = Silence(views, resources.bells, self._events, advice)
@@ -247,7 +247,7 @@ class Supervisor:
         stops = []
         for process, ring in ((layout.PORT_OWNER, self._stops), (layout.GATE, self._trips)):
             while entry := ring.next():
-                _, cause_ns, written_ns, cause = records.unpack_stop(entry[2])
+                _, cause_ns, written_ns, cause = records.STOPPED.unpack(entry[2])
                 stops.append(Stop(cause_ns, process, causes.read(cause), written_ns))
         for child in dead:
             child.dead = True

@@ -104,12 +104,12 @@ class Stop:
         """How far it has come: RAISED or one of those after it."""
         if not self.by:
             return RAISED
-        if not self.written_ns:
-            return UNWRITTEN
         if self.observed_ns is not None:
             return OBSERVED
         if self.unstill:
             return UNSTILL
+        if not self.written_ns:
+            return UNWRITTEN
         return WRITTEN if self.acknowledged_ns is None else ACKNOWLEDGED
 
     def answered_by(self, by: str, written_ns: int, latched: Cause, epoch: int, after_ns: int, unix_s: float) -> None:
@@ -174,7 +174,7 @@ class Stop:
         heard = f"acknowledged by the board after {self.acknowledged_ns / 1e6:.1f} ms" if self.acknowledged_ns else ""
         heard = heard or f"not acknowledged (link {link})"
         if self.observed_ns is None:
-            seen = "wheels NOT seen still" if self.unstill else "not observed"
+            seen = "wheels NOT seen still" if self.state == UNSTILL else "not observed"
         else:
             seen = wheels_seen(self.observed_ns / 1e9)
         return f"{self.cause}: {heard}, {seen}"
@@ -188,7 +188,7 @@ class Stop:
             "epoch": self.epoch,
             "link": link,
             **self._proofs(),
-            "wheels": "unstill" if self.unstill and self.observed_ns is None else seen,
+            "wheels": "unstill" if self.state == UNSTILL else seen,
         }
 
     def as_record(self) -> dict[str, Any]:

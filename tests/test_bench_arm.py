@@ -11,7 +11,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from bench import arm_kills
 from bench.arm_stream import PERIOD_NS, Hops
 from failstop.board.servos import bus_servo_move
-from failstop.lab.faults.arm import ROWS, Rested
+from failstop.lab.faults.arm import Rested
+from failstop.lab.faults.arm_table import ROWS
 from failstop.lab.trial import Stopped
 
 MS = 1_000_000

@@ -12,6 +12,7 @@ from failstop.board import codec, port, stop_port
 from failstop.board.burst import BURST
 from failstop.board.stop_port import DRAIN_S, TRIES, StopPort
 from tests.support.ptys import Board, Pty, new_pty
+from tests.support.stand_ins import Time, before_write
 
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
 REFUSED = None
@@ -39,11 +40,7 @@ class Kernel:
 @pytest.fixture
 def kernel(monkeypatch: pytest.MonkeyPatch) -> Kernel:
     made = Kernel()
-
-    class Os:
-        write = staticmethod(made.write)
-
-    monkeypatch.setattr(stop_port, "os", Os)
+    before_write(monkeypatch, made.write)
     return made
 
 
@@ -146,20 +143,6 @@ def test_another_descriptor_takes_the_place_of_the_old_which_is_closed(pty: Pty)
         assert (own.fd, own.lost) == (-1, True)
 
 
-class Clock:
-    """In the place of `time`: a look takes a microsecond, and a sleep no real time."""
-
-    def __init__(self) -> None:
-        self.now_s = 1000.0
-
-    def monotonic(self) -> float:
-        self.now_s += 1e-6
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        self.now_s += seconds
-
-
 @pytest.mark.parametrize(
     ("held", "rest", "drained", "waited_s"),
     [
@@ -181,7 +164,7 @@ def test_what_was_written_is_waited_for_but_not_for_ever(
             raise OSError(errno.EIO, "gone")
         return left
 
-    clock = Clock()
+    clock = Time()
     monkeypatch.setattr(port, "unsent_bytes", unsent_bytes)
     monkeypatch.setattr(stop_port, "time", clock)
     own = StopPort(pty.slave)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from failstop.cli.screen import history, reasons, verdict, words
+from failstop.api import history, reasons, verdict, words
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
 
@@ -49,12 +49,12 @@ def face(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "enabled": state.enabled,
         "can": {"reset": _no_reset(state), "enable": _no_enable(state), "disable": _no_disable(state)},
         "stop": stop_of(state.last_stop),
-        "driver": next((f"{row['who']} as {row['source']}" for row in state.sources if row["state"] == "drives"), ""),
-        "battery_v": state.battery_mv / 1000 if state.battery_mv else None,
+        "driver": next((f"{row.who} as {row.source}" for row in state.sources if row.state == "drives"), ""),
+        "battery_v": state.battery_v,
         "plugged": state.plugged,
-        "port": f"{state.device['path'] or 'no port'} {state.device['state']}",
-        "link": state.device["link"],
-        "clients": [f"{client['name']} (pid {client['pid']})" for client in state.clients],
+        "port": f"{state.device.path or 'no port'} {state.device.state}",
+        "link": state.device.link,
+        "clients": [f"{client.name} (pid {client.pid})" for client in state.clients],
         "attended": state.attended_by,
         "processes": [
             {"name": name.replace("_", " "), "state": process.state, "restarts": process.restarts}
@@ -72,7 +72,7 @@ def live(state: State, vibration_radps: float | None) -> list[Any]:
     """What changes all the time: forward, left, turn, vibration (mrad/s, None: the IMU is silent), age of the gate's
     word (ms)."""
     shake = None if vibration_radps is None else round(vibration_radps * 1e3, 2)
-    return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_ms)]
+    return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3)]
 
 
 def absent(note: str) -> dict[str, Any]:
@@ -108,9 +108,9 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
     return {
         "reason": stop.reason,
         "t": stop.t,
-        "written": "" if stop.written_us is None else words.took(stop.written_us),
-        "acknowledged": "" if stop.acknowledged_us is None else words.took(stop.acknowledged_us),
-        "observed": "" if stop.observed_ms is None else _seen(stop),
+        "written": "" if stop.written_s is None else words.took(stop.written_s),
+        "acknowledged": "" if stop.acknowledged_s is None else words.took(stop.acknowledged_s),
+        "observed": "" if stop.observed_s is None else _seen(stop),
     }
 
 
@@ -133,7 +133,7 @@ def plain(text: str) -> str:
 def _word(state: State) -> str:
     if verdict.doubt(state):
         return MAY_TURN
-    if verdict.moving(state):
+    if state.moving:
         return MOVING
     return CAN_MOVE if state.enabled and not state.estop else STOPPED
 
@@ -161,7 +161,7 @@ def _next(state: State) -> str:
     """One step; empty while it moves."""
     if any(process.state == "dead" for process in state.processes.values()):
         return "Start the service again."
-    if state.device["state"] != "open":
+    if state.device.state != "open":
         return f"{POWER} if the wheels turn; then plug the board in."
     if verdict.doubt(state):
         return f"{POWER} and on again."
@@ -169,7 +169,7 @@ def _next(state: State) -> str:
         return f"{sentence(reasons.explain(state.cause)[1])[:-1]}; then hold RESET."
     if missing := _waits(state):
         return sentence(missing)
-    if not state.enabled and state.attended_by == []:
+    if not state.enabled and state.attended_by == ():
         return "Somebody has to attend: press ATTEND."
     if not state.enabled:
         return "Hold ENABLE when nobody is in its way."
@@ -192,7 +192,7 @@ def _no_reset(state: State) -> str:
     """What stands in the way of a reset; empty when nothing does."""
     if not state.estop:
         return "nothing is latched"
-    if state.device["state"] != "open":
+    if state.device.state != "open":
         return "the board is not there"
     return ""
 
@@ -202,7 +202,7 @@ def _no_enable(state: State) -> str:
         return "motion is enabled already"
     if state.estop:
         return "a stop is latched: reset first"
-    return "nobody attends: press ATTEND first" if state.attended_by == [] else _waits(state)
+    return "nobody attends: press ATTEND first" if state.attended_by == () else _waits(state)
 
 
 def _no_disable(state: State) -> str:
@@ -215,11 +215,11 @@ def _troubles(state: State) -> list[str]:
     for name, process in state.processes.items():
         if process.state not in ("running", "starting"):
             found.append(f"The {name.replace('_', ' ')} is {process.state}.")
-    if state.device["state"] == "open" and state.device["link"] == "unproven":
+    if state.device.state == "open" and state.device.link == "unproven":
         found.append("The board has not answered yet, so nobody knows that it hears.")
     if starved := words.starved(state.starved):
         found.append(sentence(starved))
-    if state.age_ms > verdict.STALE_MS:
-        found.append(f"The gate has said nothing for {words.span(state.age_ms / 1000)}: this may be old.")
+    if state.age_s > verdict.STALE_S:
+        found.append(f"The gate has said nothing for {words.span(state.age_s)}: this may be old.")
     found += [f"{sentence(wrong)[:-1]} ({who})." for who, _, wrong in words.said(state) if wrong]
     return found

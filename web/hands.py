@@ -32,7 +32,7 @@ class Hands:
 
     def _ask(self, verb: str, who: str) -> tuple[bool, str]:
         try:
-            with Robot(self._name, client=who) as robot:
+            with Robot(self._name, client=who, disable_on_exit=False) as robot:
                 asked = {"reset": robot.reset, "enable": robot.enable, "disable": robot.disable}[verb]
                 return True, str(asked())
         except Refused as refused:

@@ -12,7 +12,7 @@ import tempfile
 import time
 from typing import Any
 
-from failstop.cli.screen import words
+from failstop.api import words
 from failstop.incidents import store
 
 MOST_SHOWN = 20

@@ -49,7 +49,7 @@ class Watcher:
             self._key = None
             return
         imu = self.state.imu
-        self.values = face.live(self.state, self._vibration.add(imu["rate_radps"] if imu else None))
+        self.values = face.live(self.state, self._vibration.add(imu.rate_radps if imu else None))
         key = self._what_matters(self.state)
         if key != self._key or now_s - self._drawn_s >= SLOW_S:
             self._key, self._drawn_s = key, now_s
@@ -62,7 +62,7 @@ class Watcher:
 
     @staticmethod
     def _what_matters(state: State) -> object:
-        moves = any(state.wheels_rps)
+        moves = any(state.wheels_radps)
         return state.blocked, state.enabled, state.epoch, state.waiting_for, state.device, state.last_stop, moves
 
     def _show(self, shown: dict[str, Any]) -> None:

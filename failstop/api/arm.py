@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from math import isfinite
-from typing import Any
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.policy.capsules import Model, would_hit
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.joints import Joint
+from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.shm import records
 
 TYPE_CHECKING = False
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from failstop.api.robot import Robot
+    from failstop.api.snapshot import ArmState
 
     Told = Callable[[str], None] | None
     Point = tuple[float, Mapping[str, float]]
@@ -30,17 +30,11 @@ class Arm:
     def __init__(self, robot: Robot) -> None:
         """Raises FailstopError for a robot whose settings name no joints."""
         self._robot = robot
-        tables: dict[str, dict[str, float | str]] = {}
-        for key, value in robot.settings.items():
-            family, _, rest = key.partition(".")
-            if family == "joints":
-                name, _, last = rest.partition(".")
-                tables.setdefault(name, {})[last] = value
-        if not tables:
-            raise FailstopError(f"the robot of {robot.name!r} has no arm: its settings name no [joints.NAME]")
-        self.joints = {name: Joint(index, name, table) for index, (name, table) in enumerate(tables.items())}
-        """Each joint by name, with its range (range_rad)."""
         settings = Settings(dict(robot.settings))
+        self.joints = {joint.name: joint for joint in from_settings(settings)}
+        """Each joint by name, with its range (range_rad)."""
+        if not self.joints:
+            raise FailstopError(f"the robot of {robot.name!r} has no arm: its settings name no [joints.NAME]")
         self._model = Model(settings) if settings.on("arm.collision") else None
 
     def move(
@@ -109,10 +103,10 @@ class Arm:
     def read(self, told: Told = None) -> dict[str, float]:
         """Read where each joint is; angles by name. Raises Refused."""
         self._robot._ask(records.ARM_READ, told)
-        return {name: joint["angle_rad"] for name, joint in self.state["joints"].items()}
+        return {name: angle for name, joint in self.state.joints.items() if (angle := joint.angle_rad) is not None}
 
     @property
-    def state(self) -> dict[str, Any]:
+    def state(self) -> ArmState:
         """What the service knows of the arm (State.arm)."""
         found = self._robot.state.arm
         if found is None:
@@ -126,8 +120,8 @@ class Arm:
         if self._model is None:
             return
         start = {}
-        for name, joint in self.state["joints"].items():
-            known = [angle for angle in (joint["commanded_rad"], joint["angle_rad"]) if angle is not None]
+        for name, joint in self.state.joints.items():
+            known = [angle for angle in (joint.commanded_rad, joint.angle_rad) if angle is not None]
             start[name] = known[0] if known else 0.0
         if hit := self._model.on_the_way(start, rows):
             raise Refused(would_hit(*hit[1:], hit[0] if rows[-1][0] else None))

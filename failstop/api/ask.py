@@ -72,7 +72,7 @@ def _watch(name: str, pipe: int) -> tuple[str, str]:
 
 
 def _told(name: str, state: State) -> tuple[str, str]:
-    from failstop.cli.screen import verdict
+    from failstop.api import verdict
 
     doubt = verdict.doubt(state)
     text = f"e-stop latched ({state.estop}) by the service {name!r}; next: {verdict.next_step(state)}"
@@ -110,7 +110,7 @@ def port_of(name: str) -> str:
             entry = found.latest_reader("port").read()
         finally:
             found.close()
-        return records.unpack_port(entry[2])[3] if entry else ""
+        return records.PORT.unpack(entry[2])[3] if entry else ""
     except Exception:  # whatever is wrong with its memory
         return ""
 

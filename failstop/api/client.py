@@ -7,7 +7,7 @@ import os
 import weakref
 
 from failstop.api.errors import FailstopError, NoService
-from failstop.policy.reply import unpack
+from failstop.policy.reply import Reply, unpack
 from failstop.shm import bell, claim, instance, layout, records, segment
 from failstop.shm.barrier import Barrier
 from failstop.shm.lifeline import HeldByThread, pid_namespace
@@ -17,9 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import TypeVar
 
-    from failstop.policy.reply import Reply
-
     T = TypeVar("T")
+
+
+GIVEN_UP = "given up for a later request of this program"
 
 
 def runtime_dir(name: str) -> str:
@@ -166,7 +167,7 @@ class Client:
         self._ring()
 
     def _hello(self, session: int) -> bytes:
-        return records.pack_hello(session, os.getpid(), pid_namespace(), self.who)
+        return records.HELLO.pack(session, os.getpid(), pid_namespace(), self.who)
 
     def _claim_slot(self) -> tuple[int, segment.Segment]:
         damaged = 0
@@ -197,51 +198,51 @@ class Client:
     def command(self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str) -> None:
         """Hand a velocity command to the gate; returns at once. Raises NoService, and ValueError for a source that is
         too long."""
-        self._commands.write(records.pack_command(self._session, vx_mps, vy_mps, wz_radps, manual, source))
+        self._commands.write(records.COMMAND.pack(self._session, vx_mps, vy_mps, wz_radps, manual, source))
         self._ring()
 
     def sensed(self) -> None:
         """Say that the obstacle sensor delivered just now; the gate sees it at its next tick or command."""
-        self._sensed.write(records.pack_held(self._session, []))
+        self._sensed.write(records.HELD.pack(self._session, []))
 
     def hold(self, names: list[str]) -> None:
         """Say that these interlocks hold now, and no others by this client; the gate sees it at its next tick."""
-        self._interlocks.write(records.pack_held(self._session, names))
+        self._interlocks.write(records.HELD.pack(self._session, names))
 
     def attended(self, who: str, t_ns: int) -> None:
         """Say that an operator was there at that time; 0: is there no more. Raises NoService, and ValueError for a name
         that is too long."""
-        self._attended.write(records.pack_held(self._session, [who]), t_ns)
+        self._attended.write(records.HELD.pack(self._session, [who]), t_ns)
         self._ring()
 
     def say(self, sees: str, wrong: str) -> None:
         """Say in a line what this program sees, and what is wrong; the gate passes it on within 0.2 s."""
-        self._said.write(records.pack_said(self._session, sees, wrong))
+        self._said.write(records.SAID.pack(self._session, sees, wrong))
 
     def ask(self, verb: int) -> int:
         """Make a request; returns its number, for answer(). Raises NoService."""
         self._number += 1
-        self._requests.write(records.pack_request(self._session, self._number, verb))
+        self._requests.write(records.REQUEST.pack(self._session, self._number, verb))
         self._ring()
         return self._number
 
     def arm_goal(self, mode: int, values: dict[int, float]) -> None:
         """Hand a goal of the arm to the gate; returns at once. Raises NoService, ValueError."""
-        self._arm_goal.write(records.pack_arm_goal(self._session, mode, values))
+        self._arm_goal.write(records.ARM_GOAL.pack(self._session, mode, values))
         self._ring()
 
-    def arm_path(self, share: float, servos: list[int], rows: list[tuple[float, list[float]]]) -> None:
+    def arm_path(self, share: float, servos: list[int], rows: records.Rows) -> None:
         """Leave a trajectory for the request that follows. Raises ValueError."""
-        self._arm_path.write(records.pack_arm_path(self._session, share, servos, rows))
+        self._arm_path.write(records.ARM_PATH.pack(self._session, share, servos, rows))
 
     def answer(self, asked: int) -> Reply | None:
         """The answer to a request; None while there is none. What the request has changed is in the state from then
-        on."""
+        on. A later request that was answered meanwhile, by another thread, has taken its place."""
         if (entry := self._reply.read()) is not None:
             session, number, reply = unpack(entry[2])
-            if (session, number) == (self._session, asked):
+            if session == self._session and number >= asked:
                 Barrier()()
-                return reply
+                return reply if number == asked else Reply(records.REFUSED, GIVEN_UP)
         return None
 
     def close(self, *, in_order: bool = True) -> None:

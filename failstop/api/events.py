@@ -16,6 +16,7 @@ from failstop.api.client import attach, runtime_dir
 from failstop.api.errors import FailstopError, NoService
 from failstop.shm import layout
 from failstop.shm.instance import DEFAULT_NAME
+from failstop.shm.news import News
 
 POLL_S = 0.05
 LOOK_EVERY_S = 0.25
@@ -33,12 +34,14 @@ class Event:
     ns: int
     """CLOCK_MONOTONIC, ns."""
     kind: str
+    """What it is about: stop, enabled, died, ... (docs/journal.md)."""
     level: str
     """info, notice, warning, error or critical."""
     text: str
     """One line for people, the same as in the journal; cut at 280 bytes, or at 200 or 120 where its fields need
     the room."""
     fields: dict[str, str | int | float]
+    """What its kind has beside the text."""
 
 
 class EventLog:
@@ -68,15 +71,26 @@ class EventLog:
             self._look()
         return found
 
-    def follow(self) -> Iterator[Event | None]:
-        """Every event, those that are there first; None when there is none for a while (POLL_S), so that the caller
-        can do something else. Raises NoService when the service has ended."""
-        while True:
-            found = self.read()
-            yield from found
-            if not found:
-                time.sleep(POLL_S)
-                yield None
+    def follow(self, every_s: float = POLL_S) -> Iterator[Event | None]:
+        """Every event, those that are there first, each as it is told; None when there is none for a while (`every_s`),
+        so that the caller can do something else. Raises NoService when the service has ended."""
+        news = News(self.name)
+        try:
+            while True:
+                news.clear()
+                news.watch()
+                found = self.read()
+                yield from found
+                if not found:
+                    news.wait(every_s)
+                    yield None
+        finally:
+            news.close()
+
+    def skip(self) -> None:
+        """Only what is told from here on."""
+        while self._ring.next():
+            pass
 
     def _look(self) -> None:
         """Raises NoService when this run of the service is over."""

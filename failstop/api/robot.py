@@ -13,10 +13,15 @@ from types import TracebackType
 
 from failstop.api.arm import Arm
 from failstop.api.client import Client, gone, runtime_dir, send_stop
-from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused
+from failstop.api.driving import Answer, Blocked, judge, settled
+from failstop.api.errors import FailstopError, NoService, Refused
+from failstop.api.events import LOOK_EVERY_S, Event, EventLog
+from failstop.api.request import Request
 from failstop.api.run import Run
 from failstop.api.samples import Sample, SampleReader
-from failstop.api.state import State, StateReader
+from failstop.api.snapshot import Block, State
+from failstop.api.state import StateReader
+from failstop.api.waiting import Watch
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import records
 from failstop.shm.instance import DEFAULT_NAME
@@ -24,15 +29,23 @@ from failstop.shm.records import cut
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
+    from failstop.api.aio import AsyncRobot
     from failstop.api.attend import Attendance
+    from failstop.api.waiting import Word
+    from failstop.api.why import Why
 
 ANSWER_S = 1.0
 """How long a request may take; the gate answers within a tick."""
 POLL_S = 0.0003
 MOST_OF_A_NAME = 64
 """Bytes of an operator's name; the rest is left out."""
+TAKEN_S = 0.01
+"""How long drive() waits for a gate that has not taken this command yet, or may decide otherwise for it; the gate needs
+0.3 ms on a machine that is idle."""
+CLOSING_S = 0.3
+"""How long the end of a Robot waits for motion to be disabled."""
 
 
 class Robot:
@@ -46,8 +59,9 @@ class Robot:
     every call raises NoService. After close() every call but estop() raises FailstopError, whichever thread makes it.
     A Robot that nobody refers to any more gives its slot back; one that was inherited by a fork takes one of its own.
 
-    Not thread-safe otherwise: one Robot a thread. One that has a slot keeps a thread of its own, which only sleeps: by
-    its end the gate knows of this program's death at once, however long the kernel takes its memory down.
+    Several threads may use one Robot: it is one client, so the newest drive() of any of them counts. One that has a
+    slot keeps a thread of its own, which only sleeps: by its end the gate knows of this program's death at once,
+    however long the kernel takes its memory down.
     """
 
     def __init__(
@@ -57,17 +71,27 @@ class Robot:
         client: str | None = None,
         reconnect: bool = True,
         answer_s: float = ANSWER_S,
+        disable_on_exit: bool = True,
     ) -> None:
         """`client` is what others see of this program; by default its file name. `answer_s`: how long the gate may take
-        to answer a request. Raises NoService when no service runs, FailstopError for a name that can't be one. What
-        else keeps this program from driving or from reading the state, such as a service of another version, is raised
-        by those calls: it keeps nobody from estop()."""
+        to answer a request. `disable_on_exit`: who enabled motion by this Robot takes it back at its end, by leaving
+        `with` or by close(); False leaves it enabled for other programs.
+
+        Raises NoService when no service runs, FailstopError for a name that can't be one. What else keeps this program
+        from driving or from reading the state, such as a service of another version, is raised by those calls: it keeps
+        nobody from estop()."""
         self.name = name
         self.client_name = client or os.path.basename(sys.argv[0]) or "python"
         self._reconnect = reconnect
         self._answer_s = answer_s
         self._lock = threading.RLock()  # a signal's handler may call what it has interrupted
         self._closed = False
+        self._closing = False
+        self._disable_on_exit = disable_on_exit
+        self._enabled = False
+        """By this Robot."""
+        self._pending: Request | None = None
+        """The request that the gate has not answered yet."""
         self._run: Run | None = None
         self._state_reader: StateReader | None = None
         self._samples: SampleReader | None = None
@@ -85,16 +109,60 @@ class Robot:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._close(in_order=not isinstance(error, Exception))
 
+    @classmethod
+    def connect(
+        cls,
+        name: str = DEFAULT_NAME,
+        *,
+        client: str | None = None,
+        reconnect: bool = True,
+        answer_s: float = ANSWER_S,
+        disable_on_exit: bool = True,
+    ) -> AsyncRobot:
+        """The same for asyncio: `async with Robot.connect() as robot`. What takes time there is awaited."""
+        from failstop.api.aio import AsyncRobot
+
+        given = cls(name, client=client, reconnect=reconnect, answer_s=answer_s, disable_on_exit=disable_on_exit)
+        return AsyncRobot(given)
+
     def close(self) -> None:
         """Give the client slot back, for good. If this program was driving, the wheels stop at once, and no command of
-        this Robot reaches the service any more."""
+        this Robot reaches the service any more. Motion that it enabled is disabled (`disable_on_exit`)."""
         self._close(in_order=True)
 
     def _close(self, *, in_order: bool) -> None:
         with self._lock:
-            self._closed = True
-            self._leave(in_order=in_order)
-            self._run = None
+            if self._closed:
+                return
+            self._closed = self._closing = True
+        try:
+            if self._enabled and self._disable_on_exit and self._connected:
+                self._disable_at_the_end()
+        finally:
+            with self._lock:
+                self._closing = False
+                self._leave(in_order=in_order)
+                self._run = None
+
+    def _disable_at_the_end(self) -> None:
+        """Whatever keeps it from being disabled keeps nobody from closing; the wheels stop by that too."""
+        request = Request(self, records.DISABLE, min(self._answer_s, CLOSING_S))
+        with contextlib.suppress(FailstopError):
+            try:
+                while request.look() is None:
+                    time.sleep(POLL_S)
+            finally:
+                request.leave()
+
+    @property
+    def closed(self) -> bool:
+        """After close(), or when `with` was left."""
+        return self._closed
+
+    @property
+    def reconnects(self) -> bool:
+        """It goes over to the next run of the service (`reconnect`)."""
+        return self._reconnect
 
     def release(self) -> None:
         """Give the client slot back until a call needs one again. If this program was driving, the wheels stop at
@@ -108,14 +176,15 @@ class Robot:
         if connected:
             connected.close(in_order=in_order)
 
-    def _check_open(self) -> None:
-        if self._closed:
+    def _check_open(self, *, closing: bool = False) -> None:
+        """`closing`: for what the end of this Robot still asks."""
+        if self._closed and not closing:
             raise FailstopError(f"this Robot of {self.name!r} is closed: make a new one")
 
     def _current(self) -> Run:
         """The run that is there now. When it is over, and its last processes are ending, its state can still be read.
         Raises NoService, FailstopError."""
-        self._check_open()
+        self._check_open(closing=self._closing)
         run = self._run
         if run is None or run.over():
             run = self._run = self._renewed()
@@ -135,7 +204,7 @@ class Robot:
                 raise gone(self.name)
             self._connected = Client(self.name, self.client_name)
         connected = self._connected
-        if self._closed:  # by a signal's handler, while this went on
+        if self._closed and not self._closing:  # by a signal's handler, while this went on
             self._leave()
             self._check_open()
         return connected
@@ -146,37 +215,26 @@ class Robot:
     def _forked(self) -> None:
         """In the child of a fork: the slot is the parent's, and who holds the lock is not known."""
         self._lock = threading.RLock()
+        self._pending = None
+        self._enabled = False
         self._leave(in_order=False)
 
     def _ask(
         self, verb: int, told: Callable[[str], None] | None = None, prepare: Callable[[Client], None] | None = None
     ) -> str:
-        """`told`: is called with each word of how far it is, where that takes time; `prepare`: what the gate finds with
-        the request."""
-        with self._lock:
-            run = self._current()
-            client = self._slot(run)
-            if prepare:
-                prepare(client)
-            asked = client.ask(verb)
-        until_s = time.monotonic() + self._answer_s
-        said = ""
-        while (answer := client.answer(asked)) is None or answer.done == records.UNDER_WAY:
-            if answer and answer.text != said:
-                said, until_s = answer.text, time.monotonic() + self._answer_s
-                if told:
-                    told(said)
-            with self._lock:
-                self._check_open()
-                if run.over():
-                    raise gone(self.name)
-            if time.monotonic() > until_s:
-                text = f"the gate of {self.name!r} did not answer within {self._answer_s:g} s: see `failstop status`"
-                raise NoAnswer(text)
-            time.sleep(POLL_S)
-        if not answer.done:
-            raise Refused(answer.text, answer.cause)
-        return str(answer)
+        request = Request(self, verb, self._answer_s, told, prepare)
+        try:
+            while (answer := request.look()) is None:
+                time.sleep(POLL_S)
+        finally:
+            request.leave()
+        return self._asked(verb, answer)
+
+    def _asked(self, verb: int, answer: str) -> str:
+        """What it means for the end of this Robot."""
+        if verb in (records.ENABLE, records.DISABLE):
+            self._enabled = verb == records.ENABLE
+        return answer
 
     def enable(self, told: Callable[[str], None] | None = None) -> str:
         """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked
@@ -200,11 +258,13 @@ class Robot:
         Refused."""
         return self._ask(records.RESET)
 
-    def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> None:
+    def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> Answer:
         """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
-        s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped; whether
-        anything moves, and why not, is in `state.blocked`. After a restart of the service nothing moves before
-        somebody enables motion anew.
+        s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped. After a
+        restart of the service nothing moves before somebody enables motion anew.
+
+        Returns what becomes of it: Driving, Preempted by whom, or Blocked by what; only Driving is true in a condition.
+        It takes no time while the wheels turn, and 10 ms at most while they do not.
 
         A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
         Raises ValueError for a value that is not finite, Undeclared (a ValueError too) for a source that the settings
@@ -216,6 +276,17 @@ class Robot:
             run = self._current()
             run.check_source(source)
             self._slot(run).command(vx, vy, wz, manual=manual, source=source)
+        until_s = time.monotonic() + TAKEN_S
+        while (answer := self._answer(source)) is None or not settled(answer):
+            if time.monotonic() > until_s:
+                return Blocked(Block.NO_COMMAND, "the gate has not taken the command yet") if answer is None else answer
+            time.sleep(POLL_S)
+        return answer
+
+    def _answer(self, source: str) -> Answer | None:
+        with self._lock:
+            decided, cause = self._reader.decided()
+        return judge(decided, decided["sources"], source, str(cause or ""))
 
     def sensed(self) -> None:
         """The obstacle sensor delivered just now. Software commands move the wheels only while somebody says so at
@@ -274,6 +345,31 @@ class Robot:
         NoService once the last of its processes has ended, FailstopError while it starts."""
         with self._lock:
             return self._reader.read()
+
+    def why(self) -> Why:
+        """What holds the wheels, what proof there is that they stand, and what to do. `str` of it is the three lines
+        that `failstop why` prints. Raises NoService, FailstopError."""
+        from failstop.api.why import explain  # nobody who drives needs its words
+
+        return explain(self.state, EventLog(self.name).read(), time.time())
+
+    def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
+        """Wait until the state is so, and return it: a word (failstop.api.waiting), or what a function of the state
+        says. A service that is not there is waited for too, unless this Robot is of one run. Raises TimedOut, which
+        says what is the case and what to do, and ValueError for a word that there is not."""
+        with Watch(self, what, timeout_s) as watch:
+            while (state := watch.look()) is None:
+                watch.news.wait(watch.sleep_s())
+            return state
+
+    def events(self, *, past: bool = False) -> Iterator[Event]:
+        """What the service tells people, as it happens: stops, deaths, requests (docs/journal.md). Waits for the next
+        one without end. `past`: first what the run has told so far, the last 256. Raises NoService when this run of the
+        service has ended."""
+        log = EventLog(self.name)
+        if not past:
+            log.skip()
+        return (event for event in log.follow(LOOK_EVERY_S) if event)
 
     @property
     def settings(self) -> dict[str, float | str]:

@@ -25,8 +25,11 @@ class ImuSample(NamedTuple):
     """One IMU sample, x forward, y left, z up; the rate less its bias."""
 
     t_ns: int
+    """CLOCK_MONOTONIC of the read that brought it, ns."""
     acceleration_mps2: tuple[float, ...]
+    """m/s2."""
     rate_radps: tuple[float, ...]
+    """rad/s."""
     rate_variance: float = RATE_VARIANCE
     """Of each axis, in (rad/s)2."""
 
@@ -35,7 +38,9 @@ class BatterySample(NamedTuple):
     """One reading of the battery."""
 
     t_ns: int
-    battery_mv: int
+    """CLOCK_MONOTONIC of the read that brought it, ns."""
+    battery_v: float
+    """V."""
     plugged: str
     """unknown, plugged or unplugged."""
 
@@ -44,8 +49,11 @@ class PadSample(NamedTuple):
     """One frame of the gamepad: a bit a button, the hat, raw axes -128 to 127."""
 
     t_ns: int
+    """CLOCK_MONOTONIC of the read that brought it, ns."""
     buttons: int
+    """A bit a button."""
     hat: int
+    """As the board gives it."""
     axes: tuple[int, ...]
     """lx, ly, rx, ry."""
     mode: str
@@ -56,14 +64,23 @@ class OdometrySample(NamedTuple):
     """The pose since the start and the twist in the robot's frame, integrated from what was commanded."""
 
     t_ns: int
+    """CLOCK_MONOTONIC of the read that brought it, ns."""
     x_m: float
+    """m, forward at the start."""
     y_m: float
+    """m, to the left at the start."""
     th_rad: float
+    """rad counter-clockwise."""
     vx_mps: float
+    """m/s forward."""
     vy_mps: float
+    """m/s to the left."""
     wz_radps: float
+    """rad/s counter-clockwise."""
     twist_std_mps: float
+    """Standard deviation of vx and vy, m/s."""
     twist_std_radps: float
+    """Standard deviation of wz, rad/s."""
     pose_variance: float = POSE_VARIANCE
     """m2 and rad2: not to be trusted."""
 
@@ -93,7 +110,7 @@ class SampleReader:
         news = self._odometry.read()
         if news and news[0] != self._odometry_seq:
             self._odometry_seq = news[0]
-            found.append(OdometrySample(news[1], *records.unpack_odometry(news[2])))
+            found.append(OdometrySample(news[1], *records.ODOMETRY.unpack(news[2])))
         if not found and self.run.over():
             raise NoService(f"the service {self.run.name!r} has ended, or was started anew: read its samples anew")
         return found
@@ -104,7 +121,7 @@ def _sample(t_ns: int, kind: int, values: tuple[float, ...]) -> Sample:
         return ImuSample(t_ns, values[:3], values[3:])
     numbers = tuple(map(int, values))
     if kind == box.BATTERY:
-        return BatterySample(t_ns, numbers[0], records.PLUGGED[numbers[1]])
+        return BatterySample(t_ns, numbers[0] / 1000, records.PLUGGED[numbers[1]])
     buttons, hat, *axes, mode = numbers
     return PadSample(t_ns, buttons, hat, tuple(axes), records.PAD_MODES[mode])
 

@@ -1,16 +1,36 @@
-"""The service's state as one snapshot, for programs and for `failstop status`."""
+"""StateReader: the service's state as one snapshot, for programs and for `failstop status`."""
 
 from __future__ import annotations
 
-import dataclasses
 import time
-from typing import Any
+from math import pi
+from typing import Any, cast
 
 import msgpack
 
 from failstop.api.client import attach
 from failstop.api.errors import FailstopError
 from failstop.api.run import Run
+from failstop.api.snapshot import (
+    ArmState,
+    Client,
+    Device,
+    GyroBias,
+    Imu,
+    JointState,
+    Link,
+    Odometry,
+    PadMode,
+    Plugged,
+    PortState,
+    Process,
+    Source,
+    Starved,
+    State,
+    Stop,
+    Velocity,
+    Wheels,
+)
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.processes import BY_NAME
@@ -20,121 +40,9 @@ from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.shm import blocks, heartbeat, layout, records
 
-
-@dataclasses.dataclass(frozen=True)
-class Stop:
-    """The last stop. Times are None where that level is not known: written (bytes handed to the kernel), acknowledged
-    (the board's parser was in sync after it), observed (the IMU says that the wheels are still)."""
-
-    cause: Cause
-    reason: str
-    """Its text."""
-    t: float
-    """Unix time."""
-    noticed_by: str
-    written_by: str
-    written_us: float | None
-    """From noticing the cause to the burst handed to the kernel."""
-    acknowledged_us: float | None
-    observed_ms: float | None
-    epoch: int = 0
-    """That was raised for it: whoever asked for a stop in an earlier one was answered by this."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Process:
-    """One process of the service."""
-
-    pid: int
-    state: str
-    """starting, running, hanging, waiting (to be restarted), down, stopping, or dead (with the supervisor)."""
-    age_ms: float
-    """Since its last heartbeat."""
-    restarts: int
-    last_exit: str | None
-    """How its predecessor died."""
-    worst_ms: float
-    """The longest time between two turns of its loop since its start."""
-    realtime: bool
-    memory_locked: bool
-    early_news: bool = True
-    """The kernel tells it of a death before it takes the dead process's memory down."""
-
-
-@dataclasses.dataclass(frozen=True)
-class State:
-    """One consistent snapshot: what the gate decided is one record, read whole."""
-
-    name: str
-    enabled: bool
-    estop: str | None
-    """The text of `cause`."""
-    cause: Cause | None
-    """What is latched: the first cause since the last reset; None: nothing is."""
-    blocked: str | None
-    """Why the wheels may not turn; None when they may."""
-    body_vel: tuple[float, float, float]
-    """m/s forward, m/s left, rad/s counter-clockwise: what the gate commands now."""
-    wheels_rps: tuple[float, float, float, float]
-    epoch: int
-    waiting_for: str | None
-    """What is not up yet; motion can't be enabled until it is."""
-    device: dict[str, Any]
-    processes: dict[str, Process]
-    starved: dict[str, Any] | None
-    """How often a process was not run past its deadline, without a stop or a kill for it, since motion was disabled:
-    times, longest_ms and process (which it was then); None: never."""
-    clients: list[dict[str, Any]]
-    """slot, name, pid, driving; and of one that says something of itself (Robot.say): sees, wrong, said_s (how long
-    ago)."""
-    sources: list[dict[str, Any]]
-    """Who drives and who waits, highest priority first."""
-    scan_age_s: float | None
-    """Since the obstacle sensor delivered last; None: never."""
-    last_stop: Stop | None
-    imu: dict[str, Any] | None
-    """acceleration_mps2 and rate_radps, x forward, y left, z up; the rate less its bias; rate_variance of each axis, in
-    (rad/s)2."""
-    gyro_bias: dict[str, Any] | None
-    """bias_radps, tracking (it follows the reading now), calibrated."""
-    odometry: dict[str, float] | None
-    """x_m, y_m, th_rad since the start, integrated from what was commanded; pose_variance of each, in m2 and rad2: not
-    to be trusted; and the twist, vx_mps, vy_mps, wz_radps, with its standard deviations twist_std_mps of vx and vy and
-    twist_std_radps of wz (settings)."""
-    pad_mode: str | None
-    """locked, drive or joint; None: no gamepad frame yet."""
-    battery_mv: int | None
-    plugged: str
-    """unknown, plugged or unplugged."""
-    age_ms: float
-    """Of the gate's record."""
-    attended_by: list[str] | None = None
-    """The operators who are there; None: none is needed (setting attend.required)."""
-    arm: dict[str, Any] | None = None
-    """None without an arm in the settings. mode (trajectory, follow, jog or nothing), phase, moving, by, closed (why it
-    takes no goal), refused (why the last goal of a stream was not taken), released, silent (servos that do not answer),
-    wrong (in words), pose (drive, tuck or nothing), auto_tuck_s (until it tucks itself, or None), and joints by name:
-    servo, angle_rad and pulses (measured; None before a reading), age_s of that, commanded_rad and commanded_pulses
-    (None while it is not known where it is), torque, temperature_c, supply_mv."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values, as in `failstop status --json`; no word of an arm where there is none."""
-        plain = dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None))
-        for absent in ("arm", "attended_by"):
-            if plain[absent] is None:
-                del plain[absent]
-        return plain | {
-            "cause": _plain(self.cause),
-            "last_stop": self.last_stop and {**vars(self.last_stop), "cause": _plain(self.last_stop.cause)},
-        }
-
-
-def _plain(cause: Cause | None) -> dict[str, Any] | None:
-    """A cause for programs: the name of its row in policy/causes.py, and its arguments."""
-    return None if cause is None else {"name": cause.kind.name, **cause.named()}
-
-
-HANGING_MS = 500.0
+HANGING_S = 0.5
+WHEELS = (1, 2, 3, 4)
+"""As the settings number them: front and rear on the left, front and rear on the right."""
 
 
 class StateReader:
@@ -164,6 +72,8 @@ class StateReader:
         self._stopped: tuple[int, Cause | None] = (0, None)
         """The newest epoch in which the port owner stopped by itself, and its first cause there."""
         self._joints: dict[str, Joint] = {}
+        self._mounted: tuple[tuple[int, float], ...] = ()
+        """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
         self._imu = views[layout.TELEMETRY].latest_reader("imu")
         self._battery = views[layout.TELEMETRY].latest_reader("battery")
         self._bias = views[layout.TELEMETRY].latest_reader("bias")
@@ -178,7 +88,7 @@ class StateReader:
         if gate is None or table is None:
             raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
         now_ns = time.monotonic_ns()
-        battery = records.unpack_battery(found[2]) if (found := self._battery.read()) else None
+        battery = records.BATTERY.unpack(found[2]) if (found := self._battery.read()) else None
         decided, cause = self._decided(gate[2], epoch, now_ns, dead=dead)
         known: dict[str, Any] = msgpack.unpackb(table[2])
         return State(
@@ -187,29 +97,47 @@ class StateReader:
             estop=str(cause) if cause else None,
             cause=cause,
             blocked=decided["blocked"],
-            body_vel=tuple(decided["body_vel"]),
-            wheels_rps=tuple(decided["wheels_rps"]),
+            body_vel=Velocity(*decided["body_vel"]),
+            wheels_radps=self._wheels(decided["wheels_rps"]),
             epoch=epoch,
             waiting_for=known["waiting_for"],
             device=self._device(),
             processes=self._processes(known["processes"], now_ns, dead=dead),
-            starved=known["starved"],
+            starved=_starved(known["starved"]),
             clients=self._clients(decided["clients"], now_ns),
-            sources=decided["sources"],
+            sources=tuple(Source(**row) for row in decided["sources"]),
             scan_age_s=max(0, now_ns - decided["scan_ns"]) / 1e9 if decided["scan_ns"] else None,
             last_stop=self._last_stop(),
             imu=self._sample(),
             gyro_bias=self._gyro_bias(),
             odometry=self._pose(),
-            pad_mode=records.PAD_MODES[records.unpack_pad(pad[2])[6]] if (pad := self._pad.read()) else None,
-            battery_mv=battery[0] if battery else None,
-            plugged=records.PLUGGED[battery[1] if battery else 0],
-            age_ms=max(0, now_ns - gate[1]) / 1e6,
-            attended_by=decided.get("attended"),
+            pad_mode=self._pad_mode(),
+            battery_v=battery[0] / 1000 if battery and battery[0] else None,
+            plugged=cast("Plugged", records.PLUGGED[battery[1] if battery else 0]),
+            attended_by=tuple(names) if (names := decided.get("attended")) is not None else None,
+            age_s=max(0, now_ns - gate[1]) / 1e9,
             arm=self._arm(decided.get("arm"), now_ns),
         )
 
-    def _arm(self, found: dict[str, Any] | None, now_ns: int) -> dict[str, Any] | None:
+    def decided(self) -> tuple[dict[str, Any], Cause | None]:
+        """What the gate has decided last, and what is latched: the part of read() that a driving program needs each
+        time. Raises FailstopError."""
+        dead = self.run.dead()
+        epoch = self._epoch.get()
+        gate = self._gate.read()
+        if gate is None:
+            raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
+        return self._decided(gate[2], epoch, time.monotonic_ns(), dead=dead)
+
+    def _wheels(self, speeds_rps: list[float]) -> Wheels:
+        if not self._mounted:
+            given = Settings(dict(self.settings()))
+            self._mounted = tuple(
+                (int(given[f"wheels.id_{wheel}"]), given[f"wheels.sign_{wheel}"] * 2 * pi) for wheel in WHEELS
+            )
+        return Wheels(*(speeds_rps[at] * scale + 0.0 for at, scale in self._mounted))
+
+    def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:
         if found is None:
             return None
         if not self._joints:
@@ -217,18 +145,18 @@ class StateReader:
         joints = {}
         for name, servo, commanded, measured, measured_ns, torque, temperature_c, supply_mv in found["joints"]:
             joint = self._joints[name]
-            joints[name] = {
-                "servo": servo,
-                "pulses": measured,
-                "angle_rad": None if measured is None else round(joint.rad(measured), 4),
-                "age_s": None if measured is None else max(0, now_ns - measured_ns) / 1e9,
-                "commanded_pulses": commanded,
-                "commanded_rad": None if commanded is None else round(joint.rad(commanded), 4),
-                "torque": torque,
-                "temperature_c": temperature_c or None,
-                "supply_mv": supply_mv or None,
-            }
-        return {**found, "joints": joints}
+            joints[name] = JointState(
+                servo=servo,
+                angle_rad=None if measured is None else round(joint.rad(measured), 4),
+                pulses=measured,
+                age_s=None if measured is None else max(0, now_ns - measured_ns) / 1e9,
+                commanded_rad=None if commanded is None else round(joint.rad(commanded), 4),
+                commanded_pulses=commanded,
+                torque=torque,
+                temperature_c=temperature_c or None,
+                supply_v=supply_mv / 1000 if supply_mv else None,
+            )
+        return ArmState(**{**found, "joints": joints, "silent": tuple(found["silent"]), "wrong": tuple(found["wrong"])})
 
     def settings(self) -> dict[str, float | str]:
         """Every setting that the service was started with, by its whole key. Raises FailstopError while it starts."""
@@ -264,33 +192,33 @@ class StateReader:
     def _latched(self) -> Cause | None:
         """By the supervisor's word."""
         entry = self._latch.read()
-        since, _, _, cause = records.unpack_latch(entry[2]) if entry else (0, 0, 0, b"")
+        since, _, _, cause = records.LATCH.unpack(entry[2]) if entry else (0, 0, 0, b"")
         return causes.read(cause) if since else None
 
     def _own_stop(self, epoch: int) -> Cause | None:
         """Why the port owner stopped by itself in this epoch, which the supervisor has not answered yet; else None.
         The first cause wins."""
         while entry := self._stops.next():
-            stopped_in, _, _, cause = records.unpack_stop(entry[2])
+            stopped_in, _, _, cause = records.STOPPED.unpack(entry[2])
             if stopped_in > self._stopped[0]:
                 self._stopped = stopped_in, causes.read(cause)
         return self._stopped[1] if self._stopped[0] >= epoch else None
 
-    def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> list[dict[str, Any]]:
+    def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> tuple[Client, ...]:
         entry = self._said.read()
-        for slot, t_ns, sees, wrong in msgpack.unpackb(entry[2]) if entry else ():
-            for client in clients:
-                if client["slot"] == slot:
-                    client.update(sees=sees, wrong=wrong, said_s=max(0, now_ns - t_ns) / 1e9)
-        return clients
+        said = {
+            slot: {"sees": sees, "wrong": wrong, "said_s": max(0, now_ns - t_ns) / 1e9}
+            for slot, t_ns, sees, wrong in (msgpack.unpackb(entry[2]) if entry else ())
+        }
+        return tuple(Client(**client, **said.get(client["slot"], {})) for client in clients)
 
-    def _device(self) -> dict[str, Any]:
+    def _device(self) -> Device:
         entry, link = self._port.read(), self._link.read()
-        proof = link[2].decode("ascii", "replace") if link else "unproven"
+        proof = cast("Link", link[2].decode("ascii", "replace") if link else "unproven")
         if entry is None:
-            return {"path": None, "state": "closed", "link": proof}
-        _, _, state, path = records.unpack_port(entry[2])
-        return {"path": path, "state": records.PORT_STATES[state], "link": proof}
+            return Device(None, "closed", proof)
+        _, _, state, path = records.PORT.unpack(entry[2])
+        return Device(path, cast("PortState", records.PORT_STATES[state]), proof)
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
         """`dead`: the supervisor, which keeps the table, has died; two of the others have with it."""
@@ -303,18 +231,18 @@ class StateReader:
 
     def _process(self, name: str, row: dict[str, Any], now_ns: int) -> Process:
         beat = self._beats[name]
-        age_ms = beat.age_ns(now_ns) / 1e6
+        age_s = beat.age_ns(now_ns) / 1e9
         state = row.get("state") or heartbeat.STATES[beat.state.get()]
-        if state == "running" and age_ms > HANGING_MS:
+        if state == "running" and age_s > HANGING_S:
             state = "hanging"
         granted = beat.rights.get()
         return Process(
             pid=row["pid"],
             state=state,
-            age_ms=round(age_ms, 1),
+            age_s=round(age_s, 4),
             restarts=row["restarts"],
             last_exit=row.get("last_exit"),
-            worst_ms=round(beat.worst_ns.get() / 1e6, 1),
+            worst_s=round(beat.worst_ns.get() / 1e9, 4),
             realtime=bool(granted & heartbeat.REALTIME),
             memory_locked=bool(granted & heartbeat.MEMORY_LOCKED),
             early_news=bool(granted & heartbeat.EARLY_NEWS),
@@ -326,30 +254,52 @@ class StateReader:
             return None
         found: dict[str, Any] = msgpack.unpackb(entry[2])
         cause = causes.read(found["cause"])
-        found |= {"cause": cause, "reason": str(cause)}
-        return Stop(**{field.name: found[field.name] for field in dataclasses.fields(Stop)})
+        return Stop(
+            cause=cause,
+            reason=str(cause),
+            t=found["t"],
+            noticed_by=found["noticed_by"],
+            written_by=found["written_by"],
+            written_s=_seconds(found["written_us"], 1e6),
+            acknowledged_s=_seconds(found["acknowledged_us"], 1e6),
+            observed_s=_seconds(found["observed_ms"], 1e3),
+            epoch=found["epoch"],
+        )
 
-    def _sample(self) -> dict[str, Any] | None:
+    def _pad_mode(self) -> PadMode | None:
+        entry = self._pad.read()
+        mode = records.PAD_MODES[records.PAD.unpack(entry[2])[6]] if entry else None
+        return cast("PadMode | None", mode)
+
+    def _sample(self) -> Imu | None:
         entry = self._imu.read()
         if entry is None:
             return None
-        values = records.unpack_imu(entry[2])
-        return {
-            "acceleration_mps2": list(values[:3]),
-            "rate_radps": list(values[3:]),
-            "rate_variance": RATE_VARIANCE,
-        }
+        ax, ay, az, *rate = records.IMU.unpack(entry[2])
+        x, y, z = rate
+        return Imu((ax, ay, az), (x, y, z), RATE_VARIANCE)
 
-    def _gyro_bias(self) -> dict[str, Any] | None:
+    def _gyro_bias(self) -> GyroBias | None:
         entry = self._bias.read()
         if entry is None:
             return None
-        bias, tracking, calibrated = records.unpack_bias(entry[2])
-        return {"bias_radps": list(bias), "tracking": tracking, "calibrated": calibrated}
+        x, y, z, tracking, calibrated = records.BIAS.unpack(entry[2])
+        return GyroBias((x, y, z), tracking, calibrated)
 
-    def _pose(self) -> dict[str, float] | None:
+    def _pose(self) -> Odometry | None:
         entry = self._odometry.read()
         if entry is None:
             return None
-        names = ("x_m", "y_m", "th_rad", "vx_mps", "vy_mps", "wz_radps", "twist_std_mps", "twist_std_radps")
-        return {**dict(zip(names, records.unpack_odometry(entry[2]), strict=True)), "pose_variance": POSE_VARIANCE}
+        x_m, y_m, th_rad, vx_mps, vy_mps, wz_radps, std_mps, std_radps = records.ODOMETRY.unpack(entry[2])
+        return Odometry(x_m, y_m, th_rad, vx_mps, vy_mps, wz_radps, std_mps, std_radps, POSE_VARIANCE)
+
+
+def _seconds(value: float | None, each: float) -> float | None:
+    return None if value is None else value / each
+
+
+def _starved(found: dict[str, Any] | None) -> Starved | None:
+    return None if found is None else Starved(found["times"], found["longest_ms"] / 1000, found["process"])
+
+
+__all__ = ["Process", "State", "StateReader", "Stop"]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import subprocess
 
+from failstop.api import words
 from failstop.api.client import last_run, runtime_dir
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.state import State, StateReader
-from failstop.cli.screen import words
 from failstop.doctor.facts import Process, RemoveIpc, Service, Unit
 from failstop.doctor.system import System, user_name
 from failstop.install.layout import unit_of
@@ -54,16 +54,16 @@ def _running(state: State, version: str, system: System) -> Service:
         version=version,
         same_layout=True,
         user=user,
-        device=state.device["path"] or "",
-        device_state=state.device["state"],
-        link=state.device["link"],
+        device=state.device.path or "",
+        device_state=state.device.state,
+        link=state.device.link,
         enabled=state.enabled,
         latched=state.estop or "",
         waiting_for=state.waiting_for or "",
         starved=words.starved(state.starved),
         said=tuple(words.said(state)),
-        arm=tuple(state.arm["wrong"]) if state.arm else (),
-        bridge=next((client["pid"] for client in state.clients if client["name"] == BRIDGE), 0),
+        arm=tuple(state.arm.wrong) if state.arm else (),
+        bridge=next((client.pid for client in state.clients if client.name == BRIDGE), 0),
         processes=tuple(
             Process(which, row.pid, row.realtime, row.memory_locked) for which, row in state.processes.items()
         ),

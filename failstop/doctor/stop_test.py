@@ -101,8 +101,8 @@ def by_service(name: str) -> tuple[StopTest, ...]:
             time.sleep(POLL_S)
             stop = robot.state.last_stop
             if stop and stop.cause.named().get("words") == REASON:
-                written = stop.written_us is not None
-                answered_ms = None if stop.acknowledged_us is None else stop.acknowledged_us / 1000
+                written = stop.written_s is not None
+                answered_ms = None if stop.acknowledged_s is None else stop.acknowledged_s * 1e3
         problem = ""
         try:
             robot.reset()

@@ -77,7 +77,7 @@ def unsaved_cause(copies: Copies, start_ns: int) -> tuple[int, int, Cause] | Non
     if not found:
         return None
     try:
-        epoch, cause_ns, _, packed = records.unpack_latch(found[-1][2])
+        epoch, cause_ns, _, packed = records.LATCH.unpack(found[-1][2])
     except ValueError:
         return None
     beat_ns = words(layout.SUPERVISOR, copies[layout.SUPERVISOR][1])["beat_ns"]
@@ -108,7 +108,7 @@ def _causes(copies: Copies) -> list[tuple[int, int, Cause]]:
     if layout.PORT_OWNER in copies:
         for _, _, payload in whole(layout.PORT_OWNER, "stops", *copies[layout.PORT_OWNER]):
             try:
-                epoch, cause_ns, _, cause = records.unpack_stop(payload)
+                epoch, cause_ns, _, cause = records.STOPPED.unpack(payload)
             except ValueError:
                 continue
             found.append((cause_ns, epoch, causes.read(cause)))

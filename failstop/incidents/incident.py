@@ -194,7 +194,7 @@ class Incident:
 
     @cached_property
     def pad(self) -> list[tuple[int, tuple[int, ...]]]:
-        """Gamepad frames: (when, as records.unpack_pad)."""
+        """Gamepad frames: (when, as records.PAD.unpack)."""
         return [(ns, values) for ns, (kind, values) in self._board if kind == box.PAD]
 
     @cached_property
@@ -213,7 +213,7 @@ class Incident:
         """Every cause that port owner and gate noticed."""
         found = []
         for segment, ring in ((layout.PORT_OWNER, "stops"), (layout.GATE, "trips")):
-            for _, (_, cause_ns, written_ns, cause) in self._entries(segment, ring, records.unpack_stop):
+            for _, (_, cause_ns, written_ns, cause) in self._entries(segment, ring, records.STOPPED.unpack):
                 found.append(Stop(cause_ns, segment, causes.read(cause), written_ns))
         return sorted(found, key=lambda stop: stop.ns)
 

@@ -119,7 +119,7 @@ def _wait_for_port(name: str, fd: int, cause_ns: int, until_ns: int, hurry: int)
 def _port_lost(name: str, fd: int) -> bool:
     incarnation, data = segment.copy(fd, name, layout.PORT_OWNER)
     found = copying.whole(layout.PORT_OWNER, "port", incarnation, data)
-    return bool(found) and records.unpack_port(found[-1][2])[2] == records.PORT_LOST
+    return bool(found) and records.PORT.unpack(found[-1][2])[2] == records.PORT_LOST
 
 
 def _state_directory(name: str) -> str:

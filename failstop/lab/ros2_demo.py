@@ -51,7 +51,7 @@ def rows(trial: Trial, said: Callable[[str, str], None]) -> Iterator[Row]:
 
 
 def _sees(trial: Trial, text: str) -> bool:
-    return any(text in client.get("sees", "") for client in trial.robot.state.clients)
+    return any(text in client.sees for client in trial.robot.state.clients)
 
 
 def _connected(trial: Trial) -> None:

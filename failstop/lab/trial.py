@@ -216,7 +216,7 @@ class Trial:
     def robot(self) -> Robot:
         """The driving client, connected to the run that is there now."""
         if self._robot is None:
-            self._robot = Robot(self.name, client="trial")
+            self._robot = Robot(self.name, client="trial", disable_on_exit=False)
         return self._robot
 
     def leave(self) -> None:

@@ -106,7 +106,7 @@ class Slot:
         if entry is None:
             return 0
         try:
-            session, self.pid, self.pid_namespace, name = records.unpack_hello(entry[2])
+            session, self.pid, self.pid_namespace, name = records.HELLO.unpack(entry[2])
         except ValueError:
             return 0
         # Bounded here: the state with all names in it must fit its record, whatever clients call themselves.
@@ -117,7 +117,7 @@ class Slot:
         """True when who held the slot has left it in order; False for a death, and for damage."""
         entry = self._hello.read()
         try:
-            return entry is not None and records.unpack_hello(entry[2])[0] == records.NOBODY
+            return entry is not None and records.HELLO.unpack(entry[2])[0] == records.NOBODY
         except ValueError:
             return False
 
@@ -134,7 +134,7 @@ class Slot:
             return None
         self._command_seq, t_ns, payload = entry
         try:
-            session, vx, vy, wz, manual, source = records.unpack_command(payload)
+            session, vx, vy, wz, manual, source = records.COMMAND.unpack(payload)
         except ValueError:
             return None
         if session != self.session:
@@ -148,16 +148,16 @@ class Slot:
             return None
         self._arm_goal_seq, t_ns, payload = entry
         try:
-            session, mode, values = records.unpack_arm_goal(payload)
+            session, mode, values = records.ARM_GOAL.unpack(payload)
         except ValueError:
             return None
         return (t_ns, mode, values) if session == self.session else None
 
-    def arm_path(self) -> tuple[float, list[int], list[tuple[float, tuple[float, ...]]]] | None:
+    def arm_path(self) -> tuple[float, list[int], records.Rows] | None:
         """The trajectory that lies in the slot (share, servos, rows), when it is whole and of this session."""
         entry = self._arm_path.read()
         try:
-            session, share, servos, rows = records.unpack_arm_path(entry[2] if entry else b"")
+            session, share, servos, rows = records.ARM_PATH.unpack(entry[2] if entry else b"")
         except ValueError:
             return None
         return (share, servos, rows) if session == self.session else None
@@ -184,7 +184,7 @@ class Slot:
         if entry is None:
             return 0, []
         try:
-            session, names = records.unpack_held(entry[2])
+            session, names = records.HELD.unpack(entry[2])
         except ValueError:
             return 0, []
         return (entry[1], names) if session == self.session else (0, [])
@@ -195,7 +195,7 @@ class Slot:
         if entry is None:
             return None
         try:
-            session, *texts = records.unpack_said(entry[2])
+            session, *texts = records.SAID.unpack(entry[2])
         except ValueError:
             return None
         if session != self.session:
@@ -211,7 +211,7 @@ class Slot:
             return None
         self._request_seq = entry[0]
         try:
-            session, number, verb = records.unpack_request(entry[2])
+            session, number, verb = records.REQUEST.unpack(entry[2])
         except ValueError:
             return None
         return (number, verb, entry[1]) if session == self.session else None

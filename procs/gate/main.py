@@ -7,7 +7,7 @@ from time import monotonic_ns
 
 from failstop.board.interface import BOARD
 from failstop.policy import causes, kinematics
-from failstop.policy.reply import Reply
+from failstop.policy.reply import Reply, asked_before
 from failstop.procs.gate.arm.shell import LATCHED, Arm
 from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
@@ -106,7 +106,7 @@ class Gate:
         """What is latched, by the supervisor's word, which a gate that was started anew reads too."""
         self._barrier()
         if entry := self._latch.read():
-            since, _, self._raised_ns, cause = records.unpack_latch(entry[2])
+            since, _, self._raised_ns, cause = records.LATCH.unpack(entry[2])
             self._last = causes.read(cause)
             self.core.follow(self._last if since else None, self.epoch)
 
@@ -158,7 +158,7 @@ class Gate:
             self.clients.look_at_all(now_ns)
             self._follow_said(now_ns)
         if self.core.check_interlocks(now_ns):
-            self._write_stop()
+            self.send(records.STOP, b"", now_ns)
         self._check_supervisor(now_ns)
         self._step(now_ns)
         self._box.tick(now_ns, self.core, self.epoch)
@@ -192,7 +192,7 @@ class Gate:
     def _step(self, now_ns: int) -> None:
         if speeds := self.core.step(now_ns):
             frame = BOARD.motor_speeds(speeds, self._max_rps)
-            self._frames.put(records.pack_frame(self.core.epoch, records.MOTION, frame), now_ns)
+            self._frames.put(records.FRAME.pack(self.core.epoch, records.MOTION, frame), now_ns)
             self._port_owner_bell.ring()
 
     def _follow_epoch(self) -> None:
@@ -210,19 +210,18 @@ class Gate:
         entry = self._pad_command.read()
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
-            velocity = records.unpack_pad_command(payload)
+            velocity = records.PAD_COMMAND.unpack(payload)
             self.client_command(Command(PAD_SESSION, PAD, t_ns, velocity, manual=True, source=PAD), now_ns)
         while request := self._pad_requests.next():
-            kind, frame = records.unpack_pad_request(request[2])
+            kind, frame = records.PAD_REQUEST.unpack(request[2])
             if kind == records.PAD_RESET:
                 self._resets.ask((None, 0, 0, now_ns))
             elif kind == records.PAD_FRAME:
-                self._frames.put(records.pack_frame(self.epoch, records.OTHER, frame), now_ns)
-                self._port_owner_bell.ring()
+                self.send(records.OTHER, frame, now_ns)
 
     def send(self, kind: int, body: bytes, now_ns: int) -> None:
         """A frame of the current epoch for the port owner, or STOP."""
-        self._frames.put(records.pack_frame(self.epoch, kind, body), now_ns)
+        self._frames.put(records.FRAME.pack(self.epoch, kind, body), now_ns)
         self._port_owner_bell.ring()
 
     def _follow_resets(self, now_ns: int) -> None:
@@ -243,17 +242,13 @@ class Gate:
         self._barrier()
         self._replies[slot.index].write(reply.pack(session, number))
 
-    def _write_stop(self) -> None:
-        self._frames.put(records.pack_frame(self.epoch, records.STOP, b""))
-        self._port_owner_bell.ring()
-
     def trip(self, cause: Cause, now_ns: int) -> None:
         """Latch a stop: burst at once, then the news to the supervisor, which raises the epoch."""
         if self.core.trip(cause, self.epoch):
-            self._write_stop()
+            self.send(records.STOP, b"", now_ns)
             if self.arm:
                 self.arm.stopped(LATCHED)
-            self._trips.put(records.pack_stop(self.epoch, now_ns, 0, cause.pack()))
+            self._trips.put(records.STOPPED.pack(self.epoch, now_ns, 0, cause.pack()))
             self.supervisor_bell.ring()
 
     def client_command(self, command: Command, now_ns: int) -> None:
@@ -283,20 +278,18 @@ class Gate:
             self.core.attendance.leave(session)
 
     def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
-        """Decide, act, answer; a reset is the supervisor's. Who asked to enable before a stop did not know of it."""
+        """Decide, act, answer; a reset is the supervisor's."""
         enabled = self.core.enabled
         if verb == records.RESET:
             self._resets.ask((slot, slot.session, number, asked_ns))
             return
         if verb == records.ENABLE and asked_ns < self._raised_ns:
-            reply = Reply(
-                False, f"asked before the last stop ({records.CAUSE}): see to that, then ask again", self._last
-            )
+            reply = asked_before(self._last)
         elif verb == records.ENABLE:
             reply = self._enable(slot, number, now_ns)
         elif verb == records.DISABLE:
             reply = self.core.disable()
-            self._write_stop()
+            self.send(records.STOP, b"", now_ns)
             if self.arm:
                 self.arm.stopped("motion disabled")
         elif verb in ARM_VERBS:

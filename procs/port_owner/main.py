@@ -11,7 +11,7 @@ from time import monotonic_ns
 from failstop.board.interface import BOARD
 from failstop.policy import causes
 from failstop.procs.handover import Control
-from failstop.procs.loop import GONE, NEVER, READ, WRITE, Deadline, Loop
+from failstop.procs.loop import EDGE, GONE, NEVER, READ, WRITE, Deadline, Loop
 from failstop.procs.peer import Peer
 from failstop.procs.port_owner import admission, repeats
 from failstop.procs.port_owner.admission import Admission
@@ -144,7 +144,7 @@ class PortOwner:
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch)
         written_ns = self._stopped(written_ns)
-        self._stops.put(records.pack_stop(epoch, cause_ns, written_ns, cause.pack()))
+        self._stops.put(records.STOPPED.pack(epoch, cause_ns, written_ns, cause.pack()))
         self._supervisor_bell.ring()
 
     def _burst(self) -> None:
@@ -264,7 +264,7 @@ class PortOwner:
         motion: Motion | None = None
         while entry := self._frames.next():
             _, frame_ns, payload = entry
-            epoch, kind, body = records.unpack_frame(payload)
+            epoch, kind, body = records.FRAME.unpack(payload)
             if kind == records.MOTION:
                 motion = (body, epoch, frame_ns)
             elif kind == records.STOP:
@@ -405,9 +405,14 @@ class PortOwner:
             self._publish_port(now_ns)
 
     def _watch_port(self) -> None:
-        """Watch the open port for what the board sends, and for room while the kernel has not taken everything."""
+        """Watch the open port for what the board sends, and for room while the kernel has not taken everything.
+
+        Each read takes all that is there. Without EDGE the kernel looks for more at the next wait, and lets this
+        process sleep until its own worker, of ordinary priority, has ended (n_tty_poll): after every frame of the
+        board, on a busy machine for as long as others run, deaf to stops.
+        """
         fd = self.wire.fd
-        wanted = (fd, READ | WRITE if self.wire.unsent else READ)
+        wanted = (fd, READ | WRITE if self.wire.unsent else READ | EDGE)
         if fd >= 0 and wanted != self._watched:
             self.loop.watch(*wanted)
         self._watched = wanted
@@ -422,7 +427,7 @@ class PortOwner:
 
     def _publish_port(self, now_ns: int) -> None:
         state = records.PORT_LOST if self.wire.lost else records.PORT_OPEN
-        self._port_record.write(records.pack_port(self._number, now_ns, state, self._path))
+        self._port_record.write(records.PORT.pack(self._number, now_ns, state, self._path))
         self._supervisor_bell.ring()
 
     def _repeat(self, now_ns: int) -> None:

@@ -115,11 +115,11 @@ class Telemetry:
         """A successor goes on with the bias and the pose of the process before it, and calibrates anew only if the
         wheels stand."""
         if entry := own.latest_reader("bias").read():
-            bias_radps, _, calibrated = records.unpack_bias(entry[2])
+            x, y, z, _, calibrated = records.BIAS.unpack(entry[2])
             if calibrated:
-                self._gyro.inherit(bias_radps)
+                self._gyro.inherit((x, y, z))
         if entry := own.latest_reader("odometry").read():
-            x_m, y_m, th_rad = records.unpack_odometry(entry[2])[:3]
+            x_m, y_m, th_rad = records.ODOMETRY.unpack(entry[2])[:3]
             self._odometry.inherit(x_m, y_m, th_rad)
 
     def _known_charger_state(self) -> int:
@@ -185,13 +185,13 @@ class Telemetry:
             found = self._odometry
             pose = (found.x_m, found.y_m, found.th_rad)
             twist = (found.vx_mps, found.vy_mps, found.wz_radps)
-            self._records["odometry"].write(records.pack_odometry(pose, twist, found.twist_std), now_ns)
+            self._records["odometry"].write(records.ODOMETRY.pack(*pose, *twist, *found.twist_std), now_ns)
         gyro = self._gyro
         flags = (gyro.tracking, gyro.calibrated)
         if now_ns - self._bias_ns >= BIAS_NS or flags != self._bias_flags:
             self._bias_ns = now_ns
             self._bias_flags = flags
-            self._records["bias"].write(records.pack_bias(gyro.bias_radps, *flags), now_ns)
+            self._records["bias"].write(records.BIAS.pack(*gyro.bias_radps, *flags), now_ns)
 
     def _note(self, kind: str, text: str, fields: Fields | None = None, *, level: str = "") -> None:
         """Tell people something; the supervisor passes it on."""
@@ -210,7 +210,7 @@ class Telemetry:
             self._note("pad", f"gamepad mode: {mode}", {"mode": mode})
 
     def _request(self, kind: int, frame: bytes = b"") -> None:
-        self._pad_requests.put(records.pack_pad_request(kind, frame))
+        self._pad_requests.put(records.PAD_REQUEST.pack(kind, frame))
         self._gate_bell.ring()
 
     def _trip(self, cause: Cause | None) -> None:
@@ -227,7 +227,7 @@ class Telemetry:
             note = self._gyro.take(raw_radps, t_ns)
             acceleration = self._accelerometer.mps2(ax, ay, az)
             rate_radps = self._gyro.corrected(raw_radps)
-            self._records["imu"].write(records.pack_imu(acceleration, rate_radps), t_ns)
+            self._records["imu"].write(records.IMU.pack(*acceleration, *rate_radps), t_ns)
             self._box.put(box.pack_imu(acceleration, rate_radps), t_ns)
             was_still = self._still.still_ns > 0
             self._still.take(raw_radps[0], raw_radps[1], t_ns)
@@ -244,7 +244,7 @@ class Telemetry:
                 self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")
                 text = f"charger {name}: the battery stepped to {millivolts} mV"
                 self._note("charger", text, {"state": name, "battery_mv": millivolts})
-            self._records["battery"].write(records.pack_battery(millivolts, self._charger.state), t_ns)
+            self._records["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
             self._box.put(box.pack_battery(millivolts, self._charger.state), t_ns)
             if due := self._log.take(millivolts, self._gate.enabled, t_ns, time.time()):
                 self._files.append(BATTERY_LOG, due[0], HEADER, due[1])
@@ -254,15 +254,15 @@ class Telemetry:
             news = self._pad.take(sample, data, t_ns)
             self._trip(news.cause)
             if news.command:
-                self._command.write(records.pack_pad_command(*news.command), t_ns)
+                self._command.write(records.PAD_COMMAND.pack(*news.command), t_ns)
                 self._gate_bell.ring()
             if news.arm:
-                self._arm_command.write(records.pack_pad_arm(*news.arm), t_ns)
+                self._arm_command.write(records.PAD_ARM.pack(*news.arm), t_ns)
                 self._gate_bell.ring()
             if news.reset:
                 self._request(records.PAD_RESET)
                 self._note("pad", "gamepad: MODE was held, reset requested")
-            self._records["pad"].write(records.pack_pad(*sample, self._pad.mode), t_ns)
+            self._records["pad"].write(records.PAD.pack(*sample, self._pad.mode), t_ns)
             self._box.put(box.pack_pad(sample, self._pad.mode), t_ns)
             if news.cause:
                 self._events.put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
@@ -271,7 +271,7 @@ class Telemetry:
 
     def _on_servo(self, data: bytes, t_ns: int) -> None:
         if answer := decoder.servo_reply(framing.BUS_SERVO, data):
-            self._servos.put(records.pack_servo(*answer), t_ns)
+            self._servos.put(records.SERVO.pack(*answer), t_ns)
             self._gate_bell.ring()
 
     def _on_key(self, data: bytes, t_ns: int) -> None:

@@ -233,7 +233,7 @@ def test_the_reply_before_the_state(trace: Trace) -> None:
     class Reply:
         def read(self) -> tuple[int, int, bytes]:
             trace.done.append("load reply")
-            return 1, 1, records.pack_reply(7, 3, True, "enabled")
+            return 1, 1, records.REPLY.pack(7, 3, True, "enabled", b"")
 
     client = Client.__new__(Client)
     client._session, client._reply = 7, Reply()  # type: ignore[assignment]

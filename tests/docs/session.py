@@ -126,7 +126,7 @@ class Session:
 
     def python(self, code: str) -> str:
         """Run a program; what it printed."""
-        found = code.replace("Robot()", f'Robot("{self.name}")')
+        found = code.replace("Robot()", f'Robot("{self.name}")').replace(".connect()", f'.connect("{self.name}")')
         result = subprocess.run(
             [sys.executable, "-c", found], capture_output=True, text=True, timeout=COMMAND_S, env=self._environment
         )

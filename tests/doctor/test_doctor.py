@@ -97,7 +97,7 @@ def test_no_device(name: str) -> None:
 
 def test_the_stop_of_a_running_service(name: str) -> None:
     with Trial(name) as trial:
-        wait_for("the board's answer", lambda: trial.robot.state.device["link"] == "alive")
+        wait_for("the board's answer", lambda: trial.robot.state.device.link == "alive")
         _, found = doctor("--name", name)
         assert found["service"][0]["level"] == "ok"
         assert trial.link in found["port"][0]["text"]

@@ -64,8 +64,8 @@ class Told:
 
 def test_the_answer_is_waited_for_from_before_the_stop_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = [causes.REQUESTED(words, "failstop doctor", 7) for words in (stop_test.REASON, "another's")]
-    ours = dataclasses.replace(stop(asked[0]), written_us=300.0, acknowledged_us=None)
-    stops = [None, stop(asked[1]), ours, dataclasses.replace(ours, acknowledged_us=1500.0)]
+    ours = dataclasses.replace(stop(asked[0]), written_s=3e-4, acknowledged_s=None)
+    stops = [None, stop(asked[1]), ours, dataclasses.replace(ours, acknowledged_s=1.5e-3)]
     monkeypatch.setattr(stop_test, "Robot", lambda *_, **__: Told(stops))
     (found,) = stop_test.by_service("any")
     assert (found.written, found.answered_ms, found.problem) == (True, 1.5, "")

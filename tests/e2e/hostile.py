@@ -270,9 +270,9 @@ def other_run(name: str) -> None:
     to_bell = bell.open_pipe_to_write(instance.bell_path(instance.find(name)))
     begun()
     while True:
-        old.latest_writer("hello").write(records.pack_hello(77, os.getpid(), 0, "of another run"))
-        old.latest_writer("command").write(records.pack_command(77, 0.2, 0.0, 0.0, True))
-        old.latest_writer("request").write(records.pack_request(77, 1, records.DISABLE))
+        old.latest_writer("hello").write(records.HELLO.pack(77, os.getpid(), 0, "of another run"))
+        old.latest_writer("command").write(records.COMMAND.pack(77, 0.2, 0.0, 0.0, True, "cmd_vel"))
+        old.latest_writer("request").write(records.REQUEST.pack(77, 1, records.DISABLE))
         bell.send(to_bell, bytes([client.slot]))
         time.sleep(REST_S)
 
@@ -286,7 +286,7 @@ def disable_flood(name: str) -> None:
     begun()
     while time.monotonic() < end_s:
         number += 1
-        requests.write(records.pack_request(robot._session, number, records.DISABLE))
+        requests.write(records.REQUEST.pack(robot._session, number, records.DISABLE))
         robot._ring()
     begun()
     rest()
@@ -311,8 +311,8 @@ def as_the_gamepad(name: str) -> None:
     while True:
         fresh = int.from_bytes(os.urandom(8), "little") | 1
         for said, commanding in ((fresh, fresh), (fresh, 0), (0, fresh), (0, 0)):
-            hello.write(records.pack_hello(said, os.getpid(), pid_namespace(), "no gamepad"))
-            command.write(records.pack_command(commanding, 0.2, 0.0, 0.0, True, "gamepad"))
+            hello.write(records.HELLO.pack(said, os.getpid(), pid_namespace(), "no gamepad"))
+            command.write(records.COMMAND.pack(commanding, 0.2, 0.0, 0.0, True, "gamepad"))
             client._ring()
             time.sleep(REST_S)
 

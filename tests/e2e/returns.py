@@ -29,7 +29,7 @@ def lose_while_driving(trial: Trial) -> None:
     trial.drive(0.2)
     assert trial.moving()
     trial.board.unplug()
-    wait_for("the loss to be seen", lambda: trial.robot.state.device["state"] == "lost")
+    wait_for("the loss to be seen", lambda: trial.robot.state.device.state == "lost")
 
 
 def stop_at_return(trial: Trial) -> tuple[Event, float]:

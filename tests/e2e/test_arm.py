@@ -34,7 +34,7 @@ def test_move_goes_there_and_is_read_back(arm: Trial) -> None:
     joints = arm.board.joints()
     assert joints[1] == pytest.approx(500 + 0.5 * 238.73, abs=3)
     assert joints[4] == pytest.approx(500 - 0.3 * 238.73, abs=3)
-    assert not arm.robot.state.arm["moving"]  # type: ignore[index]
+    assert not arm.robot.arm.state.moving
 
 
 def test_follow_reaches_the_speed_and_a_stale_goal_holds_the_arm(arm: Trial) -> None:
@@ -43,7 +43,7 @@ def test_follow_reaches_the_speed_and_a_stale_goal_holds_the_arm(arm: Trial) -> 
     steady = legs[-16:-1]
     rate = (steady[-1].begin - steady[0].begin) / ((steady[-1].begin_ns - steady[0].begin_ns) * 1e-9)
     assert rate == pytest.approx(-0.3 * 238.73, rel=0.1)
-    wait_for("the arm to be held", lambda: arm.robot.state.arm["mode"] == "")  # type: ignore[index]
+    wait_for("the arm to be held", lambda: arm.robot.arm.state.mode == "")
     stood = arm.board.joints()[1]
     time.sleep(0.1)
     assert arm.board.joints()[1] == stood

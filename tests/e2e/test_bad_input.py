@@ -200,7 +200,7 @@ def test_damaged_client_slot_is_passed_over(trial: Trial) -> None:
     trial.enable()
     trial.drive(0.1)
     assert trial.moving()
-    assert trial.robot.state.clients[0]["slot"] == 1
+    assert trial.robot.state.clients[0].slot == 1
 
 
 def test_nothing_is_left_behind(name: str) -> None:

@@ -65,9 +65,9 @@ def test_status_json_has_what_is_promised(trial: Trial) -> None:
     assert {"path", "state", "link"} <= state["device"].keys()
     assert set(state["processes"]) == {"supervisor", "port_owner", "gate", "telemetry", "stopper"}
     for process in state["processes"].values():
-        assert {"pid", "state", "age_ms", "restarts"} <= process.keys()
+        assert {"pid", "state", "age_s", "restarts"} <= process.keys()
         assert process["state"] == "running"
-    assert {"reason", "t", "written_us", "acknowledged_us", "observed_ms"} <= state["last_stop"].keys()
+    assert {"reason", "t", "written_s", "acknowledged_s", "observed_s"} <= state["last_stop"].keys()
     assert state["clients"][0]["name"] == "trial"
 
 

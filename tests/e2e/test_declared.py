@@ -109,4 +109,4 @@ def test_teleop_says_so_before_it_takes_the_screen(trial: Trial, source: str) ->
     assert done.stderr.startswith("failstop: ")
     assert f"source '{source}'" in done.stderr
     assert done.stderr.count("\n") == 1
-    assert trial.robot.state.clients == []
+    assert trial.robot.state.clients == ()

@@ -35,9 +35,9 @@ def test_a_dead_gate_drives_nothing(late: Trial) -> None:
     wait_for("its burial", lambda: late.robot.state.processes["gate"].state == "waiting")
     state = late.robot.state
     assert (state.enabled, state.blocked) == (False, "estop: gate died")
-    assert not any((*state.body_vel, *state.wheels_rps))
-    assert state.sources == []
-    assert [client["driving"] for client in state.clients] == [False]
+    assert not any((*state.body_vel, *state.wheels_radps))
+    assert state.sources == ()
+    assert [client.driving for client in state.clients] == [False]
     said = failstop("status", "--name", late.name).stdout
     assert "STOPPED" in said
     assert "DRIVING" not in said
@@ -79,7 +79,7 @@ def test_a_service_without_its_supervisor_drives_nothing(trial: Trial) -> None:
     state = reader.read()
     assert (state.estop or "").startswith(("supervisor died", "supervisor hangs: "))
     assert (state.enabled, state.blocked) == (False, f"estop: {state.estop}")
-    assert not any((*state.body_vel, *state.wheels_rps))
+    assert not any((*state.body_vel, *state.wheels_radps))
     paths = instance.places(trial.name)
     wait_for("the last process to end", lambda: not any(map(instance.running, paths)))
     with pytest.raises(NoService):

@@ -116,7 +116,7 @@ def test_a_higher_source_takes_over_and_gives_back(rules: Trial) -> None:
             person.drive(-0.1, 0.0, 0.0, manual=True, source="teleop")
         assert rules.board.wheels()[0] < 0
         state = rules.robot.state
-        assert [(row["source"], row["state"]) for row in state.sources][:1] == [("teleop", "drives")]
+        assert [(row.source, row.state) for row in state.sources][:1] == [("teleop", "drives")]
         assert state.estop is None
     for _ in range(20):
         rules.robot.hold("arm")

@@ -146,7 +146,7 @@ def test_a_session_played_back_after_its_end(trial: Trial) -> None:
         played_ns = time.monotonic_ns()
         until_s = time.monotonic() + 0.5
         while time.monotonic() < until_s:  # while it plays back
-            assert observer.state.clients == []
+            assert observer.state.clients == ()
             assert observer.state.enabled
             time.sleep(0.005)
     assert not any(event.is_motion and event.arrival_ns > played_ns for event in trial.board.events())
@@ -338,7 +338,7 @@ def test_nobody_drives_in_the_gamepad_s_place(trial: Trial) -> None:
         impostor.says()
         trial.drive(0.6, (-0.1, 0.0, 0.0))
         assert trial.moving()
-        assert trial.robot.state.sources[0]["source"] == "cmd_vel"
+        assert trial.robot.state.sources[0].source == "cmd_vel"
     assert not any(event.is_motor and event.speeds[0] > 0 for event in trial.board.events())
     assert "the source 'gamepad' is the board's gamepad alone" in trial.service.said()
 
@@ -381,7 +381,7 @@ def test_a_lock_on_the_whole_claims_file(trial: Trial) -> None:
         with pytest.raises(FailstopError, match="all 8 client slots"):
             Client(trial.name, "late")
         with Robot(trial.name, client="observer") as observer:
-            assert observer.state.clients == []
+            assert observer.state.clients == ()
             observer.estop("still heard")
             wait_for("the latch", lambda: observer.state.estop is not None)
     drives_again(trial)

@@ -51,7 +51,7 @@ def test_latched_with_who_died(trial: Trial, process: str) -> None:
     assert not state.enabled
     assert state.last_stop is not None
     assert state.last_stop.reason == state.estop
-    assert state.last_stop.written_us is not None
+    assert state.last_stop.written_s is not None
     with pytest.raises(Refused, match=r"e-stop latched \(.* died\)"):
         trial.robot.enable()
     trial.robot.reset()

@@ -30,7 +30,7 @@ def test_sticks_drive_without_a_scan_and_a_button_latches(trial: Trial) -> None:
     _drive_mode(trial)
     _frames(trial, 0.5, ly=127)
     assert trial.board.wheels()[0] > 0.1
-    assert trial.robot.state.sources[0]["who"] == "gamepad"
+    assert trial.robot.state.sources[0].who == "gamepad"
     trial.board.pad(0x0100, ly=127, hold=False)
     wait_for("the latch", lambda: trial.robot.state.estop == "gamepad button 0x0100")
     trial.board.wait_wheels(moving=False, timeout_s=2.0)

@@ -28,7 +28,7 @@ def test_while_the_port_owner_waits_for_its_restart(name: str, tmp_path: Path) -
         event, late_s = stop_at_return(trial)
         assert event.is_stop
         assert late_s < LATEST_S
-        wait_for("the stop to be known", lambda: (stop := trial.robot.state.last_stop) and stop.written_us is not None)
+        wait_for("the stop to be known", lambda: (stop := trial.robot.state.last_stop) and stop.written_s is not None)
         drives_only_when_enabled(trial)
 
 

@@ -11,7 +11,8 @@ from collections.abc import Callable
 
 import pytest
 
-from failstop import FailstopError, NoService, Robot, State, run
+from failstop import FailstopError, NoService, Robot, State
+from failstop.api import run
 from failstop.api.client import attach
 from failstop.api.client import run as run_of
 from failstop.api.state import StateReader
@@ -36,9 +37,9 @@ def stopped(state: State, *reasons: str) -> None:
     """Nothing in it says that anything moves, or may; the reason begins as one of these."""
     assert (state.estop or "").startswith(reasons)
     assert (state.enabled, state.blocked) == (False, f"estop: {state.estop}")
-    assert not any((*state.body_vel, *state.wheels_rps))
-    assert state.sources == []
-    assert not any(client["driving"] for client in state.clients)
+    assert not any((*state.body_vel, *state.wheels_radps))
+    assert state.sources == ()
+    assert not any(client.driving for client in state.clients)
 
 
 def nobody_runs(name: str) -> None:
@@ -103,7 +104,7 @@ def new_run_is_met(trial: Trial, robot: Robot) -> None:
     robot.drive(0.1, 0.0, 0.0, manual=True)
     state = robot.state
     assert (state.enabled, state.estop, state.blocked) == (False, None, "disabled")
-    assert [client["name"] for client in state.clients] == [robot.client_name]
+    assert [client.name for client in state.clients] == [robot.client_name]
     assert not trial.moving()
     assert robot.enable() == "motion enabled"
     robot.drive(0.1, 0.0, 0.0, manual=True)
@@ -161,7 +162,7 @@ def test_who_does_not_want_another_run_is_told_of_it(trial: Trial, call: str) ->
         for _ in range(2):
             with pytest.raises(NoService, match="was started anew since this Robot was made"):
                 CALLS[call](robot)
-        assert trial.robot.state.clients == []
+        assert trial.robot.state.clients == ()
 
 
 def test_a_request_that_waits_when_the_service_dies_is_told_at_once(trial: Trial) -> None:
@@ -215,7 +216,7 @@ def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) ->
         thread = threading.Thread(target=go_on)
         thread.start()
         trial.board.wait_wheels(moving=True, timeout_s=2.0)
-        index = next(one["slot"] for one in trial.robot.state.clients if one["name"] == "threads")
+        index = next(one.slot for one in trial.robot.state.clients if one.name == "threads")
         robot.close()
         path = segment.path_of(run_of(trial.name)[0], f"client.{index}")
         spec = layout.BY_NAME[f"client.{index}"]
@@ -255,7 +256,7 @@ def test_a_signal_s_handler_may_close_what_it_has_interrupted(trial: Trial) -> N
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
-    wait_for("the slot to be free", lambda: trial.robot.state.clients == [])
+    wait_for("the slot to be free", lambda: trial.robot.state.clients == ())
 
 
 def test_a_robot_that_nobody_refers_to_gives_its_slot_back(trial: Trial) -> None:
@@ -270,7 +271,7 @@ def test_a_robot_that_nobody_refers_to_gives_its_slot_back(trial: Trial) -> None
         lambda event: event.is_motor and not any(event.speeds) and event.arrival_ns > dropped_ns, 2.0
     )
     assert zero.arrival_ns - dropped_ns < 250e6, "before the command timeout"
-    wait_for("its slot to be free", lambda: [one["name"] for one in trial.robot.state.clients] == ["trial"])
+    wait_for("its slot to be free", lambda: [one.name for one in trial.robot.state.clients] == ["trial"])
 
 
 def test_release_gives_the_slot_back_until_it_is_needed(trial: Trial) -> None:
@@ -278,7 +279,7 @@ def test_release_gives_the_slot_back_until_it_is_needed(trial: Trial) -> None:
         robot.sensed()
         wait_for("the client", lambda: len(robot.state.clients) == 1)
         robot.release()
-        wait_for("no client", lambda: robot.state.clients == [])
+        wait_for("no client", lambda: robot.state.clients == ())
         robot.sensed()
         wait_for("the client again", lambda: len(robot.state.clients) == 1)
 
@@ -312,7 +313,7 @@ def test_a_fork_leaves_the_parent_s_slot_alone_and_takes_one_of_its_own(trial: T
 
     def uses_it() -> None:
         robot.sensed()
-        wait_for("both", lambda: len({client["slot"] for client in robot.state.clients}) == 2)
+        wait_for("both", lambda: len({client.slot for client in robot.state.clients}) == 2)
 
     held = threading.Event()
     let_go = threading.Event()
@@ -331,8 +332,8 @@ def test_a_fork_leaves_the_parent_s_slot_alone_and_takes_one_of_its_own(trial: T
     keeps = robot
     assert child(closes_it) == 0
     assert child(drops_it) == 0
-    wait_for("the parent alone", lambda: [one["pid"] for one in trial.robot.state.clients] == [os.getpid()])
-    assert keeps._client().slot == trial.robot.state.clients[0]["slot"]
+    wait_for("the parent alone", lambda: [one.pid for one in trial.robot.state.clients] == [os.getpid()])
+    assert keeps._client().slot == trial.robot.state.clients[0].slot
     robot.close()
 
 
@@ -344,7 +345,7 @@ def test_the_state_tells_of_the_supervisor_s_death_at_once(trial: Trial) -> None
     trial.drive(0.3)
     robot = trial.robot
     assert robot.state.enabled
-    assert any(robot.state.wheels_rps)
+    assert any(robot.state.wheels_radps)
     life = Lifeline(trial.service.pids()["supervisor"])
     life.kill()
     assert life.wait(5.0)

@@ -42,7 +42,7 @@ def test_values_are_those_of_the_state(trial: Trial) -> None:
     imu = next(sample for sample in found if isinstance(sample, ImuSample))
     assert imu.acceleration_mps2[2] == pytest.approx(9.8, abs=0.8)
     battery = next(sample for sample in found if isinstance(sample, BatterySample))
-    assert battery.battery_mv == trial.robot.state.battery_mv
+    assert battery.battery_v == trial.robot.state.battery_v
     assert battery.plugged == "unknown"
 
 

@@ -11,8 +11,8 @@ import time
 
 import pytest
 
+from failstop.api import verdict
 from failstop.api.client import send_stop
-from failstop.cli.screen import verdict
 from failstop.lab.trial import Trial, judge, wait_for
 from failstop.policy import causes
 from failstop.shm import instance
@@ -158,7 +158,7 @@ def test_nobody_s_words_pass_for_a_cause_of_the_service_s_own(trial: Trial, word
     state = trial.robot.state
     assert state.estop == f"stop request: {words}"
     assert state.cause == causes.PIPED(words)
-    assert verdict.word(state)[0] == verdict.STOPPED, "what the IMU sees is not for anybody to say"
+    assert verdict.word(state) == verdict.STOPPED, "what the IMU sees is not for anybody to say"
     assert all(process.restarts == 0 for process in state.processes.values())
     killed_pid = state.processes["gate"].pid
     os.kill(killed_pid, signal.SIGKILL)

@@ -166,7 +166,7 @@ def test_a_service_of_another_layout_is_stopped_by_its_pipe(trial: Trial) -> Non
 
 def test_a_port_that_is_gone_is_told_with_the_latch(trial: Trial) -> None:
     trial.board.unplug()
-    wait_for("the loss", lambda: trial.robot.state.device["state"] != "open")
+    wait_for("the loss", lambda: trial.robot.state.device.state != "open")
     result = failstop("stop", "--name", trial.name)
     assert result.returncode == 0
     assert "e-stop latched (" in result.stdout

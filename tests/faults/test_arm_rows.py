@@ -1,4 +1,4 @@
-"""The arm's faults: each makes the arm stand in time, by the word of its servos; and what refuses motion by name."""
+"""The arm's faults: each makes the arm stand in time, by the word of its servos, or refuses motion by name."""
 
 from __future__ import annotations
 
@@ -8,11 +8,16 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.lab.faults import arm
-from failstop.lab.faults.arm import ArmFault, ArmTrial
+from failstop.lab.faults.arm import ArmTrial
+from failstop.lab.faults.arm_table import BY_NAME, HANG, KILL, ROWS, ArmFault
+from failstop.lab.faults.fault import NEW_RUN
+from failstop.lab.faults.table import BY_NAME as OTHERS
+from failstop.shm.layout import PROCESSES
 from tests.support.amounts import LONG
 
-FEW = {"arm-kill-gate", "arm-kill-port_owner", "arm-hang-gate", "arm-client-killed", "arm-stop-request", "arm-usb-drop"}
-ROWS = [row for row in arm.ROWS if LONG or row.name in FEW]
+FEW = {"arm-kill-gate", "arm-kill-port_owner", "arm-hang-gate", "arm-client-killed", "arm-stop-posing", "arm-usb-drop"}
+FEW |= {"arm-second-client", "arm-servo-silent"}
+TRIED = [row for row in ROWS if LONG or row.name in FEW]
 
 
 @pytest.fixture(scope="module")
@@ -21,17 +26,21 @@ def trial() -> Iterator[ArmTrial]:
         yield running
 
 
-@pytest.mark.parametrize("fault", ROWS, ids=[row.name for row in ROWS])
-def test_the_arm_stands(trial: ArmTrial, fault: ArmFault) -> None:
+@pytest.mark.parametrize("fault", TRIED, ids=[row.name for row in TRIED])
+def test_row(trial: ArmTrial, fault: ArmFault) -> None:
     rested = arm.strike(trial, fault)
     assert rested.wrong == ()
 
 
-@pytest.mark.parametrize("fault", arm.SERVO_FAULTS if LONG else ("silent", "blocked"))
-def test_a_faulty_servo_refuses_motion_by_name(trial: ArmTrial, fault: str) -> None:
-    assert arm.refused_for(trial, fault) == ""
+def test_every_process_has_its_rows_and_every_row_a_name_of_its_own() -> None:
+    for what in (KILL, HANG):
+        assert {row.process for row in ROWS if row.what == what} == set(PROCESSES)
+    assert len(BY_NAME) == len(ROWS)
+    assert not set(BY_NAME) & set(OTHERS)
 
 
-def test_every_process_has_its_rows() -> None:
-    assert {row.process for row in arm.ROWS} - {""} == {"supervisor", "port_owner", "gate", "telemetry", "stopper"}
-    assert len({row.name for row in arm.ROWS}) == len(arm.ROWS)
+@pytest.mark.parametrize("fault", ROWS, ids=[row.name for row in ROWS])
+def test_a_row_is_in_order(fault: ArmFault) -> None:
+    assert fault.name.startswith("arm-")
+    assert (fault.bar_ms is None) == bool(fault.servo) == bool(fault.refused)
+    assert not (fault.cleared == NEW_RUN and fault.latched)

@@ -12,7 +12,7 @@ from subprocess import PIPE
 
 import pytest
 
-from failstop.lab.faults.table import BY_NAME
+from failstop.lab.faults.report import EVERY
 from tests.support.amounts import amount
 from tests.support.commands import FAILSTOP, failstop
 
@@ -33,7 +33,7 @@ def test_random_faults(tmp_path: Path) -> None:
     result = json.loads(out.read_text())
     assert result["count"] >= SECONDS / 2
     assert result["missed"] == result["motion_after"] == result["wrong"] == 0
-    assert {row["name"] for row in result["rows"]} == set(BY_NAME)
+    assert {row["name"] for row in result["rows"]} == set(EVERY)
     assert f"{result['count']} faults in" in done.stdout
     assert f"--seed {result['seed']}" in done.stderr
 
@@ -98,7 +98,7 @@ def test_an_interrupted_campaign_tells_what_it_has(tmp_path: Path) -> None:
 
 def test_list_names_every_row() -> None:
     listed = chaos("--list").stdout.splitlines()
-    assert [line.split()[0] for line in listed] == list(BY_NAME)
+    assert [line.split()[0] for line in listed] == list(EVERY)
     assert len(chaos("--list", "--only", "kill-*-hang-gate").stdout.splitlines()) == 4
 
 
@@ -108,7 +108,7 @@ def test_a_page_from_a_result(tmp_path: Path) -> None:
     totals = dict.fromkeys(("count", "missed", "motion_after", "wrong"), 0)
     out.write_text(json.dumps({"machine": machine, "seed": 1, **totals, "rows": [], "stories": []}))
     page = chaos("--markdown", "--from", str(out)).stdout
-    assert all(f"| `{name}` |" in page for name in BY_NAME)
+    assert all(f"| `{name}` |" in page for name in EVERY)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.faults import inject, report
+from failstop.lab.faults import arm_table, inject, report
 from failstop.lab.faults.campaign import inject_one
 from failstop.lab.faults.fault import CONTINUE, EVENTS, HANG, ITSELF, KILL, NEW_RUN, SPIN, Fault, fits
 from failstop.lab.faults.scene import Scene
@@ -49,9 +49,7 @@ NO_FAULT = {
     *(causes.BAD_FRAME, causes.UNKNOWN),  # a defect of the service's own
     causes.BATTERY,  # only where a setting asks for it
     causes.OPERATOR_GONE,  # only where a setting asks for one (tests/procs/test_gate_attendance.py, tests/web)
-    causes.TWO_MOVE_THE_ARM,  # only where there is an arm (failstop/lab/faults/arm.py)
     causes.UNSTILL,  # comes after the stop of another row
-    causes.REQUESTED,  # as PIPED, but that somebody says who it is
     *(causes.REMOVED, causes.STOPPING, causes.ALL_DIED, causes.SILENT),  # with them the run ends, or nobody is to latch
 }
 """Causes that no row latches."""
@@ -124,14 +122,14 @@ def test_what_is_latched_fits_its_row_and_no_other() -> None:
 
 def test_every_cause_of_a_running_service_is_in_the_table() -> None:
     latched = {kind for fault in TABLE for kind, *_ in fault.latched}
+    latched |= {kind for fault in arm_table.ROWS for kind, *_ in fault.latched}
     assert set(causes.BY_NUMBER.values()) - latched == NO_FAULT
 
 
 def test_the_page_has_the_rows_of_the_table() -> None:
     page = (Path(__file__).parents[2] / "docs" / "dev" / "faults.md").read_text()
     rows = [line for line in page.splitlines() if line.startswith("| `")]
-    assert len(rows) == len(TABLE)
-    for fault, row in zip(sorted(TABLE, key=lambda fault: EVENTS.index(fault.event)), rows, strict=True):
-        assert row.startswith(report.described(fault)), (
-            "failstop chaos --each 5 --json F --markdown > docs/dev/faults.md"
-        )
+    described = [report.described(fault) for fault in sorted(TABLE, key=lambda fault: EVENTS.index(fault.event))]
+    described += [fault.described() for fault in arm_table.ROWS]
+    for expected, row in zip(described, rows, strict=True):
+        assert row.startswith(expected), "failstop chaos --each 5 --json F --markdown > docs/dev/faults.md"

@@ -85,7 +85,7 @@ class Pretended:
     def __init__(self, state: State | None = None) -> None:
         self.state: State | None = state or states.driving()
         self.asked: list[tuple[str, str]] = []
-        self.proofs: dict[str, Any] = {"written_us": 200.0, "acknowledged_us": 4000.0, "observed_ms": 0.0}
+        self.proofs: dict[str, Any] = {"written_s": 2e-4, "acknowledged_s": 4e-3, "observed_s": 0.0}
         self.told: list[Event] = []
         self.problem = ""
 

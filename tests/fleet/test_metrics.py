@@ -9,6 +9,7 @@ import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
+from failstop.api.snapshot import Device
 from failstop.api.state import State
 from failstop.fleet import FleetError, exposition, metrics, page
 from failstop.policy import causes
@@ -50,10 +51,7 @@ def test_without_a_service_there_is_up_alone() -> None:
 
 
 def test_every_family_has_samples_of_some_state_with_its_labels_and_no_others() -> None:
-    joint = {"temperature_c": 40, "supply_mv": 7400}
-    full = states.latched(
-        scan_age_s=0.2, plugged="plugged", arm={"moving": True, "joints": {"elbow": joint, "wrist": joint}, "wrong": []}
-    )
+    full = states.latched(scan_age_s=0.2, plugged="plugged", arm=states.arm("elbow", "wrist"))
     seen = {family.name: samples for family, samples in metrics.collect(full)}
     assert set(seen) == {family.name for family in metrics.FAMILIES}
     for family in metrics.FAMILIES:
@@ -91,10 +89,10 @@ def test_a_latched_stop() -> None:
 
 
 def test_a_level_that_a_stop_has_not_reached_has_no_sample() -> None:
-    stop = states.stop(written_us=None, acknowledged_us=None, observed_ms=None)
+    stop = states.stop(written_s=None, acknowledged_s=None, observed_s=None)
     found = parsed(states.latched(last_stop=stop))
     assert not [name for name in found if re.search("written|acknowledged|observed", name)]
-    assert one(states.latched(last_stop=states.stop(observed_ms=0.0)), "last_stop_observed_seconds") == 0
+    assert one(states.latched(last_stop=states.stop(observed_s=0.0)), "last_stop_observed_seconds") == 0
 
 
 @pytest.mark.parametrize(
@@ -114,16 +112,16 @@ def test_nothing_blocks_while_it_drives() -> None:
 
 def test_wheels_may_turn_while_the_port_is_lost_or_the_board_is_deaf() -> None:
     for device in (
-        {"path": "/dev/x", "state": "lost", "link": "alive"},
-        {"path": "/dev/x", "state": "open", "link": "deaf"},
+        Device("/dev/x", "lost", "alive"),
+        Device("/dev/x", "open", "deaf"),
     ):
         assert one(states.state(device=device), "wheels_may_turn") == 1
-        assert one(states.state(device=device), "link_state", state=device["link"]) == 1
+        assert one(states.state(device=device), "link_state", state=device.link) == 1
     assert one(states.state(), "wheels_may_turn") == 0
 
 
 def test_what_is_not_known_has_no_sample() -> None:
-    found = parsed(states.state(battery_mv=None))
+    found = parsed(states.state(battery_v=None))
     assert "failstop_battery_volts" not in found
     assert "failstop_scan_age_seconds" not in found
     assert "failstop_arm_moving" not in found

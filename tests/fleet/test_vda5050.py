@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from failstop.api.snapshot import Device, Source
 from failstop.api.state import State
 from failstop.fleet import topics, vda5050
 from failstop.policy import causes
@@ -73,8 +74,8 @@ def test_driving() -> None:
 
 
 def test_a_person_drives() -> None:
-    source = {"source": "gamepad", "priority": 101, "who": "gamepad", "state": "drives"}
-    assert body(states.driving(sources=[source]))["operatingMode"] == "MANUAL"
+    source = Source("gamepad", 101, "gamepad", "drives")
+    assert body(states.driving(sources=(source,)))["operatingMode"] == "MANUAL"
 
 
 def test_disabled_is_paused_and_not_ready_is_service() -> None:
@@ -83,7 +84,7 @@ def test_disabled_is_paused_and_not_ready_is_service() -> None:
 
 
 def test_a_stop_that_does_not_reach_the_wheels_is_fatal() -> None:
-    found = body(states.state(device={"path": "/dev/x", "state": "lost", "link": "alive"}))
+    found = body(states.state(device=Device("/dev/x", "lost", "alive")))
     assert [row["errorType"] for row in found["errors"]] == ["wheelsMayTurn"]
     assert found["errors"][0]["errorLevel"] == "FATAL"
     assert told(found, "word") == "MAY TURN"
@@ -93,9 +94,9 @@ def test_a_stop_that_does_not_reach_the_wheels_is_fatal() -> None:
     ("changed", "kind"),
     [
         ({"processes": {"gate": states.process(state="down")}}, "processNotRunning"),
-        ({"device": {"path": "x", "state": "open", "link": "unproven"}}, "linkUnproven"),
+        ({"device": Device("x", "open", "unproven")}, "linkUnproven"),
         ({"starved": {"times": 1, "longest_ms": 90, "process": "gate"}}, "starved"),
-        ({"arm": {"wrong": ["servo 3 is silent"]}}, "arm"),
+        ({"arm": states.arm(wrong=("servo 3 is silent",))}, "arm"),
     ],
 )
 def test_warnings(changed: dict[str, Any], kind: str) -> None:
@@ -103,11 +104,11 @@ def test_warnings(changed: dict[str, Any], kind: str) -> None:
     assert (error["errorType"], error["errorLevel"]) == (kind, "WARNING")
 
 
-@pytest.mark.parametrize(("mv", "charge"), [(12_000, 80.0), (10_000, 20.0), (None, 0.0)])
-def test_the_battery(mv: int | None, charge: float) -> None:
-    found = body(states.state(battery_mv=mv, plugged="plugged"))["batteryState"]
+@pytest.mark.parametrize(("volts", "charge"), [(12.0, 80.0), (10.0, 20.0), (None, 0.0)])
+def test_the_battery(volts: float | None, charge: float) -> None:
+    found = body(states.state(battery_v=volts, plugged="plugged"))["batteryState"]
     assert found["batteryCharge"] == charge
-    assert found.get("batteryVoltage") == (mv / 1000 if mv else None)
+    assert found.get("batteryVoltage") == volts
     assert found["charging"] is True
 
 
@@ -119,7 +120,7 @@ def test_no_service() -> None:
 
 
 def test_the_last_stop_has_its_proofs_and_those_that_are_not_known_are_left_out() -> None:
-    stop = states.stop(observed_ms=None)
+    stop = states.stop(observed_s=None)
     (row,) = (row for row in body(states.latched(last_stop=stop))["information"] if row["infoType"] == "lastStop")
     found = {pair["referenceKey"]: pair["referenceValue"] for pair in row["infoReferences"]}
-    assert set(found) == {"cause", "t", "written_us", "acknowledged_us"}
+    assert set(found) == {"cause", "t", "written_s", "acknowledged_s"}

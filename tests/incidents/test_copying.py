@@ -133,9 +133,9 @@ def test_the_port_owner_says_what_ended_the_run(name: str) -> None:
     dead_run(name, dict.fromkeys(layout.PROCESSES, 1_000_000_000))
     port_owner = owned(name, layout.PORT_OWNER)
     stops, wire = port_owner.ring_writer("stops"), port_owner.ring_writer("box")
-    stops.put(records.pack_stop(2, 5, 6, causes.PIPED("answered long ago").pack()))
-    stops.put(records.pack_stop(3, 1_000_500_000, 1_000_600_000, SUPERVISOR_DIED.pack()))
-    stops.put(records.pack_stop(3, 1_000_700_000, 1_000_700_000, GATE_DIED.pack()))
+    stops.put(records.STOPPED.pack(2, 5, 6, causes.PIPED("answered long ago").pack()))
+    stops.put(records.STOPPED.pack(3, 1_000_500_000, 1_000_600_000, SUPERVISOR_DIED.pack()))
+    stops.put(records.STOPPED.pack(3, 1_000_700_000, 1_000_700_000, GATE_DIED.pack()))
     wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 900_000_000)
     wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 1_000_620_000)
     found = copies(name)
@@ -160,7 +160,7 @@ def test_the_first_cause_is_told_but_for_what_dies_with_its_parent(
     dead_run(name, dict.fromkeys(layout.PROCESSES, 90_000_000))
     stops = owned(name, layout.PORT_OWNER).ring_writer("stops")
     for ms, cause in noticed:
-        stops.put(records.pack_stop(3, ms * 1_000_000, 0, cause.pack()))
+        stops.put(records.STOPPED.pack(3, ms * 1_000_000, 0, cause.pack()))
     cause_ns, _, found = copying.left_cause(copies(name))
     assert (cause_ns // 1_000_000, found) == wanted
 
@@ -181,7 +181,7 @@ def test_a_stop_that_the_supervisor_did_not_live_to_have_saved(
     supervisor = owned(name, layout.SUPERVISOR)
     supervisor.word("beat_ns").set(beat_ms * 1_000_000)
     latch = supervisor.latest_writer("latch")
-    latch.write(records.pack_latch(since, 100_000_000, 100_000_000, GATE_DIED.pack()))
+    latch.write(records.LATCH.pack(since, 100_000_000, 100_000_000, GATE_DIED.pack()))
     assert copying.unsaved_cause(copies(name), 150_000_000) == wanted
     latch.write(b"short")
     assert copying.unsaved_cause(copies(name), 150_000_000) is None

@@ -135,10 +135,10 @@ def test_a_dead_run_s_file_is_of_what_came_first(saving: Saving) -> None:
     saving.supervisor.word("epoch").set(2)
     saving.supervisor.word("beat_ns").set(1_001_000_000)
     died = causes.DIED("gate").pack()
-    saving.supervisor.latest_writer("latch").write(records.pack_latch(2, 1_000_000_000, 1_000_000_000, died))
+    saving.supervisor.latest_writer("latch").write(records.LATCH.pack(2, 1_000_000_000, 1_000_000_000, died))
     stops, wire = saving.port_owner.ring_writer("stops"), saving.port_owner.ring_writer("box")
     wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 1_000_300_000)
-    stops.put(records.pack_stop(2, 1_002_000_000, 1_002_100_000, causes.DIED("supervisor").pack()))
+    stops.put(records.STOPPED.pack(2, 1_002_000_000, 1_002_100_000, causes.DIED("supervisor").pack()))
     assert saving.save().startswith("saved ")
     incident = saving.newest()
     assert (incident.reason, incident.cause_ns, incident.head["kind"]) == ("gate died", 1_000_000_000, "left")
@@ -148,7 +148,7 @@ def test_a_dead_run_s_file_is_of_what_came_first(saving: Saving) -> None:
 
 
 def lose_port(saving: Saving, state: int) -> None:
-    saving.port_owner.latest_writer("port").write(records.pack_port(1, time.monotonic_ns(), state, "/dev/ttyACM0"))
+    saving.port_owner.latest_writer("port").write(records.PORT.pack(1, time.monotonic_ns(), state, "/dev/ttyACM0"))
 
 
 def test_a_lost_port_is_waited_for_and_its_stop_is_the_one_that_was_written_at_last(saving: Saving) -> None:

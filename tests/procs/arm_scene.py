@@ -4,7 +4,6 @@ rules and the simulated board's own servos, without processes between them."""
 from __future__ import annotations
 
 import heapq
-import os
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,15 +16,12 @@ from failstop.board.interface import BOARD
 from failstop.lab.sim.servos import Servos
 from failstop.policy.causes import Cause
 from failstop.policy.reply import Reply, unpack
-from failstop.procs.gate import main
-from failstop.procs.gate.main import Gate
 from failstop.procs.loop import NEVER
 from failstop.procs.port_owner.servo_bus import ServoBus
-from failstop.shm import bell, claim, instance, layout, records, segment
-from failstop.shm.bell import EventBell
-from failstop.shm.segment import Segment
+from failstop.shm import layout, records
 from tests.support.arm_settings import ARM, SERVOS
-from tests.support.stage import INCARNATION, MS, Stage
+from tests.support.gate_scene import GateStage
+from tests.support.stage import MS
 
 SESSION = 11
 OTHER = 12
@@ -34,30 +30,20 @@ ANSWER_NS = 1 * MS
 """From the board through port owner and telemetry."""
 
 
-class ArmScene(Stage):
+class ArmScene(GateStage):
     """The gate of a robot with an arm. Time passes by run(); what the wheels and the servos are told is judged by the
     board. The test is the supervisor: it latches what it is told to (stop), and what the gate trips for."""
 
     changed: ClassVar[dict[str, object]] = ARM
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch, seed: int = 0) -> None:
-        super().__init__(layout.GATE, directory)
-        monkeypatch.setattr(main, "monotonic_ns", self.clock)
-        self.runtime_dir = str(directory)
-        bell.make_pipe(instance.bell_path(self.runtime_dir), 0o600)
-        self._fds["client_bell"] = bell.open_pipe(instance.bell_path(self.runtime_dir))
-        self._bells["port_owner_bell"] = EventBell.create()
-        self._claims = claim.open_claims(instance.claims_path(self.runtime_dir), create=True)
-        supervisor = self._views[layout.SUPERVISOR]
-        self._latch, self._decided = supervisor.latest_writer("latch"), supervisor.latest_writer("reset")
-        self._resets = supervisor.word("resets")
+        super().__init__(directory, monkeypatch)
         self._asked = self.own.word("resets_asked")
         self._epoch = 1
-        supervisor.word("ready").set(1)
-        self._made = self.own.ring_reader("frames")
-        self.gate = Gate(self)  # type: ignore[arg-type]
-        self._client = self._join(0, SESSION, "test")
-        self._other = self._join(1, OTHER, "other")
+        self.ready(1)
+        self.start_gate()
+        self._client = self.join(SESSION, "test")
+        self._other = self.join(OTHER, "other")
         self.servos = Servos(self.clock(), seed)
         self.bus = ServoBus(SERVOS)
         self.wheels_move = False
@@ -71,24 +57,20 @@ class ArmScene(Stage):
         self._answers: list[tuple[int, bytes]] = []
         self._numbers = [0, 0]
 
-    def _join(self, index: int, session: int, who: str) -> Segment:
-        found = segment.attach_client_slot(self.name, index, INCARNATION)
-        assert claim.take(self._claims, index)
-        found.latest_writer("hello").write(records.pack_hello(session, 0, 0, who))
-        return found
-
     def stop(self, cause: Cause) -> None:
         """The supervisor latches and raises the epoch; the port owner's burst stops wheels and servos."""
         self._epoch += 1
-        self._latch.write(records.pack_latch(self._epoch, self.clock(), self.clock(), cause.pack()), self.clock())
+        self._latch_record.write(
+            records.LATCH.pack(self._epoch, self.clock(), self.clock(), cause.pack()), self.clock()
+        )
         self.raise_epoch(self._epoch)
         self._burst()
 
     def _decide_resets(self) -> None:
-        if self._asked.get() != self._resets.get():
-            self._latch.write(records.pack_latch(0, 0, self.clock(), b""), self.clock())
-            self._decided.write(Reply(records.DONE, "reset").pack(0, 0), self.clock())
-            self._resets.set(self._asked.get())
+        if self._asked.get() != self._resets_word.get():
+            self._latch_record.write(records.LATCH.pack(0, 0, self.clock(), b""), self.clock())
+            self._reset_record.write(Reply(records.DONE, "reset").pack(0, 0), self.clock())
+            self._resets_word.set(self._asked.get())
 
     def _burst(self) -> None:
         self.wheels_move = False
@@ -114,7 +96,7 @@ class ArmScene(Stage):
     def _carry_out(self) -> None:
         now_ns = self.clock()
         while entry := self._made.next():
-            _, kind, body = records.unpack_frame(entry[2])
+            _, kind, body = records.FRAME.unpack(entry[2])
             if kind == records.STOP:
                 self._burst()
             elif kind == records.MOTION:
@@ -145,7 +127,7 @@ class ArmScene(Stage):
             servo, what, value = found
             if what == servos.POSITION:
                 self.said[servo] = [*self.said[servo][-1:], -1 if value is None else value]
-            heapq.heappush(self._answers, (done_ns + ANSWER_NS, records.pack_servo(*found)))
+            heapq.heappush(self._answers, (done_ns + ANSWER_NS, records.SERVO.pack(*found)))
 
     # Clients.
 
@@ -156,7 +138,7 @@ class ArmScene(Stage):
         """A client asks; the answer comes by answered()."""
         self._numbers[client] += 1
         session = (SESSION, OTHER)[client]
-        request = records.pack_request(session, self._numbers[client], verb)
+        request = records.REQUEST.pack(session, self._numbers[client], verb)
         self.segment_of(client).latest_writer("request").write(request, self.clock())
 
     def answered(self, client: int = 0) -> tuple[int, str]:
@@ -169,16 +151,16 @@ class ArmScene(Stage):
 
     def goal(self, mode: int, values: dict[int, float], client: int = 0) -> None:
         """A goal of a stream."""
-        packed = records.pack_arm_goal((SESSION, OTHER)[client], mode, values)
+        packed = records.ARM_GOAL.pack((SESSION, OTHER)[client], mode, values)
         self.segment_of(client).latest_writer("arm_goal").write(packed, self.clock())
 
     def pad(self, joint: int, share: float) -> None:
         """What telemetry says of the gamepad in its joint mode."""
-        self._pad.write(records.pack_pad_arm(joint, share), self.clock())
+        self._pad.write(records.PAD_ARM.pack(joint, share), self.clock())
 
     def travel(self, values: dict[int, float], over_s: float = 0.0, client: int = 0) -> None:
         """A trajectory to one point, and the request for it."""
-        packed = records.pack_arm_path((SESSION, OTHER)[client], 1.0, list(values), [(over_s, list(values.values()))])
+        packed = records.ARM_PATH.pack((SESSION, OTHER)[client], 1.0, list(values), [(over_s, list(values.values()))])
         self.segment_of(client).latest_writer("arm_path").write(packed, self.clock())
         self.ask_for(records.ARM_MOVE, client)
 
@@ -200,13 +182,6 @@ class ArmScene(Stage):
     def at(self, servo: int) -> float:
         """Where it is in truth."""
         return self.servos.by_id[servo].leg.at(self.clock())
-
-    def close(self) -> None:
-        for fd in (self._claims, self._fds["client_bell"]):
-            os.close(fd)
-        self._client.close()
-        self._other.close()
-        super().close()
 
 
 ZERO_WHEELS = BOARD.stop

@@ -42,17 +42,17 @@ class Client:
 
     def hello(self, session: int, name: str, pid: int, namespace: int | None = None) -> None:
         """`namespace`: that of the pid; None for this process's own."""
-        hello = records.pack_hello(session, pid, pid_namespace() if namespace is None else namespace, name)
+        hello = records.HELLO.pack(session, pid, pid_namespace() if namespace is None else namespace, name)
         self.segment.latest_writer("hello").write(hello)
 
     def command(self, vx: float = 0.1, *, session: int | None = None, t_ns: int = NOW) -> None:
-        payload = records.pack_command(self.session if session is None else session, vx, 0.0, 0.0, False)
+        payload = records.COMMAND.pack(self.session if session is None else session, vx, 0.0, 0.0, False, "cmd_vel")
         self.segment.latest_writer("command").write(payload, t_ns)
 
     def request(self, verb: int = records.ENABLE, *, session: int | None = None) -> int:
         self.number += 1
         whose = self.session if session is None else session
-        self.segment.latest_writer("request").write(records.pack_request(whose, self.number, verb))
+        self.segment.latest_writer("request").write(records.REQUEST.pack(whose, self.number, verb))
         return self.number
 
     def leave(self) -> None:

@@ -90,7 +90,7 @@ def test_records_of_another_run_are_ignored(service: Service) -> None:
     client = service.join()
     service.look()
     old = Segment(client.segment.spec, INCARNATION + 1, client.segment.view, None, -1)
-    old.latest_writer("command").write(records.pack_command(11, 0.2, 0.0, 0.0, False))
+    old.latest_writer("command").write(records.COMMAND.pack(11, 0.2, 0.0, 0.0, False, "cmd_vel"))
     assert service.look() == []
 
 
@@ -108,7 +108,7 @@ def test_a_truncated_segment_is_a_client_gone(service: Service, size: int) -> No
 def test_names_of_the_worst_kind_leave_the_state_room(service: Service) -> None:
     """Invalid UTF-8 and wide characters grow when they are decoded; with eight of them the gate's state must still fit
     its record, or a client could end the gate."""
-    hello = records.pack_hello(0, 0, 0, "")
+    hello = records.HELLO.pack(0, 0, 0, "")
     for index in range(layout.CLIENT_SLOTS):
         client = service.join(index, 1 + index)
         body = (1 + index).to_bytes(8, "little") + (2**32 - 1).to_bytes(4, "little") + bytes(8)

@@ -67,7 +67,7 @@ def test_resets_are_decided_one_after_the_other(gate_scene: Scene) -> None:
 
 
 def test_a_damaged_cause_latches_too(gate_scene: Scene) -> None:
-    record = records.pack_latch(2, gate_scene.clock(), gate_scene.clock(), b"?")
+    record = records.LATCH.pack(2, gate_scene.clock(), gate_scene.clock(), b"?")
     gate_scene.own_supervisor().latest_writer("latch").write(record, gate_scene.clock())
     gate_scene.raise_epoch(2)
     assert gate_scene.tick() == "stopped by the supervisor"

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import pty
+import resource
 import time
 import tty
 from collections.abc import Iterator
 
 import pytest
 
-from failstop.procs.loop import GONE, HANGUP, NEVER, READ, WRITE, Deadline, Loop
+from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE, Deadline, Loop
 
 LATER_NS = 20_000_000_000
 
@@ -65,6 +66,33 @@ def test_watching_again_changes_the_events(pipe: tuple[int, int]) -> None:
     assert loop.wait(0) == {pipe[1]: WRITE}
     loop.watch(pipe[1], READ)
     assert loop.wait(0) == {}
+
+
+def test_at_the_edge_only_new_bytes_are_told_of(pipe: tuple[int, int]) -> None:
+    loop = Loop()
+    os.write(pipe[1], b"x")
+    loop.watch(pipe[0], READ | EDGE)
+    assert loop.wait(0) == {pipe[0]: READ}, "what was there before counts as new"
+    assert loop.wait(0) == {}, "though it was not read"
+    os.write(pipe[1], b"y")
+    assert loop.wait(LATER_NS) == {pipe[0]: READ}
+
+
+@pytest.mark.parametrize("longest_ns", [2_000_000, 20_000_000])
+def test_a_wait_is_one_sleep(longest_ns: int) -> None:
+    loop = Loop()
+    loop.deadline().set(NEVER)
+    before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
+    assert loop.wait(longest_ns) == {}
+    assert resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before == 1
+
+
+def test_a_longest_time_is_kept_beside_a_later_deadline() -> None:
+    loop = Loop()
+    start_ns = time.monotonic_ns()
+    loop.deadline().set(start_ns + LATER_NS)
+    assert loop.wait(20_000_000) == {}
+    assert 20_000_000 <= time.monotonic_ns() - start_ns < LATER_NS
 
 
 def test_forgotten_descriptors_stay_out(pipe: tuple[int, int]) -> None:

@@ -329,7 +329,6 @@ def test_bytes_from_the_board_go_into_the_ring_in_order(scene: Scene) -> None:
     received = scene.segment(layout.PORT_OWNER).ring_reader("received", from_oldest=True)
     sent = bytes(range(256)) * 5
     os.write(scene.pty.master, sent)
-    until(lambda: scene.owner.loop.wait(0), "the bytes")
     found = b""
 
     def arrived() -> bool:

@@ -64,11 +64,11 @@ def test_words_are_bounded_and_printable(service: Service, sees: str, wrong: str
     client = service.join()
     service.look()
     assert service.table.active[0].said() is None
-    client.segment.latest_writer("said").write(records.pack_said(11, sees, wrong), 42)
+    client.segment.latest_writer("said").write(records.SAID.pack(11, sees, wrong), 42)
     assert service.table.active[0].said() == (42, *read)
 
 
-@pytest.mark.parametrize("payload", [b"", b"short", records.pack_said(12, "of another session", "")])
+@pytest.mark.parametrize("payload", [b"", b"short", records.SAID.pack(12, "of another session", "")])
 def test_words_that_are_none(service: Service, payload: bytes) -> None:
     client = service.join()
     service.look()

@@ -183,7 +183,7 @@ def test_one_that_was_only_late_itself_fences_all_the_same(scene: Scene) -> None
 
 def test_a_port_that_the_port_owner_has_given_up_is_let_go(scene: Scene) -> None:
     for number, let_go in ((0, False), (2, False), (1, True)):
-        lost = records.pack_port(number, scene.clock() + 1, records.PORT_LOST, "/dev/board")
+        lost = records.PORT.pack(number, scene.clock() + 1, records.PORT_LOST, "/dev/board")
         scene._views[layout.PORT_OWNER].latest_writer("port").write(lost)
         scene.turn(MS)
         assert (scene.stopper._port.fd == -1) is let_go

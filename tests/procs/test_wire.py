@@ -11,12 +11,13 @@ from typing import Any
 
 import pytest
 
-from failstop.board import codec, port, stop_port
+from failstop.board import codec, port
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.procs.port_owner.main import MOTION_BACKLOG, PING_BACKLOG
 from failstop.procs.port_owner.wire import DRAIN_NS, Wire
 from tests.support.ptys import Board, Pty, new_pty
+from tests.support.stand_ins import before_write
 from tests.support.waiting import until
 
 MS = 1_000_000
@@ -56,11 +57,7 @@ class Kernel:
 @pytest.fixture
 def kernel(monkeypatch: pytest.MonkeyPatch) -> Kernel:
     made = Kernel()
-
-    class Os:
-        write = staticmethod(made.write)
-
-    monkeypatch.setattr(stop_port, "os", Os)
+    before_write(monkeypatch, made.write)
     return made
 
 

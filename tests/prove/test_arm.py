@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from failstop.board.servos import bus_servo_move
-from failstop.lab.faults.arm import ROWS, UNPLUG
+from failstop.lab.faults.arm_table import ROWS
+from failstop.lab.faults.arm_table import SWINGING as SWUNG
 from failstop.lab.prove import arm_run
 from failstop.lab.prove.arm_run import ArmRun
 from failstop.lab.prove.run import Result
@@ -121,7 +122,7 @@ def test_a_robot_without_an_arm_has_no_such_paths() -> None:
 
 
 def test_plans() -> None:
-    assert len(ARM_PATHS) == len(BY_ARM_PATH) == sum(row.what != UNPLUG for row in ROWS)
+    assert len(ARM_PATHS) == len(BY_ARM_PATH) == sum(row.what in SWUNG for row in ROWS)
     whole = [path for path, _ in plan(quick=False, has_arm=True) if path.arm]
     assert whole == list(ARM_PATHS)
     assert not [path for path, _ in plan(quick=False) if path.arm]
@@ -137,6 +138,7 @@ def test_plans() -> None:
 def test_every_bar_is_its_row_s_and_what_reading_adds() -> None:
     for path in ARM_PATHS:
         assert path.arm
+        assert path.arm.bar_ms
         assert 0 < path.reaction_bar_ms(simulated=False) < path.arm.bar_ms
         assert path.rest_bar_s(SWINGING) == pytest.approx(path.arm.bar_ms / 1000 + 0.03)
 

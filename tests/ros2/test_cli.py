@@ -69,7 +69,7 @@ def test_topic_pub_and_echo(scene: Scene) -> None:
 
 
 def bridges(scene: Scene) -> set[int]:
-    return {client["pid"] for client in scene.trial.robot.state.clients if client["name"] == "ros2"}
+    return {client.pid for client in scene.trial.robot.state.clients if client.name == "ros2"}
 
 
 def test_launch_with_an_exit_handler(scene: Scene, tmp_path: Path) -> None:

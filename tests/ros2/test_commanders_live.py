@@ -76,7 +76,7 @@ def test_a_wrong_type_is_told_everywhere(scene: Scene) -> None:
     )
     assert row["level"] == 1
     assert said in told(scene, "status")
-    assert f"The client ros2 says: {said}" in told(scene, "why")
+    assert f"ros2 says: {said}" in told(scene, "why")
     assert f"ros2 says: {said}" in told(scene, "doctor", "--quick")
     assert said in told(scene, "events", "--kind", "said")
 

@@ -91,7 +91,7 @@ def test_a_service_that_was_started_anew_is_found_again(ros: Ros) -> None:
         scene.enable()
         scene.moving()
         robot = scene.trial.robot
-        wait_for("the gate to name it", lambda: any(client["name"] == "ros2" for client in robot.state.clients))
+        wait_for("the gate to name it", lambda: any(client.name == "ros2" for client in robot.state.clients))
 
 
 def test_without_a_service_it_waits_and_says_so(ros: Ros) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from failstop.api.samples import ImuSample, OdometrySample, PadSample
+from failstop.api.snapshot import Device, GyroBias
 from failstop.policy import causes
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.ros2 import diagnostics, leftovers, messages, mirrors, report, words
@@ -77,8 +78,8 @@ def test_odometry_and_transform_agree() -> None:
 
 @pytest.mark.parametrize(("plugged", "status"), [("plugged", 1), ("unplugged", 2), ("unknown", 0)])
 def test_battery_fields(plugged: str, status: int) -> None:
-    assert messages.battery(11_900, plugged, 0)["voltage"] == 11.9
-    assert messages.battery(11_900, plugged, 0)["power_supply_status"] == status
+    assert messages.battery(11.9, plugged, 0)["voltage"] == 11.9
+    assert messages.battery(11.9, plugged, 0)["power_supply_status"] == status
 
 
 def test_gamepad_values() -> None:
@@ -89,14 +90,14 @@ def test_gamepad_values() -> None:
 
 def test_wheels_turn_as_far_as_they_were_told() -> None:
     wheels = messages.Wheels()
-    wheels.follow((1.0, 1.0, -1.0, -1.0), (1, 1, -1, -1), 0)
+    wheels.follow((2 * math.pi,) * 4, 0)
     assert wheels.fields(0)[1][1:] == ([0.0] * 4, [2 * math.pi] * 4)
-    wheels.follow((0.0, 0.0, 0.0, 0.0), (1, 1, -1, -1), S // 2)
+    wheels.follow((0.0,) * 4, S // 2)
     names, (_, position, velocity) = wheels.fields(0)
     assert names == list(messages.WHEELS)
     assert position == pytest.approx([math.pi] * 4)
     assert velocity == [0.0] * 4
-    wheels.follow((0.0, 0.0, 0.0, 0.0), (1, 1, -1, -1), 9 * S)
+    wheels.follow((0.0,) * 4, 9 * S)
     assert wheels.fields(0)[1][1] == pytest.approx([math.pi] * 4)
 
 
@@ -104,7 +105,7 @@ def test_wheels_turn_as_far_as_they_were_told() -> None:
 
 
 def test_state_values() -> None:
-    bias = {"bias_radps": [0.01, 0.0, -0.01], "tracking": True, "calibrated": True}
+    bias = GyroBias((0.01, 0.0, -0.01), tracking=True, calibrated=True)
     given = states.latched(
         causes.REQUESTED("estop topic", "ros2", 9), scan_age_s=0.12345, gyro_bias=bias, plugged="plugged"
     )
@@ -145,7 +146,7 @@ def test_the_proof_of_a_stop_grows() -> None:
     before, asked_for = states.driving(), causes.REQUESTED("stop service", "ros2", 9)
     assert report.proof(before, before) == ""
     assert report.proof(before, None) == ""
-    asked = states.latched(asked_for, last_stop=states.stop(acknowledged_us=None, observed_ms=None))
+    asked = states.latched(asked_for, last_stop=states.stop(acknowledged_s=None, observed_s=None))
     assert report.proof(before, asked) == ""
     assert report.proof(before, asked, final=True) == (
         "stop latched (stop service): written after 0.2 ms, not acknowledged yet, not seen still yet"
@@ -154,7 +155,7 @@ def test_the_proof_of_a_stop_grows() -> None:
     assert report.proof(before, seen) == (
         "stop latched (stop service): written after 0.2 ms, acknowledged after 4.4 ms, observed after 300 ms"
     )
-    lost = states.latched(asked_for, last_stop=states.stop(written_us=None))
+    lost = states.latched(asked_for, last_stop=states.stop(written_s=None))
     assert "could NOT be written: use the POWER SWITCH" in report.proof(before, lost)
     assert report.proof(before, None, final=True).startswith("asked for a stop")
 
@@ -185,12 +186,12 @@ def test_diagnostics_of_a_service_that_is_well() -> None:
 @pytest.mark.parametrize(
     ("changed", "name", "level"),
     [
-        ({"age_ms": 900.0}, "stop layer", diagnostics.STALE),
-        ({"device": {"path": "/dev/x", "state": "lost", "link": "alive"}}, "port", diagnostics.ERROR),
-        ({"device": {"path": "/dev/x", "state": "open", "link": "deaf"}}, "link", diagnostics.ERROR),
-        ({"device": {"path": "/dev/x", "state": "open", "link": "unproven"}}, "link", diagnostics.WARN),
-        ({"battery_mv": 9_000}, "battery", diagnostics.WARN),
-        ({"battery_mv": None}, "battery", diagnostics.WARN),
+        ({"age_s": 0.9}, "stop layer", diagnostics.STALE),
+        ({"device": Device("/dev/x", "lost", "alive")}, "port", diagnostics.ERROR),
+        ({"device": Device("/dev/x", "open", "deaf")}, "link", diagnostics.ERROR),
+        ({"device": Device("/dev/x", "open", "unproven")}, "link", diagnostics.WARN),
+        ({"battery_v": 9.0}, "battery", diagnostics.WARN),
+        ({"battery_v": None}, "battery", diagnostics.WARN),
         ({"processes": {"gate": states.process(state="down")}}, "process gate", diagnostics.ERROR),
         ({"processes": {"gate": states.process(state="waiting")}}, "process gate", diagnostics.WARN),
         ({"processes": {"gate": states.process(realtime=False)}}, "real-time rights", diagnostics.WARN),
@@ -209,7 +210,7 @@ def test_diagnostics_of_a_latch_name_the_next_command() -> None:
 
 def test_diagnostics_change_with_levels_and_words_and_not_with_ages() -> None:
     one = diagnostics.statuses("base", states.state(), "", [], [])
-    processes = {name: states.process(age_ms=9.0) for name in states.state().processes}
+    processes = {name: states.process(age_s=0.009) for name in states.state().processes}
     other = diagnostics.statuses("base", states.state(processes=processes), "", [], [])
     assert one != other
     assert not diagnostics.changed(one, other)

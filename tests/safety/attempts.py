@@ -147,7 +147,7 @@ def drive(scene: Scene) -> bool:
 
             def moves() -> bool:
                 robot.drive(0.1, 0.0, 0.0, manual=True)
-                return any(robot.state.wheels_rps)
+                return any(robot.state.wheels_radps)
 
             return _soon(moves)
 
@@ -156,7 +156,7 @@ def drive(scene: Scene) -> bool:
 
 def pose(scene: Scene) -> bool:
     _enabled(scene.trial.robot)
-    slot = scene.trial.robot.state.clients[0]["slot"]
+    slot = scene.trial.robot.state.clients[0].slot
     return scene.opens(segment.path_of(scene.memory, f"client.{slot}"), os.O_RDWR)
 
 

@@ -12,7 +12,7 @@ import time
 
 import pytest
 
-from failstop.cli.screen.words import unit
+from failstop.api.words import unit
 from failstop.lab.trial import Trial, wait_for
 from tests.support.commands import FAILSTOP, failstop
 
@@ -33,7 +33,7 @@ def said(trial: Trial, *words: str) -> str:
 def latch(trial: Trial, reason: str = "hand near") -> None:
     trial.robot.estop(reason)
     wait_for("the latch", lambda: trial.robot.state.estop is not None)
-    wait_for("its last proof", lambda: getattr(trial.robot.state.last_stop, "observed_ms", None) is not None)
+    wait_for("its last proof", lambda: getattr(trial.robot.state.last_stop, "observed_s", None) is not None)
 
 
 def test_status_through_its_states(trial: Trial) -> None:
@@ -94,11 +94,11 @@ def test_why_of_a_latch(trial: Trial) -> None:
     latch(trial)
     shown = " ".join(said(trial, "why").split())
     assert f'trial (pid {os.getpid()}) asked for a stop: "hand near"' in shown
-    assert "the board acknowledged it after" in shown
+    assert "acknowledged by the board after" in shown
     steps = [f"`failstop {verb} --name {trial.name}`" for verb in ("reset", "enable")]
     assert f"then {steps[0]}, then {steps[1]}" in shown
     found = json.loads(said(trial, "why", "--json"))
-    assert found["next"] == steps
+    assert found["do"][1:] == steps
     assert found["since"] == pytest.approx(time.time(), abs=60)
 
 
@@ -107,7 +107,7 @@ def test_why_knows_who_disabled_and_when(trial: Trial) -> None:
     trial.robot.disable()
     wait_for("the event", lambda: "motion disabled by trial" in " ".join(said(trial, "why").split()))
     shown = " ".join(said(trial, "why").split())
-    assert "The wheels stand since" in shown
+    assert "motion is disabled since" in shown
 
 
 def test_why_while_driving(trial: Trial) -> None:
@@ -117,7 +117,7 @@ def test_why_while_driving(trial: Trial) -> None:
     while process.poll() is None:
         trial.drive(0.05)
     found.append(process.communicate()[0])
-    assert "Nothing holds the wheels: trial (pid" in found[0]
+    assert "nothing holds the wheels: trial (pid" in found[0]
 
 
 def test_events_say_what_happened(trial: Trial) -> None:

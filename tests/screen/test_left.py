@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from failstop.api import host, words
 from failstop.api.errors import NoService
-from failstop.cli.screen import host, left, words
+from failstop.cli.screen import left
 from failstop.lab.trial import Trial, wait_for
 from failstop.shm import root
 from tests.support.commands import failstop
@@ -50,8 +51,8 @@ def test_a_killed_supervisor(trial: Trial) -> None:
     assert f"next: {start}" in status.stderr
     assert (why.returncode, why.stderr) == (3, "")
     assert f"supervisor died (pid {pid};" in said(why.stdout)
-    assert f"What to do: {start}, then `failstop incident show last --name {trial.name}`" in said(why.stdout)
-    assert json.loads(run(trial, "why", "--json").stdout)["next"][0] == start
+    assert f"do {start}, then `failstop incident show last --name {trial.name}`" in said(why.stdout)
+    assert json.loads(run(trial, "why", "--json").stdout)["do"][0] == start
     assert events.returncode == 3
     assert "motion enabled by trial" in events.stdout, "its memory still has what it told"
 

@@ -7,19 +7,21 @@ from typing import Any
 
 import pytest
 
+from failstop.api import host, verdict, words
 from failstop.api.errors import FailstopError
 from failstop.api.events import Event
+from failstop.api.snapshot import Client, Device, Imu, Source
 from failstop.cli import style
-from failstop.cli.screen import cockpit, host, live, summary, told, verdict, words
+from failstop.cli.screen import cockpit, live, summary, told
 from failstop.cli.screen.painter import CLEAR, Painter
 from failstop.cli.screen.sparkline import spark
 from failstop.policy import causes
 from failstop.supervisor.kinds import KINDS
 from tests.support.states import NOW_S, driving, latched, process, state, stop
 
-LOST = {"path": "/dev/ttyACM0", "state": "lost", "link": "unproven"}
-DEAF = {"path": "/dev/ttyACM0", "state": "open", "link": "deaf"}
-DOWN = {"gate": process(pid=0, state="down", restarts=4, last_exit="killed by SIGKILL", age_ms=1e9)}
+LOST = Device("/dev/ttyACM0", "lost", "unproven")
+DEAF = Device("/dev/ttyACM0", "open", "deaf")
+DOWN = {"gate": process(pid=0, state="down", restarts=4, last_exit="killed by SIGKILL", age_s=1e6)}
 STATES = {
     "disabled": state(),
     "driving": driving(),
@@ -27,9 +29,9 @@ STATES = {
     "waiting for the port": latched(causes.DEVICE_LOST(), device=LOST, waiting_for="the port"),
     "deaf": latched(causes.DEAF(), device=DEAF),
     "process down": latched(
-        causes.DIED("gate"), processes={**state().processes, **DOWN}, waiting_for="gate", age_ms=9000.0
+        causes.DIED("gate"), processes={**state().processes, **DOWN}, waiting_for="gate", age_s=9.0
     ),
-    "long": latched(causes.PIPED("x" * 300), clients=[{"name": "n" * 64, "pid": 4194304, "slot": i} for i in range(8)]),
+    "long": latched(causes.PIPED("x" * 300), clients=tuple(Client(i, "n" * 64, 4194304, False) for i in range(8))),
 }
 
 
@@ -70,7 +72,7 @@ def test_what_the_screen_says() -> None:
     assert "wheels    MAY TURN" in said
     said = shown(
         summary.lines(
-            driving(sources=[*driving().sources, {"source": "x", "priority": -1, "who": "y", "state": "waits"}]),
+            driving(sources=(*driving().sources, Source("x", -1, "y", "waits"))),
             NOW_S,
             120,
         )
@@ -80,11 +82,11 @@ def test_what_the_screen_says() -> None:
 
 
 def test_proofs_that_are_missing_are_seen() -> None:
-    unseen = stop(causes.KEY(1), acknowledged_us=None, observed_ms=None)
+    unseen = stop(causes.KEY(1), acknowledged_s=None, observed_s=None)
     assert "written after 0.21 ms, not acknowledged, not seen still" in shown(
         summary.last_stop(latched(last_stop=unseen), NOW_S)
     )
-    unwritten = latched(last_stop=stop(written_us=None))
+    unwritten = latched(last_stop=stop(written_s=None))
     assert "NOT written" in shown(summary.last_stop(unwritten, NOW_S))
 
 
@@ -108,7 +110,7 @@ def _live(rows: int = 40, columns: int = 100) -> tuple[live.Live, list[style.Lin
     for tick in range(30):
         moving = tick >= 15
         rate = [0.01 * (-1) ** tick if moving else 0.0001 * (-1) ** tick, 0.0, 0.0]
-        given = (driving if moving else state)(imu={"rate_radps": [*rate[:2], tick * 1e-6]})
+        given = (driving if moving else state)(imu=Imu((0.0, 0.0, 9.8), (*rate[:2], tick * 1e-6), 1e-6))
         lines = found.lines(given, tick * 0.1, NOW_S, columns, rows)
     return found, lines
 

@@ -15,9 +15,9 @@ from failstop.cli.screen.pilot import Pilot
 from failstop.cli.style import FAIL, WARN
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import from_settings
-from tests.support.states import driving, latched, state
+from tests.support.states import arm, driving, latched, state
 
-ENABLED = driving(sources=[], body_vel=(0.0, 0.0, 0.0), wheels_rps=(0.0, 0.0, 0.0, 0.0), blocked="cmd timeout")
+ENABLED = driving(sources=(), body_vel=(0.0, 0.0, 0.0), wheels_radps=(0.0, 0.0, 0.0, 0.0), blocked="cmd timeout")
 RIVAL = driving()
 W: list[Key] = [("w", PRESS)]
 
@@ -153,7 +153,7 @@ class WithArm(Scribe):
         super().__init__()
         self.arm = self
         self.joints = {joint.name: joint for joint in from_settings(Settings({"joints.base.servo": 1}))}
-        self.state = {"closed": ""}
+        self.state = arm("base")
         self.let = threading.Event()
 
     def jog(self, rates: dict[str, float]) -> None:
@@ -168,7 +168,7 @@ class WithArm(Scribe):
         return self._ask("enable")
 
 
-ARM = state(arm={"joints": {"base": {}}})
+ARM = state(arm=arm("base"))
 
 
 def test_digits_choose_a_joint_and_brackets_turn_it_while_they_are_held() -> None:

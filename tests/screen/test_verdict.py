@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from failstop.cli.screen import paragraph, verdict
+from failstop.api import verdict
+from failstop.api.snapshot import Block, Device
 from failstop.policy import causes, kinematics
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
@@ -14,10 +15,10 @@ from failstop.procs.gate.sources import Command
 from failstop.shm import blocks
 from tests.support.states import driving, latched, process, state, stop
 
-LOST = {"path": "/dev/ttyACM0", "state": "lost", "link": "unproven"}
-DEAF = {"path": "/dev/ttyACM0", "state": "open", "link": "deaf"}
-UNPROVEN = {"path": "/dev/ttyACM0", "state": "open", "link": "unproven"}
-STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_rps": (0.0, 0.0, 0.0, 0.0)}
+LOST = Device("/dev/ttyACM0", "lost", "unproven")
+DEAF = Device("/dev/ttyACM0", "open", "deaf")
+UNPROVEN = Device("/dev/ttyACM0", "open", "unproven")
+STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_radps": (0.0, 0.0, 0.0, 0.0)}
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 
 TABLE: tuple[tuple[Any, str, list[str]], ...] = (
@@ -68,7 +69,7 @@ TABLE: tuple[tuple[Any, str, list[str]], ...] = (
 
 @pytest.mark.parametrize(("found", "word", "steps"), TABLE)
 def test_the_word_and_the_steps(found: Any, word: str, steps: list[str]) -> None:
-    assert verdict.word(found)[0] == word
+    assert verdict.word(found) == word
     assert verdict.steps(found) == steps
 
 
@@ -101,11 +102,12 @@ def test_every_block_reason_of_the_gate_has_its_row() -> None:
     found = _gate_reasons()
     assert found.pop("nothing") == ""
     for reason in found.values():
-        assert paragraph.block(state(blocked=reason)) in paragraph.BLOCKS.values(), reason
-    assert len(set(found.values())) == len(paragraph.BLOCKS) == len(blocks.KINDS)
+        assert reason.startswith(blocks.KINDS)
+    assert [Block.of(found[key]) for key in ("latched", "disabled", "no command", "no sensor")] == list(Block)
+    assert len(set(found.values())) == len(Block) == len(blocks.KINDS)
 
 
 def test_a_stop_that_was_not_written_at_first_is_doubted_only_while_the_port_is_gone() -> None:
-    unwritten = stop(causes.DEVICE_LOST(), written_us=None, acknowledged_us=None, observed_ms=None)
+    unwritten = stop(causes.DEVICE_LOST(), written_s=None, acknowledged_s=None, observed_s=None)
     assert verdict.doubt(latched(causes.DEVICE_LOST(), last_stop=unwritten, device=LOST))
     assert verdict.doubt(latched(causes.DEVICE_LOST(), last_stop=unwritten)) == ""

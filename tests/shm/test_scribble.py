@@ -99,7 +99,7 @@ def test_garbage_payloads_are_value_errors_at_most() -> None:
     dice = random.Random(5)
     for _ in range(3000):
         payload = dice.randbytes(dice.randrange(0, 330))
-        for unpack in (records.unpack_hello, records.unpack_command, records.unpack_request, records.unpack_latch):
+        for unpack in (records.HELLO.unpack, records.COMMAND.unpack, records.REQUEST.unpack, records.LATCH.unpack):
             try:
                 unpack(payload)
             except ValueError:

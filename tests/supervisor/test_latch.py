@@ -71,9 +71,9 @@ def test_what_everybody_reads() -> None:
     latch = Latch()
     latch.add([stop("key1", 100)], 2, 110)
     latch.add([stop("gate died", 150)], 3, 160)
-    assert records.unpack_latch(latch.as_record()) == (2, 100, 160, causes.KEY(1).pack())
+    assert records.LATCH.unpack(latch.as_record()) == (2, 100, 160, causes.KEY(1).pack())
     latch.reset(3, 170)
-    assert records.unpack_latch(latch.as_record()) == (0, 150, 160, causes.DIED("gate").pack()), "the last stop"
+    assert records.LATCH.unpack(latch.as_record()) == (0, 150, 160, causes.DIED("gate").pack()), "the last stop"
 
 
 @given(st.lists(st.tuples(st.booleans(), st.lists(st.integers(0, 1000), min_size=1, max_size=4)), max_size=20))

@@ -15,6 +15,7 @@ from failstop.board.burst import BURST
 from failstop.supervisor import port as own_port
 from failstop.supervisor.port import OwnPort
 from tests.support.ptys import Pty, new_pty
+from tests.support.stand_ins import Time
 from tests.support.unprivileged import unprivileged
 
 
@@ -77,26 +78,9 @@ def test_a_device_that_udev_has_given_to_others_is_refused_at_the_first_try() ->
         assert os.read(reader, 100) == b"."
 
 
-class Clock:
-    """In the place of `time`: every look takes a microsecond, and a sleep no real time."""
-
-    def __init__(self) -> None:
-        self.now_s = 1000.0
-
-    def monotonic(self) -> float:
-        self.now_s += 1e-6
-        return self.now_s
-
-    def monotonic_ns(self) -> int:
-        return round(self.monotonic() * 1e9)
-
-    def sleep(self, seconds: float) -> None:
-        self.now_s += seconds
-
-
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    made = Clock()
+def clock(monkeypatch: pytest.MonkeyPatch) -> Time:
+    made = Time()
     monkeypatch.setattr(own_port, "time", made)
     return made
 
@@ -112,7 +96,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     ],
 )
 def test_how_long_a_port_that_is_refused_is_tried_again(
-    clock: Clock,
+    clock: Time,
     monkeypatch: pytest.MonkeyPatch,
     kind: port.Kind,
     is_new: bool,

@@ -44,7 +44,7 @@ class Three(Scene):
 
     def record(self, state: int, number: int = 1) -> None:
         """What the port owner says of a port."""
-        packed = records.pack_port(number, self.now_ns, state, str(self.path))
+        packed = records.PORT.pack(number, self.now_ns, state, str(self.path))
         self.port_owner.latest_writer("port").write(packed)
 
     def stopper_has(self, number: int) -> None:

@@ -208,7 +208,7 @@ def test_one_that_was_held_up_stops_motion_and_kills_nobody(watching: Watching) 
     entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader("latch").read()
     assert cause is not None
     assert entry is not None
-    assert str(causes.read(records.unpack_latch(entry[2])[3])) == "supervisor was held up for 250 ms"
+    assert str(causes.read(records.LATCH.unpack(entry[2])[3])) == "supervisor was held up for 250 ms"
     assert not any(child.fence for child in watching.supervisor.children)
 
 
@@ -422,7 +422,7 @@ def test_a_port_that_has_gone_is_let_go_and_the_stopper_told(watching: Watching,
     fd = watching.port.fd
     watching.rung(layout.STOPPER)
     if sign == "record":
-        lost = records.pack_port(1, time.monotonic_ns(), records.PORT_LOST, "/dev/board")
+        lost = records.PORT.pack(1, time.monotonic_ns(), records.PORT_LOST, "/dev/board")
         watching.port_owner.latest_writer("port").write(lost)
     else:
         os.close(watching.master)

@@ -22,8 +22,8 @@ from tests.support.why import said, why
 SESSION = 11
 
 
-class Scene(Stage):
-    """The gate on a stage, and one client of it."""
+class GateStage(Stage):
+    """What a gate finds when it starts: its supervisor's records, its clients' slots and bell."""
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(layout.GATE, directory)
@@ -33,28 +33,51 @@ class Scene(Stage):
         self._fds["client_bell"] = bell.open_pipe(instance.bell_path(self.runtime_dir))
         self._bells["port_owner_bell"] = EventBell.create()
         self._claims = claim.open_claims(instance.claims_path(self.runtime_dir), create=True)
+        self._clients: list[Segment] = []
         supervisor = self._views[layout.SUPERVISOR]
-        self.latch = Latch()
         self._latch_record, self._reset_record = supervisor.latest_writer("latch"), supervisor.latest_writer("reset")
         self._resets_word = supervisor.word("resets")
-        self._client = segment.attach_client_slot(self.name, 0, INCARNATION)
-        self._reply = self.own.latest_reader("reply.0")
-        self._made, self._trips = self.own.ring_reader("frames"), self.own.ring_reader("trips")
-        self._number = 0
-        self.asked: list[int] = []
-        """Kinds of the frames that the last ask() led to."""
-        self.ready(1)
-        self.start_gate()
-        assert claim.take(self._claims, 0)
-        self._client.latest_writer("hello").write(records.pack_hello(SESSION, 0, 0, "test"))
+        self._made = self.own.ring_reader("frames")
+
+    def ready(self, word: int) -> None:
+        """What the supervisor says of the service: 1 when motion may be enabled."""
+        self._views[layout.SUPERVISOR].word("ready").set(word)
 
     def start_gate(self) -> None:
         """For the first time, or after its death."""
         self.gate = Gate(self)  # type: ignore[arg-type]
 
-    def ready(self, word: int) -> None:
-        """What the supervisor says of the service: 1 when motion may be enabled."""
-        self._views[layout.SUPERVISOR].word("ready").set(word)
+    def join(self, session: int, who: str) -> Segment:
+        """A client takes the next slot."""
+        index = len(self._clients)
+        found = segment.attach_client_slot(self.name, index, INCARNATION)
+        assert claim.take(self._claims, index)
+        found.latest_writer("hello").write(records.HELLO.pack(session, 0, 0, who))
+        self._clients.append(found)
+        return found
+
+    def close(self) -> None:
+        for fd in (self._claims, self._fds["client_bell"]):
+            os.close(fd)
+        for client in self._clients:
+            client.close()
+        super().close()
+
+
+class Scene(GateStage):
+    """The gate on a stage, and one client of it."""
+
+    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        super().__init__(directory, monkeypatch)
+        self.latch = Latch()
+        self._reply = self.own.latest_reader("reply.0")
+        self._trips = self.own.ring_reader("trips")
+        self._number = 0
+        self.asked: list[int] = []
+        """Kinds of the frames that the last ask() led to."""
+        self.ready(1)
+        self.start_gate()
+        self._client = self.join(SESSION, "test")
 
     def stop(self, epoch: int, text: str) -> None:
         """The supervisor raises the epoch."""
@@ -96,18 +119,18 @@ class Scene(Stage):
         assert next_ns > self.clock(), "a deadline was left behind: the loop would spin"
         found = []
         while entry := self._made.next():
-            found.append(records.unpack_frame(entry[2])[1])
+            found.append(records.FRAME.unpack(entry[2])[1])
         return found
 
     def tripped(self) -> str:
         """The reason of a stop that it has published."""
         entry = self._trips.next()
-        return str(causes.read(records.unpack_stop(entry[2])[3])) if entry else ""
+        return str(causes.read(records.STOPPED.unpack(entry[2])[3])) if entry else ""
 
     def request(self, verb: int, asked_ns: int | None = None) -> None:
         """The client asks, and does not ring."""
         self._number += 1
-        request = records.pack_request(SESSION, self._number, verb)
+        request = records.REQUEST.pack(SESSION, self._number, verb)
         self._client.latest_writer("request").write(request, asked_ns or self.clock())
 
     def replied(self) -> tuple[int, bool, str]:
@@ -138,12 +161,6 @@ class Scene(Stage):
 
     def drive(self, vx_mps: float) -> list[int]:
         """A person's command; returns the kinds of the frames that it led to."""
-        payload = records.pack_command(SESSION, vx_mps, 0.0, 0.0, True)
+        payload = records.COMMAND.pack(SESSION, vx_mps, 0.0, 0.0, True, "cmd_vel")
         self._client.latest_writer("command").write(payload, self.clock())
         return self.turn(10 * MS)
-
-    def close(self) -> None:
-        for fd in (self._claims, self._fds["client_bell"]):
-            os.close(fd)
-        self._client.close()
-        super().close()

@@ -95,7 +95,7 @@ class Recorder:
         self.ring(layout.SUPERVISOR, "events").put(msgpack.packb(event), at(ms))
 
     def cause(self, ms: float, cause: Cause) -> None:
-        payload = records.pack_stop(7, at(ms), at(ms + 0.2), cause.pack())
+        payload = records.STOPPED.pack(7, at(ms), at(ms + 0.2), cause.pack())
         self.ring(layout.PORT_OWNER, "stops").put(payload, at(ms))
 
     def head(self, name: str = "failstop", unix_ns: int = UNIX_NS) -> dict[str, Any]:

@@ -62,7 +62,7 @@ class Scene(Stage):
         return wrote
 
     def put(self, frame: bytes = MOTION, *, epoch: int = 1, age_ns: int = 0, kind: int = records.MOTION) -> None:
-        self.frames.put(records.pack_frame(epoch, kind, frame), self.clock() - age_ns)
+        self.frames.put(records.FRAME.pack(epoch, kind, frame), self.clock() - age_ns)
 
     def drive(self) -> None:
         """Get it to where a motion frame has just been written."""
@@ -75,7 +75,7 @@ class Scene(Stage):
         """Stops that it has published since the last call: (epoch, when written, reason). All of them latch."""
         found = []
         while entry := self.news.next():
-            epoch, _, written_ns, cause = records.unpack_stop(entry[2])
+            epoch, _, written_ns, cause = records.STOPPED.unpack(entry[2])
             found.append((epoch, written_ns, str(causes.read(cause))))
         return found
 
@@ -105,7 +105,7 @@ class Scene(Stage):
     def _newest_port(self) -> tuple[int, int, int, str]:
         entry = self.port_record.read()
         assert entry is not None
-        return records.unpack_port(entry[2])
+        return records.PORT.unpack(entry[2])
 
     def close(self) -> None:
         self.owner.wire.close()

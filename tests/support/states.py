@@ -5,18 +5,18 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from failstop.api.state import Process, State, Stop
+from failstop.api.snapshot import ArmState, Client, Device, JointState, Process, Source, State, Stop, Velocity, Wheels
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 
 NOW_S = 1_700_000_000.0
 KEY = causes.KEY(1)
-STOP = Stop(KEY, str(KEY), NOW_S - 12, "port_owner", "port owner", 210.0, 4400.0, 300.0)
+STOP = Stop(KEY, str(KEY), NOW_S - 12, "port_owner", "port owner", 210e-6, 4.4e-3, 0.3)
 
 
 def process(**changed: Any) -> Process:
     """A process that runs well."""
-    healthy = Process(4711, "running", 5.0, 0, None, 20.0, realtime=True, memory_locked=True)
+    healthy = Process(4711, "running", 0.005, 0, None, 0.02, realtime=True, memory_locked=True)
     return dataclasses.replace(healthy, **changed)
 
 
@@ -33,24 +33,24 @@ def state(**changed: Any) -> State:
         estop=None,
         cause=None,
         blocked="disabled",
-        body_vel=(0.0, 0.0, 0.0),
-        wheels_rps=(0.0, 0.0, 0.0, 0.0),
+        body_vel=Velocity(0.0, 0.0, 0.0),
+        wheels_radps=Wheels(0.0, 0.0, 0.0, 0.0),
         epoch=1,
         waiting_for=None,
-        device={"path": "/dev/ttyACM0", "state": "open", "link": "alive"},
+        device=Device("/dev/ttyACM0", "open", "alive"),
         processes={name: process() for name in ("supervisor", "port_owner", "stopper", "gate", "telemetry")},
         starved=None,
-        clients=[],
-        sources=[],
+        clients=(),
+        sources=(),
         scan_age_s=None,
         last_stop=None,
         imu=None,
         gyro_bias=None,
         odometry=None,
         pad_mode=None,
-        battery_mv=12_000,
+        battery_v=12.0,
         plugged="unknown",
-        age_ms=4.0,
+        age_s=0.004,
     )
     return dataclasses.replace(base, **changed)
 
@@ -61,15 +61,22 @@ def latched(cause: Cause = KEY, **changed: Any) -> State:
     return state(**{**told, **changed})
 
 
+def arm(*joints: str, **changed: Any) -> ArmState:
+    """An arm that stands, with these joints."""
+    rows = {name: JointState(servo, 0.0, 500, 0.1, 0.0, 500.0, True, 40, 7.4) for servo, name in enumerate(joints, 1)}
+    base = ArmState("", "", False, "", "", "", False, (), (), "", None, False, None, rows)
+    return dataclasses.replace(base, **changed)
+
+
 def driving(**changed: Any) -> State:
     """The same while a client drives forward."""
-    source = {"source": "cmd_vel", "priority": 0, "who": "nav (pid 42)", "state": "drives"}
+    source = Source("cmd_vel", 0, "nav (pid 42)", "drives")
     base = {
         "enabled": True,
         "blocked": None,
-        "body_vel": (0.2, 0.0, 0.0),
-        "wheels_rps": (0.8, 0.8, -0.8, -0.8),
-        "sources": [source],
-        "clients": [{"slot": 0, "name": "nav", "pid": 42, "driving": True}],
+        "body_vel": Velocity(0.2, 0.0, 0.0),
+        "wheels_radps": Wheels(5.0, 5.0, 5.0, 5.0),
+        "sources": (source,),
+        "clients": (Client(0, "nav", 42, True),),
     }
     return state(**{**base, **changed})

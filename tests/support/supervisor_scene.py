@@ -59,7 +59,7 @@ class Scene:
         self.port_owner.word("beat_pid").set(child.pid)
         self.port_owner.word("beat_state").set(RUNNING)
         self.port_owner.word("beat_ns").set(self.now_ns)
-        port = records.pack_port(1, self.now_ns, records.PORT_OPEN, "/dev/board")
+        port = records.PORT.pack(1, self.now_ns, records.PORT_OPEN, "/dev/board")
         self.port_owner.latest_writer("port").write(port)
         self.answers(written_ns=self.now_ns - 10_000 * MS)
 
@@ -71,12 +71,12 @@ class Scene:
 
     def notice(self, reason: str = "key1", *, written_ns: int = 0) -> None:
         """The port owner has stopped for a cause of its own."""
-        stop = records.pack_stop(1, self.now_ns, written_ns, why(reason).pack())
+        stop = records.STOPPED.pack(1, self.now_ns, written_ns, why(reason).pack())
         self.port_owner.ring_writer("stops").put(stop)
 
     def trip(self, reason: str = "multiple cmd_vel publishers") -> None:
         """The gate has latched."""
-        self.gate.ring_writer("trips").put(records.pack_stop(1, self.now_ns, 0, why(reason).pack()))
+        self.gate.ring_writer("trips").put(records.STOPPED.pack(1, self.now_ns, 0, why(reason).pack()))
 
     def turn(self, elapsed_ns: int = 0) -> bytes:
         """Time passes and the supervisor wakes up; returns what it wrote to the port."""
@@ -112,7 +112,7 @@ class Scene:
         """What everybody reads: since which epoch it is latched (0: it is not), and the cause."""
         entry = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("latch").read()
         assert entry is not None
-        since, _, _, cause = records.unpack_latch(entry[2])
+        since, _, _, cause = records.LATCH.unpack(entry[2])
         return since, said(causes.read(cause))
 
     def ask_reset(self, asked_ns: int | None = None) -> None:

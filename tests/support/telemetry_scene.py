@@ -117,7 +117,8 @@ class Scene:
         return entry[2] if entry else None
 
     def bias(self) -> tuple[tuple[float, float, float], bool, bool]:
-        return records.unpack_bias(self.latest("bias") or b"")
+        x, y, z, tracking, calibrated = records.BIAS.unpack(self.latest("bias") or b"")
+        return (x, y, z), tracking, calibrated
 
     def commands(self) -> int:
         """How many pad commands were written."""

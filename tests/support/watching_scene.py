@@ -59,7 +59,7 @@ class Watching(Scene):
         self.gate.latest_writer("state").write(pack({"enabled": True, "epoch": epoch}))
 
     def port_open(self) -> None:
-        port = records.pack_port(1, self.now_ns, records.PORT_OPEN, "/dev/board")
+        port = records.PORT.pack(1, self.now_ns, records.PORT_OPEN, "/dev/board")
         self.port_owner.latest_writer("port").write(port)
 
     def beat_but(self, name: str) -> None:

@@ -22,13 +22,13 @@ MODE = 0x2000
 def battery(trial: Trial) -> tuple[int, int]:
     """The published (millivolts, plugged)."""
     entry = attach(trial.name, TELEMETRY).latest_reader("battery").read()
-    return records.unpack_battery(entry[2]) if entry else (0, 0)
+    return records.BATTERY.unpack(entry[2]) if entry else (0, 0)
 
 
 def bias_dps(trial: Trial) -> float | None:
     """The published bias on z, once it is calibrated."""
     entry = attach(trial.name, TELEMETRY).latest_reader("bias").read()
-    bias, _, calibrated = records.unpack_bias(entry[2]) if entry else ((0.0, 0.0, 0.0), False, False)
+    *bias, _, calibrated = records.BIAS.unpack(entry[2]) if entry else (0.0, 0.0, 0.0, False, False)
     return math.degrees(bias[2]) if calibrated else None
 
 

@@ -180,7 +180,7 @@ def test_while_latched_mode_changes_nothing(held: Held) -> None:
 
 
 def resets(found: list[PadNews]) -> list[int]:
-    """Which of the frames wished a reset."""
+    """Which of the frames asked for a reset."""
     return [i for i, news in enumerate(found) if news.reset]
 
 

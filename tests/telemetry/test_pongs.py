@@ -150,7 +150,7 @@ def test_nothing_else_counts_as_an_answer(scene: Scene) -> None:
 
 def reopen(scene: Scene, generation: int) -> None:
     port = scene.owned(layout.PORT_OWNER).latest_writer("port")
-    port.write(records.pack_port(generation, scene.now_ns, records.PORT_OPEN, "/dev/board"), scene.now_ns)
+    port.write(records.PORT.pack(generation, scene.now_ns, records.PORT_OPEN, "/dev/board"), scene.now_ns)
 
 
 @pytest.mark.parametrize("reopened", [True, False])

@@ -37,7 +37,7 @@ def sounding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]
 
 def test_a_sample_is_published_in_its_units(scene: Scene) -> None:
     scene.imu(0.0, -1.0, 1.0, 0.0, 90.0, -180.0)
-    found = records.unpack_imu(scene.latest("imu") or b"")
+    found = records.IMU.unpack(scene.latest("imu") or b"")
     assert found == pytest.approx((0.0, -9.80665, 9.80665, 0.0, math.pi / 2, -math.pi), rel=1e-6)
 
 
@@ -49,7 +49,7 @@ def test_after_3_s_the_rate_is_free_of_its_bias_and_the_journal_says_so(scene: S
     bias, _, calibrated = scene.bias()
     assert bias == pytest.approx((0.0, 0.0, math.radians(0.25)))
     assert calibrated
-    assert records.unpack_imu(scene.latest("imu") or b"")[5] == pytest.approx(0.0, abs=1e-9)
+    assert records.IMU.unpack(scene.latest("imu") or b"")[5] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_it_says_whether_the_bias_is_tracking(scene: Scene) -> None:
@@ -71,7 +71,7 @@ def test_a_successor_goes_on_with_the_bias_and_calibrates_anew_at_rest(scene: Sc
     scene.start()
     assert scene.bias()[2]
     scene.imu(0.0, 0.0, 1.0, 0.0, 0.0, 0.25)
-    assert records.unpack_imu(scene.latest("imu") or b"")[5] == pytest.approx(0.0, abs=1e-9)
+    assert records.IMU.unpack(scene.latest("imu") or b"")[5] == pytest.approx(0.0, abs=1e-9)
     scene.stand(3.5, z_dps=0.3)
     assert scene.notes()[0].startswith("gyro bias")
     assert scene.bias()[0] == pytest.approx((0.0, 0.0, math.radians(0.3)), rel=1e-3)
@@ -82,9 +82,9 @@ def test_a_value_of_any_size_is_no_end(scene: Scene) -> None:
     huge = 3.4e38
     for raw in ((huge, 0.0, 1.0, 0.0, 0.0, 0.0), (-huge, huge, huge, huge, -huge, huge)):
         scene.imu(*raw)
-        assert records.unpack_imu(scene.latest("imu") or b"")[0] == pytest.approx(raw[0] * 9.80665, rel=1e-6)
+        assert records.IMU.unpack(scene.latest("imu") or b"")[0] == pytest.approx(raw[0] * 9.80665, rel=1e-6)
     scene.imu(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    assert records.unpack_imu(scene.latest("imu") or b"")[2] == pytest.approx(9.80665, rel=1e-6)
+    assert records.IMU.unpack(scene.latest("imu") or b"")[2] == pytest.approx(9.80665, rel=1e-6)
 
 
 def test_a_successor_calibrates_only_if_the_wheels_stand(scene: Scene) -> None:
@@ -106,13 +106,13 @@ def test_odometry_follows_the_gate(scene: Scene) -> None:
     scene.turn()
     for _ in range(50):
         scene.turn(elapsed_ns=20 * MS)
-    found = records.unpack_odometry(scene.latest("odometry") or b"")
+    found = records.ODOMETRY.unpack(scene.latest("odometry") or b"")
     assert found[:3] == pytest.approx((0.2, 0.0, 0.0))
     assert found[3:6] == (0.2, 0.0, 0.0)
     assert found[6:] == (0.05, 0.2), "the standard deviation of the twist"
     scene.start()
     scene.turn(elapsed_ns=20 * MS)
-    assert records.unpack_odometry(scene.latest("odometry") or b"")[0] >= 0.2 - 1e-9, "a successor goes on from there"
+    assert records.ODOMETRY.unpack(scene.latest("odometry") or b"")[0] >= 0.2 - 1e-9, "a successor goes on from there"
 
 
 def test_odometry_stands_when_the_gate_is_silent(scene: Scene) -> None:
@@ -120,7 +120,7 @@ def test_odometry_stands_when_the_gate_is_silent(scene: Scene) -> None:
     scene.turn()
     for _ in range(100):
         scene.turn(elapsed_ns=20 * MS, gate=False)
-    found = records.unpack_odometry(scene.latest("odometry") or b"")
+    found = records.ODOMETRY.unpack(scene.latest("odometry") or b"")
     assert found[0] == pytest.approx(0.2 * 0.26)
     assert found[3:6] == (0.0, 0.0, 0.0)
 
@@ -151,9 +151,9 @@ def test_other_keys_and_releases_do_not(scene: Scene, key: int, event: int) -> N
 
 def test_the_pad_s_frame_and_mode_are_published(scene: Scene) -> None:
     scene.pad(lx=-3, ly=4, rx=5)
-    assert records.unpack_pad(scene.latest("pad") or b"") == (0, 0, -3, 4, 5, 0, 0)
+    assert records.PAD.unpack(scene.latest("pad") or b"") == (0, 0, -3, 4, 5, 0, 0)
     scene.pad(MODE)
-    assert records.unpack_pad(scene.latest("pad") or b"") == (MODE, 0, 0, 0, 0, 0, 1)
+    assert records.PAD.unpack(scene.latest("pad") or b"") == (MODE, 0, 0, 0, 0, 0, 1)
 
 
 def test_in_drive_mode_each_frame_is_a_command_and_rings_the_gate(scene: Scene) -> None:
@@ -166,7 +166,7 @@ def test_in_drive_mode_each_frame_is_a_command_and_rings_the_gate(scene: Scene) 
         scene.pad(ly=127, rx=-127)
         assert scene.commands() == written + i
         assert scene.rung("gate_bell")
-    assert records.unpack_pad_command(scene.latest("pad_command") or b"") == pytest.approx((0.2, 0.0, 1.0))
+    assert records.PAD_COMMAND.unpack(scene.latest("pad_command") or b"") == pytest.approx((0.2, 0.0, 1.0))
 
 
 def test_a_latch_ends_drive_mode(scene: Scene) -> None:
@@ -176,7 +176,7 @@ def test_a_latch_ends_drive_mode(scene: Scene) -> None:
     written = scene.commands()
     scene.pad(ly=127)
     assert scene.commands() == written == 1
-    assert records.unpack_pad(scene.latest("pad") or b"")[6] == 0
+    assert records.PAD.unpack(scene.latest("pad") or b"")[6] == 0
 
 
 def test_a_latch_that_came_and_went_unseen_ends_drive_mode_too(scene: Scene) -> None:
@@ -185,7 +185,7 @@ def test_a_latch_that_came_and_went_unseen_ends_drive_mode_too(scene: Scene) -> 
     scene.gate["epoch"] += 1
     scene.pad(ly=127)
     assert scene.commands() == written
-    assert records.unpack_pad(scene.latest("pad") or b"")[6] == 0
+    assert records.PAD.unpack(scene.latest("pad") or b"")[6] == 0
 
 
 def test_mode_held_since_before_a_newer_stop_resets_nothing(scene: Scene) -> None:
@@ -198,23 +198,23 @@ def test_mode_held_since_before_a_newer_stop_resets_nothing(scene: Scene) -> Non
     assert scene.told("pad_requests") == []
     for _ in range(4):
         scene.pad(MODE)
-    assert [records.unpack_pad_request(request)[0] for request in scene.told("pad_requests")] == [records.PAD_RESET]
+    assert [records.PAD_REQUEST.unpack(request)[0] for request in scene.told("pad_requests")] == [records.PAD_RESET]
 
 
-def test_mode_held_for_2_s_while_latched_wishes_one_reset(scene: Scene) -> None:
+def test_mode_held_for_2_s_while_latched_requests_one_reset(scene: Scene) -> None:
     scene.gate["estop"] = causes.KEY(1).pack()
     for _ in range(60):
         scene.pad(MODE)
-    assert [records.unpack_pad_request(request) for request in scene.told("pad_requests")] == [(records.PAD_RESET, b"")]
+    assert [records.PAD_REQUEST.unpack(request) for request in scene.told("pad_requests")] == [(records.PAD_RESET, b"")]
     assert scene.rung("gate_bell")
     assert scene.notes() == ["gamepad: MODE was held, reset requested"]
 
 
-def test_tones_are_wishes_for_frames_that_are_not_motion(sounding: Scene) -> None:
+def test_tones_are_requests_for_frames_that_are_not_motion(sounding: Scene) -> None:
     sounding.pad(MODE)
     sounding.gate["estop"] = causes.KEY(1).pack()
     sounding.turn(elapsed_ns=20 * MS)
-    requests = [records.unpack_pad_request(request) for request in sounding.told("pad_requests")]
+    requests = [records.PAD_REQUEST.unpack(request) for request in sounding.told("pad_requests")]
     assert requests == [(records.PAD_FRAME, tones.MODES[1]), (records.PAD_FRAME, tones.TRIP)]
     assert all(frame[2] == codec.BUZZER for _, frame in requests)
     assert sounding.rung("gate_bell")
@@ -229,15 +229,15 @@ def test_off_by_default_nothing_sounds(scene: Scene) -> None:
 
 def test_the_charger_is_seen_told_and_remembered(scene: Scene) -> None:
     scene.battery(*[11_800] * 8)
-    assert records.unpack_battery(scene.latest("battery") or b"") == (11_800, 0)
+    assert records.BATTERY.unpack(scene.latest("battery") or b"") == (11_800, 0)
     scene.battery(12_049)
-    assert records.unpack_battery(scene.latest("battery") or b"") == (12_049, 1)
+    assert records.BATTERY.unpack(scene.latest("battery") or b"") == (12_049, 1)
     assert scene.notes() == ["charger plugged: the battery stepped to 12049 mV"]
     until((scene.folder / "charger").exists, "the file")
     assert (scene.folder / "charger").read_text() == "plugged\n"
     scene.start()
     scene.battery(12_049)
-    assert records.unpack_battery(scene.latest("battery") or b"") == (12_049, 1)
+    assert records.BATTERY.unpack(scene.latest("battery") or b"") == (12_049, 1)
 
 
 @pytest.mark.parametrize("content", ["", "nonsense", "\xff\x00"])
@@ -246,7 +246,7 @@ def test_a_damaged_charger_file_is_unknown(scene: Scene, content: str) -> None:
     (scene.folder / "charger").write_text(content)
     scene.start()
     scene.battery(11_800)
-    assert records.unpack_battery(scene.latest("battery") or b"") == (11_800, 0)
+    assert records.BATTERY.unpack(scene.latest("battery") or b"") == (11_800, 0)
 
 
 def test_a_low_battery_stops_where_the_settings_say_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -277,7 +277,7 @@ def test_a_directory_that_can_t_be_made_is_a_line_in_the_journal(scene: Scene) -
     until(said, "the note")
     assert notes[0].startswith("battery log can't be written: ")
     assert len(notes) == 1
-    assert records.unpack_battery(scene.latest("battery") or b"") == (11_800, 0)
+    assert records.BATTERY.unpack(scene.latest("battery") or b"") == (11_800, 0)
 
 
 def test_what_people_are_told_is_at_most_280_bytes(scene: Scene) -> None:

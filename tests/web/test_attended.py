@@ -89,7 +89,7 @@ def stopped(trial: Trial, since_ns: int, reason: str) -> float:
 def test_nobody_attends_and_nothing_is_enabled(trial: Trial) -> None:
     with pytest.raises(Refused, match="nobody attends"):
         trial.enable()
-    assert trial.robot.state.attended_by == []
+    assert trial.robot.state.attended_by == ()
 
 
 def test_a_program_attends_and_leaves(trial: Trial) -> None:
@@ -100,7 +100,7 @@ def test_a_program_attends_and_leaves(trial: Trial) -> None:
             attendance.renew()
             time.sleep(0.05)
         assert trial.moving()
-        assert trial.robot.state.attended_by == ["Anna"]
+        assert trial.robot.state.attended_by == ("Anna",)
         trial.board.events()
         left_ns = time.monotonic_ns()
         attendance.give_up()
@@ -197,13 +197,13 @@ def test_a_backlog_and_replays_renew_nothing(trial: Trial, web: Web) -> None:
         while len(held_back) < 12:
             if nonce := viewer.next().get("nonce"):
                 held_back.append(nonce)
-        assert trial.robot.state.attended_by == [], "the lease is over"
+        assert trial.robot.state.attended_by == (), "the lease is over"
         for _ in range(3):
             for nonce in held_back[:-3]:
                 viewer.answer(nonce)
         viewer.next()
         viewer.next()
-        assert trial.robot.state.attended_by == []
+        assert trial.robot.state.attended_by == ()
         viewer.stay(0.15)
         wait_for("the operator", lambda: viewer.stay(0.05) or trial.robot.state.attended_by)
 
@@ -217,7 +217,7 @@ def test_a_wrong_key_renews_nothing(trial: Trial, web: Web) -> None:
                 viewer.answer(nonce, b"guess")
                 viewer.send(nonce=nonce, answer=7)
                 viewer.send(nonce=[nonce], answer=None)
-        assert trial.robot.state.attended_by == []
+        assert trial.robot.state.attended_by == ()
 
 
 def test_two_operators_the_last_one_counts(trial: Trial, web: Web) -> None:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from typing import Any
 
 import pytest
 
+from failstop.api.snapshot import Device
 from failstop.api.state import State
 from failstop.policy import causes
 from failstop.web import face
 from tests.support import states
 from tests.support.states import NOW_S
 
-PORT = {"path": "/dev/ttyACM0", "state": "open", "link": "alive"}
-DRIVING = {"enabled": True, "blocked": None, "body_vel": (0.2, 0.0, 0.0), "wheels_rps": (1.0, 1.0, -1.0, -1.0)}
+PORT = Device("/dev/ttyACM0", "open", "alive")
+DEAF = dataclasses.replace(PORT, link="deaf")
+DRIVING = {"enabled": True, "blocked": None, "body_vel": (0.2, 0.0, 0.0), "wheels_radps": (6.0, 6.0, 6.0, 6.0)}
 
 
 def shown(state: State) -> dict[str, Any]:
@@ -31,8 +34,8 @@ def shown(state: State) -> dict[str, Any]:
         (states.state(enabled=True, blocked=None), "CAN MOVE", "The command is zero.", ""),
         (states.latched(), "STOPPED", "Somebody pressed key 1 on the board.", "then hold RESET"),
         (states.state(waiting_for="the port"), "STOPPED", "Motion is disabled", "Wait for the port."),
-        (states.state(device={**PORT, "state": "lost"}), "WHEELS MAY TURN", "is lost", "POWER SWITCH"),
-        (states.latched(device={**PORT, "link": "deaf"}), "WHEELS MAY TURN", "does not answer", "POWER SWITCH"),
+        (states.state(device=dataclasses.replace(PORT, state="lost")), "WHEELS MAY TURN", "is lost", "POWER SWITCH"),
+        (states.latched(device=DEAF), "WHEELS MAY TURN", "does not answer", "POWER SWITCH"),
         (states.latched(causes.UNSTILL()), "WHEELS MAY TURN", "shake on", "POWER SWITCH"),
     ],
 )
@@ -73,7 +76,7 @@ def test_what_stands_in_the_way() -> None:
 
 
 def test_the_three_levels_of_a_stop() -> None:
-    stop = states.stop(acknowledged_us=None, observed_ms=None)
+    stop = states.stop(acknowledged_s=None, observed_s=None)
     assert face.stop_of(stop) == {
         "reason": "key1", "t": NOW_S - 12, "written": "0.21 ms", "acknowledged": "", "observed": ""
     }  # fmt: skip

@@ -77,7 +77,7 @@ def _jog(robot: Robot, rates: dict[str, float], seconds: float) -> str:
     while (left_s := until_s - time.monotonic()) > 0:
         robot.arm.jog(rates)
         time.sleep(min(REPEAT_S, left_s))
-        if refused := robot.arm.state["refused"]:
+        if refused := robot.arm.state.refused:
             raise FailstopError(refused)
     return robot.arm.hold()
 

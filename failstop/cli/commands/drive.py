@@ -7,9 +7,9 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.api.errors import Refused
 from failstop.api.robot import Robot
+from failstop.api.verdict import next_step
+from failstop.api.words import velocity
 from failstop.cli.commands import add_name
-from failstop.cli.screen.verdict import next_step
-from failstop.cli.screen.words import velocity
 from failstop.supervisor.fold import fitted
 
 EXAMPLES = """\

@@ -7,11 +7,12 @@ import json
 import sys
 import time
 
+from failstop.api import host
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event, EventLog
 from failstop.cli import style
 from failstop.cli.commands import add_name
-from failstop.cli.screen import host, left, told
+from failstop.cli.screen import left, told
 from failstop.supervisor.fold import PREFIX, fitted
 
 TYPE_CHECKING = False

@@ -6,8 +6,8 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.api.errors import Refused
 from failstop.api.robot import Robot
+from failstop.api.verdict import next_step
 from failstop.cli.commands import add_name
-from failstop.cli.screen.verdict import next_step
 from failstop.supervisor.fold import fitted
 
 EXAMPLES = {
@@ -38,7 +38,7 @@ def _say(text: str) -> None:
 
 def main(arguments: Namespace) -> int:
     """Ask; a refusal is raised as Refused, with what to do first."""
-    with Robot(arguments.name, client="failstop " + arguments.command) as robot:
+    with Robot(arguments.name, client="failstop " + arguments.command, disable_on_exit=False) as robot:
         verbs = {"enable": lambda: robot.enable(_say), "disable": robot.disable, "reset": robot.reset}
         try:
             print(fitted(verbs[arguments.command](), 1, 2))

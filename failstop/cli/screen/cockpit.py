@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from failstop.api import verdict, words
 from failstop.cli import style
-from failstop.cli.screen import summary, verdict, words
+from failstop.cli.screen import summary
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 
 TYPE_CHECKING = False
@@ -37,7 +38,7 @@ def lines(
     columns: int,
 ) -> list[Line]:
     """The screen. `command`: the last one while it counts; `speeds`: m/s and rad/s that a key commands."""
-    word, role = verdict.word(state)
+    word, role = verdict.word(state), summary.role_of(state)
     rows: list[Line] = [
         [("failstop teleop", STRONG), (f"  {state.name}, as {source}", DIM)],
         [],
@@ -73,6 +74,6 @@ def _row(label: str, text: str, role: str = PLAIN) -> Line:
 
 
 def _battery(state: State) -> tuple[str, str]:
-    if not state.battery_mv:
+    if not state.battery_v:
         return "not known yet", PLAIN
-    return f"{state.battery_mv / 1000:.2f} V", WARN if state.battery_mv < summary.BATTERY_LOW_MV else PLAIN
+    return f"{state.battery_v:.2f} V", WARN if state.battery_v < summary.BATTERY_LOW_V else PLAIN

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import time
 
+from failstop.api import host, words
 from failstop.api.errors import NoService
 from failstop.api.events import Event, unpack
-from failstop.cli.screen import host, words
+from failstop.api.why import Why
 from failstop.incidents import copying
 from failstop.shm import layout, records, segment
 
@@ -46,6 +47,15 @@ class Left:
         show = words.named("`failstop incident show last`", self.name)
         return [*first, self.start(), f"{show}, for what came before it"]
 
+    def why(self, now_s: float) -> Why:
+        """The answer to "why do the wheels stand?"."""
+        what = f"no service named {self.name!r} runs: {self.cause} (pid {self.pid}; {words.ago(self.t, now_s)})"
+        doubt = "" if self.stop else "THE WHEELS MAY TURN; if they do, use the POWER SWITCH: "
+        also = ["its black box is in memory, and is saved as an incident when it is started again"]
+        if self.by_hand():
+            also.append("a configuration file that it had is not known here: name it with --config")
+        return Why(doubt + what, self.written(), tuple(self.steps()), tuple(also), None, None, self.t)
+
     def by_hand(self) -> bool:
         """True where a person starts it, and not systemd."""
         return not host.unit(self.name)
@@ -76,7 +86,7 @@ def find(name: str) -> Left | None:
 
 def _device(copies: Copies) -> str | None:
     entries = copying.whole(layout.PORT_OWNER, "port", *copies[layout.PORT_OWNER])
-    return records.unpack_port(entries[-1][2])[3] if entries else None
+    return records.PORT.unpack(entries[-1][2])[3] if entries else None
 
 
 def refusal(name: str, error: NoService) -> NoService:

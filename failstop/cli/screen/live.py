@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import deque
 from math import hypot, sqrt
 
+from failstop.api import host, words
 from failstop.cli import style
-from failstop.cli.screen import host, summary, verdict, words
+from failstop.cli.screen import summary
 from failstop.cli.screen.sparkline import spark
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 from failstop.policy.settings import BY_KEY
@@ -40,9 +41,9 @@ class Vibration:
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, float]] = deque(maxlen=WINDOW)
-        self._last: list[float] | None = None
+        self._last: Sequence[float] | None = None
 
-    def add(self, rate_radps: list[float] | None) -> float | None:
+    def add(self, rate_radps: Sequence[float] | None) -> float | None:
         """A new reading; returns the standard deviation in rad/s, None while too little is known."""
         if rate_radps is None or rate_radps == self._last:
             self._samples.clear()  # a sensor that repeats itself is silent
@@ -81,12 +82,12 @@ class Live:
         """The screen for a state. `mono_s`: a monotonic clock; call it at a steady rate, as a sparkline's step is one
         call. `events`: of this run, oldest first."""
         self._gone_s = 0.0
-        self._device = state.device["path"]
+        self._device = state.device.path
         vx, vy, wz = state.body_vel
         self._speed.append(hypot(vx, vy))
         self._turn.append(abs(wz))
-        self._shake.append(self._vibration.add(state.imu["rate_radps"] if state.imu else None))
-        key = (columns, state.blocked, state.epoch, state.waiting_for, state.device, verdict.moving(state))
+        self._shake.append(self._vibration.add(state.imu.rate_radps if state.imu else None))
+        key = (columns, state.blocked, state.epoch, state.waiting_for, state.device, state.moving)
         if key != self._key or mono_s - self._drawn_s >= SLOW_S:
             self._key, self._drawn_s = key, mono_s
             self._slow = summary.lines(state, unix_s, columns, events)[len(self._wheels(state, columns)) :]
@@ -102,7 +103,7 @@ class Live:
 
     def _bars(self, state: State, columns: int) -> list[Line]:
         vx, vy, wz = state.body_vel
-        role = OK if verdict.moving(state) else PLAIN
+        role = OK if state.moving else PLAIN
         return [
             self._bar("speed", f"{hypot(vx, vy):.2f} m/s", self._speed, TOP_MPS, role, columns),
             self._bar("turn", f"{abs(wz):.2f} rad/s", self._turn, TOP_TURN_RADPS, role, columns),
@@ -115,7 +116,7 @@ class Live:
             text, role = "IMU silent" if state.imu is None or len(self._shake) > WINDOW else "measuring", DIM
         else:
             text = f"{now:.4f} rad/s {'shakes' if now > STILL_RADPS else 'still'}"
-            role = WARN if now > STILL_RADPS and not verdict.moving(state) else PLAIN
+            role = WARN if now > STILL_RADPS and not state.moving else PLAIN
         return self._bar("vibration", text, self._shake, TOP_RADPS, role, columns)
 
     def _bar(self, name: str, text: str, values: deque[float | None], top: float, role: str, columns: int) -> Line:

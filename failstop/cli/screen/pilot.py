@@ -72,7 +72,7 @@ class Pilot:
     def keys(self, keys: list[Key], state: State, now_s: float, *, late: bool) -> None:
         """Act on key events. `late`: they may have waited somewhere; then only what stops counts."""
         self._has_arm = state.arm is not None
-        others = (row["who"] for row in state.sources if row["source"] == self.source and row["who"] != self._who)
+        others = (row.who for row in state.sources if row.source == self.source and row.who != self._who)
         self._rival = next(others, "")
         if ("space", PRESS) in keys:
             self._request("space")
@@ -81,7 +81,7 @@ class Pilot:
             self._send(self.hold.let_go(), now_s)
             keys = [key for key in keys if key[0] in URGENT]
         if state.arm:
-            keys = [key for key in keys if not self._turn(key, list(state.arm["joints"]))]
+            keys = [key for key in keys if not self._turn(key, list(state.arm.joints))]
         for name, kind in keys:
             if kind != RELEASE and name not in AXES and name != "space":
                 self._press(name, now_s)
@@ -132,7 +132,7 @@ class Pilot:
             arm = self.robot.arm
             if way:
                 arm.jog({joint: way * arm.joints[joint].speed / PULSES_PER_RAD * self.percent / 100})
-                self.note = (arm.state["closed"] or f"joint {joint}", PLAIN)
+                self.note = (arm.state.closed or f"joint {joint}", PLAIN)
             else:
                 arm.hold()
         except NoService:

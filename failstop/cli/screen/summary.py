@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from failstop.api import history, verdict, words
 from failstop.cli import style
-from failstop.cli.screen import arm, history, verdict, words
+from failstop.cli.screen import arm
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 from failstop.shm import blocks
 
@@ -12,15 +13,15 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from failstop.api.events import Event
+    from failstop.api.history import Earlier
     from failstop.api.state import Process, State, Stop
-    from failstop.cli.screen.history import Earlier
     from failstop.cli.style import Line
 
 LABEL = 10
 """Columns of the names on the left."""
-BATTERY_LOW_MV = 10_500
+BATTERY_LOW_V = 10.5
 """Three lithium cells at 3.5 V: little is left."""
-LATE_BEAT_MS = 300.0
+LATE_BEAT_S = 0.3
 """A beat older than this is worth a look; the slowest process beats every 100 ms."""
 LINKS = {
     "alive": ("alive: the board answers", OK),
@@ -45,9 +46,15 @@ def _row(label: str, text: str, role: str = PLAIN) -> Line:
     return [(f"{label:<{LABEL}}", DIM), (text, role)]
 
 
+def role_of(state: State) -> str:
+    """The role of the verdict's word."""
+    roles = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
+    return roles.get(verdict.word(state)) or (FAIL if state.cause else WARN)
+
+
 def wheels(state: State) -> list[Line]:
     """What the wheels do, why, and the next command."""
-    word, role = verdict.word(state)
+    word, role = verdict.word(state), role_of(state)
     rows: list[Line] = [[(f"{'wheels':<{LABEL}}", DIM), (word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)]]
     if step := verdict.next_step(state):
         rows.append([(f"{'next':<{LABEL}}", DIM), *commands(step)])
@@ -77,9 +84,9 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
         return [found]
     rows = []
     for source in state.sources:
-        drives = source["state"] == "drives"
-        text = f"{source['who']} as {source['source']}, priority {source['priority']}"
-        rows.append(_row("driver" if drives else "waits", text, OK if drives and verdict.moving(state) else PLAIN))
+        drives = source.state == "drives"
+        text = f"{source.who} as {source.source}, priority {source.priority}"
+        rows.append(_row("driver" if drives else "waits", text, OK if drives and state.moving else PLAIN))
     return rows
 
 
@@ -99,39 +106,39 @@ def last_stop(state: State, now_s: float, earlier: Earlier | None = None) -> lis
 
 def proofs(stop: Stop) -> Line:
     """The three levels of a stop, each with its time or that it is not known."""
-    if stop.written_us is None:
+    if stop.written_s is None:
         return [("NOT written: the board did not get it", FAIL)]
-    found: Line = [(f"written after {words.took(stop.written_us)}", OK), (", ", PLAIN)]
-    if stop.acknowledged_us is None:
+    found: Line = [(f"written after {words.took(stop.written_s)}", OK), (", ", PLAIN)]
+    if stop.acknowledged_s is None:
         found.append(("not acknowledged", WARN))
     else:
-        found.append((f"acknowledged after {words.took(stop.acknowledged_us)}", OK))
+        found.append((f"acknowledged after {words.took(stop.acknowledged_s)}", OK))
     found.append((", ", PLAIN))
-    if stop.observed_ms is None:
+    if stop.observed_s is None:
         found.append(("not seen still", WARN))
     else:
         # No shaking before the stop either: that the wheels rest now proves nothing of it.
         seen = words.wheels_seen(stop).replace("wheels still", "still").replace("less than", "<")
-        found.append((seen, OK if stop.observed_ms else PLAIN))
+        found.append((seen, OK if stop.observed_s else PLAIN))
     return found
 
 
 def device(state: State) -> Line:
     """The port, and what proves that the board hears."""
-    port = state.device["state"]
-    found = _row("device", state.device["path"] or "no port")
+    port = state.device.state
+    found = _row("device", state.device.path or "no port")
     found.append((f" {port}", PORTS.get(port, WARN)))
     if port == "open":
-        text, role = LINKS.get(state.device["link"], (state.device["link"], WARN))
+        text, role = LINKS.get(state.device.link, (state.device.link, WARN))
         found += [(", link ", PLAIN), (text, role)]
     return found
 
 
 def _battery(state: State) -> list[Line]:
-    if not state.battery_mv:
+    if not state.battery_v:
         return [_row("battery", "not known yet")]
-    low = state.battery_mv < BATTERY_LOW_MV
-    found = _row("battery", f"{state.battery_mv / 1000:.2f} V", WARN if low else PLAIN)
+    low = state.battery_v < BATTERY_LOW_V
+    found = _row("battery", f"{state.battery_v:.2f} V", WARN if low else PLAIN)
     found.append((f", charger {state.plugged}" if state.plugged != "unknown" else "", PLAIN))
     return [found]
 
@@ -151,7 +158,7 @@ def _arm(state: State) -> list[Line]:
 
 
 def _clients(state: State) -> list[Line]:
-    names = [f"{client['name']} (pid {client['pid']})" for client in state.clients]
+    names = [f"{client.name} (pid {client.pid})" for client in state.clients]
     return [_row("clients", ", ".join(names)), *_said(state)] if names else []
 
 
@@ -172,17 +179,17 @@ def processes(state: State) -> list[Line]:
     ]
     for name, process in state.processes.items():
         running = process.state == "running"
-        late = running and process.age_ms > LATE_BEAT_MS
+        late = running and process.age_s > LATE_BEAT_S
         rows.append(
             [
                 (name, PLAIN),
                 (f" {process.pid or '-'}", PLAIN),
                 (process.state, PLAIN if running else WARN if process.state in ("starting", "waiting") else FAIL),
                 (
-                    f" {process.age_ms:.0f} ms" if process.pid and process.age_ms < 9999 else " -",
+                    f" {process.age_s * 1e3:.0f} ms" if process.pid and process.age_s < 10 else " -",
                     WARN if late else PLAIN,
                 ),
-                (f" {process.worst_ms:.0f} ms" if process.pid else " -", PLAIN),
+                (f" {process.worst_s * 1e3:.0f} ms" if process.pid else " -", PLAIN),
                 (f" {process.restarts}", WARN if process.restarts else PLAIN),
                 (_rights(process), PLAIN if _well(process) else WARN),
             ]
@@ -212,10 +219,8 @@ def _remarks(state: State, columns: int, hung: dict[str, str]) -> list[Line]:
         elif process.last_exit:
             how = history.last_exit(state, name, hung)
             found.append([(f"{name} was started anew {_times(process.restarts)}; it {how}", WARN)])
-    if state.age_ms > verdict.STALE_MS:
-        found.append(
-            [(f"the gate has said nothing for {words.span(state.age_ms / 1000)}: what is above may be old", FAIL)]
-        )
+    if state.age_s > verdict.STALE_S:
+        found.append([(f"the gate has said nothing for {words.span(state.age_s)}: what is above may be old", FAIL)])
     if starved := words.starved(state.starved):
         found.append([(f"{starved}; `failstop doctor` has the command that gives it real-time rights", WARN)])
     elif not all(process.realtime or not process.pid for process in state.processes.values()):

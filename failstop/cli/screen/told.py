@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 
+from failstop.api import words
 from failstop.api.errors import FailstopError
 from failstop.cli import style
-from failstop.cli.screen import summary, words
+from failstop.cli.screen import summary
 from failstop.cli.style import DIM, FAIL, PLAIN, WARN
 from failstop.supervisor.kinds import KINDS
 

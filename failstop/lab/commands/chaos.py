@@ -14,9 +14,8 @@ from collections.abc import Iterator
 from failstop.api.errors import FailstopError
 from failstop.cli.commands import check_json, matching
 from failstop.lab.faults import campaign, report
-from failstop.lab.faults.fault import Fault
+from failstop.lab.faults.campaign import Row
 from failstop.lab.faults.scene import Scene
-from failstop.lab.faults.table import BY_NAME
 from failstop.lab.sim.client import SimBoardError
 from failstop.lab.trial import TrialError
 
@@ -104,8 +103,8 @@ def _check(arguments: Namespace) -> None:
         raise FailstopError("--first goes with --count and --seconds: --each takes every row from its first on")
 
 
-def _rows(only: str | None) -> tuple[Fault, ...]:
-    return tuple(matching(only, BY_NAME, "no row {} in the fault table; `failstop chaos --list` has them"))
+def _rows(only: str | None) -> tuple[Row, ...]:
+    return tuple(matching(only, report.EVERY, "no row {} in the fault table; `failstop chaos --list` has them"))
 
 
 def _read(path: str) -> dict[str, object]:
@@ -121,7 +120,7 @@ def _seed(arguments: Namespace) -> int:
     return arguments.seed if arguments.seed is not None else time.time_ns() % SEEDS
 
 
-def _run(arguments: Namespace, rows: tuple[Fault, ...]) -> report.Tally:
+def _run(arguments: Namespace, rows: tuple[Row, ...]) -> report.Tally:
     seed = _seed(arguments)
     tally = report.Tally(rows, seed)
     live = sys.stderr.isatty()
@@ -150,7 +149,7 @@ def _run(arguments: Namespace, rows: tuple[Fault, ...]) -> report.Tally:
 
 
 def _outcomes(
-    arguments: Namespace, scene: Scene, rows: tuple[Fault, ...], tally: report.Tally
+    arguments: Namespace, scene: Scene, rows: tuple[Row, ...], tally: report.Tally
 ) -> Iterator[campaign.Outcome]:
     if arguments.each is not None:
         return (

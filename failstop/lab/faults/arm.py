@@ -1,7 +1,5 @@
-"""The arm's faults: what goes wrong while it moves, and when it stands, by the word of the simulated board's servos.
-
-Beside the table of table.py, whose rows are of turning wheels: an arm moves while the wheels stand.
-"""
+"""The arm's faults (arm_table.py): each brought about, and when the arm stood, by the word of the simulated board's
+servos."""
 
 from __future__ import annotations
 
@@ -15,13 +13,15 @@ import time
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.board.framing import BUS_SERVO
-from failstop.board.servos import LONGEST_MOVE_MS, MOVE, STOP
-from failstop.lab.faults.processes import DEADLINES_MS, HANG_OF
+from failstop.board.servos import MOVE, STOP
+from failstop.lab.faults import arm_table as table
+from failstop.lab.faults.arm_table import ArmFault
+from failstop.lab.faults.fault import fits
 from failstop.lab.sim.client import Event
 from failstop.lab.sim.servos import Leg
 from failstop.lab.trial import Trial, wait_for, write_settings
-from failstop.policy import causes
-from failstop.shm.layout import PROCESSES, SUPERVISOR
+from failstop.policy.causes import Cause
+from failstop.shm.layout import SUPERVISOR
 
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 963, 793), "elbow": (3, 46, 51), "wrist": (4, 131, 160)}
 JOINTS |= {"roll": (5, 498, 499), "gripper": (10, 629, 499)}
@@ -36,12 +36,6 @@ SETTINGS: dict[str, object] = {
     },
     "joints.gripper.judged": "off",
 }
-BY_ITSELF_MS = float(LONGEST_MOVE_MS)
-"""What a servo goes on for when nobody sends it anything any more."""
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.causes import Cause, Kind
-
 FOLLOWER = """
 import sys, time
 from failstop.api.robot import Robot
@@ -54,74 +48,15 @@ with Robot(sys.argv[1], client="follower") as robot:
         arm.follow(dict.fromkeys(arm.joints, angle))
         time.sleep(0.02)
 """
-KILL, HANG, CLIENT_KILL, CLIENT_HANG, REQUEST, UNPLUG = (
-    "kill",
-    "hang",
-    "client-kill",
-    "client-hang",
-    "request",
-    "unplug",
-)
-
-
-@dataclasses.dataclass(frozen=True)
-class ArmFault:
-    """One row."""
-
-    name: str
-    cause: str
-    what: str
-    process: str = ""
-    latched: Kind | None = None
-    """The row of the cause that is latched; None: nothing is."""
-    bar_ms: float = BY_ITSELF_MS
-    """To the last joint at rest."""
-
-
-def _rows() -> tuple[ArmFault, ...]:
-    kills = [
-        ArmFault(
-            f"arm-kill-{process}",
-            f"SIGKILL of the {process} while the arm follows",
-            KILL,
-            process,
-            None if process == SUPERVISOR else causes.DIED,
-            BY_ITSELF_MS + 5.0,
-        )
-        for process in PROCESSES
-    ]
-    hangs = [
-        ArmFault(
-            f"arm-hang-{process}",
-            f"SIGSTOP of the {process} while the arm follows",
-            HANG,
-            process,
-            None if process == SUPERVISOR else causes.HANGS,
-            BY_ITSELF_MS + _deadline_ms(process),
-        )
-        for process in PROCESSES
-    ]
-    others = [
-        ArmFault(
-            "arm-client-killed", "SIGKILL of the client that moves the arm", CLIENT_KILL, bar_ms=BY_ITSELF_MS + 5.0
-        ),
-        ArmFault(
-            "arm-client-hung", "SIGSTOP of the client that moves the arm", CLIENT_HANG, bar_ms=BY_ITSELF_MS + 500.0
-        ),
-        ArmFault(
-            "arm-stop-request", "a stop request while the arm follows", REQUEST, "", causes.REQUESTED, BY_ITSELF_MS
-        ),
-        ArmFault("arm-usb-drop", "unplugged in mid-move", UNPLUG, "", causes.DEVICE_LOST, BY_ITSELF_MS),
-    ]
-    return (*kills, *hangs, *others)
-
-
-def _deadline_ms(process: str) -> float:
-    """By when its silence is answered while motion is disabled: nobody watches its lease then, its deadline counts."""
-    return DEADLINES_MS.get(process, HANG_OF[process][1])
-
-
-ROWS = _rows()
+POSER = """
+import contextlib, sys
+from failstop.api.errors import Refused
+from failstop.api.robot import Robot
+with Robot(sys.argv[1], client="poser") as robot, contextlib.suppress(Refused):
+    robot.enable()
+"""
+ELBOW = 3
+HEALTHY = {"temperature_c": 35}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,8 +64,8 @@ class Rested:
     """What the servos did after a fault, ms from it."""
 
     fault: ArmFault
-    rest_ms: float
-    """To the last moment at which a joint turned."""
+    rest_ms: float | None
+    """To the last moment at which a joint turned; None: it was about motion that is not enabled."""
     stop_ms: float | None
     """To the arrival of the arm's stop, behind the first burst."""
     wheels_ms: float | None
@@ -139,6 +74,8 @@ class Rested:
     """Frames that moved servos, executed after that stop."""
     latched: Cause | None
     wrong: tuple[str, ...]
+    fault_ns: int = 0
+    events: tuple[Event, ...] = ()
 
 
 class ArmTrial(Trial):
@@ -153,15 +90,24 @@ class ArmTrial(Trial):
 
     def follow(self, seconds: float = 0.8) -> int:
         """Have a program of its own move every joint; returns its pid."""
+        return self._begin(FOLLOWER, "follow", seconds)
+
+    def pose(self) -> int:
+        """Have a program of its own enable motion, which brings the arm to its drive pose from far away."""
+        for servo in range(1, 6):
+            self.board.servo(servo, position=500)
+        return self._begin(POSER, "trajectory", 0.3)
+
+    def _begin(self, program: str, mode: str, seconds: float) -> int:
         if self._follower is None:
-            self._follower = subprocess.Popen([sys.executable, "-c", FOLLOWER, self.name], stderr=subprocess.DEVNULL)
-        wait_for("the arm to follow", lambda: self._turns())
+            self._follower = subprocess.Popen([sys.executable, "-c", program, self.name], stderr=subprocess.DEVNULL)
+        wait_for("the arm to move", lambda: self._turns(mode))
         time.sleep(seconds)
         return self._follower.pid
 
-    def _turns(self) -> bool:
+    def _turns(self, mode: str) -> bool:
         arm = self.robot.state.arm
-        return bool(arm and arm["mode"] == "follow" and arm["moving"])
+        return bool(arm and arm.mode == mode and arm.moving)
 
     def stop_following(self) -> None:
         """End that program."""
@@ -173,11 +119,12 @@ class ArmTrial(Trial):
             self._follower = None
 
     def settle(self) -> None:
-        """Whole again, nothing latched, nobody moves the arm."""
+        """Whole again, nothing latched, motion disabled, nobody moves the arm."""
         self.stop_following()
         wait_for("the service to be whole", self._whole)
         if self.robot.state.estop:
             wait_for("a reset", self._reset)
+        self.robot.disable()
         self.leave()
 
     def drive_pose(self) -> None:
@@ -210,17 +157,20 @@ def strike(trial: ArmTrial, fault: ArmFault) -> Rested:
 
 
 def _strike(trial: ArmTrial, fault: ArmFault) -> Rested:
-    client = trial.follow()
+    if fault.what == table.SERVO:
+        return _refuse(trial, fault)
+    assert fault.bar_ms is not None
+    client = trial.pose() if fault.what == table.POSING else trial.follow()
     pids = trial.service.pids()
     legs, mark = trial.board.joint_legs(), trial.board.info()["executed"]
     fault_ns = time.monotonic_ns()
     _begin(trial, fault, client, pids)
     time.sleep(fault.bar_ms / 1000 + 0.4)
     events, track = trial.board.events(mark), trial.board.joint_track(max(0, legs - 12))
-    if fault.what == HANG:
+    if fault.what == table.HANG:
         with contextlib.suppress(ProcessLookupError):
             os.kill(pids[fault.process], signal.SIGCONT)
-    if fault.what == UNPLUG:
+    if fault.what == table.UNPLUG:
         trial.board.replug()
     if fault.process == SUPERVISOR:
         trial.stop_following()
@@ -233,13 +183,36 @@ def _strike(trial: ArmTrial, fault: ArmFault) -> Rested:
     return rested
 
 
+def _refuse(trial: ArmTrial, fault: ArmFault) -> Rested:
+    """Enable with a faulty servo, far from its pose: motion is refused, and no wheel moves."""
+    trial.settle()
+    mark = trial.board.info()["executed"]
+    trial.board.servo(ELBOW, position=500, **dict(fault.servo))
+    wrong = []
+    try:
+        trial.robot.enable()
+        trial.drive(0.1)
+        wrong.append("enabled")
+    except Refused as error:
+        if not str(error.args[0]).startswith(f"arm is not in the drive pose: joint elbow{fault.refused}"):
+            wrong.append(f"refused: {error}")
+    finally:
+        trial.board.servo(ELBOW, **{name: HEALTHY.get(name, False) for name, _ in fault.servo})
+    if moved := sum(event.is_motion for event in trial.board.events(mark)):
+        wrong.append(f"{moved} motion frames")
+    trial.settle()
+    return Rested(fault, None, None, None, moved, None, tuple(wrong))
+
+
 def _begin(trial: ArmTrial, fault: ArmFault, client: int, pids: dict[str, int]) -> None:
-    if fault.what in (KILL, HANG):
-        os.kill(pids[fault.process], signal.SIGKILL if fault.what == KILL else signal.SIGSTOP)
-    elif fault.what in (CLIENT_KILL, CLIENT_HANG):
-        os.kill(client, signal.SIGKILL if fault.what == CLIENT_KILL else signal.SIGSTOP)
-    elif fault.what == REQUEST:
+    if fault.what in (table.KILL, table.HANG):
+        os.kill(pids[fault.process], signal.SIGKILL if fault.what == table.KILL else signal.SIGSTOP)
+    elif fault.what in (table.CLIENT_KILL, table.CLIENT_HANG):
+        os.kill(client, signal.SIGKILL if fault.what == table.CLIENT_KILL else signal.SIGSTOP)
+    elif fault.what in (table.REQUEST, table.POSING):
         trial.robot.estop("the arm's fault row")
+    elif fault.what == table.SECOND:
+        trial.robot.arm.follow({"base": 0.1})
     else:
         trial.board.unplug()
 
@@ -259,28 +232,23 @@ def judge(fault: ArmFault, fault_ns: int, events: list[Event], track: list[Leg],
     moves = [event for event in arms if event.data[0] == MOVE]
     after = sum(stop is not None and event.executed_ns > stop.executed_ns for event in moves)
     wrong = []
-    if stop is None and fault.what != UNPLUG:
+    if stop is None and fault.what != table.UNPLUG:
         wrong.append("the arm was not stopped")
     rest_ms = max([0.0, *((_turned_ns(leg, track) - fault_ns) / 1e6 for leg in track)])
-    if rest_ms > 1.5 * fault.bar_ms + 100.0:
-        wrong.append(f"a joint turned until {rest_ms:.0f} ms, the limit is {1.5 * fault.bar_ms + 100.0:.0f}")
+    if fault.limit_ms is not None and rest_ms > fault.limit_ms:
+        wrong.append(f"a joint turned until {rest_ms:.0f} ms, the limit is {fault.limit_ms:.0f}")
+    if moved := sum(event.is_motion for event in events):
+        wrong.append(f"{moved} motion frames")
     if after:
         wrong.append(f"{after} moves after the stop")
-    if fault.latched is not (latched and latched.kind) or (
-        fault.latched and fault.process not in ("", *_process(latched))
-    ):
+    if not fits(latched, fault.latched) if fault.latched else latched:
         wrong.append(f"latched: {latched}")
     if not any(leg.begin_ns < fault_ns < leg.end_ns and leg.begin != leg.end for leg in track):
         wrong.append(NOT_TURNING)
     stop_ms = None if stop is None else (stop.arrival_ns - fault_ns) / 1e6
     wheels = next((event for event in events if event.is_stop and event.arrival_ns >= fault_ns), None)
     wheels_ms = None if wheels is None else (wheels.executed_ns - fault_ns) / 1e6
-    return Rested(fault, rest_ms, stop_ms, wheels_ms, after, latched, tuple(wrong))
-
-
-def _process(cause: Cause | None) -> tuple[object, ...]:
-    """Whose death or silence it is; of no process, whatever the row says."""
-    return tuple(cause.named().get("process", "") for cause in (cause,) if cause)
+    return Rested(fault, rest_ms, stop_ms, wheels_ms, after, latched, tuple(wrong), fault_ns, tuple(events))
 
 
 def _turned_ns(leg: Leg, track: list[Leg]) -> int:
@@ -289,26 +257,3 @@ def _turned_ns(leg: Leg, track: list[Leg]) -> int:
         return 0
     following = [other.begin_ns for other in track if other.servo == leg.servo and other.begin_ns > leg.begin_ns]
     return min([leg.end_ns, *following])
-
-
-SERVO_FAULTS = {
-    "silent": "joint elbow: no answer from servo 3",
-    "blocked": "joint elbow (servo 3) is ",
-    "unloaded": "joint elbow (servo 3) is ",
-    "hot": "joint elbow (servo 3) is ",
-}
-"""What an enable is refused with, after `arm is not in the drive pose: `."""
-
-
-def refused_for(trial: ArmTrial, fault: str) -> str:
-    """Enable with a faulty servo; returns what is wrong with the answer, or nothing."""
-    values = {"temperature_c": 90} if fault == "hot" else {fault: True}
-    trial.board.servo(3, position=500, **values)
-    try:
-        trial.robot.enable()
-    except Refused as error:
-        expected = f"arm is not in the drive pose: {SERVO_FAULTS[fault]}"
-        return "" if str(error.args[0]).startswith(expected) else str(error)
-    finally:
-        trial.board.servo(3, **({"temperature_c": 35} if fault == "hot" else {fault: False}))
-    return "enabled"

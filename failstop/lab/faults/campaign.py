@@ -10,7 +10,8 @@ import time
 from collections.abc import Callable, Iterator
 
 from failstop.api.errors import FailstopError, Refused
-from failstop.lab.faults import inject
+from failstop.lab.faults import arm, inject
+from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.fault import HANG, ITSELF, KILL, RESET, SPIN, Fault, fits, told
 from failstop.lab.faults.judge import verdict
 from failstop.lab.faults.scene import Scene
@@ -18,6 +19,7 @@ from failstop.lab.sim.client import Event, SimBoardError
 from failstop.lab.trial import Stopped, TrialError
 from failstop.policy.causes import Cause
 
+Row = Fault | ArmFault
 LIMITS = ((-0.2, 0.2), (-0.2, 0.2), (-1.0, 1.0))
 BEFORE_S = (0.02, 0.12)
 """How long the wheels turn before the fault: a random moment of the 20 ms tick."""
@@ -34,7 +36,7 @@ STORY_AFTER = 20
 class Outcome:
     """What became of one injection. `wrong` is empty when all was as the row says."""
 
-    fault: Fault
+    fault: Row
     index: int
     stopped: Stopped | None = None
     skipped: str = ""
@@ -138,7 +140,7 @@ class _Injection:
             scene.wait_for_stop_tool()
         if fault.link:
             self._check(
-                f"the link to be shown {fault.link}", lambda: scene.driver.robot.state.device["link"] == fault.link
+                f"the link to be shown {fault.link}", lambda: scene.driver.robot.state.device.link == fault.link
             )
         if fault.bar_ms is None and not scene.trial.moving():
             self.outcome.wrong.append("the wheels stand, and nothing was to stop them")
@@ -203,13 +205,37 @@ def _velocity(chance: random.Random) -> tuple[float, float, float]:
     return vx, vy, wz
 
 
-def inject_one(scene: Scene, fault: Fault, index: int = 0, seed: object = 0, *, seen_s: float = SEEN_S) -> Outcome:
+def inject_one(scene: Scene, fault: Row, index: int = 0, seed: object = 0, *, seen_s: float = SEEN_S) -> Outcome:
     """Inject one fault and judge it; what the row says must be seen within `seen_s`. A scene in which anything was
     wrong is made anew, and a robot that was stopped before the fault is driven again, SETUPS times in all."""
+    if isinstance(fault, ArmFault):
+        return _inject_arm(scene, fault, index)
     for _ in range(SETUPS):
         outcome = _inject_one(scene, fault, index, seed, seen_s)
         if outcome.struck or outcome.skipped:
             break
+    return outcome
+
+
+def _inject_arm(scene: Scene, fault: ArmFault, index: int) -> Outcome:
+    """One of the arm's: its time is that to the last joint at rest."""
+    outcome = Outcome(fault, index)
+    begun_s = time.monotonic()
+    try:
+        rested = arm.strike(scene.arm, fault)
+    except (TrialError, FailstopError, SimBoardError, OSError, subprocess.SubprocessError) as error:
+        outcome.wrong.append(f"{type(error).__name__}: {error}")
+        outcome.struck = False
+    else:
+        outcome.wrong += rested.wrong
+        if rested.rest_ms is not None:
+            rest_ns = round(rested.rest_ms * 1e6)
+            outcome.stopped = Stopped(rested.fault_ns, rest_ns, None, None, rested.moves_after, True)
+        outcome.events = list(rested.events)
+    if outcome.wrong:
+        outcome.said = scene.arm.service.said()
+        scene.renew_arm()
+    outcome.took_s = time.monotonic() - begun_s
     return outcome
 
 
@@ -233,18 +259,18 @@ def _inject_one(scene: Scene, fault: Fault, index: int, seed: object, seen_s: fl
     return outcome
 
 
-def draw(rows: tuple[Fault, ...], index: int, seed: int) -> Fault:
+def draw(rows: tuple[Row, ...], index: int, seed: int) -> Row:
     """The row of this index of a campaign."""
     return random.Random(f"{seed} {index}").choices(rows, [row.weight for row in rows])[0]
 
 
 def campaign(
-    scene: Scene, rows: tuple[Fault, ...], seed: int, until: Callable[[int], bool], first: int = 0
+    scene: Scene, rows: tuple[Row, ...], seed: int, until: Callable[[int], bool], first: int = 0
 ) -> Iterator[Outcome]:
     """Random faults from index `first` on, until `until(injected)`. A row that can't be done here is yielded once,
     skipped."""
     rows = tuple(rows)
-    unfit = {row.name: reason for row in rows if (reason := inject.injector(row).unfit())}
+    unfit = {row.name: reason for row in rows if isinstance(row, Fault) and (reason := inject.injector(row).unfit())}
     for row in rows:
         if row.name in unfit:
             yield Outcome(row, 0, skipped=unfit[row.name])

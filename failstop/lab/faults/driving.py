@@ -33,7 +33,7 @@ class Driver:
     def robot(self) -> Robot:
         """Connected to the run that is there now. Raises NoService, FailstopError."""
         if self._robot is None:
-            self._robot = Robot(self.name, client=self._client)
+            self._robot = Robot(self.name, client=self._client, disable_on_exit=False)
         return self._robot
 
     def leave(self) -> None:

@@ -179,7 +179,7 @@ class Deaf(Injector):
 
     def prepare(self, scene: Scene) -> None:
         # A board that has never answered is not deaf but unproven.
-        scene.driver.until("the link to be alive", lambda: scene.driver.robot.state.device["link"] == "alive", LATCH_S)
+        scene.driver.until("the link to be alive", lambda: scene.driver.robot.state.device.link == "alive", LATCH_S)
 
     def strike(self, scene: Scene) -> int:
         scene.board.deaf(True)

@@ -7,10 +7,15 @@ import statistics
 import time
 from typing import Any
 
+from failstop.lab.faults import arm_table, table
+from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.campaign import Outcome
 from failstop.lab.faults.fault import EVENTS, Fault, told
-from failstop.lab.faults.table import BEYOND, BY_NAME, TABLE
+from failstop.lab.faults.table import BEYOND, TABLE
 from failstop.machine import facts
+
+EVERY: dict[str, Fault | ArmFault] = {**table.BY_NAME, **arm_table.BY_NAME}
+"""The rows of both tables."""
 
 
 @dataclasses.dataclass
@@ -61,7 +66,7 @@ class Row:
 class Tally:
     """The rows of a campaign, in the table's order, and the stories of what went wrong."""
 
-    def __init__(self, rows: tuple[Fault, ...], seed: int) -> None:
+    def __init__(self, rows: tuple[Fault | ArmFault, ...], seed: int) -> None:
         self.seed = seed
         self.rows = {fault.name: Row(fault.name) for fault in rows}
         self.stories: list[str] = []
@@ -96,9 +101,9 @@ class Tally:
         lines = [head]
         for row in self.rows.values():
             if row.count:
-                bar_ms = BY_NAME[row.name].bar_ms
+                fault = EVERY[row.name]
                 times = _times(row.as_dict())
-                bar = "no stop" if bar_ms is None else f"{bar_ms:g} ms"
+                bar = _bar(fault) + (" ms" if fault.bar_ms is not None else "")
                 lines.append(
                     f"{row.name:<50} {row.count:>6} {row.missed:>7} {row.motion_after:>6}"
                     f" {times[0]:>9} {times[1]:>9} {times[2]:>9}  {bar}"
@@ -107,7 +112,10 @@ class Tally:
         lines.append(
             "\nTimes in ms, from the fault (or what the table counts from) to the arrival of the first stop frame"
         )
-        lines.append("that the board executes; moved: motion frames after it and before the next enable.")
+        lines.append(
+            "that the board executes; moved: motion frames after it and before the next enable. Of the arm's: to"
+        )
+        lines.append("the last joint at rest; moved: moves of its servos after its stop.")
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
@@ -119,6 +127,12 @@ class Tally:
         totals = {field: self.total(field) for field in ("count", "missed", "motion_after", "wrong")}
         rows = [row.as_dict() for row in self.rows.values()]
         return {"machine": machine, "seed": self.seed, **totals, "rows": rows, "stories": self.stories}
+
+
+def _bar(fault: Fault | ArmFault) -> str:
+    if fault.bar_ms is None:
+        return "refused" if isinstance(fault, ArmFault) else "no stop"
+    return f"{fault.bar_ms:g}"
 
 
 def _times(row: dict[str, Any]) -> tuple[str, str, str]:
@@ -158,6 +172,18 @@ def markdown(result: dict[str, Any]) -> str:
         lines.append("| row | cause | first to stop | latched | cleared | said | n | p50 | p99 | max | bar |")
         lines.append("|---|---|---|---|---|---|---|---|---|---|---|")
         lines += [_line(fault, measured.get(fault.name, {})) for fault in rows]
+    lines += [
+        *("", "## The arm moves", ""),
+        "From the fault to the last moment at which a joint turns, by the word of the servos. *refused*: motion",
+        "is not enabled, and no wheel turns. From `failstop/lab/faults/arm_table.py`, each row a test in",
+        "`tests/faults/test_arm_rows.py`.",
+    ]
+    lines += ["", "| row | cause | first to stop | latched | cleared | n | p50 | p99 | max | bar |"]
+    lines.append("|---|---|---|---|---|---|---|---|---|---|")
+    for fault in arm_table.ROWS:
+        row = measured.get(fault.name, {})
+        cells = (str(row.get("count", 0)), *_times(row), _bar(fault))
+        lines.append(f"{fault.described()} {' | '.join(cells)} |")
     lines += ["", "## Beyond this side of the wire", "", "| what | what helps |", "|---|---|"]
     lines += [f"| {what} | {helps} |" for what, helps in BEYOND]
     return "\n".join(lines) + "\n"
@@ -170,10 +196,9 @@ def described(fault: Fault) -> str:
 
 
 def _line(fault: Fault, row: dict[str, Any]) -> str:
-    bar = "no stop" if fault.bar_ms is None else f"{fault.bar_ms:g}"
     counted = "" if fault.counted_from == "the fault" else f" (from {fault.counted_from})"
     count = row.get("count") or ("not here" if row.get("skipped") else 0)
-    return f"{described(fault)} {' | '.join((str(count), *_times(row), bar + counted))} |"
+    return f"{described(fault)} {' | '.join((str(count), *_times(row), _bar(fault) + counted))} |"
 
 
 def _code(text: str) -> str:

@@ -12,6 +12,7 @@ import tempfile
 
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
+from failstop.lab.faults.arm import ArmTrial
 from failstop.lab.faults.driving import INTERLOCK, Driver
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, TrialError, write_settings
@@ -46,6 +47,21 @@ class Scene:
         self.driver = Driver(name)
         self._pids: dict[str, int] = {}
         self._tool: subprocess.Popen[bytes] | None = None
+        self._arm: ArmTrial | None = None
+
+    @property
+    def arm(self) -> ArmTrial:
+        """A board and a service of their own, with an arm; from when they are asked for first."""
+        if self._arm is None:
+            self._arm = ArmTrial(f"{self.name}-arm")
+            self._arm.__enter__()
+        return self._arm
+
+    def renew_arm(self) -> None:
+        """The next one is new."""
+        if self._arm:
+            self._arm.close()
+            self._arm = None
 
     def _new_trial(self) -> Trial:
         return Trial(self.name, ("--config", self._config))
@@ -60,6 +76,7 @@ class Scene:
 
     def close(self) -> None:
         """End everything, whatever state it is in."""
+        self.renew_arm()
         self.driver.leave()
         self._end_tool()
         process = self.trial.service.process
@@ -77,7 +94,7 @@ class Scene:
     def _stopped_by_fault(self) -> bool:
         """Whether the service is too damaged to end in order."""
         try:
-            return self.driver.robot.state.processes[SUPERVISOR].age_ms > 500
+            return self.driver.robot.state.processes[SUPERVISOR].age_s > 0.5
         except FailstopError:
             return True
         finally:

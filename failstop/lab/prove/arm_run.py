@@ -15,7 +15,7 @@ import time
 
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError, Refused
-from failstop.lab.faults import arm
+from failstop.lab.faults import arm_table as table
 from failstop.lab.faults.fault import fits, told
 from failstop.lab.prove import swing
 from failstop.lab.prove.run import WHOLE_S, Result, judge_written
@@ -88,9 +88,9 @@ class ArmRun:
         fault, stand, program = self.fault, self.stand, self._program
         assert program
         pids = stand.look_up_pids()
-        number = signal.SIGKILL if fault.what in (arm.KILL, arm.CLIENT_KILL) else signal.SIGSTOP
+        number = signal.SIGKILL if fault.what in (table.KILL, table.CLIENT_KILL) else signal.SIGSTOP
         self._cause_ns = time.monotonic_ns()
-        if fault.what == arm.REQUEST:
+        if fault.what == table.REQUEST:
             send_stop(stand.name, "prove")
         else:
             os.kill(pids[fault.process] if fault.process else program.pid, number)
@@ -98,7 +98,7 @@ class ArmRun:
 
     def _seen(self) -> bool:
         """A service that has gone leaves the port to us, which asks the board; nothing ends this before its time."""
-        if self.fault.process == SUPERVISOR and self.fault.what == arm.KILL and self.stand.gone():
+        if self.fault.process == SUPERVISOR and self.fault.what == table.KILL and self.stand.gone():
             self.stand.watch.take_port()
         return False
 
@@ -116,7 +116,7 @@ class ArmRun:
     def _recover(self) -> None:
         """To a service that is whole; the program that moved the arm is gone by then."""
         stand = self.stand
-        if self.fault.what == arm.HANG:
+        if self.fault.what == table.HANG:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._struck, signal.SIGCONT)
         self._end_program()

@@ -106,7 +106,7 @@ def check_free(device: str, *names: str) -> None:
     node = port_facts.node(device, System())
     for name in names:
         with contextlib.suppress(NoService):
-            served = Robot(name).state.device["path"]
+            served = Robot(name).state.device.path
             # A simulated board is nobody else's. On a robot the service may be between two openings of this very port.
             if not (node and node.pseudo and served and os.path.realpath(served) != node.resolved):
                 end = f"sudo systemctl stop {unit_of(name)}"

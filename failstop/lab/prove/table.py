@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
-from failstop.lab.faults import arm
-from failstop.lab.faults.arm import ArmFault
+from failstop.lab.faults import arm_table
+from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.fault import Fault, Wanted
 from failstop.lab.faults.table import BY_NAME
 from failstop.policy import causes
@@ -107,7 +107,7 @@ class Path:
     def rest_bar_s(self, velocity: Velocity) -> float:
         """From the cause to wheels, or a joint, at rest."""
         if self.arm:
-            return self.arm.bar_ms / 1000 + ARM_RESOLUTION_S
+            return (self.arm.bar_ms or 0.0) / 1000 + ARM_RESOLUTION_S
         if measured := MEASURED_S.get(self.kind):
             return measured[VELOCITIES.index(velocity)] + RESOLUTION_S
         return self.reaction_ms / 1000 + velocity.coast_s + RESOLUTION_S
@@ -147,12 +147,9 @@ PATHS = (
 
 def _moving(row: ArmFault) -> Path:
     """The path of a row of the arm's faults: who stops is asked for what its wheels' row asks for."""
-    latched: tuple[Wanted, ...] = (
-        ((row.latched, row.process) if row.process else (row.latched,),) if row.latched else ()
-    )
-    if row.what == arm.REQUEST:
-        latched = BY_PATH["stop-request"].latched
-    reaction_ms = row.bar_ms - arm.BY_ITSELF_MS + STOP_MS
+    assert row.bar_ms is not None
+    latched = BY_PATH["stop-request"].latched if row.what == arm_table.REQUEST else row.latched
+    reaction_ms = row.bar_ms - arm_table.BY_ITSELF_MS + STOP_MS
     return Path(row.name, ARM, row.cause, reaction_ms, row.process, latched, arm=row)
 
 
@@ -162,7 +159,7 @@ QUICK_NAMES = (*QUICK, "service-stop")
 
 BY_PATH = {path.name: path for path in PATHS}
 BY_VELOCITY = {velocity.name: velocity for velocity in VELOCITIES}
-ARM_PATHS = tuple(_moving(row) for row in arm.ROWS if row.what != arm.UNPLUG)
+ARM_PATHS = tuple(_moving(row) for row in arm_table.ROWS if row.what in arm_table.SWINGING)
 """Taken once each on a robot with an arm, while one of its joints swings."""
 ARM_QUICK = ("arm-kill-gate", "arm-client-killed", "arm-stop-request")
 BY_ARM_PATH = {path.name: path for path in ARM_PATHS}

@@ -111,7 +111,7 @@ class Watch:
                 self._last[which] = written_ns
                 self.written.append((written_ns, which))
         while self._frames and (entry := self._frames.next()):
-            _, kind, body = records.unpack_frame(entry[2])
+            _, kind, body = records.FRAME.unpack(entry[2])
             if kind == records.STOP or (kind == records.MOTION and body == BOARD.stop):
                 self.zeros.append(entry[1])
             elif kind == records.ARM and body[_COMMAND_AT] == servos.MOVE:

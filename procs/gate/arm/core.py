@@ -42,7 +42,6 @@ class ArmCore:
 
     def __init__(self, settings: Settings, now_ns: int) -> None:
         self.joints = from_settings(settings)
-        self.by_name = {joint.name: joint for joint in self.joints}
         self._period_ns = settings.ns("arm.period_s")
         self._move_ms = round(settings["arm.period_s"] * 1000)
         self._timeout_ns = settings.ns("arm.goal_timeout_s")

@@ -14,6 +14,8 @@ from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from failstop.procs.gate.arm.joints import Joint
 
 FOLLOW = "follow"
@@ -135,7 +137,7 @@ class Journey:
             self.done, self.outcome = True, outcome
 
 
-def too_far(joints: list[Joint], angles: tuple[float, ...]) -> str:
+def too_far(joints: list[Joint], angles: Sequence[float]) -> str:
     """Which joint is not to be sent there, with its range; empty when each may."""
     for joint, angle in zip(joints, angles, strict=True):
         low, high = joint.range_rad()

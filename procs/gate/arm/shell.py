@@ -105,7 +105,7 @@ class Arm:
         """Answers of the servos, then whatever is due."""
         core, gate = self.core, self._owner.core
         while entry := self._answers.next():
-            core.answer(*records.unpack_servo(entry[2]), entry[1])
+            core.answer(*records.SERVO.unpack(entry[2]), entry[1])
         self._follow_pad(now_ns)
         latched = LATCHED if gate.latch is not None else ""
         core.closed = latched or (ENABLED if gate.enabled else "")
@@ -173,7 +173,7 @@ class Arm:
         if entry is None or entry[0] == self._pad_seq:
             return
         self._pad_seq, t_ns, payload = entry
-        index, share = records.unpack_pad_arm(payload)
+        index, share = records.PAD_ARM.unpack(payload)
         if index >= len(self.core.joints):
             return
         joint = self.core.joints[index]

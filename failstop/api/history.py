@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from failstop.cli.screen import words
+from failstop.api import words
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

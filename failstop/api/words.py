@@ -8,9 +8,7 @@ from failstop.shm.instance import DEFAULT_NAME, option
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Any
-
-    from failstop.api.state import State, Stop
+    from failstop.api.snapshot import Starved, State, Stop
 
 DAY_S = 86400.0
 OLD_WORDS_S = 5.0
@@ -56,11 +54,11 @@ def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
     return ", ".join(parts)
 
 
-def took(microseconds: float) -> str:
+def took(seconds: float) -> str:
     """A short time, to what matters of it."""
-    if microseconds < 100:
-        return f"{microseconds:.0f} us"
-    milliseconds = microseconds / 1000
+    if seconds < 1e-4:
+        return f"{seconds * 1e6:.0f} us"
+    milliseconds = seconds * 1e3
     return f"{milliseconds:.2f} ms" if milliseconds < 10 else f"{milliseconds:.0f} ms"
 
 
@@ -68,16 +66,16 @@ def wheels_seen(stop: Stop) -> str:
     """The third proof, to the resolution there is: the IMU's verdict."""
     from failstop.supervisor import stops
 
-    assert stop.observed_ms is not None
-    return stops.wheels_seen(stop.observed_ms / 1000)
+    assert stop.observed_s is not None
+    return stops.wheels_seen(stop.observed_s)
 
 
-def starved(found: dict[str, Any] | None) -> str:
+def starved(found: Starved | None) -> str:
     """How often the machine did not run a process past its deadline, as a clause; empty for never."""
     if not found:
         return ""
-    times = "once" if found["times"] == 1 else f"{found['times']} times"
-    return f"the machine starved the service {times}, at worst {found['process']} for {found['longest_ms']} ms"
+    times = "once" if found.times == 1 else f"{found.times} times"
+    return f"the machine starved the service {times}, at worst {found.process} for {found.longest_s * 1e3:.0f} ms"
 
 
 def unit(name: str) -> str:
@@ -105,9 +103,7 @@ def said(state: State) -> list[tuple[str, str, str]]:
     their age."""
     found = []
     for client in state.clients:
-        if "sees" in client:
-            old = client["said_s"] > OLD_WORDS_S
-            age = f" ({span(client['said_s'])} ago)" if old else ""
-            who = f"{client['name']}{age}"
-            found.append((who, client["sees"], client["wrong"]))
+        if client.said_s is not None:
+            age = f" ({span(client.said_s)} ago)" if client.said_s > OLD_WORDS_S else ""
+            found.append((f"{client.name}{age}", client.sees, client.wrong))
     return found

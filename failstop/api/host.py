@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from failstop.cli.screen import words
+from failstop.api import words
 from failstop.policy.settings import BY_KEY
 from failstop.shm import instance, root
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.cli import style
-from failstop.cli.screen import host, words
+from failstop.api import host, words
 from failstop.policy import causes
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
@@ -17,35 +16,28 @@ STANDING = "STANDING"
 STOPPED = "STOPPED"
 MAY_TURN = "MAY TURN"
 """A stop that is not known to reach the wheels is none: nobody must rely on it."""
-STALE_MS = 500.0
+STALE_S = 0.5
 """A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
-
-
-def moving(state: State) -> bool:
-    """True while the gate commands a velocity."""
-    return not state.blocked and any(state.wheels_rps)
 
 
 def doubt(state: State) -> str:
     """Why the wheels may turn though they were told to stop; empty when there is no reason to think so."""
-    if state.device["state"] != "open":
-        return f"the port {state.device['path'] or ''} is {state.device['state']}, so no stop reaches the board"
-    if state.device["link"] == "deaf":
+    if state.device.state != "open":
+        return f"the port {state.device.path or ''} is {state.device.state}, so no stop reaches the board"
+    if state.device.link == "deaf":
         return "the board does not answer, so a stop may not reach the wheels"
     if state.cause and state.cause.kind is causes.UNSTILL:
         return "the IMU sees the robot shake on"
     return ""
 
 
-def word(state: State) -> tuple[str, str]:
-    """What the wheels do, and its role."""
+def word(state: State) -> str:
+    """What the wheels do."""
     if doubt(state):
-        return MAY_TURN, style.FAIL
-    if moving(state):
-        return DRIVING, style.OK
-    if not state.blocked:
-        return STANDING, style.OK
-    return STOPPED, style.FAIL if state.estop else style.WARN
+        return MAY_TURN
+    if state.moving:
+        return DRIVING
+    return STOPPED if state.blocked else STANDING
 
 
 def headline(state: State, blocked: str | None = None) -> str:
@@ -69,12 +61,12 @@ def steps(state: State) -> list[str]:
     """What to do, in order, for the wheels to move; commands in backquotes. Empty while they move."""
     drive = "`failstop drive 0.1 0 0`, or commands by your program"
     if state.blocked is None:
-        return [] if moving(state) else [words.named(drive, state.name)]
+        return [] if state.moving else [words.named(drive, state.name)]
     if any(process.state == "dead" for process in state.processes.values()):
-        return [host.start(state.name, state.device["path"]), words.named("`failstop enable`", state.name)]
+        return [host.start(state.name, state.device.path), words.named("`failstop enable`", state.name)]
     found = []
-    if state.device["state"] != "open":
-        found.append(f"plug the board in ({state.device['path']})")
+    if state.device.state != "open":
+        found.append(f"plug the board in ({state.device.path})")
     elif doubt(state):
         found.append("turn the robot's POWER SWITCH off and on")
     elif GATE in down(state):
@@ -84,7 +76,7 @@ def steps(state: State) -> list[str]:
     if state.estop:
         found.append("`failstop reset`")
     if not state.enabled:
-        found += ["have somebody attend (`failstop attend`, or the page)"] if state.attended_by == [] else []
+        found += ["have somebody attend (`failstop attend`, or the page)"] if state.attended_by == () else []
         found.append("`failstop enable`")
     elif state.blocked == blocks.NO_SCAN:
         found.append("start the obstacle sensor and the program that calls robot.sensed()")

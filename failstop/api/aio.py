@@ -1,0 +1,147 @@
+"""AsyncRobot: a Robot for asyncio. It wraps the same one; what takes time is awaited, what takes none is called."""
+
+from __future__ import annotations
+
+import asyncio
+
+from failstop.api.events import LOOK_EVERY_S, Event, EventLog
+from failstop.api.request import Request
+from failstop.api.robot import POLL_S, Robot
+from failstop.api.waiting import Watch
+from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
+from failstop.shm import records
+from failstop.shm.news import News
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+    from types import TracebackType
+
+    from failstop.api.driving import Answer
+    from failstop.api.samples import Sample
+    from failstop.api.snapshot import State
+    from failstop.api.waiting import Word
+    from failstop.api.why import Why
+
+
+class AsyncRobot:
+    """What `Robot.connect()` returns; an asynchronous context manager. It belongs to one event loop."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        """The Robot itself, for what is not here; what it waits for holds the event loop up."""
+        self._turn = asyncio.Lock()
+
+    async def __aenter__(self) -> AsyncRobot:
+        self.robot.__enter__()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
+        self.robot.__exit__(kind, error, at)
+
+    async def _ask(self, verb: int, told: Callable[[str], None] | None = None) -> str:
+        robot = self.robot
+        async with self._turn:
+            request = Request(robot, verb, robot._answer_s, told)
+            try:
+                while (answer := request.look()) is None:
+                    await asyncio.sleep(POLL_S)
+            finally:
+                request.leave()
+        return robot._asked(verb, answer)
+
+    async def enable(self, told: Callable[[str], None] | None = None) -> str:
+        """As Robot.enable."""
+        return await self._ask(records.ENABLE, told)
+
+    async def disable(self) -> str:
+        """As Robot.disable."""
+        return await self._ask(records.DISABLE)
+
+    async def reset(self) -> str:
+        """As Robot.reset."""
+        return await self._ask(records.RESET)
+
+    async def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
+        """As Robot.wait_for."""
+        with Watch(self.robot, what, timeout_s) as watch:
+            while (state := watch.look()) is None:
+                await _news(watch.news, watch.sleep_s())
+            return state
+
+    def events(self, *, past: bool = False) -> AsyncIterator[Event]:
+        """As Robot.events: `async for event in robot.events()`."""
+        log = EventLog(self.robot.name)
+        if not past:
+            log.skip()
+        return _follow(log)
+
+    def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> Answer:
+        """As Robot.drive; it is not awaited, since it takes no time."""
+        return self.robot.drive(vx, vy, wz, manual=manual, source=source)
+
+    def sensed(self) -> None:
+        """As Robot.sensed."""
+        self.robot.sensed()
+
+    def hold(self, *interlocks: str) -> None:
+        """As Robot.hold."""
+        self.robot.hold(*interlocks)
+
+    def say(self, sees: str, wrong: str = "") -> None:
+        """As Robot.say."""
+        self.robot.say(sees, wrong)
+
+    def estop(self, reason: str = "") -> None:
+        """As Robot.estop."""
+        self.robot.estop(reason)
+
+    def why(self) -> Why:
+        """As Robot.why."""
+        return self.robot.why()
+
+    def samples(self) -> list[Sample]:
+        """As Robot.samples."""
+        return self.robot.samples()
+
+    @property
+    def state(self) -> State:
+        """As Robot.state."""
+        return self.robot.state
+
+    @property
+    def settings(self) -> dict[str, float | str]:
+        """As Robot.settings."""
+        return self.robot.settings
+
+
+async def _follow(log: EventLog) -> AsyncIterator[Event]:
+    news = News(log.name)
+    try:
+        while True:
+            news.clear()
+            news.watch()
+            found = log.read()
+            for event in found:
+                yield event
+            if not found:
+                await _news(news, LOOK_EVERY_S)
+    finally:
+        news.close()
+
+
+async def _news(news: News, timeout_s: float) -> None:
+    """Wait until there may be news, as news.wait() does; the event loop goes on."""
+    loop = asyncio.get_running_loop()
+    told = asyncio.Event()
+    if news.fd >= 0:
+        loop.add_reader(news.fd, told.set)
+    try:
+        await asyncio.wait_for(told.wait(), timeout_s)
+    except asyncio.TimeoutError:
+        pass
+    finally:
+        if news.fd >= 0:
+            loop.remove_reader(news.fd)

@@ -1,0 +1,362 @@
+"""Snapshot: what a service tells of itself, as values with names. Times are s, lengths m, angles rad, voltages V."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from typing import Any, Literal, NamedTuple
+
+from failstop.policy.causes import Cause
+from failstop.shm import blocks
+
+PortState = Literal["closed", "open", "lost"]
+Link = Literal["unproven", "alive", "deaf"]
+Plugged = Literal["unknown", "plugged", "unplugged"]
+PadMode = Literal["locked", "drive", "joint"]
+
+
+class Block(enum.Enum):
+    """Why the wheels may not turn; the first that holds is told."""
+
+    LATCHED = "latched"
+    """A stop is latched: `State.cause`. It takes a reset."""
+    DISABLED = "disabled"
+    """Nobody has enabled motion since the start, the last stop or the last disable."""
+    NO_COMMAND = "no command"
+    """No source has a command that is younger than its timeout."""
+    NO_SCAN = "no scan"
+    """The obstacle sensor is silent; without it only a person may drive."""
+
+    @classmethod
+    def of(cls, text: str | None) -> Block | None:
+        """The block of the gate's words (`State.blocked`)."""
+        if text is None:
+            return None
+        return _BLOCKS.get(text, cls.LATCHED)
+
+
+_BLOCKS = {blocks.DISABLED: Block.DISABLED, blocks.NO_COMMAND: Block.NO_COMMAND, blocks.NO_SCAN: Block.NO_SCAN}
+
+
+class Velocity(NamedTuple):
+    """The velocity of the robot in its own frame."""
+
+    vx_mps: float
+    """m/s forward."""
+    vy_mps: float
+    """m/s to the left."""
+    wz_radps: float
+    """rad/s counter-clockwise, seen from above."""
+
+
+class Wheels(NamedTuple):
+    """The speed of each wheel in rad/s: positive rolls the robot forward, however the motor is mounted."""
+
+    front_left: float
+    """rad/s."""
+    rear_left: float
+    """rad/s."""
+    front_right: float
+    """rad/s."""
+    rear_right: float
+    """rad/s."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Stop:
+    """The last stop, and the three proofs of it; one is None while it is not known."""
+
+    cause: Cause
+    """Why."""
+    reason: str
+    """The text of `cause`."""
+    t: float
+    """Unix time, s."""
+    noticed_by: str
+    """The process that noticed the cause."""
+    written_by: str
+    """The process that wrote the stop."""
+    written_s: float | None
+    """Written: from noticing the cause until the kernel had the bytes, s. None: they could not be written."""
+    acknowledged_s: float | None
+    """Acknowledged: until the board answered a ping that was written after the stop, s."""
+    observed_s: float | None
+    """Observed: until the gyro showed the wheels still, s; 0: it saw no shaking before the stop either."""
+    epoch: int = 0
+    """That was raised for it: whoever asked for a stop in an earlier one was answered by this."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Process:
+    """One process of the service."""
+
+    pid: int
+    """0: there is none now."""
+    state: str
+    """starting, running, hanging, waiting (to be restarted), down, stopping, or dead (with the supervisor)."""
+    age_s: float
+    """Since its last heartbeat, s."""
+    restarts: int
+    """How often it was started anew in this run."""
+    last_exit: str | None
+    """How its predecessor died."""
+    worst_s: float
+    """The longest time between two turns of its loop since its start, s."""
+    realtime: bool
+    """It has real-time rights (SCHED_FIFO)."""
+    memory_locked: bool
+    """Its memory can't be swapped out."""
+    early_news: bool = True
+    """The kernel tells it of a death before it takes the dead process's memory down."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Device:
+    """The port of the board."""
+
+    path: str | None
+    """None: it was not opened yet."""
+    state: PortState
+    """closed, open, or lost (unplugged)."""
+    link: Link
+    """What its answers prove: unproven (none yet), alive, or deaf (it has answered before)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Client:
+    """A program that holds a client slot."""
+
+    slot: int
+    """0 to 7."""
+    name: str
+    """What it calls itself."""
+    pid: int
+    """By its own word."""
+    driving: bool
+    """Its command moves the wheels now."""
+    sees: str = ""
+    """What it says that it sees (`Robot.say`)."""
+    wrong: str = ""
+    """What is wrong by its account."""
+    said_s: float | None = None
+    """How long ago it said so, s; None: never."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """A source with a fresh command."""
+
+    source: str
+    """Its name in the settings, or `gamepad`."""
+    priority: int
+    """The highest drives."""
+    who: str
+    """Who commands as it: name and pid."""
+    state: Literal["drives", "waits"]
+    """waits: a higher one drives."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Starved:
+    """How often the machine did not run a process past its deadline, without a stop or a kill for it, since motion was
+    disabled."""
+
+    times: int
+    """How often."""
+    longest_s: float
+    """The longest of them, s."""
+    process: str
+    """Which process it was then."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Imu:
+    """The newest sample of the IMU: x forward, y left, z up."""
+
+    acceleration_mps2: tuple[float, float, float]
+    """m/s2."""
+    rate_radps: tuple[float, float, float]
+    """rad/s, less the bias."""
+    rate_variance: float
+    """Of each axis of the rate, (rad/s)2."""
+
+
+@dataclasses.dataclass(frozen=True)
+class GyroBias:
+    """What the gyro shows of a robot that stands still."""
+
+    bias_radps: tuple[float, float, float]
+    """rad/s, x forward, y left, z up."""
+    tracking: bool
+    """It follows the reading now."""
+    calibrated: bool
+    """The robot stood still long enough at the start."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Odometry:
+    """Pose since the start and velocity, both integrated from what was commanded."""
+
+    x_m: float
+    """m, forward at the start."""
+    y_m: float
+    """m, to the left at the start."""
+    th_rad: float
+    """rad counter-clockwise."""
+    vx_mps: float
+    """m/s forward."""
+    vy_mps: float
+    """m/s to the left."""
+    wz_radps: float
+    """rad/s counter-clockwise."""
+    twist_std_mps: float
+    """Standard deviation of vx and vy, m/s, by the settings."""
+    twist_std_radps: float
+    """Standard deviation of wz, rad/s, by the settings."""
+    pose_variance: float
+    """Of each of x, y (m2) and th (rad2): so large that nobody trusts the pose."""
+
+
+@dataclasses.dataclass(frozen=True)
+class JointState:
+    """One joint of the arm."""
+
+    servo: int
+    """The id of its servo on the bus."""
+    angle_rad: float | None
+    """Measured, rad; None before a reading."""
+    pulses: int | None
+    """The same in the servo's pulses."""
+    age_s: float | None
+    """Since it was read, s."""
+    commanded_rad: float | None
+    """Where it was sent, rad; None while it is not known where it is."""
+    commanded_pulses: float | None
+    """The same in the servo's pulses."""
+    torque: bool
+    """It holds."""
+    temperature_c: int | None
+    """Of the servo, degrees Celsius."""
+    supply_v: float | None
+    """Of the servo, V."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmState:
+    """The arm."""
+
+    mode: str
+    """trajectory, follow, jog, or empty."""
+    phase: str
+    """How far a trajectory is."""
+    moving: bool
+    """It moves now."""
+    by: str
+    """Who moves it; empty: nobody."""
+    closed: str
+    """Why it takes no goal; empty: it takes one."""
+    refused: str
+    """Why the last goal of a stream was not taken; empty: it was."""
+    released: bool
+    """Its torque is off."""
+    silent: tuple[int, ...]
+    """Servos that do not answer."""
+    wrong: tuple[str, ...]
+    """What is wrong with it, in words."""
+    pose: str
+    """drive, tuck, or empty."""
+    auto_tuck_s: float | None
+    """Until it tucks itself, s; None: it does not."""
+    tucks: bool
+    """It is about to tuck itself."""
+    pad_joint: int | None
+    """The servo that the gamepad turns."""
+    joints: dict[str, JointState]
+    """By name."""
+
+
+@dataclasses.dataclass(frozen=True)
+class State:
+    """One consistent snapshot: what the gate decided is one record, read whole."""
+
+    name: str
+    """Of the service."""
+    enabled: bool
+    """Motion is enabled."""
+    estop: str | None
+    """The text of `cause`."""
+    cause: Cause | None
+    """What is latched: the first cause since the last reset; None: nothing is."""
+    blocked: str | None
+    """Why the wheels may not turn, in the gate's words; None when they may. Programs compare `block`."""
+    body_vel: Velocity
+    """What the gate commands now."""
+    wheels_radps: Wheels
+    """The same for each wheel."""
+    epoch: int
+    """Raised by every stop."""
+    waiting_for: str | None
+    """What is not up yet; motion can't be enabled until it is."""
+    device: Device
+    """The port of the board."""
+    processes: dict[str, Process]
+    """By name."""
+    starved: Starved | None
+    """None: the machine has run every process in time."""
+    clients: tuple[Client, ...]
+    """Who holds a client slot."""
+    sources: tuple[Source, ...]
+    """Who drives and who waits, highest priority first."""
+    scan_age_s: float | None
+    """Since the obstacle sensor delivered last, s; None: never."""
+    last_stop: Stop | None
+    """None: there was none in this run."""
+    imu: Imu | None
+    """None before the first sample."""
+    gyro_bias: GyroBias | None
+    """None before it is known."""
+    odometry: Odometry | None
+    """None before the first."""
+    pad_mode: PadMode | None
+    """None: no gamepad frame yet."""
+    battery_v: float | None
+    """V; None before the first reading."""
+    plugged: Plugged
+    """Whether a charger is plugged in, judged from the voltage's steps."""
+    age_s: float
+    """Of the gate's record, s: it publishes every 0.08 s at least."""
+    attended_by: tuple[str, ...] | None = None
+    """The operators who are there; None: none is needed (setting attend.required)."""
+    arm: ArmState | None = None
+    """None without an arm in the settings."""
+
+    @property
+    def block(self) -> Block | None:
+        """Why the wheels may not turn; None when they may."""
+        return Block.of(self.blocked)
+
+    @property
+    def moving(self) -> bool:
+        """The gate commands a velocity."""
+        return self.blocked is None and any(self.wheels_radps)
+
+    @property
+    def driver(self) -> Source | None:
+        """Whose command moves the wheels, or would; None: nobody's."""
+        return next((source for source in self.sources if source.state == "drives"), None)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, as in `failstop status --json`; no word of an arm where there is none."""
+        plain = dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None))
+        for absent in ("arm", "attended_by"):
+            if plain[absent] is None:
+                del plain[absent]
+        return plain | {
+            "cause": _plain(self.cause),
+            "last_stop": self.last_stop and {**vars(self.last_stop), "cause": _plain(self.last_stop.cause)},
+        }
+
+
+def _plain(cause: Cause | None) -> dict[str, Any] | None:
+    """A cause for programs: the name of its row in policy/causes.py, and its arguments."""
+    return None if cause is None else {"name": cause.kind.name, **cause.named()}

@@ -1,0 +1,195 @@
+"""Why: what holds the wheels, what proof there is, what to do - three lines. Pure."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from failstop.api import history, verdict, words
+from failstop.api.reasons import explain as reason
+from failstop.api.snapshot import Block, State, Stop
+from failstop.policy.causes import Cause
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.api.events import Event
+
+YET_S = 2.0
+"""By then everything that will be known of a stop is known."""
+CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop"))
+"""Events that change whether motion is enabled."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Why:
+    """The answer to "why do the wheels stand?"; `str` of it is the three lines."""
+
+    what: str
+    """What holds the wheels, since when; who drives, if nothing does."""
+    proof: str
+    """What proves that they stand: of the last stop, what was written, acknowledged and observed."""
+    do: tuple[str, ...]
+    """What to do, in order, commands in backquotes; empty while they move."""
+    also: tuple[str, ...]
+    """What else is wrong."""
+    block: Block | None
+    """The same as State.block."""
+    cause: Cause | None
+    """The same as State.cause."""
+    since: float | None
+    """Unix time, s, from which on it holds; None: not known."""
+
+    def __str__(self) -> str:
+        return "\n".join(f"{label:<7}{text}" for label, text in self.rows())
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The lines with their labels; `also` as many times as there is something."""
+        found = [("what", self.what), ("proof", self.proof), ("do", ", then ".join(self.do) or "nothing")]
+        return [*found, *(("also", text) for text in self.also)]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, as in `failstop why --json`."""
+        cause = {"name": self.cause.kind.name, **self.cause.named()} if self.cause else None
+        return {**vars(self), "block": self.block and self.block.value, "cause": cause}
+
+
+HOLDS = {
+    Block.LATCHED: "a stop is latched",
+    Block.DISABLED: "motion is disabled",
+    Block.NO_COMMAND: "nobody commands: no command is younger than its timeout",
+    Block.NO_SCAN: "the obstacle sensor is silent, and without it only a person may drive",
+}
+"""What each block is in words."""
+
+
+def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
+    """The whole answer; `events` of this run, oldest first, may be empty, and then less is known."""
+    since, began = _since(state, events, now_s)
+    when = "" if since is None else f" since {words.ago(since, now_s)}"
+    what = f"{HOLDS[state.block]}{when}" if state.block else _free(state)
+    if doubt := verdict.doubt(state):
+        what = f"THE WHEELS MAY TURN (then: POWER SWITCH): {doubt}; {what}"
+    also = [words.named(text, state.name) for text in _troubles(state, events)]
+    return Why(
+        ": ".join(filter(None, (what, began))),
+        _proof(state, now_s),
+        tuple(words.named(step, state.name) for step in (*_first(state), *verdict.steps(state))),
+        (*also, *_before(state, events, now_s)),
+        state.block,
+        state.cause,
+        since,
+    )
+
+
+def _first(state: State) -> list[str]:
+    """What to see to before a reset."""
+    return [reason(state.cause)[1]] if state.cause and not verdict.doubt(state) else []
+
+
+def _free(state: State) -> str:
+    how = words.velocity(*state.body_vel) or "zero, so the wheels stand"
+    if driver := state.driver:
+        return f"nothing holds the wheels: {driver.who} drives as {driver.source}, {how}"
+    return f"nothing holds the wheels: the command is {how}"
+
+
+def _since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | None, str]:
+    """Since when this block holds, as far as is known, and what began it."""
+    stop = state.last_stop
+    if state.cause:
+        return (stop.t if stop and stop.cause == state.cause else None), reason(state.cause)[0]
+    if state.block is Block.NO_SCAN:
+        age_s = state.scan_age_s
+        told = "has not delivered once in this run" if age_s is None else f"delivered last {words.span(age_s)} ago"
+        return None, f"it {told}"
+    if state.block is Block.DISABLED:
+        change = next((event for event in reversed(events) if event.kind in CHANGES), None)
+        return (change.t, change.text.partition("; next: ")[0]) if change else (None, "")
+    if state.block is Block.NO_COMMAND and (event := history.left_off(events)):
+        return None, _left_off(event, state, now_s)
+    return None, ""
+
+
+def _left_off(event: Event, state: State, now_s: float) -> str:
+    """Who drove and did not stop in order. It may have driven on since: that is not told of each time."""
+    text = f"{history.leaving(event)} ({words.ago(event.t, now_s)})"
+    if any(event.fields.get("who") == f"{client.name} (pid {client.pid})" for client in state.clients):
+        text += "; it is still connected, so it hangs, waits, or commands too seldom"
+    return text
+
+
+def _before(state: State, events: Sequence[Event], now_s: float) -> list[str]:
+    """That the run before this one was not ended in order."""
+    found = history.earlier(events)
+    if found is None or state.last_stop or state.block is not Block.DISABLED:
+        return []
+    return [f"the run before this one: {found.how} ({words.ago(found.t, now_s)}); its story: {found.show(state.name)}"]
+
+
+def _proof(state: State, now_s: float) -> str:
+    """Of the stop that holds the wheels, or was last; of a command, that the board answers."""
+    stop = state.last_stop
+    if stop and (state.block is Block.DISABLED or stop.cause == state.cause):
+        which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
+        return f"{which}{_proofs(stop, state, now_s)}"
+    hears = {"alive": "the board answers", "deaf": "the board does NOT answer"}.get(
+        state.device.link, "the board has not answered yet"
+    )
+    if state.block in (None, Block.LATCHED):
+        return hears
+    return f"the board is told zero; {hears}"
+
+
+def _proofs(stop: Stop, state: State, now_s: float) -> str:
+    """The three levels."""
+    if stop.written_s is None:
+        later = "" if verdict.doubt(state) else " at first; the port is open now, and the board is told zero"
+        return f"it could NOT be written{later}"
+    yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
+    found = [f"written by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"]
+    if stop.acknowledged_s is None:
+        found.append(f"NOT acknowledged by the board{yet}")
+    else:
+        found.append(f"acknowledged by the board after {words.took(stop.acknowledged_s)}")
+    if stop.observed_s is None:
+        found.append(f"NOT seen still by the IMU{yet}")
+    else:
+        found.append(words.wheels_seen(stop))
+    return ", ".join(found)
+
+
+def _troubles(state: State, events: Sequence[Event]) -> list[str]:
+    """What else is wrong and keeps the wheels from moving, or may."""
+    found = []
+    hung = history.exits(events)
+    for name, process in state.processes.items():
+        if process.state == "down":
+            how = history.last_exit(state, name, hung)
+            found.append(f"{name} died too often (it {how}) and is {verdict.until(name)}")
+        elif process.state != "running":
+            after = f", after it {history.last_exit(state, name, hung)}" if process.last_exit else ""
+            found.append(f"{name} is {process.state}{after}")
+    if state.device.state == "open" and state.device.link == "unproven":
+        found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
+    elif state.waiting_for and not found and not verdict.doubt(state):
+        found.append(f"the service waits for {state.waiting_for}")
+    if starved := words.starved(state.starved):
+        found.append(f"{starved} (`failstop doctor` has the command that gives it real-time rights)")
+    if state.age_s > verdict.STALE_S:
+        found.append(f"the gate has said nothing for {words.span(state.age_s)}, so this may be old")
+    if state.arm:
+        found += [f"the arm: {text}" for text in state.arm.wrong]
+    return found + _said(state)
+
+
+def _said(state: State) -> list[str]:
+    """What is wrong by a client's own account; and what it sees, where the wheels wait for its kind."""
+    found = []
+    for who, sees, wrong in words.said(state):
+        if wrong:
+            found.append(f"{who} says: {wrong}")
+        elif state.block in (Block.NO_SCAN, Block.NO_COMMAND):
+            found.append(f"{who} says: {sees}")
+    return found

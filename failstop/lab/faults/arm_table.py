@@ -1,0 +1,115 @@
+"""The table of the arm's faults. The rows of table.py are of turning wheels: an arm moves while the wheels stand, and
+its servos, by the simulated board's word, are what is judged.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+from failstop.board.servos import LONGEST_MOVE_MS
+from failstop.lab.faults.fault import ENABLE, LATE_MS, NEW_RUN, RESET, Wanted, told
+from failstop.lab.faults.processes import DEADLINES_MS, DEATH_OF, HANG_OF
+from failstop.policy import causes
+from failstop.shm.layout import GATE, PROCESSES, SUPERVISOR
+
+KILL, HANG, CLIENT_KILL, CLIENT_HANG, REQUEST, UNPLUG, SECOND, POSING, SERVO = (
+    "kill",
+    "hang",
+    "client-kill",
+    "client-hang",
+    "request",
+    "unplug",
+    "second",
+    "posing",
+    "servo",
+)
+"""What is done."""
+BY_ITSELF_MS = float(LONGEST_MOVE_MS)
+"""What a servo goes on for when nobody sends it anything any more."""
+STOP_MS = 5.0
+GOAL_MS = 500.0
+"""After so long without a new goal the gate holds the arm (arm.goal_timeout_s)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmFault:
+    """One row."""
+
+    name: str
+    cause: str
+    first: str
+    """Who stops the arm first."""
+    what: str
+    process: str = ""
+    latched: tuple[Wanted, ...] = ()
+    """The cause that stays latched is one of these; empty: nothing does."""
+    cleared: str = ENABLE
+    bar_ms: float | None = BY_ITSELF_MS
+    """To the last joint at rest; None: motion is not enabled."""
+    servo: tuple[tuple[str, float], ...] = ()
+    """What is wrong with the elbow's servo, as the simulated board takes it."""
+    refused: str = ""
+    """How the answer to an enable begins, behind `arm is not in the drive pose: joint elbow`."""
+    weight: int = 1
+    """How often a campaign draws it, against the others: it takes seconds."""
+
+    @property
+    def limit_ms(self) -> float | None:
+        """A joint that turns later than this fails."""
+        return None if self.bar_ms is None else 1.5 * self.bar_ms + LATE_MS
+
+    def described(self) -> str:
+        """The part of its line in docs/dev/faults.md that nothing is measured for."""
+        latched = f"`{told(self.latched)}`" if self.latched else "nothing"
+        return f"| `{self.name}` | {self.cause} | {self.first} | {latched} | {self.cleared} |"
+
+
+def _kill(process: str) -> ArmFault:
+    latched, cleared = ((), NEW_RUN) if process == SUPERVISOR else (((causes.DIED, process),), RESET)
+    cause = f"SIGKILL of the {process} while the arm moves"
+    return ArmFault(
+        f"arm-kill-{process}", cause, DEATH_OF[process], KILL, process, latched, cleared, BY_ITSELF_MS + STOP_MS
+    )
+
+
+def _hang(process: str) -> ArmFault:
+    """While motion is disabled nobody watches the gate's lease: its servos stand first, by themselves."""
+    first, deadline_ms = HANG_OF[process]
+    if process == GATE:
+        first, deadline_ms = "each servo, at its move's end; the supervisor, through the port owner", DEADLINES_MS[GATE]
+    latched: tuple[Wanted, ...] = ((causes.HANGS, process), (causes.STARVED, process))
+    latched, cleared = ((), NEW_RUN) if process == SUPERVISOR else (latched, RESET)
+    cause = f"SIGSTOP of the {process} while the arm moves"
+    return ArmFault(f"arm-hang-{process}", cause, first, HANG, process, latched, cleared, BY_ITSELF_MS + deadline_ms)
+
+
+def _servo(name: str, cause: str, refused: str, **values: float) -> ArmFault:
+    first = "gate: motion is not enabled"
+    return ArmFault(f"arm-servo-{name}", cause, first, SERVO, bar_ms=None, servo=tuple(values.items()), refused=refused)
+
+
+ELSEWHERE = " (servo 3) is "
+REQUESTED: tuple[Wanted, ...] = ((causes.REQUESTED,),)
+LOST: tuple[Wanted, ...] = ((causes.DEVICE_LOST,),)
+SECONDS: tuple[Wanted, ...] = ((causes.TWO_MOVE_THE_ARM,),)
+CLAIM = "gate (its client has gone)"
+TIME = "gate (no goal for 0.5 s)"
+ROWS = (
+    *map(_kill, PROCESSES),
+    *map(_hang, PROCESSES),
+    ArmFault("arm-client-killed", "SIGKILL of who moves it", CLAIM, CLIENT_KILL, bar_ms=BY_ITSELF_MS + STOP_MS),
+    ArmFault("arm-client-hung", "SIGSTOP of who moves it", TIME, CLIENT_HANG, bar_ms=BY_ITSELF_MS + GOAL_MS),
+    ArmFault("arm-second-client", "a second client moves it", "gate", SECOND, "", SECONDS, RESET),
+    ArmFault("arm-stop-request", "a stop request while it moves", "port owner", REQUEST, "", REQUESTED, RESET),
+    ArmFault(
+        "arm-stop-posing", "a stop request on its way to the drive pose", "port owner", POSING, "", REQUESTED, RESET
+    ),
+    ArmFault("arm-usb-drop", "unplugged while it moves", "each servo, at its move's end", UNPLUG, "", LOST, RESET),
+    _servo("silent", "a servo does not answer, motion is to be enabled", ": no answer from servo 3", silent=True),
+    _servo("blocked", "a joint is blocked, motion is to be enabled", ELSEWHERE, blocked=True),
+    _servo("unloaded", "a servo has let go, motion is to be enabled", ELSEWHERE, unloaded=True),
+    _servo("hot", "a servo is at 90 degrees, motion is to be enabled", ELSEWHERE, temperature_c=90),
+)
+BY_NAME = {row.name: row for row in ROWS}
+SWINGING = (KILL, HANG, CLIENT_KILL, CLIENT_HANG, REQUEST)
+"""What can be done on a stand, to an arm that a program moves."""

@@ -1,0 +1,143 @@
+"""The reference of the Python API, from its docstrings: `python packaging/reference.py > docs/python-reference.md`."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+API = Path(__file__).resolve().parent.parent / "failstop" / "api"
+HEAD = """# Python: reference
+
+Generated from the docstrings of `failstop/api` (`make docs`). The guide is [python.md](python.md). What has no module
+beside it comes from `failstop` itself: `from failstop import Robot`.
+"""
+CLASSES = {
+    "robot": ("Robot",),
+    "aio": ("AsyncRobot",),
+    "driving": ("Driving", "Preempted", "Blocked"),
+    "why": ("Why",),
+    "snapshot": (),
+    "arm": ("Arm",),
+    "events": ("Event",),
+    "samples": ("ImuSample", "BatterySample", "PadSample", "OdometrySample"),
+    "errors": (),
+}
+"""The classes that are shown of each module; none named: all."""
+TITLES = {
+    "robot": "Robot",
+    "aio": "asyncio",
+    "driving": "What drive() answers",
+    "why": "Why",
+    "snapshot": "State",
+    "arm": "Arm",
+    "events": "Events",
+    "samples": "Samples (failstop.api.samples)",
+    "errors": "Errors",
+}
+FIRST = {"snapshot": ("State",), "errors": ("FailstopError",)}
+
+
+def main() -> None:
+    """Print the page."""
+    sys.stdout.write(page())
+
+
+def page() -> str:
+    """The page."""
+    parts = [HEAD]
+    for module, names in CLASSES.items():
+        tree = ast.parse((API / f"{module}.py").read_text())
+        found = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef) and node.name[0] != "_"}
+        order = names or (*FIRST[module], *(name for name in found if name not in FIRST[module]))
+        parts.append(f"## {TITLES[module]}\n")
+        values = vars(importlib.import_module(f"failstop.api.{module}"))
+        parts += [part for name in order for part in _class(found[name], values)]
+    return "\n".join(parts)
+
+
+def _class(node: ast.ClassDef, values: dict[str, object]) -> Iterator[str]:
+    bases = [ast.unparse(base) for base in node.bases if ast.unparse(base) not in ("NamedTuple", "Exception")]
+    yield f"### {node.name}{f' ({bases[0]})' if bases else ''}\n"
+    yield f"{_flat(ast.get_docstring(node) or '')}\n"
+    rows = [*_fields(node), *_members(node, values)]
+    if rows:
+        yield "| | |\n|---|---|"
+        yield from (
+            f"| `{name.replace('|', chr(92) + '|')}` | {text.replace('|', chr(92) + '|')} |" for name, text in rows
+        )
+        yield ""
+
+
+def _fields(node: ast.ClassDef) -> Iterator[tuple[str, str]]:
+    """Fields, and members of an enumeration, with the text that follows each."""
+    for at, item in enumerate(node.body):
+        name = ""
+        if isinstance(item, ast.AnnAssign):
+            name = f"{ast.unparse(item.target)}: {ast.unparse(item.annotation)}"
+        elif isinstance(item, ast.Assign):
+            name = ast.unparse(item.targets[0])
+        if name and not name.startswith("_"):
+            after = node.body[at + 1] if at + 1 < len(node.body) else None
+            yield name, _flat(_text(after))
+
+
+def _text(node: ast.stmt | None) -> str:
+    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+        return node.value.value
+    return ""
+
+
+def _members(node: ast.ClassDef, values: dict[str, object]) -> Iterator[tuple[str, str]]:
+    """Methods and properties; what begins with an underscore is nobody's."""
+    for item in node.body:
+        if not isinstance(item, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            continue
+        if item.name == "__init__" and (told := ast.get_docstring(item)):
+            yield f"{node.name}{_signature(item, values)}", _flat(told)
+        if item.name.startswith("_"):
+            continue
+        marks = {ast.unparse(mark) for mark in item.decorator_list}
+        before = "await " if isinstance(item, ast.AsyncFunctionDef) else ""
+        returns = ast.unparse(item.returns) if item.returns else ""
+        if "property" in marks:
+            yield f"{item.name}: {returns}", _flat(ast.get_docstring(item) or "")
+        else:
+            arrow = f" -> {returns}" if returns not in ("None", "") else ""
+            yield f"{before}{item.name}{_signature(item, values)}{arrow}", _flat(ast.get_docstring(item) or "")
+
+
+def _signature(node: ast.FunctionDef | ast.AsyncFunctionDef, values: dict[str, object]) -> str:
+    """Without `self`, and without annotations, which the text says in words."""
+    given = node.args
+    plain = [argument.arg for argument in given.args][1:]
+    defaults = [_value(default, values) for default in given.defaults]
+    first = len(plain) - len(defaults)
+    parts = [f"{name}={defaults[at - first]}" if at >= first else name for at, name in enumerate(plain)]
+    if given.vararg:
+        parts.append(f"*{given.vararg.arg}")
+    elif given.kwonlyargs:
+        parts.append("*")
+    for argument, default in zip(given.kwonlyargs, given.kw_defaults, strict=True):
+        parts.append(f"{argument.arg}={_value(default, values)}" if default else argument.arg)
+    return f"({', '.join(parts)})"
+
+
+def _value(node: ast.expr, values: dict[str, object]) -> str:
+    """A default; a name of the module by its value."""
+    return repr(values[node.id]) if isinstance(node, ast.Name) else ast.unparse(node)
+
+
+def _cell(text: str) -> str:
+    """A text in a table."""
+    return text.replace("|", "\\|")
+
+
+def _flat(text: str) -> str:
+    return " ".join(text.split())
+
+
+if __name__ == "__main__":
+    main()

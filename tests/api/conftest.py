@@ -1,0 +1,30 @@
+"""One service for the tests of a file: each leaves it disabled, with nothing latched."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from failstop.lab.trial import Trial
+
+_numbers = itertools.count()
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
+    config = tmp_path_factory.mktemp("api") / "failstop.toml"
+    config.write_text("[sources.teleop]\npriority = 10\n")
+    with Trial(f"api-{os.getpid()}-{next(_numbers)}", ("--config", str(config))) as running:
+        yield running
+
+
+@pytest.fixture
+def trial(service: Trial) -> Iterator[Trial]:
+    yield service
+    if service.robot.state.cause:
+        service.enable()
+    service.robot.disable()
+    service.leave()

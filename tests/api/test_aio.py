@@ -1,0 +1,115 @@
+"""The Robot in an event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import select
+import time
+
+import pytest
+
+from failstop import AsyncRobot, Driving, Refused, Robot, TimedOut
+from failstop.lab.trial import Trial
+from failstop.shm import news
+
+
+def test_a_robot_in_an_event_loop(trial: Trial) -> None:
+    async def drives() -> None:
+        async with Robot.connect(trial.name) as robot:
+            await robot.wait_for("ready", 5.0)
+            assert await robot.enable() == "motion enabled"
+            robot.sensed()
+            until_s = time.monotonic() + 5.0
+            while not isinstance(robot.drive(0.1, 0.0, 0.0, manual=True), Driving):
+                assert time.monotonic() < until_s
+            assert (await robot.wait_for("moving", 5.0)).moving
+            assert await robot.disable() == "motion disabled"
+
+    asyncio.run(drives())
+    assert not trial.robot.state.enabled
+
+
+def test_events_and_requests_of_several_tasks(trial: Trial) -> None:
+    async def stop_is_told() -> list[str]:
+        async with Robot.connect(trial.name) as robot:
+            events = robot.events()
+            asker = asyncio.create_task(_ask(robot))
+            found: list[str] = []
+            async for event in events:
+                found.append(event.kind)
+                if event.kind == "stop":
+                    break
+            await asker
+            return found
+
+    assert asyncio.run(stop_is_told()) == ["enabled", "disabled", "enabled", "stop"]
+
+
+async def _ask(robot: AsyncRobot) -> None:
+    await asyncio.gather(robot.enable(), robot.disable(), robot.enable())
+    robot.estop("enough")
+    await robot.wait_for("latched", 5.0)
+    with pytest.raises(Refused):
+        await robot.enable()
+
+
+def test_the_loop_goes_on_while_one_waits(trial: Trial) -> None:
+    async def waits() -> int:
+        turns = 0
+        async with Robot.connect(trial.name) as robot:
+            waiting = asyncio.create_task(robot.wait_for("latched", 10.0))
+            while not waiting.done():
+                await asyncio.sleep(0)
+                turns += 1
+                if turns == 1000:
+                    robot.estop("seen")
+            assert "seen" in ((await waiting).estop or "")
+            with pytest.raises(TimedOut):
+                await robot.wait_for("clear", 0.0)
+        return turns
+
+    assert asyncio.run(waits()) > 1000
+
+
+# What wakes them.
+
+
+def test_what_is_told_wakes_who_waits_and_a_new_run_too(trial: Trial) -> None:
+    found = news.News(trial.name)
+    try:
+        assert not found.watch(), "looking comes after watching"
+        assert found.watch()
+        assert _woken(found, 0.0) is False, "nothing happens"
+        trial.robot.enable()
+        assert _woken(found, 5.0)
+        found.clear()
+        assert found.watch()
+        assert trial.service.end() == 0
+        while found.watch():
+            assert _woken(found, 5.0), "its file has gone"
+            found.clear()
+        trial.leave()
+        trial.service.start()
+        assert not found.watch()
+        assert found.watch(), "the next one's"
+        trial.robot.enable()
+        assert _woken(found, 5.0)
+    finally:
+        found.close()
+
+
+def _woken(found: news.News, timeout_s: float) -> bool:
+    return bool(select.select((found.fd,), (), (), timeout_s)[0])
+
+
+def test_without_wake_ups_there_is_looking(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where a user has no more of inotify's descriptors."""
+    monkeypatch.setattr(news.News, "watch", lambda self: self.close())
+    trial.robot.estop("unheard")
+    assert trial.robot.wait_for("latched", 5.0).cause
+
+    async def waits() -> None:
+        async with Robot.connect(trial.name) as robot:
+            await robot.wait_for("latched", 5.0)
+
+    asyncio.run(waits())

@@ -1,0 +1,140 @@
+"""Why: for each block what holds, since when, what proves it, what to do."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from failstop.api import words
+from failstop.api.events import Event
+from failstop.api.snapshot import Block, Device, Starved, State
+from failstop.api.why import HOLDS, Why, explain
+from failstop.policy import causes
+from tests.support.states import NOW_S, driving, latched, process, state, stop
+
+STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_radps": (0.0, 0.0, 0.0, 0.0)}
+LOST = Device("/dev/ttyACM0", "lost", "unproven")
+
+
+def event(kind: str, text: str, age_s: float) -> Event:
+    return Event(1, NOW_S - age_s, 0, kind, "notice", text, {})
+
+
+def why(found: State, *events: Event) -> Why:
+    answer = explain(found, events, NOW_S)
+    for text in (answer.what, answer.proof, *answer.do, *answer.also):
+        assert text
+        assert "  " not in text
+        assert not text.endswith((".", ":", ";"))
+    return answer
+
+
+def test_a_latch_in_three_lines() -> None:
+    found = why(latched(causes.REQUESTED("hand near", "failstop stop", 4711)))
+    when = words.clock(NOW_S - 12, NOW_S)
+    assert str(found).splitlines() == [
+        f'what   a stop is latched since {when}, 12 s ago: failstop stop (pid 4711) asked for a stop: "hand near"',
+        "proof  written by the port owner after 0.21 ms, acknowledged by the board after 4.40 ms, "
+        "wheels still after about 0.3 s",
+        "do     make sure that whatever it was for is over, then `failstop reset`, then `failstop enable`",
+    ]
+    assert (found.block, found.since, found.also) == (Block.LATCHED, NOW_S - 12, ())
+
+
+def test_proofs_that_are_missing_are_said_to_be() -> None:
+    unseen = latched(last_stop=stop(acknowledged_s=None, observed_s=None))
+    assert why(unseen).proof.endswith("NOT acknowledged by the board, NOT seen still by the IMU")
+    assert explain(unseen, (), NOW_S - 11).proof.endswith("by the board yet, NOT seen still by the IMU yet")
+    unwritten = stop(written_s=None)
+    assert why(latched(last_stop=unwritten)).proof.endswith("the port is open now, and the board is told zero")
+    lost = why(latched(causes.DEVICE_LOST(), last_stop=stop(causes.DEVICE_LOST(), written_s=None), device=LOST))
+    assert lost.proof == "it could NOT be written"
+
+
+def test_another_stop_than_the_latched_one_proves_nothing_of_it() -> None:
+    found = why(latched(causes.KEY(1), last_stop=stop(causes.DIED("gate"))))
+    assert (found.since, found.proof) == (None, "the board answers")
+    assert found.what.startswith("a stop is latched: ")
+
+
+def test_disabled_since_the_event_that_made_it_so() -> None:
+    past = (
+        event("enabled", "motion enabled by nav (pid 42)", 60),
+        event("disabled", "motion disabled by nav (pid 42)", 30),
+        event("link", "the board answers", 20),
+    )
+    found = why(state(), *past)
+    assert found.since == NOW_S - 30
+    assert found.what.endswith("30 s ago: motion disabled by nav (pid 42)")
+    assert found.do == ("`failstop enable`",)
+    assert why(state()).since is None
+
+
+def test_a_stop_before_the_reset_is_shown_with_its_proofs() -> None:
+    proof = why(state(last_stop=stop())).proof
+    assert proof.startswith(f"the last stop (key1; {words.ago(NOW_S - 12, NOW_S)}): written by the port owner")
+
+
+@pytest.mark.parametrize(
+    ("blocked", "part"), [("cmd timeout", "nobody commands"), ("no scan", "it delivered last 2.5 s ago")]
+)
+def test_blocks_that_end_by_themselves(blocked: str, part: str) -> None:
+    found = why(driving(blocked=blocked, scan_age_s=2.5, **STANDING))
+    assert part in found.what
+    assert found.proof == "the board is told zero; the board answers"
+
+
+def test_a_sensor_that_never_delivered() -> None:
+    assert why(driving(blocked="no scan", **STANDING)).what.endswith("it has not delivered once in this run")
+
+
+def test_nothing_holds_them() -> None:
+    found = why(driving())
+    assert found.what == "nothing holds the wheels: nav (pid 42) drives as cmd_vel, 0.20 m/s forward"
+    assert (found.block, found.do) == (None, ())
+    assert "zero, so the wheels stand" in why(driving(**STANDING)).what
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        latched(causes.DEVICE_LOST(), device=LOST),
+        state(device=Device("/dev/ttyACM0", "open", "deaf")),
+        latched(causes.UNSTILL()),
+    ],
+)
+def test_wheels_that_may_turn_are_not_said_to_stand(found: State) -> None:
+    answer = why(found)
+    assert answer.what.startswith("THE WHEELS MAY TURN (then: POWER SWITCH): ")
+    assert "wheels stand" not in str(answer)
+
+
+def test_troubles_are_told() -> None:
+    gate = process(pid=0, state="down", last_exit="killed by SIGKILL")
+    found = why(latched(causes.DIED("gate"), waiting_for="gate", processes={"gate": gate}))
+    assert found.also == ("gate died too often (it was killed by SIGKILL) and is down for a minute",)
+    assert found.do[1:] == ("wait for gate", "`failstop reset`", "`failstop enable`")
+    (starved,) = why(state(starved=Starved(3, 0.612, "telemetry"))).also
+    assert starved.startswith("the machine starved the service 3 times, at worst telemetry for 612 ms (`")
+    waiting = process(state="waiting", last_exit="killed by SIGKILL")
+    assert why(state(waiting_for="gate", processes={"gate": waiting})).also == (
+        "gate is waiting, after it was killed by SIGKILL",
+    )
+    assert why(state(waiting_for="the port")).also == ("the service waits for the port",)
+    assert "nobody knows that it hears" in why(state(device=Device("/dev/ttyACM0", "open", "unproven"))).also[0]
+    assert "said nothing for 3.0 s" in why(state(age_s=3.0)).also[0]
+
+
+def test_commands_name_the_robot_where_there_are_several() -> None:
+    assert why(state(name="left")).do == ("`failstop enable --name left`",)
+
+
+def test_for_programs() -> None:
+    found = json.loads(json.dumps(why(latched()).as_dict()))
+    assert set(found) == {"what", "proof", "do", "also", "block", "cause", "since"}
+    assert (found["block"], found["cause"]) == ("latched", {"name": "key", "key": 1})
+
+
+def test_every_block_has_its_words() -> None:
+    assert HOLDS.keys() == set(Block)
