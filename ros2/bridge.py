@@ -173,7 +173,7 @@ def main(name: str, ros_arguments: Sequence[str]) -> int:
     from rclpy.signals import SignalHandlerOptions
 
     note = leftovers.note_path(name)
-    removed = leftovers.clear(note)
+    removed, left = leftovers.clear(note)
     before = leftovers.present()
     try:
         rclpy.init(args=["failstop", *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
@@ -183,19 +183,21 @@ def main(name: str, ros_arguments: Sequence[str]) -> int:
         bridge = Bridge(rclpy, name)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, bridge.end)
-        _remember(note, before, removed)
+        _remember(note, before, removed, left)
         bridge.run()
     finally:
         rclpy.try_shutdown()
+        if left:
+            leftovers.remove(left)
         leftovers.forget(note)
     return 0
 
 
-def _remember(note: str, before: set[str], removed: Sequence[str]) -> None:
+def _remember(note: str, before: set[str], removed: Sequence[str], left: set[str]) -> None:
     if removed:
         sys.stderr.write(f"failstop: removed {len(removed)} files that a killed bridge had left in {leftovers.SHM}\n")
     try:
-        leftovers.remember(note, leftovers.mapped("self") - before)
+        leftovers.remember(note, leftovers.mapped("self") - before | left)
     except OSError as error:
         sys.stderr.write(f"failstop: {note}: {error.strerror}; a killed bridge's files will stay\n")
 

@@ -1,7 +1,9 @@
 """Leftovers: the files that a killed predecessor's Fast DDS has left in /dev/shm, 0.6 MB each time, removed.
 
 Nobody else's: the bridge writes down which files its own DDS has made, and what a later one finds in that list it
-removes only when its writer is dead, and no living process has the file mapped.
+removes only when its writer is dead, and no living process has the file mapped. The files of ports stay: others may
+know that port, and send into a file that is gone for ever (the new bridge then hears nobody, in one of ten kills). The
+next process that takes the port mends and reuses them.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ import re
 import time
 
 SHM = "/dev/shm"
-PATTERN = re.compile(r"(?:sem\.)?fastrtps_[0-9A-Za-z_]+")
+PATTERN = re.compile(r"fastrtps_(?!port)[0-9A-Za-z_]+")
 
 
 def present(folder: str = SHM) -> set[str]:
@@ -71,11 +73,17 @@ def forget(path: str) -> None:
         os.unlink(path)
 
 
-def clear(path: str, folder: str = SHM) -> list[str]:
-    """Remove what a dead predecessor left; returns the names."""
+def clear(path: str, folder: str = SHM) -> tuple[list[str], set[str]]:
+    """Remove what a dead predecessor left; returns the names, and those that others have mapped still: DDS keeps a dead
+    one's memory for up to 20 s. Whoever comes next is to remove them."""
     pid, since, files = _read(path)
     if not files or born(pid) == since:
-        return []
+        return [], set()
+    return remove(files, folder)
+
+
+def remove(files: set[str], folder: str = SHM) -> tuple[list[str], set[str]]:
+    """Remove those of these files that nobody has mapped; returns the names, and the rest."""
     used = set().union(*(mapped(pid, folder) for pid in os.listdir("/proc") if pid.isdigit()))
     removed = []
     for name in files & present(folder) - used:
@@ -84,7 +92,7 @@ def clear(path: str, folder: str = SHM) -> list[str]:
             if os.lstat(file).st_uid == os.getuid():
                 os.unlink(file)
                 removed.append(name)
-    return sorted(removed)
+    return sorted(removed), files & used
 
 
 def _read(path: str) -> tuple[int, str, set[str]]:
