@@ -15,8 +15,7 @@ import pytest
 from failstop.api.words import unit
 from failstop.lab.trial import Trial, wait_for
 from tests.support.commands import FAILSTOP, failstop
-
-from .typist import Typist
+from tests.support.typist import Typist
 
 QUICK = 3.0
 FLOOR = "import argparse, dataclasses, json, msgpack"

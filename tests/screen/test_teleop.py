@@ -14,8 +14,7 @@ from failstop.api.events import EventLog
 from failstop.cli.screen.hold import COMMAND_S, ENDS_S
 from failstop.lab.sim.client import Event
 from failstop.lab.trial import Trial, wait_for
-
-from .typist import Typist
+from tests.support.typist import Typist
 
 REPEAT_S = 0.03
 LATE_S = 0.35

@@ -13,8 +13,7 @@ import pytest
 from failstop.lab.trial import Trial, wait_for
 from failstop.shm import layout
 from tests.support.commands import FAILSTOP
-
-from .typist import Typist
+from tests.support.typist import Typist
 
 CPU_S = 5.0
 MOST_CPU = 0.01

@@ -13,8 +13,8 @@ import pytest
 
 from failstop.cli.commands.attend import BETWEEN
 from failstop.lab.trial import Trial, wait_for
-from tests.screen.typist import Typist
 from tests.support.commands import FAILSTOP
+from tests.support.typist import Typist
 
 LEASE_S = 0.5
 
