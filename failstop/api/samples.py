@@ -106,7 +106,9 @@ class SampleReader:
         run of the service is over."""
         found: list[Sample] = []
         while entry := self._board.next():
-            found.append(_sample(entry[1], *box.unpack_board(entry[2])))
+            kind, values = box.unpack_board(entry[2])
+            if make := _MAKERS.get(kind):
+                found.append(make(entry[1], values))
         news = self._odometry.read()
         if news and news[0] != self._odometry_seq:
             self._odometry_seq = news[0]
@@ -116,15 +118,21 @@ class SampleReader:
         return found
 
 
-def _sample(t_ns: int, kind: int, values: tuple[float, ...]) -> Sample:
-    if kind == box.IMU:
-        return ImuSample(t_ns, values[:3], values[3:])
-    numbers = tuple(map(int, values))
-    if kind == box.BATTERY:
-        return BatterySample(t_ns, numbers[0] / 1000, records.PLUGGED[numbers[1]])
-    buttons, hat, *axes, mode = numbers
+def _imu(t_ns: int, values: tuple[float, ...]) -> Sample:
+    return ImuSample(t_ns, values[:3], values[3:])
+
+
+def _battery(t_ns: int, values: tuple[float, ...]) -> Sample:
+    return BatterySample(t_ns, values[0] / 1000, records.PLUGGED[int(values[1])])
+
+
+def _pad(t_ns: int, values: tuple[float, ...]) -> Sample:
+    buttons, hat, *axes, mode = map(int, values)
     return PadSample(t_ns, buttons, hat, tuple(axes), records.PAD_MODES[mode])
 
+
+_MAKERS = {box.IMU: _imu, box.BATTERY: _battery, box.PAD: _pad}
+"""Of the box's records, those that are samples: what the arm's servos answer is told in State.arm."""
 
 Sample = ImuSample | BatterySample | PadSample | OdometrySample
 

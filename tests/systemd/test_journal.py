@@ -28,7 +28,7 @@ import sys
 import time
 sys.path.insert(0, "{installed.PREFIX}/src")
 from failstop import Robot
-with Robot() as robot:
+with Robot(disable_on_exit=False) as robot:
     for _ in range(10):
         robot.drive(0.1, 0.0, 0.0)
         time.sleep(0.02)
