@@ -72,7 +72,8 @@ class AsyncRobot:
             return state
 
     def events(self, *, past: bool = False) -> AsyncIterator[Event]:
-        """As Robot.events: `async for event in robot.events()`."""
+        """As Robot.events: `async for event in robot.events()`. What is told from this call on, whenever it is read: a
+        task that calls it itself may start late."""
         log = EventLog(self.robot.name)
         if not past:
             log.skip()
