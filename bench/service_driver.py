@@ -46,7 +46,7 @@ def main(name: str) -> int:
 
 def _enabled(name: str) -> Robot:
     """A connection to the run that is there now, with motion enabled. Raises FailstopError."""
-    robot = Robot(name, client="driver")
+    robot = Robot(name, client="driver", disable_on_exit=False)
     try:
         if robot.state.estop:
             robot.reset()
