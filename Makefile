@@ -14,11 +14,13 @@ demo: $(VENV)/.installed
 # virtual machine withholds a core, a process may miss a deadline, and then another stop comes first than a test has asked for:
 # what fails is shown, and tried again by itself. JOBS=0 is one after the other, in one process.
 JOBS ?= 3
+# Compiled copies are kept, wherever else they are not wanted: without them every process that a test starts compiles anew.
+PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest
 AGAIN := --numprocesses 0 --last-failed --last-failed-no-failures none
 test: $(VENV)/.dev lint
-	$(BIN)/pytest --numprocesses $(JOBS) --dist loadfile -m 'not alone and not page' || \
-	  { [ $$? -eq 1 ] && $(BIN)/pytest $(AGAIN) -m 'not alone and not page'; }
-	$(BIN)/pytest --numprocesses 0 -m alone || { [ $$? -eq 1 ] && $(BIN)/pytest $(AGAIN) -m alone; }
+	$(PYTEST) --numprocesses $(JOBS) --dist loadfile -m 'not alone and not page' || \
+	  { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m 'not alone and not page'; }
+	$(PYTEST) --numprocesses 0 -m alone || { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m alone; }
 
 # Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults.
 campaigns: $(VENV)/.dev
@@ -26,10 +28,9 @@ campaigns: $(VENV)/.dev
 	  tests/procs/test_gate_arm.py tests/faults/test_arm_rows.py \
 	  tests/faults/test_chaos.py
 
-# While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py). Compiled copies
-# of the tests are kept, wherever else they are not wanted: without them each run compiles for ten seconds.
+# While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py).
 quick: $(VENV)/.dev lint
-	env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest --quick --quiet --numprocesses 2 -m 'not slow and not alone and not page and not starts'
+	$(PYTEST) --quick --quiet --numprocesses 2 -m 'not slow and not alone and not page and not starts'
 
 # The quick tests on Python 3.10 and 3.13, where there are such interpreters; it says which it lacks.
 versions: $(VENV)/bin/python
