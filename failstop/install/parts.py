@@ -71,7 +71,7 @@ def _text(name: str) -> str:
         return (resources.files("failstop") / "systemd" / name).read_text(encoding="utf-8")
     except OSError as error:
         raise InstallError(
-            f"this failstop comes without its file systemd/{name} ({error.strerror}): install the package anew with pip"
+            f"this failstop comes without its file systemd/{name} ({error.strerror}): install it again with pip"
         ) from None
 
 

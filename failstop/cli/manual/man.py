@@ -11,12 +11,12 @@ from failstop.version import VERSION
 
 DESCRIPTION = (
     "failstop is the layer between everything that wants to drive a robot and a motor board that keeps its last wheel "
-    "speed for ever. Whatever part of it dies or hangs, the wheels are told to stop, and nothing moves them again "
-    "until somebody enables motion anew. A client that dies stops them too; one that falls silent, when its last "
+    "speed forever. Whatever part of it dies or hangs, the wheels are told to stop, and nothing moves them "
+    "until somebody enables motion. A client that dies stops them too; one that falls silent, when its last "
     "command is older than its source's timeout (0.3 s unless the settings say otherwise).",
     "It is a stop by software and no emergency stop in the sense of ISO 13850: keep a power switch in reach.",
     "A service, \x01failstop run\x02, owns the board's port. The commands enable, disable, reset, drive, teleop, "
-    "estop, status, watch, why and events talk to the service of the same name; the others need none.",
+    "status, watch, why and events talk to the service of the same name; the others need none.",
 )
 
 EXITS = (
