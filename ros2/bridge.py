@@ -105,7 +105,7 @@ class Bridge:
         """Until a signal, or the end of the ROS context."""
         from rclpy.executors import ExternalShutdownException
 
-        spinner = Spinner(self._node)
+        spinner = Spinner(self._node, self._inward.received)
         # What there is now stays: the collector need not go through rclpy again and again.
         gc.collect()
         gc.freeze()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import isfinite
-from time import monotonic_ns
+from time import monotonic_ns, time_ns
 from typing import Any
 
 from failstop.api.errors import FailstopError, NoAnswer, Refused
@@ -12,7 +12,7 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.ros2 import mirrors, report, words
 from failstop.ros2.arm import ArmFace, Turn
-from failstop.ros2.commanders import Commanders, HeldUp, wrong_ends
+from failstop.ros2.commanders import FRESH_NS, Commanders, waited_ns, wrong_ends
 from failstop.ros2.contract import CLIENT, CMD_VEL, COMMAND_TYPES, ESTOP, SCAN, SERVICES, STAMPED, Topic
 from failstop.ros2.fill import type_of
 from failstop.ros2.graph import Graph, latch
@@ -46,7 +46,7 @@ class Inward:
         now_ns = monotonic_ns()
         self._accepted = COMMAND_TYPES[settings["cmd_vel_type"]]
         self._commanders = Commanders(self._accepted, settings["allowed_publishers"])
-        self._held_up = HeldUp()
+        self._received_ns = 0
         self._scan = ScanWatch(0.5)
         self._timeout_s = 0.3
         self._run = 0
@@ -96,15 +96,17 @@ class Inward:
             self._watch_ns = now_ns + WATCH_NS
             self._watch()
 
-    def _turn(self) -> int:
-        """Every callback begins so; returns the time."""
-        now_ns = monotonic_ns()
-        self._held_up.turn(now_ns)
-        return now_ns
+    def received(self, wall_ns: int) -> None:
+        """When DDS received what the next callback is given (wall clock, ns); never called: it is not known."""
+        self._received_ns = wall_ns
+
+    def _waited_ns(self) -> int:
+        """How long the message at hand waited in its queue."""
+        return waited_ns(self._received_ns, time_ns())
 
     def _watch(self) -> None:
         """20 times a second: the interlock, and now and then the rest. A bridge whose executor hangs says nothing."""
-        now_ns = self._turn()
+        now_ns = monotonic_ns()
         self._follow_service()
         if now_ns - self._looked_ns >= LOOK_NS:
             self._looked_ns = now_ns
@@ -161,7 +163,7 @@ class Inward:
     # Topics.
 
     def _command(self, message: Any) -> None:
-        now_ns = self._turn()
+        now_ns, waited_ns = monotonic_ns(), self._waited_ns()
         self.graph.ask(self._link, now_ns)
         twist = message.twist if self._type == STAMPED else message
         velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
@@ -173,7 +175,12 @@ class Inward:
             return
         if any(velocity):
             self._moving_ns, self._velocity = now_ns, velocity
-        if not self._commanders.passes(now_ns) or self._held_up.old(now_ns):
+        if waited_ns > self._timeout_s * 1e9:
+            self._complain(
+                "waited", f"cmd_vel is refused: it waited {waited_ns / 1e9:.3f} s here; is the machine overloaded?"
+            )
+            return
+        if not self._commanders.passes(now_ns - waited_ns):
             return
         try:
             self._link.call(lambda robot: robot.drive(*velocity))
@@ -189,10 +196,9 @@ class Inward:
         return f"cmd_vel is refused: its stamp is {age_s:.3f} s old (most: {self._timeout_s:g} s); do the clocks agree?"
 
     def _scanned(self, _message: bytes) -> None:
-        now_ns = self._turn()
-        if self._held_up.old(now_ns):
+        if self._waited_ns() > FRESH_NS:
             return
-        self._scan.heard(now_ns)
+        self._scan.heard(monotonic_ns())
         try:
             self._link.call(Robot.sensed)
         except FailstopError as error:

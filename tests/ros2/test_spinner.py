@@ -36,11 +36,14 @@ def spin_until(wanted):
 
 node.create_subscription(String, "words", lambda message: heard.append(message.data), QoSProfile(depth=10))
 words = node.create_publisher(String, "words", 10)
-spinner = Spinner(node)
+received = []
+spinner = Spinner(node, received.append)
 spin_until(lambda: words.get_subscription_count())
 for text in ("one", "two", "three"):
     words.publish(String(data=text))
+sent_ns = time.time_ns()
 spin_until(lambda: len(heard) == 3)
+waited_s = [abs(sent_ns - at_ns) / 1e9 for at_ns in received]
 
 # What is made later is heard too.
 late = node.create_subscription(Bool, "late", lambda message: heard.append(message.data), QoSProfile(depth=10))
@@ -61,16 +64,18 @@ turns, until_s = 0, time.monotonic() + 0.5
 while time.monotonic() < until_s:
     spinner.turn(0.05)
     turns += 1
-print(json.dumps([heard, asked.done() and asked.result().message, spinner._plain, turns]))
+print(json.dumps([heard, asked.done() and asked.result().message, spinner._plain, turns, waited_s]))
 """
 
 
 def test_it_hears_answers_and_waits(ros: Ros) -> None:
     done = ros.run(sys.executable, "-c", PROGRAM)
     assert not done.returncode, done.stderr
-    heard, answered, plain, turns = json.loads(done.stdout)
+    heard, answered, plain, turns, waited_s = json.loads(done.stdout)
     assert heard == ["one", "two", "three", True]
     assert answered == "answered"
     # Only ROS itself has a wait set to keep.
     assert plain != ros.real
     assert turns < 30  # it waits when there is nothing
+    assert len(waited_s) == (0 if plain else 3)
+    assert all(wait_s < 20 for wait_s in waited_s)
