@@ -106,7 +106,7 @@ def _rows(found: dict[Fault, Samples], boots: list[int]) -> list[stats.Row]:
         rows.append(stats.timing(f"systemd: {fault.label} -> stop frame", times, p50_ms=None, p99_ms=fault.p99_ms))
         if samples.started_ns:
             bar = WATCHDOG_MS + 300 if fault.aftermath_s == HANG_S else None
-            label = f"systemd: {fault.label} -> the service is started anew"
+            label = f"systemd: {fault.label} -> the service is restarted"
             rows.append(stats.timing(label, samples.started_ns, p50_ms=None, p99_ms=bar))
     rows.append(stats.timing("systemd: boot -> READY", boots, p50_ms=None, p99_ms=1000.0))
     every = [stopped for samples in found.values() for stopped in samples.stops]

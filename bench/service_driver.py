@@ -1,4 +1,4 @@
-"""A client that drives for ever, inside a container: run as a user of the group failstop, told what to do by lines.
+"""A client that drives forever, inside a container: run as a user of the group failstop, told what to do by lines.
 
 It commands a velocity every 20 ms, whatever happens to the service meanwhile. A line `enable` has it reset what is
 latched and enable motion; it answers every line with one: `done`, or why not.

@@ -100,7 +100,7 @@ class Scene:
         return found == {"ActiveState": "active", "SubState": "running"}
 
     def restarts(self) -> int:
-        """How often systemd has started it anew by itself."""
+        """How often systemd has restarted it by itself."""
         return int(self.box.show(UNIT, "NRestarts")["NRestarts"])
 
     def told(self) -> str:

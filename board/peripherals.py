@@ -120,7 +120,7 @@ def pwm_servo_read_deviation(servo: int) -> bytes:
 
 
 def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-    """Sound the buzzer `repeat` times. off_ms of 0 is refused: it left a buzzer sounding for ever."""
+    """Sound the buzzer `repeat` times. off_ms of 0 is refused: it left a buzzer sounding forever."""
     integer("freq_hz", freq_hz, 20, 20_000)
     integer("on_ms", on_ms, 1, 65_535)
     integer("off_ms", off_ms, 1, 65_535)

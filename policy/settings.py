@@ -102,8 +102,7 @@ DECLARED = (
         "s",
         0.05,
         2.0,
-        "a command of the gamepad, or of a source without a timeout of its own, that is older than this moves nothing "
-        "(the deadman)",
+        "a command of the gamepad, or of a source without a timeout of its own, that is older than this moves nothing",
     ),
     Setting(
         "gate.refresh_s",
@@ -231,7 +230,7 @@ FAMILIES = {
         ),
     ),
     "interlocks": (
-        Setting("timeout_s", 0.5, "s", 0.05, 10.0, "not asserted anew for this long, it is not satisfied"),
+        Setting("timeout_s", 0.5, "s", 0.05, 10.0, "not asserted again within this time, it is not satisfied"),
         Setting("refusal", "", "", None, None, "what a refused enable is told; empty: interlock NAME is not satisfied"),
     ),
     "joints": (

@@ -1,7 +1,7 @@
 """Loop: waits for descriptors or the next deadline, with microsecond time-outs.
 
 Whoever sets a deadline also asks whether it is due, and the loop that made it waits for it: none is forgotten. One that
-is due and not taken or set anew keeps the loop awake.
+is due and not taken or set again keeps the loop awake.
 
 `epoll.poll` takes whole milliseconds; `select` is finer, but can't watch a port for its hang-up alone. So the
 descriptors are in an epoll set. For a deadline `select` waits for that set; for the longest time that a process may

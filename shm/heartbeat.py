@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Heartbeat:
-    """The writing side. Only the segment's own process beats; a successor starts anew."""
+    """The writing side. Only the segment's own process beats; a successor starts again."""
 
     __slots__ = ("_cpu_ns", "_epoch", "_last_ns", "_loops", "_loops_word", "_ns", "_state", "_worst", "_worst_ns")
 

@@ -276,7 +276,7 @@ def copy(fd: int, memory: str, name: str) -> tuple[int, bytes]:
 
 def _open_file(memory: str, name: str, flags: int, owner: int) -> int:
     """A segment's descriptor. Raises OSError; place.Untrusted for one that is not `owner`'s. Not by
-    shm_open, which waits for ever on a pipe that somebody has put there."""
+    shm_open, which waits forever on a pipe that somebody has put there."""
     path = path_of(memory, name)
     fd = os.open(path, flags | _READ)
     found = os.fstat(fd)

@@ -95,7 +95,7 @@ class Aftermath:
         return arrival_ns if sent_ns >= since_ns else 0
 
     def opened(self, written_ns: int) -> None:
-        """A port was opened anew, perhaps another board's; the supervisor's burst on it was at `written_ns`."""
+        """A port was opened again, perhaps another board's; the supervisor's burst on it was at `written_ns`."""
         self.link.opened()
         if self._last and not self._last.written_ns and written_ns > self._last.t_ns:
             self._last.written_at_last(written_ns, BY_SUPERVISOR)
@@ -109,7 +109,7 @@ class Aftermath:
         arrival_ns, index = records.unpack_pong(word)
         sent_ns = self._pings[index].get()
         if not sent_ns or sent_ns > arrival_ns:
-            return  # an answer to a question that nobody has asked, or that was asked anew meanwhile
+            return  # an answer to a question that nobody has asked, or that was asked again meanwhile
         self.link.answered(sent_ns)
         self._heard = max(self._heard, (sent_ns, arrival_ns))
         if self._last and self._last.ponged(sent_ns, arrival_ns):
@@ -130,7 +130,7 @@ class Aftermath:
         still_ns = self._still.get()
         self._barrier()
         if self._judged.get() != judged_ns:
-            return False  # judged anew meanwhile: next time
+            return False  # judged again meanwhile: next time
         unstill = last.judged(still_ns, judged_ns, now_ns)
         if last.observed_ns is not None and not known:
             self._command_ran = False
@@ -166,7 +166,7 @@ class Aftermath:
                 how = "killed"
             except OSError as error:  # of another user's rights, by sudo
                 how = f"cannot be killed ({error.strerror})"
-            text = f"still.command (pid {pid}) has not ended since an earlier stop: {how}, and run anew"
+            text = f"still.command (pid {pid}) has not ended since an earlier stop: {how}, and run again"
             self._events.tell("command", text, {"state": "hangs", "pid": pid}, level="error")
 
     def _reap(self) -> None:

@@ -20,7 +20,7 @@ class Outbox:
             if self._socket is None:
                 kind = _socket.SOCK_DGRAM | _socket.SOCK_CLOEXEC | _socket.SOCK_NONBLOCK
                 self._socket = _socket.socket(_socket.AF_UNIX, kind)
-            # By its address each time: whoever was started anew may have another socket there.
+            # By its address each time: whoever was restarted may have another socket there.
             self._socket.sendto(message, self._address)
         except (OSError, ValueError):
             return False

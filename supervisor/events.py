@@ -34,7 +34,7 @@ CUTS = ((280, 280), (200, 60), (120, 24))
 """Bytes that are left of the text, and of each field's: the first that fit into the ring."""
 ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name, causes.FLEET.name))
 AGAIN = frozenset(("stop_again", "stop_also"))
-"""What anybody can bring about without end; a stop that is latched anew takes somebody who resets."""
+"""What anybody can bring about without end; a stop that is latched again takes somebody who resets."""
 ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
 
 

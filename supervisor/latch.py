@@ -42,9 +42,9 @@ class Latch:
             return asked_before(self.newest.cause)
         self.reset_epoch = epoch
         if self.stop is None:
-            return Reply(True, "no e-stop is latched")
+            return Reply(True, "no stop is latched")
         was, self.stop, self.since = self.stop.cause, None, 0
-        return Reply(True, f"e-stop cleared (was: {CAUSE}); motion still disabled", was)
+        return Reply(True, f"latched stop cleared (was: {CAUSE}); motion still disabled", was)
 
     def as_record(self) -> bytes:
         """For everybody, once there was a stop."""

@@ -1,7 +1,7 @@
 """Names: whether what this run shares with others can still be found by its name.
 
 Whoever has a segment attached goes on working when its name is taken away, as logind's RemoveIPC=yes does when the
-service's user logs out. But no process can be started anew from then on, no client can come, and without the name of
+service's user logs out. But no process can be started again from then on, no client can come, and without the name of
 the stop pipe nobody can ask for a stop. Nothing here can mend that: the next run makes its own.
 """
 
@@ -42,7 +42,7 @@ class Names:
         for name in gone:
             del self._named[name]
         if vital := [name for name in gone if not name.startswith(A_SLOT)]:
-            text = f"{', '.join(vital)}: removed; ending, for a new run to make it anew"
+            text = f"{', '.join(vital)}: removed; ending, for a new run to make it again"
             doubt = "next: is RemoveIPC=yes in logind.conf? `failstop doctor` looks"
             self._events.tell("note", f"{text}; {doubt}", level="error")
             return causes.REMOVED(vital[0])

@@ -94,10 +94,10 @@ class ProcessTable:
             self._restart_in(child, wait_ns, now_ns)
             return
         child.on(GIVEN_UP)
-        todo = f"next: see to the cause, then {self._events.command('reset')} starts it anew"
+        todo = f"next: see to the cause, then {self._events.command('reset')} restarts it"
         if name == layout.GATE:
             child.restart.set(now_ns + GATE_AGAIN_NS)
-            todo = f"it is started anew in {GATE_AGAIN_NS / 1e9:g} s, since nobody else could hear a reset"
+            todo = f"it is restarted in {GATE_AGAIN_NS / 1e9:g} s, since nobody else could hear a reset"
         text = f"{name} died too often and is down, the wheels stopped; {todo}"
         self._events.tell("down", text, {"process": name})
 
@@ -107,7 +107,7 @@ class ProcessTable:
         self._events.tell("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
 
     def recall(self, now_ns: int) -> None:
-        """Start those anew that are down, after a reset by people who know of it."""
+        """Restart those that are down, after a reset by people who know of it."""
         for child in self.children:
             if child.state == DOWN:
                 child.on(RECALLED)

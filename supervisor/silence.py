@@ -1,6 +1,6 @@
 """Silence: who was silent past its deadline and is excused, since the machine did not run it; and what people are told.
 
-A stop is right whatever the reason, a kill is not: what was not run is run again, and a process that is started anew on
+A stop is right whatever the reason, a kill is not: what was not run is run again, and a process that is restarted on
 a machine that starves it is silent again. While motion is disabled there is nothing to stop.
 
     motion    starved: port owner    starved: another             hangs

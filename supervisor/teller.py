@@ -83,7 +83,7 @@ class Teller:
             self.events.tell("stopping", f"{stop.cause}; {wrote}", fields, level=level)
         elif latched is stop:
             todo = f"{self.events.command('reset')}, then {self.events.command('enable')}"
-            text = f"E-STOP latched: {stop.cause}; {wrote}; next: {todo}"
+            text = f"STOP latched: {stop.cause}; {wrote}; next: {todo}"
             self.events.tell("stop", text, fields, level=level)
         elif self._news_of(stop.cause):
             text = f"stopped again: {stop.cause}; {wrote}; latched is still: {latched.cause}"

@@ -58,3 +58,10 @@ def test_a_robot_needs_nothing_of_the_laboratory() -> None:
         (str(path.relative_to(ROOT)), name) for path in robots for name in imported(path) if name.startswith("lab")
     ]
     assert not wrong
+
+
+def test_only_the_face_uses_the_libraries_of_the_face() -> None:
+    """Completion's, which no process of the service may need."""
+    found = [path for room in BELOW for path in modules(room) if "shtab" in path.read_text()]
+    assert modules("failstop/cli")
+    assert not found

@@ -390,7 +390,7 @@ def test_candidates_really_lists() -> None:
         assert stat.S_ISCHR(os.stat(path).st_mode), description
 
 
-# The speed is told anew, and a close does not wait.
+# The speed is told again, and a close does not wait.
 
 
 def speeds_told(monkeypatch: pytest.MonkeyPatch, path: str, *, exclusive: bool) -> list[int]:

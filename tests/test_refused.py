@@ -5,14 +5,22 @@ from __future__ import annotations
 import pytest
 
 from failstop.api.errors import FailstopError, NoService, Refused
+from failstop.policy import causes
+from failstop.shm.records import CAUSE
 
 
-@pytest.mark.parametrize("reason", ["e-stop latched (key1)", "arm is not in the drive pose"])
+@pytest.mark.parametrize("reason", ["a stop is latched (key1)", "arm is not in the drive pose"])
 def test_a_refusal_reads_as_one(reason: str) -> None:
     refusal = Refused(reason)
     assert str(refusal) == f"refused: {reason}"
     assert refusal.args == (reason,)
     assert refusal.exit_code == 2
+
+
+def test_the_bridge_has_the_words_of_the_driver_before_it() -> None:
+    refusal = Refused(f"a stop is latched ({CAUSE})", causes.KEY(1))
+    assert str(refusal) == "refused: a stop is latched (key1)"
+    assert refusal.template == f"e-stop latched ({CAUSE})"
 
 
 def test_other_errors_are_no_refusals() -> None:

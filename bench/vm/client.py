@@ -24,7 +24,7 @@ PRIORITY = 50
 
 
 def tell_time(path: str) -> None:
-    """Write the time for ever."""
+    """Write the time forever."""
     fd = os.open(path, os.O_RDWR)
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     while True:

@@ -1,6 +1,6 @@
 """The guest's disk: a stock Debian with its own kernel, and a Python environment with what failstop needs.
 
-Each stage is kept under a name that says what it was made from, so that a change makes anew what depends on it: the
+Each stage is kept under a name that says what it was made from, so that a change makes again what depends on it: the
 packages (rootfs-KEY.tar), the disk with kernel and initrd (disk-KEY). Needs root, a Debian mirror, a package index.
 """
 

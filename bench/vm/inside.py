@@ -378,7 +378,7 @@ def drain(scene: Scene) -> Iterator[Result]:
     if latched is None or latched.kind is not causes.STUCK:
         found.wrong.append(f"latched: {latched or 'nothing'}")
     said = sh("journalctl", "--boot", f"--unit={UNIT}", "--lines=30", "--output=cat")[1]
-    told = [line for line in said.splitlines() if "E-STOP latched" in line]
+    told = [line for line in said.splitlines() if "STOP latched" in line]
     wrong_unless(found, the_journal_says_that_it_was_sent=bool(told) and "NOT sent" in told[-1])
     yield found
 

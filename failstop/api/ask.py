@@ -75,7 +75,7 @@ def _told(name: str, state: State) -> tuple[str, str]:
     from failstop.api import verdict
 
     doubt = verdict.doubt(state)
-    text = f"e-stop latched ({state.cause}) by the service {name!r}; next: {verdict.next_step(state)}"
+    text = f"stop latched ({state.cause}) by the service {name!r}; next: {verdict.next_step(state)}"
     return text, f"{doubt}: use the POWER SWITCH" if doubt else ""
 
 

@@ -9,6 +9,10 @@ if TYPE_CHECKING:
     from failstop.policy.causes import Cause
 
 
+LATCHED = f"a stop is latched ({CAUSE})"
+LATCHED_BEFORE = f"e-stop latched ({CAUSE})"
+
+
 class FailstopError(Exception):
     """Base of all; the message is one line that names the thing and the remedy."""
 
@@ -25,7 +29,8 @@ class Refused(FailstopError):
     def __init__(self, template: str, cause: Cause | None = None) -> None:
         """`template`: the reason, with CAUSE in the place of the cause's own text."""
         super().__init__(template.replace(CAUSE, str(cause)))
-        self.template = template
+        self.template = template.replace(LATCHED, LATCHED_BEFORE)
+        """In the words of the driver before it, which tools compare (ROS)."""
         self.cause = cause
 
     def __str__(self) -> str:

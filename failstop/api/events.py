@@ -102,7 +102,7 @@ class EventLog:
         there = attach(self.name, layout.SUPERVISOR)
         there.close()
         if there.incarnation != self._incarnation:
-            raise NoService(f"the service {self.name!r} was started anew: read its events anew")
+            raise NoService(f"the service {self.name!r} was restarted: read its events again")
 
 
 def unpack(seq: int, payload: bytes) -> Event | None:

@@ -54,7 +54,7 @@ class Robot:
     Reading the state and estop() need no permission. The other calls take one of the service's client slots, at their
     first use, which needs the group `failstop` (or the service's user).
 
-    A service that was started anew is noticed by every call, which then means the new run; nothing is enabled by it.
+    A service that was restarted is noticed by every call, which then means the new run; nothing is enabled by it.
     While none runs every call raises NoService. With `reconnect=False` a Robot is of one run: once that has ended,
     every call raises NoService. After close() every call but estop() raises FailstopError, whichever thread makes it.
     A Robot that nobody refers to any more gives its slot back; one that was inherited by a fork takes one of its own.
@@ -194,7 +194,7 @@ class Robot:
         self._leave()
         found = Run(self.name)
         if self._run and not self._reconnect:
-            became = "has ended" if found.incarnation == self._run.incarnation else "was started anew"
+            became = "has ended" if found.incarnation == self._run.incarnation else "was restarted"
             raise NoService(f"the service {self.name!r} {became} since this Robot was made: make a new one")
         return found
 
@@ -261,7 +261,7 @@ class Robot:
     def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> Answer:
         """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
         s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped. After a
-        restart of the service nothing moves before somebody enables motion anew.
+        restart of the service nothing moves before somebody enables motion again.
 
         Returns what becomes of it: Driving, Preempted by whom, or Blocked by what; only Driving is true in a condition.
         It takes no time while the wheels turn, and 10 ms at most while they do not.
@@ -381,7 +381,7 @@ class Robot:
     def samples(self) -> list[Sample]:
         """What the board reported since the last call, each sample once with its time: ImuSample, BatterySample,
         PadSample, OdometrySample of failstop.api.samples. The first call begins it, and the first of a new run begins
-        anew. Raises NoService, FailstopError."""
+        again. Raises NoService, FailstopError."""
         with self._lock:
             run = self._current()
             if self._samples is None or self._samples.run is not run:

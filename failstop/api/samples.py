@@ -114,7 +114,7 @@ class SampleReader:
             self._odometry_seq = news[0]
             found.append(OdometrySample(news[1], *records.ODOMETRY.unpack(news[2])))
         if not found and self.run.over():
-            raise NoService(f"the service {self.run.name!r} has ended, or was started anew: read its samples anew")
+            raise NoService(f"the service {self.run.name!r} has ended, or was restarted: read its samples again")
         return found
 
 

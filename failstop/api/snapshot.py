@@ -97,7 +97,7 @@ class Process:
     age_s: float
     """Since its last heartbeat, s."""
     restarts: int
-    """How often it was started anew in this run."""
+    """How often it was restarted in this run."""
     last_exit: str | None
     """How its predecessor died."""
     worst_s: float

@@ -2,7 +2,7 @@
 
 For a file FILE.md, it writes the table of docs/journal.md into it, between its two marks.
 
-Write it anew when one of the tables changes: a test compares them.
+Write it again when one of the tables changes: a test compares them.
 """
 
 from __future__ import annotations

@@ -53,15 +53,15 @@ TEXTS = {
         "Next: journalctl _PID=@FAILSTOP_PID@, and coredumpctl info @FAILSTOP_PID@ where it crashed",
     ),
     "restarting": (
-        "@FAILSTOP_PROCESS@ is started anew",
+        "@FAILSTOP_PROCESS@ is restarted",
         "In @FAILSTOP_WAIT_S@ s. A restarted process never enables motion again: that is for people.\n"
         "Next: failstop status --name @FAILSTOP_NAME@",
     ),
     "down": (
         "@FAILSTOP_PROCESS@ is down",
         "It died too often (settings restart.deaths, restart.window_s). The wheels are told to stop and the status is\n"
-        "served, but motion can't be enabled before a reset, which starts the process anew. The gate, which hears\n"
-        "resets, is started anew after a minute.\n"
+        "served, but motion can't be enabled before a reset, which restarts the process. The gate, which hears\n"
+        "resets, is restarted after a minute.\n"
         "Next: journalctl FAILSTOP_EVENT=died FAILSTOP_PROCESS=@FAILSTOP_PROCESS@; see to the cause; then\n"
         "failstop reset --name @FAILSTOP_NAME@",
     ),

@@ -64,7 +64,7 @@ def _limit(facts: Facts, limit: str, unit_line: str) -> tuple[str, str]:
         return "", grant.CONTAINER
     who = (facts.service.user if facts.service else "") or facts.user.name
     fix = f"echo '{who} - {limit}' | sudo tee -a {LIMITS}"
-    return fix, f"then log in anew and start the service again; or, until you log out, {grant.SHELL}"
+    return fix, f"then log in again and start the service again; or, until you log out, {grant.SHELL}"
 
 
 def memory_lock(facts: Facts) -> list[Finding]:

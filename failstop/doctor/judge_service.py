@@ -92,7 +92,7 @@ def _restart(facts: Facts) -> tuple[str, str]:
     """The command that ends a service of another version; it stops the wheels."""
     if facts.unit and facts.unit.active == "active":
         return f"sudo systemctl restart {facts.unit.name}", "it stops the wheels"
-    return f"sudo kill {facts.service.pid if facts.service else 0}", "it stops the wheels; then start it anew"
+    return f"sudo kill {facts.service.pid if facts.service else 0}", "it stops the wheels; then start it again"
 
 
 def unit(facts: Facts) -> list[Finding]:

@@ -245,7 +245,7 @@ def _before(incident: Incident) -> str:
         ]
         # What was told before they turned for the last time explains nothing.
         least = "" if driven else "at least "
-        stood = f"the wheels stood ({last.block}), for {least}{duration((incident.cause_ns - since_ns) / 1e9)}"
+        stood = f"the wheels stood ({story.block(last)}), for {least}{duration((incident.cause_ns - since_ns) / 1e9)}"
         return f"{stood}; {ended[-1]}" if driven and ended else stood
     age_ms = (last.age_us or 0) / 1e3 + (incident.cause_ns - last.ns) / 1e6
     return f"driving, {story.velocity(last.velocity)}; {last.who} as {last.source}, command {age_ms:.0f} ms old"

@@ -53,7 +53,7 @@ def broken(at_ms: Array, values: Array) -> tuple[Array, Array]:
 
 
 def verdicts(incident: Incident) -> list[tuple[int, bool]]:
-    """(when it was found, still or not) at each change of telemetry's judgement on the wheels, judged anew."""
+    """(when it was found, still or not) at each change of telemetry's judgement on the wheels, judged again."""
     judge = StillJudge(float(incident.settings.get("still.std_radps", "0.0035")))
     found: list[tuple[int, bool]] = []
     for sample in incident.imu:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Mapping
+from glob import glob
 from typing import Any
 
 from failstop.incidents.file import SUFFIX, IncidentError, read_head
@@ -55,6 +56,16 @@ def heads(name: str, environ: Mapping[str, str]) -> tuple[list[dict[str, Any]], 
                 if head.get("name") == name:
                     found.append({**head, "id": entry.removesuffix(SUFFIX), "path": path})
     return sorted(found, key=lambda head: float(head.get("t", 0.0))), problems
+
+
+def identities(environ: Mapping[str, str]) -> list[str]:
+    """The ids of all incidents on this machine, whatever service they are of; as far as this user may look."""
+    home = environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
+    bases = (root.at(SYSTEM_BASE), os.path.join(home, "failstop"))
+    found = [
+        path for base in bases for deep in ("", "*") for path in glob(os.path.join(base, deep, FOLDER, "*" + SUFFIX))
+    ]
+    return sorted(os.path.basename(path).removesuffix(SUFFIX) for path in found)
 
 
 def load(wanted: str, name: str, environ: Mapping[str, str]) -> Incident:

@@ -20,6 +20,8 @@ QUIET_NS = 100_000_000
 """A board that sends 110 IMU samples a second and then nothing for this long has gone silent."""
 TELL_OF_STOPS = frozenset(("stop", "stop_again", "stop_also"))
 """Events that tell of a stop's cause."""
+BLOCKS = {"estop": "a stop is latched", "cmd timeout": "no command"}
+"""What the gate's words are for people, where they are not the same."""
 STEP = 0.05
 """Near the cause, a command that differs by more (m/s, rad/s) is told of its own."""
 STEP_RPS = 0.2
@@ -87,6 +89,11 @@ def _runs(
         yield run[0], run[-1], run
 
 
+def block(tick: Tick) -> str:
+    """What the gate decided, for people."""
+    return BLOCKS.get(tick.block, tick.block)
+
+
 def _close(one: tuple[float, ...], other: tuple[float, ...], by: float) -> bool:
     """No value differs by more; what is no number is like itself."""
     return all(repr(a) == repr(b) or abs(a - b) <= by for a, b in zip(one, other, strict=True))
@@ -137,9 +144,9 @@ def _decisions(incident: Incident) -> Iterator[Line]:
         if first.block == "driving":
             text = f"lets the wheels turn, {velocity(last.velocity)} at the end"
         else:
-            text = f"blocks: {first.block}"
+            text = f"blocks: {block(first)}"
         yield Line(first.ns, "gate", f"{text}{f' (before: {before})' if before else ''}")
-        before = first.block
+        before = block(first)
     for earlier, later in pairwise(incident.ticks):
         if later.ns - earlier.ns > 2 * signals.allowed_ns(incident, layout.GATE):
             yield Line(earlier.ns, "gate", f"no tick for {(later.ns - earlier.ns) / 1e6:.0f} ms from here")

@@ -86,7 +86,7 @@ class Manifest:
             return cls(**{**found, "directories": tuple(found["directories"])})
         except (ValueError, TypeError, KeyError) as error:
             raise InstallError(
-                f"{MANIFEST} is damaged ({error}): remove it, and `failstop install` writes it anew"
+                f"{MANIFEST} is damaged ({error}): remove it, and `failstop install` writes it again"
             ) from None
 
 

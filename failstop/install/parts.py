@@ -47,7 +47,7 @@ class Parts:
 def of_this_version() -> Parts:
     """The parts of the running failstop. Raises InstallError when its files are not there."""
     from failstop.cli.commands import completion, config
-    from failstop.cli.manual import grammar, man
+    from failstop.cli.manual import man
     from failstop.fleet import settings
 
     return Parts(
@@ -57,7 +57,7 @@ def of_this_version() -> Parts:
         _text("failstop.udev"),
         _text("failstop.catalog"),
         config.example(),
-        man.page(grammar.read()),
+        man.page(),
         {shell: completion.script(shell) for shell in completion.SHELLS},
         _text("failstop-ros2.service"),
         _text("failstop-fleet.service"),
@@ -71,7 +71,7 @@ def _text(name: str) -> str:
         return (resources.files("failstop") / "systemd" / name).read_text(encoding="utf-8")
     except OSError as error:
         raise InstallError(
-            f"this failstop comes without its file systemd/{name} ({error.strerror}): install the package anew with pip"
+            f"this failstop comes without its file systemd/{name} ({error.strerror}): install it again with pip"
         ) from None
 
 

@@ -72,7 +72,7 @@ class Found:
     active: tuple[str, ...] = ()
     """Units of failstop that run."""
     udev: bool = False
-    """udev runs, or could be told to read its rules anew."""
+    """udev runs, or could be told to read its rules again."""
     package: bool = False
     """The Debian package is installed."""
     configured_device: str = ""

@@ -84,4 +84,4 @@ class Plan:
     steps: tuple[Step, ...]
     notes: tuple[str, ...] = ()
     restarts: tuple[str, ...] = ()
-    """Units that run now and are stopped for it: the wheels stop, and motion has to be enabled anew."""
+    """Units that run now and are stopped for it: the wheels stop, and motion has to be enabled again."""

@@ -276,7 +276,7 @@ class Trial:
 
     def recover(self, process: str, pid: int) -> float:
         """Wait until the service is whole again after kill(), `pid` being the killed process's; returns the seconds
-        from the kill until the process ran again. A dead supervisor is started anew here, as systemd would: then they
+        from the kill until the process ran again. A dead supervisor is restarted here, as systemd would: then they
         count from that start."""
         if process == layout.SUPERVISOR:
             self.leave()

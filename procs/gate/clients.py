@@ -97,7 +97,7 @@ class Slot:
             return False
 
     def join(self, session: int) -> None:
-        """A session holds the slot now; a new one counts its records anew."""
+        """A session holds the slot now; a new one counts its records again."""
         if session != self._session_seen:
             self._command_seq = self._request_seq = self._arm_goal_seq = 0
         self.session = self._session_seen = session

@@ -111,7 +111,7 @@ class GateCore:
         return None
 
     def _note_ignored(self, command: Command) -> None:
-        """Once for each session and source; a session that makes up ever new ones is not told of for ever."""
+        """Once for each session and source; a session that makes up ever new ones is not told of forever."""
         ignored = (command.session, command.source)
         if ignored not in self._ignored and len(self._ignored) < MOST_IGNORED:
             self._ignored.add(ignored)
@@ -158,7 +158,7 @@ class GateCore:
     def refusal(self, missing: str, now_ns: int) -> Reply | None:
         """Why motion can't be enabled now; None when it can. `missing` names what is not ready."""
         if self.latch is not None:
-            return Reply(False, f"e-stop latched ({CAUSE})", self.latch)
+            return Reply(False, f"a stop is latched ({CAUSE})", self.latch)
         if missing:
             return Reply(False, f"not ready: {missing}")
         unmet = self.interlocks.unmet(now_ns) or self.attendance.unmet(now_ns)

@@ -103,7 +103,7 @@ class Gate:
             self.loop.watch(fd, READ)
 
     def _follow_latch(self) -> None:
-        """What is latched, by the supervisor's word, which a gate that was started anew reads too."""
+        """What is latched, by the supervisor's word, which a gate that was restarted reads too."""
         self._barrier()
         if entry := self._latch.read():
             since, _, self._raised_ns, cause = records.LATCH.unpack(entry[2])
@@ -366,7 +366,7 @@ class Gate:
 
 
 def run(context: Context) -> int:
-    """Run for ever: the gate dies with the supervisor."""
+    """Run forever: the gate dies with the supervisor."""
     gate = Gate(context)
     context.runs()
     ready: dict[int, int] = {}

@@ -27,7 +27,7 @@ EVERY_NS = 200_000_000
 """A program that asks without end is told of five times a second, not a thousand times."""
 HALTS_AT_ONCE = 5
 HALTS_EVERY_NS = 10_000_000_000
-"""A program that commands more slowly than its timeout starts and stops the wheels for ever: that is told of too, now
+"""A program that commands more slowly than its timeout starts and stops the wheels forever: that is told of too, now
 and then."""
 
 

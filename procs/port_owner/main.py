@@ -256,7 +256,7 @@ class PortOwner:
         if lapse := self.admission.lapsed(self._gate.heart.ns.get(), self._supervisor_beat.get(), now_ns):
             self.stop(now_ns, lapse)
         elif now_ns - self._moved_ns > self._silence_ns:
-            # Its beat is fresh, its frames are not: the board would keep the last of them for ever.
+            # Its beat is fresh, its frames are not: the board would keep the last of them forever.
             self.stop(now_ns, causes.MUTE((now_ns - self._moved_ns) // MS))
         else:
             self._await_lapse()

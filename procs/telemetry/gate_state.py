@@ -59,7 +59,7 @@ class GateState:
     def _take(self, payload: bytes, t_ns: int) -> bool:
         try:
             # Kept until the next: its keys are interned strings, and to intern and drop them at each turn has Python
-            # build its table of them anew every few minutes.
+            # build its table of them again every few minutes.
             found = self._found = msgpack.unpackb(payload)
             vx, vy, wz = found["body_vel"]
             velocity = float(vx), float(vy), float(wz)

@@ -112,7 +112,7 @@ class Telemetry:
         self.loop.watch(self._bell.fd, READ)
 
     def _inherit(self, own: Segment) -> None:
-        """A successor goes on with the bias and the pose of the process before it, and calibrates anew only if the
+        """A successor goes on with the bias and the pose of the process before it, and calibrates again only if the
         wheels stand."""
         if entry := own.latest_reader("bias").read():
             x, y, z, _, calibrated = records.BIAS.unpack(entry[2])
@@ -282,7 +282,7 @@ class Telemetry:
 
 
 def run(context: Context) -> int:
-    """Run for ever: telemetry dies with the supervisor."""
+    """Run forever: telemetry dies with the supervisor."""
     telemetry = Telemetry(context)
     context.runs()
     ready: dict[int, int] = {}

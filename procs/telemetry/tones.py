@@ -6,7 +6,7 @@ from failstop.board import codec
 from failstop.procs.telemetry import pad
 
 OFF_MS = 100
-"""Between two beeps and after the last: an off time of 0 left a buzzer sounding for ever."""
+"""Between two beeps and after the last: an off time of 0 left a buzzer sounding forever."""
 
 TRIP = codec.buzzer(1000, 400, OFF_MS, 2)
 """Two long low beeps."""

@@ -87,7 +87,7 @@ def test_a_stop_on_the_way_to_the_drive_pose_wins(arm: Trial) -> None:
     def stop(_: str) -> None:
         arm.robot.estop("test")
 
-    with pytest.raises(Refused, match="e-stop latched"):
+    with pytest.raises(Refused, match="a stop is latched"):
         arm.robot.enable(stop)
     assert not arm.robot.state.enabled
     stood = arm.board.joints()

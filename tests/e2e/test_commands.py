@@ -33,7 +33,7 @@ def test_a_session(trial: Trial) -> None:
     assert "hand near wheel" in latched.stdout
     refused = failstop("enable", *at)
     assert refused.returncode == 2
-    assert "e-stop latched (stop request: hand near wheel" in refused.stderr
+    assert "a stop is latched (stop request: hand near wheel" in refused.stderr
     assert failstop("drive", "0.1", "0", "0", *at).returncode == 2
     screen = failstop("status", *at).stdout
     assert "stop latched: stop request: hand near wheel" in screen

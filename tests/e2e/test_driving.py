@@ -131,7 +131,7 @@ def test_enable_is_refused_while_latched_and_reset_does_not_enable(trial: Trial)
     trial.enable()
     trial.robot.estop("test")
     wait_for("the latch", lambda: trial.robot.state.estop is not None)
-    with pytest.raises(Refused, match=r"e-stop latched \(stop request: test"):
+    with pytest.raises(Refused, match=r"a stop is latched \(stop request: test"):
         trial.robot.enable()
     assert "motion still disabled" in trial.robot.reset()
     assert not trial.robot.state.enabled

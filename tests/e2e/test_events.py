@@ -138,7 +138,7 @@ def test_a_log_of_a_run_that_was_followed_by_another_says_so(trial: Trial, liste
     listener.wait("ready")
     trial.service.kill()
     trial.service.start()
-    with pytest.raises(NoService, match="started anew"):
+    with pytest.raises(NoService, match="was restarted"):
         wait_for("the end", reading(listener))
     new = Listener(trial)
     new.wait("ready")

@@ -52,7 +52,7 @@ def test_latched_with_who_died(trial: Trial, process: str) -> None:
     assert state.last_stop is not None
     assert state.last_stop.reason == state.estop
     assert state.last_stop.written_s is not None
-    with pytest.raises(Refused, match=r"e-stop latched \(.* died\)"):
+    with pytest.raises(Refused, match=r"a stop is latched \(.* died\)"):
         trial.robot.enable()
     trial.robot.reset()
     assert trial.robot.state.blocked == "disabled"

@@ -57,4 +57,4 @@ def test_mode_held_for_two_seconds_while_latched_resets(trial: Trial) -> None:
     _frames(trial, 1.3, MODE)
     wait_for("the reset", lambda: trial.robot.state.estop is None)
     assert not trial.robot.state.enabled, "a reset enables nothing"
-    assert "gamepad: e-stop cleared" in trial.service.said()
+    assert "gamepad: latched stop cleared" in trial.service.said()

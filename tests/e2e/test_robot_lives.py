@@ -160,7 +160,7 @@ def test_who_does_not_want_another_run_is_told_of_it(trial: Trial, call: str) ->
             CALLS[call](robot)
         trial.service.start()
         for _ in range(2):
-            with pytest.raises(NoService, match="was started anew since this Robot was made"):
+            with pytest.raises(NoService, match="was restarted since this Robot was made"):
                 CALLS[call](robot)
         assert trial.robot.state.clients == ()
 

@@ -70,7 +70,7 @@ def test_a_service_that_was_started_anew_is_read_anew_or_told_of(trial: Trial) -
         trial.service.kill()
         trial.service.start()
         read_until(robot, ImuSample, 5)
-        with pytest.raises(NoService, match="anew"):
+        with pytest.raises(NoService, match="was restarted"):
             faithful.samples()
 
 

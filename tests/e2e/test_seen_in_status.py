@@ -256,7 +256,7 @@ def test_the_first_cause_is_kept_and_a_reset_clears_the_latch_alone(seen: Seen) 
     seen.trial.board.pad(0x0200)
     wait_for("the second stop", lambda: seen.trial.robot.state.epoch > epoch)
     assert seen.status()["estop"] == "key1"
-    assert seen.command("reset") == (0, "e-stop cleared (was: key1); motion still disabled\n", "")
+    assert seen.command("reset") == (0, "latched stop cleared (was: key1); motion still disabled\n", "")
     found = seen.status(each=seen.command_on)
     assert (found["enabled"], found["estop"], found["blocked"]) == (False, None, "disabled")
     assert not seen.trial.moving()
@@ -270,7 +270,7 @@ def test_enable_is_refused_while_latched(seen: Seen) -> None:
     wait_for("the latch", lambda: seen.trial.robot.state.estop is not None)
     reason = seen.status()["estop"]
     steps = [f"`failstop {verb} --name {seen.trial.name}`" for verb in ("reset", "enable")]
-    refused = f"failstop: refused: e-stop latched ({reason}); next: {steps[0]}, then {steps[1]}"
+    refused = f"failstop: refused: a stop is latched ({reason}); next: {steps[0]}, then {steps[1]}"
     assert seen.refused("enable").startswith(refused)
     assert seen.refused("drive", "0.1", "0", "0") == refused
     assert seen.status()["blocked"] == f"estop: {reason}"

@@ -101,7 +101,7 @@ def test_while_driving_a_starved_port_owner_is_fenced_as_ever(trial: Trial) -> N
         wait_for("a latched stop", lambda: trial.drive(0.02) or trial.robot.state.estop is not None)
     wait_for("another port owner", lambda: trial.service.ready() and trial.service.pids()[PORT_OWNER] != pid)
     assert not trial.moving()
-    assert "E-STOP latched: port_owner hangs: " in trial.service.said()
+    assert "STOP latched: port_owner hangs: " in trial.service.said()
     assert "port_owner was fenced" in trial.service.said()
 
 

@@ -96,15 +96,15 @@ def test_the_state_is_new_10_times_a_second_though_nothing_happens(service: Tria
 
 def test_a_latch_is_logged_once_with_its_reason(service: Trial) -> None:
     service.enable()
-    before = service.service.said().count("E-STOP latched: ")
+    before = service.service.said().count("STOP latched: ")
     service.board.key(1, 0x01)
     wait_for("the latch", lambda: service.robot.state.estop == "key1")
-    wait_for("the line", lambda: "E-STOP latched: key1; " in service.service.said())
+    wait_for("the line", lambda: "STOP latched: key1; " in service.service.said())
     service.board.pad(0x0100)
     wait_for("the second stop", lambda: "gamepad button 0x0100; " in service.service.said())
     service.board.pad(0)
     service.drive(0.3)  # the repeats of the burst, and commands that move nothing, are no news
-    assert service.service.said().count("E-STOP latched: ") == before + 1
+    assert service.service.said().count("STOP latched: ") == before + 1
     assert service.robot.state.estop == "key1"
 
 

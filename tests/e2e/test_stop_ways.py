@@ -93,7 +93,7 @@ def test_by_the_service_that_runs(trial: Trial, command: str) -> None:
     asked_ns = time.monotonic_ns()
     result = failstop(command, "hand", "near", "wheel", "--name", trial.name)
     assert (result.returncode, result.stderr) == (0, "")
-    assert result.stdout.startswith(f"e-stop latched (stop request: hand near wheel (failstop {command}, pid ")
+    assert result.stdout.startswith(f"stop latched (stop request: hand near wheel (failstop {command}, pid ")
     assert f"by the service '{trial.name}'; next: `failstop reset --name {trial.name}`" in result.stdout
     trial.drive(0.2)
     stopped = judge(trial.board.events(), asked_ns, True)
@@ -105,7 +105,7 @@ def test_a_latched_stop_is_asked_for_again(trial: Trial) -> None:
     assert failstop("stop", "one", "--name", trial.name).returncode == 0
     trial.board.events()
     again = failstop("stop", "two", "--name", trial.name)
-    assert "e-stop latched (stop request: one (failstop stop" in again.stdout, "the first cause is the one to look for"
+    assert "stop latched (stop request: one (failstop stop" in again.stdout, "the first cause is the one to look for"
     assert again.returncode == 0
     assert any(event.is_stop for event in trial.board.events())
 
@@ -169,7 +169,7 @@ def test_a_port_that_is_gone_is_told_with_the_latch(trial: Trial) -> None:
     wait_for("the loss", lambda: trial.robot.state.device.state != "open")
     result = failstop("stop", "--name", trial.name)
     assert result.returncode == 0
-    assert "e-stop latched (" in result.stdout
+    assert "stop latched (" in result.stdout
     assert "so no stop reaches the board: use the POWER SWITCH" in result.stderr
     trial.board.replug()
 

@@ -94,7 +94,7 @@ def test_a_truncated_segment_is_refused_with_a_reason(name: str) -> None:
 
 
 def test_a_pipe_in_a_segments_place_holds_nobody_up(name: str) -> None:
-    """Anybody may put one there while no service runs; shm_open would wait for its other end for ever."""
+    """Anybody may put one there while no service runs; shm_open would wait for its other end forever."""
     path = f"/dev/shm/failstop.{name}.gate"
     os.unlink(path)
     os.mkfifo(path)

@@ -100,7 +100,7 @@ def test_a_board_that_falls_silent() -> None:
 
 def test_a_request_in_the_words_of_a_death_does_not_hide_the_death() -> None:
     made = Recorder(causes.PIPED("gate died"))
-    said = "E-STOP latched: stop request: gate died; stop frame written by the port owner after 90 us"
+    said = "STOP latched: stop request: gate died; stop frame written by the port owner after 90 us"
     made.event(0.5, "stop", said, "warning", reason="stop request: gate died", cause="piped")
     made.event(1.0, "note", "no reason here")
     made.cause(0, causes.PIPED("gate died"))
@@ -110,7 +110,7 @@ def test_a_request_in_the_words_of_a_death_does_not_hide_the_death() -> None:
 
 def test_a_death_that_was_told_of_does_not_hide_another() -> None:
     made = Recorder(causes.DIED("supervisor"))
-    made.event(0.5, "stop", "E-STOP latched: supervisor died", "warning", reason="supervisor died", cause="died")
+    made.event(0.5, "stop", "STOP latched: supervisor died", "warning", reason="supervisor died", cause="died")
     made.cause(0, causes.DIED("supervisor"))
     made.cause(300, causes.DIED("gate"))
     assert told(made.incident(), "cause") == ["gate died (noticed by the port owner)"]

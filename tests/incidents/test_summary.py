@@ -60,15 +60,15 @@ def test_what_was_before_a_reset_belongs_to_another_stop() -> None:
     made = drive_and_die()
     made.event(-2000, "died", "stopper (pid 103) was killed by SIGKILL", "error", process="stopper", pid=103)
     assert ("died", "! stopper (pid 103) was killed by SIGKILL") in chosen(made.incident())
-    made.event(-1500, "reset", "nav (pid 77): e-stop cleared (was: stopper died); motion still disabled")
+    made.event(-1500, "reset", "nav (pid 77): latched stop cleared (was: stopper died); motion still disabled")
     told = chosen(made.incident())
     assert ("died", "! stopper (pid 103) was killed by SIGKILL") not in told
-    assert told[0] == ("reset", "nav (pid 77): e-stop cleared")
+    assert told[0] == ("reset", "nav (pid 77): latched stop cleared")
 
 
 def test_a_stop_in_other_words_that_contain_the_cause_is_a_line_of_its_own() -> None:
     made = drive_and_die()
-    said = "E-STOP latched: stop request: gate died; stop frame written by the port owner after 90 us"
+    said = "STOP latched: stop request: gate died; stop frame written by the port owner after 90 us"
     made.event(900, "stop", said, "warning", reason="stop request: gate died", cause="piped")
     assert ("stop", said) in chosen(made.incident())
     assert len([line for line in chosen(made.incident()) if line[0] == "stop"]) == 1
@@ -120,7 +120,7 @@ def test_a_driver_that_went_is_why_the_wheels_stood(kind: str, ended: str) -> No
     for ms in range(-2000, 0, 20):
         made.core.scan.deliver(at(ms), at(ms))
         made.tick(ms)
-    assert re.fullmatch(rf"the wheels stood \(cmd timeout\), for 1\.7 s; {ended}", fact(made, "before"))
+    assert re.fullmatch(rf"the wheels stood \(no command\), for 1\.7 s; {ended}", fact(made, "before"))
 
 
 def test_a_cause_is_there_even_when_nothing_else_is() -> None:

@@ -100,9 +100,9 @@ def test_what_is_compiled_of_something_else_is_compiled_anew(tmp_path: Path, why
         found[at[why]] ^= 1
     compiled(source).write_bytes(found[:12] if why == "cut short" else bytes(found) + b"marked")
     environment.write(str(tmp_path / "new"))
-    anew = compiled(tmp_path / "new/module.py").read_bytes()
-    assert anew[:4] == importlib.util.MAGIC_NUMBER
-    assert not anew.endswith(b"marked")
+    again = compiled(tmp_path / "new/module.py").read_bytes()
+    assert again[:4] == importlib.util.MAGIC_NUMBER
+    assert not again.endswith(b"marked")
 
 
 def test_the_digest_sees_content_names_and_links(tmp_path: Path) -> None:
@@ -204,5 +204,5 @@ def test_units_and_accounts_are_read_as_systemd_reads_them() -> None:
 
 
 def test_an_incomplete_package_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InstallError, match=r"comes without its file systemd/absent .*install the package anew"):
+    with pytest.raises(InstallError, match=r"comes without its file systemd/absent .*install it again"):
         parts._text("absent")

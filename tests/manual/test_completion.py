@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import pty
 import select
 import shlex
 import shutil
 import subprocess
+import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,6 +20,7 @@ from failstop.cli import main as cli
 from failstop.cli.commands import completion
 from failstop.cli.manual import grammar
 from failstop.incidents.file import SUFFIX
+from failstop.shm import instance
 
 ASK = """\
 source "$1"; shift
@@ -25,6 +29,16 @@ COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1))
 _failstop
 printf '%s\\n' "${COMPREPLY[@]}"
 """
+
+
+@pytest.fixture(scope="module")
+def environ(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Of a shell that finds the command."""
+    place = tmp_path_factory.mktemp("completion")
+    command = place / "failstop"
+    command.write_text(f'#!/bin/sh\nexec {sys.executable} -m failstop "$@"\n')
+    command.chmod(0o755)
+    return {**os.environ, "PATH": f"{place}:{os.environ['PATH']}", "XDG_STATE_HOME": str(place / "state")}
 
 
 @pytest.fixture(scope="module")
@@ -43,14 +57,18 @@ def asked(script: Path, *words: str, cwd: Path | None = None, environ: dict[str,
         timeout=20,
         check=True,
         cwd=cwd,
-        env={**os.environ, **(environ or {})},
+        env=environ,
     )
     assert result.stderr == ""
     return set(result.stdout.split("\n")) - {""}
 
 
-def every_command() -> list[grammar.Command]:
-    return [below for _, commands in grammar.read() for command in commands for below in command.walk()]
+def every_command() -> list[argparse.ArgumentParser]:
+    return [parser for parser in grammar.walk(grammar.whole()) if parser.prog != "failstop"]
+
+
+def flags(parser: argparse.ArgumentParser) -> set[str]:
+    return {"-h", "--help"} | {flag for action in grammar.arguments(parser) for flag in action.option_strings}
 
 
 def test_bash_offers_every_command(bash_script: Path) -> None:
@@ -61,14 +79,15 @@ def test_bash_offers_every_command(bash_script: Path) -> None:
 
 
 def test_bash_offers_every_option_and_choice(bash_script: Path) -> None:
-    lines, expected = [], []
-    for command in every_command():
-        lines.append(("failstop", *command.path, "--"))
-        expected.append({flag for option in command.options for flag in option.flags if flag.startswith("--")})
-        for option in command.options:
-            if option.choices:
-                lines.append(("failstop", *command.path, option.flags[-1], ""))
-                expected.append(set(option.choices))
+    lines: list[list[str]] = []
+    expected = []
+    for parser in every_command():
+        lines.append([*parser.prog.split(), "--"])
+        expected.append({flag for flag in flags(parser) if flag.startswith("--")})
+        for action in grammar.arguments(parser):
+            if action.option_strings and action.choices:
+                lines.append([*parser.prog.split(), action.option_strings[-1], ""])
+                expected.append(set(map(str, action.choices)))
     questions = "\n".join(
         f"COMP_WORDS=({shlex.join(words)}); COMP_CWORD={len(words) - 1}; _failstop; echo ${{COMPREPLY[*]}}"
         for words in lines
@@ -92,29 +111,64 @@ def test_bash_knows_what_stands_where(bash_script: Path, tmp_path: Path) -> None
     assert asked(bash_script, "failstop", "drive", "0", "--for", "2", "--na") == {"--name"}
     assert asked(bash_script, "failstop", "completion", "") == set(completion.SHELLS)
     assert asked(bash_script, "failstop", "completion", "bash", "") == set()
+    assert asked(bash_script, "failstop", "incident", "pl") == {"plot"}
 
 
-def test_bash_offers_the_instances_for_a_name(bash_script: Path, tmp_path: Path) -> None:
-    for name in ("left", "lower", "right"):
-        (tmp_path / "failstop" / name).mkdir(parents=True)
-        os.mkfifo(tmp_path / "failstop" / name / "stop")
-    (tmp_path / "failstop" / "leftover").mkdir()
-    (tmp_path / "failstop" / "left" / "lock").write_text(f"{os.getpid()}\n")
-    (tmp_path / "failstop" / "lower" / "lock").write_text("999999999\n")
-    environ = {"XDG_RUNTIME_DIR": str(tmp_path)}
-    assert asked(bash_script, "failstop", "status", "--name", "l", environ=environ) == {"left"}
-    assert asked(bash_script, "failstop", "status", "--name", "ri", environ=environ) == {"right"}
-
-
-def test_bash_offers_the_incidents(bash_script: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "failstop" / "left" / "incidents"
+@pytest.fixture(scope="module")
+def incident(environ: dict[str, str]) -> str:
+    folder = Path(environ["XDG_STATE_HOME"]) / "failstop" / "left" / "incidents"
     folder.mkdir(parents=True)
     (folder / f"19700101-000000-gate-died{SUFFIX}").touch()
     (folder / "19700102-else.txt").touch()
-    environ = {"XDG_STATE_HOME": str(tmp_path)}
-    assert asked(bash_script, "failstop", "incident", "show", "1970", environ=environ) == {"19700101-000000-gate-died"}
+    return "19700101-000000-gate-died"
+
+
+@pytest.fixture(scope="module")
+def listening() -> Iterator[str]:
+    """A service that takes stop requests; of another one its directory is left."""
+    name = f"manual-{os.getpid()}"
+    for each in (name, f"{name}-gone"):
+        stop = instance.stop_path(instance.make_runtime_dir(each))
+        os.mkfifo(stop)
+    reader = os.open(instance.stop_path(instance.make_runtime_dir(name)), os.O_RDONLY | os.O_NONBLOCK)
+    yield name
+    os.close(reader)
+
+
+def test_every_shell_asks_for_services_and_incidents(
+    listening: str, environ: dict[str, str], incident: str, bash_script: Path, tmp_path: Path
+) -> None:
+    """Those that listen; zsh and fish where they are installed."""
+    start = listening[:-1]
+    assert asked(bash_script, "failstop", "status", "--name", start, environ=environ) == {listening}
+    assert asked(bash_script, "failstop", "incident", "show", "1970", environ=environ) == {incident}
     assert "last" in asked(bash_script, "failstop", "incident", "show", "", environ=environ)
-    assert asked(bash_script, "failstop", "incident", "pl") == {"plot"}
+    if shutil.which("zsh"):
+        file = tmp_path / "zsh"
+        file.write_text(completion.script("zsh"))
+        ask = (
+            f'compdef() {{ }}; compadd() {{ print -l $@ }}; eval "$(<{file})"; _failstop_incidents; _failstop_services'
+        )
+        found = said("zsh", "-f", "-c", ask, environ=environ).split()
+        assert {"last", incident, listening} <= set(found)
+        assert f"{listening}-gone" not in found
+    if shutil.which("fish"):
+        file = tmp_path / "fish"
+        file.write_text(completion.script("fish"))
+        assert offered(file, "failstop incident show ", environ) >= {"last", incident}
+        assert listening in offered(file, "failstop status --name ", environ)
+
+
+def said(*command: str, environ: dict[str, str] | None = None, cwd: Path | None = None) -> str:
+    result = subprocess.run(command, capture_output=True, text=True, timeout=30, env=environ, cwd=cwd)
+    assert (result.returncode, result.stderr) == (0, "")
+    return result.stdout
+
+
+def offered(file: Path, line: str, environ: dict[str, str] | None = None) -> set[str]:
+    """What fish offers."""
+    rows = said("fish", "--no-config", "-c", f'source {file}; complete -C "{line}"', environ=environ, cwd=file.parent)
+    return {found.partition("\t")[0] for found in rows.splitlines()}
 
 
 def test_bash_completes_what_is_typed(bash_script: Path) -> None:
@@ -157,55 +211,21 @@ def test_the_shell_takes_the_script(name: str, tmp_path: Path) -> None:
     assert (result.returncode, result.stderr) == (0, "")
 
 
-def test_zsh_and_fish_find_instances_and_incidents(tmp_path: Path) -> None:
-    place = tmp_path / "failstop" / "left"
-    (place / "incidents").mkdir(parents=True)
-    (place / "incidents" / f"19700101-000000-gate-died{SUFFIX}").touch()
-    os.mkfifo(place / "stop")
-    (tmp_path / "failstop" / "gone").mkdir()
-    os.mkfifo(tmp_path / "failstop" / "gone" / "stop")
-    (tmp_path / "failstop" / "gone" / "lock").write_text("999999999\n")
-    environ = {**os.environ, "XDG_STATE_HOME": str(tmp_path), "XDG_RUNTIME_DIR": str(tmp_path)}
-    asking = {
-        "zsh": "compdef() { }; compadd() { print -l ${(P)2} }; source FILE; _failstop_incidents; _failstop_instances",
-        "fish": "source FILE; __failstop_incidents; __failstop_instances",
-    }
-    found = [name for name in asking if shutil.which(name)]
-    if not found:
-        pytest.skip("neither zsh nor fish is installed")
-    for name in found:
-        file = tmp_path / name
-        file.write_text(completion.script(name))
-        command = [name, "-f" if name == "zsh" else "--no-config", "-c", asking[name].replace("FILE", str(file))]
-        result = subprocess.run(command, capture_output=True, text=True, timeout=20, env=environ)
-        assert (result.returncode, result.stderr) == (0, "")
-        assert {"last", "19700101-000000-gate-died", "left"} <= set(result.stdout.split())
-        assert "gone" not in result.stdout.split()
-
-
 def test_fish_completes(tmp_path: Path) -> None:
+    shell("fish")
     file = tmp_path / "failstop.fish"
     file.write_text(completion.script("fish"))
-
-    def offered(line: str) -> set[str]:
-        command = [shell("fish"), "--no-config", "-c", f'source {file}; complete -C "{line}"']
-        result = subprocess.run(command, capture_output=True, text=True, timeout=20, cwd=tmp_path)
-        assert (result.returncode, result.stderr) == (0, "")
-        return {found.partition("\t")[0] for found in result.stdout.splitlines()}
-
-    assert offered("failstop ") == set(cli.COMMANDS)
-    assert offered("failstop completion ") == set(completion.SHELLS)
-    assert "--config" in offered("failstop run --")
-    assert "failstop.fish" in offered("failstop run --config ")
+    assert offered(file, "failstop ") == {*cli.COMMANDS, "help"}
+    assert offered(file, "failstop completion ") == set(completion.SHELLS)
+    assert "--config" in offered(file, "failstop run --")
+    assert "failstop.fish" in offered(file, "failstop run --config ")
 
 
 @pytest.mark.parametrize("name", completion.SHELLS)
 def test_every_command_and_option_is_in_the_script(name: str) -> None:
     text = completion.script(name)
-    for command in every_command():
-        assert command.path[-1] in text
-        for option in command.options:
-            for flag in option.flags:
-                if name == "fish" or flag.startswith("--"):
-                    shown = f"-{'l' if flag.startswith('--') else 's'} {flag.lstrip('-')} " if name == "fish" else flag
-                    assert shown in text, flag
+    for parser in every_command():
+        assert parser.prog.split()[-1] in text
+        for flag in flags(parser):
+            kind = "l" if flag.startswith("--") else "s"
+            assert (f"-{kind} {flag.lstrip('-')} " if name == "fish" else flag) in text, flag

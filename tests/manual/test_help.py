@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 import time
@@ -9,7 +10,7 @@ import time
 import pytest
 
 from failstop.cli import main as cli
-from failstop.cli.manual import grammar
+from failstop.cli.manual import grammar, man
 from tests.support.commands import FAILSTOP
 from tests.support.pages import commands_in
 
@@ -93,18 +94,18 @@ def test_the_help_is_there_at_once() -> None:
     assert best_s < 0.5
 
 
-def test_the_grammar_reads_commands_of_commands() -> None:
-    import argparse
-
+def test_the_manual_has_the_commands_of_commands() -> None:
     parser = argparse.ArgumentParser(prog="failstop box", description="a box")
     below = parser.add_subparsers(dest="verb")
     show = below.add_parser("show", help="tell the story")
     show.add_argument("id", nargs="?", default="last", metavar="ID", help="which (default: %(default)s)")
     show.add_argument("-o", "--output", metavar="FILE", required=True)
-    found = grammar._command(("box",), parser)
-    (child,) = found.children
-    assert (child.path, child.what) == (("box", "show"), "Tell the story.")
-    assert child.positionals[0].help == "which (default: last)"
-    assert (child.positionals[0].kind, child.positionals[0].required) == ("incident", False)
-    assert child.options[1].flags == ("-o", "--output")
-    assert (child.options[1].kind, child.options[1].required) == ("file", True)
+    show.add_argument("--hidden", help=argparse.SUPPRESS)
+    box, child = grammar.walk(parser)
+    assert "Tell the story." in man.command(child)
+    assert "which (default: last)" in man.command(child)
+    assert "\\fBfailstop box show\\fR \\fB\\-o\\fR, \\fB\\-\\-output\\fR \\fIFILE\\fR [\\fIID\\fR]" in man.command(
+        child
+    )
+    assert [action.dest for action in grammar.arguments(child)] == ["id", "output"]
+    assert grammar.arguments(box) == []

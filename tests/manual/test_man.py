@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import shutil
@@ -17,7 +18,7 @@ PAGE = Path(__file__).resolve().parents[2] / "man" / "failstop.1"
 
 
 def test_the_page_is_the_generated_one() -> None:
-    assert PAGE.read_text() == man.page(grammar.read()), "renew it: python -m failstop.cli.manual > man/failstop.1"
+    assert PAGE.read_text() == man.page(), "renew it: python -m failstop.cli.manual > man/failstop.1"
 
 
 def test_man_takes_the_page_without_a_warning() -> None:
@@ -30,12 +31,10 @@ def test_man_takes_the_page_without_a_warning() -> None:
     words = set(re.sub(r"\x1b\[[0-9;]*m|.\x08", "", result.stdout).split())
     for name in cli.COMMANDS:
         assert name in words
-    for _, commands in grammar.read():
-        for command in commands:
-            for below in command.walk():
-                assert {flag for option in below.options for flag in option.flags} - {"-h", "--help"} <= {
-                    word.rstrip(",") for word in words
-                }, below.path
+    for name in cli.COMMANDS:
+        for parser in grammar.walk(cli.load(name)[0]):
+            flags = {flag for action in grammar.arguments(parser) for flag in action.option_strings}
+            assert flags <= {word.rstrip(",") for word in words}, parser.prog
 
 
 def test_the_page_has_the_parts_of_a_man_page() -> None:
@@ -52,9 +51,9 @@ def test_the_page_has_the_parts_of_a_man_page() -> None:
 
 
 def test_texts_that_look_like_requests_are_texts() -> None:
-    odd = grammar.Argument(("--odd",), "F", ".SH of 'it' \\ - `x`", "file")
-    command = grammar.Command(("odd",), "'quoted first.", (odd,), (), (), (".B failstop odd",))
-    text = man.page([("odd", [command])])
+    parser = argparse.ArgumentParser(prog="odd", description="'quoted first.", epilog=".B failstop odd")
+    parser.add_argument("--odd", metavar="F", help=".SH of 'it' \\ - `x`")
+    text = "\n".join(man.command(parser)) + "\n"
     assert "\n\\&.SH of \\(aqit\\(aq \\e \\- \\(gax\\(ga\n" in text
     assert "\n\\(aqquoted first.\n" in text
     assert "\n\\&.B failstop odd\n" in text

@@ -4,7 +4,7 @@ run.py [--at DIRECTORY] [ROOM[/FILE]...]
 
 Rooms of rooms.py, or single files of them (shm/ring); without any: all. Exit code 1 when a survivor is unexplained, or
 when more than 3 % of the mutants survive that are not the same program. With a directory the copy stays there, and
-a run that was ended goes on: what was killed stays so, what survived without a row is tried anew, by the tests of now.
+a run that was ended goes on: what was killed stays so, what survived without a row is tried again, by the tests of now.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def retry(where: Path) -> None:
         for it in outcomes(where)
         if it.code in (NOT_CALLED, *NOT_TRIED) or (it.code == SURVIVED and not reason(it))
     }
-    # Which test calls what is found out anew: one that was changed keeps its name.
+    # Which test calls what is found out again: one that was changed keeps its name.
     (where / "mutants" / "mutmut-stats.json").unlink(missing_ok=True)
     for meta in (where / "mutants").rglob("*.py.meta"):
         data = json.loads(meta.read_text())

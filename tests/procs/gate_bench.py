@@ -49,5 +49,5 @@ class Gate:
 
 
 def stands(gate: Gate) -> bool:
-    """Whether the wheels are told to stand."""
+    """Whether the wheels stop."""
     return gate.core.velocity == REST and gate.core.speeds == STILL

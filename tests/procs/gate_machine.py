@@ -206,7 +206,7 @@ class GateMachine(RuleBasedStateMachine):
         done, text = told(self.core.enable(self.epoch, missing, self.now))
         assert done is (self.latch is None and not missing and self.in_pose())
         if self.latch is not None:
-            assert text == f"e-stop latched ({self.latch})"
+            assert text == f"a stop is latched ({self.latch})"
         if done and not self.enabled:
             self.stand()
             self.enabled = True

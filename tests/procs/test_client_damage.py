@@ -69,7 +69,7 @@ def test_a_damaged_hello_ends_the_session(service: Service) -> None:
     assert service.sessions() == []
     client.hello(11, "back", os.getpid())
     assert service.look() == [], "a session that is over does not come back"
-    client.hello(12, "anew", os.getpid())
+    client.hello(12, "again", os.getpid())
     client.command(session=12)
     assert service.look() == [("command", 12, 0.1)]
 
@@ -81,7 +81,7 @@ def test_whole_records_of_any_content_raise_nothing(service: Service, record: st
     service.look()
     client.segment.latest_writer(record).write(payload)
     service.look()
-    client.hello(12, "anew", os.getpid())
+    client.hello(12, "again", os.getpid())
     client.command(session=12)
     assert ("command", 12, 0.1) in service.look()
 

@@ -257,11 +257,11 @@ def test_a_stop_in_between_wins(scene: ArmScene) -> None:
     scene.run(0.6)
     scene.stop(causes.PIPED(""))
     scene.run(0.1)
-    assert scene.answered() == (records.REFUSED, "e-stop latched (stop request)")
+    assert scene.answered() == (records.REFUSED, "a stop is latched (stop request)")
     scene.run(3.0)
     assert not scene.gate.core.enabled
     scene.ask_for(records.ENABLE)
-    assert scene.finish() == (records.REFUSED, "e-stop latched (stop request)")
+    assert scene.finish() == (records.REFUSED, "a stop is latched (stop request)")
 
 
 def test_an_absent_arm_refuses_once_clearly_and_can_be_ignored_by_a_setting(

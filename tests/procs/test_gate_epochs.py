@@ -63,7 +63,7 @@ def test_resets_are_decided_one_after_the_other(gate_scene: Scene) -> None:
     assert gate_scene.own.word("resets_asked").get() == 1
     gate_scene.decide()
     assert gate_scene.own.word("resets_asked").get() == 2
-    assert gate_scene.replied() == (8, True, "no e-stop is latched")
+    assert gate_scene.replied() == (8, True, "no stop is latched")
 
 
 def test_a_damaged_cause_latches_too(gate_scene: Scene) -> None:
@@ -97,4 +97,4 @@ def test_nothing_was_stopped_yet_for_the_first_gate(gate_scene: Scene) -> None:
     gate_scene.request(records.RESET, 1)
     for _ in range(main.LOOK_AT_ALL_EVERY):
         gate_scene.tick()
-    assert gate_scene.answer() == (True, "no e-stop is latched")
+    assert gate_scene.answer() == (True, "no stop is latched")

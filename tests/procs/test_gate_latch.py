@@ -27,7 +27,7 @@ def test_the_first_reason_is_kept(driving: Gate) -> None:
 def test_a_reason_without_words_latches_too(driving: Gate) -> None:
     assert driving.core.trip(why(""), 1)
     assert driving.blocked == "estop: stop request"
-    assert told(driving.core.enable(2, "", driving.now)) == (False, "e-stop latched (stop request)")
+    assert told(driving.core.enable(2, "", driving.now)) == (False, "a stop is latched (stop request)")
 
 
 def test_the_latch_is_told_before_everything_else(gate: Gate) -> None:
@@ -43,7 +43,7 @@ def test_the_latch_is_told_before_everything_else(gate: Gate) -> None:
 
 def test_enable_is_refused_while_latched(driving: Gate) -> None:
     driving.core.trip(why("key1"), 3)
-    assert told(driving.core.enable(4, "", driving.now)) == (False, "e-stop latched (key1)")
+    assert told(driving.core.enable(4, "", driving.now)) == (False, "a stop is latched (key1)")
     assert not driving.core.enabled
 
 

@@ -39,10 +39,10 @@ FIELDS = {"who": "gamepad", "reason": "key1", "cause": "key"}
 
 
 def test_the_gamepad_has_no_pid() -> None:
-    note = of_request(records.RESET, "gamepad", 0, Reply(True, "e-stop cleared", why("key1")), enabled=False)
+    note = of_request(records.RESET, "gamepad", 0, Reply(True, "latched stop cleared", why("key1")), enabled=False)
     assert note is not None
     assert (note.text, note.fields) == (
-        "gamepad: e-stop cleared",
+        "gamepad: latched stop cleared",
         FIELDS,
     )
 

@@ -503,7 +503,7 @@ def test_nothing_cuts_into_motion(scene: Scene) -> None:
 
 
 def test_a_gate_that_beats_but_sends_nothing_is_a_cause(scene: Scene) -> None:
-    """Two refresh periods: the board would keep the last frame for ever."""
+    """Two refresh periods: the board would keep the last frame forever."""
     scene.drive()
     for _ in range(20):
         scene.turn(20 * MS)

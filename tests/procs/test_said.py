@@ -30,7 +30,7 @@ def test_told_once_when_it_changes_and_when_its_client_goes() -> None:
     assert news is not None
     assert [(note.text, note.level) for note in news] == [("nav (pid 7) says: all well", "")]
     assert said.follow([(11, 0, "nav (pid 7)", 5, "all well", "")], S) is None
-    assert said.follow([(11, 0, "nav (pid 7)", 6, "all well", "")], S) == [], "only said anew: a new time, no news"
+    assert said.follow([(11, 0, "nav (pid 7)", 6, "all well", "")], S) == [], "only said again: a new time, no news"
     assert said.table() == [(0, 6, "all well", "")]
     news = said.follow([(11, 0, "nav (pid 7)", 7, "all well", "no map")], S)
     assert news is not None

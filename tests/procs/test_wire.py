@@ -467,7 +467,7 @@ def test_the_first_bytes_on_a_new_port_are_a_burst(pty: Pty, kernel: Kernel, hel
     wire.adopt(pty.slave)
     assert not wire.lost
     held.bytes = len(BURST)
-    assert not wire.stuck(T0), "its time begins anew"
+    assert not wire.stuck(T0), "its time begins again"
     held.bytes = 0
     assert wire.frame(MOTION)
     assert pty.read() == BURST + MOTION

@@ -69,7 +69,7 @@ def test_the_main_paths_on_the_simulated_board(tmp_path: Path) -> None:
     # returned: the board may have it before that, by as long as the writer is held up there, and not after its answer.
     assert -1 < statistics.median(row["board_ms"] - row["written_ms"] for row in rows) < 20
     assert all(0 < row["board_ms"] < row["acknowledged_ms"] > row["written_ms"] > 0 for row in rows)
-    assert next(row for row in rows if row["path"] == "deadman")["written_ms"] >= 299
+    assert next(row for row in rows if row["path"] == "timeout")["written_ms"] >= 299
     assert result["character"]["still"]["most"] < 0.0035 < result["character"]["spinning"]["0.2"]["least"]
     (folder,) = tmp_path.iterdir()
     assert {"report.txt", "result.json"} <= {file.name for file in folder.iterdir()}
@@ -91,7 +91,7 @@ def test_a_board_that_does_not_stop_fails_and_ends_it(tmp_path: Path) -> None:
 def test_the_command_fails_on_a_board_that_does_not_stop(board: SimBoard, tmp_path: Path) -> None:
     board.refuse_stop(True)
     out = str(tmp_path / "evidence")
-    done = prove("--device", board.link, "--only", "deadman", "--at", "0.2", "--quick", "--out", out, said=WORD)
+    done = prove("--device", board.link, "--only", "timeout", "--at", "0.2", "--quick", "--out", out, said=WORD)
     assert done.returncode == 1
     assert "THE WHEELS DID NOT COME TO REST" in done.stdout
     assert "POWER SWITCH" in done.stdout
@@ -101,9 +101,9 @@ def test_the_command_fails_on_a_board_that_does_not_stop(board: SimBoard, tmp_pa
 
 
 @pytest.mark.slow
-def test_a_deadman_that_is_set_too_long_fails(tmp_path: Path) -> None:
+def test_a_timeout_that_is_set_too_long_fails(tmp_path: Path) -> None:
     with on_stand(tmp_path, **{"gate.command_timeout_s": 0.9}) as stand:
-        result = one(stand, "deadman")
+        result = one(stand, "timeout")
         assert result.verdict == "FAIL"
         assert result.written_ms == pytest.approx(900, abs=60)
         assert any(wrong.startswith("written after 9") for wrong in result.wrong)
@@ -215,7 +215,7 @@ def test_a_service_on_another_board_does_not_hinder_a_simulated_one(
 
 
 def test_words_that_are_in_no_table() -> None:
-    done = prove("--sim", "--only", "deadman,earthquake")
+    done = prove("--sim", "--only", "timeout,earthquake")
     assert done.returncode == 1
     assert "no stop path 'earthquake'" in done.stderr
     assert "no velocity '9'" in prove("--sim", "--at", "9").stderr

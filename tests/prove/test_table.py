@@ -17,7 +17,7 @@ from tests.prove.noise import SIMULATED, gyro
 def test_every_process_is_killed_and_hung() -> None:
     for kind in (table.KILL, table.HANG):
         assert {path.process for path in PATHS if path.kind == kind} == set(PROCESSES)
-    assert {path.kind for path in PATHS} >= {table.DEADMAN, table.REQUEST, table.DISABLE, table.SCAN, table.PAD}
+    assert {path.kind for path in PATHS} >= {table.TIMEOUT, table.REQUEST, table.DISABLE, table.SCAN, table.PAD}
     assert len(BY_PATH) == len(PATHS)
 
 
@@ -29,7 +29,7 @@ def test_every_bar_is_one() -> None:
 
 
 def test_the_bars_are_those_that_were_measured_before() -> None:
-    bar = BY_PATH["deadman"].rest_bar_s(BY_VELOCITY["0.35"])
+    bar = BY_PATH["timeout"].rest_bar_s(BY_VELOCITY["0.35"])
     assert bar == pytest.approx(0.75 + table.RESOLUTION_S)
     assert BY_PATH["hang-gate"].rest_bar_s(BY_VELOCITY["turn"]) == pytest.approx(0.065 + 0.25 + table.RESOLUTION_S)
 
@@ -44,7 +44,7 @@ def test_plans() -> None:
 
 
 def result(**changed: object) -> Result:
-    found = Result(BY_PATH["deadman"], BY_VELOCITY["0.2"], False, 301.0, "gate", 420.0, 0.5)
+    found = Result(BY_PATH["timeout"], BY_VELOCITY["0.2"], False, 301.0, "gate", 420.0, 0.5)
     return dataclasses.replace(found, **changed)  # type: ignore[arg-type]
 
 

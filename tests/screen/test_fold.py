@@ -20,7 +20,7 @@ from failstop.supervisor.fold import columns, fitted, fold
 from tests.support.commands import FAILSTOP
 
 LINE = (
-    "failstop: E-STOP latched: stop request: hand near the wheel (failstop estop, pid 9269); stop frame written by the "
+    "failstop: STOP latched: stop request: hand near the wheel (failstop estop, pid 9269); stop frame written by the "
     "port owner "
     "after 27 us; next: `failstop reset`, then `failstop enable`"
 )

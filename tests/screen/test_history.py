@@ -34,7 +34,7 @@ def why(state_: object, events: list[Event]) -> str:
 def test_a_process_that_was_fenced_hung() -> None:
     dead = state(processes={"gate": process(restarts=1, last_exit="killed by SIGKILL")})
     fenced = [told("fenced", FENCED), told("died", DIED)]
-    said = "gate was started anew once; it hung (silent for 60 ms), and was killed by the supervisor"
+    said = "gate was restarted once; it hung (silent for 60 ms), and was killed by the supervisor"
     assert said in shown(dead, fenced)
     down = state(processes={"gate": process(pid=0, state="down", last_exit="killed by SIGKILL")})
     assert "it hung (silent for 60 ms), and was killed by the supervisor" in " ".join(shown(down, fenced).split())

@@ -123,7 +123,7 @@ def test_the_window_lost_the_focus() -> None:
     bench.key(FOCUS_OUT)
     assert bench.wheels() == STILL
     bench.key("w", REPEAT)
-    assert bench.wheels() == STILL, "it counts again when it is pressed anew"
+    assert bench.wheels() == STILL, "it counts again when it is pressed again"
 
 
 def test_keys_that_were_held_up_on_the_way_drive_nothing() -> None:

@@ -94,7 +94,7 @@ def test_proofs_that_are_missing_are_seen() -> None:
 def test_restarts_and_missing_rights_are_remarked() -> None:
     again = process(restarts=2, last_exit="killed by SIGKILL", realtime=False, memory_locked=False)
     said = shown(summary.lines(state(processes={"gate": again}), NOW_S, 120))
-    assert "gate was started anew 2 times; it was killed by SIGKILL" in said
+    assert "gate was restarted 2 times; it was killed by SIGKILL" in said
     assert "without real-time rights" in said
     assert "none" in said
 
@@ -220,14 +220,14 @@ def test_sparklines() -> None:
     assert spark([1.0], 0.0, 1) == "▁"
 
 
-def _event(text: str = "E-STOP latched: key1", kind: str = "stop") -> Event:
+def _event(text: str = "STOP latched: key1", kind: str = "stop") -> Event:
     return Event(7, NOW_S + 0.25, 1, kind, "warning", text, {})
 
 
 def test_an_event_is_a_line() -> None:
     clock = time.strftime("%H:%M:%S", time.localtime(NOW_S))
     kind = "stop".ljust(told.KIND_COLUMNS)
-    assert style.plain(told.line(_event(), NOW_S)) == f"{clock}.250  {kind}  E-STOP latched: key1"
+    assert style.plain(told.line(_event(), NOW_S)) == f"{clock}.250  {kind}  STOP latched: key1"
     rows = told.rows(_event("word " * 40), NOW_S, 60)
     assert len(rows) > 3
     assert all(style.cells(style.plain(row)) <= 60 for row in rows)

@@ -130,9 +130,9 @@ def test_space_latches_at_once(pilot: Typist, trial: Trial) -> None:
     stopped_in_time(trial, typed_ns, 0.0)
     hold(pilot, b"w", 0.2)
     pilot.type(b"e")
-    pilot.wait("refused: e-stop latched")
+    pilot.wait("refused: a stop is latched")
     pilot.type(b"r")
-    pilot.wait("e-stop cleared")
+    pilot.wait("latched stop cleared")
     assert not trial.moving()
 
 

@@ -171,7 +171,7 @@ def test_a_verdict_that_is_given_anew_meanwhile_is_looked_at_the_next_time(
     assert scene.proofs()["observed_ms"] is not None
     written = scene.stop_record.read()
     scene.turn(MS)
-    assert scene.stop_record.read() == written, "what is known is not written anew"
+    assert scene.stop_record.read() == written, "what is known is not written again"
 
 
 def test_what_is_told_of_the_link(scene: Watched) -> None:

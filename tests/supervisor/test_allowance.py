@@ -84,23 +84,21 @@ def test_requests_without_end_are_bounded_and_counted_and_take_nobody_s_room(log
             asked += 1
             if tick % 1000 == 999:
                 log.events.tell("stop_again", "stopped again: gate died", {"reason": "gate died", "latched": "key1"})
-                log.events.tell("stop", "E-STOP latched: stop request: x", {"reason": "stop request: x"})
+                log.events.tell("stop", "STOP latched: stop request: x", {"reason": "stop request: x"})
             if tick % 20 == 19:
                 said += log.flush()
         minutes.append(sum(len(line) + 1 for line in said))
         lines += said
     said = log.flush(end=True)
     lines += said
-    own = 3 * sum(
-        len(f"failstop: {text}\n") for text in ("stopped again: gate died", "E-STOP latched: stop request: x")
-    )
+    own = 3 * sum(len(f"failstop: {text}\n") for text in ("stopped again: gate died", "STOP latched: stop request: x"))
     told_of = 2 * 4 * 120
     room = 2 * ASKED_BYTES
     assert minutes[0] <= 2 * room + own + told_of, "the bucket that was full, and what came into it"
     carried = room // REOPENS_AT
     assert all(room - carried < told <= room + carried + own + told_of for told in minutes[1:]), minutes
     assert sum(line == "failstop: stopped again: gate died" for line in lines) == 4 * 3
-    assert sum(line == "failstop: E-STOP latched: stop request: x" for line in lines) == 4 * 3
+    assert sum(line == "failstop: STOP latched: stop request: x" for line in lines) == 4 * 3
     told = sum("stop request: 0" in line for line in lines)
     assert told + left_out(lines) == asked, "each one is told or counted"
     assert left_out(said) > 0, "at the end too"

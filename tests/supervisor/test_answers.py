@@ -238,7 +238,7 @@ def test_a_reset_clears_the_latch_and_says_so_once_it_is_done(scene: Scene) -> N
     assert scene.cause() == (2, "the first")
     scene.ask_reset()
     scene.turn(MS)
-    assert scene.decided() == (True, "e-stop cleared (was: stop request: the first); motion still disabled")
+    assert scene.decided() == (True, "latched stop cleared (was: stop request: the first); motion still disabled")
     assert scene.cause() == (0, "the first"), "it was the last stop"
     assert scene.supervisor.epoch == 2
 

@@ -32,7 +32,7 @@ def pipe() -> Iterator[tuple[int, int]]:
 @pytest.mark.parametrize(
     ("message", "line"),
     [
-        ("E-STOP latched: key1", b"failstop: E-STOP latched: key1\n"),
+        ("STOP latched: key1", b"failstop: STOP latched: key1\n"),
         ("\udcff \u2713", "failstop: ? \u2713\n".encode()),
     ],
 )
@@ -43,13 +43,13 @@ def test_one_line(pipe: tuple[int, int], message: str, line: bytes) -> None:
 
 
 def test_a_pipe_that_nobody_reads_does_not_hold_up_the_supervisor(pipe: tuple[int, int]) -> None:
-    """A plain write would block for ever, and the watch over every process with it."""
+    """A plain write would block forever, and the watch over every process with it."""
     while select.select((), (pipe[1],), (), 0)[1]:
         os.write(pipe[1], bytes(4096))
     before = time.monotonic()
     with stderr_is(pipe[1]):
         for _ in range(5):
-            say("E-STOP latched: key1")
+            say("STOP latched: key1")
     assert time.monotonic() - before < 5
 
 
@@ -57,7 +57,7 @@ def test_a_pipe_whose_reader_has_gone_is_no_error() -> None:
     out, into = os.pipe()
     os.close(out)
     with stderr_is(into):
-        say("E-STOP latched: key1")
+        say("STOP latched: key1")
     os.close(into)
 
 
@@ -65,7 +65,7 @@ def test_a_closed_stderr_is_no_error() -> None:
     saved = os.dup(2)
     os.close(2)
     try:
-        say("E-STOP latched: key1")
+        say("STOP latched: key1")
     finally:
         os.dup2(saved, 2)
         os.close(saved)
@@ -142,9 +142,9 @@ def test_an_event_goes_to_the_journal_and_into_the_ring_and_not_to_stderr(scene:
 def test_without_its_journal_an_event_is_a_line_on_stderr(scene: Scene, pipe: tuple[int, int]) -> None:
     scene.lose_the_journal()
     with stderr_is(pipe[1]):
-        scene.events.tell("stop", "E-STOP latched: key1", {"reason": "key1"})
+        scene.events.tell("stop", "STOP latched: key1", {"reason": "key1"})
         scene.events.flush()
-    assert os.read(pipe[0], 1000) == b"failstop: E-STOP latched: key1\n"
+    assert os.read(pipe[0], 1000) == b"failstop: STOP latched: key1\n"
     assert len(scene.ring()) == 1
 
 

@@ -17,7 +17,7 @@ from failstop.supervisor.journal import Journal, encode, is_stderr
 @pytest.mark.parametrize(
     ("name", "value", "data"),
     [
-        ("MESSAGE", "E-STOP latched: key1", b"MESSAGE=E-STOP latched: key1\n"),
+        ("MESSAGE", "STOP latched: key1", b"MESSAGE=STOP latched: key1\n"),
         ("PRIORITY", 4, b"PRIORITY=4\n"),
         ("FAILSTOP_WAIT_S", 0.1, b"FAILSTOP_WAIT_S=0.1\n"),
         ("FAILSTOP_WHO", "a=b", b"FAILSTOP_WHO=a=b\n"),

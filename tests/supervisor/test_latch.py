@@ -41,7 +41,7 @@ def test_of_those_that_come_together_the_one_noticed_first() -> None:
 def test_after_a_reset_the_next_is_latched() -> None:
     latch = Latch()
     latch.add([stop("key1")], 2, 110)
-    assert told(latch.reset(2, 111)) == (True, "e-stop cleared (was: key1); motion still disabled")
+    assert told(latch.reset(2, 111)) == (True, "latched stop cleared (was: key1); motion still disabled")
     assert (latched(latch), latch.since, latch.reset_epoch) == (None, 0, 2)
     latch.add([stop("gate died")], 3, 120)
     assert (latched(latch), latch.since) == ("gate died", 3)
@@ -62,7 +62,7 @@ def test_who_asked_before_the_last_stop_did_not_know_of_it() -> None:
 
 def test_a_reset_with_nothing_latched_changes_nothing_and_is_one_all_the_same() -> None:
     latch = Latch()
-    assert told(latch.reset(1, 5)) == (True, "no e-stop is latched")
+    assert told(latch.reset(1, 5)) == (True, "no stop is latched")
     assert latch.reset(1, 5).cause is None
     assert latch.reset_epoch == 1
 

@@ -115,7 +115,7 @@ def test_what_could_not_be_sent_is_sent_later(tmp_path: Path, end: contextlib.Ex
 
 
 def test_a_manager_that_does_not_listen_holds_nobody_up(manager: Manager, end: contextlib.ExitStack) -> None:
-    """Its queue is full: a blocking send would wait for ever."""
+    """Its queue is full: a blocking send would wait forever."""
     notify = speaker(end, manager.address, 2)
     sent = 0
     while notify.send("STATUS=again"):

@@ -152,7 +152,7 @@ def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monk
         ("restarting", f"restarting telemetry {when}", {"process": "telemetry", "wait_s": wait_s})
         for wait_s, when in waits
     ]
-    todo = f"next: see to the cause, then `failstop reset --name {scene.resources.name}` starts it anew"
+    todo = f"next: see to the cause, then `failstop reset --name {scene.resources.name}` restarts it"
     text = f"telemetry died too often and is down, the wheels stopped; {todo}"
     assert told == [*restarts, ("down", text, {"process": "telemetry"})]
     assert (telemetry.state, telemetry.restart.ns) == ("down", NEVER)

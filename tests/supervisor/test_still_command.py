@@ -107,9 +107,9 @@ def test_one_that_has_not_ended_is_killed_and_run_anew(scene_of: Callable[[str],
     wait_for("the command", lambda: len(scene.runs()) == 1)
     first = scene.runs()[0]
     scene.stop_unheeded()
-    wait_for("the command anew", lambda: len(scene.runs()) == 2)
-    anew = f"still.command (pid {first}) has not ended since an earlier stop: killed, and run anew"
-    assert scene.told[1] == (anew, {"state": "hangs", "pid": first}, "error")
+    wait_for("the command again", lambda: len(scene.runs()) == 2)
+    again = f"still.command (pid {first}) has not ended since an earlier stop: killed, and run again"
+    assert scene.told[1] == (again, {"state": "hangs", "pid": first}, "error")
 
     def collected() -> bool:
         scene.follow(MS)
@@ -137,7 +137,7 @@ def test_again_for_the_next_stop_once_the_wheels_were_still(scene_of: Callable[[
     scene.latch.reset(scene.epoch, scene.now_ns)
     scene.stop()
     assert scene.follow(S) == [UNSTILL]
-    wait_for("the command anew", lambda: len(scene.runs()) == 2)
+    wait_for("the command again", lambda: len(scene.runs()) == 2)
 
 
 def test_one_that_has_ended_is_not_told_to_hang(scene_of: Callable[[str], Scene]) -> None:
@@ -183,5 +183,5 @@ def test_one_that_may_not_be_killed_keeps_no_stop_from_its_command(
     with monkeypatch.context() as patch:
         patch.setattr(os, "killpg", refused)
         scene.stop_unheeded()
-    wait_for("the command anew", lambda: len(scene.runs()) == 2)
+    wait_for("the command again", lambda: len(scene.runs()) == 2)
     assert any("cannot be killed" in text for text in scene.texts)

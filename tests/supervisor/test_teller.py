@@ -96,9 +96,9 @@ NEXT = "next: `failstop reset --name x`, then `failstop enable --name x`"
 @pytest.mark.parametrize(
     ("stop", "after_ns", "ending", "kind", "text", "level"),
     [
-        (KEY, 80_260, False, "stop", f"E-STOP latched: key1; {{wrote}} 80 us; {NEXT}", ""),
-        (KEY, -1, False, "stop", f"E-STOP latched: key1; {{wrote}} 0 us; {NEXT}", ""),
-        (KEY, None, False, "stop", f"E-STOP latched: key1; stop frame NOT written; {NEXT}", "critical"),
+        (KEY, 80_260, False, "stop", f"STOP latched: key1; {{wrote}} 80 us; {NEXT}", ""),
+        (KEY, -1, False, "stop", f"STOP latched: key1; {{wrote}} 0 us; {NEXT}", ""),
+        (KEY, None, False, "stop", f"STOP latched: key1; stop frame NOT written; {NEXT}", "critical"),
         (DEATH, 80_260, False, "stop_again", "stopped again: gate died; {wrote} 80 us; latched is still: key1", ""),
         (
             DEATH,
@@ -166,7 +166,7 @@ def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(teller: Teller, eve
     teller.stopped(KEY, KEY.t_ns + 80_000, "port owner", KEY, 7, ending=False, held=True)
     [(kind, text, _, level)] = events.whole
     handed = "stop frame handed over by the port owner after 80 us, NOT sent: the board takes no bytes"
-    assert (kind, text, level) == ("stop", f"E-STOP latched: key1; {handed}; {NEXT}", "critical")
+    assert (kind, text, level) == ("stop", f"STOP latched: key1; {handed}; {NEXT}", "critical")
 
 
 def test_what_was_not_handed_over_is_held_by_nobody(teller: Teller, events: Told) -> None:

@@ -388,7 +388,7 @@ def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(
     die_too_often(watching, layout.GATE)
     down_ns = watching.now_ns
     text = watching.events()[-1]["text"]
-    assert text.endswith("; it is started anew in 60 s, since nobody else could hear a reset")
+    assert text.endswith("; it is restarted in 60 s, since nobody else could hear a reset")
     monkeypatch.setattr(
         table_module.ProcessTable,
         "start",

@@ -22,6 +22,7 @@ FORBIDDEN = frozenset(
         "psutil",
         "re",
         "serial",
+        "shtab",
         "subprocess",
         "typing",
     )

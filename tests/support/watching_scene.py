@@ -21,7 +21,7 @@ from tests.support.supervisor_scene import MS, Scene
 
 
 class Watching(Scene):
-    """With real processes in the roles of the children; none is ever started anew."""
+    """With real processes in the roles of the children; none is ever started again."""
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)

@@ -263,7 +263,7 @@ def test_the_package_installed_upgraded_removed_and_purged(place: Place, package
     place.board.events()
     with place.driving():
         place.box.run("dpkg", "--force-confold", "-i", package)
-        assert stopped(place.board), "an upgrade starts it anew, with motion disabled"
+        assert stopped(place.board), "an upgrade restarts it, with motion disabled"
     assert place.ready()
     assert place.box.main_pid(UNIT) not in (0, pid)
     place.box.ctl("disable", UNIT)

@@ -44,7 +44,7 @@ def stopped_in_time(stopped: Stopped, limit_ms: float = LATEST_MS) -> None:
 
 
 def whole_again(scene: Scene, before: dict[str, int], restarts: int) -> None:
-    """systemd has started it anew: every process is a new one, and the client, which goes on commanding, moves
+    """systemd has restarted it: every process is a new one, and the client, which goes on commanding, moves
     nothing."""
     scene.recover(restarts)
     after = scene.pids()
@@ -184,7 +184,7 @@ def test_kill_of_a_child_is_the_supervisor_s_to_answer(scene: Scene, process: st
     assert after["supervisor"] == before["supervisor"]
     assert scene.restarts() == 0
     assert status(scene)["estop"] == f"{process} died"
-    told(scene, f"E-STOP latched: {process} died")
+    told(scene, f"STOP latched: {process} died")
 
 
 # All of them.
@@ -240,7 +240,7 @@ def test_systemctl_restart(scene: Scene) -> None:
 
 
 def test_hang_of_the_supervisor(scene: Scene) -> None:
-    """The port owner's lease stops the wheels; systemd starts the service anew."""
+    """The port owner's lease stops the wheels; systemd restarts the service."""
     before = scene.pids()
     stopped = scene.fault(scene.signal(signal.SIGSTOP, before["supervisor"]), aftermath_s=WATCHDOG_S)
     stopped_in_time(stopped, 300)

@@ -125,17 +125,17 @@ def test_shaking_ends_it_at_once_and_the_next_time_begins_after_it() -> None:
     assert tested.judge.still_ns == shaken_ns + STEP_NS
 
 
-@pytest.mark.parametrize(("gap_ns", "anew"), [(GAP_NS, False), (GAP_NS + 1, True), (-STEP_NS - 1, True)])
-def test_a_gap_starts_anew(gap_ns: int, anew: bool) -> None:
+@pytest.mark.parametrize(("gap_ns", "again"), [(GAP_NS, False), (GAP_NS + 1, True), (-STEP_NS - 1, True)])
+def test_a_gap_starts_anew(gap_ns: int, again: bool) -> None:
     tested = Shaken()
     tested.feed(200, 0.002)
     tested.t_ns += gap_ns - STEP_NS
     tested.feed(1, 0.002)
-    assert tested.still is not anew
-    assert (tested.judge.judged_ns == 0) is anew
+    assert tested.still is not again
+    assert (tested.judge.judged_ns == 0) is again
     begun_ns = tested.t_ns
     tested.feed(FULL + HELD, 0.002)
-    if anew:
+    if again:
         assert tested.judge.still_ns == begun_ns, "what came before the gap is forgotten"
 
 
@@ -160,7 +160,7 @@ def test_too_slow_an_imu_is_not_judged() -> None:
 @pytest.mark.parametrize("wild_radps", [35.0, 6e36])
 def test_a_wild_sample_leaves_nothing_behind(wild_radps: float) -> None:
     """The largest rate of a gyro, and the largest that a float32 can say: with sums of floats the second would spoil
-    them for ever."""
+    them forever."""
     tested = Shaken()
     tested.feed(200, 0.002)
     tested.feed(1, wild_radps)

@@ -56,7 +56,7 @@ def test_what_was_latched_before_the_start_is_not_told_again() -> None:
 
 @pytest.mark.parametrize("frame", [tones.TRIP, *tones.MODES.values()])
 def test_every_tone_ends(frame: bytes) -> None:
-    """An off time of 0 left one sounding for ever: 100 ms."""
+    """An off time of 0 left one sounding forever: 100 ms."""
     assert frame[2] == BUZZER
     _, on_ms, off_ms, repeat = struct.unpack("<4H", frame[4:12])
     assert off_ms == 100

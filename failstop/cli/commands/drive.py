@@ -50,7 +50,7 @@ def main(arguments: Namespace) -> int:
             reached = robot.state.body_vel
     less = any(abs(got) < 0.98 * abs(wanted) for got, wanted in zip(reached, asked, strict=True))
     held = f", no faster than {velocity(*reached) or 'zero'} (limits and ramp)" if less else ""
-    print(fitted(f"drove for {arguments.seconds:g} s{held}; the wheels are told to stand", 1, 2))
+    print(fitted(f"drove for {arguments.seconds:g} s{held}; the wheels stop", 1, 2))
     return 0
 
 
@@ -66,7 +66,7 @@ def _blocked(robot: Robot) -> str:
     """Why driving is pointless, with the command that helps."""
     state = robot.state
     if state.estop:
-        return f"e-stop latched ({state.cause}); next: {next_step(state)}"
+        return f"a stop is latched ({state.cause}); next: {next_step(state)}"
     if not state.enabled:
         return f"motion is disabled; next: {next_step(state)}"
     return ""

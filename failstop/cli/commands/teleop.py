@@ -86,7 +86,7 @@ def _drive(terminal: Terminal, follower: Follower, pilot: Pilot) -> None:
         typed = decoder.feed(terminal.wait(TURN_S))
         state = follower.read(time.monotonic())
         if follower.reader is not run:
-            raise NoService(follower.note or f"the service {pilot.robot.name!r} was started anew: begin again")
+            raise NoService(follower.note or f"the service {pilot.robot.name!r} was restarted: begin again")
         if state is None:
             raise FailstopError(follower.note)
         if terminal.stopped:

@@ -4,6 +4,6 @@ from __future__ import annotations
 
 import sys
 
-from failstop.cli.manual import causes, grammar, man
+from failstop.cli.manual import causes, man
 
-sys.stdout.write(causes.page() if sys.argv[1:] == ["causes"] else man.page(grammar.read()))
+sys.stdout.write(causes.page() if sys.argv[1:] == ["causes"] else man.page())

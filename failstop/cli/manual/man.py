@@ -1,19 +1,22 @@
-"""The man page failstop(1), made from the grammar and a few paragraphs."""
+"""The man page failstop(1), made from the parsers and a few paragraphs."""
 
 from __future__ import annotations
 
-from failstop.cli.manual.grammar import Argument, Command
+import argparse
+
+from failstop.cli import main as cli
+from failstop.cli.manual import grammar, shape
 from failstop.shm import root
 from failstop.version import VERSION
 
 DESCRIPTION = (
     "failstop is the layer between everything that wants to drive a robot and a motor board that keeps its last wheel "
-    "speed for ever. Whatever part of it dies or hangs, the wheels are told to stop, and nothing moves them again "
-    "until somebody enables motion anew. A client that dies stops them too; one that falls silent, when its last "
+    "speed forever. Whatever part of it dies or hangs, the wheels are told to stop, and nothing moves them "
+    "until somebody enables motion. A client that dies stops them too; one that falls silent, when its last "
     "command is older than its source's timeout (0.3 s unless the settings say otherwise).",
     "It is a stop by software and no emergency stop in the sense of ISO 13850: keep a power switch in reach.",
     "A service, \x01failstop run\x02, owns the board's port. The commands enable, disable, reset, drive, teleop, "
-    "estop, status, watch, why and events talk to the service of the same name; the others need none.",
+    "status, watch, why and events talk to the service of the same name; the others need none.",
 )
 
 EXITS = (
@@ -55,7 +58,7 @@ ENVIRONMENT = (
 SEE_ALSO = "The pages in docs/ of the source: quickstart.md, robot.md, safety.md, causes.md, configuration.md."
 
 
-def page(groups: list[tuple[str, list[Command]]]) -> str:
+def page() -> str:
     """The whole page, for man(7) macros."""
     lines = [
         '.\\" Generated: python -m failstop.cli.manual > man/failstop.1',
@@ -73,45 +76,50 @@ def page(groups: list[tuple[str, list[Command]]]) -> str:
     for index, text in enumerate(DESCRIPTION):
         lines += [".PP"] * (index > 0)
         lines.append(_escaped(text).replace("\x01", "\\fB").replace("\x02", "\\fR"))
-    for title, commands in groups:
-        lines.append(f".SH COMMANDS: {title.upper()}")
-        for command in commands:
-            for below in command.walk():
-                lines += _command(below)
+    for title, names in cli.groups():
+        if installed := [name for name in names if cli.here(name)]:
+            lines.append(f".SH COMMANDS: {title.upper()}")
+            for name in installed:
+                for parser in grammar.walk(cli.load(name)[0]):
+                    lines += command(parser)
     lines += _table("EXIT STATUS", EXITS) + _table("FILES", FILES) + _table("ENVIRONMENT", ENVIRONMENT)
     lines += [".SH SEE ALSO", _escaped(SEE_ALSO)]
     return "\n".join(lines) + "\n"
 
 
-def _command(command: Command) -> list[str]:
-    lines = [f".SS {_escaped(' '.join(('failstop', *command.path)))}", _escaped(command.what)]
-    if not command.children:
-        lines += [".PP", _synopsis(command)]
-    for argument in (*command.positionals, *command.options):
-        if "--help" in argument.flags:
-            continue
-        lines += [".TP", _head(argument), _escaped(argument.help) or "\\&"]
-    if command.examples:
-        lines += [".PP", "Examples:", ".PP", ".RS", ".nf", *map(_escaped, command.examples), ".fi", ".RE"]
+def command(parser: argparse.ArgumentParser) -> list[str]:
+    """The lines of one command."""
+    what = " ".join((parser.description or "").split())
+    lines = [f".SS {_escaped(parser.prog)}", _escaped(f"{what[:1].upper()}{what[1:].rstrip('.')}.")]
+    arguments = grammar.arguments(parser)
+    if parser._subparsers is None:
+        lines += [".PP", _synopsis(parser.prog, arguments)]
+    formatter = parser._get_formatter()
+    for action in arguments:
+        text = " ".join(formatter._expand_help(action).split()) if action.help else ""
+        lines += [".TP", _head(action), _escaped(text) or "\\&"]
+    if parser.epilog:
+        examples = [line.strip() for line in parser.epilog.removeprefix(shape.EXAMPLES).splitlines()]
+        lines += [".PP", "Examples:", ".PP", ".RS", ".nf", *map(_escaped, examples), ".fi", ".RE"]
     return lines
 
 
-def _synopsis(command: Command) -> str:
-    words = [f"\\fB{_escaped(' '.join(('failstop', *command.path)))}\\fR"]
-    words += [_head(option) for option in command.options if option.required]
-    if any(not option.required and "--help" not in option.flags for option in command.options):
+def _synopsis(prog: str, arguments: list[argparse.Action]) -> str:
+    options = [action for action in arguments if action.option_strings]
+    words = [f"\\fB{_escaped(prog)}\\fR", *(_head(option) for option in options if option.required)]
+    if not all(option.required for option in options):
         words.append("[\\fIOPTION\\fR ...]")
-    for argument in command.positionals:
-        name = f"\\fI{_escaped(argument.value or '')}\\fR"
-        shown = f"{name} ..." if argument.repeats else name
-        words.append(shown if argument.required else f"[{shown}]")
+    for action in arguments:
+        if not action.option_strings:
+            shown = _head(action) + (" ..." if action.nargs in ("*", "+", argparse.REMAINDER) else "")
+            words.append(f"[{shown}]" if action.nargs in ("?", "*") else shown)
     return " ".join(words)
 
 
-def _head(argument: Argument) -> str:
-    value = f"\\fI{_escaped(argument.value)}\\fR" if argument.value is not None else ""
-    flags = ", ".join(f"\\fB{_escaped(flag)}\\fR" for flag in argument.flags)
-    return " ".join(filter(None, (flags, value)))
+def _head(action: argparse.Action) -> str:
+    flags = ", ".join(f"\\fB{_escaped(flag)}\\fR" for flag in action.option_strings)
+    shown = grammar.value(action)
+    return " ".join(filter(None, (flags, shown and f"\\fI{_escaped(shown)}\\fR")))
 
 
 def _table(title: str, rows: tuple[tuple[str, str], ...]) -> list[str]:

@@ -102,7 +102,7 @@ class Hold:
             self._held.clear()  # of several keys such a terminal repeats the last one alone
         if name not in self._held:
             if kind == REPEAT:
-                return False  # let go by something else: it counts again when it is pressed anew
+                return False  # let go by something else: it counts again when it is pressed again
             self._held.append(name)
         self._first_until_s = now_s + FIRST_REPEAT_S if kind == PRESS and self.releases else 0.0
         self._until_s = max(self._first_until_s, now_s) + ENDS_S

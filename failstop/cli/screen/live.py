@@ -26,7 +26,7 @@ WINDOW = 10
 """Samples, a second of them, that a vibration is taken from."""
 MOST_EVENTS = 12
 SLOW_S = 0.5
-"""Ages and the process table are drawn anew this often: digits that change faster can't be read."""
+"""Ages and the process table are drawn again this often: digits that change faster can't be read."""
 STILL_RADPS = float(BY_KEY["still.std_radps"].default)
 TOP_RADPS = 3 * STILL_RADPS
 TOP_MPS = float(BY_KEY["limits.vx_mps"].default)

@@ -218,7 +218,7 @@ def _remarks(state: State, columns: int, hung: dict[str, str]) -> list[Line]:
             found.append([(f"{name} died too often and is {verdict.until(name)}; it {how}", FAIL)])
         elif process.last_exit:
             how = history.last_exit(state, name, hung)
-            found.append([(f"{name} was started anew {_times(process.restarts)}; it {how}", WARN)])
+            found.append([(f"{name} was restarted {_times(process.restarts)}; it {how}", WARN)])
     if state.age_s > verdict.STALE_S:
         found.append([(f"the gate has said nothing for {words.span(state.age_s)}: what is above may be old", FAIL)])
     if starved := words.starved(state.starved):

@@ -24,7 +24,7 @@ STEP_COLUMNS = 28
 MEANING = (
     "Milliseconds from the kill while driving, on the board's side of the wire: arrival of the first stop frame that "
     "the board executes, and execution of the frame that stops the last wheel (the wire's own 0.6 ms included). The "
-    "driver that failstop replaces took 130 ms. A dead supervisor is started anew by the demo, as systemd would."
+    "driver that failstop replaces took 130 ms. A dead supervisor is restarted by the demo, as systemd would."
 )
 
 ORDER = (layout.GATE, layout.PORT_OWNER, layout.TELEMETRY, layout.STOPPER, layout.SUPERVISOR)
@@ -70,7 +70,7 @@ def main(arguments: Namespace) -> int:
     """Run the demo; exit code 1 when any stop was missing or late, or anything moved after it."""
     if arguments.ros2:
         find_rclpy()
-    print(paint("failstop demo", STRONG) + ": a simulated motor board that keeps its last wheel speed for ever\n")
+    print(paint("failstop demo", STRONG) + ": a simulated motor board that keeps its last wheel speed forever\n")
     _step("board and service start")
     with Trial(f"demo-{os.getpid()}") as trial:
         first = next(event for event in trial.board.events() if event.is_stop)

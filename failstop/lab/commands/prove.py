@@ -27,7 +27,7 @@ from failstop.procs.telemetry.state_files import state_directory
 EXAMPLES = """\
 failstop prove --sim --quick            # on a simulated board, half a minute
 sudo systemctl stop failstop && sudo failstop prove
-failstop prove --only deadman,stop-request --at 0.2 --out /tmp/evidence
+failstop prove --only timeout,stop-request --at 0.2 --out /tmp/evidence
 """
 
 WORD = "spin"

@@ -177,12 +177,12 @@ class _Injection:
 
     def _whole(self) -> bool:
         state = self.scene.driver.robot.state
-        anew = self.fault.struck(KILL, SPIN, HANG) if self.fault.fences else self.fault.struck(KILL, SPIN)
-        return state.waiting_for is None and not any(state.processes[p].pid == self.pids.get(p) for p in anew)
+        again = self.fault.struck(KILL, SPIN, HANG) if self.fault.fences else self.fault.struck(KILL, SPIN)
+        return state.waiting_for is None and not any(state.processes[p].pid == self.pids.get(p) for p in again)
 
     def _logged(self) -> bool:
         self.outcome.said = self.scene.trial.service.said(self.mark)
-        latched = [f"E-STOP latched: {self.latched}"] if self.latched else []
+        latched = [f"STOP latched: {self.latched}"] if self.latched else []
         return all(text in self.outcome.said for text in (self.fault.logged, *latched))
 
     def _latched(self) -> bool:
@@ -207,7 +207,7 @@ def _velocity(chance: random.Random) -> tuple[float, float, float]:
 
 def inject_one(scene: Scene, fault: Row, index: int = 0, seed: object = 0, *, seen_s: float = SEEN_S) -> Outcome:
     """Inject one fault and judge it; what the row says must be seen within `seen_s`. A scene in which anything was
-    wrong is made anew, and a robot that was stopped before the fault is driven again, SETUPS times in all."""
+    wrong is made again, and a robot that was stopped before the fault is driven again, SETUPS times in all."""
     if isinstance(fault, ArmFault):
         return _inject_arm(scene, fault, index)
     for _ in range(SETUPS):

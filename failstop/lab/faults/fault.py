@@ -95,7 +95,7 @@ class Fault:
 
     @property
     def survives(self) -> bool:
-        """Whether the service lives on; else systemd, here the campaign, starts it anew."""
+        """Whether the service lives on; else systemd, here the campaign, restarts it."""
         return self.cleared != NEW_RUN
 
     def struck(self, *actions: str) -> tuple[str, ...]:

@@ -145,7 +145,7 @@ class NoDisk(_NoMore):
     def heal(self, scene: Scene) -> None:
         mark = scene.trial.service.written()
         super().heal(scene)
-        # It tells of the same trouble anew only when there has been a line without it.
+        # It tells of the same trouble again only when there has been a line without it.
         _wait_for_a_line(scene, WRITTEN, mark)
 
 

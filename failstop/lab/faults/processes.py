@@ -60,26 +60,26 @@ def _row(
     fenced_s: float = 0.0,
     weight: int = 2,
 ) -> Fault:
-    """What stays latched is the first cause; a service that lost its supervisor starts anew, with nothing latched.
+    """What stays latched is the first cause; a service that lost its supervisor starts again, with nothing latched.
     `fenced_s`: the hung hang until the supervisor has fenced them; 0: they are continued before."""
     fates = {KILL: (causes.DIED,), HANG: (causes.HANGS, causes.STARVED), SPIN: (causes.HANGS, causes.STARVED)}
     struck = {process: fates[action] for action, process in steps if action != CONTINUE}
     continued = {process for action, process in steps if action == CONTINUE}
-    anew = SUPERVISOR in struck and SUPERVISOR not in continued
+    again = SUPERVISOR in struck and SUPERVISOR not in continued
     wanted = tuple((kind, process) for process, kinds in struck.items() for kind in kinds)
     return Fault(
         name=name,
         event=event,
         cause=cause,
         first=first,
-        latched=() if anew else wanted,
-        cleared=NEW_RUN if anew else RESET,
-        logged=NEW_RUN_SAYS if anew else "",
+        latched=() if again else wanted,
+        cleared=NEW_RUN if again else RESET,
+        logged=NEW_RUN_SAYS if again else "",
         bar_ms=bar_ms,
         injector="processes",
         steps=steps,
         aftermath_s=fenced_s + SPARE_S,
-        fences=fenced_s > 0 and not anew,
+        fences=fenced_s > 0 and not again,
         stop_tool={(KILL, p) for p in (SUPERVISOR, PORT_OWNER, STOPPER)} <= set(steps),
         weight=weight,
     )

@@ -29,7 +29,7 @@ def unfit() -> str:
 
 
 def spin(pid: int) -> None:
-    """Let the process's main thread loop for ever from its next instruction on; only a kill ends it. Raises OSError."""
+    """Let the process's main thread loop forever from its next instruction on; only a kill ends it. Raises OSError."""
     counter, loop = _LOOPS[platform.machine()]
     _call(_ATTACH, pid)
     try:

@@ -174,7 +174,7 @@ class ArmRun:
             self._program = None
 
     def _start_over(self) -> None:
-        """Everything stopped by every means, then anew. An arm stands by itself when its last move ends."""
+        """Everything stopped by every means, then again. An arm stands by itself when its last move ends."""
         stand, result = self.stand, self.result
         self._end_program()
         if problem := stand.safe():

@@ -134,7 +134,7 @@ class Run:
         return strike(self.path, self.stand, self.ask)
 
     def _start_over(self) -> None:
-        """After what says nothing of the wheels: stop them by every means, look, and only then begin anew."""
+        """After what says nothing of the wheels: stop them by every means, look, and only then begin again."""
         stand, result = self.stand, self.result
         stand.driver.commands = False
         if problem := stand.safe():

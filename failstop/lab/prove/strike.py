@@ -26,7 +26,7 @@ def strike(path: Path, stand: Stand, ask: Ask | None) -> int:
     """Bring about what is not done to processes, while the wheels turn. `ask`: None when there is nobody to do
     anything. Raises Skipped."""
     driver = stand.driver
-    if path.kind == table.DEADMAN:
+    if path.kind == table.TIMEOUT:
         driver.commands = False
         return driver.commanded_ns
     if path.kind == table.SCAN:

@@ -42,7 +42,7 @@ VELOCITIES = (
 SWINGING = Velocity("arm", (0.0, 0.0, 0.0), 0.0, "arm swings")
 """Instead of a velocity, for the arm's paths: the wheels stand."""
 
-DEADMAN = "deadman"
+TIMEOUT = "timeout"
 REQUEST = "request"
 DISABLE = "disable"
 SCAN = "scan"
@@ -58,7 +58,7 @@ DISABLE_MS = STOP_MS = 5.0
 
 KILLED_S = (0.55, 0.55, 0.55)
 MEASURED_S: dict[str, tuple[float, float, float]] = {
-    DEADMAN: (0.55, 0.75, 0.50),
+    TIMEOUT: (0.55, 0.75, 0.50),
     REQUEST: (0.40, 0.50, 0.25),
     DISABLE: (0.35, 0.75, 0.30),
     SCAN: (0.75, 0.95, 0.70),
@@ -134,7 +134,7 @@ def _struck(kind: str, process: str) -> Path:
 
 
 PATHS = (
-    Path(DEADMAN, DEADMAN, "the commands end", _bar("client-hung"), by_gate=True),
+    Path(TIMEOUT, TIMEOUT, "the commands end", _bar("client-hung"), by_gate=True),
     Path("stop-request", REQUEST, "a stop request", _bar("stop-request"), latched=((causes.PIPED, "prove"),)),
     Path(DISABLE, DISABLE, "motion is disabled", DISABLE_MS),
     Path(SCAN, SCAN, "the obstacle sensor falls silent, and comes back", _bar("scan-silent"), by_gate=True),
@@ -153,7 +153,7 @@ def _moving(row: ArmFault) -> Path:
     return Path(row.name, ARM, row.cause, reaction_ms, row.process, latched, arm=row)
 
 
-QUICK = (DEADMAN, "stop-request", SCAN, "kill-port_owner", "kill-supervisor", "hang-gate", "hang-port_owner")
+QUICK = (TIMEOUT, "stop-request", SCAN, "kill-port_owner", "kill-supervisor", "hang-gate", "hang-port_owner")
 """Each at one velocity in turn, and the service's end."""
 QUICK_NAMES = (*QUICK, "service-stop")
 

@@ -100,7 +100,7 @@ class Watch:
             self._tap = None
 
     def forget(self) -> None:
-        """Begin anew; what lies ahead is kept in order."""
+        """Begin again; what lies ahead is kept in order."""
         for found in (self.samples, self.answers, self.written, self.zeros, self.buttons, self.moves, self.readings):
             found.clear()
 

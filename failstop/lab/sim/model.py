@@ -1,7 +1,7 @@
 """The controller board as a pure model: bytes and times in, executed frames and upward bytes out.
 
 The model is built to be harder on the host than the board is, never kinder:
-- A wheel keeps its last speed for ever. The only thing that changes it is an executed motor frame.
+- A wheel keeps its last speed forever. The only thing that changes it is an executed motor frame.
 - Each byte takes 10 us on the wire and a frame is executed when its last byte has come through, after everything
   that was sent before it. Telemetry takes as long on its own wire.
 - What the receiver and the motor handler make of the bytes is in receiver.py and motors.py (firmware source).

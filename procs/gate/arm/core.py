@@ -2,8 +2,8 @@
 
 The arm moves only while motion is disabled and nothing is latched: a stop and an enable take it from whoever moves it.
 Its way is streamed, each joint a move of arm.period_s after the other, a few servos a frame, so that an arm whose gate
-dies stands when its last move ends. While it moves nothing is read, and what was stopped on its way is read anew before
-it moves again.
+dies stands when its last move ends. While it moves nothing is read, and what was stopped on its way is read before it
+moves again.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ class ArmCore:
         return was
 
     def forget(self) -> None:
-        """Nobody reads from here on: where the joints are must be read anew before they move."""
+        """Nobody reads from here on: where the joints are must be read again before they move."""
         for joint in self.joints:
             joint.forget()
 

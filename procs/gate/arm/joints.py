@@ -91,7 +91,7 @@ class Joint:
         return low, high
 
     def forget(self) -> None:
-        """It was stopped, or let go, on its way: where it is must be read anew."""
+        """It was stopped, or let go, on its way: where it is must be read again."""
         self.known = False
         self.velocity = 0.0
         self.unpaired = None

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 NOT_IN_POSE = "arm is not in the drive pose"
 ENABLED = "wheels enabled"
-LATCHED = f"e-stop latched ({CAUSE})"
+LATCHED = f"a stop is latched ({CAUSE})"
 TELL_NS = 200_000_000
 """How often who waits is told how far it is."""
 MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
@@ -364,7 +364,7 @@ class Arm:
         left_s, pose = self._tuck.left_s(self.core.active_ns, now_ns), self.core.pose_name()
         return {
             **self.core.state(),
-            "closed": "e-stop latched" if self.core.closed == LATCHED else self.core.closed,
+            "closed": "a stop is latched" if self.core.closed == LATCHED else self.core.closed,
             "auto_tuck_s": None if left_s is None or self.core.mode() or pose == goals.TUCK else round(left_s),
             "wrong": [f"joint {name} {text}" for name, text in self._told.items() if text],
             "pose": pose,

@@ -93,7 +93,7 @@ class Acm:
         self.power_on()
 
     def power_on(self) -> None:
-        """The plug is in anew: nothing of before is left."""
+        """The plug is in again: nothing of before is left."""
         self.coding = Coding()
         self._forget()
 
