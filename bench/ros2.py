@@ -100,8 +100,9 @@ class Scene:
         self.ready()
 
     def sees(self, text: str) -> bool:
-        """The bridge says so."""
-        return any(text in client.sees for client in self.trial.robot.state.clients)
+        """The bridge that runs now says so: the claim of a killed one may still be there."""
+        pid = self.bridge.process.pid
+        return any(text in client.sees for client in self.trial.robot.state.clients if client.pid == pid)
 
     def ready(self) -> None:
         """One node commands, a scan comes."""
