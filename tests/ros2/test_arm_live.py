@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import pytest
 
+from failstop.lab.trial import wait_for
 from tests.ros2.scene import NODE, Scene
 from tests.support.arm_settings import ARM, DRIVE, SERVOS
 
 SETTINGS = "".join(f"{key} = {json.dumps(value)}\n" for key, value in ARM.items())
-GOAL = "trajectory_msgs/msg/JointTrajectory"
+ACTION = f"{NODE}/arm/follow_joint_trajectory"
+ACTION_TYPE = "control_msgs/action/FollowJointTrajectory"
 
 
 def point(seconds: int, *positions: float) -> dict[str, object]:
@@ -53,3 +56,68 @@ def test_the_arm_s_joints_are_joint_states(scene: Scene) -> None:
     assert len(found["name"]) == len(found["position"]) == len(found["velocity"])
     scene.eyes.hear(f"{NODE}/arm_busy", "std_msgs/msg/Bool")
     scene.eyes.next(f"{NODE}/arm_busy", lambda message: message["data"] is False)
+
+
+@pytest.fixture
+def offers(scene: Scene) -> bool:
+    """Whether this ROS has the action; the stand-in has none."""
+    done = scene.ros.run(sys.executable, "-c", "import rclpy, control_msgs.action")
+    return done.returncode == 0
+
+
+def test_without_control_msgs_the_log_and_the_diagnostics_say_so(scene: Scene, offers: bool) -> None:
+    if offers:
+        pytest.skip("this ROS has control_msgs")
+    said = "~/arm/follow_joint_trajectory is not offered: this ROS has no control_msgs/action/FollowJointTrajectory"
+    assert scene.bridge.said().count(said) == 1
+    scene.eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+    rows = scene.eyes.next("/diagnostics", lambda message: said in str(message))["status"]
+    assert [row["level"] for row in rows if said in row["message"]] == [0]
+
+
+def goal(*points: dict[str, object], joint: str = "base") -> dict[str, object]:
+    return {"trajectory": {"joint_names": [joint], "points": list(points)}}
+
+
+def send(scene: Scene, fields: dict[str, object]) -> bool:
+    found = scene.eyes.ask("send_goal", action=ACTION, type=ACTION_TYPE, fields=fields)
+    assert "error" not in found, found
+    return bool(found["accepted"])
+
+
+def test_a_trajectory_by_the_action(scene: Scene, offers: bool) -> None:
+    if not offers:
+        pytest.skip("this ROS has no control_msgs")
+    assert send(scene, goal(point(0, 0.0), point(1, 0.2), point(2, 0.1)))
+    assert not send(scene, goal(point(1, 0.0))), "a second one while the first is under way"
+    assert "cancel that first" in scene.bridge.said()
+    found = scene.eyes.ask("outcome")
+    assert (found["status"], found["error_code"]) == (4, 0), found
+    assert scene.trial.board.joints()[1] == pytest.approx(500 + 0.1 / 0.0041888, abs=3)
+    heard = scene.eyes.ask("fed_back")["feedback"]
+    assert heard
+    assert all(row["joint_names"] == ["base"] and len(row["desired"]["positions"]) == 1 for row in heard)
+
+
+def test_goals_that_the_gate_refuses_are_rejected_in_its_words(scene: Scene, offers: bool) -> None:
+    if not offers:
+        pytest.skip("this ROS has no control_msgs")
+    assert not send(scene, goal(point(1, 9.0)))
+    assert not send(scene, goal(point(1, 0.0), joint="tail"))
+    assert not send(scene, goal(point(1)))
+    scene.enable()
+    assert not send(scene, goal(point(1, 0.0)))
+    said = scene.bridge.said()
+    for words in ("joint base to 9 rad: allowed is", "no joint 'tail'", "a point without", "refused: wheels enabled"):
+        assert words in said
+
+
+def test_a_goal_that_is_cancelled_is_held(scene: Scene, offers: bool) -> None:
+    if not offers:
+        pytest.skip("this ROS has no control_msgs")
+    assert send(scene, goal(point(20, 0.5)))
+    wait_for("the arm to move", lambda: scene.state()["arm_moving"])
+    assert scene.eyes.ask("cancel")["cancelling"] == 1
+    found = scene.eyes.ask("outcome")
+    assert (found["status"], found["error_code"]) == (5, 0), found
+    scene.state(lambda state: not state["arm_moving"])
