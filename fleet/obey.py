@@ -43,7 +43,7 @@ class Duty:
             return False
         known = {
             levels.FAILED: stop.written_s is None,
-            levels.WRITTEN: stop.written_s is not None,
+            levels.WRITTEN: stop.written_s is not None and stop.sent,
             levels.ACKNOWLEDGED: stop.written_s is not None and stop.acknowledged_s is not None,
             levels.OBSERVED: stop.written_s is not None and stop.observed_s is not None,
         }

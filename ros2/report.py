@@ -11,6 +11,7 @@ from failstop.api.state import State
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
 from failstop.shm import blocks
+from failstop.supervisor.stops import NOT_SENT
 
 PLUGGED = {"plugged": True, "unplugged": False, "unknown": None}
 NOBODY = "nobody publishes cmd_vel"
@@ -169,7 +170,7 @@ def proof(before: State | None, now: State | None, *, final: bool = False) -> st
         return f"stop latched ({words.plain(now.cause)}), and it could NOT be written: use the POWER SWITCH"
     if stop.observed_s is None and not final:
         return ""
-    told = [f"written after {stop.written_s * 1e3:.1f} ms"]
+    told = [f"written after {stop.written_s * 1e3:.1f} ms" if stop.sent else NOT_SENT]
     told.append(
         "not acknowledged yet"
         if stop.acknowledged_s is None

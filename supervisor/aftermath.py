@@ -186,6 +186,8 @@ class Aftermath:
     def _tell_outcome(self, stop: Stop) -> None:
         link = self.link.state
         stop.held = stop.written_ns > 0 and stop.acknowledged_ns is None and self._holds()
+        if stop.held and stop is self._last:
+            self._publish()
         level = "error" if stop.held or stop.state == UNSTILL else ""
         self._events.tell("stop_outcome", stop.outcome(link), stop.fields(link), level=level)
 

@@ -185,6 +185,7 @@ class Stop:
             "written_by": self.by,
             "t": self.unix_s,
             "epoch": self.epoch,
+            "sent": not self.held or self.acknowledged_ns is not None,
             "written_us": None if written_ns is None else written_ns / 1e3,
             **self._proofs(),
         }

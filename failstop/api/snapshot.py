@@ -84,6 +84,8 @@ class Stop:
     """Observed: until the gyro showed the wheels still, s; 0: it saw no shaking before the stop either."""
     epoch: int = 0
     """That was raised for it: whoever asked for a stop in an earlier one was answered by this."""
+    sent: bool = True
+    """False: its bytes were found to be still in the kernel; the board takes none."""
 
 
 @dataclasses.dataclass(frozen=True)

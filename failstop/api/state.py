@@ -267,6 +267,7 @@ class StateReader:
             acknowledged_s=_seconds(found["acknowledged_us"], 1e6),
             observed_s=_seconds(found["observed_ms"], 1e3),
             epoch=found["epoch"],
+            sent=found["sent"],
         )
 
     def _pad_mode(self) -> PadMode | None:

@@ -9,6 +9,7 @@ from failstop.api import history, verdict, words
 from failstop.api.reasons import explain as reason
 from failstop.api.snapshot import Block, State, Stop
 from failstop.policy.causes import Cause
+from failstop.supervisor.stops import NOT_SENT
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -148,7 +149,10 @@ def _proofs(stop: Stop, state: State, now_s: float) -> str:
         later = "" if verdict.doubt(state) else " at first; the port is open now, and the board is told zero"
         return f"it could NOT be written{later}"
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
-    found = [f"written by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"]
+    how = "written" if stop.sent else "handed to the kernel"
+    found = [f"{how} by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"]
+    if not stop.sent:
+        found.append(NOT_SENT)
     if stop.acknowledged_s is None:
         found.append(f"NOT acknowledged by the board{yet}")
     else:

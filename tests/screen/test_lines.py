@@ -87,6 +87,8 @@ def test_proofs_that_are_missing_are_seen() -> None:
     assert "written after 0.21 ms, not acknowledged, not seen still" in shown(
         summary.last_stop(latched(last_stop=unseen), NOW_S)
     )
+    held = latched(last_stop=stop(sent=False, acknowledged_s=None))
+    assert "NOT sent: the board takes no bytes, not acknowledged" in shown(summary.last_stop(held, NOW_S))
     unwritten = latched(last_stop=stop(written_s=None))
     assert "NOT written" in shown(summary.last_stop(unwritten, NOW_S))
 

@@ -46,6 +46,10 @@ def test_proofs_that_are_missing_are_said_to_be() -> None:
     unseen = latched(last_stop=stop(acknowledged_s=None, observed_s=None))
     assert why(unseen).proof.endswith("NOT acknowledged by the board, NOT seen still by the IMU")
     assert explain(unseen, (), NOW_S - 11).proof.endswith("by the board yet, NOT seen still by the IMU yet")
+    held = why(latched(last_stop=stop(sent=False, acknowledged_s=None))).proof
+    assert held.startswith(
+        "handed to the kernel by the port owner after 0.21 ms, NOT sent: the board takes no bytes, NOT"
+    )
     unwritten = stop(written_s=None)
     assert why(latched(last_stop=unwritten)).proof.endswith("the port is open now, and the board is told zero")
     lost = why(latched(causes.DEVICE_LOST(), last_stop=stop(causes.DEVICE_LOST(), written_s=None), device=LOST))

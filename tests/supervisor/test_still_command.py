@@ -7,6 +7,7 @@ import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgpack
 import pytest
 
 from failstop.lab.trial import wait_for
@@ -70,6 +71,12 @@ class Scene:
         stop = Stop(self.now_ns, layout.GATE, why(f"stop {self.epoch}"))
         self.aftermath.written(stop, self.now_ns, "port owner", stop.cause, self.epoch)
         self.follow(MS)
+
+    def last_stop(self) -> dict[str, object]:
+        entry = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("stop").read()
+        assert entry
+        found: dict[str, object] = msgpack.unpackb(entry[2])
+        return found
 
     def runs(self) -> list[int]:
         return [int(word) for word in self.file.read_text().split()]
@@ -185,3 +192,12 @@ def test_one_that_may_not_be_killed_keeps_no_stop_from_its_command(
         scene.stop_unheeded()
     wait_for("the command again", lambda: len(scene.runs()) == 2)
     assert any("cannot be killed" in text for text in scene.texts)
+
+
+def test_clients_are_told_of_a_stop_that_the_kernel_still_holds(scene_of: Callable[[str], Scene]) -> None:
+    scene = scene_of("true")
+    scene.held = True
+    scene.stop()
+    assert scene.last_stop()["sent"] is True, "nobody has looked yet"
+    scene.follow(10 * S)
+    assert scene.last_stop()["sent"] is False

@@ -130,6 +130,9 @@ def test_what_the_kernel_still_holds_is_not_said_to_be_sent() -> None:
     last.held = True
     assert last.outcome("deaf") == "gate died: handed over, NOT sent: the board takes no bytes, not observed"
     assert last.fields("deaf")["sent"] is False
+    assert last.as_record()["sent"] is False
+    assert last.ponged(T0 + MS, T0 + 2 * MS), "it takes them again"
+    assert last.as_record()["sent"] is True
 
 
 def test_a_rest_within_the_resolution_is_told_as_that() -> None:
@@ -155,6 +158,7 @@ def test_what_programs_are_told_of_it() -> None:
         "written_by": "port owner",
         "t": 1.0,
         "epoch": 2,
+        "sent": True,
         "written_us": 500.0,
         "acknowledged_us": 2_000.0,
         "observed_ms": observed_ms,

@@ -7,6 +7,7 @@ from failstop.cli import style
 from failstop.cli.screen import arm
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 from failstop.shm import blocks
+from failstop.supervisor.stops import NOT_SENT
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -109,6 +110,8 @@ def proofs(stop: Stop) -> Line:
     if stop.written_s is None:
         return [("NOT written: the board did not get it", FAIL)]
     found: Line = [(f"written after {words.took(stop.written_s)}", OK), (", ", PLAIN)]
+    if not stop.sent:
+        found = [(NOT_SENT, FAIL), (", ", PLAIN)]
     if stop.acknowledged_s is None:
         found.append(("not acknowledged", WARN))
     else:
