@@ -172,12 +172,12 @@ class Talker:
         client = self.actions.setdefault(action, ActionClient(self.node, kind, action))
         if not client.wait_for_server(timeout_sec=10.0):
             return {"error": "no server"}
-        heard = self.feedback = []
+        heard: list = []
         goal = build(kind.Goal(), fields)
         sent = client.send_goal_async(goal, feedback_callback=lambda message: heard.append(plain(message.feedback)))
         found = self._spin(sent, 10.0)
         if found.accepted:
-            self.goal = found
+            self.goal, self.feedback = found, heard
         return {"accepted": found.accepted}
 
     def fed_back(self) -> dict:
