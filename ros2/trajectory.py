@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 FEEDBACK_NS = 100_000_000
 """The state is as new as this."""
+FEEDBACK = f"{ARM_ACTION.name}/_action/feedback"
+"""Every client of the action hears it, so that the end of the last one is seen."""
 CODES = (
     ("allowed is", "INVALID_GOAL"),
     ("times", "INVALID_GOAL"),
@@ -120,11 +122,16 @@ class TrajectoryFace:
     async def _execute(self, handle: Any) -> Any:
         job = self._jobs.pop(id(handle.request))
         names = list(handle.request.trajectory.joint_names)
-        told_ns = 0
+        told_ns, heard = 0, False
         while not job():
             if (now_ns := monotonic_ns()) - told_ns >= FEEDBACK_NS:
                 told_ns = now_ns
                 handle.publish_feedback(self._feedback(names))
+                there = self._node.count_subscribers(FEEDBACK) > 0
+                if heard and not there:
+                    self._node.get_logger().warning(f"{ARM_ACTION.name}: nobody hears of the goal any more: held")
+                    self._arm.hold_way()
+                heard = there
             await Turn()
         result = self._kind.Result()
         try:

@@ -157,6 +157,8 @@ def test_the_proof_of_a_stop_grows() -> None:
     assert report.proof(before, seen) == (
         "stop latched (stop service): written after 0.2 ms, acknowledged after 4.4 ms, observed after 300 ms"
     )
+    stood = states.latched(asked_for, last_stop=states.stop(observed_s=0.0))
+    assert report.proof(before, stood).endswith("acknowledged after 4.4 ms, no shaking seen before or after")
     lost = states.latched(asked_for, last_stop=states.stop(written_s=None))
     assert "could NOT be written: use the POWER SWITCH" in report.proof(before, lost)
     assert report.proof(before, None, final=True).startswith("asked for a stop")
