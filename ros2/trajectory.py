@@ -28,17 +28,6 @@ FEEDBACK_NS = 100_000_000
 """The state is as new as this."""
 FEEDBACK = f"{ARM_ACTION.name}/_action/feedback"
 """Every client of the action hears it, so that the end of the last one is seen."""
-CODES = (
-    ("allowed is", "INVALID_GOAL"),
-    ("times", "INVALID_GOAL"),
-    ("would hit", "INVALID_GOAL"),
-    ("pulses off", "GOAL_TOLERANCE_VIOLATED"),
-    ("did not get there", "GOAL_TOLERANCE_VIOLATED"),
-)
-"""What an answer of the gate has in it, and the code of control_msgs for it."""
-OTHER_CODE = "PATH_TOLERANCE_VIOLATED"
-"""It was held, preempted or stopped on its way, or a servo did not answer."""
-
 Way = list[tuple[float, dict[str, float]]]
 
 
@@ -58,11 +47,6 @@ def way(trajectory: Any) -> Way:
     if len(points) > 1 and points[0][0] == 0.0:
         points = points[1:]  # where it is said to begin; it begins where it is
     return [(t_s, dict(zip(names, positions, strict=True))) for t_s, positions in points]
-
-
-def code(text: str) -> str:
-    """The name of control_msgs' result code for why an accepted goal was not reached."""
-    return next((name for part, name in CODES if part in text), OTHER_CODE)
 
 
 def positions(names: Sequence[str], arm: ArmState | None) -> tuple[list[float], list[float]]:
@@ -139,7 +123,8 @@ class TrajectoryFace:
             ended = handle.succeed
         except FailstopError as error:
             result.error_string = words.refused(error)
-            result.error_code = getattr(self._kind.Result, code(result.error_string))
+            # One code for all: which of them it is only the text says.
+            result.error_code = self._kind.Result.PATH_TOLERANCE_VIOLATED
             ended = handle.abort
         if handle.is_cancel_requested:
             result.error_code = self._kind.Result.SUCCESSFUL

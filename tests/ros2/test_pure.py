@@ -329,17 +329,3 @@ def test_a_trajectory_as_the_arm_takes_it() -> None:
 def test_a_trajectory_that_makes_no_sense(names: list[str], rows: list[tuple[float, list[float]]], words: str) -> None:
     with pytest.raises(FailstopError, match=words):
         trajectory.way(_trajectory(names, *rows))
-
-
-@pytest.mark.parametrize(
-    ("text", "code"),
-    [
-        ("joint base at 9.0 rad/s between 0 and 1 s: allowed is up to 2", "INVALID_GOAL"),
-        ("joint elbow (servo 3) is 41 pulses off", "GOAL_TOLERANCE_VIOLATED"),
-        ("it did not get there in time", "GOAL_TOLERANCE_VIOLATED"),
-        ("held", "PATH_TOLERANCE_VIOLATED"),
-        ("wheels enabled", "PATH_TOLERANCE_VIOLATED"),
-    ],
-)
-def test_a_trajectory_s_result_code(text: str, code: str) -> None:
-    assert trajectory.code(text) == code
