@@ -8,28 +8,23 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from typing import Any
 
-from failstop.api.errors import FailstopError
+from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 from failstop.policy import causes
 from failstop.ros2 import report, words
-from failstop.ros2.contract import ARM_BUSY, ARM_GOAL, ARM_SERVICES
+from failstop.ros2.contract import ARM_ACTION, ARM_BUSY, ARM_GOAL, ARM_SERVICES
 from failstop.ros2.fill import fill, type_of
 from failstop.ros2.graph import latch
 from failstop.ros2.link import Link
 from failstop.ros2.shared import Shared
+from failstop.ros2.trajectory import TrajectoryFace, Way, way
+from failstop.ros2.turn import Turn
 
 BUSY_NS = 100_000_000
 END_S = 1.0
-
-
-class Turn:
-    """Awaited: the executor goes on with other work, and comes back."""
-
-    def __await__(self) -> Generator[None, None, None]:
-        yield
 
 
 class Job:
@@ -70,6 +65,8 @@ class ArmFace:
         self._asking = Link(link.name)
         """Of the jobs: one client moves the arm, however many of its jobs have ended."""
         self._goal_job: Job | None = None
+        self._way_job: Job | None = None
+        """Of the action's goal."""
         self._busy_ns = 0
         self._latched = False
         kind = type_of(ARM_BUSY.type)
@@ -83,11 +80,34 @@ class ArmFace:
         acts = (_read, lambda robot: robot.arm.pose("drive"), lambda robot: robot.arm.pose("tuck"), _hold, _release)
         for service, act in zip(ARM_SERVICES, acts, strict=True):
             node.create_service(type_of(service.type), service.name, self._answerer(act), callback_group=group())
+        self._action: TrajectoryFace | None = None
+        try:
+            self._action = TrajectoryFace(node, group, self, shared)
+        except FailstopError as error:
+            shared.lacks = (f"{ARM_ACTION.name} is not offered: {error}",)
+            node.get_logger().info(shared.lacks[0])
 
     def begin(self, act: Callable[[Robot], Any]) -> Job:
         """Ask the service for what takes time."""
         # Of the executor's client, whose enable a stop or a disable may follow: a hold must not wait for a job.
         return Job(self._link if act is _hold else self._asking, act)
+
+    def go(self, path: Way, told: Callable[[str], None]) -> Job:
+        """The action's goal, which two are not at once. Raises Refused."""
+        if self._rivals():
+            raise Refused("more than one node sends goals")
+        if self._under_way():
+            raise Refused("the arm is on its way to another goal: cancel that first")
+        self._way_job = self.begin(lambda robot: robot.arm.move(path, told=told))
+        return self._way_job
+
+    def _under_way(self) -> bool:
+        return any(job and not job() for job in (self._goal_job, self._way_job))
+
+    def hold_way(self) -> None:
+        """Hold the arm, if the action moves it still."""
+        if self._way_job and not self._way_job():
+            self.begin(_hold)
 
     def _answerer(self, act: Callable[[Robot], Any]) -> Any:
         async def answer(_request: Any, response: Any) -> Any:
@@ -128,24 +148,23 @@ class ArmFace:
     def _goal(self, message: Any) -> None:
         if self._rivals():
             return
-        points = [
-            (point.time_from_start.sec + point.time_from_start.nanosec / 1e9, list(point.positions))
-            for point in message.points
-        ]
-        names = list(message.joint_names)
-        if not points:
+        if not message.points:
             self._goal_job = self.begin(_hold)
-        elif any(len(positions) != len(names) for _, positions in points):
-            self._node.get_logger().warning(f"{ARM_GOAL.name} is refused: a point without a position for each joint")
-        else:
-            if len(points) > 1 and points[0][0] == 0.0:
-                points = points[1:]  # where it is said to begin; it begins where it is
-            path = [(t_s, dict(zip(names, positions, strict=True))) for t_s, positions in points]
-            self._goal_job = self.begin(lambda robot: robot.arm.move(path))
+            return
+        try:
+            path = way(message)
+            if self._way_job and not self._way_job():
+                raise Refused(f"{ARM_ACTION.name} moves the arm")
+        except FailstopError as error:
+            self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
+            return
+        self._goal_job = self.begin(lambda robot: robot.arm.move(path))
 
     def close(self) -> None:
         """Give its connection back: what it moved is held."""
         self._asking.close()
+        if self._action:
+            self._action.close()
 
 
 def _read(robot: Robot) -> str:

@@ -173,6 +173,12 @@ ARM_SERVICES = tuple(
     )
 )
 """Likewise."""
+ARM_ACTION = Service(
+    "~/arm/follow_joint_trajectory",
+    "control_msgs/action/FollowJointTrajectory",
+    "the arm along a trajectory, for planners such as MoveIt; only with joints, and where the package control_msgs is "
+    "installed. Its positions and times count; limits and tolerances are the service's settings",
+)
 
 STATE_KEYS = {
     "enabled": "motion is enabled",

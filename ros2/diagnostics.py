@@ -19,13 +19,16 @@ Status = dict[str, Any]
 LINK_LEVELS = {"alive": OK, "unproven": WARN, "deaf": ERROR}
 
 
-def statuses(node: str, state: State | None, problem: str, sees: Sequence[str], wrong: Sequence[str]) -> list[Status]:
-    """Every status. `problem`: why there is no state; `sees` and `wrong`: the bridge's own."""
+def statuses(
+    node: str, state: State | None, problem: str, sees: Sequence[str], wrong: Sequence[str], lacks: Sequence[str] = ()
+) -> list[Status]:
+    """Every status. `problem`: why there is no state; `sees`, `wrong` and `lacks`: the bridge's own."""
     if state is None:
         rows = [_status("stop layer", ERROR, problem)]
     else:
         rows = [_stop_layer(state), *_processes(state), _port(state), _link(state), _battery(state), _rights(state)]
     rows.append(_status("ROS", WARN if wrong else OK, "; ".join(wrong or sees)))
+    rows += [_status("not offered", OK, line) for line in lacks]
     return [{**row, "name": f"{node}: {row['name']}", "hardware_id": state.name if state else ""} for row in rows]
 
 

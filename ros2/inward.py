@@ -11,7 +11,7 @@ from failstop.api.robot import Robot
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.ros2 import mirrors, report, words
-from failstop.ros2.arm import ArmFace, Turn
+from failstop.ros2.arm import ArmFace
 from failstop.ros2.commanders import FRESH_NS, Commanders, waited_ns, wrong_ends
 from failstop.ros2.contract import CLIENT, CMD_VEL, COMMAND_TYPES, ESTOP, SCAN, SERVICES, STAMPED, Topic
 from failstop.ros2.fill import type_of
@@ -19,6 +19,7 @@ from failstop.ros2.graph import Graph, latch
 from failstop.ros2.link import Link
 from failstop.ros2.scan import ScanWatch
 from failstop.ros2.shared import Shared
+from failstop.ros2.turn import Turn
 
 WATCH_NS = 50_000_000
 EARLY_NS = 20_000_000

@@ -242,7 +242,9 @@ class Outward:
             return
         self._diagnose_ns = now_ns
         shared = self._shared
-        rows = diagnostics.statuses(self._node.get_name(), state, shared.problem, shared.sees, shared.wrong)
+        rows = diagnostics.statuses(
+            self._node.get_name(), state, shared.problem, shared.sees, shared.wrong, shared.lacks
+        )
         if slow or diagnostics.changed(self._told, rows):
             self._told = rows
             message = fill(type_of(contract.DIAGNOSTICS.type)(), {"header": {"stamp": messages.stamp(ros_ns)}})

@@ -9,7 +9,18 @@ from pathlib import Path
 
 from failstop.policy.settings import Settings
 from failstop.ros2 import contract, mirrors
-from failstop.ros2.contract import ARM_BUSY, ARM_GOAL, ARM_SERVICES, INWARD, OUTWARD, SERVICES, SETTINGS, STATE_KEYS, TF
+from failstop.ros2.contract import (
+    ARM_ACTION,
+    ARM_BUSY,
+    ARM_GOAL,
+    ARM_SERVICES,
+    INWARD,
+    OUTWARD,
+    SERVICES,
+    SETTINGS,
+    STATE_KEYS,
+    TF,
+)
 
 BEGIN = "<!-- contract: made by `python -m failstop.ros2.page docs/ros2.md` -->"
 END = "<!-- end of contract -->"
@@ -49,6 +60,8 @@ def text() -> str:
         "",
         *_table("service | type | what", ((f"`{s.name}`", f"`{s.type}`", s.text) for s in (*SERVICES, *ARM_SERVICES))),
     ]
+    action = (f"`{ARM_ACTION.name}`", f"`{ARM_ACTION.type}`", ARM_ACTION.text)
+    lines += ["", *_table("action | type | what", [action])]
     lines += ["", "Parameters of the bridge itself, read at its start:", ""]
     own = ((f"`{s.name}`", f"`{_shown(s.default)}`", _words(s)) for s in SETTINGS)
     lines += _table("parameter | default | what", own)

@@ -11,7 +11,7 @@ from failstop.api.state import State
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
 from failstop.shm import blocks
-from failstop.supervisor.stops import NOT_SENT
+from failstop.supervisor.stops import NOT_SENT, wheels_seen
 
 PLUGGED = {"plugged": True, "unplugged": False, "unknown": None}
 NOBODY = "nobody publishes cmd_vel"
@@ -142,6 +142,13 @@ def status(state: State) -> dict[str, Any]:
     }
 
 
+def _seen(observed_s: float | None) -> str:
+    """The IMU's word of a stop."""
+    if observed_s is None:
+        return "not seen still yet"
+    return f"observed after {observed_s * 1e3:.0f} ms" if observed_s else wheels_seen(observed_s)
+
+
 def _known(value: float | None) -> float:
     return nan if value is None else value
 
@@ -176,5 +183,5 @@ def proof(before: State | None, now: State | None, *, final: bool = False) -> st
         if stop.acknowledged_s is None
         else f"acknowledged after {stop.acknowledged_s * 1e3:.1f} ms"
     )
-    told.append("not seen still yet" if stop.observed_s is None else f"observed after {stop.observed_s * 1e3:.0f} ms")
+    told.append(_seen(stop.observed_s))
     return f"stop latched ({words.plain(now.cause)}): {', '.join(told)}"

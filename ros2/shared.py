@@ -22,6 +22,8 @@ class Shared:
     publishers: tuple[str, ...] = ()
     sees: tuple[str, ...] = ()
     wrong: tuple[str, ...] = ()
+    lacks: tuple[str, ...] = ()
+    """What is not offered, and why."""
     asked: int = 0
     """How often something was asked of the service that changes its state."""
     ending: bool = False

@@ -81,17 +81,21 @@ class ArmScene(GateStage):
         """Let time pass, as the gate asks for it."""
         until_ns = self.clock() + round(seconds * 1e9)
         while self.clock() < until_ns:
-            due_ns = max(self.gate.loop.until_ns(self.clock(), 20 * MS), self.clock() + 10_000)
-            if self._answers:
-                due_ns = min(due_ns, max(self._answers[0][0], self.clock()))
-            self.clock.now_ns = min(due_ns, until_ns)
-            self.beat(layout.SUPERVISOR)
-            while self._answers and self._answers[0][0] <= self.clock():
-                t_ns, answer = heapq.heappop(self._answers)
-                self._telemetry.put(answer, t_ns)
-            self._decide_resets()
-            self.gate.turn({})
-            self._carry_out()
+            self.turn(until_ns)
+
+    def turn(self, until_ns: int = NEVER) -> None:
+        """One wake-up of the gate, when it asks for it."""
+        due_ns = max(self.gate.loop.until_ns(self.clock(), 20 * MS), self.clock() + 10_000)
+        if self._answers:
+            due_ns = min(due_ns, max(self._answers[0][0], self.clock()))
+        self.clock.now_ns = min(due_ns, until_ns)
+        self.beat(layout.SUPERVISOR)
+        while self._answers and self._answers[0][0] <= self.clock():
+            t_ns, answer = heapq.heappop(self._answers)
+            self._telemetry.put(answer, t_ns)
+        self._decide_resets()
+        self.gate.turn({})
+        self._carry_out()
 
     def _carry_out(self) -> None:
         now_ns = self.clock()

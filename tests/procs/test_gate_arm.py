@@ -222,6 +222,43 @@ def test_enable_takes_the_arm_from_whoever_moves_it(scene: ArmScene) -> None:
     assert scene.finish() == (records.DONE, "motion enabled")
 
 
+def at_the_next_tick(scene: ArmScene) -> None:
+    """Let the gate sleep until its next tick: what was asked meanwhile is handled in its very next turn."""
+    scene.clock.now_ns += 20 * MS
+    scene.gate.turn({})
+
+
+@pytest.mark.parametrize("verb", [records.ARM_RELEASE, records.ARM_TUCK])
+def test_what_is_asked_right_after_the_enable_is_refused(scene: ArmScene, verb: int) -> None:
+    scene.ask_for(records.ENABLE)
+    while scene.answered()[0] == records.UNDER_WAY:
+        scene.turn()
+    assert scene.answered() == (records.DONE, "motion enabled")
+    scene.ask_for(verb)
+    at_the_next_tick(scene)
+    assert scene.answered() == (records.REFUSED, "wheels enabled")
+
+
+@pytest.mark.parametrize("verb", [records.ARM_RELEASE, records.ARM_TUCK])
+def test_what_is_asked_right_after_a_stop_is_refused(scene: ArmScene, verb: int) -> None:
+    scene.stop(causes.PIPED(""))
+    scene.ask_for(verb)
+    at_the_next_tick(scene)
+    done, text = scene.answered()
+    assert done == records.REFUSED
+    assert "a stop is latched" in text
+
+
+def test_a_goal_right_after_a_stop_moves_nothing(scene: ArmScene) -> None:
+    scene.stop(causes.PIPED(""))
+    scene.goal(FOLLOW, {1: 0.3})
+    at_the_next_tick(scene)
+    assert scene.state()["mode"] == ""
+    before = len(scene.moves)
+    scene.run(1.0)
+    assert len(scene.moves) == before
+
+
 FAULTS = [
     ({"blocked": True}, "joint shoulder (servo 2) is 29"),
     ({"silent": True}, "joint shoulder: no answer from servo 2"),

@@ -22,7 +22,10 @@ def type_of(name: str) -> Any:
 
 def build(message: object, fields: dict) -> object:
     for name, value in fields.items():
-        if isinstance(value, dict):
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            package, last = message.get_fields_and_field_types()[name][len("sequence<") : -1].split("/")  # type: ignore[attr-defined]
+            setattr(message, name, [build(type_of(f"{package}/msg/{last}")(), row) for row in value])
+        elif isinstance(value, dict):
             build(getattr(message, name), value)
         else:
             setattr(message, name, value)
@@ -58,6 +61,9 @@ class Talker:
         self.heard: dict = {}
         self.subscriptions: dict = {}
         self.clients: dict = {}
+        self.actions: dict = {}
+        self.feedback: list = []
+        self.goal: Any = None
         self.executor = SingleThreadedExecutor()
         self.asked: queue.Queue = queue.Queue()
         threading.Thread(target=self._read, daemon=True).start()
@@ -152,6 +158,38 @@ class Talker:
         if not future.done():
             return {"error": "no answer"}
         return {"took_s": time.monotonic() - begun_s, **plain(future.result())}
+
+    def _spin(self, future: Any, timeout_s: float) -> Any:
+        until_s = time.monotonic() + timeout_s
+        while not future.done() and time.monotonic() < until_s:
+            self.executor.spin_once(timeout_sec=0.01)
+        return future.result()
+
+    def send_goal(self, action: str, type: str, fields: dict) -> dict:
+        from rclpy.action import ActionClient
+
+        kind = type_of(type)
+        client = self.actions.setdefault(action, ActionClient(self.node, kind, action))
+        if not client.wait_for_server(timeout_sec=10.0):
+            return {"error": "no server"}
+        heard: list = []
+        goal = build(kind.Goal(), fields)
+        sent = client.send_goal_async(goal, feedback_callback=lambda message: heard.append(plain(message.feedback)))
+        found = self._spin(sent, 10.0)
+        if found.accepted:
+            self.goal, self.feedback = found, heard
+        return {"accepted": found.accepted}
+
+    def fed_back(self) -> dict:
+        self.executor.spin_once(timeout_sec=0.01)
+        return {"feedback": self.feedback}
+
+    def cancel(self) -> dict:
+        return {"cancelling": len(self._spin(self.goal.cancel_goal_async(), 10.0).goals_canceling)}
+
+    def outcome(self) -> dict:
+        found = self._spin(self.goal.get_result_async(), 15.0)
+        return {"status": found.status, **plain(found.result)}
 
     def get_parameters(self, node: str, names: list[str]) -> dict:
         return self.call(f"{node}/get_parameters", "rcl_interfaces/srv/GetParameters", {"names": names})

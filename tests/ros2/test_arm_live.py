@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import pytest
 
-from tests.ros2.scene import NODE, Scene
+from failstop.lab.trial import wait_for
+from tests.ros2.scene import NODE, Node, Scene
 from tests.support.arm_settings import ARM, DRIVE, SERVOS
 
 SETTINGS = "".join(f"{key} = {json.dumps(value)}\n" for key, value in ARM.items())
 GOAL = "trajectory_msgs/msg/JointTrajectory"
+ACTION = f"{NODE}/arm/follow_joint_trajectory"
+ACTION_TYPE = "control_msgs/action/FollowJointTrajectory"
 
 
 def point(seconds: int, *positions: float) -> dict[str, object]:
@@ -53,3 +57,82 @@ def test_the_arm_s_joints_are_joint_states(scene: Scene) -> None:
     assert len(found["name"]) == len(found["position"]) == len(found["velocity"])
     scene.eyes.hear(f"{NODE}/arm_busy", "std_msgs/msg/Bool")
     scene.eyes.next(f"{NODE}/arm_busy", lambda message: message["data"] is False)
+
+
+@pytest.fixture
+def offers(scene: Scene) -> bool:
+    """Whether this ROS has the action; the stand-in has none."""
+    done = scene.ros.run(sys.executable, "-c", "import rclpy, control_msgs.action")
+    return done.returncode == 0
+
+
+def test_without_control_msgs_the_log_and_the_diagnostics_say_so(scene: Scene, offers: bool) -> None:
+    if offers:
+        pytest.skip("this ROS has control_msgs")
+    said = "~/arm/follow_joint_trajectory is not offered: this ROS has no control_msgs/action/FollowJointTrajectory"
+    assert scene.bridge.said().count(said) == 1
+    scene.eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+    rows = scene.eyes.next("/diagnostics", lambda message: said in str(message))["status"]
+    assert [row["level"] for row in rows if said in row["message"]] == [0]
+
+
+def goal(*points: dict[str, object], joint: str = "base") -> dict[str, object]:
+    return {"trajectory": {"joint_names": [joint], "points": list(points)}}
+
+
+@pytest.fixture
+def planner(scene: Scene, offers: bool) -> Node:
+    """A client of the action."""
+    if not offers:
+        pytest.skip("this ROS has no control_msgs")
+    return scene.node("planner")
+
+
+def send(planner: Node, fields: dict[str, object]) -> bool:
+    found = planner.ask("send_goal", action=ACTION, type=ACTION_TYPE, fields=fields)
+    assert "error" not in found, found
+    return bool(found["accepted"])
+
+
+def test_a_trajectory_by_the_action(scene: Scene, planner: Node) -> None:
+    assert send(planner, goal(point(0, 0.0), point(1, 0.2), point(2, 0.1)))
+    assert not send(planner, goal(point(1, 0.0))), "a second one while the first is under way"
+    assert "cancel that first" in scene.bridge.said()
+    found = planner.ask("outcome")
+    assert (found["status"], found["error_code"]) == (4, 0), found
+    assert scene.trial.board.joints()[1] == pytest.approx(500 + 0.1 / 0.0041888, abs=3)
+    heard = planner.ask("fed_back")["feedback"]
+    assert {tuple(row["joint_names"]) for row in heard} == {("base",)}
+    desired = [row["desired"]["positions"][0] for row in heard]
+    assert max(desired) == pytest.approx(0.2, abs=0.05), "it goes by the point in the middle"
+
+
+def test_goals_that_the_gate_refuses_are_rejected_in_its_words(scene: Scene, planner: Node) -> None:
+    assert not send(planner, goal(point(1, 9.0)))
+    assert not send(planner, goal(point(1, 0.0), joint="tail"))
+    assert not send(planner, goal(point(1)))
+    scene.enable()
+    assert not send(planner, goal(point(1, 0.0)))
+    said = scene.bridge.said()
+    for words in ("joint base to 9 rad: allowed is", "no joint 'tail'", "a point without", "refused: wheels enabled"):
+        assert words in said
+
+
+def test_a_goal_that_is_cancelled_is_held(scene: Scene, planner: Node) -> None:
+    assert send(planner, goal(point(20, 0.5)))
+    wait_for("the arm to move", lambda: scene.state()["arm_moving"])
+    other = scene.node("other")
+    other.publish("arm/goal", GOAL, {"joint_names": ["base"], "points": [point(1, 0.0)]}, hz=5.0)
+    wait_for("the topic's goal to be refused", lambda: "follow_joint_trajectory moves the arm" in scene.bridge.said())
+    assert planner.ask("cancel")["cancelling"] == 1
+    found = planner.ask("outcome")
+    assert (found["status"], found["error_code"]) == (5, 0), found
+    scene.state(lambda state: not state["arm_moving"])
+
+
+def test_the_end_of_the_action_s_client_holds_the_arm(scene: Scene, planner: Node) -> None:
+    assert send(planner, goal(point(20, -0.5)))
+    wait_for("the arm to move", lambda: scene.state()["arm_moving"])
+    scene.leave(planner)
+    scene.state(lambda state: not state["arm_moving"])
+    assert "nobody hears of the goal any more: held" in scene.bridge.said()

@@ -8,14 +8,16 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from failstop.api.errors import FailstopError
 from failstop.api.samples import ImuSample, OdometrySample, PadSample
 from failstop.api.snapshot import Device, GyroBias
 from failstop.policy import causes
 from failstop.policy.settings import BY_KEY, Settings
-from failstop.ros2 import diagnostics, leftovers, messages, mirrors, report, words
+from failstop.ros2 import diagnostics, leftovers, messages, mirrors, report, trajectory, words
 from failstop.ros2.commanders import Publisher
 from failstop.ros2.scan import ScanLog, ScanWatch
 from tests.support import states
@@ -155,6 +157,8 @@ def test_the_proof_of_a_stop_grows() -> None:
     assert report.proof(before, seen) == (
         "stop latched (stop service): written after 0.2 ms, acknowledged after 4.4 ms, observed after 300 ms"
     )
+    stood = states.latched(asked_for, last_stop=states.stop(observed_s=0.0))
+    assert report.proof(before, stood).endswith("acknowledged after 4.4 ms, no shaking seen before or after")
     lost = states.latched(asked_for, last_stop=states.stop(written_s=None))
     assert "could NOT be written: use the POWER SWITCH" in report.proof(before, lost)
     assert report.proof(before, None, final=True).startswith("asked for a stop")
@@ -297,3 +301,31 @@ def test_a_list_that_is_a_link_is_not_followed(folder: Path) -> None:
     assert leftovers.clear(str(folder / "link"), str(folder)) == ([], set())
     with pytest.raises(OSError, match="link"):
         leftovers.remember(str(folder / "link"), set())
+
+
+def _trajectory(names: list[str], *rows: tuple[float, list[float]]) -> SimpleNamespace:
+    points = [
+        SimpleNamespace(positions=angles, time_from_start=SimpleNamespace(sec=int(t_s), nanosec=round(t_s % 1 * 1e9)))
+        for t_s, angles in rows
+    ]
+    return SimpleNamespace(joint_names=names, points=points)
+
+
+def test_a_trajectory_as_the_arm_takes_it() -> None:
+    begin, end = (0.0, [0.1, 0.2]), (1.5, [0.3, 0.4])
+    assert trajectory.way(_trajectory(["a", "b"], begin, end)) == [(1.5, {"a": 0.3, "b": 0.4})]
+    assert trajectory.way(_trajectory(["a", "b"], begin)) == [(0.0, {"a": 0.1, "b": 0.2})]
+
+
+@pytest.mark.parametrize(
+    ("names", "rows", "words"),
+    [
+        (["a", "a"], [(1.0, [0.0, 0.0])], "named twice"),
+        (["a"], [], "at least one"),
+        ([], [(1.0, [])], "at least one"),
+        (["a", "b"], [(1.0, [0.0])], "without a position"),
+    ],
+)
+def test_a_trajectory_that_makes_no_sense(names: list[str], rows: list[tuple[float, list[float]]], words: str) -> None:
+    with pytest.raises(FailstopError, match=words):
+        trajectory.way(_trajectory(names, *rows))

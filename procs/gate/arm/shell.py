@@ -108,17 +108,23 @@ class Arm:
         core, gate = self.core, self._owner.core
         while entry := self._answers.next():
             core.answer(*records.SERVO.unpack(entry[2]), entry[1])
+        self._close()
         self._follow_pad(now_ns)
-        latched = LATCHED if gate.latch is not None else ""
-        core.closed = latched or (ENABLED if gate.enabled else "")
         if not gate.enabled:
             self._step(now_ns)
         self._answer_waiter(now_ns)
+        self._close()
         self._follow_tuck(now_ns)
         self._tell_joints()
         self._box.follow(now_ns, core)
         due_ns = now_ns + TELL_NS if gate.enabled else max(core.due_ns(), now_ns + 1)
         self._due.set(min(due_ns, self._release_ns) if self._releasing else due_ns)
+
+    def _close(self) -> None:
+        """Whether it takes goals now. Looked at before whatever is asked: what came in this turn, a stop or the end of
+        a way to the drive pose, counts for it."""
+        gate = self._owner.core
+        self.core.closed = LATCHED if gate.latch is not None else ENABLED if gate.enabled else ""
 
     def _step(self, now_ns: int) -> None:
         if self._releasing:
@@ -165,6 +171,7 @@ class Arm:
         if mode not in MODES or not set(values) <= set(self._by_servo):
             self.core.refused = f"a goal of {slot.who()} for joints that the arm does not have"
             return
+        self._close()
         if self._rival(slot, now_ns):
             return
         joints = [self._by_servo[servo] for servo in values]
@@ -207,6 +214,7 @@ class Arm:
             self._releasing.clear()
             self._hold(now_ns)
             return Reply(records.DONE, "arm held")
+        self._close()
         if closed := self.core.closed:
             return self._said(records.REFUSED, closed)
         if self._rival(slot, now_ns):
