@@ -10,6 +10,7 @@ from failstop.install import machine
 from failstop.install.extras import EXTRAS
 
 
+@pytest.mark.starts
 def test_every_unit_that_can_be_installed_is_looked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that runs and is not seen would be left running by an uninstall."""
     systemctl = tmp_path / "systemctl"
