@@ -12,7 +12,10 @@ costs about 0.12 ms of processor time (60 us of the kernel's, and as much in col
 from __future__ import annotations
 
 import select
-from time import monotonic_ns
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.procs.world import World
 
 READ = select.EPOLLIN
 WRITE = select.EPOLLOUT
@@ -55,11 +58,12 @@ class Deadline:
 class Loop:
     """One process's set of descriptors, and its deadlines."""
 
-    __slots__ = ("_deadlines", "_epoll", "_poll", "_set")
+    __slots__ = ("_deadlines", "_epoll", "_now_ns", "_poll", "_select", "_set")
 
-    def __init__(self) -> None:
+    def __init__(self, world: World) -> None:
         self._deadlines: list[Deadline] = []
-        self._epoll = select.epoll()
+        self._now_ns, self._select = world.now_ns, world.select
+        self._epoll = world.epoll()
         self._poll = self._epoll.poll
         self._set = [self._epoll.fileno()]
 
@@ -74,10 +78,9 @@ class Loop:
         """Take a descriptor out; call before closing it, since a duplicate elsewhere would keep it in."""
         self._epoll.unregister(fd)
 
-    @staticmethod
-    def readable(fd: int) -> bool:
+    def readable(self, fd: int) -> bool:
         """True when a descriptor, in the set or not, can be read now."""
-        return bool(select.select((fd,), (), (), 0)[0])
+        return bool(self._select((fd,), (), (), 0)[0])
 
     def deadline(self) -> Deadline:
         """One more point in time to wait for; for as long as the loop lives."""
@@ -94,10 +97,10 @@ class Loop:
 
     def wait(self, longest_ns: int) -> dict[int, int]:
         """Block until a descriptor is ready, a deadline has come, or this time is over; return {fd: events}."""
-        left_ns = self.due_ns() - monotonic_ns()
+        left_ns = self.due_ns() - self._now_ns()
         if LONG_NS <= longest_ns < left_ns - MS:
             return dict(self._poll(longest_ns * 1e-9))
         left_ns = min(left_ns, longest_ns)
-        if left_ns <= 0 or select.select(self._set, (), (), left_ns * 1e-9)[0]:
+        if left_ns <= 0 or self._select(self._set, (), (), left_ns * 1e-9)[0]:
             return dict(self._poll(0))
         return {}

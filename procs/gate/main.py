@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from time import monotonic_ns
 
 from failstop.board.interface import BOARD
 from failstop.policy import causes, kinematics
@@ -46,9 +45,10 @@ class Gate:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
-        now_ns = monotonic_ns()
+        self._now_ns = context.world.now_ns
+        now_ns = self._now_ns()
         self.heartbeat = context.heartbeat
-        self.loop = Loop()
+        self.loop = Loop(context.world)
         self._next_tick, self._due = self.loop.deadline(), self.loop.deadline()
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
@@ -112,7 +112,7 @@ class Gate:
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
-        now_ns = monotonic_ns()
+        now_ns = self._now_ns()
         bell.clear_rung(self._bells, ready)
         self._follow_epoch()
         self._follow_resets(now_ns)

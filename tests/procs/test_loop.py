@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE, Deadline, Loop
+from failstop.procs.world import World
 
 LATER_NS = 20_000_000_000
 
@@ -25,7 +26,7 @@ def pipe() -> Iterator[tuple[int, int]]:
 
 
 def test_ready_descriptors_with_their_events(pipe: tuple[int, int]) -> None:
-    loop = Loop()
+    loop = Loop(World())
     loop.watch(pipe[0], READ)
     assert loop.wait(0) == {}
     os.write(pipe[1], b"x")
@@ -36,20 +37,20 @@ def test_ready_descriptors_with_their_events(pipe: tuple[int, int]) -> None:
 
 
 def test_a_time_that_is_over_returns_at_once(pipe: tuple[int, int]) -> None:
-    loop = Loop()
+    loop = Loop(World())
     loop.watch(pipe[0], READ)
     assert loop.wait(-LATER_NS) == {}
 
 
 def test_waits_until_the_time_and_no_shorter() -> None:
-    loop = Loop()
+    loop = Loop(World())
     until_ns = time.monotonic_ns() + 2_000_000
     assert loop.wait(2_000_000) == {}
     assert time.monotonic_ns() >= until_ns
 
 
 def test_time_outs_are_finer_than_a_millisecond() -> None:
-    loop = Loop()
+    loop = Loop(World())
     shortest_ns = LATER_NS
     for _ in range(200):
         start_ns = time.monotonic_ns()
@@ -59,7 +60,7 @@ def test_time_outs_are_finer_than_a_millisecond() -> None:
 
 
 def test_watching_again_changes_the_events(pipe: tuple[int, int]) -> None:
-    loop = Loop()
+    loop = Loop(World())
     loop.watch(pipe[1], READ)
     assert loop.wait(0) == {}
     loop.watch(pipe[1], READ | WRITE)
@@ -69,7 +70,7 @@ def test_watching_again_changes_the_events(pipe: tuple[int, int]) -> None:
 
 
 def test_at_the_edge_only_new_bytes_are_told_of(pipe: tuple[int, int]) -> None:
-    loop = Loop()
+    loop = Loop(World())
     os.write(pipe[1], b"x")
     loop.watch(pipe[0], READ | EDGE)
     assert loop.wait(0) == {pipe[0]: READ}, "what was there before counts as new"
@@ -80,7 +81,7 @@ def test_at_the_edge_only_new_bytes_are_told_of(pipe: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("longest_ns", [2_000_000, 20_000_000])
 def test_a_wait_is_one_sleep(longest_ns: int) -> None:
-    loop = Loop()
+    loop = Loop(World())
     loop.deadline().set(NEVER)
     before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
     assert loop.wait(longest_ns) == {}
@@ -88,7 +89,7 @@ def test_a_wait_is_one_sleep(longest_ns: int) -> None:
 
 
 def test_a_longest_time_is_kept_beside_a_later_deadline() -> None:
-    loop = Loop()
+    loop = Loop(World())
     start_ns = time.monotonic_ns()
     loop.deadline().set(start_ns + LATER_NS)
     assert loop.wait(20_000_000) == {}
@@ -96,7 +97,7 @@ def test_a_longest_time_is_kept_beside_a_later_deadline() -> None:
 
 
 def test_forgotten_descriptors_stay_out(pipe: tuple[int, int]) -> None:
-    loop = Loop()
+    loop = Loop(World())
     loop.watch(pipe[0], READ)
     os.write(pipe[1], b"x")
     loop.forget(pipe[0])
@@ -108,7 +109,7 @@ def test_forgotten_descriptors_stay_out(pipe: tuple[int, int]) -> None:
 def test_hang_up_alone_ignores_bytes_but_not_the_end() -> None:
     master, slave = pty.openpty()
     tty.setraw(slave)
-    loop = Loop()
+    loop = Loop(World())
     loop.watch(slave, HANGUP)
     os.write(master, b"telemetry")
     assert loop.wait(5_000_000) == {}
@@ -119,7 +120,7 @@ def test_hang_up_alone_ignores_bytes_but_not_the_end() -> None:
 
 
 def test_the_first_deadline_ends_the_wait() -> None:
-    loop = Loop()
+    loop = Loop(World())
     deadlines = [loop.deadline() for _ in range(3)]
     assert [deadline.ns for deadline in deadlines] == [NEVER] * 3
     until_ns = time.monotonic_ns() + 2_000_000
@@ -136,7 +137,7 @@ def test_the_first_deadline_ends_the_wait() -> None:
     ("deadlines", "longest", "until"), [((), 5, 105), ((103, 104), 5, 103), ((NEVER, 106), 5, 105), ((99,), 5, 99)]
 )
 def test_how_long_it_waits(deadlines: tuple[int, ...], longest: int, until: int) -> None:
-    loop = Loop()
+    loop = Loop(World())
     for ns in deadlines:
         loop.deadline().set(ns)
     assert loop.until_ns(100, longest) == until

@@ -28,7 +28,6 @@ class Scene(Stage):
         self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True, named: bool = True
     ) -> None:
         super().__init__(layout.PORT_OWNER, directory, open_port=open_port)
-        monkeypatch.setattr(main, "monotonic_ns", self.clock)
         if named:
             self.gate = self.start(layout.GATE)
         self.news = self.segment(layout.PORT_OWNER).ring_reader("stops")

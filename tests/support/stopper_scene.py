@@ -20,7 +20,6 @@ class Scene(Stage):
         self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True, named: bool = True
     ) -> None:
         super().__init__(layout.STOPPER, directory, open_port=open_port)
-        monkeypatch.setattr(main, "monotonic_ns", self.clock)
         if named:
             self.port_owner = self.start(layout.PORT_OWNER)
         self.stays = True

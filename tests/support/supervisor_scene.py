@@ -17,6 +17,7 @@ from failstop.policy import causes
 from failstop.policy.reply import unpack
 from failstop.policy.settings import Settings
 from failstop.procs import rights
+from failstop.procs.world import World
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import children, main
@@ -39,7 +40,7 @@ class Scene:
     ) -> None:
         self.now_ns = 40_000 * MS
         self.late = 0
-        monkeypatch.setattr(main, "monotonic_ns", lambda: self.now_ns)
+        self.world = World(now_ns=lambda: self.now_ns, sleep=self.sleep)
         monkeypatch.setattr(rights, "take_rights", lambda priority: granted)
         self.master, slave = pty.openpty()
         tty.setraw(slave)
@@ -47,7 +48,7 @@ class Scene:
             os.set_blocking(fd, False)
         self.resources = Resources(f"a{os.getpid()}x{next(_numbers)}", str(directory))
         self.port = OwnPort(slave)
-        self.supervisor = Supervisor(self.resources, self.port, Settings(), None, journal)
+        self.supervisor = Supervisor(self.world, self.resources, self.port, Settings(), None, journal)
         memory = self.resources.memory
         self.port_owner = segment.attach(memory, layout.PORT_OWNER, write=True)
         self.gate = segment.attach(memory, layout.GATE, write=True)
@@ -63,6 +64,10 @@ class Scene:
         port = records.PORT.pack(1, self.now_ns, records.PORT_OPEN, "/dev/board")
         self.port_owner.latest_writer("port").write(port)
         self.answers(written_ns=self.now_ns - 10_000 * MS)
+
+    def sleep(self, seconds: float) -> None:
+        """The supervisor sleeps."""
+        self.now_ns += round(seconds * 1e9)
 
     def answers(self, *, written_ns: int = 0) -> None:
         """The port owner answers the epoch; `written_ns`: with a burst written then."""
