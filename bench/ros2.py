@@ -197,9 +197,8 @@ def latency(scene: Scene, seconds_s: float) -> stats.Row:
     listener = Node("listener")
     listener.ask("listen")
     scene.moving()
-    time.sleep(1.0)
+    wait_for("the listener to hear commands", lambda: listener.ask("told"), LEASE_S)
     scene.trial.board.events()
-    listener.ask("told")
     progress(f"latency, {seconds_s:g} s")
     arrivals = _changes(scene, seconds_s)
     empty = [int(word) for word in listener.ask("told").split()]

@@ -58,6 +58,8 @@ def took(seconds: float) -> str:
     """A short time, to what matters of it."""
     if seconds < 1e-4:
         return f"{seconds * 1e6:.0f} us"
+    if seconds >= 1:
+        return f"{seconds:.1f} s"
     milliseconds = seconds * 1e3
     return f"{milliseconds:.2f} ms" if milliseconds < 10 else f"{milliseconds:.0f} ms"
 

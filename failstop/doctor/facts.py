@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import shlex
 
+from failstop.api.snapshot import State
 from failstop.shm.instance import DEFAULT_NAME
 
 NAMED = "--device"
@@ -125,40 +126,15 @@ class SharedMemory:
 
 
 @dataclasses.dataclass(frozen=True)
-class Process:
-    """A process of the running service."""
-
-    name: str
-    pid: int
-    realtime: bool
-    memory_locked: bool
-
-
-@dataclasses.dataclass(frozen=True)
 class Service:
     """The running service."""
 
     pid: int
     version: str
-    same_layout: bool
-    problem: str = ""
-    """Why its state can't be read, in one line."""
-    starved: str = ""
-    """How often the machine did not run it, in words."""
     user: str = ""
-    device: str = ""
-    device_state: str = ""
-    link: str = ""
-    enabled: bool = False
-    latched: str = ""
-    waiting_for: str = ""
-    said: tuple[tuple[str, str, str], ...] = ()
-    """Who, what it sees, what is wrong: by a client's own account."""
-    arm: tuple[str, ...] = ()
-    """What is wrong with the arm, in words."""
-    bridge: int = 0
-    """The pid that the bridge to ROS 2 says it has; 0: it is not connected."""
-    processes: tuple[Process, ...] = ()
+    state: State | None = None
+    problem: str = ""
+    """Why there is no state, in one line."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -285,6 +261,11 @@ class Facts:
     """It was asked for."""
     commands: tuple[str, str] = ("failstop", "failstop")
     """How this program is called: from this shell, and by way of sudo."""
+
+    @property
+    def state(self) -> State | None:
+        """Of the running service; None: it can't be read, or none runs."""
+        return self.service.state if self.service else None
 
 
 def again(facts: Facts, *options: str) -> str:

@@ -31,7 +31,8 @@ def gather(
     unit = service_facts.unit(name) if systemd else None
     user = port_facts.user(os.geteuid())
     service_user = _service_user(unit)
-    ours = {row.pid for row in service.processes} if service else set()
+    state = service.state if service else None
+    ours = {row.pid for row in state.processes.values()} if state else set()
     holders, unseen = port_facts.holders(node.resolved, ours, system) if node else ((), 0)
     stops, skipped, stop_fix = _stops(name, node, service, holders, named=device is not None, wanted=stop_test_wanted)
     return Facts(
@@ -86,8 +87,8 @@ def _settings_or_problem(name: str, path: str | None, system: System) -> tuple[s
 def _device(option: str | None, service: Service | None, setting: str, config_path: str | None) -> tuple[str, str]:
     if option:
         return option, NAMED
-    if service and service.device:
-        return service.device, "of the running service"
+    if service and service.state and service.state.device.path:
+        return service.state.device.path, "of the running service"
     return setting, config_path or "the default of device.path"
 
 
@@ -123,12 +124,12 @@ def _stops(
 
 
 def _of_service(name: str, service: Service, *, wanted: bool) -> _Stops:
-    if service.problem:
+    if not (state := service.state):
         return (), "the running service can't be asked", ""
-    if service.enabled:
+    if state.enabled:
         return (), "motion is enabled", f"failstop disable --name {name}"
-    if service.latched:
-        return (), f"a stop is latched already ({service.latched})", f"failstop reset --name {name}"
+    if state.cause:
+        return (), f"a stop is latched already ({state.cause})", f"failstop reset --name {name}"
     if not wanted:
         return (), "the service runs, and would be stopped once and reset", f"failstop doctor --stop-test --name {name}"
     if problem := stop_test.no_right(name):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from failstop.api import words
 from failstop.doctor.facts import Facts, Leftover, Ticks, again
 from failstop.doctor.finding import Finding, fail, ok, skip, warn
 from failstop.supervisor import grant
@@ -30,16 +31,17 @@ SET_CLOCK = {
 def realtime(facts: Facts) -> list[Finding]:
     """SCHED_FIFO, of the running service if there is one."""
     rights = facts.rights
-    if facts.service and facts.service.processes:
-        without = [row.name for row in facts.service.processes if not row.realtime]
+    if facts.state:
+        without = [name for name, row in facts.state.processes.items() if not row.realtime]
+        starved = words.starved(facts.state.starved)
         if without:
             text = (
                 f"the service runs without real-time priority ({', '.join(without)}): a busy machine delays its stops"
             )
-            text = f"{facts.service.starved}; {text}" if facts.service.starved else text
+            text = f"{starved}; {text}" if starved else text
             return warn(text, *_limit(facts, "rtprio 40", "LimitRTPRIO=40"))
-        if facts.service.starved:
-            return warn(f"{facts.service.starved}, in spite of real-time priority", "", STARVED)
+        if starved:
+            return warn(f"{starved}, in spite of real-time priority", "", STARVED)
         return ok("every process of the service has real-time priority")
     if rights.runtime_us == 0:
         return fail("real-time processes get no time at all", "sudo sysctl kernel.sched_rt_runtime_us=950000")
@@ -69,8 +71,8 @@ def _limit(facts: Facts, limit: str, unit_line: str) -> tuple[str, str]:
 
 def memory_lock(facts: Facts) -> list[Finding]:
     """Locked memory, of the running service if there is one."""
-    if facts.service and facts.service.processes:
-        without = [row.name for row in facts.service.processes if not row.memory_locked]
+    if facts.state:
+        without = [name for name, row in facts.state.processes.items() if not row.memory_locked]
         if without:
             text = f"the service's memory is not locked ({', '.join(without)}): it may be swapped out, and late"
             return warn(text, *_limit(facts, "memlock unlimited", "LimitMEMLOCK=infinity"))

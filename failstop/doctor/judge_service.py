@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 
+from failstop.api import words
 from failstop.doctor.facts import Facts, again
 from failstop.doctor.finding import Finding, fail, ok, skip, warn
 from failstop.doctor.service_facts import client_version
@@ -23,21 +24,20 @@ def running(facts: Facts) -> list[Finding]:
     service = facts.service
     if service is None:
         return _not_running(facts)
-    if service.problem:
+    if not (state := service.state):
         return []
     where = f"{facts.name!r} runs (pid {service.pid}, user {service.user})"
-    if service.waiting_for:
-        return warn(f"{where} and waits for {service.waiting_for}", f"failstop status --name {facts.name}")
-    if service.link == "deaf":
+    if state.waiting_for:
+        return warn(f"{where} and waits for {state.waiting_for}", f"failstop status --name {facts.name}")
+    if state.device.link == "deaf":
         return fail(f"{where}, and the board does not answer", "", "cut the motors' power with the POWER SWITCH")
-    if service.link == "unproven":
+    if state.device.link == "unproven":
         text = f"{where}; the board has not answered a ping yet"
         return warn(text, f"failstop status --name {facts.name}", "is it the right device?")
-    motion = f"stopped: {service.latched}" if service.latched else "enabled" if service.enabled else "disabled"
-    found = ok(f"{where}, device {service.device_state}, the board answers, motion {motion}")
-    return found + [
-        row for text in service.arm for row in warn(f"the arm: {text}", f"failstop arm --name {facts.name}")
-    ]
+    motion = f"stopped: {state.cause}" if state.cause else "enabled" if state.enabled else "disabled"
+    found = ok(f"{where}, device {state.device.state}, the board answers, motion {motion}")
+    wrong = state.arm.wrong if state.arm else ()
+    return found + [row for text in wrong for row in warn(f"the arm: {text}", f"failstop arm --name {facts.name}")]
 
 
 def _not_running(facts: Facts) -> list[Finding]:
@@ -58,11 +58,10 @@ def _not_running(facts: Facts) -> list[Finding]:
 
 def clients(facts: Facts) -> list[Finding]:
     """What clients say of themselves."""
-    service = facts.service
-    if service is None or service.problem:
+    if not facts.state:
         return []
     found = []
-    for who, sees, wrong in service.said:
+    for who, sees, wrong in words.said(facts.state):
         found += warn(f"{who} says: {wrong}", f"failstop why --name {facts.name}") if wrong else ok(f"{who}: {sees}")
     return found or ok("none says anything of itself")
 

@@ -8,6 +8,8 @@ from failstop.doctor.facts import Ros2, Service
 from failstop.doctor.system import System, user_name
 
 SHM = "/dev/shm"
+BRIDGE = "ros2"
+"""Its name among the clients."""
 FILES = "fastrtps_"
 """What every process with Fast DDS has there, of the user that it runs as."""
 
@@ -18,7 +20,8 @@ def ros2(service: Service | None, system: System) -> Ros2:
     for name in system.names(SHM):
         if name.startswith(FILES) and (uid := _owner(system.path(f"{SHM}/{name}"))) is not None:
             owners.add(user_name(uid))
-    pid = service.bridge if service else 0
+    clients = service.state.clients if service and service.state else ()
+    pid = next((client.pid for client in clients if client.name == BRIDGE), 0)
     uid = _owner(system.path(f"/proc/{pid}")) if pid else None
     udp_only = "--udp-only" in (system.read(f"/proc/{pid}/cmdline") or "").split("\0") if pid else False
     return Ros2(tuple(sorted(owners)), pid, "" if uid is None else user_name(uid), udp_only)

@@ -5,18 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 
-from failstop.api import words
 from failstop.api.client import last_run, runtime_dir
 from failstop.api.errors import FailstopError, NoService
-from failstop.api.state import State, StateReader
-from failstop.doctor.facts import Process, RemoveIpc, Service, Unit
+from failstop.api.state import StateReader
+from failstop.doctor.facts import RemoveIpc, Service, Unit
 from failstop.doctor.system import System, user_name
 from failstop.install.layout import unit_of
 from failstop.shm import instance, layout, segment, slot
 from failstop.version import VERSION
 
-BRIDGE = "ros2"
-"""The name of the bridge to ROS 2 among the clients."""
 SYSTEMCTL_S = 1.0
 PROPERTIES = ("LoadState", "ActiveState", "SubState", "UnitFileState", "Result", "User", "NeedDaemonReload")
 NUMBERS = ("MainPID", "NRestarts")
@@ -25,14 +22,19 @@ LOGIND_FOLDERS = ("/etc", "/run", "/usr/local/lib", "/usr/lib", "/lib")
 
 def service(name: str, system: System) -> Service | None:
     """The running service of this name; None: there is none."""
-    version, same = header(name, system)
+    version = version_of(name, system)
     try:
         state = StateReader(name).read()
     except NoService:
         return None
     except FailstopError as error:
-        return Service(_pid(name), version, same, str(error))
-    return _running(state, version, system)
+        return Service(_pid(name), version, problem=str(error))
+    pid = state.processes[layout.SUPERVISOR].pid
+    try:
+        user = user_name(os.stat(system.path(f"/proc/{pid}")).st_uid)
+    except OSError:
+        user = ""
+    return Service(pid, version, user, state)
 
 
 def _pid(name: str) -> int:
@@ -43,45 +45,18 @@ def _pid(name: str) -> int:
         return 0
 
 
-def _running(state: State, version: str, system: System) -> Service:
-    pid = state.processes[layout.SUPERVISOR].pid
-    try:
-        user = user_name(os.stat(system.path(f"/proc/{pid}")).st_uid)
-    except OSError:
-        user = ""
-    return Service(
-        pid=pid,
-        version=version,
-        same_layout=True,
-        user=user,
-        device=state.device.path or "",
-        device_state=state.device.state,
-        link=state.device.link,
-        enabled=state.enabled,
-        latched=state.estop or "",
-        waiting_for=state.waiting_for or "",
-        starved=words.starved(state.starved),
-        said=tuple(words.said(state)),
-        arm=tuple(state.arm.wrong) if state.arm else (),
-        bridge=next((client.pid for client in state.clients if client.name == BRIDGE), 0),
-        processes=tuple(
-            Process(which, row.pid, row.realtime, row.memory_locked) for which, row in state.processes.items()
-        ),
-    )
-
-
-def header(name: str, system: System) -> tuple[str, bool]:
-    """(version, same layout as this program's) of the shared memory of a run; ("", False) when there is none."""
+def version_of(name: str, system: System) -> str:
+    """The version of failstop that a run's shared memory is of; empty when there is none."""
     try:
         memory, _ = last_run(name)
         with open(system.path(segment.path_of(memory, layout.SUPERVISOR)), "rb") as file:
             entry = slot.check(file.read(layout.HEADER_BYTES), segment._HEADER_SEED)
     except (FailstopError, OSError):
-        return "", False
+        return ""
     if entry is None or len(entry[2]) != segment._HEADER.size:
-        return "", False
-    _, found, _, _, _, version = segment._HEADER.unpack(entry[2])
-    return version.rstrip(b"\0").decode("ascii", "replace"), found == layout.LAYOUT_HASH
+        return ""
+    version: bytes = segment._HEADER.unpack(entry[2])[-1]
+    return version.rstrip(b"\0").decode("ascii", "replace")
 
 
 def client_version() -> str:

@@ -6,6 +6,7 @@ import textwrap
 import time
 from typing import Any
 
+from failstop.api.words import span, took
 from failstop.cli.style import DIM, FAIL, STRONG, WARN, cut, paint
 from failstop.incidents import brief, outcome, signals, story
 from failstop.incidents.incident import Incident
@@ -50,11 +51,11 @@ def proof(stop: dict[str, Any] | None, head: dict[str, Any]) -> str:
     """How the stop was proven, the three levels in a few words; `head` tells how long after it the file was saved."""
     if stop is None:
         return "not known whether a stop was written"
-    parts = [f"NOT written within {duration(max(0.0, head['saved'] - head['t']))}"]
+    parts = [f"NOT written within {took(max(0.0, head['saved'] - head['t']))}"]
     if stop.get("written_us") is not None:
-        parts = [f"written after {duration(stop['written_us'] / 1e6)}"]
+        parts = [f"written after {took(stop['written_us'] / 1e6)}"]
     if (heard_us := stop.get("acknowledged_us")) is not None:
-        parts.append(f"acknowledged after {duration(heard_us / 1e6)}")
+        parts.append(f"acknowledged after {took(heard_us / 1e6)}")
     if (seen_ms := stop.get("observed_ms")) is not None:
         # Without a word that would not fit a line of 80 columns.
         parts.append(wheels_seen(seen_ms / 1e3).removeprefix("wheels "))
@@ -63,26 +64,9 @@ def proof(stop: dict[str, Any] | None, head: dict[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def duration(seconds: float) -> str:
-    """A short time with three figures or so."""
-    if seconds < 0.001:
-        return f"{seconds * 1e6:.0f} us"
-    if seconds < 1:
-        return f"{seconds * 1e3:.3g} ms"
-    return f"{seconds:.1f} s"
-
-
 def when(unix_s: float) -> str:
     """Local time, as people read it."""
     return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(unix_s))
-
-
-def ago(seconds: float) -> str:
-    """How long ago, roughly; empty for what is to come."""
-    for unit, length in (("days", 86400), ("h", 3600), ("min", 60), ("s", 1)):
-        if seconds >= 2 * length or (unit == "s" and seconds >= 0):
-            return f", {seconds / length:.0f} {unit} ago"
-    return ""
 
 
 def table(heads: list[dict[str, Any]], columns: int) -> list[str]:
@@ -153,9 +137,10 @@ def _head(incident: Incident, columns: int, now_s: float) -> list[str]:
     head = incident.head
     who = incident.cause.named() if incident.cause.kind is causes.REQUESTED else {}
     asked_by = f"{who['who']} (pid {who['pid']})" if who else ""
+    ago = f", {span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
     rows: list[Fact] = [
         ("why", outcome.short(incident.cause), FAIL),
-        ("when", f'{when(head["t"])}{ago(now_s - head["t"])}; service "{head["name"]}" on {head["host"]}', ""),
+        ("when", f'{when(head["t"])}{ago}; service "{head["name"]}" on {head["host"]}', ""),
         ("before", _before(incident), ""),
         ("noticed", _noticed(incident, asked_by), ""),
         *_proofs(incident),
@@ -176,7 +161,7 @@ def _noticed(incident: Incident, asked_by: str) -> str:
 def _proofs(incident: Incident) -> list[Fact]:
     """Written, acknowledged, observed: by whom, and when after the cause."""
     stop = known(incident) or {}
-    recorded = duration(max(0.0, incident.ms(incident.span_ns()[1]) / 1e3))
+    recorded = took(max(0.0, incident.ms(incident.span_ns()[1]) / 1e3))
     written: Fact = ("written", f"NOT within the {recorded} that are recorded after the cause", FAIL)
     if not stop:
         written = ("written", f"{NOT_KNOWN}: nobody of the service has told of it, nor is it recorded", FAIL)
@@ -185,12 +170,12 @@ def _proofs(incident: Incident) -> list[Fact]:
         after_s = stop["written_us"] / 1e6
         written = (
             "written",
-            f"{by}after {duration(after_s)}{_delayed(incident, after_s)}",
+            f"{by}after {took(after_s)}{_delayed(incident, after_s)}",
             WARN if after_s > LATE_S else "",
         )
     heard: Fact = ("acknowledged", f"{NOT_KNOWN}: no answer of the board to it is recorded", WARN)
     if (heard_us := stop.get("acknowledged_us")) is not None:
-        heard = ("acknowledged", f"by the board, after {duration(heard_us / 1e6)}", "")
+        heard = ("acknowledged", f"by the board, after {took(heard_us / 1e6)}", "")
     return [written, heard, ("observed", *_observed(stop))]
 
 
@@ -245,7 +230,7 @@ def _before(incident: Incident) -> str:
         ]
         # What was told before they turned for the last time explains nothing.
         least = "" if driven else "at least "
-        stood = f"the wheels stood ({story.block(last)}), for {least}{duration((incident.cause_ns - since_ns) / 1e9)}"
+        stood = f"the wheels stood ({story.block(last)}), for {least}{took((incident.cause_ns - since_ns) / 1e9)}"
         return f"{stood}; {ended[-1]}" if driven and ended else stood
     age_ms = (last.age_us or 0) / 1e3 + (incident.cause_ns - last.ns) / 1e6
     return f"driving, {story.velocity(last.velocity)}; {last.who} as {last.source}, command {age_ms:.0f} ms old"

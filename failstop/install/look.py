@@ -7,7 +7,8 @@ import os
 
 from failstop.board import discovery
 from failstop.fleet.settings import KEY_PLACE, PLACE
-from failstop.install import bridge, fleet, machine, page, tree
+from failstop.install import machine, tree
+from failstop.install.extras import EXTRAS
 from failstop.install.layout import (
     COMMAND_LINK,
     MANIFEST,
@@ -38,8 +39,8 @@ def look(request: Request, units: dict[str, str]) -> Found:
     targets = {target for unit in units.values() for target in wanted_by(unit)}
     wants = [f"{UNITS}/{target}.wants/{unit}" for target in targets for unit in (unit_of(request.name), SLEEP)]
     paths = [*files_of(), COMMAND_LINK, MANIFEST, *wants]
-    for place, unit in ((bridge.PLACE, bridge.UNIT), (fleet.PLACE, fleet.UNIT), (page.PLACE, page.UNIT)):
-        paths += [place, *(f"{UNITS}/{target}.wants/{unit}" for target in targets)]
+    for extra in EXTRAS:
+        paths += [extra.place, *(f"{UNITS}/{target}.wants/{extra.unit}" for target in targets)]
     paths += [PLACE]
     paths += [configuration_of(request.name), "/etc/passwd", "/etc/group"]
     files, links = {}, {}

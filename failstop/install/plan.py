@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 from failstop.board.discovery import LINK
-from failstop.install import InstallError, bridge, fleet, page
+from failstop.install import InstallError
+from failstop.install.extras import EXTRAS
 from failstop.install.layout import (
     ACCOUNT_FILES,
     CATALOG,
@@ -31,11 +32,10 @@ from failstop.shm.instance import DEFAULT_NAME
 
 OWN_COMMAND = f"{PREFIX}/bin/failstop"
 MASK = "/dev/null"
+RELOAD = ("systemctl", "daemon-reload")
+UDEV_RELOAD = ("udevadm", "control", "--reload")
 SETTLE_S = 5
 """How long the new rule may take to name a board that is plugged in; else the service waits for it."""
-
-EXTRAS = (bridge, fleet, page)
-"""Units beside the service's own, each installed when it is asked for."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Request:
     fleet: bool = False
     """The robot is to be published to its fleet's broker; False: it is not, or goes on to be."""
     web: str = ""
-    """The operator's page: page.VIEW or page.OPERATE; empty: none, or the one that is there."""
+    """The operator's page: extras.VIEW or extras.OPERATE; empty: none, or the one that is there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,6 +86,11 @@ class Found:
     ros_setup: str = ""
     """What makes the environment of the ROS 2 that is there."""
 
+    def rows(self, path: str) -> list[list[str]]:
+        """The fields of a file of accounts, such as /etc/passwd, line by line."""
+        lines = self.files.get(path, b"").decode().splitlines()
+        return [line.split(":") for line in lines if line.count(":") >= 3]
+
 
 def device_of(parts: Parts, request: Request, found: Found) -> str:
     """The board's port, as the service will have it: by the name that outlives a replug, where the rule gives one."""
@@ -110,7 +115,8 @@ def install(parts: Parts, request: Request, tree: str, found: Found) -> Plan:
     gone = _outdated(found, files)
     new_tree = bool(tree) and tree != found.tree
     content = _file_steps(files, found) + _configuration(parts, request, found)
-    content += fleet.configuration(parts, request, found)
+    besides = [step for extra in EXTRAS for step in extra.before(parts, request, found)]
+    content += [step for step in besides if isinstance(step, File)]
     linking = [_link(path, target, found) for path, target in links.items() if found.links.get(path) != target]
     written = {step.path for step in content}
     reload = any(path.startswith(UNITS) for path in {*written, *(step.path for step in linking), *gone})
@@ -120,7 +126,7 @@ def install(parts: Parts, request: Request, tree: str, found: Found) -> Plan:
         [*files, *links, PREFIX if new_tree else MANIFEST, *(step.path for step in content)], found
     )
     steps: list[Step] = [
-        *_stops(restarts),
+        *stops(restarts),
         *_on_undo(request, reload, UDEV in written and found.udev),
         *directories,
         # First the list: what was cut short by a power failure can be taken away, or done again.
@@ -128,7 +134,7 @@ def install(parts: Parts, request: Request, tree: str, found: Found) -> Plan:
         *(Remove("remove", path, "of another version", path) for path in gone),
         *content,
         *([_make_accounts(parts, request)] if missing else []),
-        *bridge.membership(request, found),
+        *(step for step in besides if isinstance(step, Command)),
         *linking,
     ]
     starts = _starts(request, found, restarts)
@@ -151,10 +157,10 @@ def _starts(request: Request, found: Found, restarts: tuple[str, ...]) -> list[S
     if not (request.live and request.start):
         return []
     unit = unit_of(request.name)
-    others = [name for extra in EXTRAS for name in extra.units(request, found)]
+    others = [extra.unit for extra in EXTRAS if extra.choice(request, found)]
     wanted = [name for name in (unit, *others) if name not in found.active]
     units = dict.fromkeys((*restarts, *wanted))
-    remarks = {extra.UNIT: extra.REMARK for extra in EXTRAS}
+    remarks = {extra.unit: extra.remark for extra in EXTRAS}
     return [
         Start("start", unit, remarks.get(unit, "motion stays disabled until somebody enables it"), unit)
         for unit in sorted(units, key=lambda unit: unit in remarks)
@@ -284,30 +290,26 @@ def _tree(found: Found, manifest: bytes) -> Tree:
     return Tree(verb, PREFIX, "failstop and what it needs, copied from here", PREFIX, manifest)
 
 
-def _stops(units: tuple[str, ...]) -> list[Command]:
-    return [
-        Command(
-            "stop", unit, "THE WHEELS STOP", ("systemctl", "stop", unit), ("systemctl", "start", "--no-block", unit)
-        )
-        for unit in units
-    ]
+def stops(units: tuple[str, ...]) -> list[Command]:
+    """Stop units that run; undone by starting them."""
+    again = ("systemctl", "start", "--no-block")
+    return [Command("stop", unit, "THE WHEELS STOP", ("systemctl", "stop", unit), (*again, unit)) for unit in units]
 
 
 def _on_undo(request: Request, reload: bool, udev: bool) -> list[Command]:
     """What is to be told of the files once they are back as they were: undone last, so it comes first."""
     told: list[tuple[str, ...]] = []
     if request.live and reload:
-        told.append(("systemctl", "daemon-reload"))
+        told.append(RELOAD)
     if request.live and udev:
-        told.append(("udevadm", "control", "--reload"))
+        told.append(UDEV_RELOAD)
     return [Command("", " ".join(words), "", (), words) for words in told]
 
 
 def _missing_accounts(parts: Parts, found: Found) -> bool:
     users, memberships = accounts(parts.sysusers)
-    passwd = {line.split(":")[0] for line in found.files.get("/etc/passwd", b"").decode().splitlines()}
-    rows = [line.split(":") for line in found.files.get("/etc/group", b"").decode().splitlines()]
-    groups = {row[0]: row[3].split(",") for row in rows if len(row) == 4}
+    passwd = {row[0] for row in found.rows("/etc/passwd")}
+    groups = {row[0]: row[3].split(",") for row in found.rows("/etc/group")}
     return not all(user in passwd and user in groups for user in users) or not all(
         user in groups.get(group, ()) for user, group in memberships
     )
@@ -351,19 +353,24 @@ def _manifest(
 
 def _told(request: Request, found: Found, reload: bool, udev: bool, catalog: bool) -> list[Command]:
     """Those who are to read the new files."""
-    told = []
-    if catalog:
-        root = () if request.live else (f"--root={request.root}",)
-        words = ("journalctl", *root, "--update-catalog")
-        told.append(Command("run", " ".join(words), "", words, touches=(CATALOG_DATABASE,)))
+    told = [update_catalog(request)] if catalog else []
     if request.live and reload:
-        told.append(Command("run", "systemctl daemon-reload", "", ("systemctl", "daemon-reload")))
+        told.append(run(*RELOAD))
     if request.live and udev and found.udev:
-        asked = ("udevadm", "control", "--reload"), ("udevadm", "trigger", "--subsystem-match=tty")
-        told += [Command("run", " ".join(words), "", words) for words in asked]
-        settle = ("udevadm", "settle", f"--timeout={SETTLE_S}")
-        told.append(Command("run", " ".join(settle), "", settle, accepted=(0, 1)))
+        told += [run(*UDEV_RELOAD), run("udevadm", "trigger", "--subsystem-match=tty")]
+        told.append(run("udevadm", "settle", f"--timeout={SETTLE_S}", accepted=(0, 1)))
     return told
+
+
+def run(*words: str, accepted: tuple[int, ...] = (0,)) -> Command:
+    """A program of the system, shown as it is called."""
+    return Command("run", " ".join(words), "", words, accepted=accepted)
+
+
+def update_catalog(request: Request) -> Command:
+    """Have the journal read its catalog."""
+    words = ("journalctl", *(() if request.live else (f"--root={request.root}",)), "--update-catalog")
+    return Command("run", " ".join(words), "", words, touches=(CATALOG_DATABASE,))
 
 
 def _check(request: Request) -> Command:

@@ -8,7 +8,6 @@ from failstop.install import InstallError
 from failstop.install.layout import (
     ACCOUNT_FILES,
     CATALOG,
-    CATALOG_DATABASE,
     CONFIGURATION,
     MANIFEST,
     PREFIX,
@@ -20,7 +19,7 @@ from failstop.install.layout import (
     unit_of,
 )
 from failstop.install.parts import LATE
-from failstop.install.plan import Found, Request
+from failstop.install.plan import RELOAD, UDEV_RELOAD, Found, Request, run, stops, update_catalog
 from failstop.install.steps import Command, File, Plan, Remove, Step
 
 NO_SUCH_GROUP = 6
@@ -34,23 +33,19 @@ def uninstall(request: Request, found: Found, purge: bool = False) -> Plan:
         if purge and not found.package:
             return Plan(tuple(_purge(request, found)))
         raise InstallError(_absent(found))
-    reload = ("systemctl", "daemon-reload")
     files = [*manifest.links, *manifest.files]
-    steps: list[Step] = [*_stops(found.active)]
+    steps: list[Step] = [*stops(found.active)]
     if request.live:
-        steps += [_given_up("*"), Command("", "", "", (), reload)]
+        steps += [_given_up("*"), Command("", "", "", (), RELOAD)]
     steps += [Remove("remove", path, "", path) for path in files]
     whole = "the Python environment" if manifest.tree else "the list of what was installed"
     steps.append(Remove("remove", PREFIX, whole, PREFIX))
     if request.live:
-        steps.append(Command("run", " ".join(reload), "", reload))
+        steps.append(run(*RELOAD))
         if found.udev and UDEV in manifest.files:
-            words = ("udevadm", "control", "--reload")
-            steps.append(Command("run", " ".join(words), "", words))
+            steps.append(run(*UDEV_RELOAD))
     if CATALOG in manifest.files:
-        root = () if request.live else (f"--root={request.root}",)
-        words = ("journalctl", *root, "--update-catalog")
-        steps.append(Command("run", " ".join(words), "", words, touches=(CATALOG_DATABASE,)))
+        steps.append(update_catalog(request))
     if purge:
         steps += _purge(request, found)
     steps += [Remove("", path, "", path, only_empty=True) for path in reversed(manifest.directories)]
@@ -69,17 +64,16 @@ def uninstall_instance(request: Request, found: Found, purge: bool = False) -> P
         raise InstallError(f"no instance {request.name!r} is installed")
     active = tuple(name for name in found.active if name == unit)
     left = {path: target for path, target in manifest.links.items() if path not in links}
-    reload = ("systemctl", "daemon-reload")
-    steps: list[Step] = [*_stops(active)]
+    steps: list[Step] = [*stops(active)]
     if request.live:
-        steps += [_given_up(request.name), Command("", "", "", (), reload)]
+        steps += [_given_up(request.name), Command("", "", "", (), RELOAD)]
     steps += [Remove("remove", path, "no longer starts at boot", path) for path in links]
     if purge:
         steps.append(Remove("remove", configuration_of(request.name), "your settings", configuration_of(request.name)))
         steps.append(Remove("remove", f"{STATE}/{request.name}", "logs and incidents", f"{STATE}/{request.name}"))
     steps.append(File("", MANIFEST, "", MANIFEST, dataclasses.replace(manifest, links=left).dump()))
     if request.live:
-        steps.append(Command("run", " ".join(reload), "", reload))
+        steps.append(run(*RELOAD))
     return Plan(tuple(steps), (), active)
 
 
@@ -87,15 +81,6 @@ def _absent(found: Found) -> str:
     if found.package:
         return "failstop is installed as a Debian package here: apt remove failstop (apt purge failstop: all of it)"
     return "no installation of `failstop install` is here; --purge removes what an earlier one has left"
-
-
-def _stops(units: tuple[str, ...]) -> list[Command]:
-    return [
-        Command(
-            "stop", unit, "THE WHEELS STOP", ("systemctl", "stop", unit), ("systemctl", "start", "--no-block", unit)
-        )
-        for unit in units
-    ]
 
 
 def _given_up(name: str) -> Command:
@@ -111,9 +96,8 @@ def _purge(request: Request, found: Found) -> list[Step]:
     ]
     if request.live:
         steps.append(Remove("", RUNTIME, "", RUNTIME))
-    rows = [line.split(":") for line in found.files.get("/etc/passwd", b"").decode().splitlines()]
     # With another home it is a person's, or another program's.
-    if any(row[0] == "failstop" and row[5] == STATE for row in rows if len(row) == 7):
+    if any(row[0] == "failstop" and row[5] == STATE for row in found.rows("/etc/passwd") if len(row) == 7):
         where = () if request.live else ("--prefix", request.root)
         user, group = ("userdel", *where, "failstop"), ("groupdel", *where, "failstop")
         steps.append(Command("remove", "user failstop", "", user, touches=ACCOUNT_FILES))

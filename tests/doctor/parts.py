@@ -11,7 +11,6 @@ from failstop.doctor.facts import (
     Facts,
     Idle,
     Node,
-    Process,
     RemoveIpc,
     Rights,
     Service,
@@ -23,6 +22,7 @@ from failstop.doctor.facts import (
 )
 from failstop.shm.layout import PROCESSES
 from failstop.version import VERSION
+from tests.support.states import process, state
 
 SERVER = User("failstop", 998, frozenset({998, 20}))
 PERSON = User("anna", 1000, frozenset({1000, 20}))
@@ -40,16 +40,8 @@ NODE = Node(
     modem_ignored=True,
     accessible=True,
 )
-SERVICE = Service(
-    pid=100,
-    version=VERSION,
-    same_layout=True,
-    user="failstop",
-    device="/dev/ttyACM0",
-    device_state="open",
-    link="alive",
-    processes=tuple(Process(name, 100 + at, True, True) for at, name in enumerate(PROCESSES)),
-)
+STATE = state(processes={name: process(pid=100 + at) for at, name in enumerate(PROCESSES)})
+SERVICE = Service(100, VERSION, "failstop", STATE)
 UNIT = Unit("failstop.service", "loaded", "active", "running", "enabled", "success", "failstop", False, 100, 0)
 RIGHTS = Rights(40, -1, nice_capability=False, lock_capability=False, realtime_granted=True, runtime_us=950_000)
 CLOCK = Clock("tsc", ("tsc", "hpet"), backward_ns=0, resolution_ns=1, synchronized=True, offset_s=0.0001)
@@ -83,6 +75,11 @@ WELL = Facts(
 def facts(**changed: Any) -> Facts:
     """All is well but for this."""
     return dataclasses.replace(WELL, **changed)
+
+
+def serving(**changed: Any) -> Service:
+    """The service, in a state but for this."""
+    return dataclasses.replace(SERVICE, state=dataclasses.replace(STATE, **changed))
 
 
 def but(part: Any, **changed: Any) -> Any:

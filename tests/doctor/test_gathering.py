@@ -152,7 +152,7 @@ def test_the_shared_memory_of_a_dead_run(dead_run: str) -> None:
     left = next(row for row in found.leftovers if row.instance == dead_run)
     assert (left.segments, left.ours) == (len(layout.SEGMENTS), True)
     assert left.size > 0
-    assert service_facts.header(dead_run, System()) == (service_facts.client_version(), True)
+    assert service_facts.version_of(dead_run, System()) == service_facts.client_version()
     stranger = port_facts.User("stranger", os.geteuid() + 4711, frozenset())  # type: ignore[attr-defined]
     found = machine_facts.shared_memory(stranger, System())
     assert not next(row for row in found.leftovers if row.instance == dead_run).ours

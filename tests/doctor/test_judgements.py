@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from failstop.api.snapshot import Client, Starved
 from failstop.doctor import judge_port, paste
 from failstop.doctor.facts import NAMED, Facts, Holder, Idle, Leftover, RemoveIpc, Ros2, StopTest, Ticks
 from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, worst
@@ -22,13 +23,19 @@ from tests.doctor.parts import (
     RIGHTS,
     SERVER,
     SERVICE,
+    STATE,
     UNIT,
     WELL,
     but,
     facts,
+    serving,
 )
+from tests.support.states import arm
 
-UNRIGHTED = tuple(but(process, realtime=False, memory_locked=False) for process in SERVICE.processes)
+UNRIGHTED = {name: but(row, realtime=False, memory_locked=False) for name, row in STATE.processes.items()}
+STARVED = Starved(1, 0.07, "gate")
+PORT = STATE.device
+BRIDGE = Client(0, "ros2", 7, False, "no scan", "/a and /b drive", 0.1)
 LATE = but(RIGHTS, early_news=False)
 POOR = but(RIGHTS, realtime_granted=False, realtime_limit=0, memory_limit=65536)
 
@@ -58,15 +65,25 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("deaths", facts(rights=LATE), WARN, "tells of a death late"),
     ("service", facts(service=None), WARN, "no service named 'failstop' runs"),
     ("service", facts(service=None, unit=None, memory=but(MEMORY, living=("left",))), WARN, "there is left"),
-    ("service", facts(service=but(SERVICE, link="deaf")), FAIL, "does not answer"),
-    ("service", facts(service=but(SERVICE, link="unproven")), WARN, "not answered"),
-    ("service", facts(service=but(SERVICE, waiting_for="the port")), WARN, "waits for the port"),
-    ("service", facts(service=but(SERVICE, arm=("joint elbow does not answer",))), WARN, "joint elbow does not answer"),
-    ("clients", facts(service=but(SERVICE, said=(("ros2", "no scan", "/a and /b drive"),))), WARN, "/a and /b drive"),
+    ("service", facts(service=serving(device=but(PORT, link="deaf"))), FAIL, "does not answer"),
+    ("service", facts(service=serving(device=but(PORT, link="unproven"))), WARN, "not answered"),
+    ("service", facts(service=serving(waiting_for="the port")), WARN, "waits for the port"),
+    (
+        "service",
+        facts(service=serving(arm=arm(wrong=("it hangs",)))),
+        WARN,
+        "it hangs",
+    ),
+    (
+        "clients",
+        facts(service=serving(clients=(BRIDGE,))),
+        WARN,
+        "/a and /b drive",
+    ),
     ("ROS 2", facts(ros2=Ros2(("anna",))), SKIP, "nodes of anna run here"),
     ("ROS 2", facts(ros2=Ros2(("anna", "bob"), 7, "bob")), WARN, "Fast DDS of anna is here"),
     ("unit", facts(unit=None, systemd=False), SKIP, "systemd does not run"),
-    ("version", facts(service=but(SERVICE, problem="is of failstop 0.0.9")), FAIL, "0.0.9"),
+    ("version", facts(service=but(SERVICE, state=None, problem="is of failstop 0.0.9")), FAIL, "0.0.9"),
     ("version", facts(service=but(SERVICE, version="0.0.9")), WARN, "0.0.9"),
     ("unit", facts(unit=None), WARN, "does not answer"),
     ("unit", facts(unit=but(UNIT, load="not-found")), WARN, "no unit"),
@@ -81,13 +98,13 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
     ("unit", facts(unit=but(UNIT, needs_reload=True)), WARN, "changed on disk"),
     ("unit", facts(unit=but(UNIT, main_pid=4711)), WARN, "4711"),
     ("unit", facts(unit=but(UNIT, enabled="disabled")), WARN, "not started at boot"),
-    ("realtime", facts(service=but(SERVICE, processes=UNRIGHTED)), WARN, "supervisor, port_owner"),
-    ("realtime", facts(service=but(SERVICE, processes=UNRIGHTED, starved="starved once")), WARN, "starved once; the"),
-    ("realtime", facts(service=but(SERVICE, starved="starved once")), WARN, "starved once, in spite of"),
+    ("realtime", facts(service=serving(processes=UNRIGHTED)), WARN, "supervisor, port_owner"),
+    ("realtime", facts(service=serving(processes=UNRIGHTED, starved=STARVED)), WARN, "for 70 ms; the"),
+    ("realtime", facts(service=serving(starved=STARVED)), WARN, "for 70 ms, in spite of"),
     ("realtime", facts(service=None, rights=POOR), WARN, "no real-time priority"),
     ("realtime", facts(service=None, rights=but(POOR, realtime_limit=40)), WARN, "container"),
     ("realtime", facts(service=None, rights=but(RIGHTS, runtime_us=0)), FAIL, "no time at all"),
-    ("memory lock", facts(service=but(SERVICE, processes=UNRIGHTED)), WARN, "swapped out"),
+    ("memory lock", facts(service=serving(processes=UNRIGHTED)), WARN, "swapped out"),
     ("memory lock", facts(service=None, rights=POOR), WARN, "64 KiB"),
     ("clock", facts(clock=but(CLOCK, backward_ns=5)), FAIL, "went back by 5 ns"),
     ("clock", facts(clock=but(CLOCK, resolution_ns=4_000_000)), FAIL, "steps of 4000000"),

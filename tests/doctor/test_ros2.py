@@ -5,10 +5,16 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from failstop.api.snapshot import Client
 from failstop.doctor import judge_ros2, ros2_facts
 from failstop.doctor.facts import Ros2
 from failstop.doctor.system import System, user_name
-from tests.doctor.parts import SERVICE, but, facts
+from tests.doctor.parts import facts, serving
+
+
+def bridge(pid: int) -> Client:
+    return Client(0, "ros2", pid, False)
+
 
 ME = user_name(os.getuid())
 
@@ -22,10 +28,10 @@ def test_facts(tmp_path: Path) -> None:
     (process / "cmdline").write_bytes(b"python3\0-m\0failstop\0ros2\0--udp-only\0")
     system = System(str(tmp_path))
     assert ros2_facts.ros2(None, system) == Ros2((ME,))
-    assert ros2_facts.ros2(but(SERVICE, bridge=7), system) == Ros2((ME,), 7, ME, True)
+    assert ros2_facts.ros2(serving(clients=(bridge(7),)), system) == Ros2((ME,), 7, ME, True)
     (process / "cmdline").write_bytes(b"python3\0-m\0failstop\0ros2\0")
-    assert not ros2_facts.ros2(but(SERVICE, bridge=7), system).udp_only
-    assert ros2_facts.ros2(but(SERVICE, bridge=8), system) == Ros2((ME,), 8), "it has gone meanwhile"
+    assert not ros2_facts.ros2(serving(clients=(bridge(7),)), system).udp_only
+    assert ros2_facts.ros2(serving(clients=(bridge(8),)), system) == Ros2((ME,), 8), "it has gone meanwhile"
     assert ros2_facts.ros2(None, System(str(tmp_path / "nothing"))) == Ros2()
 
 

@@ -38,7 +38,7 @@ OUTCOME = event("stop_outcome", **NAMED, epoch=7, acknowledged_us=None, observed
 
 def test_the_record_of_this_stop() -> None:
     found = known(msgpack.packb(RECORD), [], 7, DIED)
-    assert report.proof(found, HEAD) == ("written after 82 us, acknowledged after 4.4 ms, still after about 0.3 s")
+    assert report.proof(found, HEAD) == ("written after 82 us, acknowledged after 4.40 ms, still after about 0.3 s")
 
 
 @pytest.mark.parametrize(("epoch", "cause"), [(8, DIED), (7, LOST), (7, causes.DIED("telemetry"))])

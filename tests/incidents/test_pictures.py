@@ -53,7 +53,7 @@ def test_the_svg_says_what_happened(incident: Incident, tmp_path: Path) -> None:
     shown = (tmp_path / "a.svg").read_text()
     for words in (
         "gate died",
-        "acknowledged after 3.1 ms",
+        "acknowledged after 3.10 ms",
         "was killed by SIGKILL",
         "stop bursts",
         "still below 3.5",

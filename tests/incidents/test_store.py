@@ -73,7 +73,7 @@ def test_list_and_show_for_people_and_programs(capsys: pytest.CaptureFixture[str
     assert main(["incident", "list"]) == 0
     shown = capsys.readouterr().out
     assert [line for line in shown.splitlines() if not line.startswith(" ")] == IDS
-    assert "written after 212 us, acknowledged after 3.1 ms, still after about 0.3 s" in shown
+    assert "written after 0.21 ms, acknowledged after 3.10 ms, still after about 0.3 s" in shown
     assert main(["incident", "list", "--json"]) == 0
     assert [row["id"] for row in json.loads(capsys.readouterr().out)] == IDS
     assert main(["incident", "show"]) == 0

@@ -7,12 +7,13 @@ import dataclasses
 import pytest
 
 from failstop.install import InstallError, parts
-from failstop.install.bridge import PLACE
+from failstop.install.extras import BRIDGE
 from failstop.install.plan import Found, Request, install
 from failstop.install.steps import Command, File
 from failstop.install.unplan import uninstall
 from tests.install.scene import BARE, GROUP, LIVE, PARTS, PASSWD, after, shown
 
+PLACE = BRIDGE.place
 REQUEST = Request(ros2_user="anna")
 BROUGHT = dataclasses.replace(PARTS, bridge=parts.of_this_version().bridge)
 ANNA = PASSWD + b"anna:x:1000:1000::/home/anna:/bin/bash\n"

@@ -10,12 +10,13 @@ from failstop.fleet import settings
 from failstop.fleet.settings import KEY_PLACE
 from failstop.fleet.settings import PLACE as SETTINGS
 from failstop.install import InstallError, parts
-from failstop.install.fleet import PLACE, UNIT
+from failstop.install.extras import FLEET
 from failstop.install.plan import Found, Request, install
 from failstop.install.steps import File
 from failstop.install.unplan import uninstall
 from tests.install.scene import BARE, LIVE, PARTS, after, shown
 
+PLACE, UNIT = FLEET.place, FLEET.unit
 REQUEST = Request(fleet=True)
 OWN = parts.of_this_version()
 BROUGHT = dataclasses.replace(PARTS, fleet=OWN.fleet, fleet_example=OWN.fleet_example)

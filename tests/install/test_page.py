@@ -6,12 +6,13 @@ import dataclasses
 
 import pytest
 
-from failstop.install import InstallError, page, parts
-from failstop.install.page import PLACE
+from failstop.install import InstallError, parts
+from failstop.install.extras import OPERATE, PAGE, VIEW
 from failstop.install.plan import Found, Request, install
 from failstop.install.unplan import uninstall
 from tests.install.scene import BARE, GROUP, LIVE, PARTS, PASSWD, after, shown
 
+PLACE = PAGE.place
 BROUGHT = dataclasses.replace(PARTS, page=parts.of_this_version().page)
 ACCOUNTS = {"/etc/passwd": PASSWD, "/etc/group": GROUP}
 MACHINE = dataclasses.replace(BARE, files=ACCOUNTS)
@@ -24,41 +25,41 @@ def installed(which: str) -> Found:
 
 
 def test_it_is_put_in_place_and_started() -> None:
-    plan = install(BROUGHT, Request(web=page.VIEW), "tree 1", MACHINE)
+    plan = install(BROUGHT, Request(web=VIEW), "tree 1", MACHINE)
     assert shown(plan)[-2:] == ["start failstop.service", "start failstop-web.service"]
     assert "create /etc/systemd/system/multi-user.target.wants/failstop-web.service" in shown(plan)
-    unit = installed(page.VIEW).files[PLACE].decode()
+    unit = installed(VIEW).files[PLACE].decode()
     assert "ExecStart=/opt/failstop/bin/failstop web --config /etc/failstop/failstop.toml\n" in unit
-    assert page.GROUP not in unit, "who only sees and stops may not drive"
+    assert PAGE.group not in unit, "who only sees and stops may not drive"
 
 
 def test_paired_devices_need_the_group() -> None:
-    assert page.USER + page.GROUP in installed(page.OPERATE).files[PLACE].decode()
+    assert PAGE.user + PAGE.group in installed(OPERATE).files[PLACE].decode()
 
 
 def test_without_the_option_there_is_none_and_one_that_is_there_stays_what_it_is() -> None:
     assert PLACE not in after(install(BROUGHT, LIVE, "tree 1", MACHINE), MACHINE).files
-    for which in (page.VIEW, page.OPERATE):
+    for which in (VIEW, OPERATE):
         found = installed(which)
         assert install(BROUGHT, LIVE, "tree 1", found).steps == ()
         newer = dataclasses.replace(BROUGHT, page=BROUGHT.page + "# newer\n")
         plan = install(newer, LIVE, "tree 1", found)
         assert f"replace {PLACE}" in shown(plan)
-        assert (page.GROUP.encode() in after(plan, found).files[PLACE]) == (which == page.OPERATE)
+        assert (PAGE.group.encode() in after(plan, found).files[PLACE]) == (which == OPERATE)
 
 
 def test_uninstall_takes_it_away() -> None:
-    plan = uninstall(LIVE, installed(page.VIEW))
+    plan = uninstall(LIVE, installed(VIEW))
     assert "stop failstop-web.service" in shown(plan)
     assert f"remove {PLACE}" in shown(plan)
 
 
 def test_it_is_for_the_one_robot() -> None:
     with pytest.raises(InstallError, match="for the robot 'failstop' alone"):
-        install(BROUGHT, Request("left", "/dev/ttyACM1", web=page.VIEW), "tree 1", MACHINE)
+        install(BROUGHT, Request("left", "/dev/ttyACM1", web=VIEW), "tree 1", MACHINE)
 
 
 def test_a_unit_of_somebody_else_stays() -> None:
     linked = dataclasses.replace(MACHINE, links={PLACE: "/dev/null"})
     with pytest.raises(InstallError, match="is a link to"):
-        install(BROUGHT, Request(web=page.VIEW), "tree 1", linked)
+        install(BROUGHT, Request(web=VIEW), "tree 1", linked)

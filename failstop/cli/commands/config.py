@@ -6,6 +6,7 @@ import os
 import sys
 from shutil import get_terminal_size
 
+from failstop.cli import style
 from failstop.policy import config
 from failstop.policy.settings import (
     BY_KEY,
@@ -22,6 +23,8 @@ from failstop.policy.settings import (
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
+
+    from failstop.cli.style import Line
 
 EXAMPLES = """\
 failstop config                         # every value, unit and origin
@@ -106,8 +109,10 @@ def main(arguments: Namespace) -> int:
         sys.stdout.write(check(arguments.check) + "\n")
     else:
         found = rows(arguments.config, arguments.device)
-        text = _json(found) if arguments.json else table(found, get_terminal_size((120, 24)).columns)
-        sys.stdout.write(text + "\n")
+        if arguments.json:
+            sys.stdout.write(_json(found) + "\n")
+        else:
+            style.show(table(found, get_terminal_size((120, 24)).columns))
     return 0
 
 
@@ -129,31 +134,25 @@ def rows(path: str | None, device: str | None) -> list[tuple[str, float | str, S
     return [(key, value, declaration(key), origins.get(key, "default")) for key, value in settings.flat().items()]
 
 
-def table(found: list[tuple[str, float | str, Setting, str]], columns: int) -> str:
-    """The rows as text, an empty line between two groups."""
+def table(found: list[tuple[str, float | str, Setting, str]], columns: int) -> list[Line]:
+    """The rows as lines, an empty one between two groups."""
+    wide = columns >= WIDE
     cells = [
-        (key, _shown(setting, value), setting.unit, os.path.basename(origin)) for key, value, setting, origin in found
+        [key, f" {_shown(setting, value)}", setting.unit, os.path.basename(origin), *([setting.doc] if wide else [])]
+        for key, value, setting, origin in found
     ]
-    widths = [max(len(row[column]) for row in cells) for column in range(4)]
-    lines = []
+    indent = sum(max(len(row[column].strip()) for row in cells) + 2 for column in range(4))
+    lines: list[Line] = []
     group = found[0][0].partition(".")[0]
-    for (key, value, unit, origin), (_, _, setting, _) in zip(cells, found, strict=True):
-        if key.partition(".")[0] != group:
-            group = key.partition(".")[0]
-            lines.append("")
-        row = f"{key:<{widths[0]}}  {value:>{widths[1]}} {unit:<{widths[2]}}  {origin:<{widths[3]}}"
-        room = columns - len(row) - 2
-        lines += _with_text(row, setting.doc, room) if columns >= WIDE else [row.rstrip()]
-    if columns < WIDE:
-        lines += ["", f"What each of them means: from {WIDE} columns on, or `failstop config --example`."]
-    return "\n".join(lines)
-
-
-def _with_text(row: str, text: str, room: int) -> list[str]:
-    from textwrap import wrap
-
-    parts = wrap(text, max(room, 20))
-    return [f"{row}  {parts[0]}", *(" " * (len(row) + 2) + part for part in parts[1:])]
+    for row, line in zip(cells, style.table([[(cell, style.PLAIN) for cell in row] for row in cells]), strict=True):
+        if row[0].partition(".")[0] != group:
+            group = row[0].partition(".")[0]
+            lines.append([])
+        lines += style.wrap(line, columns, indent) if wide else [line]
+    if not wide:
+        more = f"What each of them means: from {WIDE} columns on, or `failstop config --example`."
+        lines += [[], [(more, style.PLAIN)]]
+    return lines
 
 
 def _shown(setting: Setting, value: float | str) -> str:

@@ -10,8 +10,9 @@ from importlib.util import find_spec
 from failstop.api.errors import Refused
 from failstop.board.discovery import LINK
 from failstop.fleet.broker import EXTRA
-from failstop.install import InstallError, dialogue, look, page, parts, plan, tree
+from failstop.install import InstallError, dialogue, look, parts, plan, tree
 from failstop.install.do import Doer
+from failstop.install.extras import OPERATE, VIEW
 from failstop.install.layout import PREFIX, unit_of
 from failstop.install.machine import READY_S, Machine
 from failstop.install.steps import Plan
@@ -48,8 +49,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--web",
         nargs="?",
-        choices=(page.VIEW, page.OPERATE),
-        const=page.VIEW,
+        choices=(VIEW, OPERATE),
+        const=VIEW,
         default="",
         help="the operator's page too; operate: its paired devices may reset and enable",
     )

@@ -5,7 +5,8 @@ from __future__ import annotations
 from failstop.api import verdict, words
 from failstop.cli import style
 from failstop.cli.screen import arm, summary
-from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
+from failstop.cli.screen.summary import row
+from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -49,12 +50,12 @@ def lines(
         *_keys(fancy),
         *_arm_keys(state),
         [],
-        _row("keys", ("held" if held else "none held"), OK if held else PLAIN),
-        _row("speed", f"{percent} %: {speeds[0]:.2f} m/s, {speeds[1]:.2f} rad/s"),
-        _row("command", "none" if command is None else words.velocity(*command) or "zero"),
-        [*_row("wheels", word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)],
+        row("keys", ("held" if held else "none held"), OK if held else PLAIN),
+        row("speed", f"{percent} %: {speeds[0]:.2f} m/s, {speeds[1]:.2f} rad/s"),
+        row("command", "none" if command is None else words.velocity(*command) or "zero"),
+        [*row("wheels", word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)],
         *_arm(state, joint),
-        _row("battery", *_battery(state)),
+        summary.battery(state),
         summary.device(state),
         [],
         [(note[0], note[1])],
@@ -92,14 +93,4 @@ def _arm(state: State, chosen: int) -> list[Line]:
     name, joint = joints[min(chosen, len(joints) - 1)]
     where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad, {joint.at_by}"
     closed = f"; {state.arm.closed}" if state.arm.closed else ""
-    return [_row("arm", f"{arm.headline(state.arm)}{closed}"), _row("joint", f"{chosen + 1} {name}: {where}")]
-
-
-def _row(label: str, text: str, role: str = PLAIN) -> Line:
-    return [(f"{label:<{summary.LABEL}}", DIM), (text, role)]
-
-
-def _battery(state: State) -> tuple[str, str]:
-    if not state.battery_v:
-        return "not known yet", PLAIN
-    return f"{state.battery_v:.2f} V", WARN if state.battery_v < summary.BATTERY_LOW_V else PLAIN
+    return [row("arm", f"{arm.headline(state.arm)}{closed}"), row("joint", f"{chosen + 1} {name}: {where}")]

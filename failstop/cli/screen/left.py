@@ -65,7 +65,7 @@ class Left:
         if self.stop is None:
             return "no stop is known to have been written"
         by = str(self.stop["written_by"])
-        return f"the {by} wrote the stop {words.took(float(self.stop['written_us']))} later"
+        return f"the {by} wrote the stop {words.took(self.stop['written_us'] / 1e6)} later"
 
 
 def find(name: str) -> Left | None:

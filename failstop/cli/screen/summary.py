@@ -38,12 +38,13 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     rows = wheels(state)
     rows += _drivers(state, history.left_off(events), now_s)
     rows += last_stop(state, now_s, history.earlier(events))
-    rows += [*_arm(state), device(state), *_battery(state), *_sensors(state), *_clients(state)]
+    rows += [*_arm(state), device(state), battery(state), *_sensors(state), *_clients(state)]
     wrapped = [part for row in rows for part in style.wrap(row, columns, LABEL)]
     return [*wrapped, [], *processes(state), *_remarks(state, columns, history.exits(events))]
 
 
-def _row(label: str, text: str, role: str = PLAIN) -> Line:
+def row(label: str, text: str, role: str = PLAIN) -> Line:
+    """A name on the left and what it says."""
     return [(f"{label:<{LABEL}}", DIM), (text, role)]
 
 
@@ -60,7 +61,7 @@ def wheels(state: State) -> list[Line]:
     if step := verdict.next_step(state):
         rows.append([(f"{'next':<{LABEL}}", DIM), *commands(step)])
     if state.waiting_for and not state.blocked:
-        rows.append(_row("waits for", state.waiting_for, WARN))
+        rows.append(row("waits for", state.waiting_for, WARN))
     return rows
 
 
@@ -78,7 +79,7 @@ def commands(text: str) -> Line:
 
 def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
     if not state.sources:
-        found = _row("driver", "nobody commands")
+        found = row("driver", "nobody commands")
         if left_off and state.blocked == blocks.NO_COMMAND:
             when = f" ({words.ago(left_off.t, now_s)})"
             found += [("; ", PLAIN), (history.leaving(left_off), WARN), (when, DIM)]
@@ -87,7 +88,7 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
     for source in state.sources:
         drives = source.state == "drives"
         text = f"{source.who} as {source.source}, priority {source.priority}"
-        rows.append(_row("driver" if drives else "waits", text, OK if drives and state.moving else PLAIN))
+        rows.append(row("driver" if drives else "waits", text, OK if drives and state.moving else PLAIN))
     return rows
 
 
@@ -95,10 +96,10 @@ def last_stop(state: State, now_s: float, earlier: Earlier | None = None) -> lis
     """The last stop and its three proofs. `earlier`: the run before this one, if it was not ended in order."""
     stop = state.last_stop
     if stop is None:
-        rows = [_row("last stop", "none since the service was started")]
+        rows = [row("last stop", "none since the service was started")]
         if earlier:
-            rows.append([*_row("before it", earlier.how, WARN), (f" ({words.ago(earlier.t, now_s)})", DIM)])
-            rows.append(_row("", "") + commands(earlier.show(state.name)))
+            rows.append([*row("before it", earlier.how, WARN), (f" ({words.ago(earlier.t, now_s)})", DIM)])
+            rows.append(row("", "") + commands(earlier.show(state.name)))
         return rows
     what = "the one that is latched" if stop.cause == state.cause else stop.reason
     head: Line = [(f"{'last stop':<{LABEL}}", DIM), (what, PLAIN), (f" ({words.ago(stop.t, now_s)})", DIM)]
@@ -129,7 +130,7 @@ def proofs(stop: Stop) -> Line:
 def device(state: State) -> Line:
     """The port, and what proves that the board hears."""
     port = state.device.state
-    found = _row("device", state.device.path or "no port")
+    found = row("device", state.device.path or "no port")
     found.append((f" {port}", PORTS.get(port, WARN)))
     if port == "open":
         text, role = LINKS.get(state.device.link, (state.device.link, WARN))
@@ -137,41 +138,40 @@ def device(state: State) -> Line:
     return found
 
 
-def _battery(state: State) -> list[Line]:
+def battery(state: State) -> Line:
+    """Its voltage, and whether it is charged."""
     if not state.battery_v:
-        return [_row("battery", "not known yet")]
-    low = state.battery_v < BATTERY_LOW_V
-    found = _row("battery", f"{state.battery_v:.2f} V", WARN if low else PLAIN)
-    found.append((f", charger {state.plugged}" if state.plugged != "unknown" else "", PLAIN))
-    return [found]
+        return row("battery", "not known yet")
+    found = row("battery", f"{state.battery_v:.2f} V", WARN if state.battery_v < BATTERY_LOW_V else PLAIN)
+    return [*found, (f", charger {state.plugged}" if state.plugged != "unknown" else "", PLAIN)]
 
 
 def _sensors(state: State) -> list[Line]:
     age_s = state.scan_age_s
     scan = "obstacle sensor " + ("never delivered" if age_s is None else f"delivered {words.span(age_s)} ago")
     pad = f", gamepad {state.pad_mode}" if state.pad_mode else ""
-    return [_row("sensor", scan + pad, WARN if state.blocked == blocks.NO_SCAN else PLAIN)]
+    return [row("sensor", scan + pad, WARN if state.blocked == blocks.NO_SCAN else PLAIN)]
 
 
 def _arm(state: State) -> list[Line]:
     """The arm, where there is one."""
     if state.arm is None:
         return []
-    return [_row("arm", arm.headline(state.arm)), *(_row("", text, WARN) for text in arm.wrong(state.arm))]
+    return [row("arm", arm.headline(state.arm)), *(row("", text, WARN) for text in arm.wrong(state.arm))]
 
 
 def _clients(state: State) -> list[Line]:
     names = [f"{client.name} (pid {client.pid})" for client in state.clients]
-    return [_row("clients", ", ".join(names)), *_said(state)] if names else []
+    return [row("clients", ", ".join(names)), *_said(state)] if names else []
 
 
 def _said(state: State) -> list[Line]:
     """What clients say of themselves, a row each."""
     rows = []
     for who, sees, wrong in words.said(state):
-        rows.append(_row("says", f"{who}: {sees}"))
+        rows.append(row("says", f"{who}: {sees}"))
         if wrong:
-            rows.append(_row("wrong", f"{who}: {wrong}", WARN))
+            rows.append(row("wrong", f"{who}: {wrong}", WARN))
     return rows
 
 
