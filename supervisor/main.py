@@ -119,8 +119,8 @@ class Supervisor:
         self._told: Stop | None = None
         """The last that was latched, and told of: a reset may have ended it."""
         self._unanswered: Stop | None = None
-        self._answer_by = self.loop.deadline()
-        self._overdue = self.loop.deadline()
+        self._answer_by = self.loop.timer()
+        self._overdue = self.loop.timer()
         """When the first of the processes counts as hanging unless it beats before."""
         self._stop_ns = 0
         """When the last stop that was answered was written; 0: it could not be."""

@@ -58,7 +58,7 @@ class ProcessTable:
         deaths, window_ns = int(settings["restart.deaths"]), settings.ns("restart.window_s")
         backoff_ns = settings.ns("restart.backoff_s")
         self.children = [
-            Child(row, HeartbeatReader(views[row.name]), Restarts(deaths, window_ns, backoff_ns), loop.deadline())
+            Child(row, HeartbeatReader(views[row.name]), Restarts(deaths, window_ns, backoff_ns), loop.timer())
             for row in PROCESSES
         ]
         self._by_name = {child.row.name: child for child in self.children}

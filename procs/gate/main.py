@@ -49,7 +49,7 @@ class Gate:
         now_ns = self._now_ns()
         self.heartbeat = context.heartbeat
         self.loop = Loop(context.world)
-        self._next_tick, self._due = self.loop.deadline(), self.loop.deadline()
+        self._next_tick, self._due = self.loop.timer(), self.loop.timer()
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
         self._max_rps = settings.max_wheel_rps() * 1.0005
@@ -69,7 +69,7 @@ class Gate:
         self._last = causes.UNKNOWN()
         """The cause of the last stop."""
         self._follow_latch()
-        self.arm = Arm(self, context, self.loop.deadline(), now_ns) if settings.servos() else None
+        self.arm = Arm(self, context, self.loop.timer(), now_ns) if settings.servos() else None
         claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, self)
 
@@ -278,7 +278,7 @@ class Gate:
             self.core.attendance.leave(session)
 
     def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
-        """Decide, act, answer; a reset is the supervisor's."""
+        """Decide, act, reply; a reset is the supervisor's."""
         enabled = self.core.enabled
         if verb == records.RESET:
             self._resets.ask((slot, slot.session, number, asked_ns))

@@ -10,7 +10,7 @@ import os
 from failstop.board.interface import BOARD
 from failstop.policy import causes
 from failstop.procs.handover import Control
-from failstop.procs.loop import EDGE, GONE, NEVER, READ, WRITE, Deadline, Loop
+from failstop.procs.loop import EDGE, GONE, NEVER, READ, WRITE, Loop, Timer
 from failstop.procs.peer import Peer
 from failstop.procs.port_owner import admission, repeats
 from failstop.procs.port_owner.admission import Admission
@@ -54,19 +54,19 @@ class PortOwner:
         self.loop = Loop(context.world)
         self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
         self.bus = ServoBus(settings.servos())
-        self.repeats = repeats.Repeats(self.loop.deadline(), self._now_ns())
-        ping = self.loop.deadline() if BOARD.pings else Deadline()
+        self.repeats = repeats.Repeats(self.loop.timer(), self._now_ns())
+        ping = self.loop.timer() if BOARD.pings else Timer()
         self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), ping, self._now_ns())
         self.suspend = SuspendWatch(context.world.gained_ns)
-        self._pipe_rests = self.loop.deadline()
+        self._pipe_rests = self.loop.timer()
         """Until then, after a request."""
-        self._lapse = self.loop.deadline()
+        self._lapse = self.loop.timer()
         """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
-        self._arm_due = self.loop.deadline()
+        self._arm_due = self.loop.timer()
         """When the arm's next frame may be written, that has to wait."""
-        self._leave = self.loop.deadline()
+        self._leave = self.loop.timer()
         """Once the supervisor has died."""
-        self._tick = self.loop.deadline()
+        self._tick = self.loop.timer()
         """When it looks at everything, if nothing happens before."""
         self._bytes_alone: dict[int, int] | None = None
         """What is ready when the board has sent something, and nothing else has happened."""
@@ -390,15 +390,15 @@ class PortOwner:
     def _serve_port(self, ready: dict[int, int], now_ns: int) -> None:
         """Pass on what the board sent, finish what the kernel did not take, notice a port that is gone."""
         wire = self.wire
-        events = ready.get(wire.fd, 0)
+        found = ready.get(wire.fd, 0)
         if wire.fd >= 0:
-            if events & WRITE:
+            if found & WRITE:
                 wire.flush()
-            if events & READ and (data := wire.read()):
+            if found & READ and (data := wire.read()):
                 for at in range(0, len(data), RECEIVED_CHUNK):
                     self._received.put(data[at : at + RECEIVED_CHUNK])
                 self._telemetry_bell.ring()
-            if events & GONE:
+            if found & GONE:
                 wire.lost = True
             if wire.lost:
                 self._port_lost(now_ns)

@@ -67,8 +67,8 @@ class Stopper:
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""
         self._orphaned_ns = 0
-        self._leave, self._first_go, self._look_again = (self.loop.deadline() for _ in range(3))
-        self._repeat, self._hang = self.loop.deadline(), self.loop.deadline()
+        self._leave, self._first_go, self._look_again = (self.loop.timer() for _ in range(3))
+        self._repeat, self._hang = self.loop.timer(), self.loop.timer()
         for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
         if self._port.fd >= 0:

@@ -150,7 +150,7 @@ class Telemetry:
         """What the gate does now, for all who go by it."""
         gate = self._gate
         self._odometry.follow(gate.velocity, gate.since_ns or now_ns)
-        self._note_gyro(self._gyro.follow(gate.moving, now_ns))
+        self._note_gyro(self._gyro.follow(gate.commanded, now_ns))
         self._charger.follow(gate.enabled, now_ns)
         if gate.epoch != self._epoch_followed:
             self._epoch_followed = gate.epoch

@@ -81,7 +81,7 @@ class ArmScene(GateStage):
         """Let time pass, as the gate asks for it."""
         until_ns = self.clock() + round(seconds * 1e9)
         while self.clock() < until_ns:
-            due_ns = max(self.gate.loop.until_ns(self.clock(), 20 * MS), self.clock() + 10_000)
+            due_ns = max(min(self.clock() + 20 * MS, self.gate.loop.due_ns()), self.clock() + 10_000)
             if self._answers:
                 due_ns = min(due_ns, max(self._answers[0][0], self.clock()))
             self.clock.now_ns = min(due_ns, until_ns)

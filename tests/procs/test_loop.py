@@ -8,10 +8,11 @@ import resource
 import time
 import tty
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
-from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE, Deadline, Loop
+from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE, Loop, Timer
 from failstop.procs.world import World
 
 LATER_NS = 20_000_000_000
@@ -82,16 +83,16 @@ def test_at_the_edge_only_new_bytes_are_told_of(pipe: tuple[int, int]) -> None:
 @pytest.mark.parametrize("longest_ns", [2_000_000, 20_000_000])
 def test_a_wait_is_one_sleep(longest_ns: int) -> None:
     loop = Loop(World())
-    loop.deadline().set(NEVER)
+    loop.timer().set(NEVER)
     before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
     assert loop.wait(longest_ns) == {}
     assert resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before == 1
 
 
-def test_a_longest_time_is_kept_beside_a_later_deadline() -> None:
+def test_a_longest_time_is_kept_beside_a_later_timer() -> None:
     loop = Loop(World())
     start_ns = time.monotonic_ns()
-    loop.deadline().set(start_ns + LATER_NS)
+    loop.timer().set(start_ns + LATER_NS)
     assert loop.wait(20_000_000) == {}
     assert 20_000_000 <= time.monotonic_ns() - start_ns < LATER_NS
 
@@ -119,13 +120,13 @@ def test_hang_up_alone_ignores_bytes_but_not_the_end() -> None:
     os.close(slave)
 
 
-def test_the_first_deadline_ends_the_wait() -> None:
+def test_the_first_timer_ends_the_wait() -> None:
     loop = Loop(World())
-    deadlines = [loop.deadline() for _ in range(3)]
-    assert [deadline.ns for deadline in deadlines] == [NEVER] * 3
+    timers = [loop.timer() for _ in range(3)]
+    assert [timer.ns for timer in timers] == [NEVER] * 3
     until_ns = time.monotonic_ns() + 2_000_000
-    deadlines[1].set(until_ns)
-    deadlines[2].set(until_ns + LATER_NS)
+    timers[1].set(until_ns)
+    timers[2].set(until_ns + LATER_NS)
     assert loop.wait(LATER_NS) == {}
     assert time.monotonic_ns() >= until_ns
     start_ns = time.monotonic_ns()
@@ -134,29 +135,39 @@ def test_the_first_deadline_ends_the_wait() -> None:
 
 
 @pytest.mark.parametrize(
-    ("deadlines", "longest", "until"), [((), 5, 105), ((103, 104), 5, 103), ((NEVER, 106), 5, 105), ((99,), 5, 99)]
+    ("timers", "waits"), [((), [5]), ((103, 104), [3]), ((NEVER, 106), [5]), ((100,), []), ((99,), [])]
 )
-def test_how_long_it_waits(deadlines: tuple[int, ...], longest: int, until: int) -> None:
-    loop = Loop(World())
-    for ns in deadlines:
-        loop.deadline().set(ns)
-    assert loop.until_ns(100, longest) == until
+def test_how_long_it_waits(timers: tuple[int, ...], waits: list[int]) -> None:
+    waited_ns = []
+
+    def nothing_comes(*given: Any) -> Any:
+        waited_ns.append(round(given[3] * 1e9))
+        return [], [], []
+
+    world = World(now_ns=lambda: 100)
+    world.select = nothing_comes
+    loop = Loop(world)
+    for ns in timers:
+        loop.timer().set(ns)
+    assert loop.wait(5) == {}
+    assert waited_ns == waits
+    assert loop.due_ns() == min(timers, default=NEVER)
 
 
-def test_a_deadline_is_due_from_its_time_on_and_taken_once() -> None:
-    deadline = Deadline()
-    assert not deadline.due(NEVER - 1)
-    deadline.set(10)
-    assert [deadline.due(ns) for ns in (9, 10, 11)] == [False, True, True]
-    assert [deadline.take(ns) for ns in (9, 10, 10)] == [False, True, False]
-    assert deadline.ns == NEVER
+def test_a_timer_is_due_from_its_time_on_and_taken_once() -> None:
+    timer = Timer()
+    assert not timer.due(NEVER - 1)
+    timer.set(10)
+    assert [timer.due(ns) for ns in (9, 10, 11)] == [False, True, True]
+    assert [timer.take(ns) for ns in (9, 10, 10)] == [False, True, False]
+    assert timer.ns == NEVER
 
 
 def test_one_after_the_other() -> None:
-    deadline = Deadline()
-    deadline.set(10, 20, 30)
-    assert [deadline.take(ns) for ns in (10, 19, 35, 35, 35)] == [True, False, True, True, False]
-    deadline.set(10, 20)
-    deadline.set(15)
-    assert deadline.take(15)
-    assert deadline.ns == NEVER, "what was set before is forgotten"
+    timer = Timer()
+    timer.set(10, 20, 30)
+    assert [timer.take(ns) for ns in (10, 19, 35, 35, 35)] == [True, False, True, True, False]
+    timer.set(10, 20)
+    timer.set(15)
+    assert timer.take(15)
+    assert timer.ns == NEVER, "what was set before is forgotten"

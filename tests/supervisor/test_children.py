@@ -27,7 +27,7 @@ process, nobody runs or beats who has none, nobody dies twice, and only the dead
 
 
 def child(state: str) -> Child:
-    made = Child(PROCESSES[0], None, Restarts(5, 10**10, 10**8), Loop(World()).deadline())  # type: ignore[arg-type]
+    made = Child(PROCESSES[0], None, Restarts(5, 10**10, 10**8), Loop(World()).timer())  # type: ignore[arg-type]
     made.state = state
     return made
 
