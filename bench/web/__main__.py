@@ -239,30 +239,34 @@ def cost(trial: Trial, web: Web, seconds: float) -> list[stats.Row]:
 
 
 def paint(web: Web) -> list[stats.Row]:
-    """The page on a throttled phone."""
-    found, sizes = [], []
-    for _ in range(3):
-        with Browser() as browser:
-            tab = browser.tab()
-            tab.network(latency_ms=LATENCY_MS, down=DOWN, up=UP)
-            tab.call("Network.setCacheDisabled", cacheDisabled=True)
-            tab.call("Emulation.setCPUThrottlingRate", rate=SLOWER)
-            tab.open(web.url)
-            painted = "performance.getEntriesByName('first-contentful-paint')[0]?.startTime"
-            found.append(float(tab.until(painted, "the first paint", 30)))
-            tab.until("document.getElementById('word').textContent !== 'CONNECTING'", timeout_s=30)
-            sizes.append(
-                int(
-                    tab.run(
-                        "performance.getEntriesByType('resource').concat(performance.getEntriesByType('navigation'))"
-                        ".reduce((sum, entry) => sum + entry.transferSize, 0)"
-                    )
-                )
-            )
+    """The page on a throttled phone: its network alone, and a slower processor than this one too."""
+    found = {slower: [_painted(web, slower) for _ in range(3)] for slower in (1, SLOWER)}
+    times = {slower: sorted(ms for ms, _ in each)[1] for slower, each in found.items()}
     return [
-        stats.limit("first paint, Slow 4G, a processor 4 times slower", sorted(found)[1], 1000, "ms", ""),
-        stats.limit("all that is fetched", max(sizes) / 1e3, 150, "kB", ""),
+        stats.limit("first paint, Slow 4G", times[1], 1000, "ms", ""),
+        stats.limit(f"first paint, Slow 4G, a processor {SLOWER} times slower", times[SLOWER], 1000, "ms", ""),
+        stats.limit(
+            "all that is fetched", max(size for each in found.values() for _, size in each) / 1e3, 150, "kB", ""
+        ),
     ]
+
+
+def _painted(web: Web, slower: int) -> tuple[float, int]:
+    """When a new browser shows the first of the page, in ms, and how many bytes it has fetched in all."""
+    with Browser() as browser:
+        tab = browser.tab()
+        tab.network(latency_ms=LATENCY_MS, down=DOWN, up=UP)
+        tab.call("Network.setCacheDisabled", cacheDisabled=True)
+        tab.call("Emulation.setCPUThrottlingRate", rate=slower)
+        tab.open(web.url)
+        painted = "performance.getEntriesByName('first-contentful-paint')[0]?.startTime"
+        ms = float(tab.until(painted, "the first paint", 30))
+        tab.until("document.getElementById('word').textContent !== 'CONNECTING'", timeout_s=30)
+        size = tab.run(
+            "performance.getEntriesByType('resource').concat(performance.getEntriesByType('navigation'))"
+            ".reduce((sum, entry) => sum + entry.transferSize, 0)"
+        )
+        return ms, int(size)
 
 
 def main(words: list[str]) -> int:
