@@ -8,10 +8,10 @@ It travels in the command line, where `ps` shows it, and for the settings in one
 from __future__ import annotations
 
 import os
-from time import monotonic_ns
 
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import rights
+from failstop.procs.world import World
 from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.futex import PER_BLOCK
@@ -28,6 +28,7 @@ class Context:
 
     def __init__(self, process: str, words: dict[str, str], priority: int, *, outlives_parent: bool) -> None:
         self.process = process
+        self.world = World()
         self.instance = words.pop("name")
         self.incarnation = int(words.pop("run"), 16)
         self.memory = segment.memory(self.instance, self.incarnation)
@@ -48,12 +49,12 @@ class Context:
         lifelines = segment.attach_unmapped(self.memory, "lifelines", self.incarnation)
         self.held = lifelines.futex("held", block * PER_BLOCK, write=True).hold(PER_BLOCK)
         self.early = EarlyNews(lifelines)
-        self.heartbeat = Heartbeat(self.own, os.getpid(), granted, monotonic_ns())
+        self.heartbeat = Heartbeat(self.own, os.getpid(), granted, self.world.now_ns())
 
     def runs(self) -> None:
         """The end of the start-up: settle the memory, say that the process runs, and wake the supervisor for it."""
         rights.settle()
-        self.heartbeat.state(RUNNING)
+        self.heartbeat.state(RUNNING, self.world.now_ns())
         self.bell("supervisor_bell").ring()
 
     def fd(self, key: str) -> int:

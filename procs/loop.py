@@ -1,10 +1,10 @@
-"""Loop: waits for descriptors or the next deadline, with microsecond time-outs.
+"""Loop: waits for descriptors or the next timer, with microsecond time-outs.
 
-Whoever sets a deadline also asks whether it is due, and the loop that made it waits for it: none is forgotten. One that
+Whoever sets a timer also asks whether it is due, and the loop that made it waits for it: none is forgotten. One that
 is due and not taken or set again keeps the loop awake.
 
 `epoll.poll` takes whole milliseconds; `select` is finer, but can't watch a port for its hang-up alone. So the
-descriptors are in an epoll set. For a deadline `select` waits for that set; for the longest time that a process may
+descriptors are in an epoll set. For a timer `select` waits for that set; for the longest time that a process may
 sleep, where a millisecond is nothing, the set waits by itself, which is a call less. It is one sleep either way: each
 costs about 0.12 ms of processor time (60 us of the kernel's, and as much in cold caches).
 """
@@ -12,7 +12,10 @@ costs about 0.12 ms of processor time (60 us of the kernel's, and as much in col
 from __future__ import annotations
 
 import select
-from time import monotonic_ns
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.procs.world import World
 
 READ = select.EPOLLIN
 WRITE = select.EPOLLOUT
@@ -28,7 +31,7 @@ LONG_NS = 10 * MS
 NEVER = 2**63 - 1
 
 
-class Deadline:
+class Timer:
     """A point in time (CLOCK_MONOTONIC ns), or NEVER; and those after it."""
 
     __slots__ = ("_then", "ns")
@@ -53,51 +56,47 @@ class Deadline:
 
 
 class Loop:
-    """One process's set of descriptors, and its deadlines."""
+    """One process's set of descriptors, and its timers."""
 
-    __slots__ = ("_deadlines", "_epoll", "_poll", "_set")
+    __slots__ = ("_epoll", "_now_ns", "_poll", "_select", "_set", "_timers")
 
-    def __init__(self) -> None:
-        self._deadlines: list[Deadline] = []
-        self._epoll = select.epoll()
+    def __init__(self, world: World) -> None:
+        self._timers: list[Timer] = []
+        self._now_ns, self._select = world.now_ns, world.select
+        self._epoll = world.epoll()
         self._poll = self._epoll.poll
         self._set = [self._epoll.fileno()]
 
-    def watch(self, fd: int, events: int) -> None:
+    def watch(self, fd: int, wanted: int) -> None:
         """Add a descriptor, or change what it is watched for."""
         try:
-            self._epoll.register(fd, events)
+            self._epoll.register(fd, wanted)
         except FileExistsError:
-            self._epoll.modify(fd, events)
+            self._epoll.modify(fd, wanted)
 
     def forget(self, fd: int) -> None:
         """Take a descriptor out; call before closing it, since a duplicate elsewhere would keep it in."""
         self._epoll.unregister(fd)
 
-    @staticmethod
-    def readable(fd: int) -> bool:
+    def readable(self, fd: int) -> bool:
         """True when a descriptor, in the set or not, can be read now."""
-        return bool(select.select((fd,), (), (), 0)[0])
+        return bool(self._select((fd,), (), (), 0)[0])
 
-    def deadline(self) -> Deadline:
+    def timer(self) -> Timer:
         """One more point in time to wait for; for as long as the loop lives."""
-        self._deadlines.append(Deadline())
-        return self._deadlines[-1]
-
-    def until_ns(self, now_ns: int, longest_ns: int) -> int:
-        """How long wait() waits that begins now."""
-        return min(now_ns + longest_ns, self.due_ns())
+        self._timers.append(Timer())
+        return self._timers[-1]
 
     def due_ns(self) -> int:
-        """The first of the deadlines; NEVER: there is none."""
-        return min([deadline.ns for deadline in self._deadlines], default=NEVER)
+        """The first of the timers; NEVER: there is none."""
+        return min([timer.ns for timer in self._timers], default=NEVER)
 
     def wait(self, longest_ns: int) -> dict[int, int]:
-        """Block until a descriptor is ready, a deadline has come, or this time is over; return {fd: events}."""
-        left_ns = self.due_ns() - monotonic_ns()
+        """Block until a descriptor is ready, a timer has come, or this time is over; return {fd: what has come}."""
+        left_ns = self.due_ns() - self._now_ns()
         if LONG_NS <= longest_ns < left_ns - MS:
             return dict(self._poll(longest_ns * 1e-9))
         left_ns = min(left_ns, longest_ns)
-        if left_ns <= 0 or select.select(self._set, (), (), left_ns * 1e-9)[0]:
+        if left_ns <= 0 or self._select(self._set, (), (), left_ns * 1e-9)[0]:
             return dict(self._poll(0))
         return {}

@@ -6,8 +6,6 @@ CLOCK_BOOTTIME goes on: what it has gained on the other is the time slept.
 
 from __future__ import annotations
 
-from time import CLOCK_BOOTTIME, clock_gettime_ns, monotonic_ns
-
 SLEPT_NS = 50_000_000
 """Less than this is no sleep: the two clocks are read one after the other, and a process may be held up between."""
 
@@ -16,20 +14,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def gained_ns() -> int:
-    """How far CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC, in ns: all the time slept since the machine started."""
-    before_ns = monotonic_ns()
-    boot_ns = clock_gettime_ns(CLOCK_BOOTTIME)
-    # The later reading, so that being held up in between makes the result too small and never looks like a sleep.
-    return boot_ns - max(before_ns, monotonic_ns())
-
-
 class SuspendWatch:
     """Remembers how long the machine had slept when it was asked last."""
 
     __slots__ = ("_gained_ns", "_read")
 
-    def __init__(self, read: Callable[[], int] = gained_ns) -> None:
+    def __init__(self, read: Callable[[], int]) -> None:
+        """`read`: a World's gained_ns."""
         self._read = read
         # A reading that was held up is too small: the best of three.
         self._gained_ns = max(read() for _ in range(3))

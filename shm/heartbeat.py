@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from time import monotonic_ns, process_time_ns
+from time import process_time_ns
 
 STARTING = 1
 RUNNING = 2
@@ -55,10 +55,10 @@ class Heartbeat:
         self._cpu_ns.set(process_time_ns())
         self._ns.set(now_ns)
 
-    def state(self, state: int) -> None:
+    def state(self, state: int, now_ns: int) -> None:
         """Publish STARTING, RUNNING or STOPPING. A start that took long was no silence."""
         self._cpu_ns.set(process_time_ns())
-        self._ns.set(monotonic_ns())
+        self._ns.set(now_ns)
         self._state.set(state)
 
 

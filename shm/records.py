@@ -58,7 +58,7 @@ ARM_READ = 9
 REFUSED = 0
 DONE = 1
 UNDER_WAY = 2
-"""An answer: not the last one, which follows."""
+"""A reply that is not the last one, which follows."""
 ARM_FOLLOW = 1
 ARM_JOG = 2
 MOST_JOINTS = 8
@@ -223,7 +223,7 @@ of pids (lifeline.pid_namespace), its name."""
 REQUEST: Payload[int, int, int] = Payload("<QQB")
 """A client session's request: its number, which comes back in the reply; its verb, ENABLE or another."""
 REPLY: Payload[int, int, int, str, bytes] = Payload("<QQB", Tail(_pack_reply, _unpack_reply))
-"""The answer to a session's request: its number; DONE, REFUSED with the reason, or UNDER_WAY with how far it is; the
+"""The reply to a session's request: its number; DONE, REFUSED with the reason, or UNDER_WAY with how far it is; the
 text; where that says CAUSE, this cause is meant, packed."""
 ARM_GOAL: Payload[int, int, dict[int, float]] = Payload("<QB", Tail(_pack_goal, _unpack_goal))
 """A session's goal that is renewed: ARM_FOLLOW with the angle (rad) of each servo's joint, ARM_JOG with its rate

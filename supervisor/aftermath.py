@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 
 from failstop.policy import causes
 from failstop.shm import layout, records
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
 
     from failstop.policy.causes import Cause
     from failstop.policy.settings import Settings
+    from failstop.procs.world import World
     from failstop.shm.segment import Segment
     from failstop.supervisor.events import Events
     from failstop.supervisor.latch import Latch
@@ -32,9 +32,16 @@ class Aftermath:
     """Follows the last stop, and the link. One follow() a turn."""
 
     def __init__(
-        self, views: dict[str, Segment], latch: Latch, settings: Settings, events: Events, holds: Callable[[], bool]
+        self,
+        world: World,
+        views: dict[str, Segment],
+        latch: Latch,
+        settings: Settings,
+        events: Events,
+        holds: Callable[[], bool],
     ) -> None:
         """`holds`: whether the kernel holds bytes for the board."""
+        self._unix_s = world.unix_s
         self._events = events
         self._holds = holds
         port_owner, telemetry = views[layout.PORT_OWNER], views[layout.TELEMETRY]
@@ -65,7 +72,7 @@ class Aftermath:
         if last and last.written_ns and self._latch.reset_epoch < last.epoch:
             return
         self._tell()
-        stop.answered_by(by, written_ns, latched, epoch, self._after_ns, time.time())
+        stop.answered_by(by, written_ns, latched, epoch, self._after_ns, self._unix_s())
         self._last = stop
         self._publish()
 

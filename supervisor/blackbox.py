@@ -7,8 +7,6 @@ waits for it but the end of the service, and that no longer than FINISH_S.
 from __future__ import annotations
 
 import os
-import select
-from time import monotonic_ns
 
 from failstop.shm import box, layout, records
 from failstop.supervisor.starter import environment, script_command, spawn
@@ -18,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from failstop.policy.settings import Settings
+    from failstop.procs.world import World
     from failstop.shm.segment import Segment
     from failstop.supervisor.events import Events
     from failstop.supervisor.resources import Resources
@@ -75,8 +74,15 @@ class BlackBox:
     """One turn: follow(). begin() once, when the other processes are started."""
 
     def __init__(
-        self, resources: Resources, settings: Settings, own: Segment, views: dict[str, Segment], events: Events
+        self,
+        world: World,
+        resources: Resources,
+        settings: Settings,
+        own: Segment,
+        views: dict[str, Segment],
+        events: Events,
     ) -> None:
+        self._now_ns, self._select = world.now_ns, world.select
         self._events = events
         self._readable = resources.readable
         self._on = settings.on("incidents.save")
@@ -104,7 +110,7 @@ class BlackBox:
 
     def latched(self, stop: Stop, epoch: int) -> None:
         """A stop is latched, the news is out: save what led to it, and what follows."""
-        self._sample(monotonic_ns())
+        self._sample(self._now_ns())
         if self._on and len(self._waiting) + len(self._savers) < MOST_SAVERS:
             words = {"cause_ns": str(stop.t_ns), "epoch": str(epoch), "cause": stop.cause.pack().hex()}
             self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": str(stop.t_ns + COPY_NS)}))
@@ -137,7 +143,7 @@ class BlackBox:
         left, self._left = self._left, {}
         try:
             if self._on and len(left) == len(layout.PROCESSES):
-                self._start({"until_ns": str(monotonic_ns() + PATIENCE_NS)}, left, of_dead_run=True)
+                self._start({"until_ns": str(self._now_ns() + PATIENCE_NS)}, left, of_dead_run=True)
         finally:
             self._close(left.values())
 
@@ -195,14 +201,14 @@ class BlackBox:
         """The end of the service, its stops written: what is being saved is saved now."""
         while self._waiting:
             self._save_live()
-        until_ns = monotonic_ns() + round(FINISH_S * 1e9)
+        until_ns = self._now_ns() + round(FINISH_S * 1e9)
         for saver in self._savers:
             saver.hasten()
             try:
                 pidfd = os.pidfd_open(saver.pid)
             except OSError:
                 continue
-            select.select((pidfd,), (), (), max(0, until_ns - monotonic_ns()) * 1e-9)
+            self._select((pidfd,), (), (), max(0, until_ns - self._now_ns()) * 1e-9)
             os.close(pidfd)
         self._reap()
         self._events.flush()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 
-from failstop.procs.loop import NEVER, Deadline
+from failstop.procs.loop import NEVER, Timer
 from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
@@ -48,7 +48,7 @@ die of it."""
 class Child:
     """One row of the process table as it is now."""
 
-    def __init__(self, row: Process, beat: HeartbeatReader, restarts: Restarts, restart: Deadline) -> None:
+    def __init__(self, row: Process, beat: HeartbeatReader, restarts: Restarts, restart: Timer) -> None:
         self.row = row
         self.beat = beat
         self.restarts = restarts

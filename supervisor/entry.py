@@ -9,6 +9,7 @@ import signal
 
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import limits, rights
+from failstop.procs.world import World
 from failstop.shm.instance import InstanceError
 from failstop.shm.segment import AttachError
 from failstop.supervisor import main
@@ -27,6 +28,7 @@ def start(words: dict[str, str]) -> int:
     rights.name_process(SUPERVISOR_COMM)
     _take_signals()
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
+    world = World()
     port = OwnPort(_take_descriptors(int(words["lock"]), int(words["port"])), settings.servos())
     notify = Notify.taken_from(os.environ, os.getpid())
     journal = Journal() if is_stderr(os.environ.pop("JOURNAL_STREAM", "")) else None
@@ -34,14 +36,14 @@ def start(words: dict[str, str]) -> int:
         limits.take_descriptors()
         resources = Resources(words["name"], words["dir"])
     except (AttachError, InstanceError, OSError) as error:
-        events = Events(words["name"], journal=journal)
+        events = Events(world, words["name"], journal=journal)
         events.tell("not_started", str(error), {"reason": str(error)})
         events.flush()
         port.drain()
         port.close()
         return 1
     try:
-        return main.run(resources, port, settings, notify, journal)
+        return main.run(world, resources, port, settings, notify, journal)
     finally:
         resources.remove()
         port.close()  # an exit would wait for a port that does not drain

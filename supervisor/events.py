@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import select
-import time
 
 from failstop.policy import causes
 from failstop.shm import instance, layout, news, packing
@@ -21,6 +20,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from failstop.procs.world import World
     from failstop.shm.ring import RingWriter
     from failstop.supervisor.journal import Journal, Value
 
@@ -52,9 +52,15 @@ class Events:
     """The one place where events leave the service. Without a journal they are lines on stderr."""
 
     def __init__(
-        self, name: str, ring: RingWriter | None = None, journal: Journal | None = None, published: int = -1
+        self,
+        world: World,
+        name: str,
+        ring: RingWriter | None = None,
+        journal: Journal | None = None,
+        published: int = -1,
     ) -> None:
         """`name`: the instance's; `published`: the descriptor of its run's file, by which whoever waits is woken."""
+        self._now_ns, self._unix_s = world.now_ns, world.unix_s
         self._name = name
         self._ring = ring
         self._journal = journal
@@ -69,9 +75,9 @@ class Events:
         None is left out."""
         known = BY_NAME.get(kind) or BY_NAME["note"]
         given = {key: value for key, value in (fields or {}).items() if value is not None}
-        now_ns, level = time.monotonic_ns(), level if level in LEVELS else known.level
+        now_ns, level = self._now_ns(), level if level in LEVELS else known.level
         if len(self._waiting) < MOST_WAITING:
-            self._waiting.append((now_ns, time.time(), known.name, level, text, given))
+            self._waiting.append((now_ns, self._unix_s(), known.name, level, text, given))
         else:
             sort = known.name, level, _asked(known.name, given)
             self._allowance(sort, now_ns).left_out += 1
@@ -87,7 +93,7 @@ class Events:
         if self._waiting and not (hold and now_ns - self._waiting[0][0] < LONGEST_HOLD_NS):
             self._send_waiting()
         for sort in tuple(self._short):
-            if not now_ns or self._allowances[sort].reopens(time.monotonic_ns()):
+            if not now_ns or self._allowances[sort].reopens(self._now_ns()):
                 self._tell_left_out(sort)
         if not now_ns:
             self._send_waiting()

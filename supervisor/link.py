@@ -40,13 +40,11 @@ class Link:
         self._asked_ns = 0
         self._answered_ns = max(self._answered_ns, newest_ping_ns)
 
-    def answered(self, sent_ns: int) -> bool:
-        """A ping that was sent at `sent_ns` was answered; True when that ends a deafness."""
-        was_deaf = self.state == DEAF
+    def answered(self, sent_ns: int) -> None:
+        """A ping that was sent at `sent_ns` was answered."""
         self.state = ALIVE
         self._answered_ns = max(self._answered_ns, sent_ns)
         self._asked_ns = 0
-        return was_deaf
 
     def silent(self, newest_ping_ns: int, now_ns: int) -> bool:
         """True when the board has just become deaf; `newest_ping_ns`: when the last ping was sent."""

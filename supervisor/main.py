@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import os
 import signal
-from time import monotonic_ns, sleep
 
+from failstop.board.finder import Finder
 from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.procs import rights, starved
@@ -29,6 +29,7 @@ from failstop.supervisor.herald import Herald
 from failstop.supervisor.link import UNPROVEN
 from failstop.supervisor.names import Names
 from failstop.supervisor.notify import Notify
+from failstop.supervisor.opener import Opener
 from failstop.supervisor.port_handover import PortHandover
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.readiness import Readiness
@@ -39,6 +40,7 @@ from failstop.supervisor.teller import Teller
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.settings import Settings
+    from failstop.procs.world import World
     from failstop.shm.bell import EventBell
     from failstop.supervisor.children import Child
     from failstop.supervisor.journal import Journal
@@ -71,6 +73,7 @@ class Supervisor:
 
     def __init__(
         self,
+        world: World,
         resources: Resources,
         port: OwnPort,
         settings: Settings,
@@ -83,25 +86,25 @@ class Supervisor:
         own.latest_writer("rules").write(pack(_rules(settings)))
         own.latest_writer("settings").write(pack(settings.flat()))
         notify = notify or Notify()
+        self._now_ns, self._sleep = world.now_ns, world.sleep
         self._port = port
-        self.loop = Loop()
+        self.loop = Loop(world)
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
-        self.heartbeat = Heartbeat(own, os.getpid(), self._granted, monotonic_ns())
-        self._events = Events(name, own.ring_writer("events"), journal, resources.published)
+        self.heartbeat = Heartbeat(own, os.getpid(), self._granted, self._now_ns())
+        self._events = Events(world, name, own.ring_writer("events"), journal, resources.published)
         advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
         self.teller = Teller(name, self._events, views, advice)
         self._silence = Silence(views, resources.bells, self._events, advice)
         lifelines = segment.attach_unmapped(memory, "lifelines", run)
-        self.processes = ProcessTable(resources, settings, self.loop, own, views, lifelines, self._events)
+        self.processes = ProcessTable(world, resources, settings, self.loop, own, views, lifelines, self._events)
         self.children = self.processes.children
         self.epochs = Epochs(own, views, resources.bells)
         self.aftermath = Aftermath(
-            views | {layout.SUPERVISOR: own}, self.epochs.latch, settings, self._events, port.holds
+            world, views | {layout.SUPERVISOR: own}, self.epochs.latch, settings, self._events, port.holds
         )
-        self.blackbox = BlackBox(resources, settings, own, views, self._events)
-        self.handover = PortHandover(
-            port, settings.text("device.path"), resources, views, self.loop, self.processes, self._events
-        )
+        self.blackbox = BlackBox(world, resources, settings, own, views, self._events)
+        opener = Opener(world, Finder(settings.text("device.path")), resources.bells[layout.SUPERVISOR])
+        self.handover = PortHandover(port, opener, resources, views, self.loop, self.processes, self._events)
         self.readiness = Readiness(own.latest_writer("processes"), self.epochs, self.handover, self._silence)
         self.herald = Herald(notify, self.processes, self.epochs.latch, views)
         self._names = Names(resources.named, self._events)
@@ -116,14 +119,14 @@ class Supervisor:
         self._told: Stop | None = None
         """The last that was latched, and told of: a reset may have ended it."""
         self._unanswered: Stop | None = None
-        self._answer_by = self.loop.deadline()
-        self._overdue = self.loop.deadline()
+        self._answer_by = self.loop.timer()
+        self._overdue = self.loop.timer()
         """When the first of the processes counts as hanging unless it beats before."""
         self._stop_ns = 0
         """When the last stop that was answered was written; 0: it could not be."""
         self._owed_ns = 0
         """Since when a stop is neither answered nor written; 0: there is none such."""
-        self._turned_ns = self._watched_ns = monotonic_ns()
+        self._turned_ns = self._watched_ns = self._now_ns()
         self._tried_ns = 0
         """When it last tried to write a burst; when it last wrote one is `written_ns` of shared memory."""
         self.ending = False
@@ -145,7 +148,7 @@ class Supervisor:
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
-        now_ns = monotonic_ns()
+        now_ns = self._now_ns()
         bell.clear_rung(self._bells, ready)
         self._stop_for_news(ready, now_ns)
         self._follow_aftermath(now_ns)
@@ -190,7 +193,7 @@ class Supervisor:
     def _burst(self) -> int:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
         written = self._port.burst()
-        self._tried_ns = monotonic_ns()
+        self._tried_ns = self._now_ns()
         return self._wrote(self._tried_ns) if written else 0
 
     def _wrote(self, written_ns: int) -> int:
@@ -202,7 +205,7 @@ class Supervisor:
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
         """A port that has gone, and one that is back: the opener has written the burst on it, unless it could not."""
-        if self.handover.lost(ready):
+        if self.handover.lost(ready, now_ns):
             self.aftermath.link.opened()
         opened_ns = self.handover.opened(now_ns)
         if opened_ns is not None:
@@ -264,11 +267,11 @@ class Supervisor:
 
     def _raise_epoch(self, stops: list[Stop]) -> None:
         """A stop, for which the port owner is given a moment to answer."""
-        self.epochs.raise_for(stops, monotonic_ns())
-        self._owed_ns = self._owed_ns or monotonic_ns()
+        self.epochs.raise_for(stops, self._now_ns())
+        self._owed_ns = self._owed_ns or self._now_ns()
         if self._unanswered is None:
             self._unanswered = min(stops, key=lambda stop: stop.t_ns)
-            self._answer_by.set(monotonic_ns() + ANSWER_NS)
+            self._answer_by.set(self._now_ns() + ANSWER_NS)
         self._tell_latch()
         for stop in stops:
             if stop is not self._unanswered:
@@ -342,7 +345,7 @@ class Supervisor:
             return
         # Killed before the burst: a port owner that wakes up between the two could write one frame more.
         os.kill(child.pid, signal.SIGKILL)
-        kill_ns = monotonic_ns()
+        kill_ns = self._now_ns()
         stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0
         self._raise_epoch([stop])
         child.fenced(Fence(now_ns, kill_ns, stop.written_ns, silent_ns, was_starved=is_starved))
@@ -351,7 +354,7 @@ class Supervisor:
         """What motion waits for, and the service manager's part."""
         missing = self.readiness.missing(self.children, stopping=self._unanswered is not None)
         if self.readiness.publish(missing, self.children):
-            self.heartbeat.state(heartbeat.RUNNING)
+            self.heartbeat.state(heartbeat.RUNNING, now_ns)
             self.teller.ready(self._granted)
             self.herald.notify.ready()
         self.teller.missing(missing, now_ns)
@@ -362,17 +365,17 @@ class Supervisor:
     def finish(self) -> bool:
         """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
         the own descriptor. False when a stop was not sent, or a board that had answered before did not."""
-        self._raise_epoch([Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())])
+        self._raise_epoch([Stop(self._now_ns(), layout.SUPERVISOR, causes.STOPPING())])
         while self._unanswered:
             self.loop.wait(HURRY_NS)
-            self._follow_answer(monotonic_ns())
+            self._follow_answer(self._now_ns())
         heard_ns = self._hear()
         link = self.aftermath.link.state
         self.herald.notify.stopping("the stop is written; ending every process")
-        self.heartbeat.state(heartbeat.STOPPING)
+        self.heartbeat.state(heartbeat.STOPPING, self._now_ns())
         for child in reversed(self.children):
             child.kill(END_S)
-        self._follow_port({}, monotonic_ns())  # it may have come back meanwhile
+        self._follow_port({}, self._now_ns())  # it may have come back meanwhile
         written = self._burst() > 0
         sent = written and self._port.drain()
         self.teller.ended(heard_ns, link, written=written, sent=sent)
@@ -383,14 +386,14 @@ class Supervisor:
     def _hear(self) -> int:
         """Wait until the board has answered a ping from after the last stop, and return how long after it that was in
         ns; 0: it has not, within HEAR_NS. Those who ask and listen must live for it."""
-        until_ns = monotonic_ns() + HEAR_NS
-        while self._stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening(now_ns):
+        until_ns = self._now_ns() + HEAR_NS
+        while self._stop_ns and (now_ns := self._now_ns()) < until_ns and self._listening(now_ns):
             self.aftermath.follow(now_ns, listening=True)
             if heard_ns := self.aftermath.heard_ns(self._stop_ns):
                 return heard_ns - self._stop_ns
             self._watched_ns = now_ns
             self.heartbeat.beat(now_ns, self.epoch)
-            sleep(HURRY_NS / 1e9)
+            self._sleep(HURRY_NS / 1e9)
         return 0
 
 
@@ -404,9 +407,11 @@ def _rules(settings: Settings) -> dict[str, object]:
     }
 
 
-def run(resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Journal | None) -> int:
+def run(
+    world: World, resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Journal | None
+) -> int:
     """Run the service until SIGTERM or SIGINT, or until it can't go on; returns the exit code."""
-    supervisor = Supervisor(resources, port, settings, notify, journal)
+    supervisor = Supervisor(world, resources, port, settings, notify, journal)
     supervisor.handover.opener.begin()
     signal.signal(signal.SIGTERM, supervisor.end)
     signal.signal(signal.SIGINT, supervisor.end)

@@ -10,13 +10,13 @@ from __future__ import annotations
 import _signal
 import _thread
 import os
-from time import monotonic_ns, sleep
 
 from failstop.board.stop_port import StopPort
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.board.finder import Finder
+    from failstop.procs.world import World
     from failstop.shm.bell import EventBell
 
 LOOK_NS = 5_000_000
@@ -26,10 +26,11 @@ LOOK_NS = 5_000_000
 class Opener:
     """`finder` is the thread's from look() until take() has returned something, and the supervisor's loop's else."""
 
-    __slots__ = ("_asked", "_bell", "_found", "_spare", "finder")
+    __slots__ = ("_asked", "_bell", "_found", "_now_ns", "_sleep", "_spare", "finder")
 
-    def __init__(self, finder: Finder, bell: EventBell) -> None:
+    def __init__(self, world: World, finder: Finder, bell: EventBell) -> None:
         """`bell` rings when the port is open."""
+        self._now_ns, self._sleep = world.now_ns, world.sleep
         self.finder = finder
         self._bell = bell
         self._asked = _thread.allocate_lock()
@@ -55,10 +56,10 @@ class Opener:
         """One look. A descriptor number was kept for it: those that are free now may be gone by then."""
         if self._spare >= 0:
             os.close(self._spare)
-        fd = self.finder.open(monotonic_ns())
+        fd = self.finder.open(self._now_ns())
         if fd >= 0:
             written = StopPort(fd).burst()
-            self._found = (fd, monotonic_ns() if written else 0)
+            self._found = (fd, self._now_ns() if written else 0)
             self._bell.ring()
         self._reserve()
         return fd >= 0
@@ -76,4 +77,4 @@ class Opener:
         while True:
             self._asked.acquire()
             while not self.attempt():
-                sleep(LOOK_NS / 1e9)
+                self._sleep(LOOK_NS / 1e9)

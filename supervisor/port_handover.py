@@ -6,19 +6,16 @@ has gone.
 
 from __future__ import annotations
 
-from time import monotonic_ns
-
-from failstop.board.finder import Finder
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP
 from failstop.shm import layout, records
-from failstop.supervisor.opener import Opener
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.loop import Loop
     from failstop.shm.segment import Segment
     from failstop.supervisor.events import Events
+    from failstop.supervisor.opener import Opener
     from failstop.supervisor.port import OwnPort
     from failstop.supervisor.process_table import ProcessTable
     from failstop.supervisor.resources import Resources
@@ -33,18 +30,16 @@ class PortHandover:
     def __init__(
         self,
         port: OwnPort,
-        path: str,
+        opener: Opener,
         resources: Resources,
         views: dict[str, Segment],
         loop: Loop,
         processes: ProcessTable,
         events: Events,
     ) -> None:
-        """`path`: where a lost port is looked for first."""
         self._port = port
-        finder = Finder(path)
-        finder.learn(port.fd)
-        self.opener = Opener(finder, resources.bells[layout.SUPERVISOR])
+        self.opener = opener
+        opener.finder.learn(port.fd)
         self._loop = loop
         self._processes = processes
         self._events = events
@@ -55,7 +50,7 @@ class PortHandover:
         self.controls = {process: Control(fds[0]) for process, fds in resources.controls.items()}
         loop.watch(port.fd, HANGUP)
 
-    def lost(self, ready: dict[int, int]) -> bool:
+    def lost(self, ready: dict[int, int], now_ns: int) -> bool:
         """True when the port has just gone: it is let go at once, and looked for."""
         gone = ready.get(self._port.fd, 0) & GONE
         if self._port.fd < 0 or not (gone or self._port_owner_s() == records.PORT_LOST):
@@ -66,7 +61,7 @@ class PortHandover:
         path = self.opener.finder.at
         text = f"{path} is gone; the stop is written the moment it is back; wheels that turn: POWER SWITCH"
         self._events.tell("device_lost", text, {"path": path})
-        self._lost_ns = monotonic_ns()
+        self._lost_ns = now_ns
         self.opener.look()
         return True
 
@@ -80,7 +75,7 @@ class PortHandover:
         self._port.adopt(fd)
         self._loop.watch(fd, HANGUP)
         self._share(list(self.controls), now_ns)
-        path, away_s = self.opener.finder.at, (monotonic_ns() - self._lost_ns) / 1e9
+        path, away_s = self.opener.finder.at, (now_ns - self._lost_ns) / 1e9
         text = f"{path} is back after {away_s:.1f} s; the stop is written"
         self._events.tell("device_back", text, {"path": path, "away_s": round(away_s, 3)})
         return written_ns

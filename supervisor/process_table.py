@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from time import monotonic_ns
 
 from failstop.policy.processes import PROCESSES
 from failstop.procs.loop import READ
@@ -20,6 +19,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.settings import Settings
     from failstop.procs.loop import Loop
+    from failstop.procs.world import World
     from failstop.shm.segment import Segment
     from failstop.supervisor.events import Events
     from failstop.supervisor.port import OwnPort
@@ -35,6 +35,7 @@ class ProcessTable:
 
     def __init__(
         self,
+        world: World,
         resources: Resources,
         settings: Settings,
         loop: Loop,
@@ -44,6 +45,7 @@ class ProcessTable:
         events: Events,
     ) -> None:
         """Holds the supervisor's own block from here on."""
+        self._now_ns = world.now_ns
         self._resources = resources
         self._events = events
         self._loop = loop
@@ -56,7 +58,7 @@ class ProcessTable:
         deaths, window_ns = int(settings["restart.deaths"]), settings.ns("restart.window_s")
         backoff_ns = settings.ns("restart.backoff_s")
         self.children = [
-            Child(row, HeartbeatReader(views[row.name]), Restarts(deaths, window_ns, backoff_ns), loop.deadline())
+            Child(row, HeartbeatReader(views[row.name]), Restarts(deaths, window_ns, backoff_ns), loop.timer())
             for row in PROCESSES
         ]
         self._by_name = {child.row.name: child for child in self.children}
@@ -144,7 +146,7 @@ class ProcessTable:
         except OSError as error:
             text = f"cannot start {name}: {error}; trying again"
             self._events.tell("start_failed", text, {"process": name, "reason": str(error)})
-            child.restart.set(monotonic_ns() + TRY_AGAIN_NS)
+            child.restart.set(self._now_ns() + TRY_AGAIN_NS)
             return
         if child.life:
             self._loop.watch(child.life.fd, READ)
@@ -156,7 +158,7 @@ class ProcessTable:
         descriptors = self._resources.descriptors(child.row.name, port.fd)
         pid = self._starter.start(child.row, block, port.number, descriptors)
         try:
-            child.started(pid, block, monotonic_ns())
+            child.started(pid, block, self._now_ns())
         except OSError:
             # Out of descriptors: without its pidfd nobody would know of its death.
             os.kill(pid, signal.SIGKILL)

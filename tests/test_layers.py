@@ -1,4 +1,5 @@
-"""The rooms point one way: whoever reads one of them needs no other but those below it."""
+"""The rooms point one way: whoever reads one of them needs no other but those below it. A process asks no clock but its
+World's."""
 
 from __future__ import annotations
 
@@ -18,6 +19,9 @@ BELOW = {
 }
 """What each room may import of failstop; the face (failstop, ros2) knows all of them."""
 EVERYBODYS = {"version"}
+CLOCKS = {"monotonic", "monotonic_ns", "perf_counter", "sleep", "time", "time_ns"}
+WITHOUT_A_WORLD = {"procs/world.py", "procs/stopper/tool.py", "procs/stopper/rest.py", "supervisor/port.py"}
+"""The world itself, the stop tool, and the first burst of a run, before there is a process to hand one to."""
 
 
 def modules(room: str) -> list[Path]:
@@ -65,3 +69,19 @@ def test_only_the_face_uses_the_libraries_of_the_face() -> None:
     found = [path for room in BELOW for path in modules(room) if "shtab" in path.read_text()]
     assert modules("failstop/cli")
     assert not found
+
+
+def clocks(path: Path) -> set[str]:
+    """The clocks of the module `time` that a module names."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module == "time":
+            found |= {name.name for name in node.names}
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "time":
+            found.add(node.attr)
+    return found & CLOCKS
+
+
+def test_a_process_asks_no_clock_but_its_world_s() -> None:
+    named = {str(path.relative_to(ROOT)) for room in ("procs", "supervisor") for path in modules(room) if clocks(path)}
+    assert named == WITHOUT_A_WORLD

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from time import monotonic_ns
 
 from failstop.board.interface import BOARD
 from failstop.policy import causes, kinematics
@@ -46,10 +45,11 @@ class Gate:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
-        now_ns = monotonic_ns()
+        self._now_ns = context.world.now_ns
+        now_ns = self._now_ns()
         self.heartbeat = context.heartbeat
-        self.loop = Loop()
-        self._next_tick, self._due = self.loop.deadline(), self.loop.deadline()
+        self.loop = Loop(context.world)
+        self._next_tick, self._due = self.loop.timer(), self.loop.timer()
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
         self._max_rps = settings.max_wheel_rps() * 1.0005
@@ -69,7 +69,7 @@ class Gate:
         self._last = causes.UNKNOWN()
         """The cause of the last stop."""
         self._follow_latch()
-        self.arm = Arm(self, context, self.loop.deadline(), now_ns) if settings.servos() else None
+        self.arm = Arm(self, context, self.loop.timer(), now_ns) if settings.servos() else None
         claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, self)
 
@@ -112,7 +112,7 @@ class Gate:
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
-        now_ns = monotonic_ns()
+        now_ns = self._now_ns()
         bell.clear_rung(self._bells, ready)
         self._follow_epoch()
         self._follow_resets(now_ns)
@@ -278,7 +278,7 @@ class Gate:
             self.core.attendance.leave(session)
 
     def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
-        """Decide, act, answer; a reset is the supervisor's."""
+        """Decide, act, reply; a reset is the supervisor's."""
         enabled = self.core.enabled
         if verb == records.RESET:
             self._resets.ask((slot, slot.session, number, asked_ns))

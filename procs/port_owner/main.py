@@ -6,12 +6,11 @@ Nothing between noticing a cause and the burst can block, log or build bytes: BU
 from __future__ import annotations
 
 import os
-from time import monotonic_ns
 
 from failstop.board.interface import BOARD
 from failstop.policy import causes
 from failstop.procs.handover import Control
-from failstop.procs.loop import EDGE, GONE, NEVER, READ, WRITE, Deadline, Loop
+from failstop.procs.loop import EDGE, GONE, NEVER, READ, WRITE, Loop, Timer
 from failstop.procs.peer import Peer
 from failstop.procs.port_owner import admission, repeats
 from failstop.procs.port_owner.admission import Admission
@@ -50,23 +49,24 @@ class PortOwner:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
+        self._now_ns = context.world.now_ns
         self.heartbeat = context.heartbeat
-        self.loop = Loop()
+        self.loop = Loop(context.world)
         self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
         self.bus = ServoBus(settings.servos())
-        self.repeats = repeats.Repeats(self.loop.deadline(), monotonic_ns())
-        ping = self.loop.deadline() if BOARD.pings else Deadline()
-        self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), ping, monotonic_ns())
-        self.suspend = SuspendWatch()
-        self._pipe_rests = self.loop.deadline()
+        self.repeats = repeats.Repeats(self.loop.timer(), self._now_ns())
+        ping = self.loop.timer() if BOARD.pings else Timer()
+        self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), ping, self._now_ns())
+        self.suspend = SuspendWatch(context.world.gained_ns)
+        self._pipe_rests = self.loop.timer()
         """Until then, after a request."""
-        self._lapse = self.loop.deadline()
+        self._lapse = self.loop.timer()
         """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
-        self._arm_due = self.loop.deadline()
+        self._arm_due = self.loop.timer()
         """When the arm's next frame may be written, that has to wait."""
-        self._leave = self.loop.deadline()
+        self._leave = self.loop.timer()
         """Once the supervisor has died."""
-        self._tick = self.loop.deadline()
+        self._tick = self.loop.timer()
         """When it looks at everything, if nothing happens before."""
         self._bytes_alone: dict[int, int] | None = None
         """What is ready when the board has sent something, and nothing else has happened."""
@@ -86,7 +86,7 @@ class PortOwner:
         self._burst()
         self._stopped_word.set(self.epoch)
         self.wire.keep(context.own.ring_writer("box"))
-        self._publish_port(monotonic_ns())
+        self._publish_port(self._now_ns())
 
     def _attach(self, context: Context) -> None:
         """What it publishes, and whom it wakes for it."""
@@ -122,7 +122,7 @@ class PortOwner:
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit. One for bytes of the board alone, of which there are the
         most, only passes them on: stops and motion ring, and what else there is to look at waits for the tick."""
-        now_ns = monotonic_ns()
+        now_ns = self._now_ns()
         if ready == self._bytes_alone and now_ns + EARLY_NS < self.loop.due_ns():
             self._serve_port(ready, now_ns)
             return True
@@ -147,7 +147,7 @@ class PortOwner:
     def stop(self, cause_ns: int, cause: Cause) -> None:
         """Stop on its own: burst, refuse motion until a newer epoch, publish the cause."""
         self.wire.burst()
-        self._own_stop(cause_ns, monotonic_ns(), cause)
+        self._own_stop(cause_ns, self._now_ns(), cause)
 
     def _own_stop(self, cause_ns: int, written_ns: int, cause: Cause) -> None:
         """What follows a burst for a cause of its own. The epoch is the one in force now, seen or not: the supervisor
@@ -161,7 +161,7 @@ class PortOwner:
     def _burst(self) -> None:
         """A stop that is no cause: for one that the supervisor knows, or that the gate has made."""
         self.wire.burst()
-        self._stopped(monotonic_ns())
+        self._stopped(self._now_ns())
 
     def _stopped(self, written_ns: int) -> int:
         """What follows every burst. Returns when it was written: 0 when the kernel did not take all of it."""
@@ -189,7 +189,7 @@ class PortOwner:
         stays in the pipe, and no motion is admitted before it has been looked at.
         """
         self.wire.burst()
-        written_ns = monotonic_ns()
+        written_ns = self._now_ns()
         give_way()
         line = bell.take(self._stop_pipe).split(b"\n", 1)[0]
         self._own_stop(now_ns, written_ns, causes.requested(line))
@@ -206,7 +206,7 @@ class PortOwner:
         """Buttons and keys, which telemetry has decoded."""
         while trip := self._trips.next():
             self.wire.burst()
-            self._own_stop(trip[1], monotonic_ns(), causes.read(trip[2]))
+            self._own_stop(trip[1], self._now_ns(), causes.read(trip[2]))
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
         """The supervisor's is the end of this process too, when the stop has been repeated."""
@@ -215,7 +215,7 @@ class PortOwner:
                 self.wire.burst()
                 peer.demote()
                 give_way()
-                self._own_stop(now_ns, monotonic_ns(), peer.death)
+                self._own_stop(now_ns, self._now_ns(), peer.death)
                 peer.drop()
         if self._leave.ns == NEVER and self._supervisor_life.died(ready):
             self._leave.set(now_ns + repeats.LEAVE_AFTER_NS)
@@ -224,7 +224,7 @@ class PortOwner:
             for peer in self._peers:
                 peer.demote()  # it dies with its parent
             give_way()
-            self._own_stop(now_ns, monotonic_ns(), causes.DIED(layout.SUPERVISOR))
+            self._own_stop(now_ns, self._now_ns(), causes.DIED(layout.SUPERVISOR))
             self.loop.forget(self._supervisor_life.fd)
             self.loop.forget(self._control.fd)
 
@@ -296,7 +296,7 @@ class PortOwner:
     def _gate_stop(self) -> None:
         """The gate wants a burst: at once while something moves, else not again so soon after the last: clients that
         disable again and again must not keep the wire full."""
-        now_ns = monotonic_ns()
+        now_ns = self._now_ns()
         if self.admission.moving or self._arm_moved or now_ns - self._written_word.get() >= PIPE_REST_NS:
             self._burst()
 
@@ -304,7 +304,7 @@ class PortOwner:
         """As for motion, one after the other; the first that has to wait holds up those behind it."""
         due_ns = NEVER
         while self.bus.waiting:
-            move, now_ns = self.bus.waiting[0], monotonic_ns()
+            move, now_ns = self.bus.waiting[0], self._now_ns()
             verdict = self._decide(move, now_ns, self.bus.check)
             if verdict == admission.WRITE:
                 due_ns = self.bus.due_ns(move[0], now_ns, wheels_move=self.admission.moving)
@@ -323,7 +323,7 @@ class PortOwner:
         before = self._moving_word.get()
         self._moving_word.set(1)
         self._barrier()
-        now_ns = monotonic_ns()
+        now_ns = self._now_ns()
         if self._epoch_word.get() != self.epoch:
             self._follow_epoch(now_ns)
         elif (
@@ -356,7 +356,7 @@ class PortOwner:
             self.stop(now_ns, verdict)
 
     def _forward_motion(self, motion: Motion) -> None:
-        now_ns = monotonic_ns()
+        now_ns = self._now_ns()
         verdict = self._decide(motion, now_ns, self.admission.check)
         if verdict == admission.WRITE:
             self._write_motion(motion)
@@ -369,7 +369,7 @@ class PortOwner:
         starved here, for however long, may live."""
         self._moving_word.set(1)
         self._barrier()
-        now_ns = monotonic_ns()
+        now_ns = self._now_ns()
         frame = motion[0]
         if self._epoch_word.get() != self.epoch:
             self._follow_epoch(now_ns)
@@ -390,15 +390,15 @@ class PortOwner:
     def _serve_port(self, ready: dict[int, int], now_ns: int) -> None:
         """Pass on what the board sent, finish what the kernel did not take, notice a port that is gone."""
         wire = self.wire
-        events = ready.get(wire.fd, 0)
+        found = ready.get(wire.fd, 0)
         if wire.fd >= 0:
-            if events & WRITE:
+            if found & WRITE:
                 wire.flush()
-            if events & READ and (data := wire.read()):
+            if found & READ and (data := wire.read()):
                 for at in range(0, len(data), RECEIVED_CHUNK):
                     self._received.put(data[at : at + RECEIVED_CHUNK])
                 self._telemetry_bell.ring()
-            if events & GONE:
+            if found & GONE:
                 wire.lost = True
             if wire.lost:
                 self._port_lost(now_ns)
@@ -415,7 +415,7 @@ class PortOwner:
                 self._port_lost(now_ns)
             self._number, self._path = number, path
             self.wire.adopt(fd)
-            self._stopped(monotonic_ns())
+            self._stopped(self._now_ns())
             self._publish_port(now_ns)
 
     def _watch_port(self) -> None:
@@ -456,7 +456,7 @@ class PortOwner:
         """The time is that before the write: an answer never seems to come before its question."""
         if not self.pings.due(now_ns):
             return
-        asked_ns = monotonic_ns()
+        asked_ns = self._now_ns()
         if self.wire.frame(BOARD.pings[self.pings.index], backlog=PING_BACKLOG):
             self._ping_words[self.pings.index].set(asked_ns)
             self.pings.sent(asked_ns)
@@ -471,6 +471,6 @@ def run(context: Context) -> int:
     ready: dict[int, int] = {}
     while owner.turn(ready):
         ready = owner.loop.wait(TICK_NS)
-    context.heartbeat.state(heartbeat.STOPPING)
+    context.heartbeat.state(heartbeat.STOPPING, context.world.now_ns())
     owner.wire.close()
     return 0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.procs.loop import Deadline
+    from failstop.procs.loop import Timer
 
 GAP_NS = 50_000_000
 """Two pings are at least this far apart, so that one index (of four) is used again only when its answer, which takes a
@@ -20,7 +20,7 @@ class Pings:
 
     __slots__ = ("_count", "_due", "_period_ns", "_sent_ns", "index")
 
-    def __init__(self, count: int, period_ns: int, due: Deadline, now_ns: int) -> None:
+    def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int) -> None:
         """`count` different pings; 0: this board has none, and nobody may wait for `due`, when the next is."""
         self._count = count
         self._period_ns = period_ns

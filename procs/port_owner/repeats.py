@@ -6,7 +6,7 @@ goes out at 5 Hz, so that a board that restarts or wakes hears a stop soon.
 
 from __future__ import annotations
 
-from failstop.procs.loop import NEVER, Deadline
+from failstop.procs.loop import NEVER, Timer
 
 BURST = 1
 ZERO = 2
@@ -21,7 +21,7 @@ class Repeats:
 
     __slots__ = ("_bursts", "_due")
 
-    def __init__(self, due: Deadline, now_ns: int) -> None:
+    def __init__(self, due: Timer, now_ns: int) -> None:
         self._bursts = 0
         self._due = due
         due.set(now_ns)

@@ -12,7 +12,6 @@ its way. It waits for the port owner's answer, but not long.
 from __future__ import annotations
 
 import os
-from time import monotonic_ns
 
 from failstop.board.stop_port import StopPort
 from failstop.procs import starved
@@ -44,8 +43,9 @@ class Stopper:
     def __init__(self, context: Context) -> None:
         supervisor = context.segment("supervisor")
         port_owner = context.segment("port_owner")
+        self._now_ns = context.world.now_ns
         self.heartbeat = context.heartbeat
-        self.loop = Loop()
+        self.loop = Loop(context.world)
         self._epoch_word = supervisor.word("epoch")
         self._port_owner = Peer(layout.PORT_OWNER, context, self.loop)
         self._port_owner_written = port_owner.word("written_ns")
@@ -60,15 +60,15 @@ class Stopper:
         self._number = context.port_number
         self._number_word = context.own.word("port_number")
         self._number_word.set(self._number if self._port.fd >= 0 else 0)
-        self._turned_ns = self._excused_ns = monotonic_ns()
+        self._turned_ns = self._excused_ns = self._now_ns()
         self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
         self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 1)
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""
         self._orphaned_ns = 0
-        self._leave, self._first_go, self._look_again = (self.loop.deadline() for _ in range(3))
-        self._repeat, self._hang = self.loop.deadline(), self.loop.deadline()
+        self._leave, self._first_go, self._look_again = (self.loop.timer() for _ in range(3))
+        self._repeat, self._hang = self.loop.timer(), self.loop.timer()
         for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
         if self._port.fd >= 0:
@@ -76,7 +76,7 @@ class Stopper:
 
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
-        now_ns = monotonic_ns()
+        now_ns = self._now_ns()
         if now_ns - self._turned_ns > HELD_UP_NS:
             self._excused_ns = now_ns
         self._turned_ns = now_ns
@@ -124,7 +124,7 @@ class Stopper:
 
     def _write(self) -> None:
         if self._port.burst():
-            self._written_word.set(monotonic_ns())
+            self._written_word.set(self._now_ns())
 
     def _write_due(self, now_ns: int) -> None:
         """The burst after the port owner's first go, and the repeats of an earlier burst."""
@@ -215,5 +215,5 @@ def run(context: Context) -> int:
     while stopper.turn(ready):
         ready = stopper.loop.wait(TICK_NS)
     stopper.close_port()  # an exit would wait for a port that does not drain
-    context.heartbeat.state(heartbeat.STOPPING)
+    context.heartbeat.state(heartbeat.STOPPING, context.world.now_ns())
     return 0

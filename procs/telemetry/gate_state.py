@@ -38,7 +38,7 @@ class GateState:
         """When this state began, as far as is known."""
 
     @property
-    def moving(self) -> bool:
+    def commanded(self) -> bool:
         """Whether a velocity other than zero is commanded."""
         return any(self.velocity)
 
@@ -49,7 +49,7 @@ class GateState:
         if entry and entry[0] != self._seq:
             self._seq, self._t_ns = entry[0], entry[1]
             news = self._take(entry[2], entry[1])
-        if now_ns - self._t_ns > SILENT_NS and (self.enabled or self.moving):
+        if now_ns - self._t_ns > SILENT_NS and (self.enabled or self.commanded):
             self.enabled = False
             self.velocity = REST
             self.since_ns = now_ns

@@ -114,10 +114,10 @@ class GyroBias:
         self.calibrated = True
         self._averaged_s = self._tau_s
 
-    def follow(self, moving: bool, now_ns: int) -> str:
-        """The commanded velocity is not zero (moving) or zero. Returns a line for the journal, or an empty text:
+    def follow(self, commanded: bool, now_ns: int) -> str:
+        """Whether a velocity other than zero is commanded. Returns a line for the journal, or an empty text:
         a robot that is told to drive is not calibrated, however quiet its gyro."""
-        if not moving:
+        if not commanded:
             if self._resting_since_ns is None:
                 self._resting_since_ns = now_ns
             return ""

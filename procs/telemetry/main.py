@@ -4,8 +4,6 @@ owner, the pad's sticks and its reset become requests for the gate."""
 from __future__ import annotations
 
 import os
-import time
-from time import monotonic_ns
 
 from failstop.board import decoder, framing
 from failstop.procs.loop import READ, Loop
@@ -48,8 +46,9 @@ class Telemetry:
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
+        self._now_ns, self._unix_s = context.world.now_ns, context.world.unix_s
         self.heartbeat = context.heartbeat
-        self.loop = Loop()
+        self.loop = Loop(context.world)
         self._decoder = decoder.Decoder()
         self._trips = Trips(int(settings["pad.mode_button"]), int(settings["key.stop"]), settings["battery.stop_mv"])
         self._pad = Pad.of(settings, self._trips)
@@ -70,7 +69,7 @@ class Telemetry:
         self._watch_others(context)
         self._publish_still()
         self._inherit(context.own)
-        now_ns = monotonic_ns()
+        now_ns = self._now_ns()
         self._gate.read(now_ns)
         self._follow_gate(now_ns)
 
@@ -131,7 +130,7 @@ class Telemetry:
         """Handle one wake-up."""
         if ready:
             self._bell.clear()
-        now_ns = monotonic_ns()
+        now_ns = self._now_ns()
         if self._gate.read(now_ns):
             self._follow_gate(now_ns)
         while entry := self._received.next():
@@ -151,7 +150,7 @@ class Telemetry:
         """What the gate does now, for all who go by it."""
         gate = self._gate
         self._odometry.follow(gate.velocity, gate.since_ns or now_ns)
-        self._note_gyro(self._gyro.follow(gate.moving, now_ns))
+        self._note_gyro(self._gyro.follow(gate.commanded, now_ns))
         self._charger.follow(gate.enabled, now_ns)
         if gate.epoch != self._epoch_followed:
             self._epoch_followed = gate.epoch
@@ -246,7 +245,7 @@ class Telemetry:
                 self._note("charger", text, {"state": name, "battery_mv": millivolts})
             self._records["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
             self._box.put(box.pack_battery(millivolts, self._charger.state), t_ns)
-            if due := self._log.take(millivolts, self._gate.enabled, t_ns, time.time()):
+            if due := self._log.take(millivolts, self._gate.enabled, t_ns, self._unix_s()):
                 self._files.append(BATTERY_LOG, due[0], HEADER, due[1])
 
     def _on_pad(self, data: bytes, t_ns: int) -> None:

@@ -85,7 +85,7 @@ class ArmScene(GateStage):
 
     def turn(self, until_ns: int = NEVER) -> None:
         """One wake-up of the gate, when it asks for it."""
-        due_ns = max(self.gate.loop.until_ns(self.clock(), 20 * MS), self.clock() + 10_000)
+        due_ns = max(min(self.clock() + 20 * MS, self.gate.loop.due_ns()), self.clock() + 10_000)
         if self._answers:
             due_ns = min(due_ns, max(self._answers[0][0], self.clock()))
         self.clock.now_ns = min(due_ns, until_ns)

@@ -9,6 +9,7 @@ from pathlib import Path
 from failstop.procs.gate.clients import ClientTable, Slot
 from failstop.procs.gate.sources import Command
 from failstop.procs.loop import Loop
+from failstop.procs.world import World
 from failstop.shm import claim, layout, records, segment
 from failstop.shm.lifeline import EarlyNews, pid_namespace
 from failstop.shm.segment import Segment
@@ -76,7 +77,7 @@ class Service:
         for index in range(layout.CLIENT_SLOTS):
             segment.create(self.name, f"client.{index}", INCARNATION).close()
         self.claims_fd = os.open(self.claims, os.O_RDONLY)
-        self.loop = Loop()
+        self.loop = Loop(World())
         segment.create(self.name, "lifelines", INCARNATION).close()
         self._lifelines = segment.attach_unmapped(self.name, "lifelines", INCARNATION)
         self.early = EarlyNews(self._lifelines)

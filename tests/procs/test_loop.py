@@ -8,10 +8,12 @@ import resource
 import time
 import tty
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
-from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE, Deadline, Loop
+from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE, Loop, Timer
+from failstop.procs.world import World
 
 LATER_NS = 20_000_000_000
 
@@ -25,7 +27,7 @@ def pipe() -> Iterator[tuple[int, int]]:
 
 
 def test_ready_descriptors_with_their_events(pipe: tuple[int, int]) -> None:
-    loop = Loop()
+    loop = Loop(World())
     loop.watch(pipe[0], READ)
     assert loop.wait(0) == {}
     os.write(pipe[1], b"x")
@@ -36,20 +38,20 @@ def test_ready_descriptors_with_their_events(pipe: tuple[int, int]) -> None:
 
 
 def test_a_time_that_is_over_returns_at_once(pipe: tuple[int, int]) -> None:
-    loop = Loop()
+    loop = Loop(World())
     loop.watch(pipe[0], READ)
     assert loop.wait(-LATER_NS) == {}
 
 
 def test_waits_until_the_time_and_no_shorter() -> None:
-    loop = Loop()
+    loop = Loop(World())
     until_ns = time.monotonic_ns() + 2_000_000
     assert loop.wait(2_000_000) == {}
     assert time.monotonic_ns() >= until_ns
 
 
 def test_time_outs_are_finer_than_a_millisecond() -> None:
-    loop = Loop()
+    loop = Loop(World())
     shortest_ns = LATER_NS
     for _ in range(200):
         start_ns = time.monotonic_ns()
@@ -59,7 +61,7 @@ def test_time_outs_are_finer_than_a_millisecond() -> None:
 
 
 def test_watching_again_changes_the_events(pipe: tuple[int, int]) -> None:
-    loop = Loop()
+    loop = Loop(World())
     loop.watch(pipe[1], READ)
     assert loop.wait(0) == {}
     loop.watch(pipe[1], READ | WRITE)
@@ -69,7 +71,7 @@ def test_watching_again_changes_the_events(pipe: tuple[int, int]) -> None:
 
 
 def test_at_the_edge_only_new_bytes_are_told_of(pipe: tuple[int, int]) -> None:
-    loop = Loop()
+    loop = Loop(World())
     os.write(pipe[1], b"x")
     loop.watch(pipe[0], READ | EDGE)
     assert loop.wait(0) == {pipe[0]: READ}, "what was there before counts as new"
@@ -80,23 +82,23 @@ def test_at_the_edge_only_new_bytes_are_told_of(pipe: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("longest_ns", [2_000_000, 20_000_000])
 def test_a_wait_is_one_sleep(longest_ns: int) -> None:
-    loop = Loop()
-    loop.deadline().set(NEVER)
+    loop = Loop(World())
+    loop.timer().set(NEVER)
     before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
     assert loop.wait(longest_ns) == {}
     assert resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before == 1
 
 
-def test_a_longest_time_is_kept_beside_a_later_deadline() -> None:
-    loop = Loop()
+def test_a_longest_time_is_kept_beside_a_later_timer() -> None:
+    loop = Loop(World())
     start_ns = time.monotonic_ns()
-    loop.deadline().set(start_ns + LATER_NS)
+    loop.timer().set(start_ns + LATER_NS)
     assert loop.wait(20_000_000) == {}
     assert 20_000_000 <= time.monotonic_ns() - start_ns < LATER_NS
 
 
 def test_forgotten_descriptors_stay_out(pipe: tuple[int, int]) -> None:
-    loop = Loop()
+    loop = Loop(World())
     loop.watch(pipe[0], READ)
     os.write(pipe[1], b"x")
     loop.forget(pipe[0])
@@ -108,7 +110,7 @@ def test_forgotten_descriptors_stay_out(pipe: tuple[int, int]) -> None:
 def test_hang_up_alone_ignores_bytes_but_not_the_end() -> None:
     master, slave = pty.openpty()
     tty.setraw(slave)
-    loop = Loop()
+    loop = Loop(World())
     loop.watch(slave, HANGUP)
     os.write(master, b"telemetry")
     assert loop.wait(5_000_000) == {}
@@ -118,13 +120,13 @@ def test_hang_up_alone_ignores_bytes_but_not_the_end() -> None:
     os.close(slave)
 
 
-def test_the_first_deadline_ends_the_wait() -> None:
-    loop = Loop()
-    deadlines = [loop.deadline() for _ in range(3)]
-    assert [deadline.ns for deadline in deadlines] == [NEVER] * 3
+def test_the_first_timer_ends_the_wait() -> None:
+    loop = Loop(World())
+    timers = [loop.timer() for _ in range(3)]
+    assert [timer.ns for timer in timers] == [NEVER] * 3
     until_ns = time.monotonic_ns() + 2_000_000
-    deadlines[1].set(until_ns)
-    deadlines[2].set(until_ns + LATER_NS)
+    timers[1].set(until_ns)
+    timers[2].set(until_ns + LATER_NS)
     assert loop.wait(LATER_NS) == {}
     assert time.monotonic_ns() >= until_ns
     start_ns = time.monotonic_ns()
@@ -133,29 +135,39 @@ def test_the_first_deadline_ends_the_wait() -> None:
 
 
 @pytest.mark.parametrize(
-    ("deadlines", "longest", "until"), [((), 5, 105), ((103, 104), 5, 103), ((NEVER, 106), 5, 105), ((99,), 5, 99)]
+    ("timers", "waits"), [((), [5]), ((103, 104), [3]), ((NEVER, 106), [5]), ((100,), []), ((99,), [])]
 )
-def test_how_long_it_waits(deadlines: tuple[int, ...], longest: int, until: int) -> None:
-    loop = Loop()
-    for ns in deadlines:
-        loop.deadline().set(ns)
-    assert loop.until_ns(100, longest) == until
+def test_how_long_it_waits(timers: tuple[int, ...], waits: list[int]) -> None:
+    waited_ns = []
+
+    def nothing_comes(*given: Any) -> Any:
+        waited_ns.append(round(given[3] * 1e9))
+        return [], [], []
+
+    world = World(now_ns=lambda: 100)
+    world.select = nothing_comes
+    loop = Loop(world)
+    for ns in timers:
+        loop.timer().set(ns)
+    assert loop.wait(5) == {}
+    assert waited_ns == waits
+    assert loop.due_ns() == min(timers, default=NEVER)
 
 
-def test_a_deadline_is_due_from_its_time_on_and_taken_once() -> None:
-    deadline = Deadline()
-    assert not deadline.due(NEVER - 1)
-    deadline.set(10)
-    assert [deadline.due(ns) for ns in (9, 10, 11)] == [False, True, True]
-    assert [deadline.take(ns) for ns in (9, 10, 10)] == [False, True, False]
-    assert deadline.ns == NEVER
+def test_a_timer_is_due_from_its_time_on_and_taken_once() -> None:
+    timer = Timer()
+    assert not timer.due(NEVER - 1)
+    timer.set(10)
+    assert [timer.due(ns) for ns in (9, 10, 11)] == [False, True, True]
+    assert [timer.take(ns) for ns in (9, 10, 10)] == [False, True, False]
+    assert timer.ns == NEVER
 
 
 def test_one_after_the_other() -> None:
-    deadline = Deadline()
-    deadline.set(10, 20, 30)
-    assert [deadline.take(ns) for ns in (10, 19, 35, 35, 35)] == [True, False, True, True, False]
-    deadline.set(10, 20)
-    deadline.set(15)
-    assert deadline.take(15)
-    assert deadline.ns == NEVER, "what was set before is forgotten"
+    timer = Timer()
+    timer.set(10, 20, 30)
+    assert [timer.take(ns) for ns in (10, 19, 35, 35, 35)] == [True, False, True, True, False]
+    timer.set(10, 20)
+    timer.set(15)
+    assert timer.take(15)
+    assert timer.ns == NEVER, "what was set before is forgotten"

@@ -9,7 +9,7 @@ import pytest
 
 from failstop.board import port
 from failstop.board.interface import BOARD
-from failstop.procs.loop import Deadline
+from failstop.procs.loop import Timer
 from failstop.procs.port_owner.pings import GAP_NS, Pings
 from failstop.shm import layout
 from tests.support.port_scene import MOTION, TICK, Scene
@@ -27,7 +27,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
 
 
 def test_they_take_their_indices_in_turn() -> None:
-    pings = Pings(4, PERIOD, Deadline(), T0)
+    pings = Pings(4, PERIOD, Timer(), T0)
     found = []
     for turn in range(6):
         assert pings.due(T0 + turn * PERIOD)
@@ -39,14 +39,14 @@ def test_they_take_their_indices_in_turn() -> None:
 
 
 def test_one_is_due_right_after_a_stop() -> None:
-    pings = Pings(4, PERIOD, Deadline(), T0)
+    pings = Pings(4, PERIOD, Timer(), T0)
     pings.sent(T0)
     pings.stopped(T0 + 200 * MS)
     assert pings.due(T0 + 200 * MS)
 
 
 def test_a_flood_of_stops_is_no_flood_of_pings() -> None:
-    pings = Pings(4, PERIOD, Deadline(), T0)
+    pings = Pings(4, PERIOD, Timer(), T0)
     pings.sent(T0)
     pings.stopped(T0 + MS)
     assert not pings.due(T0 + GAP_NS - 1)
@@ -54,7 +54,7 @@ def test_a_flood_of_stops_is_no_flood_of_pings() -> None:
 
 
 def test_one_that_the_port_did_not_take_is_tried_again_after_the_gap() -> None:
-    pings = Pings(4, PERIOD, Deadline(), T0)
+    pings = Pings(4, PERIOD, Timer(), T0)
     pings.failed(T0)
     assert not pings.due(T0 + GAP_NS - 1)
     assert pings.due(T0 + GAP_NS)
@@ -62,7 +62,7 @@ def test_one_that_the_port_did_not_take_is_tried_again_after_the_gap() -> None:
 
 
 def test_a_board_with_one_ping_is_asked_that() -> None:
-    pings = Pings(1, PERIOD, Deadline(), T0)
+    pings = Pings(1, PERIOD, Timer(), T0)
     assert pings.due(T0)
     pings.sent(T0)
     assert pings.index == 0
@@ -70,7 +70,7 @@ def test_a_board_with_one_ping_is_asked_that() -> None:
 
 
 def test_a_board_without_pings_is_never_asked() -> None:
-    pings = Pings(0, PERIOD, Deadline(), T0)
+    pings = Pings(0, PERIOD, Timer(), T0)
     pings.stopped(T0)
     assert not pings.due(T0 + PERIOD)
 

@@ -10,7 +10,7 @@ import pytest
 
 from failstop.board import port
 from failstop.board.burst import BURST
-from failstop.procs.loop import READ, Loop
+from failstop.procs.loop import READ
 from failstop.procs.port_owner import main
 from failstop.shm import layout, records
 from tests.support.port_scene import MOTION, TICK, Kernel, Scene
@@ -346,7 +346,7 @@ def test_bytes_from_the_board_go_into_the_ring_in_order(scene: Scene) -> None:
 
 def board_sends(scene: Scene) -> None:
     os.write(scene.pty.master, b"imu")
-    until(lambda: Loop.readable(scene.owner.wire.fd), "the bytes")
+    until(lambda: scene.owner.loop.readable(scene.owner.wire.fd), "the bytes")
 
 
 def test_bytes_alone_are_passed_on_and_the_rest_is_looked_at_at_the_tick(scene: Scene) -> None:

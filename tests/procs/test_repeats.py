@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.procs.loop import NEVER, Deadline
+from failstop.procs.loop import NEVER, Timer
 from failstop.procs.port_owner.repeats import BURST, ZERO, Repeats
 
 MS = 1_000_000
@@ -15,7 +15,7 @@ class Schedule(Repeats):
     """With its deadline in sight."""
 
     def __init__(self) -> None:
-        self.next = Deadline()
+        self.next = Timer()
         super().__init__(self.next, T0)
 
 

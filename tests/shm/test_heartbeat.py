@@ -27,7 +27,7 @@ def test_beats(name: str) -> None:
     beats = Heartbeat(own, 77, heartbeat.REALTIME | heartbeat.MEMORY_LOCKED, 1_000)
     assert (seen.pid.get(), seen.rights.get(), seen.state.get(), seen.ns.get()) == (77, 3, STARTING, 1_000)
     assert not seen.running(77)
-    beats.state(RUNNING)
+    beats.state(RUNNING, 1_000)
     assert seen.running(77)
     assert not seen.running(78)
     for i, (now_ns, worst_ns) in enumerate([(1_001, 1), (1_050, 49), (1_060, 49)], 1):
@@ -40,7 +40,8 @@ def test_beats(name: str) -> None:
         )
     assert seen.age_ns(1_100) == 40
     assert seen.age_ns(1_000) == 0
-    beats.state(STOPPING)
+    beats.state(STOPPING, 2_000)
+    assert seen.ns.get() == 2_000
     assert not seen.running(77)
 
 
@@ -48,7 +49,7 @@ def test_a_successor_starts_anew(name: str) -> None:
     """What its dead predecessor had seen and done must not count as its own."""
     own, seen = both(name)
     beats = Heartbeat(own, 77, heartbeat.REALTIME, 1_000)
-    beats.state(RUNNING)
+    beats.state(RUNNING, 1_000)
     beats.beat(9_000, epoch=12)
     Heartbeat(own, 78, 0, 20_000)
     assert (seen.pid.get(), seen.state.get(), seen.rights.get(), seen.ns.get()) == (78, STARTING, 0, 20_000)
@@ -61,7 +62,7 @@ def test_a_new_pid_is_never_seen_beside_its_predecessor_s_state(name: str) -> No
     """The pid is published after everything that makes the old state untrue, the time last."""
     own, seen = both(name)
     beats = Heartbeat(own, 77, 0, 1_000)
-    beats.state(RUNNING)
+    beats.state(RUNNING, 1_000)
     beats.beat(9_000, epoch=12)
     order: list[int] = []
 

@@ -186,7 +186,7 @@ def test_what_is_told_of_the_link(scene: Watched) -> None:
     scene.pings(3, answered=True)
     scene.follow(2 * MS)
     assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
-    scene.supervisor.handover.lost({scene.port.fd: GONE})
+    scene.supervisor.handover.lost({scene.port.fd: GONE}, scene.now_ns)
     scene.supervisor.aftermath.link.opened()
     scene.said()
     scene.follow(MS)

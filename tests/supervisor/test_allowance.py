@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.supervisor import events as events_module
+from failstop.procs.world import World
 from failstop.supervisor.allowance import ASKED_BYTES, MINUTE_NS, OWN_BYTES, REOPENS_AT, Allowance
 from failstop.supervisor.events import MOST_WAITING, Events
 from tests.supervisor.streams import stderr_is
@@ -37,8 +37,8 @@ class Log:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.times = Times()
-        monkeypatch.setattr(events_module, "time", self.times)
-        self.events = Events("x")
+        world = World(now_ns=lambda: self.times.now_ns, unix_s=lambda: self.times.now_ns / 1e9)
+        self.events = Events(world, "x")
         self._out, self._into = os.pipe()
         os.set_blocking(self._out, False)
 

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from failstop.policy.settings import Settings
+from failstop.procs.world import World
 from failstop.shm import box, layout, segment
 from failstop.supervisor import blackbox, starter
 from failstop.supervisor.blackbox import (
@@ -38,7 +39,7 @@ class Told(Events):
     """Keeps what is told, and how often it was sent."""
 
     def __init__(self) -> None:
-        super().__init__("left")
+        super().__init__(World(), "left")
         self.told: list[tuple[str, str, object, str]] = []
         self.flushed = 0
 
@@ -53,7 +54,6 @@ class Scene:
     """A black box whose savers are shells: they wait to be hastened, say a word and end with a code."""
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(blackbox, "monotonic_ns", lambda: T0)
         monkeypatch.setattr(blackbox, "spawn", self.spawn)
         self.resources = Resources(f"box{os.getpid()}x{next(_numbers)}", str(directory))
         memory = self.resources.memory
@@ -71,7 +71,7 @@ class Scene:
 
     def new(self, **changed: object) -> BlackBox:
         settings = Settings({**self.settings.flat(), **{f"incidents.{key}": value for key, value in changed.items()}})
-        return BlackBox(self.resources, settings, self.own, self.views, self.events)
+        return BlackBox(World(now_ns=lambda: T0), self.resources, settings, self.own, self.views, self.events)
 
     def spawn(self, arguments: list[str], environ: dict[str, str], passed: list[int]) -> int:
         """In the place of the saver's own program."""

@@ -6,6 +6,7 @@ import pytest
 
 from failstop.policy.processes import PROCESSES
 from failstop.procs.loop import Loop
+from failstop.procs.world import World
 from failstop.supervisor import children
 from failstop.supervisor.children import DEAD, DOWN, EVENTS, FENCED, HUNG, NEXT, RUNNING, STARTING, WAITING, Child
 from failstop.supervisor.restarts import Restarts
@@ -26,7 +27,7 @@ process, nobody runs or beats who has none, nobody dies twice, and only the dead
 
 
 def child(state: str) -> Child:
-    made = Child(PROCESSES[0], None, Restarts(5, 10**10, 10**8), Loop().deadline())  # type: ignore[arg-type]
+    made = Child(PROCESSES[0], None, Restarts(5, 10**10, 10**8), Loop(World()).timer())  # type: ignore[arg-type]
     made.state = state
     return made
 

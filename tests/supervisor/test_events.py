@@ -13,6 +13,7 @@ from typing import Any
 import msgpack
 import pytest
 
+from failstop.procs.world import World
 from failstop.shm import layout, segment
 from failstop.shm.ring import RingReader
 from failstop.supervisor import kinds
@@ -83,7 +84,7 @@ class Scene:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         self._socket.bind(self._path)
         self._journal = Journal(self._path)
-        self.events = Events(self.name, own.ring_writer("events"), self._journal)
+        self.events = Events(World(), self.name, own.ring_writer("events"), self._journal)
 
     def ring(self) -> list[dict[str, Any]]:
         found = []

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.procs.world import World
 from failstop.supervisor.events import Events
 from failstop.supervisor.names import LOOK_EVERY_NS, Names
 
@@ -24,7 +25,7 @@ class Told(Events):
     """What people were told."""
 
     def __init__(self) -> None:
-        super().__init__("none")
+        super().__init__(World(), "none")
         self.found: list[tuple[str, str]] = []
 
     def tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:

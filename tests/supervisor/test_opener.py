@@ -13,8 +13,8 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.board.finder import Finder
+from failstop.procs.world import World
 from failstop.shm.bell import EventBell
-from failstop.supervisor import opener as opener_module
 from failstop.supervisor.opener import LOOK_NS, Opener
 from tests.support.ptys import Pty, new_pty, open_fds
 from tests.support.waiting import until
@@ -34,7 +34,7 @@ def bell() -> Iterator[EventBell]:
 
 
 def test_a_port_that_is_not_there_is_not_opened(bell: EventBell, tmp_path: Path) -> None:
-    opener = Opener(Finder(str(tmp_path / "board")), bell)
+    opener = Opener(World(), Finder(str(tmp_path / "board")), bell)
     before = open_fds()
     assert not opener.attempt()
     assert opener.take() is None
@@ -43,7 +43,7 @@ def test_a_port_that_is_not_there_is_not_opened(bell: EventBell, tmp_path: Path)
 
 
 def test_the_burst_is_its_first_bytes_and_it_is_taken_once(bell: EventBell, pty: Pty) -> None:
-    opener = Opener(Finder(pty.link), bell)
+    opener = Opener(World(), Finder(pty.link), bell)
     assert opener.attempt()
     assert pty.read() == BURST
     found = opener.take()
@@ -56,7 +56,7 @@ def test_the_burst_is_its_first_bytes_and_it_is_taken_once(bell: EventBell, pty:
 
 
 def test_a_burst_that_was_not_written_is_not_said_to_be(bell: EventBell, pty: Pty) -> None:
-    opener = Opener(Finder(pty.link), bell)
+    opener = Opener(World(), Finder(pty.link), bell)
     pty.fill()
     assert opener.attempt()
     found = opener.take()
@@ -67,7 +67,7 @@ def test_a_burst_that_was_not_written_is_not_said_to_be(bell: EventBell, pty: Pt
 
 
 def test_the_number_that_it_keeps_is_there_when_no_other_is(bell: EventBell, pty: Pty) -> None:
-    opener = Opener(Finder(pty.link), bell)
+    opener = Opener(World(), Finder(pty.link), bell)
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     lowest = os.dup(bell.fd)
     os.close(lowest)
@@ -112,9 +112,8 @@ def test_its_thread_opens_what_was_lost_again_and_again_and_an_open_that_takes_l
     bell: EventBell, pty: Pty, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slept: list[float] = []
-    monkeypatch.setattr(opener_module, "sleep", slept.append)
     finder = Slow(pty.link, times=3)
-    opener = Opener(finder, bell)
+    opener = Opener(World(sleep=slept.append), finder, bell)
     opener.begin()
     for _ in range(2):
         assert opener.take() is None

@@ -14,7 +14,7 @@ from failstop.policy.settings import Settings
 from failstop.procs.handover import Control
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
-from failstop.supervisor import children, port_handover
+from failstop.supervisor import children
 from failstop.supervisor.children import WAITING
 from failstop.supervisor.main import ALONE_EVERY_NS
 from failstop.supervisor.port_handover import SHARE_NS
@@ -29,7 +29,6 @@ class Three(Scene):
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)
-        monkeypatch.setattr(port_handover, "monotonic_ns", lambda: self.now_ns)
         self._held = [os.dup(self.port.fd)]  # else the board's side of a pty reads an error
         self.path = directory / "board"
         self.handover = self.supervisor.handover

@@ -13,6 +13,7 @@ import pytest
 from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.settings import Settings
+from failstop.procs.world import World
 from failstop.shm import layout, segment
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.events import Events
@@ -39,11 +40,13 @@ class Scene:
         settings = Settings({"still.command": command.format(file=self.file), "still.after_s": 1.0})
         self.texts: list[str] = []
         self.told: list[tuple[str, object, str]] = []
-        events = Events(self.resources.name)
+        events = Events(World(), self.resources.name)
         events.tell = self._tell  # type: ignore[method-assign,assignment]
         self.latch = Latch()
         self.held = False
-        self.aftermath = Aftermath(views | {layout.SUPERVISOR: own}, self.latch, settings, events, lambda: self.held)
+        self.aftermath = Aftermath(
+            World(), views | {layout.SUPERVISOR: own}, self.latch, settings, events, lambda: self.held
+        )
         self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
         self.now_ns = 100 * S
         self.epoch = 1

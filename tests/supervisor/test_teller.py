@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from failstop.procs.world import World
 from failstop.shm import layout, segment
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
 from failstop.shm.notes import Note
@@ -23,7 +24,7 @@ class Told(Events):
     """Keeps what is told."""
 
     def __init__(self) -> None:
-        super().__init__("x")
+        super().__init__(World(), "x")
         self.kinds: list[str] = []
         self.whole: list[tuple[str, str, object, str]] = []
 

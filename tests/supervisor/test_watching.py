@@ -413,7 +413,7 @@ def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open(watching
     assert missing(watching.supervisor) == "a stop being carried out", "answered for an older epoch only"
     watching.answers()
     assert missing(watching.supervisor) == ""
-    watching.supervisor.handover.lost({watching.port.fd: GONE})
+    watching.supervisor.handover.lost({watching.port.fd: GONE}, watching.now_ns)
     assert missing(watching.supervisor) == "the port"
 
 
@@ -620,7 +620,6 @@ class Ending(Watching):
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)
-        monkeypatch.setattr(main, "sleep", self.sleep)
         for name in BY_NAME:
             self.employ(name)
         self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
@@ -630,7 +629,7 @@ class Ending(Watching):
         self.events()
 
     def sleep(self, seconds: float) -> None:
-        self.now_ns += round(seconds * 1e9)
+        super().sleep(seconds)
         for beat in self.beats.values():
             beat.set(self.now_ns)
 

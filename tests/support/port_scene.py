@@ -28,7 +28,6 @@ class Scene(Stage):
         self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, open_port: bool = True, named: bool = True
     ) -> None:
         super().__init__(layout.PORT_OWNER, directory, open_port=open_port)
-        monkeypatch.setattr(main, "monotonic_ns", self.clock)
         if named:
             self.gate = self.start(layout.GATE)
         self.news = self.segment(layout.PORT_OWNER).ring_reader("stops")
@@ -46,12 +45,12 @@ class Scene(Stage):
             self.beat(layout.SUPERVISOR, layout.GATE)
         self.stays = self.owner.turn(self.owner.loop.wait(0))
         self.late = self.late + 1 if self.stays and self.next_ns() <= self.clock() else 0
-        assert self.late <= MOST_LATE, "a deadline was left behind: the loop would spin"
+        assert self.late <= MOST_LATE, "a timer was left behind: the loop would spin"
         return self._without_pings(self.pty.read() if self.pty.master >= 0 else b"")
 
     def next_ns(self) -> int:
         """When it turns without any news."""
-        return self.owner.loop.until_ns(self.clock(), main.TICK_NS)
+        return min(self.clock() + main.TICK_NS, self.owner.loop.due_ns())
 
     def _without_pings(self, wrote: bytes) -> bytes:
         """They have tests of their own; `asked` keeps their indices, in order."""

@@ -12,6 +12,7 @@ from typing import ClassVar
 from failstop.policy.settings import Settings
 from failstop.procs import handover
 from failstop.procs.handover import Control
+from failstop.procs.world import World
 from failstop.shm import bell, heartbeat, layout, records, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
@@ -98,6 +99,7 @@ class Stage:
         for spec in layout.SEGMENTS:
             segment.create(self.name, spec.name, INCARNATION).close()
         self.clock = Clock()
+        self.world = World(now_ns=self.clock)
         self.pty = Pty()
         self.settings = Settings({"device.path": self.pty.link, **self.changed})
         self.supervisor = Dummy()

@@ -17,6 +17,7 @@ from failstop.policy import causes
 from failstop.policy.reply import unpack
 from failstop.policy.settings import Settings
 from failstop.procs import rights
+from failstop.procs.world import World
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import children, main
@@ -39,7 +40,7 @@ class Scene:
     ) -> None:
         self.now_ns = 40_000 * MS
         self.late = 0
-        monkeypatch.setattr(main, "monotonic_ns", lambda: self.now_ns)
+        self.world = World(now_ns=lambda: self.now_ns, sleep=self.sleep)
         monkeypatch.setattr(rights, "take_rights", lambda priority: granted)
         self.master, slave = pty.openpty()
         tty.setraw(slave)
@@ -47,7 +48,7 @@ class Scene:
             os.set_blocking(fd, False)
         self.resources = Resources(f"a{os.getpid()}x{next(_numbers)}", str(directory))
         self.port = OwnPort(slave)
-        self.supervisor = Supervisor(self.resources, self.port, Settings(), None, journal)
+        self.supervisor = Supervisor(self.world, self.resources, self.port, Settings(), None, journal)
         memory = self.resources.memory
         self.port_owner = segment.attach(memory, layout.PORT_OWNER, write=True)
         self.gate = segment.attach(memory, layout.GATE, write=True)
@@ -63,6 +64,10 @@ class Scene:
         port = records.PORT.pack(1, self.now_ns, records.PORT_OPEN, "/dev/board")
         self.port_owner.latest_writer("port").write(port)
         self.answers(written_ns=self.now_ns - 10_000 * MS)
+
+    def sleep(self, seconds: float) -> None:
+        """The supervisor sleeps."""
+        self.now_ns += round(seconds * 1e9)
 
     def answers(self, *, written_ns: int = 0) -> None:
         """The port owner answers the epoch; `written_ns`: with a burst written then."""
@@ -85,7 +90,7 @@ class Scene:
         self.port_owner.word("beat_ns").set(self.now_ns)
         self.supervisor.turn(self.supervisor.loop.wait(0))
         self.late = self.late + 1 if self.next_ns() <= self.now_ns else 0
-        assert self.late <= MOST_LATE, "a deadline was left behind: the loop would spin"
+        assert self.late <= MOST_LATE, "a timer was left behind: the loop would spin"
         try:
             return os.read(self.master, 65536)
         except BlockingIOError:
@@ -93,7 +98,7 @@ class Scene:
 
     def next_ns(self) -> int:
         """When it turns without any news."""
-        return self.supervisor.loop.until_ns(self.now_ns, main.TICK_NS)
+        return min(self.now_ns + main.TICK_NS, self.supervisor.loop.due_ns())
 
     def events(self) -> list[dict[str, Any]]:
         """What people were told since the last call."""

@@ -14,8 +14,8 @@ import pytest
 
 from failstop.board import framing
 from failstop.policy.settings import Settings
-from failstop.procs.telemetry import main
 from failstop.procs.telemetry.main import Telemetry
+from failstop.procs.world import World
 from failstop.shm import layout, records, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
@@ -32,22 +32,13 @@ NOON = 1_773_662_400.0
 _numbers = itertools.count()
 
 
-class Wall:
-    """The wall clock as telemetry sees it."""
-
-    @staticmethod
-    def time() -> float:
-        return NOON
-
-
 class Scene:
     """Telemetry at work; `turn` moves the clock, publishes the gate's state and wakes it up."""
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch, **changed: object) -> None:
         self.instance = f"telemetry-{os.getpid()}-{next(_numbers)}"
         self.now_ns = 50_000 * S
-        monkeypatch.setattr(main, "monotonic_ns", lambda: self.now_ns)
-        monkeypatch.setattr(main, "time", Wall)
+        self.world = World(now_ns=lambda: self.now_ns, unix_s=lambda: NOON)
         for spec in layout.SEGMENTS:
             segment.create(self.instance, spec.name, INCARNATION).close()
         self.folder = directory / "state"

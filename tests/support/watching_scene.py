@@ -50,7 +50,7 @@ class Watching(Scene):
         self.now_ns += elapsed_ns
         self.supervisor.turn(self.supervisor.loop.wait(0))
         self.late = self.late + 1 if self.next_ns() <= self.now_ns else 0
-        assert self.late <= MOST_LATE, "a deadline was left behind: the loop would spin"
+        assert self.late <= MOST_LATE, "a timer was left behind: the loop would spin"
         try:
             return os.read(self.master, 65536)
         except OSError:  # nothing, or nobody has the port open any more

@@ -39,14 +39,14 @@ def gate(published: Published) -> GateState:
 
 def test_before_the_first_nothing_moves_or_is_latched(gate: GateState) -> None:
     assert not gate.read(10_000 * MS)
-    assert (gate.enabled, gate.latched, gate.moving) == (False, False, False)
+    assert (gate.enabled, gate.latched, gate.commanded) == (False, False, False)
 
 
 def test_a_state_is_news_once(gate: GateState, published: Published) -> None:
     published.put(100 * MS)
     assert gate.read(101 * MS)
     assert (gate.enabled, gate.latched, gate.velocity, gate.since_ns) == (True, False, (0.1, 0.0, -0.5), 100 * MS)
-    assert gate.moving
+    assert gate.commanded
     assert not gate.read(102 * MS)
 
 
@@ -54,7 +54,7 @@ def test_a_latch_is_any_reason(gate: GateState, published: Published) -> None:
     published.put(100 * MS, estop="", body_vel=[0, 0, 0])
     gate.read(100 * MS)
     assert gate.latched
-    assert not gate.moving
+    assert not gate.commanded
 
 
 def test_a_gate_silent_for_250_ms_moves_nothing(gate: GateState, published: Published) -> None:
@@ -62,12 +62,12 @@ def test_a_gate_silent_for_250_ms_moves_nothing(gate: GateState, published: Publ
     gate.read(100 * MS)
     assert not gate.read(350 * MS)
     assert gate.read(350 * MS + 1)
-    assert (gate.moving, gate.enabled) == (False, False)
+    assert (gate.commanded, gate.enabled) == (False, False)
     assert gate.since_ns == 350 * MS + 1
     assert not gate.read(400 * MS), "told once"
     published.put(500 * MS)
     assert gate.read(500 * MS)
-    assert gate.moving
+    assert gate.commanded
 
 
 def test_a_gate_silent_at_rest_enables_nothing(gate: GateState, published: Published) -> None:
@@ -75,13 +75,13 @@ def test_a_gate_silent_at_rest_enables_nothing(gate: GateState, published: Publi
     gate.read(100 * MS)
     assert gate.enabled
     assert gate.read(350 * MS + 1)
-    assert (gate.moving, gate.enabled) == (False, False)
+    assert (gate.commanded, gate.enabled) == (False, False)
 
 
 def test_what_a_dead_gate_left_is_old_at_once(gate: GateState, published: Published) -> None:
     published.put(100 * MS)
     assert gate.read(900 * MS)
-    assert not gate.moving
+    assert not gate.commanded
 
 
 @pytest.mark.parametrize("payload", [b"", b"\xc1", msgpack.packb(7), msgpack.packb({"enabled": True})])
@@ -90,4 +90,4 @@ def test_what_is_no_state_changes_nothing(gate: GateState, published: Published,
     gate.read(100 * MS)
     published.raw(110 * MS, payload)
     assert not gate.read(110 * MS)
-    assert gate.moving
+    assert gate.commanded

@@ -1,6 +1,6 @@
-"""The arm's part of the gate's loop: clients' goals and requests in, frames and answers out.
+"""The arm's part of the gate's loop: clients' goals and requests in, frames and replies out.
 
-A request that takes time is answered more than once: how far it is (records.UNDER_WAY), and in the end DONE or REFUSED.
+A request that takes time has more than one reply: how far it is (records.UNDER_WAY), and in the end DONE or REFUSED.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from failstop.procs.context import Context
     from failstop.procs.gate.clients import Slot
     from failstop.procs.gate.core import GateCore
-    from failstop.procs.loop import Deadline
+    from failstop.procs.loop import Timer
 
     class End(Protocol):
         """What is done at the end of a journey."""
@@ -78,7 +78,7 @@ class Waiter:
 class Arm:
     """The arm of a gate whose robot has one."""
 
-    def __init__(self, owner: Owner, context: Context, due: Deadline, now_ns: int) -> None:
+    def __init__(self, owner: Owner, context: Context, due: Timer, now_ns: int) -> None:
         """`due`: when to turn without any news."""
         self.core = ArmCore(context.settings, now_ns)
         self._owner = owner
