@@ -192,13 +192,14 @@ def seconds(scene: Scene, count: int, seed: int) -> list[stats.Row]:
     ]
 
 
-def latency(scene: Scene, seconds_s: float) -> stats.Row:
+def latency(scene: Scene, seconds_s: float, carriers: Carriers) -> stats.Row:
     """From the publisher to the motor frame, against an empty callback of rclpy's in the same run."""
     listener = Node("listener")
     listener.ask("listen")
     scene.moving()
     wait_for("the listener to hear commands", lambda: listener.ask("told"), LEASE_S)
     scene.trial.board.events()
+    carriers.first()
     progress(f"latency, {seconds_s:g} s")
     arrivals = _changes(scene, seconds_s)
     empty = [int(word) for word in listener.ask("told").split()]
@@ -279,9 +280,10 @@ def measure(arguments: argparse.Namespace) -> Iterator[stats.Row]:
     """Every row."""
     with contextlib.ExitStack() as rest:
         scene = Scene(rest)
+        carriers = rest.enter_context(Carriers())
         yield from cost(scene, arguments.seconds)
-        yield latency(scene, arguments.seconds)
-        yield kills(scene, arguments.kills, rest.enter_context(Carriers()))
+        yield latency(scene, arguments.seconds, carriers)
+        yield kills(scene, arguments.kills, carriers)
         yield hangs(scene, arguments.hangs)
         yield starts(scene)
         yield from seconds(scene, arguments.count, arguments.seed)

@@ -21,7 +21,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     subprocess.run(
         [sys.executable, "-m", "build", "--outdir", str(out), str(ROOT)], check=True, capture_output=True, timeout=280
     )
-    build = [sys.executable, "-m", "build", "--outdir", str(out / "lab"), str(ROOT / "packaging" / "lab")]
+    build = [sys.executable, "-m", "build", "--wheel", "--outdir", str(out / "lab"), str(ROOT / "packaging" / "lab")]
     subprocess.run(build, check=True, capture_output=True, timeout=280)
     return out
 

@@ -217,11 +217,12 @@ class Scene:
     def __init__(self, ros: Ros, name: str, *words: str, settings: str = "") -> None:
         self.ros = ros
         options: tuple[str, ...] = ()
+        self._settings = ""
         if settings:
-            self._settings = tempfile.NamedTemporaryFile("w", suffix=".toml")  # noqa: SIM115
-            self._settings.write(settings)
-            self._settings.flush()
-            options = ("--config", self._settings.name)
+            fd, self._settings = tempfile.mkstemp(suffix=".toml")
+            with open(fd, "w") as file:
+                file.write(settings)
+            options = ("--config", self._settings)
         self.trial = Trial(name, options)
         self.words = words
         self.nodes: list[Node] = []
@@ -247,6 +248,9 @@ class Scene:
         if hasattr(self, "bridge"):
             self.bridge.close()
         self.trial.close()
+        if self._settings:
+            os.unlink(self._settings)
+            self._settings = ""
 
     def node(self, name: str, *words: str) -> Node:
         """Another node; it ends with the scene."""
