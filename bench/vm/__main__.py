@@ -109,7 +109,7 @@ def outside(machine: Guest, names: list[str], run: Run) -> None:
         for name in names:
             try:
                 found = DO[name](scene)
-            except (TrialError, SimBoardError) as error:
+            except (TrialError, SimBoardError, GuestError) as error:
                 found = Result(name, wrong=[str(error)])
             for one in found if isinstance(found, list) else [found]:
                 run.add(one)
