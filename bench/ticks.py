@@ -59,14 +59,23 @@ def phase_ns(arrivals: Sequence[int], period_ns: int) -> int | None:
     return (most * width_ns + int(np.median(heap[heap < 2 * width_ns]))) % period_ns
 
 
+def _first_phase_ns(end_ns: int, arrivals: Sequence[int], period_ns: int) -> int | None:
+    """The phase of the first time of ALIGN_NS that shows one: where the machine was busy, frames come at any time."""
+    for begin_ns in range(arrivals[0], end_ns - ALIGN_NS + 1, ALIGN_NS):
+        window = arrivals[bisect_left(arrivals, begin_ns) : bisect_left(arrivals, begin_ns + ALIGN_NS)]
+        if window and (found := phase_ns(window, period_ns)) is not None:
+            return found
+    return None
+
+
 def lateness_ns(end_ns: int, arrivals: Sequence[int], period_ns: int) -> list[int]:
     """How late each tick of a stretch was; one that never came counts up to the stretch's end. Empty for a stretch that
     is too short to see a phase in.
 
     A tick later than half a period moves all that follow it: the gate leaves out what it has missed.
     """
-    first = phase_ns(arrivals[: bisect_left(arrivals, arrivals[0] + ALIGN_NS)], period_ns)
-    if first is None or end_ns - arrivals[0] < ALIGN_NS:
+    first = _first_phase_ns(end_ns, arrivals, period_ns)
+    if first is None:
         return []
     late: list[int] = []
     place_ns = steady_ns = arrivals[0] + (first - arrivals[0]) % period_ns

@@ -75,6 +75,15 @@ def test_late_ticks_are_found_as_late_as_they_were(late_ms: int) -> None:
     assert found[-5] < 1 * MS, "the ticks after a late one are none themselves"
 
 
+def test_a_busy_first_second_does_not_hide_the_rest() -> None:
+    dice = random.Random(3)
+    busy = {number: dice.randrange(1, 9) * MS for number in range(50)}
+    late = {**busy, 300: 12 * MS}
+    found = lateness(*drive(20.0, late))
+    assert len(found) == pytest.approx(1000, abs=5)
+    assert [round(ns / MS) for ns in sorted(found)[-1:]] == pytest.approx([12], abs=1)
+
+
 def test_a_stop_ends_the_account_and_counts_as_the_tick_that_did_not_come() -> None:
     events, commands = drive(4.0, {})
     cut_ns = events[0].arrival_ns + 2 * 10**9
