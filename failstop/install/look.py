@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import os
 
-from failstop.board import discovery
+from failstop import discovery
 from failstop.fleet.settings import KEY_PLACE, PLACE
 from failstop.install import machine, tree
 from failstop.install.extras import EXTRAS

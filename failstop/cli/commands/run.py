@@ -109,7 +109,7 @@ def _others(error: PortError | None) -> str:
     """The serial devices that are there, when the one that was asked for is not."""
     if error is None or error.kind != "absent":
         return ""
-    from failstop.board import discovery
+    from failstop import discovery
 
     found = ", ".join(f"{path} ({what})" for path, what in discovery.candidates())
     return f"; here there is {found}" if found else ""
