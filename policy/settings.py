@@ -1,6 +1,6 @@
 """Settings: every setting declared once, with its default, unit, range and meaning.
 
-The supervisor reads and checks them once (config.py) and hands them to the processes as `key=value` lines. Command
+`failstop run` reads and checks them once (failstop/config.py); the processes get them as `key=value` lines. Command
 sources, interlocks and an arm's joints are tables with a name of the user's: [sources.NAME], [interlocks.NAME],
 [joints.NAME]. One source is always there, cmd_vel.
 """

@@ -9,7 +9,7 @@ import os
 import select
 
 from failstop.policy import causes
-from failstop.shm import instance, layout, news, packing
+from failstop.shm import instance, layout, packing
 from failstop.shm.records import cut
 from failstop.supervisor.allowance import ASKED_BYTES, OWN_BYTES, Allowance
 from failstop.supervisor.fold import PREFIX, fitted
@@ -103,7 +103,7 @@ class Events:
         for told in waiting:
             self._send(*told)
         if waiting and self._published >= 0:
-            news.touch(self._published)
+            instance.touch(self._published)
 
     def _send(self, t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value]) -> None:
         """To everybody, unless there was too much of its sort."""

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.api.way import on_the_way
 from failstop.policy.capsules import CHASSIS, FLOOR, Model, _apart_squared
 from failstop.policy.settings import Settings
 
@@ -42,8 +43,8 @@ def test_the_way_is_looked_at_and_not_only_its_end() -> None:
     there = {"shoulder": -1.9, "elbow": 0.0, "hand": 0.0}
     assert MODEL.hit({"shoulder": 1.2}) is None
     begun = {"base": 0.0, "shoulder": 1.2, "elbow": 0.0, "hand": 0.0}
-    assert MODEL.on_the_way(begun, [(2.0, {"shoulder": 0.0})]) is None
-    found = MODEL.on_the_way({**begun, "shoulder": 0.0}, [(2.0, {"shoulder": 3.0}), (4.0, there)])
+    assert on_the_way(MODEL, begun, [(2.0, {"shoulder": 0.0})]) is None
+    found = on_the_way(MODEL, {**begun, "shoulder": 0.0}, [(2.0, {"shoulder": 3.0}), (4.0, there)])
     assert found is not None
     assert 1.0 < found[0] < 2.0
     assert found[2] == CHASSIS or found[2] == FLOOR
