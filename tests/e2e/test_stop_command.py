@@ -14,12 +14,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from failstop import config
+from failstop import config, instances
 from failstop.board.burst import BURST
 from failstop.board.port import PortError
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
-from failstop.shm import instance, root
+from failstop.shm import root
 from failstop.stopping import rest, tool
 from tests.support.commands import FAILSTOP, failstop
 
@@ -139,7 +139,7 @@ def test_whatever_goes_wrong_with_a_service_the_port_is_written_to(
     def fails(_: str) -> bool:
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr(instance, "listens", fails)
+    monkeypatch.setattr(instances, "listens", fails)
     assert cli.main(["stop"]) == 0
     assert len(asked) == 1
     assert "no service can be asked (a defect): writing to the port itself" in capsys.readouterr().err
