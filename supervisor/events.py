@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
     from failstop.procs.world import World
     from failstop.shm.ring import RingWriter
-    from failstop.supervisor.journal import Journal, Value
+    from failstop.supervisor.datagram import Outbox
+    from failstop.supervisor.journal import Value
 
     Told = tuple[int, float, str, str, str, dict[str, Value]]
     Sort = tuple[str, str, bool]
@@ -56,7 +57,7 @@ class Events:
         world: World,
         name: str,
         ring: RingWriter | None = None,
-        journal: Journal | None = None,
+        journal: Outbox | None = None,
         published: int = -1,
     ) -> None:
         """`name`: the instance's; `published`: the descriptor of its run's file, by which whoever waits is woken."""

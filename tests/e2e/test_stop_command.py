@@ -19,7 +19,7 @@ from failstop.board.burst import BURST
 from failstop.board.port import PortError
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
-from failstop.shm import root
+from failstop.shm import instance, root
 from failstop.stopping import rest, tool
 from tests.support.commands import FAILSTOP, failstop
 
