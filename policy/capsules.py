@@ -63,11 +63,6 @@ class Model:
                 found = min(found, (_gap_m(link, other), name, other[0]))
         return found
 
-    def hit(self, angles: dict[str, float]) -> tuple[str, str] | None:
-        """The pair that touches in these angles; None: none does."""
-        gap_m, name, other = self.nearest(angles)
-        return (name, other) if gap_m < 0.0 else None
-
 
 def would_hit(name: str, other: str, when: str = "") -> str:
     """In words."""
