@@ -8,7 +8,7 @@ import sys
 from importlib.util import find_spec
 
 from failstop.api.errors import Refused
-from failstop.board.discovery import LINK
+from failstop.discovery import LINK
 from failstop.fleet.broker import EXTRA
 from failstop.install import InstallError, dialogue, look, parts, plan, tree
 from failstop.install.do import Doer
