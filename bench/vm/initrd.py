@@ -5,7 +5,6 @@ Debian's own takes the guest four seconds more, with udev; what is tried begins 
 
 from __future__ import annotations
 
-import lzma
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -72,10 +71,3 @@ def _entry(name: str, mode: int, data: bytes = b"", device: tuple[int, int] = (0
 
 def _padded(data: bytes) -> bytes:
     return data + bytes(-len(data) % 4)
-
-
-def unpacked(kernel: bytes) -> bytes:
-    """The kernel's ELF file in a bzImage, which qemu starts without unpacking it in the guest; where it is not packed
-    by xz, the bzImage."""
-    at = kernel.find(b"\xfd7zXZ\0")
-    return kernel if at < 0 else lzma.LZMADecompressor().decompress(kernel[at:])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import lzma
 import os
 import pty
 import subprocess
@@ -204,8 +203,3 @@ def test_the_initrd_is_an_archive_that_loads_mounts_and_hands_over(tmp_path: Pat
     script = found["init"][1].decode().splitlines()
     assert script[:2] == ["#!/bin/sh", "insmod /modules/virtio_pci.ko"]
     assert script[-1].startswith("exec run-init /root /sbin/init ")
-
-
-def test_a_kernel_is_unpacked_where_xz_has_packed_it() -> None:
-    assert initrd.unpacked(b"head" + lzma.compress(b"ELF") + b"tail") == b"ELF"
-    assert initrd.unpacked(b"packed by something else") == b"packed by something else"
