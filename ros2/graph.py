@@ -26,8 +26,6 @@ class Graph:
         )
         self._shared = shared
         self._lock = threading.Lock()
-        self.asked_ns = 0
-        """When it was asked last."""
         self.commanders = commanders
 
     def publishers(self, topic: str) -> list[Publisher]:
@@ -42,7 +40,6 @@ class Graph:
             if commanders.wants_look(count, now_ns):
                 commanders.look(self.publishers(self._topic), now_ns)
             commanders.counted(count, now_ns)
-            self.asked_ns = now_ns
             cause = commanders.cause(now_ns)
             state = self._shared.state
             due = commanders.due(cause, state is not None and state.estop is not None, now_ns)

@@ -24,10 +24,9 @@ from failstop.ros2.scan import ScanLog
 from failstop.ros2.shared import Shared
 from failstop.ros2.stencil import Stencil, serializer
 
-PERIOD_S = 0.009
-"""IMU samples come every 9 ms."""
-WATCH_NS = 11_000_000
-"""The graph is asked at the first wake-up after this long, whoever asked it last: 50 times a second."""
+PERIOD_S = 0.018
+"""Two IMU samples, each with its own time, less than the 20 ms between two odometries: to wake up costs more than to
+publish."""
 CLOCK_NS = 100_000_000
 """How often the time of ROS is compared with this machine's: it may be a simulator's, or be set."""
 LEAST_NS = 1000
@@ -129,8 +128,7 @@ class Outward:
                 self._sample(sample)
         except FailstopError as error:
             self._lost(error)
-        if now_ns - self._graph.asked_ns >= WATCH_NS:
-            self._graph.ask(self._link, now_ns)
+        self._graph.ask(self._link, now_ns)
         if now_ns - self._report_ns >= REPORT_NS:
             self._report_ns = max(self._report_ns + REPORT_NS, now_ns - REPORT_NS // 2)
             self._follow(now_ns, due=True)
