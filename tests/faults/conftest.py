@@ -10,7 +10,7 @@ import pytest
 from failstop.lab.faults.scene import Scene
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def scene() -> Iterator[Scene]:
     """Board, service and driving client of a campaign."""
     with Scene(f"faults-{os.getpid()}") as found:

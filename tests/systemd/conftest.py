@@ -10,7 +10,7 @@ from bench.container import ContainerMissing
 from bench.service_scene import HARDY, UNIT, Scene
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def shared_scene() -> Iterator[Scene]:
     """One container and board for all tests: each starts and ends the service itself."""
     try:

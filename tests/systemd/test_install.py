@@ -97,6 +97,8 @@ def module_place() -> Iterator[Place]:
             except ContainerMissing as reason:
                 pytest.skip(str(reason))
             with box:
+                # No index of every manual page of the machine after each installation.
+                box.path("/var/lib/man-db/auto-update").unlink(missing_ok=True)
                 yield Place(box, board, directory / "packages")
 
 
