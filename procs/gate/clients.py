@@ -47,25 +47,26 @@ def seen(reader: LatestReader) -> int:
 class Inbox:
     """One record of a slot."""
 
-    __slots__ = ("_reader", "_seq", "_unpack")
+    __slots__ = ("_read", "_seq", "_unpack")
 
     def __init__(self, segment: Segment, name: str, unpack: Callable[[bytes], tuple[Any, ...]]) -> None:
-        self._reader = segment.latest_reader(name)
+        self._read = segment.latest_reader(name).read
         self._unpack = unpack
         self._seq = 0
 
     def begin(self, *, after: bool) -> None:
         """What comes from now on is new, and `after`: what is there is not."""
-        self._seq = seen(self._reader) if after else 0
+        entry = self._read() if after else None
+        self._seq = entry[0] if entry else 0
 
     def of(self, session: int) -> tuple[Any, ...] | None:
         """When it was written and its values, when it is whole and of this session."""
-        entry = self._reader.read()
+        entry = self._read()
         return self._believed(entry, session) if entry else None
 
     def new(self, session: int) -> tuple[Any, ...] | None:
         """The same, once."""
-        entry = self._reader.read()
+        entry = self._read()
         if entry is None or entry[0] == self._seq:
             return None
         self._seq = entry[0]

@@ -57,7 +57,7 @@ class ArmCore:
         self._space = Space(settings, self.joints)
         self.journey: Journey | None = None
         self._goals: dict[str, Goal] = {}
-        self._slots: list[tuple[int, list[Joint]]] = []
+        self._schedule: list[tuple[int, list[Joint]]] = []
         """When each frame's joints are due, the next first."""
         self._streaming: list[Joint] = []
         self._load_ns = self._apart_ns = 0
@@ -169,7 +169,7 @@ class ArmCore:
     def _end_stream(self) -> None:
         for joint in self._streaming:
             joint.forget()
-        self._streaming, self._slots = [], []
+        self._streaming, self._schedule = [], []
 
     def client_gone(self, session: int) -> bool:
         """A client has gone; True when it moved the arm, which is to be held."""
@@ -229,8 +229,8 @@ class ArmCore:
 
     def due_ns(self) -> int:
         """When to step again."""
-        if self._slots:
-            return max(self._slots[0][0], self._apart_ns)
+        if self._schedule:
+            return max(self._schedule[0][0], self._apart_ns)
         return min(self._load_ns, self._reader.due_ns()) if self._load_ns else self._reader.due_ns()
 
     def _end_stale(self, now_ns: int) -> bool:
@@ -325,19 +325,19 @@ class ArmCore:
         self._blocked.clear()
         groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]
         step_ns = self._period_ns // len(groups)
-        self._slots = [(now_ns + index * step_ns, group) for index, group in enumerate(groups)]
+        self._schedule = [(now_ns + index * step_ns, group) for index, group in enumerate(groups)]
         for joint in joints:
             joint.velocity, joint.stepped_ns = 0.0, 0
 
     def _move(self, now_ns: int) -> bytes | None:
         """The moves that are due; None: the arm is to be held, since its journey would hit something."""
-        due_ns, group = self._slots[0]
+        due_ns, group = self._schedule[0]
         if now_ns < max(due_ns, self._apart_ns):
             return b""
         self._apart_ns = now_ns + MOVES_APART_NS
         # From when it was due, so that a late wake-up shifts one frame and not all that follow.
         again_ns = due_ns + self._period_ns
-        self._slots = [*self._slots[1:], (again_ns if again_ns > now_ns else now_ns + self._period_ns, group)]
+        self._schedule = [*self._schedule[1:], (again_ns if again_ns > now_ns else now_ns + self._period_ns, group)]
         journey = self.way
         targets = self._targets(journey, now_ns + self._period_ns)
         before = [joint.position for joint in group]
