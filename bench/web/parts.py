@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from failstop.lab.trial import TrialError, wait_for
+from failstop.web import control
 
 HEADERS = {"X-Failstop": "1"}
 TIMEOUT_S = 30.0
@@ -98,13 +99,12 @@ class Web:
         return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=self.environment)
 
     def code(self) -> str:
-        """A new code of `failstop web pair`."""
-        said = self.command("pair").stdout
-        return next(line.split()[1] for line in said.splitlines() if line.startswith("code"))
+        """A new code, as `failstop web pair` asks for it."""
+        return str(control.ask(self.name, self.environment, "POST", "/pair")["code"])
 
-    def pair(self, name: str = "Anna's phone") -> dict[str, str]:
+    def pair(self, name: str = "Anna's phone", code: str = "") -> dict[str, str]:
         """The headers of a device that is paired."""
-        status, headers, content = self.ask("POST", "/api/pair", {"code": self.code(), "name": name})
+        status, headers, content = self.ask("POST", "/api/pair", {"code": code or self.code(), "name": name})
         assert status == 200, content
         return {"Cookie": headers["set-cookie"].partition(";")[0]}
 

@@ -37,10 +37,38 @@ def trial(settings: str) -> Iterator[Trial]:
         yield running
 
 
+@pytest.fixture(scope="module")
+def pages(trial: Trial, settings: str) -> Iterator[list[Web]]:
+    """Those that run: one for all tests, and another after a test that ends it."""
+    running: list[Web] = []
+    yield running
+    for page in running:
+        page.close()
+
+
 @pytest.fixture
-def web(trial: Trial, settings: str) -> Iterator[Web]:
-    with Web(trial.name, "--config", settings, state=trial.state) as running:
-        yield running
+def web(trial: Trial, settings: str, pages: list[Web]) -> Iterator[Web]:
+    if not pages:
+        pages.append(Web(trial.name, "--config", settings, state=trial.state))
+    yield pages[0]
+    if pages[0].process.poll() is None:
+        pages[0].process.send_signal(signal.SIGCONT)
+    else:
+        pages.pop().close()
+
+
+@pytest.fixture
+def anna(web: Web, paired: dict[Web, dict[str, str]]) -> dict[str, str]:
+    """The headers of a device that is paired with this page."""
+    if web not in paired:
+        paired[web] = web.pair()
+    return paired[web]
+
+
+@pytest.fixture(scope="module")
+def paired() -> dict[Web, dict[str, str]]:
+    """By page: one pairs five devices at once, and no more."""
+    return {}
 
 
 @contextlib.contextmanager
@@ -169,19 +197,23 @@ SLOW: list[tuple[str, Ends]] = [
 
 @pytest.mark.page
 @pytest.mark.parametrize(("name", "end"), SUDDEN, ids=[name for name, _ in SUDDEN])
-def test_an_end_that_is_seen_counts_at_once(trial: Trial, web: Web, name: str, end: Ends) -> None:
-    with driven(trial), Viewer(web, web.pair()) as viewer:
+def test_an_end_that_is_seen_counts_at_once(trial: Trial, web: Web, anna: dict[str, str], name: str, end: Ends) -> None:
+    with driven(trial), Viewer(web, anna) as viewer:
         moving(trial, viewer)
         since_ns = time.monotonic_ns()
         end(web, viewer)
         with contextlib.suppress(ConnectionError):
             viewer.next()
         assert stopped(trial, since_ns, "operator gone: Anna's phone, ") < LEASE_S + LATE_S
+    if name.startswith("page-"):
+        web.process.wait(10)
 
 
 @pytest.mark.parametrize(("name", "end"), SLOW, ids=[name for name, _ in SLOW])
-def test_an_end_that_nobody_sees_counts_when_the_lease_ends(trial: Trial, web: Web, name: str, end: Ends) -> None:
-    with driven(trial), Viewer(web, web.pair()) as viewer:
+def test_an_end_that_nobody_sees_counts_when_the_lease_ends(
+    trial: Trial, web: Web, anna: dict[str, str], name: str, end: Ends
+) -> None:
+    with driven(trial), Viewer(web, anna) as viewer:
         moving(trial, viewer)
         since_ns = time.monotonic_ns()
         end(web, viewer)
@@ -190,9 +222,9 @@ def test_an_end_that_nobody_sees_counts_when_the_lease_ends(trial: Trial, web: W
 
 
 @pytest.mark.page
-def test_a_backlog_and_replays_renew_nothing(trial: Trial, web: Web) -> None:
+def test_a_backlog_and_replays_renew_nothing(trial: Trial, web: Web, anna: dict[str, str]) -> None:
     """What a network held back comes all at once, right and in order; and what was taken once, again."""
-    with Viewer(web, web.pair()) as viewer:
+    with Viewer(web, anna) as viewer:
         viewer.attend()
         wait_for("the operator", lambda: trial.robot.state.attended_by)
         held_back: list[str] = []
@@ -210,9 +242,8 @@ def test_a_backlog_and_replays_renew_nothing(trial: Trial, web: Web) -> None:
         wait_for("the operator", lambda: viewer.stay(0.05) or trial.robot.state.attended_by)
 
 
-def test_a_wrong_key_renews_nothing(trial: Trial, web: Web) -> None:
-    headers = web.pair()
-    with Viewer(web, headers) as viewer:
+def test_a_wrong_key_renews_nothing(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    with Viewer(web, anna) as viewer:
         viewer.send(attend=True)
         for _ in range(10):
             if nonce := viewer.next().get("nonce"):
