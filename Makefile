@@ -69,12 +69,12 @@ vm: $(VENV)/.dev
 # What is made from tables of the code: tests compare each with its table.
 docs: $(VENV)/.installed
 	$(BIN)/failstop config --example > examples/failstop.toml
-	$(BIN)/failstop config --markdown > docs/configuration.md
-	$(BIN)/python -m failstop.cli.manual > man/failstop.1
-	$(BIN)/python -m failstop.cli.manual causes > docs/causes.md
+	$(BIN)/python -m failstop.lab.pages settings > docs/configuration.md
+	$(BIN)/python -m failstop.lab.pages man > systemd/failstop.1
+	$(BIN)/python -m failstop.lab.pages causes > docs/causes.md
 	$(BIN)/python packaging/reference.py > docs/python-reference.md
-	$(BIN)/python -m failstop.cli.catalog systemd/failstop.catalog
-	$(BIN)/python -m failstop.cli.catalog docs/journal.md
+	$(BIN)/python -m failstop.lab.pages.catalog systemd/failstop.catalog
+	$(BIN)/python -m failstop.lab.pages.catalog docs/journal.md
 	$(BIN)/python -m failstop.ros2.page docs/ros2.md
 	$(BIN)/python -m failstop.fleet.page docs/fleet.md
 

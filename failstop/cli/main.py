@@ -131,7 +131,7 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     is shown at the end of its help. Raises FailstopError when the command is not installed."""
     import argparse
 
-    from failstop.cli.manual.shape import EXAMPLES, Shape
+    from failstop.cli.shape import EXAMPLES, Shape
 
     home, what = COMMANDS[name]
     if not here(name):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from failstop.incidents import outcome
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE, Line, within
 
@@ -75,7 +74,7 @@ def _key(line: Line) -> str:
 def _shorter(incident: Incident, line: Line) -> str:
     """In one row of a terminal, if that can be."""
     if line.what == CAUSE:
-        return outcome.short(incident.cause)
+        return incident.why
     if line.what == "command":
         return f"{line.text.rpartition(' as ')[0]} commands"
     if line.what == "gate":

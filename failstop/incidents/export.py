@@ -38,6 +38,7 @@ def save(incident: Incident, path: str) -> int:
         from mcap_ros2.writer import Writer
     except ImportError:
         raise IncidentError(NEEDS) from None
+    incident.check_layout()
     found = sorted(_messages(incident), key=lambda message: message[0])
     made = BytesIO()
     writer: Any = Writer(made)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import msgpack
 
-from failstop.incidents import file
+from failstop.incidents import file, outcome
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.shm import box, layout, records
@@ -113,6 +113,9 @@ class Incident:
         self.settings: dict[str, str] = body["settings"]
         self.machine: dict[str, Any] = body["machine"]
         self._segments: dict[str, Any] = body["segments"]
+        self.foreign = head["layout"] != layout.LAYOUT_VERSION
+        """Saved by a version that laid its records out otherwise: the head and the events, which name their parts, are
+        read, and nothing else."""
         self.undecoded = 0
 
     @classmethod
@@ -120,14 +123,22 @@ class Incident:
         """Raises IncidentError."""
         head, body = file.read(path)
         try:
-            if head["layout"] != layout.LAYOUT_VERSION:
-                raise file.IncidentError(
-                    f"{path} is of failstop {head['versions']['failstop']}, whose records are laid out otherwise: "
-                    "use that version to read it"
-                )
             return cls(os.path.basename(path).removesuffix(file.SUFFIX), head, body)
         except (KeyError, TypeError) as error:
             raise file.IncidentError(f"{path} is no incident as failstop writes them ({error!r})") from None
+
+    @property
+    def why(self) -> str:
+        """The reason without who asked for it; as the file has it, where this version knows no such cause."""
+        return self.reason if self.cause.kind is causes.UNKNOWN else outcome.short(self.cause)
+
+    def check_layout(self) -> None:
+        """Raise IncidentError for one whose records this version can't read."""
+        if self.foreign:
+            raise file.IncidentError(
+                f"{self.id} is of failstop {self.head['versions']['failstop']}, whose records are laid out otherwise: "
+                "use that version for this; `failstop incident show` has what was told"
+            )
 
     def ms(self, ns: int) -> float:
         """Milliseconds from the cause."""
@@ -164,7 +175,7 @@ class Incident:
             return None
 
     def _entries(self, segment: str, name: str, decode: Callable[[bytes], Payload]) -> Iterator[tuple[int, Payload]]:
-        for _, ns, payload in self._ring(segment, name):
+        for _, ns, payload in () if self.foreign and decode not in (_map, _event) else self._ring(segment, name):
             if (found := self._decoded(decode, payload)) is not None:
                 yield ns, found
 

@@ -63,6 +63,7 @@ def save(incident: Incident, path: str, seconds: float) -> None:
         from matplotlib.figure import Figure
     except ImportError:
         raise IncidentError(NEEDS) from None
+    incident.check_layout()
     with rc_context(STYLE):
         events = _chosen(incident, seconds)
         arm_in = ARM_IN if signals.joint_tracks(incident) else 0.0

@@ -8,7 +8,7 @@ from typing import Any
 
 from failstop.api.words import span, took
 from failstop.cli.style import DIM, FAIL, STRONG, WARN, cut, paint
-from failstop.incidents import brief, outcome, signals, story
+from failstop.incidents import brief, signals, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE, Line
 from failstop.policy import causes
@@ -139,7 +139,7 @@ def _head(incident: Incident, columns: int, now_s: float) -> list[str]:
     asked_by = f"{who['who']} (pid {who['pid']})" if who else ""
     ago = f", {span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
     rows: list[Fact] = [
-        ("why", outcome.short(incident.cause), FAIL),
+        ("why", incident.why, FAIL),
         ("when", f'{when(head["t"])}{ago}; service "{head["name"]}" on {head["host"]}', ""),
         ("before", _before(incident), ""),
         ("noticed", _noticed(incident, asked_by), ""),
@@ -147,6 +147,9 @@ def _head(incident: Incident, columns: int, now_s: float) -> list[str]:
     ]
     if head["kind"] == "left":
         rows.append(("note", "The supervisor was gone: saved at the next start from what its run had left.", WARN))
+    if incident.foreign:
+        by = f"Of failstop {head['versions']['failstop']}, which laid its records out otherwise"
+        rows.append(("note", f"{by}: what was told, no more.", WARN))
     if incident.undecoded:
         rows.append(("damaged", f"{incident.undecoded} records could not be decoded", WARN))
     return [f"{paint('Incident', STRONG)} {paint(incident.id, STRONG)}", *_facts(rows, columns)]

@@ -1,5 +1,5 @@
 """What this version of failstop brings to a machine: the files of the folder systemd/, and generated texts: an example
-configuration, the manual, completion for the shells."""
+configuration, completion for the shells."""
 
 from __future__ import annotations
 
@@ -47,7 +47,6 @@ class Parts:
 def of_this_version() -> Parts:
     """The parts of the running failstop. Raises InstallError when its files are not there."""
     from failstop.cli.commands import completion, config
-    from failstop.cli.manual import man
     from failstop.fleet import settings
 
     return Parts(
@@ -57,7 +56,7 @@ def of_this_version() -> Parts:
         _text("failstop.udev"),
         _text("failstop.catalog"),
         config.example(),
-        man.page(),
+        _text("failstop.1"),
         {shell: completion.script(shell) for shell in completion.SHELLS},
         _text("failstop-ros2.service"),
         _text("failstop-fleet.service"),

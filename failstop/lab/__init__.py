@@ -1,1 +1,1 @@
-"""What breaks a robot on purpose: simulated board, fault table, campaigns, stand test. A robot needs none of it."""
+"""What breaks a robot on purpose: simulated board, fault table, campaigns, stand test; and what makes the pages."""

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from failstop.incidents import file
+from failstop.incidents import brief, export, file, plot, report, story
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
 from failstop.incidents.prune import prune
 from tests.support.imports import FORBIDDEN, imported
-from tests.support.incident_parts import Recorder, drive_and_die
+from tests.support.incident_parts import drive_and_die
 
 HEAD = {"name": "failstop", "t": 1.5}
+KEPT = Path(__file__).parent / "kept" / "0.1.0-gate-died.incident"
 BODY = {"segments": {"gate": {"rings": {"box": [[1, 2, b"\0\xff"]]}}}}
 
 
@@ -91,16 +93,43 @@ def test_records_that_make_no_sense_are_left_out_and_counted() -> None:
     assert incident.undecoded == 3
 
 
-def test_an_incident_of_another_layout_names_the_version_that_reads_it(tmp_path: Path) -> None:
-    made = Recorder()
-    head = {**made.head(), "layout": 1}
-    path = file.write(str(tmp_path), "old", file.build(head, made.body()))
-    with pytest.raises(IncidentError, match=r"of failstop 0\.1\.0, whose records are laid out otherwise"):
-        Incident.read(path)
+def test_an_incident_of_another_layout_tells_what_was_told(tmp_path: Path) -> None:
+    """Its records are not guessed at, though some might decode to numbers."""
+    made = drive_and_die()
+    other = {"layout": 1, "reason": "the mast fell", "cause": {"name": "MAST_FELL"}}
+    path = file.write(str(tmp_path), "old", file.build({**made.head(), **other}, made.body()))
+    found = Incident.read(path)
+    assert (found.ticks, found.writes, found.imu, found.beats, found.stops, found.undecoded) == ([], [], [], [], [], 0)
+    assert [event.kind for event in found.events] == ["enabled", "stop", "died"]
+    for whole in (False, True):
+        tell = report.text if whole else report.summary
+        text = "\n".join(tell(found, 200, found.cause_ns - 10**10, found.head["t"]))
+        assert re.search(r"^  why +the mast fell$", text, re.M)
+        assert "Of failstop 0.1.0, which laid its records out otherwise" in text
+        assert "gate (pid 102) was killed by SIGKILL" in text
+    assert report.as_dict(found)["reason"] == "the mast fell"
+    for save in (lambda name: plot.save(found, name, 5.0), lambda name: export.save(found, name)):
+        with pytest.raises(IncidentError, match=r"of failstop 0\.1\.0, whose records are laid out otherwise: use that"):
+            save(str(tmp_path / "x.png"))
+    assert os.listdir(tmp_path) == ["old.incident"]
+
+
+def test_the_incident_of_an_earlier_version_reads_as_it_did() -> None:
+    """The file is that of drive_and_die(), as failstop 0.1.0 packs it. It stays as it is: who changes what a record
+    holds raises LAYOUT_VERSION, and then reads what was told."""
+    found = Incident.read(str(KEPT))
+    told = [(line.what, line.text) for line in brief.choose(found, story.tell(found), found.cause_ns - 10**10)]
+    by_events = [("enabled", "motion enabled by nav (pid 77)"), ("died", "! gate (pid 102) was killed by SIGKILL")]
+    assert set(told) >= {*by_events, (story.CAUSE, "gate died")}
+    if not found.foreign:
+        assert (len(found.ticks), len(found.writes), len(found.imu), found.undecoded) == (150, 174, 578, 0)
+        assert {("wire", "STOP BURST by the port owner"), ("beat", "last beat of the gate for 190 ms")} <= set(told)
+        assert found.ticks[-1].velocity == pytest.approx((0.2, 0.0, 0.0))
+        assert found.imu[0].acceleration_mps2 == pytest.approx((0.1, 0.2, 9.8))
 
 
 def test_a_whole_file_of_something_else_is_refused_in_one_line(path: str) -> None:
-    with pytest.raises(IncidentError, match=r"no incident as failstop writes them \(KeyError\('layout'\)\)"):
+    with pytest.raises(IncidentError, match=r"no incident as failstop writes them \(KeyError\('cause_ns'\)\)"):
         Incident.read(path)
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from failstop.cli.manual import causes as manual
+from failstop.lab.pages import causes as manual
 from failstop.policy import causes
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "causes.md"
 
 
 def test_the_page_is_the_generated_one() -> None:
-    assert PAGE.read_text() == manual.page(), "renew it: python -m failstop.cli.manual causes > docs/causes.md"
+    assert PAGE.read_text() == manual.page(), "renew it: python -m failstop.lab.pages causes > docs/causes.md"
 
 
 def test_every_cause_has_a_row_with_every_cell_filled() -> None:

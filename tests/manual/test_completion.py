@@ -17,9 +17,9 @@ from pathlib import Path
 import pytest
 
 from failstop import instances
+from failstop.cli import grammar
 from failstop.cli import main as cli
 from failstop.cli.commands import completion
-from failstop.cli.manual import grammar
 from failstop.incidents.file import SUFFIX
 from failstop.shm import instance
 

@@ -9,8 +9,9 @@ import time
 
 import pytest
 
+from failstop.cli import grammar
 from failstop.cli import main as cli
-from failstop.cli.manual import grammar, man
+from failstop.lab.pages import man
 from tests.support.commands import FAILSTOP
 from tests.support.pages import commands_in
 

@@ -11,14 +11,15 @@ from pathlib import Path
 
 import pytest
 
+from failstop.cli import grammar
 from failstop.cli import main as cli
-from failstop.cli.manual import grammar, man
+from failstop.lab.pages import man
 
-PAGE = Path(__file__).resolve().parents[2] / "man" / "failstop.1"
+PAGE = Path(__file__).resolve().parents[2] / "systemd" / "failstop.1"
 
 
 def test_the_page_is_the_generated_one() -> None:
-    assert PAGE.read_text() == man.page(), "renew it: python -m failstop.cli.manual > man/failstop.1"
+    assert PAGE.read_text() == man.page(), "renew it: python -m failstop.lab.pages man > systemd/failstop.1"
 
 
 def test_man_takes_the_page_without_a_warning() -> None:

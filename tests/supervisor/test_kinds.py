@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import failstop
-from failstop.cli import catalog
-from failstop.cli.catalog_texts import TEXTS
+from failstop.lab.pages import catalog
+from failstop.lab.pages.catalog_texts import TEXTS
 from failstop.supervisor.kinds import BY_NAME, KINDS, LEVELS, EventKind
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
@@ -66,7 +66,7 @@ def test_every_kind_is_told_somewhere_and_none_that_is_not_in_the_table() -> Non
 
 def test_the_catalog_in_the_tree_is_made_from_the_table() -> None:
     written = (ROOT / "systemd" / "failstop.catalog").read_text()
-    assert written == catalog.text(), "next: python -m failstop.cli.catalog systemd/failstop.catalog"
+    assert written == catalog.text(), "next: python -m failstop.lab.pages.catalog systemd/failstop.catalog"
 
 
 def test_the_catalog_has_an_entry_for_each_kind() -> None:
@@ -82,7 +82,7 @@ def test_the_generator_writes_the_file_that_is_named(tmp_path: Path, capsys: pyt
 
 def test_the_page_s_table_is_made_from_the_table(tmp_path: Path) -> None:
     page = (ROOT / "docs" / "journal.md").read_text()
-    assert page == catalog.with_table(page), "next: python -m failstop.cli.catalog docs/journal.md"
+    assert page == catalog.with_table(page), "next: python -m failstop.lab.pages.catalog docs/journal.md"
     (tmp_path / "x.md").write_text(page.replace("| `unstill` |", "| `other` |"))
     assert catalog.main([str(tmp_path / "x.md")]) == 0
     assert (tmp_path / "x.md").read_text() == page

@@ -53,7 +53,7 @@ def script(shell: str) -> str:
     """The completion script for one of SHELLS."""
     import shtab
 
-    from failstop.cli.manual import grammar
+    from failstop.cli import grammar
 
     files = dict.fromkeys(("FILE", "PATH", "LINK", "F", "F.PNG", "F.MCAP"), shtab.FILE) | {"DIR": shtab.DIRECTORY}
     lists = {"name": _asked("services"), "id": _asked("incidents")}

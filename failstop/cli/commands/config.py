@@ -10,11 +10,7 @@ from failstop import config
 from failstop.cli import style
 from failstop.policy.settings import (
     BY_KEY,
-    DECLARED,
-    FAMILIES,
     FIRST_SOURCE,
-    LONGEST_NAME,
-    MOST_OF_A_FAMILY,
     Setting,
     Settings,
     declaration,
@@ -96,15 +92,12 @@ def add_arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="a TOML file with every setting and what it means, all but device.path commented out",
     )
-    other.add_argument("--markdown", action="store_true", help="the table of docs/configuration.md")
 
 
 def main(arguments: Namespace) -> int:
     """Print what is asked for; raises SettingError when the file is not right."""
     if arguments.example:
         sys.stdout.write(example())
-    elif arguments.markdown:
-        sys.stdout.write(markdown())
     elif arguments.check is not None:
         sys.stdout.write(check(arguments.check) + "\n")
     else:
@@ -156,7 +149,7 @@ def table(found: list[tuple[str, float | str, Setting, str]], columns: int) -> l
 
 
 def _shown(setting: Setting, value: float | str) -> str:
-    return value if isinstance(value, str) and value else _literal(setting, value)
+    return value if isinstance(value, str) and value else literal(setting, value)
 
 
 def _json(found: list[tuple[str, float | str, Setting, str]]) -> str:
@@ -199,7 +192,7 @@ def _toml(name: str, values: list[tuple[str, float | str]], *, defaults: bool) -
         setting = declaration(key)
         lines.append(f"# {setting.doc[0].upper()}{setting.doc[1:]} [{_allowed(setting)}]")
         mark = "#" if defaults and key not in ALWAYS_SET else ""
-        lines.append(f"{mark}{key.rpartition('.')[2]} = {_literal(setting, value)}")
+        lines.append(f"{mark}{key.rpartition('.')[2]} = {literal(setting, value)}")
     return "\n".join(lines) + "\n"
 
 
@@ -207,45 +200,8 @@ def _allowed(setting: Setting) -> str:
     return setting.range() if setting.allowed or not isinstance(setting.default, str) else f"text, {setting.range()}"
 
 
-def _literal(setting: Setting, value: float | str) -> str:
+def literal(setting: Setting, value: float | str) -> str:
     """As TOML. Texts here are declared ones: printable, without quotes or backslashes."""
     if isinstance(value, str):
         return f'"{value}"'
     return f"0x{value:04X}" if setting.key == "pad.mode_button" else repr(value)
-
-
-def markdown() -> str:
-    """The page docs/configuration.md."""
-    lines = [
-        "# Settings",
-        "",
-        "Generated from the declarations: `failstop config --markdown`. One TOML file holds them, in tables named as",
-        "the part before the dot; `failstop run --config FILE` reads it once and refuses what is unknown, out of range",
-        "or contradictory, naming the key, the value and what is allowed. `failstop config` prints every value with",
-        "its origin, `failstop config --check FILE` checks a file, `failstop config --example` writes one with every",
-        "setting in it, all but `device.path` commented out.",
-    ]
-    for group, what in GROUPS.items():
-        found = [(setting.key, setting) for setting in DECLARED if setting.key.partition(".")[0] == group]
-        found += [(f"{group}.NAME.{setting.key}", setting) for setting in FAMILIES.get(group, ())]
-        lines += ["", f"## {group}", "", what]
-        if group in FAMILIES:
-            lines += [f"NAME is 1 to {LONGEST_NAME} of `a-z 0-9 _ -`; at most {MOST_OF_A_FAMILY} tables."]
-        lines += ["", "| setting | default | allowed | meaning |", "|---|---|---|---|"]
-        lines += [
-            f"| `{key}` | `{_literal(setting, setting.default)}` | {setting.range()} | {setting.doc} |"
-            for key, setting in found
-        ]
-    lines += ["", "## Values that must fit together", "", *(f"- {rule}" for rule in TOGETHER)]
-    return "\n".join(lines) + "\n"
-
-
-TOGETHER = (
-    "`gate.period_s` < `gate.lease_s` < `gate.command_timeout_s` and every source's `timeout_s`",
-    "`gate.period_s` <= `gate.refresh_s`",
-    "`restart.backoff_s` < `restart.window_s`",
-    "`wheels.id_1` to `wheels.id_4` are 0, 1, 2 and 3 in any order",
-    "no two sources have the same priority",
-    "no two joints have the same servo; `low` < `high`, and both poses between them",
-    "`pad.mode_button` is exactly one bit",
-)

@@ -12,7 +12,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 
 from failstop.api.errors import FailstopError
-from failstop.cli.commands import check_json, matching
+from failstop.lab.commands import check_json, matching
 from failstop.lab.faults import campaign, report
 from failstop.lab.faults.campaign import Row
 from failstop.lab.faults.scene import Scene

@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterator
 
 from failstop import config
 from failstop.api.errors import FailstopError, Refused
-from failstop.cli.commands import check_json, matching
 from failstop.doctor import leftovers
 from failstop.doctor.facts import User
 from failstop.doctor.gather import settings_of
 from failstop.doctor.system import System
+from failstop.lab.commands import check_json, matching
 from failstop.lab.prove import campaign, report
 from failstop.lab.prove.campaign import Draw
 from failstop.lab.prove.session import check_free, interruptible, session

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from failstop.cli import grammar, shape
 from failstop.cli import main as cli
-from failstop.cli.manual import grammar, shape
 from failstop.shm import root
 from failstop.version import VERSION
 
@@ -61,7 +61,7 @@ SEE_ALSO = "The pages in docs/ of the source: quickstart.md, robot.md, safety.md
 def page() -> str:
     """The whole page, for man(7) macros."""
     lines = [
-        '.\\" Generated: python -m failstop.cli.manual > man/failstop.1',
+        '.\\" Generated: python -m failstop.lab.pages man > systemd/failstop.1',
         f'.TH FAILSTOP 1 "" "failstop {VERSION}" "User Commands"',
         ".nh",
         ".ad l",

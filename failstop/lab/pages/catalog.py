@@ -1,4 +1,4 @@
-"""The journal's message catalog, from the tables of kinds and texts: `python -m failstop.cli.catalog FILE` writes it.
+"""The journal's message catalog, from the tables of kinds and texts: `python -m failstop.lab.pages.catalog FILE`.
 
 For a file FILE.md, it writes the table of docs/journal.md into it, between its two marks.
 
@@ -11,15 +11,15 @@ import argparse
 import sys
 from pathlib import Path
 
-from failstop.cli.catalog_texts import TEXTS
+from failstop.lab.pages.catalog_texts import TEXTS
 from failstop.supervisor.kinds import KINDS, EventKind
 
 HEAD = """\
 # What `journalctl -x` says below an entry of failstop.
-# Made from supervisor/kinds.py and failstop/cli/catalog_texts.py by `python -m failstop.cli.catalog`: do not edit.
+# Made from supervisor/kinds.py and failstop/lab/pages/catalog_texts.py, by `make docs`: do not edit.
 # Install as /usr/lib/systemd/catalog/failstop.catalog, then run `journalctl --update-catalog`.
 """
-BEGIN = "<!-- kinds: made by `python -m failstop.cli.catalog docs/journal.md` -->"
+BEGIN = "<!-- kinds: made by `python -m failstop.lab.pages.catalog docs/journal.md` -->"
 END = "<!-- end of kinds -->"
 
 
@@ -51,7 +51,7 @@ def with_table(page: str) -> str:
 
 def main(words: list[str] | None = None) -> int:
     """Write the catalog to the file that is named, or to the standard output."""
-    parser = argparse.ArgumentParser(prog="python -m failstop.cli.catalog", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m failstop.lab.pages.catalog", description=__doc__)
     parser.add_argument("file", nargs="?", help="the catalog, or a page FILE.md that has the two marks")
     file = parser.parse_args(words).file
     if file is None:

@@ -1,0 +1,42 @@
+"""The page docs/configuration.md: every setting, made from the declarations of policy/settings.py."""
+
+from __future__ import annotations
+
+from failstop.cli.commands.config import GROUPS, literal
+from failstop.policy.settings import DECLARED, FAMILIES, LONGEST_NAME, MOST_OF_A_FAMILY
+
+TOGETHER = (
+    "`gate.period_s` < `gate.lease_s` < `gate.command_timeout_s` and every source's `timeout_s`",
+    "`gate.period_s` <= `gate.refresh_s`",
+    "`restart.backoff_s` < `restart.window_s`",
+    "`wheels.id_1` to `wheels.id_4` are 0, 1, 2 and 3 in any order",
+    "no two sources have the same priority",
+    "no two joints have the same servo; `low` < `high`, and both poses between them",
+    "`pad.mode_button` is exactly one bit",
+)
+
+
+def page() -> str:
+    """The whole page."""
+    lines = [
+        "# Settings",
+        "",
+        "Generated from the declarations: `python -m failstop.lab.pages settings`. One TOML file holds them, in",
+        "tables named as the part before the dot; `failstop run --config FILE` reads it once and refuses what is",
+        "unknown, out of range or contradictory, naming the key, the value and what is allowed. `failstop config`",
+        "prints every value with its origin, `failstop config --check FILE` checks a file, `failstop config --example`",
+        "writes one with every setting in it, all but `device.path` commented out.",
+    ]
+    for group, what in GROUPS.items():
+        found = [(setting.key, setting) for setting in DECLARED if setting.key.partition(".")[0] == group]
+        found += [(f"{group}.NAME.{setting.key}", setting) for setting in FAMILIES.get(group, ())]
+        lines += ["", f"## {group}", "", what]
+        if group in FAMILIES:
+            lines += [f"NAME is 1 to {LONGEST_NAME} of `a-z 0-9 _ -`; at most {MOST_OF_A_FAMILY} tables."]
+        lines += ["", "| setting | default | allowed | meaning |", "|---|---|---|---|"]
+        lines += [
+            f"| `{key}` | `{literal(setting, setting.default)}` | {setting.range()} | {setting.doc} |"
+            for key, setting in found
+        ]
+    lines += ["", "## Values that must fit together", "", *(f"- {rule}" for rule in TOGETHER)]
+    return "\n".join(lines) + "\n"
