@@ -23,11 +23,13 @@ TIMEOUT_S = 30.0
 class Web:
     """A context manager: `failstop web` for the service of that name, on a port of its own."""
 
-    def __init__(self, name: str, *options: str, state: str = "") -> None:
-        """`state`: where it keeps what it keeps, and finds the incidents of a trial."""
+    def __init__(
+        self, name: str, *options: str, state: str = "", program: tuple[str, ...] = ("-m", "failstop")
+    ) -> None:
+        """`state`: where it keeps what it keeps, and finds the incidents of a trial; `program`: what Python runs."""
         self.name = name
         self.environment = {**os.environ, **({"STATE_DIRECTORY": state} if state else {})}
-        command = [sys.executable, "-m", "failstop", "web", "--name", name, "--port", "0", *options]
+        command = [sys.executable, *program, "web", "--name", name, "--port", "0", *options]
         self.process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, env=self.environment
         )

@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -240,6 +241,31 @@ def test_a_backlog_and_replays_renew_nothing(trial: Trial, web: Web, anna: dict[
         assert trial.robot.state.attended_by == ()
         viewer.stay(0.15)
         wait_for("the operator", lambda: viewer.stay(0.05) or trial.robot.state.attended_by)
+
+
+JUMPING = """
+import itertools, runpy, time
+now, jumps = time.time, itertools.cycle((0, 3600, -86400, 1e8))
+time.time = lambda: now() + next(jumps)
+runpy.run_module("failstop", run_name="__main__", alter_sys=True)
+"""
+"""The page, with a wall clock that is somewhere else each time it is read."""
+
+
+@pytest.mark.page
+def test_a_clock_that_jumps(trial: Trial, settings: str, tmp_path: Path) -> None:
+    """The page's, to and fro by hours and years: who answers attends, who does not is gone in time, and STOP works."""
+    program = ("-c", JUMPING)
+    with Web(trial.name, "--config", settings, state=str(tmp_path), program=program) as web, driven(trial):
+        with Viewer(web, web.pair()) as viewer:
+            moving(trial, viewer)
+            seen = {round(message["t"] / 3600) for message in viewer.seen}
+            assert len(seen) > 2, "it does jump"
+            since_ns = time.monotonic_ns()
+            took_s = stopped(trial, since_ns, "operator gone: Anna's phone, was not heard for")
+            assert LEASE_S - 0.3 < took_s < LEASE_S + LATE_S
+        status, said = web.post("/api/stop")
+        assert (status, said["written"]) == (200, True)
 
 
 def test_a_wrong_key_renews_nothing(trial: Trial, web: Web, anna: dict[str, str]) -> None:
