@@ -74,6 +74,7 @@ class Obedience:
         self._robot = robot
         self._seen = seen
         self._duties: dict[str, Duty] = {}
+        self._followed: list[Duty] = []
         self._new: list[str] = []
         """Asked for, and not told of yet."""
         self._refused_s = -AGAIN_EVERY_S
@@ -112,7 +113,8 @@ class Obedience:
     def begin(self, order: Order, now_s: float, unix_s: float, epoch: int | None) -> None:
         """It was asked for, at `now_s` and in `epoch` or later."""
         self._seen.obeyed(order.id, order.unix_s, unix_s)
-        self._duties[order.id] = Duty(order, now_s, unix_s, epoch)
+        duty = self._duties[order.id] = Duty(order, now_s, unix_s, epoch)
+        self._followed = [*self._followed, duty][-MOST_DUTIES:]
         while len(self._duties) > MOST_DUTIES:
             del self._duties[next(iter(self._duties))]
         self._new.append(order.id)
@@ -131,5 +133,10 @@ class Obedience:
         """True while more is to be known of one."""
         return bool(self._open(now_s))
 
+    def waits(self, now_s: float) -> bool:
+        """True while one is to be confirmed: the sender counts on that."""
+        return any(levels.ACKNOWLEDGED not in duty.reached for duty in self._open(now_s))
+
     def _open(self, now_s: float) -> list[Duty]:
-        return [duty for duty in self._duties.values() if duty.open(now_s)]
+        self._followed = [duty for duty in self._followed if duty.open(now_s)]
+        return self._followed

@@ -42,7 +42,9 @@ if TYPE_CHECKING:
 LOOK_S = 0.2
 """Between two looks at the state."""
 BUSY_LOOK_S = 0.02
-"""While a stop is carried out."""
+"""While a stop is to be confirmed."""
+LAST_LOOK_S = 0.1
+"""While the wheels of one that is confirmed are watched: that takes most of a second, and holds up nobody."""
 FIRST_LOOK_S = 0.003
 """By then the service has written it: its first answer says so at once."""
 CHANGES_S = 1.0
@@ -133,10 +135,10 @@ class Publisher:
         if now_s < self._look_at_s:
             return
         busy = self.busy(now_s)
-        self._look_at_s = now_s + (BUSY_LOOK_S if busy else LOOK_S)
         state, note = self._robot.read()
         for answer in self._obedience.look(state, now_s):
             self._answer(answer)
+        self._look_at_s = now_s + (self._soon_s(now_s) if busy else LOOK_S)
         if busy and now_s - self._built_s < LOOK_S:
             return
         self._built_s = now_s
@@ -151,6 +153,9 @@ class Publisher:
     def busy(self, now_s: float) -> bool:
         """True while a stop of the fleet is carried out."""
         return self._obedience.busy(now_s)
+
+    def _soon_s(self, now_s: float) -> float:
+        return BUSY_LOOK_S if self._obedience.waits(now_s) else LAST_LOOK_S
 
     def close(self) -> None:
         """In order: the robot is OFFLINE, which is not lost."""
@@ -225,7 +230,7 @@ class Publisher:
 
     def _answer(self, answer: Answer) -> None:
         topic = topics.answer(self._manufacturer, answer.id, self.robot_id)
-        self.broker.say(topic, answer.message(self._key))
+        self.broker.say(topic, answer.message(self._key), qos=ANYHOW)  # the sender asks again for what is lost
 
     def _remember(self) -> None:
         """What was obeyed, over a restart. That it can't be is said, and is no reason not to stop."""

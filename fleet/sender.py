@@ -23,7 +23,7 @@ AGAIN_S = 0.5
 ALL_AGAIN_S = 1.5
 """While many are missing: what all are told again, all answer again."""
 MOST_SINGLE = 100
-"""Robots that are told one by one."""
+"""Missing robots that are told one by one, whatever the size of the fleet; of a large one half of them are."""
 OBSERVED_S = 2.5
 """How long to go on for the third proof when all have acknowledged."""
 TURN_S = 0.05
@@ -87,7 +87,8 @@ class Sender:
         message = dataclasses.replace(self._order, unix_s=time.time()).message(self._key)
         missing = [row.robot for row in self.tally.missing()]
         many = len(missing) > MOST_SINGLE
-        some = self.sent_s is not None and self._heard_all and not many
+        most = len(missing) > max(MOST_SINGLE, len(self.tally.robots()) // 2)
+        some = self.sent_s is not None and self._heard_all and not most
         self._again_s = now_s + (ALL_AGAIN_S if many else AGAIN_S)
         self.sent_s = self.sent_s or now_s
         for robot in missing if some else ("",):

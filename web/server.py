@@ -11,7 +11,7 @@ import socket
 import time
 from typing import Any
 
-from tornado.ioloop import PeriodicCallback
+from tornado.ioloop import IOLoop, PeriodicCallback
 from tornado.netutil import bind_sockets
 from tornado.web import Application
 
@@ -157,6 +157,8 @@ class Page:
 async def serve(name: str, settings: Settings) -> None:
     """Serve until SIGTERM or SIGINT. Raises FailstopError, and OSError where the address can't be had."""
     logging.getLogger("tornado.general").setLevel(logging.ERROR)  # who sends garbage must not fill the journal
+    # tornado's timers go by the wall clock: set back by an hour, it would be an hour until the next look at the state.
+    IOLoop.current().time = time.monotonic  # type: ignore[method-assign]
     page = Page(name, settings)
     sockets = bind_sockets(page.port, page.address)
     page.port = sockets[0].getsockname()[1]

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from failstop.lab.trial import TrialError, wait_for
+from failstop.web import control
 
 HEADERS = {"X-Failstop": "1"}
 TIMEOUT_S = 30.0
@@ -22,11 +23,13 @@ TIMEOUT_S = 30.0
 class Web:
     """A context manager: `failstop web` for the service of that name, on a port of its own."""
 
-    def __init__(self, name: str, *options: str, state: str = "") -> None:
-        """`state`: where it keeps what it keeps, and finds the incidents of a trial."""
+    def __init__(
+        self, name: str, *options: str, state: str = "", program: tuple[str, ...] = ("-m", "failstop")
+    ) -> None:
+        """`state`: where it keeps what it keeps, and finds the incidents of a trial; `program`: what Python runs."""
         self.name = name
         self.environment = {**os.environ, **({"STATE_DIRECTORY": state} if state else {})}
-        command = [sys.executable, "-m", "failstop", "web", "--name", name, "--port", "0", *options]
+        command = [sys.executable, *program, "web", "--name", name, "--port", "0", *options]
         self.process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, env=self.environment
         )
@@ -98,13 +101,12 @@ class Web:
         return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=self.environment)
 
     def code(self) -> str:
-        """A new code of `failstop web pair`."""
-        said = self.command("pair").stdout
-        return next(line.split()[1] for line in said.splitlines() if line.startswith("code"))
+        """A new code, as `failstop web pair` asks for it."""
+        return str(control.ask(self.name, self.environment, "POST", "/pair")["code"])
 
-    def pair(self, name: str = "Anna's phone") -> dict[str, str]:
+    def pair(self, name: str = "Anna's phone", code: str = "") -> dict[str, str]:
         """The headers of a device that is paired."""
-        status, headers, content = self.ask("POST", "/api/pair", {"code": self.code(), "name": name})
+        status, headers, content = self.ask("POST", "/api/pair", {"code": code or self.code(), "name": name})
         assert status == 200, content
         return {"Cookie": headers["set-cookie"].partition(";")[0]}
 

@@ -134,7 +134,7 @@ class Listener:
         self.broker.turn(longest_s)
 
 
-def pump(what: str, until: Callable[[], object], *turning: Publisher | Listener) -> None:
+def pump(what: str, until: Callable[[], object], *turning: Publisher | Listener | Broker) -> None:
     """Let them turn until that is so."""
     end_s = time.monotonic() + LONGEST_S
     while not until():

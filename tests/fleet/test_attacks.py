@@ -190,7 +190,7 @@ def test_a_forged_confirmation(enrol: Enrol, listener: Listener, settings: Fleet
     done = dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0)
     topic = topics.answer(maker_id, sender.id, "r1")
     recorded = Answer(STOP, "r1", done).message(key)
-    running = threading.Thread(daemon=True, target=sender.run, args=(2.0,))
+    running = threading.Thread(daemon=True, target=sender.run, args=(1.0,))
     running.start()
     while running.is_alive():
         listener.broker.say(topic, Answer(sender.id, "r1", done).message(other))

@@ -44,6 +44,7 @@ def told(answers: list[Answer]) -> list[list[str]]:
 
 def test_each_level_is_told_of_when_it_is_known_and_once(robot: Obedience) -> None:
     begin(robot, order())
+    assert robot.waits(0.0)
     assert told(robot.look(states.state(epoch=EPOCH), 0.01)) == [[levels.ASKED]]
     assert robot.look(states.state(epoch=EPOCH), 0.02) == []
     (written,) = robot.look(stopped(written_s=0.0002), 0.03)
@@ -52,6 +53,7 @@ def test_each_level_is_told_of_when_it_is_known_and_once(robot: Obedience) -> No
     (acknowledged,) = robot.look(stopped(written_s=0.0002, acknowledged_s=0.004), 0.05)
     assert acknowledged.reached == {**written.reached, levels.ACKNOWLEDGED: 0.05}
     assert robot.busy(0.05)
+    assert not robot.waits(0.05), "what is left is watched, and waited for by nobody"
     known = stopped(written_s=0.0002, acknowledged_s=0.004, observed_s=0)
     assert told(robot.look(known, 0.9)) == [[levels.ASKED, *levels.PROOFS]]
     assert not robot.busy(0.9)

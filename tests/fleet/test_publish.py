@@ -14,6 +14,8 @@ from typing import Any
 import pytest
 
 from failstop.api.events import Event
+from failstop.fleet import levels, sender, signed, topics
+from failstop.fleet.levels import Answer
 from failstop.lab.trial import Trial
 from failstop.policy import causes
 from tests.support import states
@@ -171,3 +173,28 @@ def test_without_a_broker_nobody_was_stopped(key: str, tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "NO ROBOT WAS STOPPED" in done.stderr
     assert done.stdout == ""
+
+
+def test_the_rest_of_a_large_fleet_is_told_one_by_one(
+    broker: Mosquitto, key: str, listener: Listener, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    """Nobody who has confirmed is asked once more; while most are missing, all are."""
+    names = [f"r{number}" for number in range(3 * sender.MOST_SINGLE)]
+    listed = tmp_path / "robots"
+    listed.write_text("\n".join(names))
+    found = broker.settings(stop__key_file=key, robot__manufacturer=maker(request), stop__robots_file=str(listed))
+    asking = sender.Sender(found, "smoke", "ann")
+    first = topics.stop(maker(request))
+    pump("the stop", lambda: first in listener.last, asking.broker, listener)
+    some = len(names) * 3 // 5
+    for name in names[:some]:
+        answer = Answer(asking.id, name, dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0))
+        listener.broker.say(topics.answer(maker(request), asking.id, name), answer.message(signed.read_key(key)))
+    confirmed = lambda: len(asking.tally.reached(levels.OBSERVED)) == some  # noqa: E731
+    pump("the answers", lambda: asking._heard_all and confirmed(), asking.broker, listener)
+    asking._send(time.monotonic())
+    pump("the rest", lambda: f"{first}/{names[-1]}" in listener.last, asking.broker, listener)
+    asking.broker.close()
+    told = [topic.rpartition("/")[2] for topic, _ in listener.all if topic.startswith(f"{first}/")]
+    assert sorted(set(told)) == sorted(names[some:])
+    assert [topic for topic, _ in listener.all].count(first) == 1

@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -37,10 +38,38 @@ def trial(settings: str) -> Iterator[Trial]:
         yield running
 
 
+@pytest.fixture(scope="module")
+def pages(trial: Trial, settings: str) -> Iterator[list[Web]]:
+    """Those that run: one for all tests, and another after a test that ends it."""
+    running: list[Web] = []
+    yield running
+    for page in running:
+        page.close()
+
+
 @pytest.fixture
-def web(trial: Trial, settings: str) -> Iterator[Web]:
-    with Web(trial.name, "--config", settings, state=trial.state) as running:
-        yield running
+def web(trial: Trial, settings: str, pages: list[Web]) -> Iterator[Web]:
+    if not pages:
+        pages.append(Web(trial.name, "--config", settings, state=trial.state))
+    yield pages[0]
+    if pages[0].process.poll() is None:
+        pages[0].process.send_signal(signal.SIGCONT)
+    else:
+        pages.pop().close()
+
+
+@pytest.fixture
+def anna(web: Web, paired: dict[Web, dict[str, str]]) -> dict[str, str]:
+    """The headers of a device that is paired with this page."""
+    if web not in paired:
+        paired[web] = web.pair()
+    return paired[web]
+
+
+@pytest.fixture(scope="module")
+def paired() -> dict[Web, dict[str, str]]:
+    """By page: one pairs five devices at once, and no more."""
+    return {}
 
 
 @contextlib.contextmanager
@@ -169,19 +198,23 @@ SLOW: list[tuple[str, Ends]] = [
 
 @pytest.mark.page
 @pytest.mark.parametrize(("name", "end"), SUDDEN, ids=[name for name, _ in SUDDEN])
-def test_an_end_that_is_seen_counts_at_once(trial: Trial, web: Web, name: str, end: Ends) -> None:
-    with driven(trial), Viewer(web, web.pair()) as viewer:
+def test_an_end_that_is_seen_counts_at_once(trial: Trial, web: Web, anna: dict[str, str], name: str, end: Ends) -> None:
+    with driven(trial), Viewer(web, anna) as viewer:
         moving(trial, viewer)
         since_ns = time.monotonic_ns()
         end(web, viewer)
         with contextlib.suppress(ConnectionError):
             viewer.next()
         assert stopped(trial, since_ns, "operator gone: Anna's phone, ") < LEASE_S + LATE_S
+    if name.startswith("page-"):
+        web.process.wait(10)
 
 
 @pytest.mark.parametrize(("name", "end"), SLOW, ids=[name for name, _ in SLOW])
-def test_an_end_that_nobody_sees_counts_when_the_lease_ends(trial: Trial, web: Web, name: str, end: Ends) -> None:
-    with driven(trial), Viewer(web, web.pair()) as viewer:
+def test_an_end_that_nobody_sees_counts_when_the_lease_ends(
+    trial: Trial, web: Web, anna: dict[str, str], name: str, end: Ends
+) -> None:
+    with driven(trial), Viewer(web, anna) as viewer:
         moving(trial, viewer)
         since_ns = time.monotonic_ns()
         end(web, viewer)
@@ -190,9 +223,9 @@ def test_an_end_that_nobody_sees_counts_when_the_lease_ends(trial: Trial, web: W
 
 
 @pytest.mark.page
-def test_a_backlog_and_replays_renew_nothing(trial: Trial, web: Web) -> None:
+def test_a_backlog_and_replays_renew_nothing(trial: Trial, web: Web, anna: dict[str, str]) -> None:
     """What a network held back comes all at once, right and in order; and what was taken once, again."""
-    with Viewer(web, web.pair()) as viewer:
+    with Viewer(web, anna) as viewer:
         viewer.attend()
         wait_for("the operator", lambda: trial.robot.state.attended_by)
         held_back: list[str] = []
@@ -210,9 +243,33 @@ def test_a_backlog_and_replays_renew_nothing(trial: Trial, web: Web) -> None:
         wait_for("the operator", lambda: viewer.stay(0.05) or trial.robot.state.attended_by)
 
 
-def test_a_wrong_key_renews_nothing(trial: Trial, web: Web) -> None:
-    headers = web.pair()
-    with Viewer(web, headers) as viewer:
+JUMPING = """
+import itertools, runpy, time
+now, jumps = time.time, itertools.cycle((0, 3600, -86400, 1e8))
+time.time = lambda: now() + next(jumps)
+runpy.run_module("failstop", run_name="__main__", alter_sys=True)
+"""
+"""The page, with a wall clock that is somewhere else each time it is read."""
+
+
+@pytest.mark.page
+def test_a_clock_that_jumps(trial: Trial, settings: str, tmp_path: Path) -> None:
+    """The page's, to and fro by hours and years: who answers attends, who does not is gone in time, and STOP works."""
+    program = ("-c", JUMPING)
+    with Web(trial.name, "--config", settings, state=str(tmp_path), program=program) as web, driven(trial):
+        with Viewer(web, web.pair()) as viewer:
+            moving(trial, viewer)
+            seen = {round(message["t"] / 3600) for message in viewer.seen}
+            assert len(seen) > 2, "it does jump"
+            since_ns = time.monotonic_ns()
+            took_s = stopped(trial, since_ns, "operator gone: Anna's phone, was not heard for")
+            assert LEASE_S - 0.3 < took_s < LEASE_S + LATE_S
+        status, said = web.post("/api/stop")
+        assert (status, said["written"]) == (200, True)
+
+
+def test_a_wrong_key_renews_nothing(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    with Viewer(web, anna) as viewer:
         viewer.send(attend=True)
         for _ in range(10):
             if nonce := viewer.next().get("nonce"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
@@ -133,9 +132,3 @@ def test_a_page_that_is_killed_or_hangs_leaves_the_robot_alone(trial: Trial) -> 
         assert trial.moving()
         assert trial.robot.state.estop is None
     trial.robot.disable()
-
-
-def test_sigterm_ends_it_in_order(trial: Trial) -> None:
-    with Web(trial.name) as other:
-        assert json.loads(other.ask("GET", "/api/state")[2])["live"]
-        assert other.close() == 0

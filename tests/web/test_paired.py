@@ -31,8 +31,10 @@ def web(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]
 
 @pytest.fixture(scope="module")
 def anna(web: Web) -> dict[str, str]:
-    """The headers of a paired device."""
-    return web.pair()
+    """The headers of a device that was paired by the code of `failstop web pair`."""
+    said = web.command("pair").stdout
+    code = next(line.split()[1] for line in said.splitlines() if line.startswith("code"))
+    return web.pair(code=code)
 
 
 def test_a_paired_device_resets_enables_and_disables(trial: Trial, web: Web, anna: dict[str, str]) -> None:
@@ -139,3 +141,5 @@ def test_without_pairing_nobody_may(trial: Trial) -> None:
         assert other.post("/api/pair", {"code": "0000-0000"})[0] == 403
         assert other.post("/api/enable", headers=HEADERS)[0] == 401
         assert "pairing is off" in other.command("pair").stderr
+        assert json.loads(other.ask("GET", "/api/state")[2])["live"]
+        assert other.close() == 0, "SIGTERM ends it in order"
