@@ -1,4 +1,4 @@
-"""Frames from the host to the controller board: motion here, all others from peripherals, under one name.
+"""Frames that move the wheels, and their check before the wire; peripherals.py and servos.py have the others.
 
 The board answers no motor frame and its motor handler checks nothing: ids out of range write out of bounds, the count
 is not held against the length, NaN is a speed (firmware source). So every value is checked here: an encoder either
@@ -9,100 +9,11 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board.framing import (
-    AUX_FUNCS,
-    BUS_SERVO,
-    BUZZER,
-    CRC_TABLE,
-    GAMEPAD,
-    HEAD,
-    IMU,
-    KEY,
-    LED,
-    MAX_DATA,
-    MOTOR,
-    OLED,
-    PWM_SERVO,
-    RGB,
-    SBUS,
-    SYS,
-    WHEELS,
-    FrameError,
-    counted,
-    crc8,
-    distinct,
-    frame,
-    group,
-    integer,
-    number,
-    seal,
-)
-from failstop.board.peripherals import (
-    battery_alarm,
-    buzzer,
-    check_aux,
-    led,
-    oled,
-    pwm_servo_deviation,
-    pwm_servo_move,
-    pwm_servo_move_one,
-    pwm_servo_read,
-    pwm_servo_read_deviation,
-    rgb,
-)
-from failstop.board.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque, check_bus
+from failstop.board.framing import CRC_TABLE, HEAD, WHEELS, FrameError, crc8, number
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-__all__ = [
-    "AUX_FUNCS",
-    "BUS_SERVO",
-    "BUZZER",
-    "GAMEPAD",
-    "HEAD",
-    "IMU",
-    "KEY",
-    "LED",
-    "MAX_DATA",
-    "MOTOR",
-    "OLED",
-    "PING",
-    "PWM_SERVO",
-    "RGB",
-    "RPS_CEILING",
-    "SBUS",
-    "STOP",
-    "SYS",
-    "WHEELS",
-    "FrameError",
-    "battery_alarm",
-    "bus_servo_move",
-    "bus_servo_read",
-    "bus_servo_stop",
-    "bus_servo_torque",
-    "buzzer",
-    "check_aux",
-    "check_bus",
-    "check_motion",
-    "crc8",
-    "frame",
-    "led",
-    "motor_one",
-    "motor_some",
-    "motor_speeds",
-    "motor_stop_mask",
-    "motor_stop_one",
-    "motor_type",
-    "oled",
-    "pwm_servo_deviation",
-    "pwm_servo_move",
-    "pwm_servo_move_one",
-    "pwm_servo_read",
-    "pwm_servo_read_deviation",
-    "rgb",
-]
 
 # Above any wheel there is: a limit beyond this is a mistake in the limit, and would switch the check off.
 RPS_CEILING = 1000.0
@@ -117,21 +28,17 @@ _WHEELS4_SIZE = _WHEELS4.size
 _WHEELS4_WORD = 0x160355AA
 _WHEELS4_COUNT = 0x0401
 
-_ID_SPEED = Struct("<Bf")
-
 # The register that is zero again after the head: with it the CRC runs over a whole frame and needs no slice.
 _BEFORE_HEAD = next(register for register in range(256) if crc8(HEAD, register) == 0)
 
 
-def _limit(max_rps: float) -> float:
+def speed_limit(max_rps: float) -> float:
+    """A limit in rps. Raises FrameError for one that is none."""
     return number("max_rps", max_rps, 0.0, RPS_CEILING, "rps")
 
 
-def _wheel(wheel: int) -> int:
-    return integer("wheel id", wheel, 0, WHEELS - 1)
-
-
-def _speed(wheel: int, rps: float, limit: float) -> float:
+def wheel_speed(wheel: int, rps: float, limit: float) -> float:
+    """A wheel's speed in rps. Raises FrameError for one beyond the limit."""
     return number(f"speed of wheel {wheel}", rps, -limit, limit, "rps")
 
 
@@ -154,8 +61,8 @@ def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
         and -max_rps <= c <= max_rps
         and -max_rps <= d <= max_rps
     ):
-        limit = _limit(max_rps)
-        a, b, c, d = (_speed(wheel, value, limit) for wheel, value in enumerate((a, b, c, d)))
+        limit = speed_limit(max_rps)
+        a, b, c, d = (wheel_speed(wheel, value, limit) for wheel, value in enumerate((a, b, c, d)))
     packed = _WHEELS4.pack(_WHEELS4_WORD, _WHEELS4_COUNT, 0, a + 0.0, 1, b + 0.0, 2, c + 0.0, 3, d + 0.0, 0)
     return _complete_free(packed[2:-1])
 
@@ -194,38 +101,6 @@ def _one_unit_smaller(body: bytes, at: int) -> bytes:
     return b""
 
 
-def motor_some(pairs: Sequence[tuple[int, float]], max_rps: float) -> bytes:
-    """The "many" motor frame for one to four distinct wheels: (wire id, speed in rps) each."""
-    limit = _limit(max_rps)
-    data = bytes((0x01, counted("pairs", pairs, 1, WHEELS)))
-    for pair in pairs:
-        group("pair", pair, 2)
-        data += _ID_SPEED.pack(_wheel(pair[0]), _speed(pair[0], pair[1], limit))
-    distinct("wheel id", [pair[0] for pair in pairs])
-    return seal(MOTOR, data)
-
-
-def motor_one(wheel: int, rps: float, max_rps: float) -> bytes:
-    """Set the speed of one wheel (wire id 0 to 3) in rps."""
-    limit = _limit(max_rps)
-    return seal(MOTOR, b"\x00" + _ID_SPEED.pack(_wheel(wheel), _speed(wheel, rps, limit)))
-
-
-def motor_stop_one(wheel: int) -> bytes:
-    """Stop one wheel (wire id 0 to 3)."""
-    return seal(MOTOR, bytes((0x02, _wheel(wheel))))
-
-
-def motor_stop_mask(mask: int) -> bytes:
-    """Stop the wheels whose bits are set: bit 0 is wire id 0, 1 to 15."""
-    return seal(MOTOR, bytes((0x03, integer("mask", mask, 1, (1 << WHEELS) - 1))))
-
-
-def motor_type(kind: int) -> bytes:
-    """Select the motor type: 0 JGB520, 1 JGB37, 2 JGA27, 3 JGB528 (newer firmware only)."""
-    return seal(MOTOR, bytes((0x05, integer("motor type", kind, 0, 3))))
-
-
 def check_motion(frame: bytes, max_rps: float) -> str:
     """Why these bytes must not be written as a motion frame, in a few words; "" when they may.
 
@@ -257,4 +132,3 @@ def check_motion(frame: bytes, max_rps: float) -> str:
 
 
 STOP = motor_speeds((0.0, 0.0, 0.0, 0.0), 0.0)
-PING = pwm_servo_read(1)

@@ -5,7 +5,7 @@ A second board is a second class of this form, in a module of its own (docs/dev/
 
 from __future__ import annotations
 
-from failstop.board import burst, codec, decoder, servos
+from failstop.board import burst, codec, decoder, peripherals, servos
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -70,10 +70,10 @@ class RosController:
     stop = codec.STOP
     burst_with = staticmethod(burst.burst_with)
     burst = burst.BURST
-    pings = tuple(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
+    pings = tuple(peripherals.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
     motor_speeds = staticmethod(codec.motor_speeds)
     check_motion = staticmethod(codec.check_motion)
-    check_aux = staticmethod(codec.check_aux)
+    check_aux = staticmethod(peripherals.check_aux)
     servo_move = staticmethod(servos.bus_servo_move)
     servo_read = staticmethod(servos.bus_servo_read)
     servo_torque = staticmethod(servos.bus_servo_torque)

@@ -62,6 +62,9 @@ class Broker:
             raise FleetError(EXTRA) from None
         self.where = f"{settings.text('broker.host')}:{settings.number('broker.port'):.0f}"
         self.problem = NOT_YET
+        self.listening = False
+        """The broker has confirmed every subscription: from then on nothing is missed."""
+        self._unconfirmed: set[int | None] = set()
         self._settings = settings
         self._subscriptions = subscriptions
         self._hear = hear
@@ -75,6 +78,7 @@ class Broker:
         self._client.max_queued_messages_set(BACKLOG)
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
+        self._client.on_subscribe = self._on_subscribe
         self._client.on_message = self._on_message
         self._client.on_socket_open = self._on_socket
         self._secure()
@@ -176,11 +180,17 @@ class Broker:
             return
         self.problem = ""
         self._wait_s = FIRST_WAIT_S
-        for topic in self._subscriptions:
-            client.subscribe(topic, qos=self._subscriptions[topic])
+        self._unconfirmed = {
+            client.subscribe(topic, qos=self._subscriptions[topic])[1] for topic in self._subscriptions
+        }
         self._up()
 
+    def _on_subscribe(self, _client: Client, _: object, number: int, _reasons: object, _properties: object) -> None:
+        self._unconfirmed.discard(number)
+        self.listening = not self._unconfirmed
+
     def _on_disconnect(self, _client: Client, _: object, _flags: object, reason: object, _properties: object) -> None:
+        self.listening = False
         if self.problem in ("", NOT_YET):
             self.problem = f"the broker at {self.where} has ended the connection: {reason}"
 

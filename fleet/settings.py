@@ -10,8 +10,8 @@ import os
 import re
 import socket
 
+from failstop import config
 from failstop.fleet import FleetError
-from failstop.policy import config
 from failstop.policy.settings import SWITCH, Setting, SettingError
 from failstop.shm import root
 from failstop.shm.instance import DEFAULT_NAME

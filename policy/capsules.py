@@ -7,7 +7,7 @@ joint turns what is behind it about the vertical (yaw), about an axis across (pi
 
 from __future__ import annotations
 
-from math import ceil, cos, inf, sin, sqrt
+from math import cos, inf, sin, sqrt
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     Point = tuple[float, float, float]
     Capsule = tuple[str, Point, Point, float]
 
-STEP_RAD = 0.05
-"""Between two looks at the arm on its way: 5 mm at a reach of 0.1 m, 15 mm at 0.3 m."""
 FLOOR = "the floor"
 CHASSIS = "the chassis"
 
@@ -65,38 +63,10 @@ class Model:
                 found = min(found, (_gap_m(link, other), name, other[0]))
         return found
 
-    def hit(self, angles: dict[str, float]) -> tuple[str, str] | None:
-        """The pair that touches in these angles; None: none does."""
-        gap_m, name, other = self.nearest(angles)
-        return (name, other) if gap_m < 0.0 else None
 
-    def on_the_way(
-        self, start: dict[str, float], rows: list[tuple[float, dict[str, float]]]
-    ) -> tuple[float, str, str] | None:
-        """When (s; 0 where a row has no time), and the pair that touches first, on the straight way (in angles) from
-        `start` along the rows; None: none does. What touches already may part."""
-        before, gap_m = (0.0, start), self.nearest(start)[0]
-        for t_s, to in rows:
-            row = (t_s, {**before[1], **to})
-            steps = max(1, ceil(max(abs(row[1][name] - before[1].get(name, 0.0)) for name in row[1]) / STEP_RAD))
-            for step in range(1, steps + 1):
-                share = step / steps
-                angles = {name: _between(before[1].get(name, 0.0), angle, share) for name, angle in row[1].items()}
-                was_m, (gap_m, name, other) = gap_m, self.nearest(angles)
-                if gap_m < min(0.0, was_m):
-                    return _between(before[0], row[0], share), name, other
-            before = row
-        return None
-
-
-def would_hit(name: str, other: str, when_s: float | None = None) -> str:
+def would_hit(name: str, other: str, when: str = "") -> str:
     """In words."""
-    when = "" if when_s is None else f"after {when_s:.2f} s "
     return f"the arm would hit something {when}on its way: {name} and {other}"
-
-
-def _between(a: float, b: float, share: float) -> float:
-    return a + share * (b - a)
 
 
 def _gap_m(one: Capsule, other: Capsule) -> float:

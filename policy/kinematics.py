@@ -15,107 +15,70 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
     Four = tuple[float, float, float, float]
+    Whole = tuple[int, int, int, int]
 
 # The right-hand motors are mounted the other way round.
 SIGNS = (1, 1, -1, -1)
 IDS = (0, 1, 2, 3)
 
 
-class _Wheels:
-    """Mounting of four equal wheels: metres at the rim to revolutions, sign and place of each."""
+class Wheels:
+    """Four equal wheels. All of them follow vx and wz; mecanum wheels follow vy too."""
 
-    __slots__ = ("_a", "_b", "_c", "_d", "_order", "_turns_per_m")
+    __slots__ = ("_a", "_b", "_c", "_d", "_lever_m", "_order", "_turns_per_m", "axes")
 
-    def __init__(self, diameter_m: float, signs: tuple[int, int, int, int], ids: tuple[int, int, int, int]) -> None:
+    def __init__(self, diameter_m: float, lever_m: float, sideways: float, signs: Whole, ids: Whole) -> None:
+        """`lever_m`: of each wheel about the middle; `sideways`: 1 when they follow vy, else 0."""
         turns_per_m = 1 / (pi * diameter_m)
         self._turns_per_m = turns_per_m
         self._a, self._b, self._c, self._d = (sign * turns_per_m for sign in signs)
         # Wheel whose speed goes to each wire id.
         self._order = tuple(ids.index(wire_id) for wire_id in IDS)
+        self._lever_m = lever_m
+        self.axes = (1.0, sideways, 1.0)
+        """What it can follow of (vx, vy, wz): a limit times this is the limit that holds."""
 
-    def _mounted(self, a_mps: float, b_mps: float, c_mps: float, d_mps: float) -> Four:
+    def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> Four:
+        """Revolutions per second by wire id. What no wheel can follow moves nothing."""
+        turn, aside = wz_radps * self._lever_m, vy_mps * self.axes[1]
         # Adding zero makes +0.0 of -0.0.
-        speeds = (a_mps * self._a + 0.0, b_mps * self._b + 0.0, c_mps * self._c + 0.0, d_mps * self._d + 0.0)
+        speeds = (
+            (vx_mps - aside - turn) * self._a + 0.0,
+            (vx_mps + aside - turn) * self._b + 0.0,
+            (vx_mps + aside + turn) * self._c + 0.0,
+            (vx_mps - aside + turn) * self._d + 0.0,
+        )
         a, b, c, d = self._order
         return speeds[a], speeds[b], speeds[c], speeds[d]
 
+    def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
+        """The fastest that any wheel can turn within these limits (each at least 0)."""
+        return (vx_mps + vy_mps * self.axes[1] + wz_radps * self._lever_m) * self._turns_per_m
 
-class Mecanum(_Wheels):
+
+def mecanum(diameter_m: float, wheelbase_m: float, track_m: float, signs: Whole = SIGNS, ids: Whole = IDS) -> Wheels:
     """Four mecanum wheels: moves along x and y and turns."""
-
-    __slots__ = ("_lever_m",)
-
-    axes = (1.0, 1.0, 1.0)
-    """What it can follow of (vx, vy, wz): a limit times this is the limit that holds."""
-
-    def __init__(
-        self,
-        diameter_m: float,
-        wheelbase_m: float,
-        track_m: float,
-        signs: tuple[int, int, int, int] = SIGNS,
-        ids: tuple[int, int, int, int] = IDS,
-    ) -> None:
-        super().__init__(diameter_m, signs, ids)
-        self._lever_m = (wheelbase_m + track_m) / 2
-
-    def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> Four:
-        """Revolutions per second by wire id."""
-        turn = wz_radps * self._lever_m
-        return self._mounted(
-            vx_mps - vy_mps - turn, vx_mps + vy_mps - turn, vx_mps + vy_mps + turn, vx_mps - vy_mps + turn
-        )
-
-    def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
-        """The fastest that any wheel can turn within these limits (each at least 0)."""
-        return (vx_mps + vy_mps + wz_radps * self._lever_m) * self._turns_per_m
+    return Wheels(diameter_m, (wheelbase_m + track_m) / 2, 1.0, signs, ids)
 
 
-class Differential(_Wheels):
-    """Fixed wheels on two sides, two each: moves along x and turns.
-
-    The turn is that of a base which pivots between its wheels; one that skids turns less, and is given a wider track.
-    """
-
-    __slots__ = ("_lever_m",)
-
-    axes = (1.0, 0.0, 1.0)
-    """What it can follow of (vx, vy, wz): a limit times this is the limit that holds."""
-
-    def __init__(
-        self,
-        diameter_m: float,
-        track_m: float,
-        signs: tuple[int, int, int, int] = SIGNS,
-        ids: tuple[int, int, int, int] = IDS,
-    ) -> None:
-        super().__init__(diameter_m, signs, ids)
-        self._lever_m = track_m / 2
-
-    def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> Four:
-        """Revolutions per second by wire id. No wheel can follow vy_mps: it moves nothing."""
-        turn = wz_radps * self._lever_m
-        left, right = vx_mps - turn, vx_mps + turn
-        return self._mounted(left, left, right, right)
-
-    def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
-        """The fastest that any wheel can turn within these limits (each at least 0)."""
-        return (vx_mps + wz_radps * self._lever_m) * self._turns_per_m
+def differential(diameter_m: float, track_m: float, signs: Whole = SIGNS, ids: Whole = IDS) -> Wheels:
+    """Fixed wheels on two sides, two each: moves along x and turns. The turn is that of a base which pivots between its
+    wheels; one that skids turns less, and is given a wider track."""
+    return Wheels(diameter_m, track_m / 2, 0.0, signs, ids)
 
 
-def from_settings(settings: Settings) -> Mecanum | Differential:
+def from_settings(settings: Settings) -> Wheels:
     """The kinematics that wheels.layout names, with the sizes, signs and ids of [wheels]. Raises ValueError."""
-    signs = _whole(settings, "sign")
-    ids = _whole(settings, "id")
+    signs, ids = _whole(settings, "sign"), _whole(settings, "id")
     diameter_m, track_m = settings["wheels.diameter_m"], settings["wheels.track_m"]
     layout = settings.text("wheels.layout")
     if layout == "mecanum":
-        return Mecanum(diameter_m, settings["wheels.wheelbase_m"], track_m, signs, ids)
+        return mecanum(diameter_m, settings["wheels.wheelbase_m"], track_m, signs, ids)
     if layout == "differential":
-        return Differential(diameter_m, track_m, signs, ids)
+        return differential(diameter_m, track_m, signs, ids)
     raise ValueError(f"wheels.layout = {layout!r}: it has no kinematics")
 
 
-def _whole(settings: Settings, what: str) -> tuple[int, int, int, int]:
+def _whole(settings: Settings, what: str) -> Whole:
     first, second, third, fourth = (int(settings[f"wheels.{what}_{wheel}"]) for wheel in (1, 2, 3, 4))
     return first, second, third, fourth

@@ -1,6 +1,6 @@
 """Settings: every setting declared once, with its default, unit, range and meaning.
 
-The supervisor reads and checks them once (config.py) and hands them to the processes as `key=value` lines. Command
+`failstop run` reads and checks them once (failstop/config.py); the processes get them as `key=value` lines. Command
 sources, interlocks and an arm's joints are tables with a name of the user's: [sources.NAME], [interlocks.NAME],
 [joints.NAME]. One source is always there, cmd_vel.
 """
@@ -87,6 +87,11 @@ class Setting:
         return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
 
 
+def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | tuple[str, ...] = ()) -> Setting:
+    """One of a few values, or any text."""
+    return Setting(key, default, "", None, None, doc, allowed)
+
+
 LONGEST_TEXT = 255
 SWITCH = ("on", "off")
 TURNS = ("none", "yaw", "pitch", "roll")
@@ -94,7 +99,7 @@ LAYOUTS = ("mecanum", "differential")
 WEB_TLS = ("auto", "on", "off")
 
 DECLARED = (
-    Setting("device.path", "/dev/ttyACM0", "", None, None, "the motor board's port"),
+    _word("device.path", "/dev/ttyACM0", "the motor board's port"),
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
     Setting(
         "gate.command_timeout_s",
@@ -118,23 +123,21 @@ DECLARED = (
     Setting("limits.wz_radps", 1.0, "rad/s", 0.01, 10.0, "fastest turn"),
     Setting("limits.acceleration_mps2", 0.5, "m/s2", 0.01, 20.0, "ramp of vx and vy"),
     Setting("limits.acceleration_radps2", 2.0, "rad/s2", 0.01, 100.0, "ramp of wz"),
-    Setting("wheels.layout", "mecanum", "", None, None, "how body velocity becomes wheel speeds", LAYOUTS),
+    _word("wheels.layout", "mecanum", "how body velocity becomes wheel speeds", LAYOUTS),
     Setting("wheels.diameter_m", 0.08, "m", 0.02, 1.0, "wheel diameter"),
     Setting("wheels.wheelbase_m", 0.17706, "m", 0.01, 3.0, "distance of front and rear axle"),
     Setting("wheels.track_m", 0.17165, "m", 0.01, 3.0, "distance of left and right wheels"),
-    Setting(
-        "wheels.sign_1", 1, "", None, None, "front left: 1 if its motor turns forward on a positive speed", (1, -1)
-    ),
-    Setting("wheels.sign_2", 1, "", None, None, "rear left, likewise", (1, -1)),
-    Setting("wheels.sign_3", -1, "", None, None, "front right, likewise; mounted the other way round", (1, -1)),
-    Setting("wheels.sign_4", -1, "", None, None, "rear right, likewise; mounted the other way round", (1, -1)),
+    _word("wheels.sign_1", 1, "front left: 1 if its motor turns forward on a positive speed", (1, -1)),
+    _word("wheels.sign_2", 1, "rear left, likewise", (1, -1)),
+    _word("wheels.sign_3", -1, "front right, likewise; mounted the other way round", (1, -1)),
+    _word("wheels.sign_4", -1, "rear right, likewise; mounted the other way round", (1, -1)),
     Setting("wheels.id_1", 0, "", 0, 3, "the front left motor's id on the wire; the four differ"),
     Setting("wheels.id_2", 1, "", 0, 3, "the rear left motor's id"),
     Setting("wheels.id_3", 2, "", 0, 3, "the front right motor's id"),
     Setting("wheels.id_4", 3, "", 0, 3, "the rear right motor's id"),
-    Setting("scan.gate", "on", "", None, None, "software commands move nothing while the sensor is silent", SWITCH),
+    _word("scan.gate", "on", "software commands move nothing while the sensor is silent", SWITCH),
     Setting("scan.timeout_s", 0.5, "s", 0.05, 10.0, "an obstacle sensor silent for this long blocks (no scan)"),
-    Setting("attend.required", "off", "", None, None, "motion needs an operator who is there, again and again", SWITCH),
+    _word("attend.required", "off", "motion needs an operator who is there, again and again", SWITCH),
     Setting("attend.lease_s", 1.0, "s", 0.3, 10.0, "an operator who is not heard for this long is gone: stop, latched"),
     Setting("imu.offset_x_g", 0.0, "g", -1.0, 1.0, "subtracted from the raw acceleration along x"),
     Setting("imu.offset_y_g", 0.0, "g", -1.0, 1.0, "subtracted from the raw acceleration along y"),
@@ -144,7 +147,7 @@ DECLARED = (
     Setting("imu.scale_z", 1.0, "", 0.5, 2.0, "the acceleration along z, less its offset, times this"),
     Setting("imu.calibration_s", 3.0, "s", 0.1, 60.0, "the gyro's bias at the start: its mean over this long"),
     Setting("imu.calibration_std_dps", 0.3, "deg/s", 0.01, 10.0, "an axis that spreads more was not at rest: no bias"),
-    Setting("imu.tracking", "on", "", None, None, "tracking: the gyro's bias follows the reading at rest", SWITCH),
+    _word("imu.tracking", "on", "tracking: the gyro's bias follows the reading at rest", SWITCH),
     Setting("imu.tracking_rest_s", 1.0, "s", 0.1, 60.0, "tracking begins after zero commanded for this long"),
     Setting("imu.tracking_band_dps", 0.5, "deg/s", 0.01, 10.0, "tracking takes readings this close to the bias only"),
     Setting("imu.tracking_tau_s", 20.0, "s", 0.1, 3600.0, "time constant of tracking"),
@@ -154,9 +157,9 @@ DECLARED = (
     Setting("odometry.twist_std_radps", 0.2, "rad/s", 0.0, 10.0, "standard deviation told with its rate of turn"),
     Setting("battery.step_mv", 190, "mV", 10, 5000, "a step of this much is the charger plugged in or pulled out"),
     Setting("battery.stop_mv", -1, "mV", -1, 60000, "stop, latched, when the voltage stays below this; -1: never"),
-    Setting("battery.log", "on", "", None, None, "write the battery's voltage to a file a day", SWITCH),
+    _word("battery.log", "on", "write the battery's voltage to a file a day", SWITCH),
     Setting("battery.log_s", 10.0, "s", 1.0, 3600.0, "time between two lines of it"),
-    Setting("battery.directory", "", "", None, None, "where these files are; empty: the state directory"),
+    _word("battery.directory", "", "where these files are; empty: the state directory"),
     Setting(
         "pad.mode_button", 0x2000, "", 1, 0x8000, "the gamepad's MODE button, the only one that is no stop; one bit"
     ),
@@ -167,7 +170,7 @@ DECLARED = (
     Setting("link.deaf_s", 1.0, "s", 1.0, 60.0, "a board that has answered before and is silent for this long is deaf"),
     Setting("still.std_radps", 0.0035, "rad/s", 0.0001, 1.0, "gyro x and y vary less than this: the wheels are still"),
     Setting("still.after_s", 1.5, "s", 0.2, 60.0, "wheels not still this long after a stop: stop again, CRITICAL"),
-    Setting("still.command", "", "", None, None, "run then, such as a relay's; words as in a shell, empty: none"),
+    _word("still.command", "", "run then, such as a relay's; words as in a shell, empty: none"),
     Setting("stop.wait_s", 30.0, "s", 0.0, 3600.0, "`failstop stop` tries to have the port for this long"),
     Setting("key.stop", 1, "", 1, 255, "the board key that stops"),
     Setting(
@@ -180,19 +183,11 @@ DECLARED = (
     ),
     Setting("arm.drive_pan", -1, "", -1, 1000, "where the base joint is for driving; -1: wherever it is"),
     Setting("arm.base_servo", 1, "", 1, 100, "the servo of the joint that arm.drive_pan is for"),
-    Setting("arm.absent", "refuse", "", None, None, "motion while no servo of the arm answers", ("refuse", "ignore")),
-    Setting("arm.auto_tuck", "on", "", None, None, "an arm that is left alone goes to its tuck pose", SWITCH),
+    _word("arm.absent", "refuse", "motion while no servo of the arm answers", ("refuse", "ignore")),
+    _word("arm.auto_tuck", "on", "an arm that is left alone goes to its tuck pose", SWITCH),
     Setting("arm.auto_tuck_s", 120.0, "s", 1.0, 86400.0, "left alone for this long, motion disabled, nothing latched"),
     Setting("arm.tuck_notice_s", 5.0, "s", 0.1, 60.0, "so long before that it is told, with a tone"),
-    Setting(
-        "arm.collision",
-        "off",
-        "",
-        None,
-        None,
-        "what would have the arm hit itself, the chassis or the floor is not sent",
-        SWITCH,
-    ),
+    _word("arm.collision", "off", "what would have the arm hit itself, the chassis or the floor is not sent", SWITCH),
     Setting("arm.mount_x_m", 0.0, "m", -1.0, 1.0, "where the arm is mounted, forward of the chassis' middle"),
     Setting("arm.mount_z_m", 0.1, "m", 0.0, 2.0, "and how high above the floor"),
     Setting("arm.chassis_length_m", 0.3, "m", 0.0, 3.0, "the chassis as a capsule along the robot: its length"),
@@ -200,17 +195,15 @@ DECLARED = (
     Setting("arm.chassis_z_m", 0.08, "m", 0.0, 1.0, "how high its middle is above the floor"),
     Setting("arm.hot_c", 70, "degrees Celsius", 30, 84, "a servo as hot as this is told of: at 85 it lets go"),
     Setting("arm.low_mv", 6000, "mV", 1000, 30000, "a servo with less supply than this is told of: it lets go below"),
-    Setting(
-        "buzzer.tones", "off", "", None, None, "the board sounds on a stop and on a change of the pad's mode", SWITCH
-    ),
-    Setting("incidents.save", "on", "", None, None, "keep the black box in a file after each latched stop", SWITCH),
+    _word("buzzer.tones", "off", "the board sounds on a stop and on a change of the pad's mode", SWITCH),
+    _word("incidents.save", "on", "keep the black box in a file after each latched stop", SWITCH),
     Setting("incidents.keep", 50, "", 1, 10000, "so many of these files; the oldest go first"),
     Setting("incidents.max_mb", 100, "MB", 1, 100000, "and no more than this together; the newest stays in any case"),
-    Setting("web.address", "127.0.0.1", "", None, None, "the operator's page (`failstop web`) listens here"),
+    _word("web.address", "127.0.0.1", "the operator's page (`failstop web`) listens here"),
     Setting("web.port", 8477, "", 0, 65535, "on this port; 0: any that is free"),
-    Setting("web.hosts", "", "", None, None, "names that the page answers to, with blanks between; its own always"),
-    Setting("web.tls", "auto", "", None, None, "HTTPS; auto: unless only this machine is listened to", WEB_TLS),
-    Setting("web.pairing", "off", "", None, None, "paired devices may reset and enable; others see and stop", SWITCH),
+    _word("web.hosts", "", "names that the page answers to, with blanks between; its own always"),
+    _word("web.tls", "auto", "HTTPS; auto: unless only this machine is listened to", WEB_TLS),
+    _word("web.pairing", "off", "paired devices may reset and enable; others see and stop", SWITCH),
     Setting("restart.deaths", 5, "", 1, 100000, "after this many deaths within the window, down until a reset"),
     Setting("restart.window_s", 60.0, "s", 1.0, 3600.0, "the window in which deaths are counted"),
     Setting("restart.backoff_s", 0.1, "s", 0.001, 2.0, "wait before the second restart in the window; then doubled"),
@@ -231,22 +224,22 @@ FAMILIES = {
     ),
     "interlocks": (
         Setting("timeout_s", 0.5, "s", 0.05, 10.0, "not asserted again within this time, it is not satisfied"),
-        Setting("refusal", "", "", None, None, "what a refused enable is told; empty: interlock NAME is not satisfied"),
+        _word("refusal", "", "what a refused enable is told; empty: interlock NAME is not satisfied"),
     ),
     "joints": (
         Setting("servo", 0, "", 1, 100, "the id of the joint's bus servo; every joint has one of its own"),
         Setting("zero", 500, "", 0, 1000, "pulses (0.24 degrees each) at which the joint's angle is zero"),
-        Setting("sign", 1, "", None, None, "-1: more pulses are a smaller angle", (1, -1)),
+        _word("sign", 1, "-1: more pulses are a smaller angle", (1, -1)),
         Setting("low", 0, "", 0, 999, "pulses below which it is never sent"),
         Setting("high", 1000, "", 1, 1000, "pulses above which it is never sent"),
         Setting("speed_radps", 1.0, "rad/s", 0.01, 6.0, "its fastest turn"),
         Setting("acceleration_radps2", 4.0, "rad/s2", 0.05, 50.0, "its ramp"),
         Setting("tuck", -1, "", -1, 1000, "pulses in the tuck pose; -1: it is no part of it"),
         Setting("drive", -1, "", -1, 1000, "pulses in the drive pose; -1: it is no part of it"),
-        Setting("turns", "none", "", None, None, "what is behind it: about the vertical, across, or itself", TURNS),
+        _word("turns", "none", "what is behind it: about the vertical, across, or itself", TURNS),
         Setting("length_m", 0.0, "m", 0.0, 2.0, "from it to the next joint"),
         Setting("radius_m", 0.03, "m", 0.0, 0.5, "of what is between"),
-        Setting("judged", "on", "", None, None, "enabling motion asks whether it is in the drive pose", SWITCH),
+        _word("judged", "on", "enabling motion asks whether it is in the drive pose", SWITCH),
     ),
 }
 MOST_OF_A_FAMILY = 8

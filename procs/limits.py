@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import resource
 
 DESCRIPTORS = 64
@@ -26,13 +25,3 @@ def no_descriptors(most: int) -> str:
         f"RLIMIT_NOFILE is {most}, and {DESCRIPTORS} open files are needed: raise it (`ulimit -n 1024`, or "
         "LimitNOFILE= of a systemd unit)"
     )
-
-
-def lack(error: BaseException | None) -> str:
-    """What people are told of an error that came of too many open files, whatever was made of it on its way; of another
-    one an empty text."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno == errno.EMFILE:
-            return no_descriptors(resource.getrlimit(resource.RLIMIT_NOFILE)[0])
-        error = error.__cause__ or error.__context__
-    return ""

@@ -27,7 +27,6 @@ _SIGKILL = 9
 _ORDINARY = os.sched_param(0)
 _DEMOTED = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
 """With the flag that the processes have (procs/rights.py): only CAP_SYS_NICE may clear it."""
-_FIRST = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 _STACK_BYTES = 128 * 1024
 _QUIET_S = 0.02
 _WAY_S = 30e-6
@@ -144,38 +143,3 @@ class EarlyNews:
             # lock, 0.1 to 0.2 ms (traced).
             sleep(_QUIET_S)
         word.close()
-
-
-class HeldByThread:
-    """A futex that a thread of its own holds, which does nothing else: whichever thread may let it go."""
-
-    __slots__ = ("_until",)
-
-    def __init__(self, word: Futex) -> None:
-        """Returns once it is held. Raises RuntimeError when there are no more threads."""
-        self._until = _thread.allocate_lock()
-        self._until.acquire()
-        held = _thread.allocate_lock()
-        held.acquire()
-        _thread.start_new_thread(self._live, (word, held))
-        held.acquire()
-
-    def _live(self, word: Futex, held: _thread.LockType) -> None:
-        _signal.pthread_sigmask(_signal.SIG_BLOCK, _signal.valid_signals())  # they are for the program's own threads
-        # Of a process's dying threads the kernel then runs this one first. It sleeps until then, and delays nobody.
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, _FIRST, os.sched_param(1))
-        kept = None
-        try:
-            with contextlib.suppress(OSError):  # without it there is the late news
-                kept = word.hold()
-        finally:
-            held.release()
-        self._until.acquire()
-        futex.let_go()
-        del kept
-        word.close()
-
-    def let_go(self) -> None:
-        """Once. The word is the caller's to clear, before."""
-        self._until.release()

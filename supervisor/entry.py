@@ -13,8 +13,9 @@ from failstop.procs.world import World
 from failstop.shm.instance import InstanceError
 from failstop.shm.segment import AttachError
 from failstop.supervisor import main
+from failstop.supervisor.datagram import Outbox
 from failstop.supervisor.events import Events
-from failstop.supervisor.journal import Journal, is_stderr
+from failstop.supervisor.journal import SOCKET, is_stderr
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
@@ -31,7 +32,7 @@ def start(words: dict[str, str]) -> int:
     world = World()
     port = OwnPort(_take_descriptors(int(words["lock"]), int(words["port"])), settings.servos())
     notify = Notify.taken_from(os.environ, os.getpid())
-    journal = Journal() if is_stderr(os.environ.pop("JOURNAL_STREAM", "")) else None
+    journal = Outbox(SOCKET) if is_stderr(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:
         limits.take_descriptors()
         resources = Resources(words["name"], words["dir"])

@@ -9,7 +9,7 @@ import os
 import select
 
 from failstop.policy import causes
-from failstop.shm import instance, layout, news, packing
+from failstop.shm import instance, layout, packing
 from failstop.shm.records import cut
 from failstop.supervisor.allowance import ASKED_BYTES, OWN_BYTES, Allowance
 from failstop.supervisor.fold import PREFIX, fitted
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
     from failstop.procs.world import World
     from failstop.shm.ring import RingWriter
-    from failstop.supervisor.journal import Journal, Value
+    from failstop.supervisor.datagram import Outbox
+    from failstop.supervisor.journal import Value
 
     Told = tuple[int, float, str, str, str, dict[str, Value]]
     Sort = tuple[str, str, bool]
@@ -56,7 +57,7 @@ class Events:
         world: World,
         name: str,
         ring: RingWriter | None = None,
-        journal: Journal | None = None,
+        journal: Outbox | None = None,
         published: int = -1,
     ) -> None:
         """`name`: the instance's; `published`: the descriptor of its run's file, by which whoever waits is woken."""
@@ -103,7 +104,7 @@ class Events:
         for told in waiting:
             self._send(*told)
         if waiting and self._published >= 0:
-            news.touch(self._published)
+            instance.touch(self._published)
 
     def _send(self, t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value]) -> None:
         """To everybody, unless there was too much of its sort."""

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import os
 
-from failstop.supervisor.datagram import Outbox
-
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -40,21 +38,3 @@ def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
         else:
             parts.append(b"%s=%s\n" % (name.encode("ascii"), data))
     return b"".join(parts)
-
-
-class Journal:
-    """The journal's socket."""
-
-    __slots__ = ("_outbox",)
-
-    def __init__(self, path: str = SOCKET) -> None:
-        self._outbox = Outbox(path)
-
-    def send(self, datagram: bytes) -> bool:
-        """Send one entry (encode); False when it could not be handed over at once: the journal is gone, or its queue
-        full."""
-        return self._outbox.send(datagram)
-
-    def close(self) -> None:
-        """Let the socket go."""
-        self._outbox.close()

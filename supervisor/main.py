@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from failstop.procs.world import World
     from failstop.shm.bell import EventBell
     from failstop.supervisor.children import Child
-    from failstop.supervisor.journal import Journal
+    from failstop.supervisor.datagram import Outbox
     from failstop.supervisor.port import OwnPort
     from failstop.supervisor.resources import Resources
 
@@ -78,7 +78,7 @@ class Supervisor:
         port: OwnPort,
         settings: Settings,
         notify: Notify | None = None,
-        journal: Journal | None = None,
+        journal: Outbox | None = None,
     ) -> None:
         name, memory, run = resources.name, resources.memory, resources.incarnation
         own = segment.attach(memory, layout.SUPERVISOR, run, write=True)
@@ -408,7 +408,7 @@ def _rules(settings: Settings) -> dict[str, object]:
 
 
 def run(
-    world: World, resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Journal | None
+    world: World, resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Outbox | None
 ) -> int:
     """Run the service until SIGTERM or SIGINT, or until it can't go on; returns the exit code."""
     supervisor = Supervisor(world, resources, port, settings, notify, journal)

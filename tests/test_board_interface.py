@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop.board import decoder
-from failstop.board.codec import FrameError
+from failstop.board.framing import FrameError
 from failstop.board.interface import BOARD
 from failstop.lab.sim.receiver import Receiver
 from failstop.shm import layout

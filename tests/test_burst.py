@@ -10,10 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board import codec
+from failstop.board import codec, framing, peripherals, servos
 from failstop.board.burst import BURST, FIRST_STOP_END
-from failstop.board.codec import MOTOR, STOP
-from failstop.board.motors import Motors
+from failstop.board.codec import STOP
+from failstop.board.framing import MOTOR
+from failstop.incidents.motors import Motors
+from failstop.lab import encoders
 from failstop.lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
 
 VERSIONS = (10, 11, 12)
@@ -27,27 +29,27 @@ OWN_FRAMES = {
     "speeds forward": codec.motor_speeds((0.8, 0.8, -0.8, -0.8), MAX_RPS),
     "speeds turning": codec.motor_speeds((-0.694, -0.694, -0.694, -0.694), MAX_RPS),
     "speeds odd": codec.motor_speeds((1.0, -2.0, 0.1, 1e-3), MAX_RPS),
-    "some": codec.motor_some([(1, -1.0), (2, 2.0)], MAX_RPS),
-    "some, four": codec.motor_some([(3, 1.5), (2, -1.5), (1, 0.3), (0, -0.3)], MAX_RPS),
-    "one": codec.motor_one(3, 1.25, MAX_RPS),
-    "stop one": codec.motor_stop_one(2),
-    "stop mask": codec.motor_stop_mask(0x0F),
-    "type": codec.motor_type(3),
+    "some": encoders.motor_some([(1, -1.0), (2, 2.0)], MAX_RPS),
+    "some, four": encoders.motor_some([(3, 1.5), (2, -1.5), (1, 0.3), (0, -0.3)], MAX_RPS),
+    "one": encoders.motor_one(3, 1.25, MAX_RPS),
+    "stop one": encoders.motor_stop_one(2),
+    "stop mask": encoders.motor_stop_mask(0x0F),
+    "type": encoders.motor_type(3),
     "stop": STOP,
-    "pwm move": codec.pwm_servo_move([(1, 500), (2, 1500), (3, 2500), (4, 1000)], 1000),
-    "pwm move one": codec.pwm_servo_move_one(1, 1000, 1000),
-    "pwm read": codec.PING,
-    "pwm deviation": codec.pwm_servo_deviation(4, -100),
-    "pwm read deviation": codec.pwm_servo_read_deviation(1),
-    "bus move": codec.bus_servo_move([(1, 501), (2, 502)], 40),
-    "bus stop": codec.bus_servo_stop((1, 2, 3)),
-    "bus position": codec.bus_servo_read(1, 0x05),
-    "bus torque": codec.bus_servo_torque(1, on=True),
-    "buzzer": codec.buzzer(1400, 100, 100, 5),
-    "led": codec.led(1, 500, 300, 10),
-    "oled": codec.oled(1, "x" * 23),
-    "rgb": codec.rgb([(0, 255, 1, 2), (1, 3, 4, 5)]),
-    "alarm": codec.battery_alarm(6800),
+    "pwm move": encoders.pwm_servo_move([(1, 500), (2, 1500), (3, 2500), (4, 1000)], 1000),
+    "pwm move one": encoders.pwm_servo_move_one(1, 1000, 1000),
+    "pwm read": encoders.PING,
+    "pwm deviation": encoders.pwm_servo_deviation(4, -100),
+    "pwm read deviation": encoders.pwm_servo_read_deviation(1),
+    "bus move": servos.bus_servo_move([(1, 501), (2, 502)], 40),
+    "bus stop": servos.bus_servo_stop((1, 2, 3)),
+    "bus position": servos.bus_servo_read(1, 0x05),
+    "bus torque": servos.bus_servo_torque(1, on=True),
+    "buzzer": peripherals.buzzer(1400, 100, 100, 5),
+    "led": encoders.led(1, 500, 300, 10),
+    "oled": encoders.oled(1, "x" * 23),
+    "rgb": encoders.rgb([(0, 255, 1, 2), (1, 3, 4, 5)]),
+    "alarm": encoders.battery_alarm(6800),
 }
 
 
@@ -128,7 +130,7 @@ def test_a_stray_frame_that_sets_speeds_comes_before_the_last_stops() -> None:
         # The lowest byte of the speed makes the CRC come out right.
         for byte in range(256):
             prefix[3] = byte
-            if codec.crc8(bytes((MOTOR, length)) + prefix + filler) == 0:
+            if framing.crc8(bytes((MOTOR, length)) + prefix + filler) == 0:
                 break
         motors = Motors()
         commands = execute(make(DATA if remaining else CRC, MOTOR, length, bytes(prefix)), motors, BURST)
@@ -163,7 +165,7 @@ def unguarded(speeds: tuple[float, float, float, float]) -> bytes:
     """The same frame as any other encoder makes it."""
     packed = struct.pack("<BfBfBfBf", 0, speeds[0], 1, speeds[1], 2, speeds[2], 3, speeds[3])
     body = bytes((MOTOR, 22, 1, 4)) + packed
-    return codec.HEAD + body + bytes((codec.crc8(body),))
+    return framing.HEAD + body + bytes((framing.crc8(body),))
 
 
 FORWARD = (0.796, 0.796, -0.796, -0.796)
@@ -207,7 +209,7 @@ def test_no_cut_of_a_moving_frame_has_a_crc_of_zero(speeds: tuple[float, float, 
     frame = codec.motor_speeds(speeds, 1.5)
     assert codec.check_motion(frame, 1.5) == ""
     for end in range(8, 27):
-        assert codec.crc8(frame[2:end]) != 0 or not _moves(frame, end)
+        assert framing.crc8(frame[2:end]) != 0 or not _moves(frame, end)
 
 
 def _moves(frame: bytes, end: int) -> bool:
@@ -307,7 +309,7 @@ def test_control_stop_frames_as_filler_can_write_to_a_wheel_that_is_none() -> No
             wild += [(part, wheel) for wheel, _ in motors.wild]
     assert wild
     for part, wheel in wild:
-        assert wheel >= codec.WHEELS
+        assert wheel >= framing.WHEELS
         receiver, motors = Receiver(), Motors()
         receiver.feed(part)
         execute(receiver, motors, BURST)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.api.way import on_the_way
 from failstop.policy.capsules import CHASSIS, FLOOR, Model, _apart_squared
 from failstop.policy.settings import Settings
 
@@ -24,6 +25,12 @@ def tip(**angles: float) -> tuple[float, float, float]:
     return MODEL.capsules(angles)[-1][2]
 
 
+def hit(angles: dict[str, float]) -> tuple[str, str] | None:
+    """The pair that touches in these angles."""
+    gap_m, name, other = MODEL.nearest(angles)
+    return (name, other) if gap_m < 0.0 else None
+
+
 def test_straight_up_and_folded_forward_and_to_the_left() -> None:
     assert tip() == pytest.approx((0.0, 0.0, 0.65))
     assert tip(shoulder=pi / 2) == pytest.approx((0.4, 0.0, 0.25))
@@ -32,18 +39,18 @@ def test_straight_up_and_folded_forward_and_to_the_left() -> None:
 
 
 def test_what_it_hits_in_one_place() -> None:
-    assert MODEL.hit({}) is None
-    assert MODEL.hit({"base": pi / 2, "shoulder": pi / 2, "elbow": pi / 2}) == ("hand", FLOOR)
-    assert MODEL.hit({"shoulder": 2.6, "elbow": -2.6}) == ("elbow", CHASSIS)
-    assert MODEL.hit({"shoulder": 0.3, "elbow": pi - 0.05, "hand": 0.4}) is not None
+    assert hit({}) is None
+    assert hit({"base": pi / 2, "shoulder": pi / 2, "elbow": pi / 2}) == ("hand", FLOOR)
+    assert hit({"shoulder": 2.6, "elbow": -2.6}) == ("elbow", CHASSIS)
+    assert hit({"shoulder": 0.3, "elbow": pi - 0.05, "hand": 0.4}) is not None
 
 
 def test_the_way_is_looked_at_and_not_only_its_end() -> None:
     there = {"shoulder": -1.9, "elbow": 0.0, "hand": 0.0}
-    assert MODEL.hit({"shoulder": 1.2}) is None
+    assert hit({"shoulder": 1.2}) is None
     begun = {"base": 0.0, "shoulder": 1.2, "elbow": 0.0, "hand": 0.0}
-    assert MODEL.on_the_way(begun, [(2.0, {"shoulder": 0.0})]) is None
-    found = MODEL.on_the_way({**begun, "shoulder": 0.0}, [(2.0, {"shoulder": 3.0}), (4.0, there)])
+    assert on_the_way(MODEL, begun, [(2.0, {"shoulder": 0.0})]) is None
+    found = on_the_way(MODEL, {**begun, "shoulder": 0.0}, [(2.0, {"shoulder": 3.0}), (4.0, there)])
     assert found is not None
     assert 1.0 < found[0] < 2.0
     assert found[2] == CHASSIS or found[2] == FLOOR

@@ -12,11 +12,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from failstop.board import codec, peripherals
+from failstop.board import framing, peripherals
 from failstop.board.burst import BURST
-from failstop.board.codec import MOTOR, STOP, FrameError, check_aux
-from failstop.board.framing import AUX_FUNCS, MAX_DATA, PWM_SERVO, seal
-from failstop.board.motors import Motors
+from failstop.board.codec import STOP
+from failstop.board.framing import AUX_FUNCS, MAX_DATA, MOTOR, PWM_SERVO, FrameError, seal
+from failstop.board.peripherals import check_aux
+from failstop.incidents.motors import Motors
+from failstop.lab import encoders
 from failstop.lab.sim.receiver import Receiver
 
 pytestmark = pytest.mark.slow  # they cut each frame at every byte
@@ -71,19 +73,19 @@ COLOURS = (0, 1, 0x55, 0xAA, 255)
 
 def at_bounds() -> Iterator[tuple[str, Callable[..., bytes], Iterator[tuple[Any, ...]]]]:
     """Every encoder with the values at the ends of its ranges, and those that look like a frame's head."""
-    yield "buzzer", codec.buzzer, product((20, 0x55AA % 20_000, 20_000), U16, U16, U16)
-    yield "led", codec.led, product((1, 2), (0, *U16), (0, *U16), (0, 1, 65_535))
-    yield "oled", codec.oled, product((1, 2), ("", " ", "~", "U" * 22, " " * 23, "~" * 23, "x" * 23))
+    yield "buzzer", peripherals.buzzer, product((20, 0x55AA % 20_000, 20_000), U16, U16, U16)
+    yield "led", encoders.led, product((1, 2), (0, *U16), (0, *U16), (0, 1, 65_535))
+    yield "oled", encoders.oled, product((1, 2), ("", " ", "~", "U" * 22, " " * 23, "~" * 23, "x" * 23))
     one = [[(index, *colour)] for index in (0, 1) for colour in product(COLOURS, repeat=3)]
     two = [[(0, *first), (1, *second)] for first, second in product([(c, c, c) for c in COLOURS], repeat=2)]
-    yield "rgb", codec.rgb, ((pixels,) for pixels in (*one, *two))
-    yield "alarm", codec.battery_alarm, ((mv,) for mv in (1000, 0x0455, 0x55AA, 29_999, 30_000))
-    yield "pwm one", codec.pwm_servo_move_one, product((1, 2, 3, 4), PULSES, DURATIONS)
+    yield "rgb", encoders.rgb, ((pixels,) for pixels in (*one, *two))
+    yield "alarm", encoders.battery_alarm, ((mv,) for mv in (1000, 0x0455, 0x55AA, 29_999, 30_000))
+    yield "pwm one", encoders.pwm_servo_move_one, product((1, 2, 3, 4), PULSES, DURATIONS)
     moves = [[(servo, pulse) for servo in range(1, last + 1)] for last in (1, 2, 3, 4) for pulse in PULSES]
-    yield "pwm", codec.pwm_servo_move, product(moves, DURATIONS)
-    yield "pwm deviation", codec.pwm_servo_deviation, product((1, 2, 3, 4), range(-100, 101))
-    for name in ("pwm_servo_read", "pwm_servo_read_deviation"):
-        yield name, getattr(codec, name), ((servo,) for servo in (1, 2, 3, 4))
+    yield "pwm", encoders.pwm_servo_move, product(moves, DURATIONS)
+    yield "pwm deviation", encoders.pwm_servo_deviation, product((1, 2, 3, 4), range(-100, 101))
+    for ask in (peripherals.pwm_servo_read, encoders.pwm_servo_read_deviation):
+        yield ask.__name__, ask, ((servo,) for servo in (1, 2, 3, 4))
 
 
 @pytest.mark.parametrize(("encode", "values"), [row[1:] for row in at_bounds()], ids=[row[0] for row in at_bounds()])
@@ -111,16 +113,16 @@ def targets(most: int, ids: int, low: int, high: int) -> st.SearchStrategy[list[
 BYTE = st.integers(0, 255)
 PIXELS = st.lists(st.tuples(st.integers(0, 1), BYTE, BYTE, BYTE), min_size=1, max_size=2, unique_by=lambda p: p[0])
 FRAMES: dict[str, st.SearchStrategy[tuple[Callable[..., bytes], tuple[Any, ...]]]] = {
-    "buzzer": st.tuples(st.just(codec.buzzer), st.tuples(st.integers(20, 20_000), *[st.integers(1, 65_535)] * 3)),
-    "led": st.tuples(st.just(codec.led), st.tuples(st.integers(1, 2), U16S, U16S, U16S)),
+    "buzzer": st.tuples(st.just(peripherals.buzzer), st.tuples(st.integers(20, 20_000), *[st.integers(1, 65_535)] * 3)),
+    "led": st.tuples(st.just(encoders.led), st.tuples(st.integers(1, 2), U16S, U16S, U16S)),
     "oled": st.tuples(
-        st.just(codec.oled),
+        st.just(encoders.oled),
         st.tuples(st.integers(1, 2), st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=23)),
     ),
-    "rgb": st.tuples(st.just(codec.rgb), st.tuples(PIXELS)),
-    "alarm": st.tuples(st.just(codec.battery_alarm), st.tuples(st.integers(1000, 30_000))),
-    "pwm": st.tuples(st.just(codec.pwm_servo_move), st.tuples(targets(4, 4, 500, 2500), MS)),
-    "pwm one": st.tuples(st.just(codec.pwm_servo_move_one), st.tuples(st.integers(1, 4), PULSE, MS)),
+    "rgb": st.tuples(st.just(encoders.rgb), st.tuples(PIXELS)),
+    "alarm": st.tuples(st.just(encoders.battery_alarm), st.tuples(st.integers(1000, 30_000))),
+    "pwm": st.tuples(st.just(encoders.pwm_servo_move), st.tuples(targets(4, 4, 500, 2500), MS)),
+    "pwm one": st.tuples(st.just(encoders.pwm_servo_move_one), st.tuples(st.integers(1, 4), PULSE, MS)),
 }
 
 
@@ -158,7 +160,7 @@ def zero_crc_when_cut() -> bytes:
     """A servo's frame whose CRC is zero after its first byte of data but four, from an encoder that does not look."""
     for duration, pulse in product(range(256), range(500, 756)):
         data = b"\x03" + struct.pack("<HBH", duration, 1, pulse)
-        if codec.crc8((PWM_SERVO, len(data), *data[:3])) == 0:
+        if framing.crc8((PWM_SERVO, len(data), *data[:3])) == 0:
             return seal(PWM_SERVO, data)
     raise AssertionError("none found")
 
@@ -174,7 +176,7 @@ def test_control_zeros_complete_such_a_frame_and_the_check_refuses_it() -> None:
 def test_a_servo_s_move_is_the_one_that_was_asked_for_within_a_few_milliseconds(servo: int) -> None:
     changed = 0
     for pulse, duration in product(range(500, 2501, 37), (*range(0, 30_000, 997), 30_000)):
-        frame = codec.pwm_servo_move_one(servo, pulse, duration)
+        frame = encoders.pwm_servo_move_one(servo, pulse, duration)
         command, made, found, at = struct.unpack("<BHBH", frame[4:-1])
         assert (command, found, at) == (3, servo, pulse)
         assert abs(made - duration) <= 2
@@ -183,7 +185,7 @@ def test_a_servo_s_move_is_the_one_that_was_asked_for_within_a_few_milliseconds(
     assert changed, "the test can fail"
 
 
-@pytest.mark.parametrize("func", [func for func in AUX_FUNCS if func != codec.BUS_SERVO])
+@pytest.mark.parametrize("func", [func for func in AUX_FUNCS if func != framing.BUS_SERVO])
 def test_what_is_longer_than_the_burst_s_first_zeros_is_not_written(func: int) -> None:
     assert check_aux(seal(func, b"\x01" + bytes(31))) == "32 bytes of data, limit 31"
     assert check_aux(seal(func, b"\x01" + bytes(30))) == ""

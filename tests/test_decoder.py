@@ -12,9 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board import decoder
-from failstop.board.codec import BUS_SERVO, GAMEPAD, IMU, KEY, PWM_SERVO, SBUS, SYS, crc8
 from failstop.board.decoder import Decoder
-from failstop.board.framing import seal
+from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU, KEY, PWM_SERVO, SBUS, SYS, crc8, seal
 from failstop.lab.sim import upward
 
 UP = {

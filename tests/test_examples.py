@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from failstop import config
 from failstop.cli import main as cli
 from failstop.lab.pages import settings as page_of_settings
-from failstop.policy import config, kinematics
+from failstop.policy import kinematics
 from failstop.policy.settings import DECLARED, FAMILIES, Settings
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -11,11 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board import codec
+from failstop.board import codec, framing, servos
 from failstop.board.burst import BURST
-from failstop.board.codec import MOTOR, PING, STOP, FrameError, check_aux, check_motion
-from failstop.board.framing import seal
-from failstop.board.motors import Motors
+from failstop.board.codec import STOP, check_motion
+from failstop.board.framing import MOTOR, FrameError, seal
+from failstop.board.peripherals import check_aux
+from failstop.incidents.motors import Motors
+from failstop.lab import encoders
+from failstop.lab.encoders import PING
 from failstop.lab.sim.receiver import Receiver
 
 VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text())
@@ -35,13 +38,13 @@ MOTION_REASONS = [
     (STOP + b"\x00", "not a motor frame"),
     (BURST, "not a motor frame"),
     (STOP + STOP, "not a motor frame"),
-    (codec.motor_one(0, 0.5, 1.0), "not a motor frame"),
-    (codec.motor_stop_one(0), "not a motor frame"),
-    (codec.motor_stop_mask(15), "not a motor frame"),
+    (encoders.motor_one(0, 0.5, 1.0), "not a motor frame"),
+    (encoders.motor_stop_one(0), "not a motor frame"),
+    (encoders.motor_stop_mask(15), "not a motor frame"),
     (wheels((0, 0.0), (1, 0.0), (2, 0.0)), "not a motor frame"),
     (seal(MOTOR, STOP[4:5] + b"\x05" + STOP[6:-1]), "not a motor frame"),
     (seal(MOTOR, b"\x00" + STOP[5:-1]), "not a motor frame"),
-    (seal(codec.BUS_SERVO, STOP[4:-1]), "not a motor frame"),
+    (seal(framing.BUS_SERVO, STOP[4:-1]), "not a motor frame"),
     (STOP[:-1] + b"\x08", "bad crc"),
     (wheels((0, 0.0), (1, 0.0), (2, 0.0), (4, 0.0)), "wheel ids 0 1 2 4, must be 0 1 2 3"),
     (wheels((1, 0.0), (0, 0.0), (2, 0.0), (3, 0.0)), "wheel ids 1 0 2 3, must be 0 1 2 3"),
@@ -103,12 +106,12 @@ AUX_FRAMES = {
         for name, text in VECTORS["down"].items()
         if not name.startswith(("motor", "stop", "bus"))
     },
-    "pwm servos": codec.pwm_servo_move([(1, 500), (4, 2500)], 30_000),
-    "pwm deviation": codec.pwm_servo_deviation(2, -1),
-    "oled": codec.oled(2, "x" * 23),
-    "oled, empty": codec.oled(1, ""),
-    "rgb": codec.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]),
-    "alarm": codec.battery_alarm(6800),
+    "pwm servos": encoders.pwm_servo_move([(1, 500), (4, 2500)], 30_000),
+    "pwm deviation": encoders.pwm_servo_deviation(2, -1),
+    "oled": encoders.oled(2, "x" * 23),
+    "oled, empty": encoders.oled(1, ""),
+    "rgb": encoders.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]),
+    "alarm": encoders.battery_alarm(6800),
 }
 
 
@@ -130,28 +133,28 @@ AUX_REASONS = [
     (b"\xaa\x55\x01\x00", "not a frame"),
     (STOP, "a motor frame"),
     (seal(MOTOR, b""), "a motor frame"),
-    (seal(codec.KEY, b"\x01\x01"), "func 6 does not go to the board"),
-    (seal(codec.IMU, bytes(24)), "func 7 does not go to the board"),
+    (seal(framing.KEY, b"\x01\x01"), "func 6 does not go to the board"),
+    (seal(framing.IMU, bytes(24)), "func 7 does not go to the board"),
     (seal(12, b"\x01"), "func 12 does not go to the board"),
     (PING + b"\x00", "8 bytes, its length byte says 7"),
     (PING[:-1] + b"\xe1", "bad crc"),
-    (seal(codec.OLED, b"\x01\x10" + STOP[:16]), "the start of a motor frame inside"),
-    (seal(codec.PWM_SERVO, b""), "no sub-command"),
-    (seal(codec.PWM_SERVO, b"\x05\x00"), "pwm servo id 0"),
-    (seal(codec.PWM_SERVO, b"\x05"), "pwm servo id 0"),
-    (seal(codec.PWM_SERVO, b"\x07\x00\x10"), "pwm servo id 0"),
-    (seal(codec.PWM_SERVO, b"\x09\x00"), "pwm servo id 0"),
-    (seal(codec.PWM_SERVO, b"\x03\xe8\x03\x00\xe8\x03"), "pwm servo id 0"),
-    (seal(codec.PWM_SERVO, b"\x01\xe8\x03\x02\x01\xe8\x03\x00\xe8\x03"), "pwm servo id 0"),
-    (seal(codec.PWM_SERVO, b"\x01\xe8\x03\x03\x01\xe8\x03\x02\xe8\x03"), "a count beyond its data"),
-    (seal(codec.PWM_SERVO, b"\x01\xe8\x03"), "a count beyond its data"),
-    (codec.bus_servo_stop([1]), "a bus servo's frame"),
-    (seal(codec.BUS_SERVO, b"\x03\xfd" + bytes(253)), "a bus servo's frame"),
-    (seal(codec.OLED, b"\x01\x18" + b"x" * 24), "oled text of 24, limit 23"),
-    (seal(codec.OLED, b"\x02\x05abcd"), "a count beyond its data"),
-    (seal(codec.RGB, b"\x01\x01\x02\xff\xff\xff"), "rgb index beyond 1"),
-    (seal(codec.RGB, b"\x01\x02\x00\xff\xff\xff"), "a count beyond its data"),
-    (seal(codec.RGB, b"\x02\xff"), "rgb sub-command 2, must be 1"),
+    (seal(framing.OLED, b"\x01\x10" + STOP[:16]), "the start of a motor frame inside"),
+    (seal(framing.PWM_SERVO, b""), "no sub-command"),
+    (seal(framing.PWM_SERVO, b"\x05\x00"), "pwm servo id 0"),
+    (seal(framing.PWM_SERVO, b"\x05"), "pwm servo id 0"),
+    (seal(framing.PWM_SERVO, b"\x07\x00\x10"), "pwm servo id 0"),
+    (seal(framing.PWM_SERVO, b"\x09\x00"), "pwm servo id 0"),
+    (seal(framing.PWM_SERVO, b"\x03\xe8\x03\x00\xe8\x03"), "pwm servo id 0"),
+    (seal(framing.PWM_SERVO, b"\x01\xe8\x03\x02\x01\xe8\x03\x00\xe8\x03"), "pwm servo id 0"),
+    (seal(framing.PWM_SERVO, b"\x01\xe8\x03\x03\x01\xe8\x03\x02\xe8\x03"), "a count beyond its data"),
+    (seal(framing.PWM_SERVO, b"\x01\xe8\x03"), "a count beyond its data"),
+    (servos.bus_servo_stop([1]), "a bus servo's frame"),
+    (seal(framing.BUS_SERVO, b"\x03\xfd" + bytes(253)), "a bus servo's frame"),
+    (seal(framing.OLED, b"\x01\x18" + b"x" * 24), "oled text of 24, limit 23"),
+    (seal(framing.OLED, b"\x02\x05abcd"), "a count beyond its data"),
+    (seal(framing.RGB, b"\x01\x01\x02\xff\xff\xff"), "rgb index beyond 1"),
+    (seal(framing.RGB, b"\x01\x02\x00\xff\xff\xff"), "a count beyond its data"),
+    (seal(framing.RGB, b"\x02\xff"), "rgb sub-command 2, must be 1"),
 ]
 
 
@@ -168,7 +171,8 @@ def test_published_frames_that_must_not_be_written(name: str) -> None:
 
 
 @given(
-    func=st.sampled_from(codec.AUX_FUNCS), data=st.one_of(st.binary(max_size=255), st.just(STOP), st.just(BURST[:255]))
+    func=st.sampled_from(framing.AUX_FUNCS),
+    data=st.one_of(st.binary(max_size=255), st.just(STOP), st.just(BURST[:255])),
 )
 def test_no_aux_frame_that_passes_holds_a_motor_frame_for_a_receiver_out_of_step(func: int, data: bytes) -> None:
     frame = seal(func, data)
@@ -176,4 +180,4 @@ def test_no_aux_frame_that_passes_holds_a_motor_frame_for_a_receiver_out_of_step
     if motor_inside:
         assert check_aux(frame)
         with pytest.raises(FrameError):
-            codec.frame(func, data)
+            framing.frame(func, data)

@@ -20,8 +20,8 @@ BELOW = {
 """What each room may import of failstop; the face (failstop, ros2) knows all of them."""
 EVERYBODYS = {"version"}
 CLOCKS = {"monotonic", "monotonic_ns", "perf_counter", "sleep", "time", "time_ns"}
-WITHOUT_A_WORLD = {"procs/world.py", "procs/stopper/tool.py", "procs/stopper/rest.py", "supervisor/port.py"}
-"""The world itself, the stop tool, and the first burst of a run, before there is a process to hand one to."""
+WITHOUT_A_WORLD = {"procs/world.py", "supervisor/port.py"}
+"""The world itself, and the first burst of a run, before there is a process to hand one to."""
 
 
 def modules(room: str) -> list[Path]:

@@ -25,7 +25,8 @@ from typing import Any
 import pytest
 from serial.tools import list_ports
 
-from failstop.board import discovery, port
+from failstop import discovery
+from failstop.board import port
 from failstop.board.port import PortError, open_port
 from tests.support.unprivileged import unprivileged
 

@@ -12,9 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board import codec
+from failstop.board import codec, framing
 from failstop.board.framing import seal
-from failstop.board.motors import Motors
+from failstop.incidents.motors import Motors
+from failstop.lab import encoders
 from failstop.lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, STATE_NAMES, Receiver
 
 VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text())
@@ -116,14 +117,14 @@ def test_equals_the_literal_machine_on_all_short_adversarial_strings() -> None:
 
 def test_takes_a_frame_and_says_where_it_ended() -> None:
     receiver = Receiver()
-    assert receiver.feed(b"\x00\x17" + FRAME + b"\x99") == [(28, codec.MOTOR, FRAME[4:-1])]
+    assert receiver.feed(b"\x00\x17" + FRAME + b"\x99") == [(28, framing.MOTOR, FRAME[4:-1])]
     assert (receiver.frames, receiver.crc_errors, receiver.state) == (1, 0, START1)
 
 
 def test_a_doubled_first_byte_loses_the_frame() -> None:
     receiver = Receiver()
     assert receiver.feed(b"\xaa" + FRAME) == []
-    assert receiver.feed(FRAME) == [(26, codec.MOTOR, FRAME[4:-1])]
+    assert receiver.feed(FRAME) == [(26, framing.MOTOR, FRAME[4:-1])]
 
 
 def test_an_invalid_function_is_not_looked_at_again() -> None:
@@ -134,12 +135,12 @@ def test_an_invalid_function_is_not_looked_at_again() -> None:
 
 @pytest.mark.parametrize(("version", "taken"), [(10, False), (11, True), (12, True)])
 def test_versions_differ_in_the_functions_they_take(version: int, taken: bool) -> None:
-    assert bool(Receiver(version).feed(codec.oled(1, "hello"))) is taken
+    assert bool(Receiver(version).feed(encoders.oled(1, "hello"))) is taken
 
 
 def test_a_wrong_crc_drops_the_frame_silently() -> None:
     receiver = Receiver()
-    assert receiver.feed(FRAME[:-1] + b"\x00" + FRAME) == [(53, codec.MOTOR, FRAME[4:-1])]
+    assert receiver.feed(FRAME[:-1] + b"\x00" + FRAME) == [(53, framing.MOTOR, FRAME[4:-1])]
     assert (receiver.frames, receiver.crc_errors) == (1, 1)
 
 
@@ -149,7 +150,7 @@ def test_published_frame_with_a_bad_crc_is_dropped() -> None:
 
 @pytest.mark.parametrize("name", [name for name in VECTORS["refuse"] if "CRC" not in name])
 def test_published_motor_frames_with_wrong_content_are_taken_by_the_board(name: str) -> None:
-    assert [func for _, func, _ in Receiver().feed(bytes.fromhex(VECTORS["refuse"][name]))] == [codec.MOTOR]
+    assert [func for _, func, _ in Receiver().feed(bytes.fromhex(VECTORS["refuse"][name]))] == [framing.MOTOR]
 
 
 def test_walks_through_its_states() -> None:
@@ -165,7 +166,7 @@ def test_a_copy_goes_its_own_way() -> None:
     receiver = Receiver(11)
     receiver.feed(FRAME[:10])
     other = receiver.copy()
-    assert other.feed(FRAME[10:]) == [(16, codec.MOTOR, FRAME[4:-1])]
+    assert other.feed(FRAME[10:]) == [(16, framing.MOTOR, FRAME[4:-1])]
     assert (receiver.state, receiver.remaining, receiver.frames) == (DATA, 16, 0)
     assert (other.state, other.frames, other.first_invalid_func) == (START1, 1, 11)
 
@@ -176,10 +177,10 @@ def test_a_copy_goes_its_own_way() -> None:
 def test_motors_take_every_command() -> None:
     motors = Motors()
     assert motors.execute(FRAME[4:-1]) == (0.5, -0.25, 0.0, 1.5)
-    assert motors.execute(codec.motor_one(2, 1.0, 2.0)[4:-1]) == (0.5, -0.25, 1.0, 1.5)
-    assert motors.execute(codec.motor_stop_one(0)[4:-1]) == (0.0, -0.25, 1.0, 1.5)
-    assert motors.execute(codec.motor_stop_mask(0b1010)[4:-1]) == (0.0, 0.0, 1.0, 0.0)
-    assert motors.execute(codec.motor_type(2)[4:-1]) == (0.0, 0.0, 1.0, 0.0)
+    assert motors.execute(encoders.motor_one(2, 1.0, 2.0)[4:-1]) == (0.5, -0.25, 1.0, 1.5)
+    assert motors.execute(encoders.motor_stop_one(0)[4:-1]) == (0.0, -0.25, 1.0, 1.5)
+    assert motors.execute(encoders.motor_stop_mask(0b1010)[4:-1]) == (0.0, 0.0, 1.0, 0.0)
+    assert motors.execute(encoders.motor_type(2)[4:-1]) == (0.0, 0.0, 1.0, 0.0)
     assert motors.kind == 2
     assert motors.execute(codec.STOP[4:-1]) == (0.0, 0.0, 0.0, 0.0)
     assert not motors.wild
@@ -204,7 +205,7 @@ def test_motors_write_wild_for_ids_out_of_range(data: bytes) -> None:
     motors = Motors((0.1, 0.2, 0.3, 0.4))
     assert motors.execute(data) == (0.1, 0.2, 0.3, 0.4)
     assert len(motors.wild) == 1
-    assert motors.wild[0][0] >= codec.WHEELS
+    assert motors.wild[0][0] >= framing.WHEELS
 
 
 def test_motors_go_on_reading_beyond_the_data() -> None:
@@ -222,7 +223,7 @@ def test_motors_go_on_reading_beyond_the_data() -> None:
 def test_motors_read_the_crc_behind_short_data() -> None:
     motors = Motors((1.0, 1.0, 1.0, 1.0))
     motors.execute(b"\x02")
-    assert motors.wild == [(codec.crc8(b"\x03\x01\x02"), 0.0)]
+    assert motors.wild == [(framing.crc8(b"\x03\x01\x02"), 0.0)]
     assert motors.speeds_rps == [1.0] * 4
 
 

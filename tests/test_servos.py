@@ -16,18 +16,19 @@ from hypothesis import strategies as st
 
 from failstop.board import codec, servos
 from failstop.board.burst import BURST, burst_with
-from failstop.board.codec import BUS_SERVO, MOTOR, STOP, check_aux, check_motion
-from failstop.board.framing import seal
+from failstop.board.codec import STOP, check_motion
+from failstop.board.framing import BUS_SERVO, MOTOR, seal
 from failstop.board.interface import BOARD
-from failstop.board.motors import Motors
+from failstop.board.peripherals import check_aux
 from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, bus_ns, bus_servo_move, bus_servo_stop, check_bus
+from failstop.incidents.motors import Motors
 from failstop.lab.sim.receiver import Receiver
 
 ARM = (1, 2, 3, 4, 5, 10)
 WRITE = burst_with(ARM)
 SPINNING = (0.5, -0.25, 0.75, -1.0)
-READS = [codec.bus_servo_read(servo, what) for servo in ARM for what in servos.READS]
-TORQUES = [codec.bus_servo_torque(servo, on) for servo in ARM for on in (True, False)]
+READS = [servos.bus_servo_read(servo, what) for servo in ARM for what in servos.READS]
+TORQUES = [servos.bus_servo_torque(servo, on) for servo in ARM for on in (True, False)]
 STOPS = [bus_servo_stop(ids) for ids in ((1,), (1, 2), (4, 5, 10))]
 
 

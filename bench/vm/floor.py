@@ -13,8 +13,8 @@ import time
 from collections.abc import Iterator
 
 from failstop.board.framing import PWM_SERVO
-from failstop.board.peripherals import pwm_servo_read_deviation
 from failstop.board.port import close_port, open_port
+from failstop.lab.encoders import pwm_servo_read_deviation
 from failstop.lab.sim.client import Event
 
 LINK = "/dev/failstop"

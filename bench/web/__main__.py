@@ -20,6 +20,7 @@ import psutil
 
 from bench import stats
 from bench.report import end, progress
+from bench.web.bare import Bare
 from bench.web.browser import Browser, Tab
 from bench.web.cut import Cut
 from bench.web.parts import Web
@@ -37,7 +38,10 @@ LATENCY_MS, DOWN, UP = 562.5, 180_000, 84_375
 SLOWER = 4
 """A phone's processor beside this one, likewise."""
 VIEWERS = 3
+SHOWN = "document.getElementById('word').textContent !== 'CONNECTING'"
 BACKLOG_S = 5.0
+SPREAD_S = 0.0618
+"""Between the moments of two touches, in a second: no two alike."""
 
 
 @contextlib.contextmanager
@@ -62,16 +66,15 @@ def driven(trial: Trial) -> Iterator[None]:
 
 
 def moving(trial: Trial) -> None:
-    """Reset, enable, and wait until the wheels turn."""
+    """Reset, enable, and wait until the wheels turn; once more where another stop came before they did."""
 
-    def enable() -> bool:
-        with contextlib.suppress(Refused):
-            trial.enable()
-            return True
-        return False
+    def turns() -> bool:
+        if not trial.robot.state.enabled:
+            with contextlib.suppress(Refused):
+                trial.enable()
+        return trial.moving()
 
-    wait_for("motion to be enabled", enable)
-    wait_for("motion", trial.moving)
+    wait_for("motion", turns)
     trial.board.events()
 
 
@@ -91,12 +94,14 @@ def taps(trial: Trial, web: Web, cases: int) -> list[stats.Row]:
     found, missed = [], 0
     with Browser() as browser, driven(trial):
         tab = browser.tab(web.url)
-        tab.until("document.getElementById('word').textContent !== 'CONNECTING'")
+        tab.until(SHOWN)
         tab.run("addEventListener('pointerdown', (event) => { window.touched = event.timeStamp; }, true)")
         zero_s = clock(tab)
         for case in range(cases):
             progress(f"tap {case + 1} of {cases}")
             moving(trial)
+            time.sleep(SPREAD_S * case % 1)  # a finger comes at any moment, and not with the enabling
+            trial.board.events()
             before_ns = time.monotonic_ns()
             tab.tap("#stop")
             wait_for("the latch", lambda: trial.robot.state.estop)
@@ -105,15 +110,37 @@ def taps(trial: Trial, web: Web, cases: int) -> list[stats.Row]:
             missed += seen.stop_ns is None or seen.motion_after > 0
             if seen.stop_ns is not None:
                 found.append(before_ns + seen.stop_ns - touched_ns)
+        bare = bare_taps(trial, browser, cases)
     return [
         stats.timing("touch on STOP -> stop frame, over loopback", found, p50_ms=5, p99_ms=25),
+        stats.timing("touch on a bare page -> a bare server (the browser's own share)", bare, p50_ms=None, p99_ms=None),
         stats.count("stops missed, or motion after them", missed, cases),
     ]
+
+
+def bare_taps(trial: Trial, browser: Browser, cases: int) -> list[int]:
+    """The same fingers in the same browser beside the same robot, on a page that does nothing but send."""
+    found = []
+    with Bare() as bare:
+        tab = browser.tab(bare.url)
+        tab.until("window.ready")
+        zero_s = clock(tab)
+        for case in range(cases):
+            progress(f"bare tap {case + 1} of {cases}")
+            moving(trial)
+            time.sleep(SPREAD_S * case % 1)
+            tab.tap("#stop")
+            came_ns = bare.came_ns()
+            found.append(came_ns - round((zero_s + tab.run("window.touched") / 1e3) * 1e9))
+            trial.robot.estop("a bare tap")
+            wait_for("the latch", lambda: trial.robot.state.estop)
+    return found
 
 
 def paired(browser: Browser, web: Web, url: str) -> Tab:
     """A page of a device that is paired."""
     tab = browser.tab(f"{url}#{web.code()}")
+    tab.until(SHOWN)
     tab.until("document.getElementById('code').value !== '' && !document.getElementById('pair').hidden")
     tab.tap("#pair button")
     tab.until("!document.getElementById('attendance').hidden")
@@ -240,10 +267,12 @@ def cost(trial: Trial, web: Web, seconds: float) -> list[stats.Row]:
 
 def paint(web: Web) -> list[stats.Row]:
     """The page on a throttled phone: its network alone, and a slower processor than this one too."""
-    found = {slower: [_painted(web, slower) for _ in range(3)] for slower in (1, SLOWER)}
+    found = {slower: [_painted(web.url, slower) for _ in range(3)] for slower in (1, SLOWER)}
     times = {slower: sorted(ms for ms, _ in each)[1] for slower, each in found.items()}
+    with Bare() as bare:
+        floor_ms = sorted(_painted(bare.url, 1, "window.ready")[0] for _ in range(3))[1]
     return [
-        stats.limit("first paint, Slow 4G", times[1], 1000, "ms", ""),
+        stats.limit("first paint, Slow 4G", times[1], 1000, "ms", f"a bare page: {floor_ms:.0f} ms"),
         stats.limit(f"first paint, Slow 4G, a processor {SLOWER} times slower", times[SLOWER], 1000, "ms", ""),
         stats.limit(
             "all that is fetched", max(size for each in found.values() for _, size in each) / 1e3, 150, "kB", ""
@@ -251,17 +280,17 @@ def paint(web: Web) -> list[stats.Row]:
     ]
 
 
-def _painted(web: Web, slower: int) -> tuple[float, int]:
+def _painted(url: str, slower: int, shown: str = SHOWN) -> tuple[float, int]:
     """When a new browser shows the first of the page, in ms, and how many bytes it has fetched in all."""
     with Browser() as browser:
         tab = browser.tab()
         tab.network(latency_ms=LATENCY_MS, down=DOWN, up=UP)
         tab.call("Network.setCacheDisabled", cacheDisabled=True)
         tab.call("Emulation.setCPUThrottlingRate", rate=slower)
-        tab.open(web.url)
+        tab.open(url)
         painted = "performance.getEntriesByName('first-contentful-paint')[0]?.startTime"
         ms = float(tab.until(painted, "the first paint", 30))
-        tab.until("document.getElementById('word').textContent !== 'CONNECTING'", timeout_s=30)
+        tab.until(shown, timeout_s=30)
         size = tab.run(
             "performance.getEntriesByType('resource').concat(performance.getEntriesByType('navigation'))"
             ".reduce((sum, entry) => sum + entry.transferSize, 0)"

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 
 from failstop.api.events import LOOK_EVERY_S, Event, EventLog
+from failstop.api.news import News
 from failstop.api.request import Request
 from failstop.api.robot import POLL_S, Robot
 from failstop.api.waiting import Watch
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import records
-from failstop.shm.news import News
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import isfinite
 
 from failstop.api.errors import FailstopError, Refused
+from failstop.api.way import on_the_way
 from failstop.policy.capsules import Model, would_hit
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import Joint, from_settings
@@ -123,8 +124,8 @@ class Arm:
         for name, joint in self.state.joints.items():
             known = [angle for angle in (joint.commanded_rad, joint.angle_rad) if angle is not None]
             start[name] = known[0] if known else 0.0
-        if hit := self._model.on_the_way(start, rows):
-            raise Refused(would_hit(*hit[1:], hit[0] if rows[-1][0] else None))
+        if hit := on_the_way(self._model, start, rows):
+            raise Refused(would_hit(*hit[1:], f"after {hit[0]:.2f} s " if rows[-1][0] else ""))
 
     def _joint(self, name: str) -> Joint:
         if name not in self.joints:

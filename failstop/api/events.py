@@ -14,9 +14,9 @@ import msgpack
 
 from failstop.api.client import attach, runtime_dir
 from failstop.api.errors import FailstopError, NoService
+from failstop.api.news import News
 from failstop.shm import layout
 from failstop.shm.instance import DEFAULT_NAME
-from failstop.shm.news import News
 
 POLL_S = 0.05
 LOOK_EVERY_S = 0.25

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 from failstop.api import verdict
 from failstop.api.errors import FailstopError, NoService, TimedOut
-from failstop.shm.news import News
+from failstop.api.news import News
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

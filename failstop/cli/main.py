@@ -173,7 +173,7 @@ def _run(name: str, words: list[str]) -> int:
     except BrokenPipeError:
         return 1
     except Exception as error:
-        from failstop.procs.limits import lack
+        from failstop.descriptors import lack
 
         if lacking := lack(error):
             standard.say(lacking)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 
+from failstop import config
 from failstop.api.errors import FailstopError
-from failstop.board.discovery import BOARD_PID, BOARD_VID
+from failstop.discovery import BOARD_PID, BOARD_VID
 from failstop.doctor import machine_facts, paste, port_facts, ros2_facts, service_facts, stop_test, ticks
 from failstop.doctor.facts import NAMED, Facts, Holder, Node, Service, StopTest, Unit, User
 from failstop.doctor.system import System
-from failstop.policy import config
 from failstop.policy.settings import SettingError, Settings
 from failstop.shm.instance import check_name
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.board.discovery import BOARD_PID, BOARD_VID
+from failstop.discovery import BOARD_PID, BOARD_VID
 from failstop.doctor.facts import NAMED, Facts, Holder, Node, User, again
 from failstop.doctor.finding import Finding, fail, ok, skip, warn
 

@@ -8,7 +8,7 @@ import re
 import stat
 from collections.abc import Iterator
 
-from failstop.board import discovery
+from failstop import discovery
 from failstop.doctor.facts import Holder, Node, User
 from failstop.doctor.system import System
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 
+from failstop import instances
 from failstop.api.client import last_run, runtime_dir
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.state import StateReader
 from failstop.doctor.facts import RemoveIpc, Service, Unit
 from failstop.doctor.system import System, user_name
 from failstop.install.layout import unit_of
-from failstop.shm import instance, layout, segment, slot
+from failstop.shm import layout, segment, slot
 from failstop.version import VERSION
 
 SYSTEMCTL_S = 1.0
@@ -40,7 +41,7 @@ def service(name: str, system: System) -> Service | None:
 def _pid(name: str) -> int:
     """Of a service whose memory can't be read, where this user may look; else 0."""
     try:
-        return int(instance.holder(runtime_dir(name)) or 0)
+        return int(instances.holder(runtime_dir(name)) or 0)
     except FailstopError:
         return 0
 

@@ -18,7 +18,7 @@ from failstop.board.port import PortError, release_exclusive
 from failstop.board.stop_port import StopPort
 from failstop.doctor.facts import StopTest
 from failstop.doctor.tap import Tap
-from failstop.procs.stopper import tool
+from failstop.stopping import tool
 from failstop.supervisor.port import OwnPort
 
 ANSWER_S = 0.5

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from failstop.board import framing, servos
 from failstop.board.interface import BOARD
-from failstop.board.motors import Motors
 from failstop.incidents.incident import Incident, Write
+from failstop.incidents.motors import Motors
 from failstop.policy.processes import BY_NAME
 from failstop.procs.telemetry.still import HOLD_NS, LEAST_SAMPLES, WINDOW_NS, StillJudge
 from failstop.shm import box, layout

@@ -8,8 +8,8 @@ import json
 import os
 from typing import Any
 
+from failstop import config
 from failstop.install import InstallError
-from failstop.policy import config
 from failstop.shm.instance import DEFAULT_NAME
 
 PREFIX = "/opt/failstop"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import os
 
-from failstop.board import discovery
+from failstop import discovery
 from failstop.fleet.settings import KEY_PLACE, PLACE
 from failstop.install import machine, tree
 from failstop.install.extras import EXTRAS
@@ -73,7 +73,7 @@ def _tree(path: str) -> str:
 def configured_device(request: Request) -> str:
     """What the instance's configuration says of the board's port; empty when there is none. Raises SettingError when
     this version refuses it."""
-    from failstop.policy import config
+    from failstop import config
 
     path = os.path.join(request.root, configuration_of(request.name).lstrip("/"))
     return str(config.load(path).flat()["device.path"]) if os.path.exists(path) else ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from failstop.board.discovery import LINK
+from failstop.discovery import LINK
 from failstop.install import InstallError
 from failstop.install.extras import EXTRAS
 from failstop.install.layout import (

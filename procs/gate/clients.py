@@ -13,12 +13,14 @@ from failstop.shm.lifeline import Lifeline, pid_namespace
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Protocol
+    from collections.abc import Callable
+    from typing import Any, Protocol
 
     from failstop.procs.loop import Loop
     from failstop.shm.latest import LatestReader
     from failstop.shm.lifeline import EarlyNews
     from failstop.shm.segment import Segment
+    from failstop.shm.slot import Entry
 
     class Listener(Protocol):
         """Who acts on what clients do."""
@@ -42,6 +44,41 @@ def seen(reader: LatestReader) -> int:
     return entry[0] if entry else 0
 
 
+class Inbox:
+    """One record of a slot."""
+
+    __slots__ = ("_reader", "_seq", "_unpack")
+
+    def __init__(self, segment: Segment, name: str, unpack: Callable[[bytes], tuple[Any, ...]]) -> None:
+        self._reader = segment.latest_reader(name)
+        self._unpack = unpack
+        self._seq = 0
+
+    def begin(self, *, after: bool) -> None:
+        """What comes from now on is new, and `after`: what is there is not."""
+        self._seq = seen(self._reader) if after else 0
+
+    def of(self, session: int) -> tuple[Any, ...] | None:
+        """When it was written and its values, when it is whole and of this session."""
+        entry = self._reader.read()
+        return self._believed(entry, session) if entry else None
+
+    def new(self, session: int) -> tuple[Any, ...] | None:
+        """The same, once."""
+        entry = self._reader.read()
+        if entry is None or entry[0] == self._seq:
+            return None
+        self._seq = entry[0]
+        return self._believed(entry, session)
+
+    def _believed(self, entry: Entry, session: int) -> tuple[Any, ...] | None:
+        try:
+            writer, *values = self._unpack(entry[2])
+        except ValueError:
+            return None
+        return (entry[1], *values) if writer == session else None
+
+
 class Slot:
     """One client slot and the session that holds it; session 0: nobody."""
 
@@ -54,17 +91,17 @@ class Slot:
         self.parted = False
         """Who left the slot last said goodbye."""
         self._hello = segment.latest_reader("hello")
-        self._command = segment.latest_reader("command")
-        self._request = segment.latest_reader("request")
-        self._sensed = segment.latest_reader("sensed")
-        self._interlocks = segment.latest_reader("interlocks")
-        self._attended = segment.latest_reader("attended")
-        self._said = segment.latest_reader("said")
-        self._arm_goal = segment.latest_reader("arm_goal")
-        self._arm_path = segment.latest_reader("arm_path")
-        self._command_seq = seen(self._command)
-        self._request_seq = seen(self._request)
-        self._arm_goal_seq = seen(self._arm_goal)
+        self._command = Inbox(segment, "command", records.COMMAND.unpack)
+        self._request = Inbox(segment, "request", records.REQUEST.unpack)
+        self._sensed = Inbox(segment, "sensed", records.HELD.unpack)
+        self._interlocks = Inbox(segment, "interlocks", records.HELD.unpack)
+        self._attended = Inbox(segment, "attended", records.HELD.unpack)
+        self._said = Inbox(segment, "said", records.SAID.unpack)
+        self._arm_goal = Inbox(segment, "arm_goal", records.ARM_GOAL.unpack)
+        self._arm_path = Inbox(segment, "arm_path", records.ARM_PATH.unpack)
+        self._once = (self._command, self._request, self._arm_goal)
+        for each in self._once:
+            each.begin(after=True)
         self._session_seen = self.greet()
         self.ended = 0
         """The session that held the slot before: what it left there is over."""
@@ -84,8 +121,7 @@ class Slot:
             session, self.pid, self.pid_namespace, name = records.HELLO.unpack(entry[2])
         except ValueError:
             return 0
-        # Bounded here: the state with all names in it must fit its record, whatever clients call themselves.
-        self.name = records.cut(records.printable(name), NAME_BYTES).decode()
+        self.name = _bounded(name, NAME_BYTES)
         return session
 
     def goodbye(self) -> bool:
@@ -99,97 +135,57 @@ class Slot:
     def join(self, session: int) -> None:
         """A session holds the slot now; a new one counts its records again."""
         if session != self._session_seen:
-            self._command_seq = self._request_seq = self._arm_goal_seq = 0
+            for each in self._once:
+                each.begin(after=False)
         self.session = self._session_seen = session
 
     def new_command(self) -> Command | None:
-        """The command, when it is new, whole and of this session."""
-        entry = self._command.read()
-        if entry is None or entry[0] == self._command_seq:
-            return None
-        self._command_seq, t_ns, payload = entry
-        try:
-            session, vx, vy, wz, manual, source = records.COMMAND.unpack(payload)
-        except ValueError:
-            return None
-        if session != self.session:
-            return None
-        return Command(session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
+        """The command, when it is new."""
+        if found := self._command.new(self.session):
+            t_ns, vx, vy, wz, manual, source = found
+            return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
+        return None
 
     def new_arm_goal(self) -> tuple[int, int, dict[int, float]] | None:
-        """The arm's goal (when, mode, value by servo), when it is new, whole and of this session."""
-        entry = self._arm_goal.read()
-        if entry is None or entry[0] == self._arm_goal_seq:
-            return None
-        self._arm_goal_seq, t_ns, payload = entry
-        try:
-            session, mode, values = records.ARM_GOAL.unpack(payload)
-        except ValueError:
-            return None
-        return (t_ns, mode, values) if session == self.session else None
+        """The arm's goal (when, mode, value by servo), when it is new."""
+        return self._arm_goal.new(self.session)
 
     def arm_path(self) -> tuple[float, list[int], records.Rows] | None:
-        """The trajectory that lies in the slot (share, servos, rows), when it is whole and of this session."""
-        entry = self._arm_path.read()
-        try:
-            session, share, servos, rows = records.ARM_PATH.unpack(entry[2] if entry else b"")
-        except ValueError:
-            return None
-        return (share, servos, rows) if session == self.session else None
+        """The trajectory that lies in the slot (share, servos, rows)."""
+        found = self._arm_path.of(self.session)
+        return found and found[1:]
 
     def sensed_ns(self) -> int:
         """When this session said last that the obstacle sensor delivered; 0: never."""
-        return self._held(self._sensed)[0]
+        found = self._sensed.of(self.session)
+        return found[0] if found else 0
 
     def interlocks(self) -> tuple[int, list[str]]:
-        """Which conditions this session says hold, and when it said so last; 0: never."""
-        return self._held(self._interlocks)
+        """When this session said last which conditions hold, 0: never; and which."""
+        return self._interlocks.of(self.session) or (0, [])
 
     def attended(self) -> tuple[int, str] | None:
         """When the operator that this session speaks for was there last, 0: is there no more; who it is. None: it
         speaks for none."""
-        entry = self._attended.read()
-        if entry is None:
-            return None
-        t_ns, names = self._held(self._attended)
-        return (t_ns, records.cut(records.printable(names[0]), NAME_BYTES).decode()) if names else None
-
-    def _held(self, reader: LatestReader) -> tuple[int, list[str]]:
-        entry = reader.read()
-        if entry is None:
-            return 0, []
-        try:
-            session, names = records.HELD.unpack(entry[2])
-        except ValueError:
-            return 0, []
-        return (entry[1], names) if session == self.session else (0, [])
+        t_ns, names = self._attended.of(self.session) or (0, [])
+        return (t_ns, _bounded(names[0], NAME_BYTES)) if names else None
 
     def said(self) -> tuple[int, str, str] | None:
         """What this session said last, for people: when, what it sees, what is wrong; None: nothing yet."""
-        entry = self._said.read()
-        if entry is None:
-            return None
-        try:
-            session, *texts = records.SAID.unpack(entry[2])
-        except ValueError:
-            return None
-        if session != self.session:
-            return None
-        # Bounded here, as the name is; what cannot be printed would take three bytes for one in the record.
-        sees, wrong = (records.cut(records.printable(text), SAID_BYTES).decode() for text in texts)
-        return entry[1], sees, wrong
+        if found := self._said.of(self.session):
+            t_ns, sees, wrong = found
+            return t_ns, _bounded(sees, SAID_BYTES), _bounded(wrong, SAID_BYTES)
+        return None
 
     def new_request(self) -> tuple[int, int, int] | None:
-        """The request (number, verb, when it was made), when it is new, whole and of this session."""
-        entry = self._request.read()
-        if entry is None or entry[0] == self._request_seq:
-            return None
-        self._request_seq = entry[0]
-        try:
-            session, number, verb = records.REQUEST.unpack(entry[2])
-        except ValueError:
-            return None
-        return (number, verb, entry[1]) if session == self.session else None
+        """The request (when it was made, number, verb), when it is new."""
+        return self._request.new(self.session)
+
+
+def _bounded(text: str, room: int) -> str:
+    """A client's words for the state and the record `said`, which must hold those of all, whatever they are: what can't
+    be printed would take three bytes for one."""
+    return records.cut(records.printable(text), room).decode()
 
 
 class ClientTable:
@@ -264,7 +260,8 @@ class ClientTable:
             return  # a claim alone is nobody yet, whatever else lies in the slot
         self._listener.client_holds(slot, now_ns)
         if request := slot.new_request():
-            self._listener.client_request(slot, *request, now_ns)
+            asked_ns, number, verb = request
+            self._listener.client_request(slot, number, verb, asked_ns, now_ns)
         if command := slot.new_command():
             self._listener.client_command(command, now_ns)
 

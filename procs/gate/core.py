@@ -27,7 +27,7 @@ from failstop.shm.records import CAUSE
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.causes import Cause
-    from failstop.policy.kinematics import Differential, Mecanum
+    from failstop.policy.kinematics import Wheels
     from failstop.policy.settings import Settings
 
     Speeds = tuple[float, float, float, float]
@@ -41,7 +41,7 @@ MOST_IGNORED = 64
 class GateCore:
     """What the gate knows: enabled, the latch, who commands what, the velocity now."""
 
-    def __init__(self, settings: Settings, kinematics: Mecanum | Differential, now_ns: int) -> None:
+    def __init__(self, settings: Settings, kinematics: Wheels, now_ns: int) -> None:
         acceleration = settings["limits.acceleration_mps2"]
         limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
         self._limits = tuple(limit * axis for limit, axis in zip(limits, kinematics.axes, strict=True))

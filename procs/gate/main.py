@@ -7,7 +7,8 @@ import os
 from failstop.board.interface import BOARD
 from failstop.policy import causes, kinematics
 from failstop.policy.reply import Reply, asked_before
-from failstop.procs.gate.arm.shell import LATCHED, Arm
+from failstop.procs.gate.arm.core import LATCHED
+from failstop.procs.gate.arm.shell import Arm
 from failstop.procs.gate.clients import ClientTable, seen
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.recorder import GateBox

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 
 from failstop.board import decoder, framing
+from failstop.board.interface import BOARD
 from failstop.procs.loop import READ, Loop
 from failstop.procs.telemetry import charger, imu, state_files
 from failstop.procs.telemetry.battery_log import HEADER, BatteryLog
@@ -14,7 +15,6 @@ from failstop.procs.telemetry.gate_state import GateState
 from failstop.procs.telemetry.imu import Accelerometer, GyroBias
 from failstop.procs.telemetry.odometry import Odometry
 from failstop.procs.telemetry.pad import Pad
-from failstop.procs.telemetry.pongs import Pongs
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
 from failstop.procs.telemetry.tones import Tones
@@ -87,6 +87,7 @@ class Telemetry:
         self._box = own.ring_writer("box")
         self._still_word = own.word("still_ns")
         self._judged_word = own.word("judged_ns")
+        self._pong_word = own.word("pong")
         self._port_owner_bell = context.bell("port_owner_bell")
         self._gate_bell = context.bell("gate_bell")
         self.supervisor_bell = context.bell("supervisor_bell")
@@ -103,7 +104,7 @@ class Telemetry:
             framing.SYS: self._on_system,
             framing.GAMEPAD: self._on_pad,
             framing.KEY: self._on_key,
-            framing.PWM_SERVO: Pongs(context.own.word("pong"), self.supervisor_bell).take,
+            framing.PWM_SERVO: self._on_pwm_servo,
         }
         if context.settings.servos():
             self._handlers[framing.BUS_SERVO] = self._on_servo
@@ -273,6 +274,16 @@ class Telemetry:
             self._servos.put(records.SERVO.pack(*answer), t_ns)
             self._box.put(box.pack_servo(*answer), t_ns)
             self._gate_bell.ring()
+
+    def _on_pwm_servo(self, data: bytes, t_ns: int) -> None:
+        """The answer to a ping names the servo, and so the ping. A client that reads the same servo's position gets the
+        same answer, which counts as well: it proves no less that the board hears. But it may answer a question from
+        before the ping, by the time that a question takes on the wire (0.1 ms), and it takes the place of the answer
+        before it if the supervisor has not seen that yet."""
+        index = BOARD.pong(framing.PWM_SERVO, data)
+        if index is not None:
+            self._pong_word.set(records.pong(t_ns, index))
+            self.supervisor_bell.ring()
 
     def _on_key(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.key(data):

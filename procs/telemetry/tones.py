@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from failstop.board import codec
+from failstop.board.peripherals import buzzer
 from failstop.procs.telemetry import pad
 
 OFF_MS = 100
 """Between two beeps and after the last: an off time of 0 left a buzzer sounding forever."""
 
-TRIP = codec.buzzer(1000, 400, OFF_MS, 2)
+TRIP = buzzer(1000, 400, OFF_MS, 2)
 """Two long low beeps."""
 MODES = {
-    pad.LOCKED: codec.buzzer(1500, 100, OFF_MS, 1),
-    pad.DRIVE: codec.buzzer(2500, 100, OFF_MS, 2),
-    pad.JOINT: codec.buzzer(2500, 100, OFF_MS, 3),
+    pad.LOCKED: buzzer(1500, 100, OFF_MS, 1),
+    pad.DRIVE: buzzer(2500, 100, OFF_MS, 2),
+    pad.JOINT: buzzer(2500, 100, OFF_MS, 3),
 }
 """One short beep: locked; two short high ones: drive; three: joint."""
-TUCK = codec.buzzer(2000, 50, OFF_MS, 4)
+TUCK = buzzer(2000, 50, OFF_MS, 4)
 """Four short ones: the arm is about to move by itself."""
 
 

@@ -9,8 +9,8 @@ import time
 import pytest
 
 from failstop import AsyncRobot, Driving, Refused, Robot, TimedOut
+from failstop.api import news
 from failstop.lab.trial import Trial
-from failstop.shm import news
 
 
 def test_a_robot_in_an_event_loop(trial: Trial) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop import instances
 from failstop.api.errors import NoService
 from failstop.api.state import StateReader
 from failstop.lab.trial import Trial, wait_for
@@ -81,7 +82,7 @@ def test_a_service_without_its_supervisor_drives_nothing(trial: Trial) -> None:
     assert (state.enabled, state.blocked) == (False, f"estop: {state.estop}")
     assert not any((*state.body_vel, *state.wheels_radps))
     paths = instance.places(trial.name)
-    wait_for("the last process to end", lambda: not any(map(instance.running, paths)))
+    wait_for("the last process to end", lambda: not any(map(instances.running, paths)))
     with pytest.raises(NoService):
         _ = trial.robot.state
     trial.recover("supervisor", pid)

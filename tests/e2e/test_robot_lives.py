@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import pytest
 
-from failstop import FailstopError, NoService, Robot, State
+from failstop import FailstopError, NoService, Robot, State, instances
 from failstop.api import run
 from failstop.api.client import attach
 from failstop.api.client import run as run_of
@@ -45,7 +45,7 @@ def stopped(state: State, *reasons: str) -> None:
 def nobody_runs(name: str) -> None:
     """The last process of a service whose supervisor has died ends by itself, a moment later."""
     paths = instance.places(name)
-    wait_for("the last process to end", lambda: not any(map(instance.running, paths)), ENDED_S)
+    wait_for("the last process to end", lambda: not any(map(instances.running, paths)), ENDED_S)
 
 
 def unwatched(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop import Robot
+from failstop import Robot, instances
 from failstop.lab.trial import Trial, wait_for
 from failstop.shm import instance, layout
 
@@ -237,7 +237,7 @@ def test_the_death_of_the_supervisor(seen: Seen) -> None:
     assert killed.stop_ns is not None
     assert killed.stop_ns < LATEST_MS * 1e6
     assert killed.motion_after == 0
-    wait_for("the last process to end", lambda: not any(map(instance.running, instance.places(seen.trial.name))), 5.0)
+    wait_for("the last process to end", lambda: not any(map(instances.running, instance.places(seen.trial.name))), 5.0)
     code, out, err = seen.command("status", "--json")
     assert (code, out) == (3, "")
     assert "supervisor died" in err

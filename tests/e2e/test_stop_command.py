@@ -14,13 +14,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from failstop import config, instances
 from failstop.board.burst import BURST
 from failstop.board.port import PortError
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
-from failstop.policy import config
-from failstop.procs.stopper import rest, tool
 from failstop.shm import instance, root
+from failstop.stopping import rest, tool
 from tests.support.commands import FAILSTOP, failstop
 
 Waits = list[tuple[str, float]]
@@ -46,7 +46,7 @@ def file(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """As on a machine where no service runs and none is installed; the folder for installed files."""
-    monkeypatch.setattr(instance, "_candidates", lambda: [str(tmp_path / "run")])
+    monkeypatch.setattr(instance, "bases", lambda: [str(tmp_path / "run")])
     monkeypatch.setenv(root.VARIABLE, str(tmp_path))
     folder = Path(f"{tmp_path}{config.FOLDER}")
     folder.mkdir(parents=True)
@@ -139,7 +139,7 @@ def test_whatever_goes_wrong_with_a_service_the_port_is_written_to(
     def fails(_: str) -> bool:
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr(instance, "listens", fails)
+    monkeypatch.setattr(instances, "listens", fails)
     assert cli.main(["stop"]) == 0
     assert len(asked) == 1
     assert "no service can be asked (a defect): writing to the port itself" in capsys.readouterr().err

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from failstop.fleet import signed
-from failstop.fleet.publisher import Publisher
 
-from .scene import MOSQUITTO, Listener, Mosquitto, Pretended, mosquitto, pump
+from .scene import MOSQUITTO, Listener, Mosquitto, Pretended, Robot, mosquitto, pump
 
 
 @pytest.fixture(scope="module")
@@ -28,21 +27,21 @@ def key(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(path)
 
 
-Enrol = Callable[..., Publisher]
+Enrol = Callable[..., Robot]
 
 
 @pytest.fixture
 def enrol(broker: Mosquitto, key: str, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Enrol]:
     """Publish a pretended robot; its manufacturer is the test's, so that no test sees another's robots."""
-    made: list[Publisher] = []
+    made: list[Robot] = []
 
-    def publish(robot_id: str = "r1", robot: Pretended | None = None, **changed: object) -> Publisher:
+    def publish(robot_id: str = "r1", robot: Pretended | None = None, **changed: object) -> Robot:
         settings = broker.settings(**{"stop__key_file": key, "robot__manufacturer": maker(request), **changed})
         folder = tmp_path / robot_id
         folder.mkdir(exist_ok=True)
-        publisher = Publisher(settings, "failstop", robot or Pretended(), robot_id, str(folder))
+        publisher = Robot(settings, "failstop", robot or Pretended(), robot_id, str(folder))
         made.append(publisher)
-        pump(f"{robot_id} to be connected", lambda: not publisher.broker.problem, publisher)
+        pump(f"{robot_id} to be connected", lambda: publisher.broker.listening, publisher)
         return publisher
 
     yield publish
@@ -63,6 +62,6 @@ def maker(request: pytest.FixtureRequest) -> str:
 def listener(broker: Mosquitto, request: pytest.FixtureRequest) -> Iterator[Listener]:
     """Who hears all that this test's robots say."""
     found = Listener(broker.settings(), f"uagv/v2/{maker(request)}/#", f"failstop/v1/{maker(request)}/#")
-    pump("the listener to be connected", lambda: not found.broker.problem, found)
+    pump("the listener to be connected", lambda: found.broker.listening, found)
     yield found
     found.broker.close()

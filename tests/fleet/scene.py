@@ -106,6 +106,16 @@ class Pretended:
         return self.problem
 
 
+class Robot(Publisher):
+    """A publisher that counts the messages it has dealt with."""
+
+    heard = 0
+
+    def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
+        super()._hear(topic, payload, retained)
+        self.heard += 1
+
+
 class Listener:
     """Everything that is published, by topic."""
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop import instances
 from failstop.cli import grammar
 from failstop.cli import main as cli
 from failstop.cli.commands import completion
@@ -128,9 +129,9 @@ def listening() -> Iterator[str]:
     """A service that takes stop requests; of another one its directory is left."""
     name = f"manual-{os.getpid()}"
     for each in (name, f"{name}-gone"):
-        stop = instance.stop_path(instance.make_runtime_dir(each))
+        stop = instance.stop_path(instances.make_runtime_dir(each))
         os.mkfifo(stop)
-    reader = os.open(instance.stop_path(instance.make_runtime_dir(name)), os.O_RDONLY | os.O_NONBLOCK)
+    reader = os.open(instance.stop_path(instances.make_runtime_dir(name)), os.O_RDONLY | os.O_NONBLOCK)
     yield name
     os.close(reader)
 

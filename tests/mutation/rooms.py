@@ -29,11 +29,11 @@ ROOMS = {
         ),
     ),
     "stopper": Room(
-        ("procs/stopper/*.py",),
+        ("procs/stopper/*.py", "failstop/stopping/*.py"),
         ("tests/procs/test_rest.py", "tests/procs/test_stop_tool.py", "tests/procs/test_stopper.py"),
     ),
     "shm": Room(
-        ("shm/*.py",),
+        ("shm/*.py", "failstop/instances.py", "failstop/api/held.py"),
         # Not those that read the sources, measure memory, leave the work to programs that mutmut can't follow, or
         # scribble for minutes.
         (

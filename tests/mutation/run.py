@@ -69,7 +69,7 @@ def chosen(where: Path, rooms: list[str]) -> tuple[list[str], list[str]]:
         found = [path for glob in ROOMS[room].files for path in where.glob(glob) if name in ("", path.stem)]
         if not found:
             raise KeyError(name)
-        files |= {f"failstop/{path.relative_to(where)}" for path in found}
+        files |= {f"failstop/{str(path.relative_to(where)).removeprefix('failstop/')}" for path in found}
         tests |= {str(path.relative_to(where)) for glob in ROOMS[room].tests for path in where.glob(glob)}
     return sorted(files), sorted(tests)
 

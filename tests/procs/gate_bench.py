@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.policy.kinematics import Mecanum
+from failstop.policy.kinematics import mecanum
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.sources import Command
@@ -11,7 +11,7 @@ from tests.support.why import told
 MS = 1_000_000
 TICK = 20 * MS
 T0 = 100_000 * MS
-ROBOT = Mecanum(0.08, 0.17706, 0.17165)
+ROBOT = mecanum(0.08, 0.17706, 0.17165)
 Velocity = tuple[float, float, float]
 
 

@@ -10,7 +10,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.policy.kinematics import Mecanum
+from failstop.policy.kinematics import mecanum
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.sources import Command
@@ -35,7 +35,7 @@ REFRESH_NS = 200 * MS
 BOUND_NS = 40 * MS
 LIMITS = (0.2, 0.2, 1.0)
 ACCELERATIONS = (0.5, 0.5, 2.0)
-ROBOT = Mecanum(0.08, 0.17706, 0.17165)
+ROBOT = mecanum(0.08, 0.17706, 0.17165)
 
 # Times that matter and any other: ticks, the deadman's and the refresh's boundaries.
 durations = st.sampled_from(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.policy.kinematics import Mecanum
+from failstop.policy.kinematics import mecanum
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
@@ -14,7 +14,7 @@ SCAN = 500 * MS
 
 
 def gate(*, scan_gate: str = "off", enabled: bool = True) -> GateCore:
-    core = GateCore(Settings({"scan.gate": scan_gate}), Mecanum(0.08, 0.17706, 0.17165), T0)
+    core = GateCore(Settings({"scan.gate": scan_gate}), mecanum(0.08, 0.17706, 0.17165), T0)
     if enabled:
         assert core.enable(1, "", T0).done
     return core

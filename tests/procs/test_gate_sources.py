@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.policy import kinematics
-from failstop.policy.kinematics import Mecanum
+from failstop.policy.kinematics import mecanum
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.sources import PAD, PAD_PRIORITY, Command
@@ -15,7 +15,7 @@ from tests.support.why import told
 MS = 1_000_000
 TICK = 20 * MS
 T0 = 100_000 * MS
-ROBOT = Mecanum(0.08, 0.17706, 0.17165)
+ROBOT = mecanum(0.08, 0.17706, 0.17165)
 WITH_TELEOP: dict[str, object] = {
     "sources.cmd_vel.priority": 0,
     "sources.cmd_vel.timeout_s": 0.3,
@@ -343,9 +343,9 @@ def test_the_table_of_sources_says_the_priority() -> None:
 
 
 def test_the_worst_corner_of_each_layout() -> None:
-    mecanum = kinematics.Mecanum(0.08, 0.17706, 0.17165)
+    mecanum = kinematics.mecanum(0.08, 0.17706, 0.17165)
     corner = mecanum.wheels_rps(0.2, -0.3, -1.0)
     assert mecanum.worst_rps(0.2, 0.3, 1.0) == pytest.approx(max(map(abs, corner)))
-    differential = kinematics.Differential(0.08, 0.17165)
+    differential = kinematics.differential(0.08, 0.17165)
     corner = differential.wheels_rps(0.2, 0.0, -1.0)
     assert differential.worst_rps(0.2, 0.3, 1.0) == pytest.approx(max(map(abs, corner)))

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import codec, interface, port
+from failstop.board import codec, interface, peripherals, port
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
+from failstop.lab import encoders
 from failstop.policy import causes
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
@@ -167,7 +168,7 @@ def test_a_frame_of_another_epoch_is_dropped(scene: Scene, epoch: int) -> None:
     ("frame", "reason"),
     [
         (TOO_FAST, "wheel 0 at 50.00 rps"),
-        (codec.PING, "not a motor frame"),
+        (encoders.PING, "not a motor frame"),
         (MOTION[:-1] + bytes((MOTION[-1] ^ 1,)), "bad crc"),
     ],
 )
@@ -192,15 +193,15 @@ def test_the_fastest_wheel_that_the_settings_allow_passes_and_a_faster_one_does_
 def test_a_motor_frame_in_another_s_clothes_never_passes(scene: Scene) -> None:
     scene.turn()
     scene.put(MOTION, kind=records.OTHER)
-    scene.put(codec.motor_stop_mask(15), kind=records.OTHER)
-    scene.put(codec.buzzer(1400, 100, 100, 1), kind=records.OTHER)
-    assert scene.turn() == codec.buzzer(1400, 100, 100, 1)
+    scene.put(encoders.motor_stop_mask(15), kind=records.OTHER)
+    scene.put(peripherals.buzzer(1400, 100, 100, 1), kind=records.OTHER)
+    assert scene.turn() == peripherals.buzzer(1400, 100, 100, 1)
 
 
 def test_another_frame_follows_motion_that_is_still_under_way(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     scene.drive()
     monkeypatch.setattr(port, "unsent_bytes", lambda fd: 27)
-    beep = codec.buzzer(1400, 100, 100, 1)
+    beep = peripherals.buzzer(1400, 100, 100, 1)
     scene.put(beep, kind=records.OTHER)
     assert scene.turn() == beep
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.procs.stopper import rest
+from failstop.stopping import rest
 from tests.support.ptys import open_fds
 
 OURS = "12:devices:/system.slice\n0::/system.slice/failstop.service\n"

@@ -13,7 +13,7 @@ import pytest
 from failstop.board import codec, port, stop_port
 from failstop.board.burst import BURST
 from failstop.board.port import PortError, open_port
-from failstop.procs.stopper import tool
+from failstop.stopping import tool
 from tests.support.ptys import Board, Pty, new_pty, open_fds
 
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)

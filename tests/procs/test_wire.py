@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from failstop.board import codec, port
+from failstop.board import codec, peripherals, port
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.procs.port_owner.main import MOTION_BACKLOG, PING_BACKLOG
@@ -24,7 +24,7 @@ MS = 1_000_000
 T0 = 3_000 * MS
 MAX_RPS = 2.0
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), MAX_RPS)
-OTHER = codec.buzzer(1400, 100, 100, 5)
+OTHER = peripherals.buzzer(1400, 100, 100, 5)
 
 
 @pytest.fixture

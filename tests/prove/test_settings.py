@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from failstop import config
 from failstop.lab.faults import scene
 from failstop.lab.prove import stand
 from failstop.lab.trial import write_settings
-from failstop.policy import config
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
 

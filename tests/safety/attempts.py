@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from failstop import FailstopError, Robot
+from failstop import FailstopError, Robot, instances
 from failstop.api.client import run, send_stop
 from failstop.api.events import EventLog
 from failstop.board.port import PortError, open_port
@@ -293,7 +293,7 @@ def pass_off_directory(scene: Scene) -> bool:
     reading = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
     try:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(instance, "_candidates", lambda: [str(base)])
+            patch.setattr(instance, "bases", lambda: [str(base)])
             return instance.find("robot") == str(path)
     except instance.NoService as error:
         told = str(error)
@@ -320,10 +320,10 @@ def plant_link(scene: Scene) -> bool:
 
     assert scene.does(plant)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(instance, "_candidates", lambda: [str(base)])
+        patch.setattr(instance, "bases", lambda: [str(base)])
         for attempt in (
             lambda: send_stop("robot", "overwrites it"),
-            lambda: instance.lock(str(path)),
+            lambda: instances.lock(str(path)),
             lambda: claim.open_claims(instance.claims_path(str(path)), create=True, mode=0o666),
             lambda: os.close(instance.publish(str(path), 7)),
         ):
@@ -341,7 +341,7 @@ def be_in_the_way(scene: Scene) -> bool:
         os.setresuid(VICTIM, VICTIM, VICTIM)
         os.environ["XDG_RUNTIME_DIR"] = "/nonexistent"
         try:
-            return instance.make_runtime_dir("robot")
+            return instances.make_runtime_dir("robot")
         except instance.InstanceError as error:
             return str(error)
 

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop import instances
 from failstop.shm import bell, instance, root
 from failstop.shm.instance import InstanceError, NoService
 from failstop.shm.lifeline import Lifeline
@@ -32,7 +33,7 @@ STRANGER = 61_000 + os.getpid() % 4000
 def bases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Three candidate directories of this test, none of them made yet."""
     places = [str(tmp_path / place) for place in ("run", "session", "private")]
-    monkeypatch.setattr(instance, "_candidates", lambda: list(places))
+    monkeypatch.setattr(instance, "bases", lambda: list(places))
     return places
 
 
@@ -66,7 +67,7 @@ def test_good_names(name: str) -> None:
     "name", ["", "a" * 33, "A", "a b", "a/b", "..", ".", "a.b", "ä", "a\n", "a\0", "\u0661", "/", "a:b", "~", "$x"]
 )
 def test_bad_names(name: str) -> None:
-    for use in (instance.check_name, instance.find, instance.make_runtime_dir):
+    for use in (instance.check_name, instance.find, instances.make_runtime_dir):
         with pytest.raises(InstanceError) as refused:
             use(name)
         assert str(refused.value) == f"name {name!r}: use 1 to 32 of a-z, 0-9, _ and -"
@@ -88,25 +89,25 @@ def test_the_order_of_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     private = "/dev/shm/failstop-77"
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/elsewhere")
     monkeypatch.setenv(root.VARIABLE, "/srv/apart")
-    assert instance._candidates() == ["/srv/apart/run/failstop", "/elsewhere/failstop", private]
+    assert instance.bases() == ["/srv/apart/run/failstop", "/elsewhere/failstop", private]
     monkeypatch.delenv(root.VARIABLE)
-    assert instance._candidates() == ["/run/failstop", "/elsewhere/failstop", private]
+    assert instance.bases() == ["/run/failstop", "/elsewhere/failstop", private]
     monkeypatch.setenv("XDG_RUNTIME_DIR", "")
-    assert instance._candidates() == ["/run/failstop", "/run/user/77/failstop", private]
+    assert instance.bases() == ["/run/failstop", "/run/user/77/failstop", private]
     monkeypatch.delenv("XDG_RUNTIME_DIR")
-    assert instance._candidates() == ["/run/failstop", "/run/user/77/failstop", private]
+    assert instance.bases() == ["/run/failstop", "/run/user/77/failstop", private]
 
 
 def test_root_has_no_place_that_others_could_take(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(root.VARIABLE, raising=False)
     monkeypatch.setattr(os, "getuid", lambda: 0)
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
-    assert instance._candidates() == ["/run/failstop", "/run/user/0/failstop"]
+    assert instance.bases() == ["/run/failstop", "/run/user/0/failstop"]
 
 
 def test_the_first_that_can_be_written_is_taken(bases: list[str]) -> None:
     for base in bases:
-        path = instance.make_runtime_dir("robot")
+        path = instances.make_runtime_dir("robot")
         assert path == os.path.join(base, "robot")
         assert os.path.isdir(path)
         os.rmdir(path)
@@ -118,23 +119,23 @@ def test_when_none_can_be_written(bases: list[str]) -> None:
     for base in bases:
         Path(base).write_text("in the way")
     with pytest.raises(InstanceError) as refused:
-        instance.make_runtime_dir("robot")
+        instances.make_runtime_dir("robot")
     for part in ("'robot'", *bases):
         assert part in str(refused.value)
 
 
 def test_a_runtime_dir_is_taken_over(bases: list[str]) -> None:
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     Path(path, "left").write_text("by a dead run")
-    assert instance.make_runtime_dir("robot") == path
+    assert instances.make_runtime_dir("robot") == path
     assert Path(path, "left").exists()
 
 
 @pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o777])
 def test_the_shared_place_is_private_under_any_umask(private: str, monkeypatch: pytest.MonkeyPatch, mask: int) -> None:
-    monkeypatch.setattr(instance, "_candidates", lambda: [private])
+    monkeypatch.setattr(instance, "bases", lambda: [private])
     with umask(mask):
-        path = instance.make_runtime_dir("robot")
+        path = instances.make_runtime_dir("robot")
         assert os.umask(mask) == mask
     assert stat.S_IMODE(os.stat(path).st_mode) == 0o700
     assert stat.S_IMODE(os.stat(private).st_mode) == 0o700
@@ -149,7 +150,7 @@ def test_a_full_disk_is_told_and_not_passed_over(bases: list[str], monkeypatch: 
     os.mkdir(bases[0])
     monkeypatch.setattr(os, "mkdir", mkdir)
     with pytest.raises(InstanceError) as refused:
-        instance.make_runtime_dir("robot")
+        instances.make_runtime_dir("robot")
     assert f"{bases[0]}/robot: No space left on device" in str(refused.value)
 
 
@@ -175,17 +176,17 @@ def test_every_place_that_is_no_good_is_told_of(bases: list[str], monkeypatch: p
         os.chmod(bases[1], 0o777)
         expected = rf"{bases[1]} may be written by others .*$"
     with pytest.raises(InstanceError, match=rf"; {bases[0]} may be written by others .*; {expected}"):
-        instance.make_runtime_dir("robot")
+        instances.make_runtime_dir("robot")
 
 
 @pytest.mark.parametrize("mask", [0o000, 0o077])
 def test_other_directories_let_everyone_in_to_read(monkeypatch: pytest.MonkeyPatch, mask: int) -> None:
     """So that every local user can reach the stop pipe."""
     base = f"/var/tmp/failstop-test-{os.getpid()}"
-    monkeypatch.setattr(instance, "_candidates", lambda: [base])
+    monkeypatch.setattr(instance, "bases", lambda: [base])
     try:
         with umask(mask):
-            path = instance.make_runtime_dir("robot")
+            path = instances.make_runtime_dir("robot")
         assert stat.S_IMODE(os.stat(path).st_mode) == 0o755
         assert stat.S_IMODE(os.stat(base).st_mode) == 0o755
     finally:
@@ -198,7 +199,7 @@ def made_as_stranger(name: str = "robot") -> str:
     def attempt() -> str:
         os.environ.pop("XDG_RUNTIME_DIR", None)
         try:
-            return instance.make_runtime_dir(name)
+            return instances.make_runtime_dir(name)
         except InstanceError as error:
             return f"refused: {error}"
 
@@ -252,7 +253,7 @@ def holder(path: str) -> Child:
     """A process that is the service of this directory."""
 
     def work(send: Send, wait: Wait) -> None:
-        instance.lock(path)
+        instances.lock(path)
         bell.make_pipe(instance.stop_path(path), 0o622)
         bell.open_pipe(instance.stop_path(path))
         send(os.getpid())
@@ -264,69 +265,69 @@ def holder(path: str) -> Child:
 
 
 def test_a_second_service_is_refused_with_the_first_one_s_pid(bases: list[str]) -> None:
-    path = instance.make_runtime_dir("robot")
-    assert not instance.running(path)
+    path = instances.make_runtime_dir("robot")
+    assert not instances.running(path)
     with holder(path) as first:
-        assert instance.running(path)
+        assert instances.running(path)
         for _ in range(3):
             with pytest.raises(InstanceError) as refused:
-                instance.lock(path)
+                instances.lock(path)
             assert f"'robot' is already running (pid {first.pid})" in str(refused.value)
             assert "--name" in str(refused.value)
         assert instance.find("robot") == path
         first.go()
         first.wait()
-    assert not instance.running(path)
+    assert not instances.running(path)
 
 
 def test_a_refused_one_leaves_nothing_open_and_the_pid_alone(bases: list[str]) -> None:
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     with holder(path) as first:
         before = len(os.listdir("/proc/self/fd"))
         for _ in range(10):
             with pytest.raises(InstanceError):
-                instance.lock(path)
-            instance.running(path)
+                instances.lock(path)
+            instances.running(path)
         assert len(os.listdir("/proc/self/fd")) == before
         assert Path(instance.lock_path(path)).read_text() == f"{first.pid}\n"
 
 
 def test_sigkill_of_the_holder_frees_the_name(bases: list[str], fds: list[int]) -> None:
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     for _ in range(10):
         with holder(path) as first:
             first.kill()
-        assert not instance.running(path)
+        assert not instances.running(path)
         with pytest.raises(NoService):
             instance.find("robot")
-    fds.append(instance.lock(path))
+    fds.append(instances.lock(path))
     assert Path(instance.lock_path(path)).read_text() == f"{os.getpid()}\n"
 
 
 def test_a_longer_pid_before_leaves_no_digits(bases: list[str], fds: list[int]) -> None:
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     Path(instance.lock_path(path)).write_text("99999999999\n")
-    fds.append(instance.lock(path))
+    fds.append(instances.lock(path))
     assert Path(instance.lock_path(path)).read_text() == f"{os.getpid()}\n"
 
 
 @pytest.mark.parametrize("junk", [b"", b"\xff\xfe\0", b"x" * 5000])
 def test_junk_in_the_lock_file_is_no_crash(bases: list[str], junk: bytes) -> None:
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     with holder(path):
         Path(instance.lock_path(path)).write_bytes(junk)
         with pytest.raises(InstanceError, match="is already running"):
-            instance.lock(path)
+            instances.lock(path)
 
 
 def test_of_two_that_start_at_once_one_runs(bases: list[str]) -> None:
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
 
     def work(send: Send, wait: Wait) -> None:
         for _ in range(100):
             wait()
             try:
-                fd = instance.lock(path)
+                fd = instances.lock(path)
                 send("runs")
             except InstanceError:
                 fd = -1
@@ -351,7 +352,7 @@ def died_with_a_copy(path: str) -> Iterator[Lifeline]:
     """The service has died, and a copy of it, which has exec'd nothing, still has its lock."""
 
     def work(send: Send, wait: Wait) -> None:
-        instance.lock(path)
+        instances.lock(path)
         copy = os.fork()
         if not copy:
             signal.alarm(60)
@@ -372,49 +373,49 @@ def test_a_lock_whose_owner_has_died_is_waited_for(
     bases: list[str], fds: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A supervisor that dies while it starts a process: that one lets go at its exec."""
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     with died_with_a_copy(path) as copy:
-        assert instance.holder(path) == "", "no living process's"
-        instance.refuse_locked("robot")
-        monkeypatch.setattr(instance, "LETTING_GO_S", 60)
+        assert instances.holder(path) == "", "no living process's"
+        instances.refuse_locked("robot")
+        monkeypatch.setattr(instances, "LETTING_GO_S", 60)
         slept_s: list[float] = []
         monkeypatch.setattr(time, "sleep", lambda seconds: (slept_s.append(seconds), copy.kill()))
-        fds.append(instance.lock(path))
+        fds.append(instances.lock(path))
         assert max(slept_s) < 0.1, "a start does not wait long for it"
     assert Path(instance.lock_path(path)).read_text() == f"{os.getpid()}\n"
 
 
 def test_it_is_not_waited_for_without_end(bases: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    path = instance.make_runtime_dir("robot")
-    monkeypatch.setattr(instance, "LETTING_GO_S", 0.01)
+    path = instances.make_runtime_dir("robot")
+    monkeypatch.setattr(instances, "LETTING_GO_S", 0.01)
     with died_with_a_copy(path), pytest.raises(InstanceError, match="is already running"):
-        instance.lock(path)
+        instances.lock(path)
 
 
 def test_a_living_holder_is_refused_by_its_pid_in_whatever_place(bases: list[str]) -> None:
-    instance.refuse_locked("robot")
+    instances.refuse_locked("robot")
     for base in bases:
         path = os.path.join(base, "robot")
         os.makedirs(path)
-        assert instance.holder(path) == ""
+        assert instances.holder(path) == ""
         with holder(path) as first:
-            assert instance.holder(path) == str(first.pid)
+            assert instances.holder(path) == str(first.pid)
             with pytest.raises(InstanceError, match=rf"'robot' is already running \(pid {first.pid}\)"):
-                instance.refuse_locked("robot")
-        assert instance.holder(path) == ""
-        instance.refuse_locked("robot")
+                instances.refuse_locked("robot")
+        assert instances.holder(path) == ""
+        instances.refuse_locked("robot")
 
 
 def test_who_listens_in_another_directory_is_refused(bases: list[str]) -> None:
-    instance.refuse_listening("robot")
+    instances.refuse_listening("robot")
     path = os.path.join(bases[1], "robot")
     os.makedirs(path)
     with holder(path):
-        instance.refuse_listening("robot", but=path)
+        instances.refuse_listening("robot", but=path)
         for but in ("", os.path.join(bases[0], "robot")):
             with pytest.raises(InstanceError, match="'robot' is already running"):
-                instance.refuse_listening("robot", but)
-    instance.refuse_listening("robot")
+                instances.refuse_listening("robot", but)
+    instances.refuse_listening("robot")
 
 
 @needs_root
@@ -423,17 +424,17 @@ def test_what_is_not_believed_does_not_listen(bases: list[str]) -> None:
     os.makedirs(path)
     with holder(path):
         os.chmod(path, 0o777)
-        instance.refuse_listening("robot")
+        instances.refuse_listening("robot")
 
 
 def test_all_that_listen_are_found_by_name(bases: list[str]) -> None:
-    assert instance.listening() == []
+    assert instances.listening() == []
     for base, name in ((bases[2], "alpha"), (bases[1], "robot"), (bases[1], "silent"), (bases[1], "No name")):
         os.makedirs(os.path.join(base, name))
     with holder(os.path.join(bases[1], "robot")), holder(os.path.join(bases[2], "alpha")):
-        assert instance.listening() == ["alpha", "robot"]
-        assert [instance.listens(name) for name in ("robot", "silent", "No name", "absent")] == [True, *[False] * 3]
-    assert instance.listening() == []
+        assert instances.listening() == ["alpha", "robot"]
+        assert [instances.listens(name) for name in ("robot", "silent", "No name", "absent")] == [True, *[False] * 3]
+    assert instances.listening() == []
 
 
 def test_a_command_names_every_instance_but_the_default_one() -> None:
@@ -444,34 +445,34 @@ def test_a_command_names_every_instance_but_the_default_one() -> None:
 def test_a_lock_that_can_not_be_made_or_written_is_told_and_nothing_stays_open(bases: list[str]) -> None:
     path = os.path.join(bases[0], "robot")
     with pytest.raises(InstanceError, match=rf"the lock {path}/lock can't be made: No such file or directory"):
-        instance.lock(path)
+        instances.lock(path)
     os.makedirs(path)
 
     def attempt() -> tuple[str, int]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
         before = len(os.listdir("/proc/self/fd"))
         with pytest.raises(InstanceError) as refused:
-            instance.lock(path)
+            instances.lock(path)
         return str(refused.value), len(os.listdir("/proc/self/fd")) - before
 
     assert call(attempt) == (f"the lock {path}/lock can't be written: File too large", 0)
 
 
 def test_instances_do_not_lock_each_other(bases: list[str], fds: list[int]) -> None:
-    fds.append(instance.lock(instance.make_runtime_dir("one")))
-    fds.append(instance.lock(instance.make_runtime_dir("two")))
+    fds.append(instances.lock(instances.make_runtime_dir("one")))
+    fds.append(instances.lock(instances.make_runtime_dir("two")))
     assert len(fds) == 2
 
 
 @needs_root
 def test_a_stranger_cannot_open_the_lock(bases: list[str], fds: list[int]) -> None:
-    fds.append(instance.lock(path := instance.make_runtime_dir("robot")))
+    fds.append(instances.lock(path := instances.make_runtime_dir("robot")))
     assert stat.S_IMODE(os.stat(instance.lock_path(path)).st_mode) == 0o600
 
 
 def test_the_lock_does_not_cross_an_exec(bases: list[str], fds: list[int]) -> None:
-    fds.append(fd := instance.lock(path := instance.make_runtime_dir("robot")))
-    assert instance.holder(path) == str(os.getpid())
+    fds.append(fd := instances.lock(path := instances.make_runtime_dir("robot")))
+    assert instances.holder(path) == str(os.getpid())
     assert not os.get_inheritable(fd)
 
 
@@ -491,10 +492,10 @@ def test_find_looks_everywhere_for_the_one_that_runs(bases: list[str]) -> None:
 @needs_root
 def test_everyone_can_find_a_service_that_everyone_may_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     base = f"/var/tmp/failstop-test-{os.getpid()}"
-    monkeypatch.setattr(instance, "_candidates", lambda: [base])
+    monkeypatch.setattr(instance, "bases", lambda: [base])
     try:
         with umask(0o077):
-            path = instance.make_runtime_dir("robot")
+            path = instances.make_runtime_dir("robot")
             with holder(path):
                 assert call(lambda: instance.find("robot"), NOBODY) == path
     finally:
@@ -509,7 +510,7 @@ def test_paths_lie_in_the_runtime_dir_and_differ() -> None:
 
 
 def test_the_run_that_is_published_is_the_one_that_is_read(bases: list[str], fds: list[int]) -> None:
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     with pytest.raises(NoService):
         instance.run(path)
     for incarnation in (7, 2**64 - 1, 0):
@@ -525,7 +526,7 @@ def test_the_run_that_is_published_is_the_one_that_is_read(bases: list[str], fds
 def test_a_run_that_can_not_be_published_leaves_nothing_open_and_the_one_before(
     bases: list[str], fds: list[int]
 ) -> None:
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     fds.append(instance.publish(path, 7))
 
     def attempt() -> int:
@@ -546,7 +547,7 @@ def test_a_run_that_can_not_be_published_leaves_nothing_open_and_the_one_before(
 
 
 def test_what_a_run_has_left_is_cleared_but_for_the_lock(bases: list[str], fds: list[int]) -> None:
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     each = (instance.lock_path, instance.claims_path, instance.stop_path, instance.bell_path, instance.run_path)
     for place in each:
         Path(place(path)).write_text("")
@@ -561,7 +562,7 @@ def test_what_a_run_has_left_is_cleared_but_for_the_lock(bases: list[str], fds: 
 
 
 def test_a_run_that_somebody_has_planted_is_not_believed(bases: list[str], tmp_path: Path) -> None:
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     (tmp_path / "planted").write_text("0000000000000007")
     os.symlink(tmp_path / "planted", instance.run_path(path))
     with pytest.raises(InstanceError, match="run is a link: remove it"):
@@ -570,7 +571,7 @@ def test_a_run_that_somebody_has_planted_is_not_believed(bases: list[str], tmp_p
 
 @pytest.mark.parametrize("junk", [b"", b"\xff\xfe\0", b"not a number", b"-"])
 def test_a_run_that_can_not_be_read_is_no_service(bases: list[str], junk: bytes) -> None:
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     Path(instance.run_path(path)).write_bytes(junk)
     with pytest.raises(NoService):
         instance.run(path)
@@ -579,15 +580,15 @@ def test_a_run_that_can_not_be_read_is_no_service(bases: list[str], junk: bytes)
 @needs_root
 def test_root_takes_over_no_directory_of_another_user(bases: list[str]) -> None:
     """That one could neither use what root leaves there nor remove it."""
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     os.chown(bases[0], NOBODY, NOBODY)
     os.chown(path, NOBODY, NOBODY)
     with pytest.raises(InstanceError, match=rf"; {path} belongs to .*uid 65534.*choose another --name"):
-        instance.make_runtime_dir("robot")
+        instances.make_runtime_dir("robot")
 
 
 def test_a_directory_that_others_may_write_is_not_taken_over(bases: list[str]) -> None:
-    path = instance.make_runtime_dir("robot")
+    path = instances.make_runtime_dir("robot")
     os.chmod(path, 0o777)
     with pytest.raises(InstanceError, match=rf"; {path} may be written by others"):
-        instance.make_runtime_dir("robot")
+        instances.make_runtime_dir("robot")

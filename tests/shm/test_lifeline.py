@@ -18,9 +18,10 @@ from pathlib import Path
 
 import pytest
 
+from failstop.api.held import HeldByThread
 from failstop.shm import futex, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK, Futex
-from failstop.shm.lifeline import EarlyNews, HeldByThread, Lifeline, pid_namespace
+from failstop.shm.lifeline import EarlyNews, Lifeline, pid_namespace
 from failstop.shm.segment import Segment
 from tests.support.children import NOBODY, Child, become, needs_root
 from tests.support.waiting import until

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop import instances
 from failstop.shm import bell, claim, instance, place
 from failstop.shm.place import Untrusted
 from tests.support.children import NOBODY, call, needs_root, reachable, umask
@@ -42,7 +43,7 @@ def attempts(folder: Path) -> dict[str, Callable[[], object]]:
     return {
         "stop": lambda: bell.open_pipe_to_write(instance.stop_path(path)),
         "the service's end": lambda: bell.open_pipe(instance.stop_path(path)),
-        "running": lambda: instance.running(path),
+        "running": lambda: instances.running(path),
         "claims": lambda: claim.open_claims(instance.claims_path(path)),
         "make": lambda: bell.make_pipe(instance.bell_path(path), 0o622),
         "publish": lambda: instance.publish(path, 7),
@@ -65,7 +66,7 @@ def refused(folder: Path, *ways: str) -> list[str]:
 
 
 def test_what_is_in_order_is_opened(folder: Path, reader: int, fds: list[int]) -> None:
-    assert instance.running(str(folder))
+    assert instances.running(str(folder))
     fds += [writing := bell.open_pipe_to_write(str(folder / "stop")), claim.open_claims(str(folder / "claims"))]
     bell.send(writing, b"stop\n")
     assert bell.take(reader) == b"stop\n"
@@ -86,7 +87,7 @@ def test_a_directory_that_somebody_else_may_write(folder: Path, reader: int, whi
         victim.symlink_to(moved)
         with pytest.raises(NotADirectoryError):
             bell.open_pipe_to_write(str(folder / "stop"))
-        assert not instance.running(str(folder))
+        assert not instances.running(str(folder))
         return
     else:
         victim.chmod(0o777 if trap == "everyone's" else 0o775)
@@ -146,8 +147,8 @@ def test_what_root_alone_could_put_there_is_its_owner_s(folder: Path) -> None:
         os.chown(path, OTHER, OTHER)
     reading = os.open(folder / "stop", os.O_RDONLY | os.O_NONBLOCK)
     try:
-        assert instance.running(str(folder))
-        assert call(lambda: instance.running(str(folder)), NOBODY)
+        assert instances.running(str(folder))
+        assert call(lambda: instances.running(str(folder)), NOBODY)
         # But not its word for what is another user's.
         os.chown(folder / "stop", NOBODY, NOBODY)
         refused(folder, "stop", "running")
@@ -160,7 +161,7 @@ def test_a_stranger_s_service_is_none_and_find_says_why(folder: Path, monkeypatc
     folder.parent.parent.chmod(0o1777)
     for path in (folder.parent, folder, *folder.iterdir()):
         os.chown(path, OTHER, OTHER)
-    monkeypatch.setattr(instance, "_candidates", lambda: [str(folder.parent)])
+    monkeypatch.setattr(instance, "bases", lambda: [str(folder.parent)])
     reading = os.open(folder / "stop", os.O_RDONLY | os.O_NONBLOCK)
     try:
         assert f"; {folder.parent} belongs to uid {OTHER}: not trusted" in _not_found("robot")
@@ -262,7 +263,7 @@ def test_nothing_stays_open(folder: Path, reader: int) -> None:
     before = len(os.listdir("/proc/self/fd"))
     (folder / "link").symlink_to("claims")
     for _ in range(10):
-        instance.running(str(folder))
+        instances.running(str(folder))
         for path in ("link", "absent"):
             with pytest.raises(OSError, match=r"is a link|No such file"):
                 place.opened(str(folder / path), os.O_RDONLY)

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import codec, decoder, port
+from failstop.board import codec, decoder, framing, port
 from failstop.board.burst import BURST
 from failstop.board.port import open_port
+from failstop.lab import encoders
 from failstop.lab.sim.client import Event, SimBoard, SimBoardError
 from failstop.lab.trial import wait_for
 
@@ -98,7 +99,7 @@ def test_many_events_come_in_order(board: SimBoard, client: int) -> None:
     for count in (1, 99, 100, 101, 350):
         for _ in range(count):
             select.select([], [client], [], 10.0)
-            assert os.write(client, codec.PING) == 7
+            assert os.write(client, encoders.PING) == 7
         expected += count
     assert [event.index for event in board.events()] == list(range(expected))
     assert len(board.events(since=expected - 250)) == 250
@@ -126,44 +127,44 @@ def test_wait_wheels(board: SimBoard, client: int) -> None:
 
 def test_telemetry_ping_pad_and_keys(board: SimBoard, client: int) -> None:
     host = Host(client)
-    os.write(client, codec.PING)
-    assert decoder.servo_reply(codec.PWM_SERVO, host.wait(codec.PWM_SERVO)) == (1, 5, 1500)
+    os.write(client, encoders.PING)
+    assert decoder.servo_reply(framing.PWM_SERVO, host.wait(framing.PWM_SERVO)) == (1, 5, 1500)
     board.pad(0x0100, hat=3, lx=-128, ly=127, rx=1, ry=-1)
-    assert decoder.gamepad(host.wait(codec.GAMEPAD)) == (0x0100, 3, -128, 127, 1, -1)
-    assert host.count(codec.GAMEPAD, 0.2) == 0
+    assert decoder.gamepad(host.wait(framing.GAMEPAD)) == (0x0100, 3, -128, 127, 1, -1)
+    assert host.count(framing.GAMEPAD, 0.2) == 0
     board.pad(0x0200, hold=True)
-    assert 3 <= host.count(codec.GAMEPAD, 0.4) <= 9
+    assert 3 <= host.count(framing.GAMEPAD, 0.4) <= 9
     board.pad_silent()
-    host.count(codec.GAMEPAD, 0.05)
-    assert host.count(codec.GAMEPAD, 0.2) == 0
+    host.count(framing.GAMEPAD, 0.05)
+    assert host.count(framing.GAMEPAD, 0.2) == 0
     board.key(1, 0x20)
-    assert decoder.key(host.wait(codec.KEY)) == (1, 0x20)
+    assert decoder.key(host.wait(framing.KEY)) == (1, 0x20)
     board.battery(9000)
-    assert decoder.battery_mv(host.wait(codec.SYS)) == 11_000
-    assert 40 <= host.count(codec.IMU, 0.5) <= 60
+    assert decoder.battery_mv(host.wait(framing.SYS)) == 11_000
+    assert 40 <= host.count(framing.IMU, 0.5) <= 60
 
 
 def test_imu_can_be_silenced(board: SimBoard, client: int) -> None:
     host = Host(client)
-    host.wait(codec.IMU)
+    host.wait(framing.IMU)
     board.imu(False)
-    host.count(codec.IMU, 0.05)
-    assert host.count(codec.IMU, 0.2) == 0
+    host.count(framing.IMU, 0.05)
+    assert host.count(framing.IMU, 0.2) == 0
     board.imu(True)
-    host.wait(codec.IMU)
+    host.wait(framing.IMU)
 
 
 def test_deaf_drops_frames_while_telemetry_goes_on(board: SimBoard, client: int) -> None:
     host = Host(client)
     board.deaf(True)
-    os.write(client, DRIVE + codec.PING)
-    host.wait(codec.IMU)
+    os.write(client, DRIVE + encoders.PING)
+    host.wait(framing.IMU)
     assert board.events() == []
     assert board.wheels() == (0.0, 0.0, 0.0, 0.0)
     board.deaf(False)
-    os.write(client, codec.PING)
-    host.wait(codec.PWM_SERVO)
-    assert [event.func for event in board.events()] == [codec.PWM_SERVO]
+    os.write(client, encoders.PING)
+    host.wait(framing.PWM_SERVO)
+    assert [event.func for event in board.events()] == [framing.PWM_SERVO]
 
 
 def test_cut_loses_that_many_bytes(board: SimBoard, client: int) -> None:
@@ -179,15 +180,15 @@ def test_garble_flips_bits_each_way(board: SimBoard, client: int) -> None:
     host = Host(client)
     board.garble(down=0.05)
     for _ in range(8):
-        os.write(client, codec.PING * 25)
+        os.write(client, encoders.PING * 25)
     heard = len(board.events())
     assert 20 < heard < 190
-    host.count(codec.IMU, 0.3)
+    host.count(framing.IMU, 0.3)
     assert host.decoder.crc_errors == 0
     board.garble(up=0.05)
     os.write(client, codec.STOP * 3)
     assert [event.is_stop for event in board.events()][-3:] == [True] * 3
-    host.count(codec.IMU, 0.5)
+    host.count(framing.IMU, 0.5)
     assert host.decoder.crc_errors > 0
     with pytest.raises(SimBoardError, match="must be from 0 to 1"):
         board.garble(down=1.5)
@@ -229,7 +230,7 @@ def test_unplug_hangs_up_keeps_the_wheels_and_replug_works(board: SimBoard, clie
     again = open_port(board.link, exclusive=True)
     os.write(again, codec.STOP)
     board.wait_wheels(False, 5.0)
-    Host(again).wait(codec.IMU)
+    Host(again).wait(framing.IMU)
     with pytest.raises(SimBoardError, match="plugged in already"):
         board.replug()
     board.unplug()
@@ -238,15 +239,15 @@ def test_unplug_hangs_up_keeps_the_wheels_and_replug_works(board: SimBoard, clie
     assert board.link == str(other)
     assert not (tmp_path / "board").is_symlink()
     third = open_port(str(other), exclusive=True)
-    os.write(third, codec.PING)
-    Host(third).wait(codec.PWM_SERVO)
+    os.write(third, encoders.PING)
+    Host(third).wait(framing.PWM_SERVO)
     os.close(third)
     os.close(again)
 
 
 def test_not_draining_fills_the_port_and_draining_takes_it_all(board: SimBoard, client: int) -> None:
     board.stop_draining()
-    pings = codec.PING * 20_000
+    pings = encoders.PING * 20_000
     sent = 0
     with pytest.raises(BlockingIOError):  # noqa: PT012
         while True:
@@ -261,7 +262,7 @@ def test_not_draining_fills_the_port_and_draining_takes_it_all(board: SimBoard, 
     board.drain()
     # Any further request would make the board read.
     assert select.select([], [client], [], 10.0)[1]
-    wait_for("everything", lambda: board.info()["executed"] == sent // len(codec.PING))
+    wait_for("everything", lambda: board.info()["executed"] == sent // len(encoders.PING))
     events = board.events()
     assert events[0].arrival_ns >= drained_ns
     assert events[-1].executed_ns - events[0].executed_ns >= 0.99 * sent * 10_000
@@ -277,14 +278,14 @@ def used_s(pid: int) -> float:
 def test_little_processor_time(board: SimBoard, at_work: bool) -> None:
     client = open_port(board.link, exclusive=True)
     host = Host(client)
-    host.wait(codec.IMU)
+    host.wait(framing.IMU)
     if not at_work:
         os.close(client)
     before_s, begin_s = used_s(board.pid), time.monotonic()
     while time.monotonic() < begin_s + 1.5:
         if at_work:
             os.write(client, DRIVE)
-            host.count(codec.IMU, 0.02)
+            host.count(framing.IMU, 0.02)
         else:
             time.sleep(0.1)
     # Measured 1.5 % at work and 1 % alone on an idle machine; the bound allows for a slow one.

@@ -19,9 +19,9 @@ from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import REALTIME
 from failstop.supervisor import grant
 from failstop.supervisor.children import WAITING
+from failstop.supervisor.datagram import Outbox
 from failstop.supervisor.fence import Fence
 from failstop.supervisor.health import OWED_NS, UNDYING_NS
-from failstop.supervisor.journal import Journal
 from failstop.supervisor.main import ALONE_EVERY_NS, ANSWER_NS
 from failstop.supervisor.names import LOOK_EVERY_NS
 from failstop.supervisor.notify import Notify
@@ -74,7 +74,7 @@ def test_what_people_are_told_goes_to_the_journal_where_there_is_one(
 ) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journald:
         journald.bind(str(tmp_path / "journal"))
-        journal = Journal(str(tmp_path / "journal"))
+        journal = Outbox(str(tmp_path / "journal"))
         scene = Scene(tmp_path, monkeypatch, journal=journal)
         scene.supervisor._events.tell("note", "from the test")
         scene.supervisor._events.flush()

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from failstop import config
 from failstop.cli import main as cli
-from failstop.policy import config
 from failstop.policy.settings import DECLARED, SettingError, Settings
 
 

@@ -17,8 +17,8 @@ from failstop.procs.world import World
 from failstop.shm import layout, segment
 from failstop.shm.ring import RingReader
 from failstop.supervisor import kinds
+from failstop.supervisor.datagram import Outbox
 from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, Events, entry, pack, say
-from failstop.supervisor.journal import Journal
 from tests.supervisor.streams import stderr_is
 
 
@@ -83,7 +83,7 @@ class Scene:
         self._path = str(directory / "journal")
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         self._socket.bind(self._path)
-        self._journal = Journal(self._path)
+        self._journal = Outbox(self._path)
         self.events = Events(World(), self.name, own.ring_writer("events"), self._journal)
 
     def ring(self) -> list[dict[str, Any]]:

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from failstop.supervisor import journal
-from failstop.supervisor.journal import Journal, encode, is_stderr
+from failstop.supervisor.datagram import Outbox
+from failstop.supervisor.journal import encode, is_stderr
 
 
 @pytest.mark.parametrize(
@@ -34,7 +35,7 @@ def test_one_field(name: str, value: str | int | float, data: bytes) -> None:
 def test_an_entry_is_one_datagram(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as server:
         server.bind(str(tmp_path / "socket"))
-        sender = Journal(str(tmp_path / "socket"))
+        sender = Outbox(str(tmp_path / "socket"))
         assert sender.send(encode([("MESSAGE", "one"), ("PRIORITY", 5)]))
         assert sender.send(encode([("MESSAGE", "two")]))
         assert server.recv(1000) == b"MESSAGE=one\nPRIORITY=5\n"
@@ -44,7 +45,7 @@ def test_an_entry_is_one_datagram(tmp_path: Path) -> None:
 
 def test_a_journal_that_comes_back_is_used_again(tmp_path: Path) -> None:
     path = tmp_path / "socket"
-    sender = Journal(str(path))
+    sender = Outbox(str(path))
     assert not sender.send(encode([("MESSAGE", "nobody")]))
     for _ in range(2):
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as server:

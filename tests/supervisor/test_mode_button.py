@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from failstop import config
 from failstop.cli import main as cli
-from failstop.policy import config
 from failstop.policy.settings import SettingError
 
 KEY = "pad.mode_button"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from failstop.board.codec import MOTOR, STOP, motor_speeds
+from failstop.board.codec import STOP, motor_speeds
+from failstop.board.framing import MOTOR
 from failstop.lab.sim.client import Event
 
 MS = 1_000_000

@@ -10,8 +10,8 @@ import select
 import tty
 from collections.abc import Iterator
 
-from failstop.board.codec import MOTOR
-from failstop.board.motors import Motors
+from failstop.board.framing import MOTOR
+from failstop.incidents.motors import Motors
 from failstop.lab.sim.receiver import Receiver
 
 DEADLINE_S = 20.0

@@ -21,7 +21,7 @@ from failstop.procs.world import World
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import children, main
-from failstop.supervisor.journal import Journal
+from failstop.supervisor.datagram import Outbox
 from failstop.supervisor.main import Supervisor
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
@@ -36,7 +36,7 @@ class Scene:
     """A supervisor without children on a pty, with a clock that the test moves; the test plays the port owner."""
 
     def __init__(
-        self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, granted: int = 0, journal: Journal | None = None
+        self, directory: Path, monkeypatch: pytest.MonkeyPatch, *, granted: int = 0, journal: Outbox | None = None
     ) -> None:
         self.now_ns = 40_000 * MS
         self.late = 0

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from failstop.api import ask
-from failstop.board.discovery import BOARD_PID, BOARD_VID
 from failstop.cli.commands import stop
+from failstop.discovery import BOARD_PID, BOARD_VID
 from failstop.policy.processes import PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs.port_owner.repeats import LEAVE_AFTER_NS

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from failstop.api.client import attach
-from failstop.board.codec import BUZZER
+from failstop.board.framing import BUZZER
 from failstop.lab.trial import Trial, wait_for
 from failstop.procs.telemetry import tones
 from failstop.shm import records

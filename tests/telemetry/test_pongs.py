@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from failstop.board import codec, framing
+from failstop.board import framing
 from failstop.board.decoder import Decoder
 from failstop.board.interface import BOARD
 from failstop.board.port import open_port
@@ -75,8 +75,8 @@ def test_its_answer_names_the_ping(index: int) -> None:
         upward.pwm_servo_deviation(1, 0),
         upward.bus_servo(1, 0x05, 500),
         upward.key(1, 5),
-        codec.frame(framing.PWM_SERVO, b"\x01\x05\xdc"),
-        codec.frame(framing.PWM_SERVO, b""),
+        framing.frame(framing.PWM_SERVO, b"\x01\x05\xdc"),
+        framing.frame(framing.PWM_SERVO, b""),
         BOARD.pings[1],
     ],
 )

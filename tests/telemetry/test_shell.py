@@ -9,7 +9,7 @@ from pathlib import Path
 import msgpack
 import pytest
 
-from failstop.board import codec, framing
+from failstop.board import framing
 from failstop.policy import causes
 from failstop.procs.telemetry import tones
 from failstop.procs.telemetry.trips import LOW_READINGS
@@ -216,7 +216,7 @@ def test_tones_are_requests_for_frames_that_are_not_motion(sounding: Scene) -> N
     sounding.turn(elapsed_ns=20 * MS)
     requests = [records.PAD_REQUEST.unpack(request) for request in sounding.told("pad_requests")]
     assert requests == [(records.PAD_FRAME, tones.MODES[1]), (records.PAD_FRAME, tones.TRIP)]
-    assert all(frame[2] == codec.BUZZER for _, frame in requests)
+    assert all(frame[2] == framing.BUZZER for _, frame in requests)
     assert sounding.rung("gate_bell")
 
 

@@ -6,7 +6,7 @@ import struct
 
 import pytest
 
-from failstop.board.codec import BUZZER
+from failstop.board.framing import BUZZER
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry import pad, tones
 from failstop.procs.telemetry.tones import Tones

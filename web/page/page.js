@@ -8,8 +8,11 @@ import "/incidents.js";
 
 const $ = (id) => document.getElementById(id);
 const STALE_MS = 1000; // no news for this long: the last word is not shown as if it held
+const REST_MS = 300;
 const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
-let face = null, heard = -Infinity, behind = 0, asked = null;
+const drawn = {}; // what a list was made of: it is made anew when that has changed, as each time is a layout
+const later = window.requestIdleCallback || ((run) => setTimeout(run, 50));
+let face = null, heard = -Infinity, behind = 0, asked = null, waits = false;
 
 function text(id, value) {
   if ($(id).textContent !== value) $(id).textContent = value;
@@ -34,9 +37,23 @@ function show() {
   text("next", face.next);
   document.title = `${face.word} - failstop`;
   showStop();
+  dispatchEvent(new CustomEvent("face", {detail: face}));
+  // A finger on STOP waits for what is being drawn: what is read, not watched, is drawn when there is nothing else to do.
+  if (!drawn.facts) showRest(); // the first time at once: nothing is to move under a finger later
+  else if (!waits) { waits = true; later(showRest, {timeout: REST_MS}); }
+}
+
+function showRest() {
+  waits = false;
   showFacts();
   showEvents();
-  dispatchEvent(new CustomEvent("face", {detail: face}));
+}
+
+function list(id, content, make) {
+  const key = JSON.stringify(content);
+  if (drawn[id] === key) return;
+  drawn[id] = key;
+  $(id).replaceChildren(...content.flatMap(make));
 }
 
 function showStop() {
@@ -48,7 +65,9 @@ function showStop() {
     const level = item.dataset.level, when = stop[level];
     item.classList.toggle("there", !!when);
     const said = level === "observed" ? when : when && `after ${when}`;
-    item.replaceChildren(level, Object.assign(document.createElement("b"), {textContent: said || "not known"}));
+    if (item.dataset.said === said) continue;
+    item.dataset.said = said;
+    item.replaceChildren(level, node("b", said || "not known"));
   }
   if (asked === null) return;
   if (!face.latched) { asked = null; dispatchEvent(new Event("unstopped")); return; }
@@ -68,22 +87,28 @@ function showFacts() {
     ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has not answered yet"}[face.link] || face.link],
     ["Clients", face.clients.join(", ") || "none"],
   ];
-  $("facts").replaceChildren(...rows.flatMap(([name, value]) => [node("dt", name), node("dd", value)]));
-  $("troubles").replaceChildren(...face.troubles.map((trouble) => node("li", trouble)));
-  $("processes").replaceChildren(...face.processes.map(({name, state, restarts}) => {
+  list("facts", rows, ([name, value]) => [node("dt", name), node("dd", value)]);
+  list("troubles", face.troubles, (trouble) => node("li", trouble));
+  list("processes", face.processes, ({name, state, restarts}) => {
     const shown = node("li", `${name} ${state}${restarts ? `, started anew ${restarts} times` : ""}`);
     shown.classList.toggle("wrong", state !== "running");
     return shown;
-  }));
+  });
 }
 
 function showEvents() {
-  $("events").replaceChildren(...face.events.slice().reverse().map(({t, level, text: said}) => {
+  const newest = drawn.events || [], rows = $("events");
+  const known = face.events.findIndex(({seq, t}) => seq === newest[0] && t === newest[1]);
+  if (known < 0) rows.replaceChildren();
+  rows.prepend(...face.events.slice(known + 1).reverse().map(({t, level, text: said}) => {
     const row = document.createElement("li");
     row.dataset.level = level;
     row.append(node("time", clock(t)), node("span", said));
     return row;
   }));
+  while (rows.childElementCount > face.events.length) rows.lastChild.remove();
+  const last = face.events.at(-1);
+  drawn.events = last && [last.seq, last.t];
 }
 
 function node(kind, content) {

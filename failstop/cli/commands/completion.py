@@ -37,9 +37,9 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Print the script, or what it asks for."""
     if arguments.list == "services":
-        from failstop.shm import instance
+        from failstop import instances
 
-        print(*instance.listening(), sep="\n")
+        print(*instances.listening(), sep="\n")
     elif arguments.list == "incidents":
         from failstop.incidents import store
 

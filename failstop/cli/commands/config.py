@@ -6,8 +6,8 @@ import os
 import sys
 from shutil import get_terminal_size
 
+from failstop import config
 from failstop.cli import style
-from failstop.policy import config
 from failstop.policy.settings import (
     BY_KEY,
     FIRST_SOURCE,

@@ -7,7 +7,7 @@ import os
 import sys
 
 from failstop.api.errors import Refused
-from failstop.board.discovery import LINK
+from failstop.discovery import LINK
 from failstop.install import InstallError, dialogue, look, parts, plan, tree
 from failstop.install.do import Doer
 from failstop.install.extras import EXTRAS, OPERATE, VIEW

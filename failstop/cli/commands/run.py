@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from failstop import config, instances
 from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
 from failstop.cli.commands import add_name
-from failstop.policy import config
 from failstop.policy.settings import BY_KEY, SettingError
 from failstop.procs import limits
 from failstop.shm import instance
@@ -73,10 +73,10 @@ def _stop(device: str, name: str) -> tuple[OwnPort | None, PortError | None]:
     """Open the port and write the stop; else (None, why not). Raises InstanceError when that is because a living
     service of this name has the port."""
     try:
-        return OwnPort.open_and_stop(device, lambda: instance.refuse_locked(name)), None
+        return OwnPort.open_and_stop(device, lambda: instances.refuse_locked(name)), None
     except PortError as error:
         if error.kind == "busy":
-            instance.refuse_listening(name)
+            instances.refuse_listening(name)
         return None, error
 
 
@@ -88,9 +88,9 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
     instance.check_name(arguments.name)
     if port is None:
         return
-    runtime_dir = instance.make_runtime_dir(arguments.name)
-    instance.refuse_listening(arguments.name, runtime_dir)
-    starter.become_supervisor(arguments.name, runtime_dir, settings, instance.lock(runtime_dir), port.fd)
+    runtime_dir = instances.make_runtime_dir(arguments.name)
+    instances.refuse_listening(arguments.name, runtime_dir)
+    starter.become_supervisor(arguments.name, runtime_dir, settings, instances.lock(runtime_dir), port.fd)
 
 
 def _why(error: Exception) -> str:
@@ -109,7 +109,7 @@ def _others(error: PortError | None) -> str:
     """The serial devices that are there, when the one that was asked for is not."""
     if error is None or error.kind != "absent":
         return ""
-    from failstop.board import discovery
+    from failstop import discovery
 
     found = ", ".join(f"{path} ({what})" for path, what in discovery.candidates())
     return f"; here there is {found}" if found else ""

@@ -8,15 +8,15 @@ import time
 from argparse import ArgumentParser, Namespace
 from math import inf
 
+from failstop import config, instances
 from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
 from failstop.board.servos import HIGHEST_ID
 from failstop.cli import standard
 from failstop.cli.commands import add_name
-from failstop.policy import config
 from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY, SettingError
-from failstop.procs.stopper import rest, tool
 from failstop.shm import instance
+from failstop.stopping import rest, tool
 
 DEVICE = "device.path"
 WAIT = "stop.wait_s"
@@ -93,7 +93,7 @@ def _every_service(arguments: Namespace) -> int:
     from failstop.api import ask
 
     problems = 0
-    for name in instance.listening():
+    for name in instances.listening():
         done, problem = ask.stop(name, " ".join(arguments.reason), f"failstop {arguments.command}")
         problems += not done
         for line, tell in ((done, standard.tell), (problem, standard.say)):
@@ -134,8 +134,8 @@ def _services(name: str, device: str) -> tuple[list[str], list[str]]:
     """Which services to ask: those that have the port that is wanted, whatever they are called; without one, the one of
     this name. And the one of this name when its port can't be read."""
     if not device:
-        return [name] if instance.listens(name) else [], []
-    if not (names := instance.listening()):
+        return [name] if instances.listens(name) else [], []
+    if not (names := instances.listening()):
         return [], []
     from failstop.api import ask
 

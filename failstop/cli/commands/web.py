@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 
+from failstop import config
 from failstop.api.errors import FailstopError
 from failstop.cli.commands import add_name
-from failstop.policy import config
 from failstop.shm import instance
 
 TYPE_CHECKING = False

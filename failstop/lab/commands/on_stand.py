@@ -10,6 +10,7 @@ import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 
+from failstop import config
 from failstop.api.errors import FailstopError, Refused
 from failstop.doctor import leftovers
 from failstop.doctor.facts import User
@@ -21,7 +22,6 @@ from failstop.lab.prove.campaign import Draw
 from failstop.lab.prove.session import check_free, interruptible, session
 from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.table import VELOCITIES, Path
-from failstop.policy import config
 from failstop.shm.instance import DEFAULT_NAME
 
 WARNING = """\

@@ -9,6 +9,7 @@ import sys
 import tempfile
 from argparse import ArgumentParser, Namespace
 
+from failstop import config
 from failstop.api.errors import FailstopError, Refused
 from failstop.cli import style
 from failstop.cli.commands import add_name
@@ -21,7 +22,6 @@ from failstop.lab.prove.stand import Stand
 from failstop.lab.prove.swing import REACH_RAD
 from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_VELOCITY, Path, Velocity
 from failstop.lab.sim.client import SimBoard
-from failstop.policy import config
 from failstop.procs.telemetry.state_files import state_directory
 
 EXAMPLES = """\

@@ -12,11 +12,11 @@ import tempfile
 
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
+from failstop.config import read
 from failstop.lab.faults.arm import ArmTrial
 from failstop.lab.faults.driving import INTERLOCK, Driver
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, TrialError, write_settings
-from failstop.policy.config import read
 from failstop.shm.layout import SUPERVISOR
 
 SETTINGS: dict[str, object] = {

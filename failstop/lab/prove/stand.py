@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from failstop import config
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
@@ -20,10 +21,9 @@ from failstop.lab.prove.table import VELOCITIES
 from failstop.lab.prove.watch import Watch
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import COMMAND_EVERY_S, Service, TrialError, write_settings
-from failstop.policy import config
 from failstop.policy.settings import Settings
-from failstop.procs.stopper import tool
 from failstop.shm.layout import SUPERVISOR
+from failstop.stopping import tool
 
 if TYPE_CHECKING:
     from failstop.lab.prove.swing import Swing

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import IO, Any
 
-from failstop.board.codec import MOTOR
+from failstop.board.framing import MOTOR
 from failstop.lab.sim.control import MESSAGE_SIZE, SUFFIX, connect
 from failstop.lab.sim.model import Speeds, commands_stop
 from failstop.lab.sim.options import BATTERY_MV, IMU_HZ

@@ -19,8 +19,8 @@ from collections import deque
 from dataclasses import dataclass
 from random import Random
 
-from failstop.board.codec import BUS_SERVO, MOTOR, PWM_SERVO
-from failstop.board.motors import Motors
+from failstop.board.framing import BUS_SERVO, MOTOR, PWM_SERVO
+from failstop.incidents.motors import Motors
 from failstop.lab.sim import upward
 from failstop.lab.sim.imu import Imu
 from failstop.lab.sim.receiver import Receiver

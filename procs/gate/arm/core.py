@@ -15,6 +15,7 @@ from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.joints import from_settings
 from failstop.procs.gate.arm.reader import QUIET_NS, Reader
 from failstop.procs.gate.arm.space import Space
+from failstop.shm.records import CAUSE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
 
     from failstop.policy.settings import Settings
     from failstop.procs.gate.arm.joints import Joint
+    from failstop.procs.gate.core import GateCore
 
+ENABLED = "wheels enabled"
+LATCHED = f"a stop is latched ({CAUSE})"
 SERVICE = 0
 """The session of the service's own journeys: to the drive pose, to the tuck pose."""
 MOVES_APART_NS = MOST_MOVES * MOVE_NS
@@ -40,7 +44,8 @@ MOVES_NS = LONGEST_MOVE_MS * 1_000_000
 class ArmCore:
     """What the gate knows of the arm: its joints, whose goal it follows, what is asked of the servos next."""
 
-    def __init__(self, settings: Settings, now_ns: int) -> None:
+    def __init__(self, settings: Settings, gate: GateCore, now_ns: int) -> None:
+        self._gate = gate
         self.joints = from_settings(settings)
         self._period_ns = settings.ns("arm.period_s")
         self._move_ms = round(settings["arm.period_s"] * 1000)
@@ -65,22 +70,43 @@ class ArmCore:
         """Why the last goal of a stream was not taken."""
         self._blocked: dict[int, str] = {}
         """Why the joints of a frame, by its first, do not go on toward the goal of a stream."""
-        self.closed = "starting"
-        """Why the arm takes no goal now; empty when it does. The gate says so."""
+
+    @property
+    def closed(self) -> str:
+        """Why the arm takes no goal now; empty when it does."""
+        return LATCHED if self._gate.latch is not None else ENABLED if self._gate.enabled else ""
 
     # What it is asked for.
 
+    @property
+    def way(self) -> Journey | None:
+        """The journey, until it is over."""
+        return self.journey if self.journey and not self.journey.done else None
+
+    def _goal(self) -> Goal | None:
+        """The goal of the highest mode, but for a journey."""
+        return self._goals.get(goals.FOLLOW) or self._goals.get(goals.JOG)
+
+    def mode(self) -> str:
+        """Whose goal it follows: trajectory, follow, jog, or nothing."""
+        followed = self.way or self._goal()
+        return followed.mode if followed else ""
+
+    def mover(self) -> str:
+        """For whom it moves, or is about to; empty: for nobody."""
+        followed = self.way or self._goal()
+        return followed.who if followed else ""
+
     def publisher(self, session: int, now_ns: int) -> str:
         """Another client whose goal counts now; empty when there is none."""
-        journey = self.journey
-        if journey and not journey.done and journey.session not in (SERVICE, session):
-            return journey.who
+        if (way := self.way) and way.session not in (SERVICE, session):
+            return way.who
         rivals = (goal for goal in self._goals.values() if goal.session != session and self._fresh(goal, now_ns))
         return next((goal.who for goal in rivals), "")
 
     def moved_by(self, session: int) -> bool:
-        """Its goals are what is followed, or would be."""
-        return any(goal.session == session for goal in self._goals.values())
+        """What it has asked for is followed, or would be."""
+        return any(asked and asked.session == session for asked in (self.way, *self._goals.values()))
 
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
         return now_ns - goal.t_ns <= self._timeout_ns
@@ -92,7 +118,7 @@ class ArmCore:
         self.refused = self.closed or check(goal.joints, goal.values)
         if self.refused:
             return self.refused
-        if self._service_moves():
+        if (way := self.way) and way.session == SERVICE:
             self.drop("preempted")
         if goal.mode == goals.FOLLOW:
             goal.values = tuple(joint.pulses(angle) for joint, angle in zip(goal.joints, goal.values, strict=True))
@@ -104,9 +130,6 @@ class ArmCore:
         self._goals[goal.mode] = goal
         self.active_ns, self.released = now_ns, False
         return ""
-
-    def _service_moves(self) -> bool:
-        return self.journey is not None and not self.journey.done and self.journey.session == SERVICE
 
     def travel(self, journey: Journey, now_ns: int) -> None:
         """Begin a journey; whoever moved the arm before moves it no more."""
@@ -121,18 +144,16 @@ class ArmCore:
     def pose(self, purpose: str, session: int, who: str, now_ns: int) -> Journey | None:
         """The way to a pose of the settings, drive or tuck, which travel() begins; None: no joint is part of it."""
         joints = [joint for joint in self.joints if getattr(joint, purpose) >= 0]
-        if not joints:
-            return None
-        ends = tuple(float(getattr(joint, purpose)) for joint in joints)
-        return Journey(purpose, session, who, joints, [(0.0, ends)], self._pose_speed)
+        rows = [(0.0, _ends(joints, purpose))]
+        return Journey(purpose, session, who, joints, rows, self._pose_speed) if joints else None
 
     # Ends.
 
     def drop(self, why: str) -> bool:
         """Forget every goal; True when the arm may still move, and a stop is to be written for it."""
         was = self.moving()
-        if self.journey and not self.journey.done:
-            self.journey.finish(why)
+        if way := self.way:
+            way.finish(why)
             self.ended = why
         self.journey = None
         self._goals.clear()
@@ -152,17 +173,16 @@ class ArmCore:
 
     def client_gone(self, session: int) -> bool:
         """A client has gone; True when it moved the arm, which is to be held."""
-        if self.journey and self.journey.session == session and not self.journey.done:
-            return self.drop("its client has gone") or True
-        if self.moved_by(session):
-            return self.drop("its client has gone") or True
-        return False
+        moved = self.moved_by(session)
+        if moved:
+            self.drop("its client has gone")
+        return moved
 
     def release(self) -> list[bytes]:
         """Let go: the frames that switch every torque off."""
         self.drop("released")
+        self.forget()
         for joint in self.joints:
-            joint.forget()
             joint.loaded = False
         self.released = True
         return [BOARD.servo_torque(joint.servo, False) for joint in self.joints]
@@ -202,8 +222,8 @@ class ArmCore:
 
     def _to_stream(self) -> list[Joint]:
         """The joints that a goal wants to move now."""
-        if self.journey and not self.journey.done:
-            return self.journey.joints if self.journey.phase in (goals.LOADING, goals.UNDER_WAY) else []
+        if way := self.way:
+            return way.joints if way.phase in (goals.LOADING, goals.UNDER_WAY) else []
         goal = self._goal()
         return goal.joints if goal else []
 
@@ -226,36 +246,22 @@ class ArmCore:
         self._end_stream()
         return was
 
-    def _goal(self) -> Goal | None:
-        """The goal of the highest mode, but for a journey."""
-        if self.journey and not self.journey.done:
-            return None
-        return self._goals.get(goals.FOLLOW) or self._goals.get(goals.JOG)
-
-    def mode(self) -> str:
-        """Whose goal it follows: trajectory, follow, jog, or nothing."""
-        if self.journey and not self.journey.done:
-            return goals.TRAJECTORY
-        return next((mode for mode in (goals.FOLLOW, goals.JOG) if mode in self._goals), "")
-
     def _follow_journey(self, now_ns: int) -> list[Joint]:
         """Bring the journey on by a phase, when one is over; returns the joints whose position it waits for."""
-        journey = self.journey
-        if journey is None or journey.done:
+        journey = self.way
+        if journey is None:
             return []
         silent = [joint for joint in journey.joints if joint.silent]
         # All are asked before the answer is that some are silent: it tells a cable from an arm that is not there.
         asked = all(joint.known or joint in silent for joint in journey.joints)
         if silent and (asked or journey.phase != goals.FINDING):
-            journey.finish(f"{named(silent)}: no answer from {servos(silent)}")
+            servos = _listed("servo", [str(joint.servo) for joint in silent])
+            journey.finish(f"{_named(silent)}: no answer from {servos}")
             self._end_stream()
             return []
         if journey.phase == goals.FINDING:
-            unknown = [joint for joint in journey.joints if not joint.known]
-            if unknown:
-                if now_ns - journey.since_ns > FIND_S * 1e9:
-                    journey.finish(f"{named(unknown)}: where it is can't be read")
-                return unknown
+            if unknown := [joint for joint in journey.joints if not joint.known]:
+                return _read_first(journey, unknown, now_ns)
             if not journey.travels:
                 journey.finish()
                 return []
@@ -281,11 +287,8 @@ class ArmCore:
 
     def _check_end(self, journey: Journey, now_ns: int) -> list[Joint]:
         """Read back: each joint twice since it stands."""
-        unread = [joint for joint in journey.joints if joint.measured_ns < journey.since_ns]
-        if unread:
-            if now_ns - journey.since_ns > FIND_S * 1e9:
-                journey.finish(f"{named(unread)}: where it is can't be read")
-            return unread
+        if unread := [joint for joint in journey.joints if joint.measured_ns < journey.since_ns]:
+            return _read_first(journey, unread, now_ns)
         journey.finish(self.off(journey.joints, journey.ends))
         return []
 
@@ -311,8 +314,7 @@ class ArmCore:
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
         """Begin to stream: from here on each of these joints is sent a move every period."""
-        journey = self.journey
-        if journey and not journey.done:
+        if journey := self.way:
             if fault := journey.begin(now_ns):
                 journey.finish(fault)
                 return
@@ -336,7 +338,7 @@ class ArmCore:
         # From when it was due, so that a late wake-up shifts one frame and not all that follow.
         again_ns = due_ns + self._period_ns
         self._slots = [*self._slots[1:], (again_ns if again_ns > now_ns else now_ns + self._period_ns, group)]
-        journey = self.journey if self.journey and not self.journey.done else None
+        journey = self.way
         targets = self._targets(journey, now_ns + self._period_ns)
         before = [joint.position for joint in group]
         for joint in group:
@@ -360,9 +362,7 @@ class ArmCore:
             rows = zip(journey.joints, journey.at(then_ns), strict=True)
             return {joint.index: (goals.FOLLOW, value) for joint, value in rows}
         goal = self._goal()
-        if goal is None:
-            return {}
-        return {joint.index: (goal.mode, value) for joint, value in zip(goal.joints, goal.values, strict=True)}
+        return {joint.index: (goal.mode, value) for joint, value in goal.rows()} if goal else {}
 
     def _advance(self, joint: Joint, targets: dict[int, tuple[str, float]], share: float, now_ns: int) -> None:
         elapsed_ns = min(now_ns - joint.stepped_ns, MOVES_NS) if joint.stepped_ns else self._period_ns
@@ -384,11 +384,18 @@ class ArmCore:
     def pose_name(self) -> str:
         """The pose that it was read to be in, drive or tuck; empty: another, or not known."""
         for purpose in (goals.DRIVE, goals.TUCK):
-            joints = [joint for joint in self.joints if getattr(joint, purpose) >= 0 and joint.judged]
-            known = all(joint.known for joint in joints)
-            if joints and known and not self.off(joints, tuple(float(getattr(joint, purpose)) for joint in joints)):
+            joints = self._judged(purpose)
+            if joints and all(joint.known for joint in joints) and not self.off_pose(purpose):
                 return purpose
         return ""
+
+    def _judged(self, purpose: str) -> list[Joint]:
+        return [joint for joint in self.joints if getattr(joint, purpose) >= 0 and joint.judged]
+
+    def off_pose(self, purpose: str) -> str:
+        """The same of a pose of the settings, for the joints that are judged."""
+        joints = self._judged(purpose)
+        return self.off(joints, _ends(joints, purpose))
 
     def silent(self) -> list[int]:
         """The servos that do not answer."""
@@ -396,10 +403,10 @@ class ArmCore:
 
     def state(self) -> dict[str, Any]:
         """What people and programs are told."""
-        journey = self.journey
+        way = self.way
         return {
             "mode": self.mode(),
-            "phase": journey.phase if journey and not journey.done else "",
+            "phase": way.phase if way else "",
             "moving": self.moving(),
             "by": self.mover(),
             "refused": self.refused or next(filter(None, self._blocked.values()), ""),
@@ -422,25 +429,28 @@ class ArmCore:
 
     def aims(self) -> list[tuple[int, float]]:
         """Of each servo that is to move: where its trajectory ends, where it is to follow to, or its rate."""
-        journey = self.journey
-        if journey and not journey.done:
-            ends = journey.ends if journey.travels else ()
-            return [(joint.servo, end) for joint, end in zip(journey.joints, ends, strict=False)]
+        if way := self.way:
+            ends = way.ends if way.travels else ()
+            return [(joint.servo, end) for joint, end in zip(way.joints, ends, strict=False)]
         goal = self._goal()
-        return [(joint.servo, value) for joint, value in zip(goal.joints, goal.values, strict=True)] if goal else []
-
-    def mover(self) -> str:
-        """For whom it moves, or is about to; empty: for nobody."""
-        if self.journey and not self.journey.done:
-            return self.journey.who
-        return next((self._goals[mode].who for mode in (goals.FOLLOW, goals.JOG) if mode in self._goals), "")
+        return [(joint.servo, value) for joint, value in goal.rows()] if goal else []
 
 
-def named(joints: list[Joint]) -> str:
-    """Joints in words."""
-    return ("joint " if len(joints) == 1 else "joints ") + ", ".join(joint.name for joint in joints)
+def _ends(joints: list[Joint], purpose: str) -> tuple[float, ...]:
+    """Where they are in a pose of the settings."""
+    return tuple(float(getattr(joint, purpose)) for joint in joints)
 
 
-def servos(joints: list[Joint]) -> str:
-    """Their servos, in words."""
-    return ("servo " if len(joints) == 1 else "servos ") + ", ".join(str(joint.servo) for joint in joints)
+def _read_first(journey: Journey, joints: list[Joint], now_ns: int) -> list[Joint]:
+    """These must be read before the journey goes on, within FIND_S."""
+    if now_ns - journey.since_ns > FIND_S * 1e9:
+        journey.finish(f"{_named(joints)}: where it is can't be read")
+    return joints
+
+
+def _named(joints: list[Joint]) -> str:
+    return _listed("joint", [joint.name for joint in joints])
+
+
+def _listed(what: str, names: list[str]) -> str:
+    return f"{what}{'s' if len(names) > 1 else ''} {', '.join(names)}"

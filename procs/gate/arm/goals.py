@@ -50,24 +50,15 @@ class Goal:
         self.joints = joints
         self.values = values
 
+    def rows(self) -> zip[tuple[Joint, float]]:
+        """Each joint with its target."""
+        return zip(self.joints, self.values, strict=True)
+
 
 class Journey:
     """A trajectory, a pose among them: where each joint is to be when, until its end is read back."""
 
-    __slots__ = (
-        "_rows",
-        "_times",
-        "begun_ns",
-        "done",
-        "joints",
-        "outcome",
-        "phase",
-        "purpose",
-        "session",
-        "share",
-        "since_ns",
-        "who",
-    )
+    mode = TRAJECTORY
 
     def __init__(
         self, purpose: str, session: int, who: str, joints: list[Joint], rows: list[Row], share: float = 1.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 from failstop.policy import causes
 from failstop.policy.reply import Reply
 from failstop.procs.gate.arm import goals
-from failstop.procs.gate.arm.core import SERVICE, ArmCore
+from failstop.procs.gate.arm.core import ENABLED, LATCHED, SERVICE, ArmCore
 from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
 from failstop.procs.gate.arm.tuck import ANNOUNCE, GO, AutoTuck
@@ -50,8 +50,6 @@ if TYPE_CHECKING:
 
 
 NOT_IN_POSE = "arm is not in the drive pose"
-ENABLED = "wheels enabled"
-LATCHED = f"a stop is latched ({CAUSE})"
 TELL_NS = 200_000_000
 """How often who waits is told how far it is."""
 MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
@@ -80,7 +78,7 @@ class Arm:
 
     def __init__(self, owner: Owner, context: Context, due: Timer, now_ns: int) -> None:
         """`due`: when to turn without any news."""
-        self.core = ArmCore(context.settings, now_ns)
+        self.core = ArmCore(context.settings, owner.core, now_ns)
         self._owner = owner
         self._box = ArmBox(context.own.ring_writer("arm_box"))
         telemetry = context.segment("telemetry")
@@ -108,23 +106,15 @@ class Arm:
         core, gate = self.core, self._owner.core
         while entry := self._answers.next():
             core.answer(*records.SERVO.unpack(entry[2]), entry[1])
-        self._close()
         self._follow_pad(now_ns)
         if not gate.enabled:
             self._step(now_ns)
         self._answer_waiter(now_ns)
-        self._close()
         self._follow_tuck(now_ns)
         self._tell_joints()
         self._box.follow(now_ns, core)
         due_ns = now_ns + TELL_NS if gate.enabled else max(core.due_ns(), now_ns + 1)
         self._due.set(min(due_ns, self._release_ns) if self._releasing else due_ns)
-
-    def _close(self) -> None:
-        """Whether it takes goals now. Looked at before whatever is asked: what came in this turn, a stop or the end of
-        a way to the drive pose, counts for it."""
-        gate = self._owner.core
-        self.core.closed = LATCHED if gate.latch is not None else ENABLED if gate.enabled else ""
 
     def _step(self, now_ns: int) -> None:
         if self._releasing:
@@ -171,8 +161,7 @@ class Arm:
         if mode not in MODES or not set(values) <= set(self._by_servo):
             self.core.refused = f"a goal of {slot.who()} for joints that the arm does not have"
             return
-        self._close()
-        if self._rival(slot, now_ns):
+        if self._rivals(slot.session, slot.who(), now_ns):
             return
         joints = [self._by_servo[servo] for servo in values]
         self.core.take(Goal(MODES[mode], slot.session, slot.who(), t_ns, joints, tuple(values.values())), now_ns)
@@ -191,11 +180,8 @@ class Arm:
         goal = Goal(goals.JOG, PAD_PUBLISHER, PAD, t_ns, [joint], (share * joint.speed / PULSES_PER_RAD,))
         if share and not self._rivals(PAD_PUBLISHER, PAD, now_ns):
             self.core.take(goal, now_ns)
-        elif not share and self.core.moved_by(PAD_PUBLISHER) and self.core.drop("let go"):
-            self._hold(now_ns)
-
-    def _rival(self, slot: Slot, now_ns: int) -> bool:
-        return self._rivals(slot.session, slot.who(), now_ns)
+        elif not share and self.core.moved_by(PAD_PUBLISHER):
+            self._give_up("let go", now_ns)
 
     def _rivals(self, session: int, who: str, now_ns: int) -> bool:
         """A second publisher of goals latches."""
@@ -214,10 +200,9 @@ class Arm:
             self._releasing.clear()
             self._hold(now_ns)
             return Reply(records.DONE, "arm held")
-        self._close()
         if closed := self.core.closed:
             return self._said(records.REFUSED, closed)
-        if self._rival(slot, now_ns):
+        if self._rivals(slot.session, slot.who(), now_ns):
             return self._said(records.REFUSED, LATCHED)
         if verb == records.ARM_RELEASE:
             self._hold(now_ns)
@@ -312,12 +297,8 @@ class Arm:
         if dropped:
             self._answer(waiter, self._said(records.REFUSED, outcome), now_ns)
             return
-        judged = [joint for joint in core.joints if joint.drive >= 0 and joint.judged]
         absent = {joint.servo for joint in core.joints if joint.drive >= 0} <= set(core.silent())
-        if absent and core.ignore_absent:
-            fault = ""
-        else:
-            fault = outcome or core.off(judged, tuple(float(joint.drive) for joint in judged))
+        fault = "" if absent and core.ignore_absent else outcome or core.off_pose(goals.DRIVE)
         if fault:
             hint = '; without the arm: arm.absent = "ignore"' if absent else ""
             self._answer(waiter, Reply(records.REFUSED, f"{NOT_IN_POSE}: {fault}{hint}"), now_ns)

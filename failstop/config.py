@@ -1,4 +1,4 @@
-"""Configuration: one TOML file, read and checked once, by the supervisor."""
+"""Configuration: one TOML file, read and checked once, at the start."""
 
 from __future__ import annotations
 

@@ -20,14 +20,6 @@ _WATCHED = _MODIFY | _ATTRIB | _MOVE_SELF | _DELETE_SELF | _DONT_FOLLOW
 _MOST_BYTES = 65536
 
 
-def touch(published: int) -> None:
-    """Wake everybody who waits. `published`: as instance.publish() has returned it."""
-    try:  # noqa: SIM105
-        os.pwrite(published, b"\n", instance.RUN_DIGITS)
-    except OSError:
-        pass
-
-
 class News:
     """A descriptor that is readable when there may be news of an instance. Not for several threads at once."""
 

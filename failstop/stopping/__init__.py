@@ -1,0 +1,1 @@
+"""The stop without a service: the stop tool, and what it does before it opens the port."""
