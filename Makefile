@@ -96,6 +96,7 @@ web: $(VENV)/.dev
 	$(BIN)/pytest --numprocesses 0 tests/web
 
 deb: $(VENV)/.installed
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[fleet,web]'
 	@$(BIN)/python packaging/deb/build.py
 
 # Whether it installs on ARM without a compiler: asks the package index for a wheel of each dependency.

@@ -23,6 +23,8 @@ class Extra:
     part = ""
     """The name of its text among the parts."""
     option = ""
+    needs = ""
+    """The extra of failstop's that it runs on, as pip calls it; empty: none."""
     unit = ""
     remark = ""
     """Shown where it is started."""
@@ -123,7 +125,7 @@ class Bridge(Extra):
 class Fleet(Extra):
     """It is there or not."""
 
-    part, option, unit = "fleet", "--fleet", "failstop-fleet.service"
+    part, option, unit, needs = "fleet", "--fleet", "failstop-fleet.service", "fleet"
     remark = "the robot is seen on its broker, and obeys a stop of its fleet"
 
     def asked(self, request: Request) -> str:
@@ -147,7 +149,7 @@ class Fleet(Extra):
 class Page(Extra):
     """The choice is VIEW, or OPERATE: paired devices may do more than see and stop."""
 
-    part, option, unit = "page", "--web", "failstop-web.service"
+    part, option, unit, needs = "page", "--web", "failstop-web.service", "web"
     remark = "the address: failstop web pair"
     user = "User=failstop-web\n"
     group = "SupplementaryGroups=failstop\n"

@@ -17,7 +17,7 @@ import stat
 import struct
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from importlib.metadata import Distribution
 from importlib.util import MAGIC_NUMBER, cache_from_source
 
@@ -33,6 +33,8 @@ LEFT_OUT = frozenset({"__pycache__", "tests", "distutils", "f2py"})
 """Folders of the packages that a service has no use for: numpy's tests are a fifth of its size, and what builds
 extensions a quarter of its modules."""
 
+EXTRA = re.compile(r"extra == [\"'](\w+)")
+"""In a requirement's condition: of which extra it is."""
 _HEAD = struct.Struct("<4sLLL")
 """Of a compiled module that knows its source by time and size: its Python, 0, the source's time, its size."""
 
@@ -175,8 +177,9 @@ def _on_disk(directory: str, without: str) -> Iterator[tuple[str, bytes]]:
                     yield inside, file.read()
 
 
-def running(prefix: str, interpreter: str) -> Environment:
-    """The environment that is made from the running one. Raises InstallError when that is not whole."""
+def running(prefix: str, interpreter: str, extras: Collection[str] = ()) -> Environment:
+    """The environment that is made from the running one, with what these extras of failstop's need. Raises InstallError
+    when that one is not whole."""
     home = os.path.dirname(interpreter)
     entries = [
         Entry("pyvenv.cfg", data=CFG.format(home=home, version=PYTHON.removeprefix("python")).encode()),
@@ -185,7 +188,7 @@ def running(prefix: str, interpreter: str) -> Environment:
         Entry("bin/failstop", data=COMMAND.format(prefix=prefix).encode(), executable=True),
         *_own(),
     ]
-    for distribution in _needed():
+    for distribution in needed(extras):
         entries += _files(distribution)
     return Environment(prefix, interpreter, tuple({entry.path: entry for entry in entries}.values()))
 
@@ -201,7 +204,7 @@ def _own() -> Iterator[Entry]:
             yield Entry(f"{SITE}/{inside}", source, executable=os.access(source, os.X_OK))
     info = f"{SITE}/failstop-{VERSION}.dist-info"
     # The same text whatever kind of installation it comes from: it counts in the digest.
-    needs = sorted(need.replace("'", '"') for need in _distribution("failstop").requires or () if "extra" not in need)
+    needs = sorted(need.replace("'", '"') for need in _distribution("failstop").requires or ())
     text = METADATA.format(version=VERSION) + "".join(f"Requires-Dist: {need}\n" for need in needs)
     yield Entry(f"{info}/METADATA", data=text.encode())
     yield Entry(f"{info}/entry_points.txt", data=b"[console_scripts]\nfailstop = failstop.cli.main:main\n")
@@ -218,19 +221,28 @@ def _distribution(name: str) -> Distribution:
         ) from None
 
 
-def _needed() -> list[Distribution]:
-    """What failstop needs, directly or not, as far as it is needed on this Python."""
+def needed(extras: Collection[str] = ()) -> list[Distribution]:
+    """What failstop needs with these extras, directly or not, as far as it is needed on this Python. Raises
+    InstallError."""
     found: dict[str, Distribution] = {}
     waiting = ["failstop"]
     while waiting:
-        for requirement in _distribution(waiting.pop()).requires or ():
+        whose = waiting.pop()
+        for requirement in _distribution(whose).requires or ():
             words, _, marker = requirement.partition(";")
             match = re.match(r"[A-Za-z0-9._-]+", words)
-            if match is None or "extra" in marker or match[0] in found:
+            extra = EXTRA.search(marker)
+            wanted = extra[1] in extras if extra and whose == "failstop" else "extra" not in marker
+            if match is None or match[0] in found or not wanted:
                 continue
             try:
                 found[match[0]] = _distribution(match[0])
             except InstallError:
+                if extra:
+                    raise InstallError(
+                        f"the Python package {match[0]} is not installed where failstop runs ({sys.prefix}): "
+                        f"pip install 'failstop[{extra[1]}]' there, then this again"
+                    ) from None
                 # One with a condition is not needed everywhere.
                 if not marker:
                     raise

@@ -22,6 +22,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from failstop.install import InstallError, parts, tree
+from failstop.install.extras import EXTRAS
 from failstop.install.layout import PREFIX
 
 HERE = Path(__file__).resolve().parent
@@ -63,7 +64,7 @@ def main() -> int:
 def build(directory: Path, out: Path, interpreter: str) -> tuple[Path, Path]:
     """Lay the packages out in a directory and pack them; returns their paths."""
     brought = parts.of_this_version()
-    whole = tree.running(PREFIX, interpreter)
+    whole = tree.running(PREFIX, interpreter, [extra.needs for extra in EXTRAS if extra.needs])
     inside = {entry for entry in whole.entries if entry.path.startswith(LAB)}
     robots = dataclasses.replace(whole, entries=tuple(entry for entry in whole.entries if entry not in inside))
     laboratory = dataclasses.replace(whole, entries=tuple(inside))
@@ -119,8 +120,7 @@ def files(brought: parts.Parts) -> dict[str, str]:
     return {
         CONFIGURATION: brought.example,
         **{f"usr/lib/systemd/system/{name}": text for name, text in brought.units.items()},
-        "usr/lib/systemd/system/failstop-ros2.service": brought.bridge,
-        "usr/lib/systemd/system/failstop-web.service": brought.page,
+        **{f"usr/lib/systemd/system/{extra.unit}": getattr(brought, extra.part) for extra in EXTRAS},
         "usr/lib/sysusers.d/failstop.conf": brought.sysusers,
         "usr/lib/udev/rules.d/90-failstop.rules": brought.udev,
         "usr/lib/systemd/catalog/failstop.catalog": brought.catalog,

@@ -24,7 +24,7 @@ needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="makes users in a dire
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small environment: the real one is tested by itself."""
-    monkeypatch.setattr(tree, "running", lambda prefix, interpreter: environment())
+    monkeypatch.setattr(tree, "running", lambda prefix, interpreter, extras: environment())
     monkeypatch.setattr(tree, "interpreter", lambda: "/usr/bin/python3")
 
 
@@ -74,6 +74,22 @@ def test_into_an_empty_directory_and_out_again(tmp_path: Path, capsys: pytest.Ca
     left = {path for path in snapshot(tmp_path) if "failstop" in path}
     assert left == set()
     assert "failstop" not in (tmp_path / "etc/passwd").read_text() + (tmp_path / "etc/group").read_text()
+
+
+@needs_root
+def test_what_the_page_needs_is_copied_when_it_is_asked_for_and_as_long_as_it_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, ...]] = []
+
+    def running(prefix: str, interpreter: str, extras: tuple[str, ...]) -> tree.Environment:
+        asked.append(extras)
+        return environment()
+
+    monkeypatch.setattr(tree, "running", running)
+    words = ("install", "--yes", "--device", "/dev/board")
+    assert run(tmp_path, *words) == run(tmp_path, *words, "--web") == run(tmp_path, *words[:2]) == 0
+    assert asked == [(), ("web",), ("web",)]
 
 
 @needs_root

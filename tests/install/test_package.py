@@ -29,6 +29,12 @@ def test_completion_is_where_the_shells_look(build: ModuleType) -> None:
     assert MANUAL not in files.values(), "the manual goes in compressed"
 
 
+def test_every_unit_is_in_it(build: ModuleType) -> None:
+    """Those that are started on request too."""
+    units = {path.rpartition("/")[2] for path in build.files(PARTS) if path.startswith("usr/lib/systemd/system/")}
+    assert units == {path.name for path in (SCRIPT.parents[2] / "systemd").glob("*.service")}
+
+
 @pytest.mark.starts
 def test_the_maintainer(build: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("HOME", "XDG_CONFIG_HOME"):

@@ -139,6 +139,38 @@ def test_a_package_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -
         tree.running("/opt/failstop", BASE)
 
 
+def test_what_an_extra_needs_comes_along_where_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    def tops(*extras: str) -> set[str]:
+        entries = tree.running("/opt/failstop", BASE, extras).entries
+        return {entry.path.split("/")[3] for entry in entries if entry.path.startswith(tree.SITE)}
+
+    assert not tops() & {"tornado", "segno", "paho", "prometheus_client", "matplotlib", "pytest"}
+    assert tops("web") - tops() >= {"tornado", "segno"}
+    assert tops("web", "fleet") - tops("web") >= {"paho", "prometheus_client"}
+    real = metadata.distribution
+
+    def absent(name: str) -> metadata.Distribution:
+        if name == "tornado":
+            raise metadata.PackageNotFoundError(name)
+        return real(name)
+
+    monkeypatch.setattr(metadata, "distribution", absent)
+    with pytest.raises(InstallError, match=r"Python package tornado is not .*pip install 'failstop\[web\]' there"):
+        tree.running("/opt/failstop", BASE, ("web",))
+
+
+def test_a_copy_of_a_copy_is_the_same(tmp_path: Path) -> None:
+    """What /opt/failstop runs `failstop install` with: it knows its extras, and what they need."""
+    first = tree.running("/opt/failstop", BASE, ("web",))
+    first.write(str(tmp_path / "a"))
+    code = (
+        "from failstop.install import tree; import sys;"
+        "print(tree.running('/opt/failstop', sys.argv[1], ('web',)).digest())"
+    )
+    words = [str(tmp_path / "a/bin/python3"), "-I", "-c", code, BASE]
+    assert subprocess.run(words, check=True, capture_output=True, text=True, cwd="/").stdout == first.digest() + "\n"
+
+
 def test_a_package_that_is_not_pip_s_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(metadata.Distribution, "files", None)
     with pytest.raises(InstallError, match=r"which files belong to the Python package .* is not recorded"):

@@ -5,14 +5,12 @@ from __future__ import annotations
 import dataclasses
 import os
 import sys
-from importlib.util import find_spec
 
 from failstop.api.errors import Refused
 from failstop.discovery import LINK
-from failstop.fleet.broker import EXTRA
 from failstop.install import InstallError, dialogue, look, parts, plan, tree
 from failstop.install.do import Doer
-from failstop.install.extras import OPERATE, VIEW
+from failstop.install.extras import EXTRAS, OPERATE, VIEW
 from failstop.install.layout import PREFIX, unit_of
 from failstop.install.machine import READY_S, Machine
 from failstop.install.steps import Plan
@@ -80,9 +78,12 @@ def main(arguments: Namespace) -> int:
         if request.live:
             dialogue.need_systemd()
     brought = parts.of_this_version()
-    environment = None if arguments.use_running_venv else tree.running(PREFIX, tree.interpreter())
     configured = look.configured_device(request)
     found = dataclasses.replace(look.look(request, brought.units), configured_device=configured)
+    # Of what is there already too: a new environment takes the place of the one that it runs in.
+    wanted = tuple(extra.needs for extra in EXTRAS if extra.needs and extra.choice(request, found))
+    tree.needed(wanted)
+    environment = None if arguments.use_running_venv else tree.running(PREFIX, tree.interpreter(), wanted)
     device = plan.device_of(brought, request, found)
     there = device == LINK or os.path.exists(device)
     # What would be done can be shown without a board.
@@ -110,10 +111,6 @@ def main(arguments: Namespace) -> int:
 
 def _request(arguments: Namespace) -> plan.Request:
     instance.check_name(arguments.name)
-    if arguments.fleet and not find_spec("paho"):
-        raise InstallError(f"--fleet: {EXTRA}")
-    if arguments.web and not find_spec("tornado"):
-        raise InstallError("--web: the page needs tornado: pip install 'failstop[web]', then this again")
     if arguments.device is not None:
         BY_KEY["device.path"].check(arguments.device, "--device")
         if '"' in arguments.device or "\\" in arguments.device:
