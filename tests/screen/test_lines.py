@@ -291,3 +291,10 @@ def test_the_last_events_fill_the_rows_that_are_free() -> None:
     assert [style.plain(line).split()[-1] for line in short[-2:]] == ["4", "5"], "the newest"
     none = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, len(tall) - 6, told_)
     assert "last events" not in "".join(style.plain(line) for line in none)
+
+
+def test_a_row_of_an_event_leaves_out_what_to_do_next() -> None:
+    """That is at the top of the screen; at the end of a row it would be cut."""
+    event = Event(1, NOW_S, 1, "stop", "warning", "STOP latched: gate died; next: `failstop reset`", {})
+    rows = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 200, 60, [event])
+    assert style.plain(rows[-1]).endswith("STOP latched: gate died")

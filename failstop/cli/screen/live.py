@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from math import hypot, sqrt
 
 from failstop.api import host, words
@@ -148,9 +149,10 @@ class Live:
 
 
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
-    """The last events, as many as there are rows for them, each in one."""
+    """The last events, as many as there are rows for them, each in one: without what to do next, which is above."""
     count = min(room - 2, len(events), MOST_EVENTS)
-    return [[], [("last events", DIM)], *(told.line(event, unix_s) for event in events[-count:])] if count > 0 else []
+    shown = [replace(event, text=event.text.partition("; next: ")[0]) for event in events[-count:]] if count > 0 else []
+    return [[], [("last events", DIM)], *(told.line(event, unix_s) for event in shown)] if shown else []
 
 
 def fit(lines: list[Line], rows: int) -> list[Line]:
