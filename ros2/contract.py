@@ -76,8 +76,8 @@ IMU = Topic(
     "sensor_msgs/msg/Imu",
     PLAIN,
     110,
-    "every sample, with the time of its arrival, less the gyro's bias; no orientation (`orientation_covariance[0]` is "
-    "-1)",
+    "every sample, with the time of its arrival, less the gyro's bias; two are published at once; no orientation "
+    "(`orientation_covariance[0]` is -1)",
 )
 BATTERY = Topic(
     "battery",
