@@ -13,12 +13,13 @@ demo: $(VENV)/.installed
 # Three at a time: most of them wait. Beside the real-time processes of two other services, on two cores, or where the host of a
 # virtual machine withholds a core, a process may miss a deadline, and then another stop comes first than a test has asked for:
 # what fails is shown, and tried again by itself. JOBS=0 is one after the other, in one process.
+# The slow files come first (tests/conftest.py), not those with many tests: a slow one that begins last is waited for by all.
 JOBS ?= 3
 # Compiled copies are kept, wherever else they are not wanted: without them every process that a test starts compiles anew.
 PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest
 AGAIN := --numprocesses 0 --last-failed --last-failed-no-failures none
 test: $(VENV)/.dev lint
-	$(PYTEST) --numprocesses $(JOBS) --dist loadfile -m 'not alone and not page' || \
+	$(PYTEST) --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder -m 'not alone and not page' || \
 	  { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m 'not alone and not page'; }
 	$(PYTEST) --numprocesses 0 -m alone || { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m alone; }
 

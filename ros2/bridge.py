@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import gc
 import signal
-import sys
 from collections.abc import Sequence
 from time import monotonic, sleep
 from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.policy.settings import Settings
-from failstop.ros2 import leftovers, mirrors
+from failstop.ros2 import mirrors
 from failstop.ros2.contract import NODE, SETTINGS, Qos, Setting
 from failstop.ros2.inward import Inward
 from failstop.ros2.link import Link
@@ -172,9 +171,6 @@ def main(name: str, ros_arguments: Sequence[str]) -> int:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    note = leftovers.note_path(name)
-    removed, left = leftovers.clear(note)
-    before = leftovers.present()
     try:
         rclpy.init(args=["failstop", *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:
@@ -183,23 +179,10 @@ def main(name: str, ros_arguments: Sequence[str]) -> int:
         bridge = Bridge(rclpy, name)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, bridge.end)
-        _remember(note, before, removed, left)
         bridge.run()
     finally:
         rclpy.try_shutdown()
-        if left:
-            leftovers.remove(left)
-        leftovers.forget(note)
     return 0
-
-
-def _remember(note: str, before: set[str], removed: Sequence[str], left: set[str]) -> None:
-    if removed:
-        sys.stderr.write(f"failstop: removed {len(removed)} files that a killed bridge had left in {leftovers.SHM}\n")
-    try:
-        leftovers.remember(note, leftovers.mapped("self") - before | left)
-    except OSError as error:
-        sys.stderr.write(f"failstop: {note}: {error.strerror}; a killed bridge's files will stay\n")
 
 
 def _first_line(error: Exception) -> str:

@@ -6,16 +6,17 @@ It wakes up on its own, beside the spinner: to wait for messages costs more than
 from __future__ import annotations
 
 import json
+import os
 import threading
 from collections.abc import Sequence
-from time import monotonic_ns, sleep
+from time import CLOCK_BOOTTIME, clock_gettime, monotonic_ns, sleep
 from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
 from failstop.api.samples import BatterySample, ImuSample, OdometrySample, PadSample
 from failstop.api.state import State
-from failstop.ros2 import contract, diagnostics, leftovers, messages, report
+from failstop.ros2 import contract, diagnostics, messages, report
 from failstop.ros2.contract import OUTWARD, STATUS, TF, Topic
 from failstop.ros2.fill import fill, type_of
 from failstop.ros2.graph import Graph
@@ -218,7 +219,7 @@ class Outward:
             self._publish(contract.STATE, {"data": json.dumps(known)})
         if not self._begun:
             self._begun = True
-            self._node.get_logger().info(f"first state {leftovers.age_s():.2f} s after the start")
+            self._node.get_logger().info(f"first state {_age_s():.2f} s after the start")
         names, values = self._wheels.fields(ros_ns, state.arm if state else None)
         if names != self._joints:
             self._joints = names
@@ -248,6 +249,13 @@ class Outward:
             message = fill(type_of(contract.DIAGNOSTICS.type)(), {"header": {"stamp": messages.stamp(ros_ns)}})
             message.status = [_diagnostic(row) for row in rows]
             self._publishers[contract.DIAGNOSTICS.name].publish(message)
+
+
+def _age_s() -> float:
+    """How long ago this process was started."""
+    with open("/proc/self/stat", encoding="utf-8", errors="replace") as file:
+        born = int(file.read().rpartition(")")[2].split()[19])
+    return clock_gettime(CLOCK_BOOTTIME) - born / os.sysconf("SC_CLK_TCK")
 
 
 def _diagnostic(row: diagnostics.Status) -> Any:

@@ -97,10 +97,10 @@ class Child:
         """How long it may be silent: when it runs, or until it says so."""
         return self.row.deadline_ns if self.running() else STARTING_NS
 
-    def spare(self, now_ns: int) -> None:
-        """Its silence is the machine's: as long again from now on."""
+    def spare(self, now_ns: int, silent_ns: int) -> None:
+        """Its silence is the machine's: as long again from now on. `silent_ns`: as judged; it may beat meanwhile."""
         self.excused_ns = now_ns
-        self._spared_ns = self._spared_ns or self.heard_ns()
+        self._spared_ns = self._spared_ns or now_ns - silent_ns
         self.on(SPARED)
 
     def beaten(self) -> int:

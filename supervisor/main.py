@@ -326,20 +326,20 @@ class Supervisor:
         for child in self.children:
             if now_ns >= child.overdue_ns():
                 is_starved = self._silence.starved(child)
+                silent_ns = now_ns - child.heard_ns()
                 if now_ns >= child.overdue_ns():  # else it has just beaten
-                    self._answer_silence(child, now_ns, is_starved=is_starved)
+                    self._answer_silence(child, now_ns, silent_ns, is_starved=is_starved)
         self._overdue.set(min(child.overdue_ns() for child in self.children))
 
-    def _answer_silence(self, child: Child, now_ns: int, *, is_starved: bool) -> None:
+    def _answer_silence(self, child: Child, now_ns: int, silent_ns: int, *, is_starved: bool) -> None:
         """The table of silence.py. Who hangs is stopped for and killed; its death does the rest."""
         name = child.row.name
-        silent_ns = now_ns - child.heard_ns()
         kind = causes.STARVED if is_starved else causes.HANGS
         stop = Stop(now_ns, layout.SUPERVISOR, kind(name, silent_ns // MS))
         motion = self._silence.motion(self.epoch)
         spared = is_starved and silent_ns < child.allowed_ns() + starved.LONGEST_NS
         if spared and not (motion and name == layout.PORT_OWNER):
-            child.spare(now_ns)
+            child.spare(now_ns, silent_ns)
             if motion:
                 self._raise_epoch([stop])
             return

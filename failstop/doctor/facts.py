@@ -213,7 +213,8 @@ class Ros2:
     pid: int = 0
     """The bridge's; 0: none is connected."""
     user: str = ""
-    udp_only: bool = False
+    own_profile: bool = False
+    """The bridge was started with a Fast DDS profile of the user's, which may use shared memory."""
 
 
 @dataclasses.dataclass(frozen=True)

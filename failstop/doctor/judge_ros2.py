@@ -16,8 +16,8 @@ def bridge(facts: Facts) -> list[Finding]:
         return skip(text, "sudo failstop install --ros2-user NAME", "NAME: the user of the robot's nodes")
     where = f"the bridge is connected (pid {found.pid}, user {found.user})"
     others = [user for user in found.users if user != found.user]
-    if others and not found.udp_only:
+    if others and found.own_profile:
         text = f"{where}, and Fast DDS of {', '.join(others)} is here: nodes of two users exchange no data"
-        advice = "or start the bridge with --udp-only"
+        advice = "or start the bridge without a Fast DDS profile: then it takes UDP alone"
         return warn(text, f"sudo failstop install --ros2-user {others[0]}", advice)
-    return ok(f"{where}{', by UDP alone' if found.udp_only else ''}")
+    return ok(f"{where}{'' if found.own_profile else ', by UDP alone'}")

@@ -10,6 +10,8 @@ from failstop.doctor.system import System, user_name
 SHM = "/dev/shm"
 BRIDGE = "ros2"
 """Its name among the clients."""
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""Variables that keep the bridge from Fast DDS by UDP alone."""
 FILES = "fastrtps_"
 """What every process with Fast DDS has there, of the user that it runs as."""
 
@@ -23,8 +25,9 @@ def ros2(service: Service | None, system: System) -> Ros2:
     clients = service.state.clients if service and service.state else ()
     pid = next((client.pid for client in clients if client.name == BRIDGE), 0)
     uid = _owner(system.path(f"/proc/{pid}")) if pid else None
-    udp_only = "--udp-only" in (system.read(f"/proc/{pid}/cmdline") or "").split("\0") if pid else False
-    return Ros2(tuple(sorted(owners)), pid, "" if uid is None else user_name(uid), udp_only)
+    given = (system.read(f"/proc/{pid}/environ") or "").split("\0") if pid else []
+    own_profile = any(word.startswith(f"{variable}=") for word in given for variable in PROFILES)
+    return Ros2(tuple(sorted(owners)), pid, "" if uid is None else user_name(uid), own_profile)
 
 
 def _owner(path: str) -> int | None:

@@ -81,7 +81,7 @@ CASES: tuple[tuple[str, Facts, str, str], ...] = (
         "/a and /b drive",
     ),
     ("ROS 2", facts(ros2=Ros2(("anna",))), SKIP, "nodes of anna run here"),
-    ("ROS 2", facts(ros2=Ros2(("anna", "bob"), 7, "bob")), WARN, "Fast DDS of anna is here"),
+    ("ROS 2", facts(ros2=Ros2(("anna", "bob"), 7, "bob", True)), WARN, "Fast DDS of anna is here"),
     ("unit", facts(unit=None, systemd=False), SKIP, "systemd does not run"),
     ("version", facts(service=but(SERVICE, state=None, problem="is of failstop 0.0.9")), FAIL, "0.0.9"),
     ("version", facts(service=but(SERVICE, version="0.0.9")), WARN, "0.0.9"),

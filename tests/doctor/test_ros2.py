@@ -25,19 +25,20 @@ def test_facts(tmp_path: Path) -> None:
         (tmp_path / "dev/shm" / name).touch()
     process = tmp_path / "proc/7"
     process.mkdir(parents=True)
-    (process / "cmdline").write_bytes(b"python3\0-m\0failstop\0ros2\0--udp-only\0")
+    (process / "environ").write_bytes(b"HOME=/\0FASTRTPS_DEFAULT_PROFILES_FILE=/own.xml\0")
     system = System(str(tmp_path))
     assert ros2_facts.ros2(None, system) == Ros2((ME,))
     assert ros2_facts.ros2(serving(clients=(bridge(7),)), system) == Ros2((ME,), 7, ME, True)
-    (process / "cmdline").write_bytes(b"python3\0-m\0failstop\0ros2\0")
-    assert not ros2_facts.ros2(serving(clients=(bridge(7),)), system).udp_only
+    (process / "environ").write_bytes(b"HOME=/\0")
+    assert not ros2_facts.ros2(serving(clients=(bridge(7),)), system).own_profile
     assert ros2_facts.ros2(serving(clients=(bridge(8),)), system) == Ros2((ME,), 8), "it has gone meanwhile"
     assert ros2_facts.ros2(None, System(str(tmp_path / "nothing"))) == Ros2()
 
 
-def test_a_bridge_of_another_user_is_no_problem_by_udp() -> None:
-    found = judge_ros2.bridge(facts(ros2=Ros2(("anna", "bob"), 7, "bob", True)))
+def test_a_bridge_of_another_user_is_a_problem_with_a_profile_of_its_own_alone() -> None:
+    found = judge_ros2.bridge(facts(ros2=Ros2(("anna", "bob"), 7, "bob")))
     assert [(row.level, row.text) for row in found] == [
         ("ok", "the bridge is connected (pid 7, user bob), by UDP alone")
     ]
-    assert judge_ros2.bridge(facts(ros2=Ros2(("bob",), 7, "bob")))[0].level == "ok"
+    assert judge_ros2.bridge(facts(ros2=Ros2(("anna", "bob"), 7, "bob", True)))[0].level == "warn"
+    assert judge_ros2.bridge(facts(ros2=Ros2(("bob",), 7, "bob", True)))[0].level == "ok"

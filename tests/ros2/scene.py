@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -174,15 +175,15 @@ class Node:
 class Bridge:
     """`failstop ros2` as a process."""
 
-    def __init__(self, ros: Ros, name: str, *words: str) -> None:
+    def __init__(self, ros: Ros, name: str, *words: str, environment: Mapping[str, str] | None = None) -> None:
         self._log = tempfile.NamedTemporaryFile("w+", prefix=f"{name}-ros2-", suffix=".log")  # noqa: SIM115
         self._command = [sys.executable, "-m", "failstop", "ros2", "--name", name, *words]
-        self._ros = ros
+        self._environment = {**ros.environment, **(environment or {})}
         self.start()
 
     def start(self) -> None:
         self.process = subprocess.Popen(
-            self._command, env=self._ros.environment, stdin=subprocess.DEVNULL, stdout=self._log, stderr=self._log
+            self._command, env=self._environment, stdin=subprocess.DEVNULL, stdout=self._log, stderr=self._log
         )
 
     def said(self) -> str:
@@ -214,8 +215,12 @@ class Bridge:
 class Scene:
     """Board, service, bridge, and a node that looks on."""
 
-    def __init__(self, ros: Ros, name: str, *words: str, settings: str = "") -> None:
+    def __init__(
+        self, ros: Ros, name: str, *words: str, settings: str = "", environment: Mapping[str, str] | None = None
+    ) -> None:
+        """`environment`: more of it, for the bridge."""
         self.ros = ros
+        self._environment = environment
         options: tuple[str, ...] = ()
         self._settings = ""
         if settings:
@@ -230,7 +235,7 @@ class Scene:
     def __enter__(self) -> Scene:
         self.trial.__enter__()
         try:
-            self.bridge = Bridge(self.ros, self.trial.name, *self.words)
+            self.bridge = Bridge(self.ros, self.trial.name, *self.words, environment=self._environment)
             self.eyes = self.node("eyes")
             self.eyes.hear(f"{NODE}/state", "std_msgs/msg/String")
             self.state(lambda state: state["state_age_ms"] is not None)

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import subprocess
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -17,7 +13,7 @@ from failstop.api.samples import ImuSample, OdometrySample, PadSample
 from failstop.api.snapshot import Device, GyroBias
 from failstop.policy import causes
 from failstop.policy.settings import BY_KEY, Settings
-from failstop.ros2 import diagnostics, leftovers, messages, mirrors, report, trajectory, words
+from failstop.ros2 import diagnostics, messages, mirrors, report, trajectory, words
 from failstop.ros2.commanders import Publisher
 from failstop.ros2.scan import ScanLog, ScanWatch
 from tests.support import states
@@ -249,58 +245,6 @@ def test_scan_lines() -> None:
 
 
 # The files of DDS.
-
-
-PORT = {"fastrtps_port7411", "fastrtps_port7411_el", "sem.fastrtps_port7411_mutex"}
-"""Another process may send to that port still."""
-OWN = {"fastrtps_0a", "fastrtps_0a_el"}
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    for name in (*OWN, *PORT, "fastrtps_other"):
-        (tmp_path / name).write_bytes(b"x")
-    (tmp_path / "somebody_elses").write_bytes(b"x")
-    return tmp_path
-
-
-def left_by_a_dead_one(folder: Path, files: set[str]) -> str:
-    path = str(folder / "list")
-    code = f"from failstop.ros2 import leftovers; leftovers.remember({path!r}, {files!r})"
-    subprocess.run([sys.executable, "-c", code], check=True)
-    return path
-
-
-def test_what_a_dead_one_left_is_removed_and_nothing_else(folder: Path) -> None:
-    path = left_by_a_dead_one(folder, {*OWN, *PORT, "somebody_elses"})
-    assert leftovers.clear(path, str(folder)) == (sorted(OWN), set())
-    assert {entry.name for entry in folder.iterdir()} == {*PORT, "fastrtps_other", "somebody_elses", "list"}
-    assert leftovers.clear(path, str(folder)) == ([], set())
-
-
-def test_what_a_living_one_has_stays(folder: Path) -> None:
-    path = str(folder / "list")
-    leftovers.remember(path, OWN)
-    assert leftovers.clear(path, str(folder)) == ([], set()), "its writer lives"
-    path = left_by_a_dead_one(folder, OWN)
-    with open(folder / "fastrtps_0a", "rb"):
-        assert "fastrtps_0a" in leftovers.mapped("self", str(folder))
-        assert leftovers.clear(path, str(folder)) == (["fastrtps_0a_el"], {"fastrtps_0a"})
-
-
-@pytest.mark.parametrize("text", ["", "no json", "[]", '{"pid": 1}', '{"pid": "1", "born": 2, "files": 3}'])
-def test_a_list_that_is_none_is_no_reason_to_remove_anything(folder: Path, text: str) -> None:
-    (folder / "list").write_text(text)
-    assert leftovers.clear(str(folder / "list"), str(folder)) == ([], set())
-    assert leftovers.clear(str(folder / "absent"), str(folder)) == ([], set())
-
-
-def test_a_list_that_is_a_link_is_not_followed(folder: Path) -> None:
-    path = left_by_a_dead_one(folder, OWN)
-    os.symlink(path, folder / "link")
-    assert leftovers.clear(str(folder / "link"), str(folder)) == ([], set())
-    with pytest.raises(OSError, match="link"):
-        leftovers.remember(str(folder / "link"), set())
 
 
 def _trajectory(names: list[str], *rows: tuple[float, list[float]]) -> SimpleNamespace:

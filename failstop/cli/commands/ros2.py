@@ -15,24 +15,21 @@ from failstop.cli.commands import add_name
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
+    from collections.abc import MutableMapping
 
 EXAMPLES = """\
 . /opt/ros/humble/setup.sh; failstop ros2
 failstop ros2 --ros-args -r cmd_vel:=/base/cmd_vel -p cmd_vel_type:=stamped
-failstop ros2 --udp-only             # for nodes of other users
 """
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+IMPLEMENTATIONS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
+"""What RMW_IMPLEMENTATION says where these profiles are read."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop ros2`."""
     add_name(parser)
-    parser.add_argument(
-        "--udp-only",
-        action="store_true",
-        help="no shared memory for Fast DDS, which only nodes of the same user can exchange data by",
-    )
     parser.add_argument(
         "--ros-args",
         nargs=argparse.REMAINDER,
@@ -44,15 +41,22 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Run the bridge; raises FailstopError where there is no rclpy."""
-    if arguments.udp_only:
-        # ROS's own variable for it would bring the shared memory back.
-        localhost = os.environ.pop("ROS_LOCALHOST_ONLY", "0") == "1"
-        os.environ.update(dict.fromkeys(PROFILES, str(udp_profile(localhost))))
+    udp_alone(os.environ)
     find_rclpy()
     from failstop.ros2 import bridge
 
     words = ["--ros-args", *arguments.ros_args] if arguments.ros_args else []
     return bridge.main(arguments.name, words)
+
+
+def udp_alone(environment: MutableMapping[str, str]) -> None:
+    """Have Fast DDS leave its shared memory out, unless there is a profile of the user's own: after a kill the next
+    bridge may listen at a port whose file the other nodes have just replaced, and then it hears none of them."""
+    if environment.get("RMW_IMPLEMENTATION", "") not in IMPLEMENTATIONS or any(map(environment.get, PROFILES)):
+        return
+    # ROS's own variable for it would bring the shared memory back.
+    localhost = environment.pop("ROS_LOCALHOST_ONLY", "0") == "1"
+    environment.update(dict.fromkeys(PROFILES, str(udp_profile(localhost))))
 
 
 def udp_profile(localhost: bool) -> Path:
