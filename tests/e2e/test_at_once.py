@@ -25,11 +25,19 @@ def slow(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
         yield running
 
 
+def waits(slow: Trial) -> bool:
+    """Enabled, and without a command. A machine that withholds a process for long has it stopped: then once more."""
+    state = slow.robot.state
+    if state.estop:
+        slow.enable()
+    return state.blocked == "cmd timeout"
+
+
 def test_on_a_new_command(slow: Trial) -> None:
     slow.enable()
     soon = 0
     for _ in range(TRIES):
-        wait_for("the wheels to be blocked", lambda: slow.robot.state.blocked == "cmd timeout")
+        wait_for("the wheels to be blocked", lambda: waits(slow))
         slow.board.wait_wheels(moving=False, timeout_s=2.0)
         slow.board.events()
         sent_ns = time.monotonic_ns()

@@ -109,6 +109,8 @@ def stopped(trial: Trial, since_ns: int, reason: str) -> float:
     """Seconds from a moment to the stop, by the board's word."""
     wait_for("the stop", lambda: trial.robot.state.estop, 5)
     assert reason in str(trial.robot.state.estop)
+    # It is latched before the board has its frame.
+    trial.board.wait_for(lambda event: event.is_stop and event.arrival_ns >= since_ns, 5)
     seen = judge(trial.board.events(), since_ns, was_moving=True)
     assert seen.stop_ns is not None
     assert seen.motion_after == 0
