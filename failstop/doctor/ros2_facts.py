@@ -6,12 +6,11 @@ import os
 
 from failstop.doctor.facts import Ros2, Service
 from failstop.doctor.system import System, user_name
+from failstop.ros2 import transport
 
 SHM = "/dev/shm"
 BRIDGE = "ros2"
 """Its name among the clients."""
-PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-"""Variables that keep the bridge from Fast DDS by UDP alone."""
 FILES = "fastrtps_"
 """What every process with Fast DDS has there, of the user that it runs as."""
 
@@ -26,7 +25,7 @@ def ros2(service: Service | None, system: System) -> Ros2:
     pid = next((client.pid for client in clients if client.name == BRIDGE), 0)
     uid = _owner(system.path(f"/proc/{pid}")) if pid else None
     given = (system.read(f"/proc/{pid}/environ") or "").split("\0") if pid else []
-    own_profile = any(word.startswith(f"{variable}=") for word in given for variable in PROFILES)
+    own_profile = transport.own_profile(dict(word.split("=", 1) for word in given if "=" in word))
     return Ros2(tuple(sorted(owners)), pid, "" if uid is None else user_name(uid), own_profile)
 
 

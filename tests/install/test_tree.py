@@ -126,15 +126,20 @@ def test_the_digest_sees_content_names_and_links(tmp_path: Path) -> None:
     assert found() != digest
 
 
-def test_a_package_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def lack(monkeypatch: pytest.MonkeyPatch, package: str) -> None:
+    """This package is not installed."""
     real = metadata.distribution
 
-    def absent(name: str) -> metadata.Distribution:
-        if name == "msgpack":
+    def found(name: str) -> metadata.Distribution:
+        if name == package:
             raise metadata.PackageNotFoundError(name)
         return real(name)
 
-    monkeypatch.setattr(metadata, "distribution", absent)
+    monkeypatch.setattr(metadata, "distribution", found)
+
+
+def test_a_package_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    lack(monkeypatch, "msgpack")
     with pytest.raises(InstallError, match=r"Python package msgpack is not installed .*with pip into a virtual env"):
         tree.running("/opt/failstop", BASE)
 
@@ -147,14 +152,7 @@ def test_what_an_extra_needs_comes_along_where_it_is_asked_for(monkeypatch: pyte
     assert not tops() & {"tornado", "segno", "paho", "prometheus_client", "matplotlib", "pytest"}
     assert tops("web") - tops() >= {"tornado", "segno"}
     assert tops("web", "fleet") - tops("web") >= {"paho", "prometheus_client"}
-    real = metadata.distribution
-
-    def absent(name: str) -> metadata.Distribution:
-        if name == "tornado":
-            raise metadata.PackageNotFoundError(name)
-        return real(name)
-
-    monkeypatch.setattr(metadata, "distribution", absent)
+    lack(monkeypatch, "tornado")
     with pytest.raises(InstallError, match=r"Python package tornado is not .*pip install 'failstop\[web\]' there"):
         tree.running("/opt/failstop", BASE, ("web",))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -13,7 +14,7 @@ from failstop.api.samples import ImuSample, OdometrySample, PadSample
 from failstop.api.snapshot import Device, GyroBias
 from failstop.policy import causes
 from failstop.policy.settings import BY_KEY, Settings
-from failstop.ros2 import diagnostics, messages, mirrors, report, trajectory, words
+from failstop.ros2 import diagnostics, messages, mirrors, report, trajectory, transport, words
 from failstop.ros2.commanders import Publisher
 from failstop.ros2.scan import ScanLog, ScanWatch
 from tests.support import states
@@ -273,3 +274,23 @@ def test_a_trajectory_as_the_arm_takes_it() -> None:
 def test_a_trajectory_that_makes_no_sense(names: list[str], rows: list[tuple[float, list[float]]], words: str) -> None:
     with pytest.raises(FailstopError, match=words):
         trajectory.way(_trajectory(names, *rows))
+
+
+@pytest.mark.parametrize(("localhost", "file"), [("0", "udp_only.xml"), ("1", "udp_only_localhost.xml")])
+def test_fast_dds_takes_udp_alone(localhost: str, file: str) -> None:
+    environment = {"ROS_LOCALHOST_ONLY": localhost, "HOME": "/"}
+    transport.udp_alone(environment)
+    assert environment.pop("HOME") == "/"
+    assert set(environment) == set(transport.PROFILES)
+    (path,) = set(environment.values())
+    assert Path(path).name == file
+    assert "<useBuiltinTransports>false" in Path(path).read_text()
+
+
+@pytest.mark.parametrize(
+    "given", [{transport.PROFILES[0]: "/own.xml"}, {transport.PROFILES[1]: "/own.xml"}, {"RMW_IMPLEMENTATION": "x"}]
+)
+def test_a_profile_of_the_users_own_and_another_dds_are_left_alone(given: dict[str, str]) -> None:
+    environment = {**given, "ROS_LOCALHOST_ONLY": "1"}
+    transport.udp_alone(environment)
+    assert environment == {**given, "ROS_LOCALHOST_ONLY": "1"}

@@ -7,24 +7,19 @@ import glob
 import os
 import sys
 from importlib import import_module
-from pathlib import Path
 
 from failstop.api.errors import FailstopError
 from failstop.cli.commands import add_name
+from failstop.ros2 import transport
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
-    from collections.abc import MutableMapping
 
 EXAMPLES = """\
 . /opt/ros/humble/setup.sh; failstop ros2
 failstop ros2 --ros-args -r cmd_vel:=/base/cmd_vel -p cmd_vel_type:=stamped
 """
-
-PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-IMPLEMENTATIONS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
-"""What RMW_IMPLEMENTATION says where these profiles are read."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -41,29 +36,12 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Run the bridge; raises FailstopError where there is no rclpy."""
-    udp_alone(os.environ)
+    transport.udp_alone(os.environ)
     find_rclpy()
     from failstop.ros2 import bridge
 
     words = ["--ros-args", *arguments.ros_args] if arguments.ros_args else []
     return bridge.main(arguments.name, words)
-
-
-def udp_alone(environment: MutableMapping[str, str]) -> None:
-    """Have Fast DDS leave its shared memory out, unless there is a profile of the user's own: after a kill the next
-    bridge may listen at a port whose file the other nodes have just replaced, and then it hears none of them."""
-    if environment.get("RMW_IMPLEMENTATION", "") not in IMPLEMENTATIONS or any(map(environment.get, PROFILES)):
-        return
-    # ROS's own variable for it would bring the shared memory back.
-    localhost = environment.pop("ROS_LOCALHOST_ONLY", "0") == "1"
-    environment.update(dict.fromkeys(PROFILES, str(udp_profile(localhost))))
-
-
-def udp_profile(localhost: bool) -> Path:
-    """The Fast DDS profile with UDP as the only transport, on the loopback interface alone or on all."""
-    import failstop
-
-    return Path(failstop.__file__).resolve().parent / "ros2" / f"udp_only{'_localhost' if localhost else ''}.xml"
 
 
 def find_rclpy() -> None:
