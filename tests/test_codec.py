@@ -20,7 +20,7 @@ from failstop.board import codec, framing, peripherals, servos
 from failstop.board.codec import STOP, check_motion
 from failstop.board.framing import MOTOR, FrameError
 from failstop.board.peripherals import check_aux
-from failstop.incidents.motors import Motors
+from failstop.lab.sim.motors import Motors
 from failstop.lab import encoders
 from failstop.lab.encoders import PING
 from failstop.lab.sim.receiver import Receiver
@@ -271,7 +271,7 @@ HEAVY = (
 )
 
 
-@pytest.mark.parametrize("module", ["board.codec", "board.burst", "board.decoder", "incidents.motors"])
+@pytest.mark.parametrize("module", ["board.codec", "board.burst", "board.decoder", "lab.sim.motors"])
 def test_imports_nothing_heavy(module: str) -> None:
     # Without site, so that what the environment brings along is not counted.
     program = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import failstop.{module}; print(*sys.modules)"

@@ -17,7 +17,7 @@ from failstop.board.burst import BURST
 from failstop.board.codec import STOP
 from failstop.board.framing import AUX_FUNCS, MAX_DATA, MOTOR, PWM_SERVO, FrameError, seal
 from failstop.board.peripherals import check_aux
-from failstop.incidents.motors import Motors
+from failstop.lab.sim.motors import Motors
 from failstop.lab import encoders
 from failstop.lab.sim.receiver import Receiver
 

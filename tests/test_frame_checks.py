@@ -16,7 +16,7 @@ from failstop.board.burst import BURST
 from failstop.board.codec import STOP, check_motion
 from failstop.board.framing import MOTOR, FrameError, seal
 from failstop.board.peripherals import check_aux
-from failstop.incidents.motors import Motors
+from failstop.lab.sim.motors import Motors
 from failstop.lab import encoders
 from failstop.lab.encoders import PING
 from failstop.lab.sim.receiver import Receiver

@@ -21,7 +21,7 @@ from failstop.board.framing import BUS_SERVO, MOTOR, seal
 from failstop.board.interface import BOARD
 from failstop.board.peripherals import check_aux
 from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, bus_ns, bus_servo_move, bus_servo_stop, check_bus
-from failstop.incidents.motors import Motors
+from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import Receiver
 
 ARM = (1, 2, 3, 4, 5, 10)

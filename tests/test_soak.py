@@ -18,7 +18,7 @@ from bench import ticks
 from failstop import FailstopError, Robot
 from failstop.api.client import send_stop
 from failstop.board.framing import MOTOR
-from failstop.incidents.motors import Motors
+from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.client import Event
 from failstop.lab.trial import wait_for
 

@@ -24,12 +24,25 @@ from failstop.shm import layout
 
 NEEDS = "an export needs MCAP: pip install 'failstop[export]'"
 FRAME = "base_link"
-NO_ORIENTATION = [-1.0, *[0.0] * 8]
+TOPICS = {
+    "command": "geometry_msgs/TwistStamped",
+    "gated": "geometry_msgs/TwistStamped",
+    "wheels": "sensor_msgs/JointState",
+    "imu": "sensor_msgs/Imu",
+    "battery": "sensor_msgs/BatteryState",
+    "events": "rcl_interfaces/Log",
+    "processes": "diagnostic_msgs/DiagnosticArray",
+}
+NO_ORIENTATION = {
+    "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+    "orientation_covariance": [-1.0, *[0.0] * 8],
+}
 UNKNOWN = [0.0] * 9
+VARIANCE = [RATE_VARIANCE if index in (0, 4, 8) else 0.0 for index in range(9)]
 WHEELS = [name.replace(" ", "_") for name in signals.WHEELS]
 
-Message = tuple[int, str, tuple[str, str], dict[str, Any]]
-"""When (CLOCK_MONOTONIC ns), topic, definition, value."""
+Message = tuple[int, str, dict[str, Any]]
+"""When (CLOCK_MONOTONIC ns), topic, value but for its header."""
 
 
 def save(incident: Incident, path: str) -> int:
@@ -39,35 +52,24 @@ def save(incident: Incident, path: str) -> int:
     except ImportError:
         raise IncidentError(NEEDS) from None
     incident.check_layout()
-    found = sorted(_messages(incident), key=lambda message: message[0])
+    series = (_gate(incident), _wheels(incident), _board(incident), _told(incident), _beats(incident))
+    found = sorted((message for part in series for message in part), key=lambda message: message[0])
     made = BytesIO()
     writer: Any = Writer(made)
-    schemas = {name: writer.register_msgdef(name, text) for name, text in messages.ALL}
-    counts: dict[str, int] = {}
-    for ns, topic, (name, _), value in found:
-        counts[topic] = counts.get(topic, 0) + 1
+    schemas = {
+        name: writer.register_msgdef(name.replace("/", "/msg/"), messages.definition(name))
+        for name in dict.fromkeys(TOPICS.values())
+    }
+    counts = dict.fromkeys(TOPICS, 0)
+    for ns, topic, value in found:
+        counts[topic] += 1
         at_ns = incident.unix_ns(ns)
-        writer.write_message(topic, schemas[name], value, log_time=at_ns, publish_time=at_ns, sequence=counts[topic])
+        stamp = dict(zip(("sec", "nanosec"), divmod(at_ns, 1_000_000_000), strict=True))
+        whole = {"stamp": stamp, "header": {"stamp": stamp, "frame_id": FRAME}, **value}
+        writer.write_message(f"/failstop/{topic}", schemas[TOPICS[topic]], whole, at_ns, at_ns, counts[topic])
     writer.finish()
     file.write_as(path, made.getvalue())
     return len(found)
-
-
-def _messages(incident: Incident) -> Iterator[Message]:
-    yield from _gate(incident)
-    yield from _wheels(incident)
-    yield from _board(incident)
-    yield from _told(incident)
-    yield from _beats(incident)
-
-
-def _stamp(incident: Incident, ns: int) -> dict[str, int]:
-    seconds, nanoseconds = divmod(incident.unix_ns(ns), 1_000_000_000)
-    return {"sec": seconds, "nanosec": nanoseconds}
-
-
-def _header(incident: Incident, ns: int) -> dict[str, Any]:
-    return {"stamp": _stamp(incident, ns), "frame_id": FRAME}
 
 
 def _vector(x: float, y: float, z: float) -> dict[str, float]:
@@ -76,68 +78,44 @@ def _vector(x: float, y: float, z: float) -> dict[str, float]:
 
 def _gate(incident: Incident) -> Iterator[Message]:
     for tick in incident.ticks:
-        header = _header(incident, tick.ns)
-        for topic, (vx, vy, wz), there in (
-            ("/failstop/command", tick.command, tick.commands > 0),
-            ("/failstop/gated", tick.velocity, True),
-        ):
-            if there:
-                twist = {"linear": _vector(vx, vy, 0.0), "angular": _vector(0.0, 0.0, wz)}
-                yield tick.ns, topic, messages.TWIST_STAMPED, {"header": header, "twist": twist}
+        for topic, (vx, vy, wz) in (("command", tick.command), ("gated", tick.velocity)):
+            if topic == "gated" or tick.commands:
+                yield tick.ns, topic, {"twist": {"linear": _vector(vx, vy, 0.0), "angular": _vector(0.0, 0.0, wz)}}
 
 
 def _wheels(incident: Incident) -> Iterator[Message]:
     ids = signals.wheel_ids(incident)
     for write in incident.writes:
-        sort = signals.kind(write)
-        if sort in (signals.MOTION, signals.ZERO, signals.STOP_BURST):
-            speeds = (0.0,) * 4 if sort == signals.STOP_BURST else signals.speeds_rps(write)
-            value = {
-                "header": _header(incident, write.ns),
-                "name": WHEELS,
-                "position": [],
-                "velocity": [speeds[wire_id] * tau for wire_id in ids],
-                "effort": [],
-            }
-            yield write.ns, "/failstop/wheels", messages.JOINT_STATE, value
+        if speeds := write.speeds_rps:
+            velocity = [speeds[wire_id] * tau for wire_id in ids]
+            yield write.ns, "wheels", {"name": WHEELS, "position": [], "velocity": velocity, "effort": []}
 
 
 def _board(incident: Incident) -> Iterator[Message]:
-    variance = [RATE_VARIANCE if index in (0, 4, 8) else 0.0 for index in range(9)]
     for sample in incident.imu:
         value: dict[str, Any] = {
-            "header": _header(incident, sample.ns),
-            "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
-            "orientation_covariance": NO_ORIENTATION,
+            **NO_ORIENTATION,
             "angular_velocity": _vector(*sample.rate_radps),
-            "angular_velocity_covariance": variance,
+            "angular_velocity_covariance": VARIANCE,
             "linear_acceleration": _vector(*sample.acceleration_mps2),
             "linear_acceleration_covariance": UNKNOWN,
         }
-        yield sample.ns, "/failstop/imu", messages.IMU, value
+        yield sample.ns, "imu", value
     for ns, millivolts, plugged in incident.battery:
         value = dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity", "percentage"), nan)
-        value |= {"header": _header(incident, ns), "voltage": millivolts / 1e3, "present": True}
+        value |= {"voltage": millivolts / 1e3, "present": True}
         value |= {"power_supply_status": {"plugged": 1, "unplugged": 2}.get(plugged, 0)}
         value |= {"power_supply_health": 0, "power_supply_technology": 0, "location": "", "serial_number": ""}
         value |= {"cell_voltage": [], "cell_temperature": []}
-        yield ns, "/failstop/battery", messages.BATTERY_STATE, value
+        yield ns, "battery", value
 
 
 def _told(incident: Incident) -> Iterator[Message]:
     rows = [(event.ns, event.level, event.kind, event.text) for event in incident.events]
-    rows.append((incident.cause_ns, "error", "cause", incident.reason))
-    for ns, level, kind, text in rows:
-        value = {
-            "stamp": _stamp(incident, ns),
-            "level": messages.LOG_LEVELS.get(level, messages.LOG_LEVELS["info"]),
-            "name": f"failstop.{kind}",
-            "msg": text,
-            "file": "",
-            "function": "",
-            "line": 0,
-        }
-        yield ns, "/failstop/events", messages.LOG, value
+    for ns, level, kind, text in (*rows, (incident.cause_ns, "error", "cause", incident.reason)):
+        number = messages.LOG_LEVELS.get(level, messages.LOG_LEVELS["info"])
+        value = {"level": number, "name": f"failstop.{kind}", "msg": text, "file": "", "function": "", "line": 0}
+        yield ns, "events", value
 
 
 def _beats(incident: Incident) -> Iterator[Message]:
@@ -150,5 +128,4 @@ def _beats(incident: Incident) -> Iterator[Message]:
             values = [{"key": "silent_ms", "value": f"{silent_us / 1e3:.3f}"}]
             row = {"level": 2 if late else 0, "name": process, "message": said, "hardware_id": incident.head["host"]}
             status.append({**row, "values": values})
-        value = {"header": _header(incident, ns), "status": status}
-        yield ns, "/failstop/processes", messages.DIAGNOSTICS, value
+        yield ns, "processes", {"status": status}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,12 +11,19 @@ from typing import Any, TypeVar
 
 import msgpack
 
+from failstop.board import framing
+from failstop.board.interface import BOARD
 from failstop.incidents import file, outcome
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.shm import box, layout, records
 
 Payload = TypeVar("Payload")
+MOTION, ZERO, PING, OTHER, STOP_BURST, REST = "motion", "zero", "ping", "other", "stop burst", "rest"
+ARM = "arm"
+"""What was written: a motor frame that moves a wheel, one of zeros, ..., the rest of what the kernel had not taken; ARM
+is a frame for the arm's servos."""
+_SPEEDS = struct.Struct(f"<6x{'Bf' * framing.WHEELS}")
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,28 @@ class Write:
     """Bytes that the kernel took at once."""
     head: bytes
     """The frame's first bytes."""
+
+    @cached_property
+    def speeds_rps(self) -> tuple[float, ...] | None:
+        """The wheel speeds that it sets, by wire id; None: it sets none."""
+        if self.kind == box.BURST:
+            return (0.0,) * framing.WHEELS
+        if self.kind == box.REST or not self.head.startswith(framing.MOTOR_HEAD) or len(self.head) < _SPEEDS.size:
+            return None
+        found = _SPEEDS.unpack_from(self.head)
+        speeds = dict(zip(found[::2], found[1::2], strict=True))
+        return tuple(speeds.get(wheel, 0.0) for wheel in range(framing.WHEELS))
+
+    @cached_property
+    def sort(self) -> str:
+        """MOTION, ZERO, PING, ARM, OTHER, STOP_BURST or REST."""
+        if self.kind in (box.BURST, box.REST):
+            return STOP_BURST if self.kind == box.BURST else REST
+        if self.speeds_rps is not None:
+            return MOTION if any(self.speeds_rps) else ZERO
+        if self.head[2:3] == bytes((framing.BUS_SERVO,)):
+            return ARM
+        return PING if self.head in BOARD.pings else OTHER
 
 
 @dataclass(frozen=True)
@@ -148,24 +178,24 @@ class Incident:
         """Wall time of a moment, in nanoseconds."""
         return int(ns + self.head["unix_minus_monotonic_ns"])
 
+    def number(self, key: str, default: float) -> float:
+        """A setting; `default` for one that the file does not have, or that is no number."""
+        try:
+            return float(self.settings[key])
+        except (KeyError, ValueError):
+            return default
+
     def words(self, segment: str) -> dict[str, int]:
         """The words of a segment."""
         return dict(self._segments.get(segment, {}).get("words", {}))
 
-    def latest(self, segment: str, name: str) -> tuple[int, bytes] | None:
-        """(when, payload) of a record, as it was when the file was saved."""
-        entry = self._segments.get(segment, {}).get("latest", {}).get(name)
-        return (entry[1], entry[2]) if entry else None
-
     def latest_map(self, segment: str, name: str) -> dict[str, Any]:
-        """The same, of a msgpack map; empty when there is none."""
-        entry = self.latest(segment, name)
-        found = self._decoded(lambda payload: _map(payload), entry[1]) if entry else None
-        return found or {}
+        """A record, a msgpack map, as it was when the file was saved; empty when there is none."""
+        entry = self._segments.get(segment, {}).get("latest", {}).get(name)
+        return (self._decoded(_map, entry[2]) if entry else None) or {}
 
     def _ring(self, segment: str, name: str) -> list[list[Any]]:
-        rings = self._segments.get(segment, {}).get("rings", {})
-        return list(rings.get(name, []))
+        return list(self._segments.get(segment, {}).get("rings", {}).get(name, []))
 
     def _decoded(self, decode: Callable[[bytes], Payload], payload: bytes) -> Payload | None:
         try:
@@ -202,22 +232,18 @@ class Incident:
     def _board(self) -> list[tuple[int, tuple[int, tuple[Any, ...]]]]:
         return list(self._entries(layout.TELEMETRY, "box", box.unpack_board))
 
+    def _of_board(self, wanted: int) -> list[tuple[int, tuple[Any, ...]]]:
+        return [(ns, values) for ns, (kind, values) in self._board if kind == wanted]
+
     @cached_property
     def imu(self) -> list[Sample]:
         """Every sample."""
-        return [Sample(ns, values[:3], values[3:]) for ns, (kind, values) in self._board if kind == box.IMU]
+        return [Sample(ns, values[:3], values[3:]) for ns, values in self._of_board(box.IMU)]
 
     @cached_property
     def battery(self) -> list[tuple[int, int, str]]:
         """(when, millivolts, charger)."""
-        return [
-            (ns, values[0], records.PLUGGED[values[1]]) for ns, (kind, values) in self._board if kind == box.BATTERY
-        ]
-
-    @cached_property
-    def pad(self) -> list[tuple[int, tuple[int, ...]]]:
-        """Gamepad frames: (when, as records.PAD.unpack)."""
-        return [(ns, values) for ns, (kind, values) in self._board if kind == box.PAD]
+        return [(ns, values[0], records.PLUGGED[values[1]]) for ns, values in self._of_board(box.BATTERY)]
 
     @cached_property
     def arm_goals(self) -> list[ArmGoal]:
@@ -227,7 +253,7 @@ class Incident:
     @cached_property
     def servo_answers(self) -> list[tuple[int, int, int, int | None]]:
         """(when, servo, what was asked, its answer; None: it had none), as decoder.servo_reply."""
-        found = [(ns, values) for ns, (kind, values) in self._board if kind == box.SERVO]
+        found = self._of_board(box.SERVO)
         return [(ns, servo, what, value if answered else None) for ns, (servo, what, answered, value) in found]
 
     @cached_property

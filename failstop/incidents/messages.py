@@ -6,55 +6,47 @@ specification's `ros2msg` schema encoding).
 
 from __future__ import annotations
 
-_NEXT = "\n" + "=" * 80 + "\nMSG: "
-_TIME = f"{_NEXT}builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-_HEADER = f"{_NEXT}std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-_VECTOR = f"{_NEXT}geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
-
-TWIST_STAMPED = (
-    "geometry_msgs/msg/TwistStamped",
-    "std_msgs/Header header\ngeometry_msgs/Twist twist\n"
-    f"{_HEADER}{_TIME}{_NEXT}geometry_msgs/Twist\n"
-    f"geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n{_VECTOR}",
-)
-IMU = (
-    "sensor_msgs/msg/Imu",
-    "std_msgs/Header header\n"
-    "geometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
-    "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
-    "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
-    f"{_HEADER}{_TIME}{_NEXT}geometry_msgs/Quaternion\n"
-    f"float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n{_VECTOR}",
-)
-JOINT_STATE = (
-    "sensor_msgs/msg/JointState",
-    "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
-    f"{_HEADER}{_TIME}",
-)
-BATTERY_STATE = (
-    "sensor_msgs/msg/BatteryState",
-    "uint8 POWER_SUPPLY_STATUS_UNKNOWN=0\nuint8 POWER_SUPPLY_STATUS_CHARGING=1\n"
-    "uint8 POWER_SUPPLY_STATUS_DISCHARGING=2\nuint8 POWER_SUPPLY_STATUS_NOT_CHARGING=3\n"
-    "uint8 POWER_SUPPLY_STATUS_FULL=4\n"
-    "std_msgs/Header header\nfloat32 voltage\nfloat32 temperature\nfloat32 current\nfloat32 charge\n"
-    "float32 capacity\nfloat32 design_capacity\nfloat32 percentage\n"
-    "uint8 power_supply_status\nuint8 power_supply_health\nuint8 power_supply_technology\nbool present\n"
-    f"float32[] cell_voltage\nfloat32[] cell_temperature\nstring location\nstring serial_number\n{_HEADER}{_TIME}",
-)
-LOG = (
-    "rcl_interfaces/msg/Log",
-    "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
-    "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\nuint32 line\n"
-    f"{_TIME}",
-)
-DIAGNOSTICS = (
-    "diagnostic_msgs/msg/DiagnosticArray",
-    "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status\n"
-    f"{_HEADER}{_TIME}{_NEXT}diagnostic_msgs/DiagnosticStatus\n"
-    "byte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\n"
-    "byte level\nstring name\nstring message\nstring hardware_id\ndiagnostic_msgs/KeyValue[] values\n"
-    f"{_NEXT}diagnostic_msgs/KeyValue\nstring key\nstring value\n",
-)
-ALL = (TWIST_STAMPED, IMU, JOINT_STATE, BATTERY_STATE, LOG, DIAGNOSTICS)
-
+FIELDS = {
+    "builtin_interfaces/Time": "int32 sec; uint32 nanosec",
+    "std_msgs/Header": "builtin_interfaces/Time stamp; string frame_id",
+    "geometry_msgs/Vector3": "float64 x; float64 y; float64 z",
+    "geometry_msgs/Quaternion": "float64 x 0; float64 y 0; float64 z 0; float64 w 1",
+    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear; geometry_msgs/Vector3 angular",
+    "geometry_msgs/TwistStamped": "std_msgs/Header header; geometry_msgs/Twist twist",
+    "sensor_msgs/Imu": "std_msgs/Header header; "
+    "geometry_msgs/Quaternion orientation; float64[9] orientation_covariance; "
+    "geometry_msgs/Vector3 angular_velocity; float64[9] angular_velocity_covariance; "
+    "geometry_msgs/Vector3 linear_acceleration; float64[9] linear_acceleration_covariance",
+    "sensor_msgs/JointState": "std_msgs/Header header; "
+    "string[] name; float64[] position; float64[] velocity; float64[] effort",
+    "sensor_msgs/BatteryState": "uint8 POWER_SUPPLY_STATUS_UNKNOWN=0; uint8 POWER_SUPPLY_STATUS_CHARGING=1; "
+    "uint8 POWER_SUPPLY_STATUS_DISCHARGING=2; uint8 POWER_SUPPLY_STATUS_NOT_CHARGING=3; "
+    "uint8 POWER_SUPPLY_STATUS_FULL=4; std_msgs/Header header; "
+    "float32 voltage; float32 temperature; float32 current; float32 charge; "
+    "float32 capacity; float32 design_capacity; float32 percentage; "
+    "uint8 power_supply_status; uint8 power_supply_health; uint8 power_supply_technology; bool present; "
+    "float32[] cell_voltage; float32[] cell_temperature; string location; string serial_number",
+    "rcl_interfaces/Log": "byte DEBUG=10; byte INFO=20; byte WARN=30; byte ERROR=40; byte FATAL=50; "
+    "builtin_interfaces/Time stamp; uint8 level; string name; string msg; string file; string function; uint32 line",
+    "diagnostic_msgs/KeyValue": "string key; string value",
+    "diagnostic_msgs/DiagnosticStatus": "byte OK=0; byte WARN=1; byte ERROR=2; byte STALE=3; "
+    "byte level; string name; string message; string hardware_id; diagnostic_msgs/KeyValue[] values",
+    "diagnostic_msgs/DiagnosticArray": "std_msgs/Header header; diagnostic_msgs/DiagnosticStatus[] status",
+}
 LOG_LEVELS = {"info": 20, "notice": 20, "warning": 30, "error": 40, "critical": 50}
+
+
+def definition(name: str) -> str:
+    """The whole definition of a message."""
+    return f"\n{'=' * 80}\n".join(_own(part) if part == name else f"MSG: {part}\n{_own(part)}" for part in _parts(name))
+
+
+def _own(name: str) -> str:
+    return FIELDS[name].replace("; ", "\n") + "\n"
+
+
+def _parts(name: str) -> list[str]:
+    """A message, and every one within it, once."""
+    types = [field.split()[0].removesuffix("[]") for field in FIELDS[name].split("; ")]
+    within = (part for kind in types if kind in FIELDS for part in _parts(kind))
+    return list(dict.fromkeys((name, *within)))

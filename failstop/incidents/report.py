@@ -24,6 +24,7 @@ INDENT = 16
 """Columns in front of a fact."""
 Fact = tuple[str, str, str]
 """Its name, what it says, and its role."""
+NOT_KNOWN = "not known"
 UNSTILL = "wheels NOT seen still"
 DRIVER_ENDS = ("driver_silent", "driver_gone", "driver_ended")
 TICK_NS = 100_000_000
@@ -32,19 +33,9 @@ LEAST_MS = 1.0
 LATE_S = 0.1
 """A stop that is written later than this is worth a look."""
 ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL, "command": ""}
-SHORT = {
-    "stop_outcome": "outcome",
-    "stop_again": "again",
-    "stop_also": "also",
-    "device_lost": "device",
-    "device_back": "device",
-    "driver_ended": "driver",
-    "driver_gone": "driver",
-    "driver_silent": "driver",
-}
-
-
-NOT_KNOWN = "not known"
+ROLES |= {"wire": DIM, "board": DIM}
+SHORT = {"stop_outcome": "outcome", "stop_again": "again", "stop_also": "also"}
+SHORT |= dict.fromkeys(("device_lost", "device_back"), "device") | dict.fromkeys(DRIVER_ENDS, "driver")
 
 
 def proof(stop: dict[str, Any] | None, head: dict[str, Any]) -> str:
@@ -64,6 +55,21 @@ def proof(stop: dict[str, Any] | None, head: dict[str, Any]) -> str:
     return ", ".join(parts)
 
 
+def known(incident: Incident) -> dict[str, Any] | None:
+    """What is known of the stop. Where the supervisor saw no shaking, since it was held up itself, the samples' word
+    on when the wheels came to rest."""
+    stop: dict[str, Any] | None = incident.head["stop"]
+    if stop is None or stop.get("observed_ms") or stop.get("wheels") == "unstill":
+        return stop
+    verdicts = signals.verdicts(incident)
+    turned = [still for ns, still in verdicts if ns <= incident.cause_ns][-1:] == [False]
+    rested = [ns for ns, still in verdicts if still and ns > incident.cause_ns]
+    if turned and rested:
+        # It is found so much later than it was.
+        return {**stop, "observed_ms": max(LEAST_MS, incident.ms(rested[0] - signals.FIRST_NS))}
+    return stop
+
+
 def when(unix_s: float) -> str:
     """Local time, as people read it."""
     return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(unix_s))
@@ -73,11 +79,10 @@ def table(heads: list[dict[str, Any]], columns: int) -> list[str]:
     """The list of incidents, the newest last: id, when, why, and how the stop was proven, below each other."""
     lines = []
     for head in heads:
+        said = proof(head["stop"], head)
         lines.append(paint(head["id"], STRONG))
         lines += wrap(f"{when(head['t'])}  {printable(head['reason'])}", columns, 2)
-        said = proof(head["stop"], head)
-        role = FAIL if "NOT " in said else DIM
-        lines += [paint(line, role) for line in wrap(said, columns, 2)]
+        lines += [paint(line, FAIL if "NOT " in said else DIM) for line in wrap(said, columns, 2)]
     return lines
 
 
@@ -85,34 +90,29 @@ def summary(incident: Incident, columns: int, since_ns: int, now_s: float, again
     """What matters, without scrolling: the facts, and the lines of the story that led to the stop and came of it;
     `again`: the words that name the incident on a command line."""
     columns = max(columns, NARROWEST)
-    lines = brief.choose(incident, story.tell(incident), since_ns)
+    more = f"--all tells the rest; a picture: `failstop incident plot{again}`"
     return [
         *_head(incident, columns, now_s),
-        "",
-        paint("Story", STRONG) + ", milliseconds from the cause",
-        *(row for line in lines for row in _row(incident, line, columns, short=True)),
-        *(
-            paint(row, DIM)
-            for row in wrap(f"--all tells the rest; a picture: `failstop incident plot{again}`", columns)
-        ),
+        *_story(incident, brief.choose(incident, story.tell(incident), since_ns), columns, short=True),
+        *(paint(row, DIM) for row in wrap(more, columns)),
     ]
 
 
 def text(incident: Incident, columns: int, since_ns: int, now_s: float) -> list[str]:
     """The whole report."""
     columns = max(columns, NARROWEST)
-    lines = story.tell(incident)
+    begin_ms, end_ms = map(incident.ms, incident.span_ns())
+    recorded = f"from {-begin_ms / 1e3:.1f} s before to {end_ms / 1e3:.1f} s after"
     return [
         *_head(incident, columns, now_s),
-        *_facts(_about(incident), columns),
-        "",
-        paint("Story", STRONG) + ", milliseconds from the cause",
-        *(row for line in story.within(lines, since_ns) for row in _row(incident, line, columns)),
+        *_facts([("recorded", recorded, "")], columns),
+        *_story(incident, story.within(story.tell(incident), since_ns), columns),
         "",
         paint("Processes", STRONG) + ", as the file was saved",
         *_processes(incident),
         "",
-        *_rest(incident, columns),
+        paint("Around it", STRONG),
+        *_facts(_around(incident), columns),
     ]
 
 
@@ -135,14 +135,12 @@ def _facts(rows: list[Fact], columns: int) -> list[str]:
 def _head(incident: Incident, columns: int, now_s: float) -> list[str]:
     """The facts: what, when, and the three times of the stop, which are kept apart."""
     head = incident.head
-    who = incident.cause.named() if incident.cause.kind is causes.REQUESTED else {}
-    asked_by = f"{who['who']} (pid {who['pid']})" if who else ""
     ago = f", {span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
     rows: list[Fact] = [
         ("why", incident.why, FAIL),
         ("when", f'{when(head["t"])}{ago}; service "{head["name"]}" on {head["host"]}', ""),
         ("before", _before(incident), ""),
-        ("noticed", _noticed(incident, asked_by), ""),
+        ("noticed", _noticed(incident), ""),
         *_proofs(incident),
     ]
     if head["kind"] == "left":
@@ -155,10 +153,31 @@ def _head(incident: Incident, columns: int, now_s: float) -> list[str]:
     return [f"{paint('Incident', STRONG)} {paint(incident.id, STRONG)}", *_facts(rows, columns)]
 
 
-def _noticed(incident: Incident, asked_by: str) -> str:
+def _before(incident: Incident) -> str:
+    """What the robot did when it happened, and since when it stood."""
+    ticks = [tick for tick in incident.ticks if tick.ns <= incident.cause_ns]
+    if not ticks:
+        return NOT_KNOWN
+    last = ticks[-1]
+    if last.block == signals.DRIVING:
+        age_ms = (last.age_us or 0) / 1e3 + (incident.cause_ns - last.ns) / 1e6
+        return f"driving, {story.velocity(last.velocity)}; {last.who} as {last.source}, command {age_ms:.0f} ms old"
+    driven_ns = max((tick.ns for tick in ticks if tick.block == signals.DRIVING), default=0)
+    since_ns = next(tick.ns for tick in ticks if tick.ns > driven_ns)
+    # What was told before they turned for the last time explains nothing.
+    least = "" if driven_ns else "at least "
+    stood = f"the wheels stood ({story.block(last)}), for {least}{took((incident.cause_ns - since_ns) / 1e9)}"
+    ended = [e.text for e in incident.events if e.kind in DRIVER_ENDS and e.ns <= since_ns + TICK_NS]
+    return f"{stood}; {ended[-1]}" if driven_ns and ended else stood
+
+
+def _noticed(incident: Incident) -> str:
     by = story.noticed_by(incident)
     said = f"by the {story.name(by)}" if by else NOT_KNOWN
-    return f"{said}; asked for by {asked_by}" if asked_by else said
+    if incident.cause.kind is not causes.REQUESTED:
+        return said
+    who = incident.cause.named()
+    return f"{said}; asked for by {who['who']} (pid {who['pid']})"
 
 
 def _proofs(incident: Incident) -> list[Fact]:
@@ -166,20 +185,22 @@ def _proofs(incident: Incident) -> list[Fact]:
     stop = known(incident) or {}
     recorded = took(max(0.0, incident.ms(incident.span_ns()[1]) / 1e3))
     written: Fact = ("written", f"NOT within the {recorded} that are recorded after the cause", FAIL)
+    heard: Fact = ("acknowledged", f"{NOT_KNOWN}: no answer of the board to it is recorded", WARN)
+    seen: Fact = ("observed", f"{NOT_KNOWN}: the IMU said nothing of it that is recorded", WARN)
     if not stop:
         written = ("written", f"{NOT_KNOWN}: nobody of the service has told of it, nor is it recorded", FAIL)
     elif stop.get("written_us") is not None:
         by = f"by the {story.name(stop['written_by'])}, " if stop.get("written_by") else ""
         after_s = stop["written_us"] / 1e6
-        written = (
-            "written",
-            f"{by}after {took(after_s)}{_delayed(incident, after_s)}",
-            WARN if after_s > LATE_S else "",
-        )
-    heard: Fact = ("acknowledged", f"{NOT_KNOWN}: no answer of the board to it is recorded", WARN)
+        said = f"{by}after {took(after_s)}{_delayed(incident, after_s)}"
+        written = ("written", said, WARN if after_s > LATE_S else "")
     if (heard_us := stop.get("acknowledged_us")) is not None:
         heard = ("acknowledged", f"by the board, after {took(heard_us / 1e6)}", "")
-    return [written, heard, ("observed", *_observed(stop))]
+    if (seen_ms := stop.get("observed_ms")) is not None:
+        seen = ("observed", f"by the IMU: {wheels_seen(seen_ms / 1e3)}", "")
+    elif stop.get("wheels") == "unstill":
+        seen = ("observed", f"by the IMU: {UNSTILL}", FAIL)
+    return [written, heard, seen]
 
 
 def _delayed(incident: Incident, after_s: float) -> str:
@@ -189,79 +210,28 @@ def _delayed(incident: Incident, after_s: float) -> str:
     return ", when the port was back" if back else ""
 
 
-def known(incident: Incident) -> dict[str, Any] | None:
-    """What is known of the stop. Where the supervisor saw no shaking, since it was held up itself, the samples' word
-    on when the wheels came to rest."""
-    stop: dict[str, Any] | None = incident.head["stop"]
-    if stop is None or stop.get("observed_ms") or stop.get("wheels") == "unstill":
-        return stop
-    verdicts = signals.verdicts(incident)
-    turned = [still for ns, still in verdicts if ns <= incident.cause_ns][-1:] == [False]
-    rested = [ns for ns, still in verdicts if still and ns > incident.cause_ns]
-    if turned and rested:
-        # It is found so much later than it was.
-        return {**stop, "observed_ms": max(LEAST_MS, incident.ms(rested[0] - signals.FIRST_NS))}
-    return stop
+def _story(incident: Incident, lines: list[Line], columns: int, *, short: bool = False) -> list[str]:
+    rows = (row for line in lines for row in _row(incident, line, columns, short=short))
+    return ["", paint("Story", STRONG) + ", milliseconds from the cause", *rows]
 
 
-def _observed(stop: dict[str, Any]) -> tuple[str, str]:
-    """The IMU's word and its role."""
-    if (seen_ms := stop.get("observed_ms")) is not None:
-        return f"by the IMU: {wheels_seen(seen_ms / 1e3)}", ""
-    if stop.get("wheels") == "unstill":
-        return f"by the IMU: {UNSTILL}", FAIL
-    return f"{NOT_KNOWN}: the IMU said nothing of it that is recorded", WARN
-
-
-def _about(incident: Incident) -> list[Fact]:
-    begin_ns, end_ns = incident.span_ns()
-    span = f"from {-incident.ms(begin_ns) / 1e3:.1f} s before to {incident.ms(end_ns) / 1e3:.1f} s after"
-    return [("recorded", span, "")]
-
-
-def _before(incident: Incident) -> str:
-    """What the robot did when it happened, and since when it stood."""
-    ticks = [tick for tick in incident.ticks if tick.ns <= incident.cause_ns]
-    if not ticks:
-        return NOT_KNOWN
-    last = ticks[-1]
-    if last.block != "driving":
-        driven = [tick.ns for tick in ticks if tick.block == "driving"]
-        since_ns = next(tick.ns for tick in ticks if tick.ns > max(driven, default=0))
-        ended = [
-            event.text for event in incident.events if event.kind in DRIVER_ENDS and event.ns <= since_ns + TICK_NS
-        ]
-        # What was told before they turned for the last time explains nothing.
-        least = "" if driven else "at least "
-        stood = f"the wheels stood ({story.block(last)}), for {least}{took((incident.cause_ns - since_ns) / 1e9)}"
-        return f"{stood}; {ended[-1]}" if driven and ended else stood
-    age_ms = (last.age_us or 0) / 1e3 + (incident.cause_ns - last.ns) / 1e6
-    return f"driving, {story.velocity(last.velocity)}; {last.who} as {last.source}, command {age_ms:.0f} ms old"
-
-
-def _row(incident: Incident, line: Line, columns: int, *, short: bool = False) -> list[str]:
+def _row(incident: Incident, line: Line, columns: int, *, short: bool) -> list[str]:
     cause = line.what == CAUSE
     label = SHORT.get(line.what, printable(line.what.replace("_", " "))[:LABEL])
-    said = printable(line.text)
-    more = _more(incident, line)
+    said, width = printable(line.text), columns - LEAD
+    until = f"until {incident.ms(line.until_ns):+.1f}"
+    more = f" ({line.count} x {until})" if line.count > 1 else ""
     if short and not cause:
-        if more and len(said) + len(more) > columns - LEAD:
-            more = f" (until {incident.ms(line.until_ns):+.1f})"
-        first, rest = cut(said, columns - LEAD - len(more)) + more, []
+        if len(said) + len(more) > width:
+            more = f" ({until})" if more else ""
+        first, rest = cut(said, width - len(more)) + more, []
     else:
-        first, *rest = wrap(said + more, columns - LEAD)
-    stamp = f"{incident.ms(line.ns):>+10.1f}" if not cause else f"{'0':>10}"
-    role = ROLES.get(line.what, DIM if line.what in ("wire", "board") else "")
+        first, *rest = wrap(said + more, width)
+    role = ROLES.get(line.what, "")
+    rest = [" " * LEAD + row for row in rest]
     if cause:
-        return [paint(f">>{stamp}  {label:<{LABEL}}  {first}", role), *(paint(" " * LEAD + row, role) for row in rest)]
-    return [f"  {stamp}  {paint(f'{label:<{LABEL}}', role)}  {first}", *(" " * LEAD + row for row in rest)]
-
-
-def _more(incident: Incident, line: Line) -> str:
-    """How often, and until when."""
-    if line.count < 2:
-        return ""
-    return f" ({line.count} x until {incident.ms(line.until_ns):+.1f})"
+        return [paint(f">>{'0':>10}  {label:<{LABEL}}  {first}", role), *(paint(row, role) for row in rest)]
+    return [f"  {incident.ms(line.ns):>+10.1f}  {paint(f'{label:<{LABEL}}', role)}  {first}", *rest]
 
 
 def _processes(incident: Incident) -> list[str]:
@@ -269,19 +239,17 @@ def _processes(incident: Incident) -> list[str]:
     lines = [f"  {'':<10} {'pid':>7}  {'state':<8} {'last beat':>9} {'worst turn':>10} {'restarts':>8}  last exit"]
     for name, row in incident.processes().items():
         ago_ms = max(0.0, (end_ns - row["beat_ns"]) / 1e6)
-        state = row.get("state", "")
         lines.append(
-            f"  {name:<10} {row['pid']:>7}  {state:<8} {ago_ms:>6.0f} ms {row['worst_ms']:>7.1f} ms"
+            f"  {name:<10} {row['pid']:>7}  {row.get('state', ''):<8} {ago_ms:>6.0f} ms {row['worst_ms']:>7.1f} ms"
             f" {row['restarts']:>8}  {row['last_exit'] or ''}".rstrip()
         )
     return lines
 
 
-def _rest(incident: Incident, columns: int) -> list[str]:
+def _around(incident: Incident) -> list[Fact]:
     """Machine, settings, versions: what is wanted once the story has raised a question."""
-    machine, versions = incident.machine, incident.head["versions"]
-    load = " ".join(f"{value:g}" for value in machine.get("load", []))
-    state = [f"load {load} on {machine.get('cores')} cores"]
+    machine = incident.machine
+    state = [f"load {' '.join(f'{value:g}' for value in machine.get('load', []))} on {machine.get('cores')} cores"]
     if "available_mb" in machine:
         state.append(f"{machine['available_mb']} MB of memory available")
     state += [
@@ -289,15 +257,11 @@ def _rest(incident: Incident, columns: int) -> list[str]:
         for key, value in machine.items()
         if key.startswith("pressure_") and value >= 1
     ]
-    changed = {key: value for key, value in incident.settings.items() if _default(key) != value}
-    shown = ", ".join(f"{key} = {value}" for key, value in changed.items())
+    changed = (f"{key} = {value}" for key, value in incident.settings.items() if _default(key) != value)
     of = "of the run that saved it; " if incident.head["kind"] == "left" else ""
-    pairs: list[Fact] = [
-        ("machine", ", ".join(state), ""),
-        ("settings", f"{of}{shown or 'all as by default'} ({len(incident.settings)} in all: --json)", ""),
-        ("versions", ", ".join(f"{name} {value}" for name, value in versions.items()), ""),
-    ]
-    return [paint("Around it", STRONG), *_facts(pairs, columns)]
+    settings = f"{of}{', '.join(changed) or 'all as by default'} ({len(incident.settings)} in all: --json)"
+    versions = ", ".join(f"{name} {value}" for name, value in incident.head["versions"].items())
+    return [("machine", ", ".join(state), ""), ("settings", settings, ""), ("versions", versions, "")]
 
 
 def _default(key: str) -> str | None:
@@ -309,30 +273,20 @@ def _default(key: str) -> str | None:
     return str(setting.default) if setting else None
 
 
-def _gate(incident: Incident) -> dict[str, Any]:
-    """What the gate said last, with what it had latched in words."""
-    found = incident.latest_map("gate", "state")
-    packed = found.get("estop")
-    return {**found, "estop": str(causes.read(packed))} if isinstance(packed, bytes) else found
-
-
 def as_dict(incident: Incident) -> dict[str, Any]:
     """For programs: everything of the report, and every setting."""
-    return {
-        "id": incident.id,
-        **incident.head,
-        "story": [
-            {
-                "ms": round(incident.ms(line.ns), 3),
-                "until_ms": round(incident.ms(line.until_ns), 3) if line.until_ns else None,
-                "what": line.what,
-                "text": line.text,
-                "count": line.count,
-            }
-            for line in story.tell(incident)
-        ],
-        "processes": incident.processes(),
-        "gate": _gate(incident),
-        "machine": incident.machine,
-        "settings": incident.settings,
-    }
+    gate = incident.latest_map("gate", "state")
+    if isinstance(packed := gate.get("estop"), bytes):
+        gate["estop"] = str(causes.read(packed))
+    lines = [
+        {
+            "ms": round(incident.ms(line.ns), 3),
+            "until_ms": round(incident.ms(line.until_ns), 3) if line.until_ns else None,
+            "what": line.what,
+            "text": line.text,
+            "count": line.count,
+        }
+        for line in story.tell(incident)
+    ]
+    found = {"id": incident.id, **incident.head, "story": lines, "processes": incident.processes(), "gate": gate}
+    return {**found, "machine": incident.machine, "settings": incident.settings}

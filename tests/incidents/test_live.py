@@ -16,8 +16,8 @@ import psutil
 import pytest
 
 from failstop.api.events import EventLog
-from failstop.incidents import pending, signals, store, story
-from failstop.incidents.incident import Incident
+from failstop.incidents import pending, store, story
+from failstop.incidents.incident import MOTION, Incident
 from failstop.lab.trial import Trial, wait_for
 from failstop.shm import box, layout
 
@@ -134,7 +134,7 @@ def check_driven(incident: Incident) -> None:
     assert bursts[0].by == layout.PORT_OWNER
     assert incident.ms(bursts[0].ns) < 100
     assert incident.head["stop"]["written_us"] < 100_000
-    motion_after = [w for w in incident.writes if signals.kind(w) == signals.MOTION and w.ns > bursts[0].ns]
+    motion_after = [w for w in incident.writes if w.sort == MOTION and w.ns > bursts[0].ns]
     assert motion_after == []
     end_ns = incident.span_ns()[1]
     assert 1900 < incident.ms(end_ns) < 10_000

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from failstop.board.servos import POSITION, TORQUE, bus_servo_move
-from failstop.incidents import export, messages, plot, shades, signals, story
+from failstop.incidents import export, messages, plot, signals, story
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
 from failstop.policy import causes
@@ -87,7 +87,7 @@ def test_an_export_is_read_back_with_the_decoder_of_ros_2(incident: Incident, tm
     found: dict[str, list[tuple[int, object]]] = {}
     for message in reader.read_ros2_messages(path):
         found.setdefault(message.channel.topic, []).append((message.log_time_ns, message.ros_msg))
-        assert message.schema.name in [name for name, _ in messages.ALL]
+        assert message.schema.data.decode() == messages.definition(message.schema.name.replace("/msg/", "/"))
     assert sum(map(len, found.values())) == count
     assert set(found) == {
         f"/failstop/{topic}" for topic in ("command", "gated", "wheels", "imu", "battery", "events", "processes")
@@ -138,19 +138,19 @@ def test_where_the_gate_was_silent_the_picture_says_so_and_draws_no_decision() -
         made.command(ms, (0.2, 0.0, 0.0))
         made.tick(ms)
     made.beats(2200)
-    told = [(what, begin, end) for what, begin, end in shades.spans(made.incident()) if what == shades.SILENT]
-    assert told == [(shades.SILENT, at(-80), at(300)), (shades.SILENT, at(980), at(2200))]
+    told = [(what, begin, end) for what, begin, end in signals.gate_spans(made.incident()) if what == signals.SILENT]
+    assert told == [(signals.SILENT, at(-80), at(300)), (signals.SILENT, at(980), at(2200))]
 
 
 def test_a_dead_gate_is_silent_however_soon_it_is_back() -> None:
     made = Recorder()
     for ms in (-40, -20, 0, 40, 60):
         made.tick(ms)
-    assert [what for what, _, _ in shades.spans(made.incident())] == ["disabled"]
+    assert [what for what, _, _ in signals.gate_spans(made.incident())] == ["disabled"]
     made.event(5, "died", "gate (pid 102) was killed by SIGKILL", "error", process="gate", pid=102)
-    assert shades.spans(made.incident()) == [
+    assert signals.gate_spans(made.incident()) == [
         ("disabled", at(-40), at(0)),
-        (shades.SILENT, at(0), at(40)),
+        (signals.SILENT, at(0), at(40)),
         ("disabled", at(40), at(60)),
     ]
 
@@ -186,8 +186,9 @@ def test_where_the_arm_s_joints_were_sent_is_a_panel_of_its_own(tmp_path: Path) 
     board.put(box.pack_servo(4, POSITION, None), at(80.0))
     board.put(box.pack_servo(4, POSITION, 0), at(90.0))
     found = parts.incident()
-    assert signals.joint_readings(found) == {1: [(at(-900.0), 500), (at(40.0), 519)]}
-    assert signals.joint_goals(found) == {1: [(at(-810.0), 519.0)], 4: [(at(-810.0), 281.5)]}
+    base, wrist = signals.joints(found)
+    assert (base.read, wrist.read) == ([(at(-900.0), 500), (at(40.0), 519)], [])
+    assert (base.goals, wrist.goals) == ([(at(-810.0), 519.0)], [(at(-810.0), 281.5)])
     told = [line.text for line in story.tell(found) if line.what == "arm"]
     assert told == [
         "follow for nav (pid 77), last: base 519, wrist 282",
@@ -196,8 +197,8 @@ def test_where_the_arm_s_joints_were_sent_is_a_panel_of_its_own(tmp_path: Path) 
         "base (1) is read to be at 519",
     ]
     assert found.undecoded == 0
-    assert [pulses for _, pulses in signals.joint_tracks(found)[1]] == list(range(500, 520))
-    assert signals.joint_names(found) == {1: "base", 4: "wrist"}
+    assert [pulses for _, pulses in base.sent] == list(range(500, 520))
+    assert [(joint.servo, joint.name) for joint in (base, wrist)] == [(1, "base"), (4, "wrist")]
     pytest.importorskip("matplotlib")
     plot.save(found, str(tmp_path / "arm.png"), 5.0)
     assert (tmp_path / "arm.png").read_bytes().startswith(b"\x89PNG")

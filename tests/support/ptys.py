@@ -11,7 +11,7 @@ import tty
 from collections.abc import Iterator
 
 from failstop.board.framing import MOTOR
-from failstop.incidents.motors import Motors
+from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import Receiver
 
 DEADLINE_S = 20.0
