@@ -6,6 +6,7 @@ written, and nothing else.
 
 from __future__ import annotations
 
+import contextlib
 import struct
 
 from failstop.policy import causes
@@ -102,33 +103,32 @@ def left_cause(copies: Copies) -> tuple[int, int, Cause]:
     return max(beats.values()), supervisor["epoch"], causes.ALL_DIED()
 
 
+def _rows(copies: Copies, record: str) -> list[Entry]:
+    """What the port owner has left in a ring of its own; nothing where it left no segment."""
+    there = layout.PORT_OWNER in copies
+    return whole(layout.PORT_OWNER, record, *copies[layout.PORT_OWNER]) if there else []
+
+
 def _causes(copies: Copies) -> list[tuple[int, int, Cause]]:
     """What the port owner noticed: (cause_ns, epoch, cause), in order."""
     found = []
-    if layout.PORT_OWNER in copies:
-        for _, _, payload in whole(layout.PORT_OWNER, "stops", *copies[layout.PORT_OWNER]):
-            try:
-                epoch, cause_ns, _, cause = records.STOPPED.unpack(payload)
-            except ValueError:
-                continue
+    for _, _, payload in _rows(copies, "stops"):
+        with contextlib.suppress(ValueError):
+            epoch, cause_ns, _, cause = records.STOPPED.unpack(payload)
             found.append((cause_ns, epoch, causes.read(cause)))
     return sorted(found, key=lambda noticed: noticed[:2])
 
 
 def left_stop(copies: Copies, cause_ns: int) -> dict[str, Any] | None:
     """What is known of the stop that ended such a run, as supervisor/stops.py has it; None: nobody wrote one."""
-    written: dict[str, int] = {}
-    if layout.PORT_OWNER in copies:
-        for _, ns, payload in whole(layout.PORT_OWNER, "box", *copies[layout.PORT_OWNER]):
-            kind, length, taken, _ = box.unpack_wire(payload)
-            if kind == box.BURST and taken == length and ns >= cause_ns:
-                written.setdefault("port owner", ns)
+    written: dict[int, str] = {}
+    for _, ns, payload in _rows(copies, "box"):
+        kind, length, taken, _ = box.unpack_wire(payload)
+        if kind == box.BURST and taken == length:
+            written.setdefault(ns, "port owner")
     if layout.STOPPER in copies:
-        ns = words(layout.STOPPER, copies[layout.STOPPER][1])["written_ns"]
-        if ns >= cause_ns:
-            written["stopper"] = ns
-    if not written:
+        written.setdefault(words(layout.STOPPER, copies[layout.STOPPER][1])["written_ns"], "stopper")
+    if not (after := [ns for ns in written if ns >= cause_ns]):
         return None
-    by = min(written, key=lambda name: written[name])
-    stop = {"written_by": by, "written_us": (written[by] - cause_ns) / 1e3}
+    stop = {"written_by": written[min(after)], "written_us": (min(after) - cause_ns) / 1e3}
     return stop | {"noticed_by": None, "acknowledged_us": None, "observed_ms": None}

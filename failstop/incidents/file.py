@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
+from itertools import count
 from zlib import compress, crc32, decompressobj
 from zlib import error as ZlibError
 
@@ -70,12 +71,8 @@ def write_as(path: str, data: bytes) -> None:
 
 
 def _free(folder: str, name: str) -> str:
-    path = os.path.join(folder, name + SUFFIX)
-    count = 1
-    while os.path.exists(path):
-        count += 1
-        path = os.path.join(folder, f"{name}-{count}{SUFFIX}")
-    return path
+    names = (f"{name}{f'-{number}' * (number > 1)}{SUFFIX}" for number in count(1))
+    return next(path for each in names if not os.path.exists(path := os.path.join(folder, each)))
 
 
 def clear_drafts(folder: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import closing
 from typing import Any
 
 import msgpack
@@ -25,21 +26,15 @@ def unsaved(name: str, heads: list[dict[str, Any]], now_s: float) -> dict[str, A
     """The service's last stop, as supervisor/stops.py publishes it, when it is recent and in none of the incidents."""
     try:
         memory, owner = last_run(name)
-        supervisor = segment.attach(memory, layout.SUPERVISOR, owner=owner)
-    except (FailstopError, segment.AttachError):
-        return None
-    try:
-        entry = supervisor.latest_reader("stop").read()
-        run = f"{supervisor.incarnation:016x}"
-    finally:
-        supervisor.close()
-    try:
+        with closing(segment.attach(memory, layout.SUPERVISOR, owner=owner)) as supervisor:
+            entry = supervisor.latest_reader("stop").read()
         stop: dict[str, Any] = msgpack.unpackb(entry[2]) if entry else {}
         # What comes while a stop is latched belongs to that one's file.
         if not stop or stop["latched"] != stop["cause"] or not 0 <= now_s - stop["t"] < RECENT_S:
             return None
+        run = f"{supervisor.incarnation:016x}"
         saved = any(head.get("run") == run and head["epoch"] >= stop["epoch"] for head in heads)
-    except (ValueError, KeyError, TypeError, msgpack.UnpackException):
+    except (FailstopError, segment.AttachError, ValueError, KeyError, TypeError, msgpack.UnpackException):
         return None
     return None if saved else {**stop, "reason": str(causes.read(stop["cause"]))}
 
@@ -47,8 +42,6 @@ def unsaved(name: str, heads: list[dict[str, Any]], now_s: float) -> dict[str, A
 def wait(name: str, environ: Mapping[str, str], patience_s: float = PATIENCE_S) -> dict[str, Any] | None:
     """Until the last stop is saved; returns it when it was not within `patience_s`."""
     until_s = time.monotonic() + patience_s
-    while True:
-        stop = unsaved(name, store.heads(name, environ)[0], time.time())
-        if stop is None or time.monotonic() >= until_s:
-            return stop
+    while (stop := unsaved(name, store.heads(name, environ)[0], time.time())) and time.monotonic() < until_s:
         time.sleep(LOOK_S)
+    return stop

@@ -14,8 +14,9 @@ import time
 from unicodedata import normalize
 
 from failstop.incidents import copying, file, outcome
-from failstop.incidents.prune import prune
+from failstop.incidents.store import FOLDER, prune
 from failstop.policy import causes
+from failstop.procs.telemetry.state_files import state_directory
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import STARTING
 from failstop.supervisor.blackbox import NOTHING, START_NS
@@ -28,12 +29,11 @@ if TYPE_CHECKING:
     from failstop.incidents.copying import Copies
     from failstop.policy.causes import Cause
 
-FOLDER = "incidents"
 SLUG_CHARACTERS = frozenset("abcdefghijklmnopqrstuvwxyz0123456789")
 SLUG_LENGTH = 32
 RETURN_NS = 12_000_000_000
 """A lost port is waited for: no stop can be written before it is back, and a USB drop lasts 3 to 8 s."""
-LOOK_S = 0.25
+LOOK_NS = 250_000_000
 PRESSURES = ("cpu", "memory", "io")
 
 
@@ -75,11 +75,10 @@ def _save(words: dict[str, str]) -> str:
         incarnation, data = segment.copy(fds[layout.PORT_OWNER], name, layout.PORT_OWNER)
         earlier = copying.whole(layout.PORT_OWNER, "received", incarnation, data)
         del data
-    hurried = _wait(int(words["until_ns"]), int(words["hurry"]))
+    hurry, until_ns = int(words["hurry"]), int(words["until_ns"])
+    hurried = _wait(until_ns, hurry)
     if live and not hurried:
-        _wait_for_port(
-            name, fds[layout.PORT_OWNER], int(words["cause_ns"]), int(words["until_ns"]), int(words["hurry"])
-        )
+        _wait_for_port(name, fds[layout.PORT_OWNER], int(words["cause_ns"]), until_ns, hurry)
     copies = {which: segment.copy(fd, name, which) for which, fd in fds.items()}
     segments = {which: copying.segment(which, run, data) for which, (run, data) in copies.items()}
     if earlier:
@@ -92,7 +91,7 @@ def _save(words: dict[str, str]) -> str:
     else:
         # What came before the end, if no other file has it, is what people look for.
         cause = copying.unsaved_cause(copies, START_NS) or copying.left_cause(copies)
-    folder = os.path.join(_state_directory(name), FOLDER)
+    folder = os.path.join(state_directory(name, os.environ), FOLDER)
     path = file.write(folder, *_contents(name, cause, live, copies, segments))
     prune(folder, name, int(words["keep"]), int(words["max_mb"]) * 1_000_000)
     return os.path.basename(path).removesuffix(file.SUFFIX)
@@ -106,14 +105,15 @@ def _wait(until_ns: int, hurry: int) -> bool:
 
 def _wait_for_port(name: str, fd: int, cause_ns: int, until_ns: int, hurry: int) -> None:
     """While the port is lost; once it is back, as long again as after any stop."""
-    give_up_ns = cause_ns + RETURN_NS
     lost = False
-    while _port_lost(name, fd) and time.monotonic_ns() < give_up_ns:
-        lost = True
-        if select.select((hurry,), (), (), LOOK_S)[0]:
+    while (now_ns := time.monotonic_ns()) < cause_ns + RETURN_NS:
+        if not _port_lost(name, fd):
+            if lost:
+                _wait(now_ns + until_ns - cause_ns, hurry)
             return
-    if lost and time.monotonic_ns() < give_up_ns:
-        _wait(time.monotonic_ns() + until_ns - cause_ns, hurry)
+        lost = True
+        if _wait(now_ns + LOOK_NS, hurry):
+            return
 
 
 def _port_lost(name: str, fd: int) -> bool:
@@ -122,22 +122,16 @@ def _port_lost(name: str, fd: int) -> bool:
     return bool(found) and records.PORT.unpack(found[-1][2])[2] == records.PORT_LOST
 
 
-def _state_directory(name: str) -> str:
-    from failstop.procs.telemetry.state_files import state_directory
-
-    return state_directory(name, os.environ)
-
-
 def _contents(
     name: str, cause: tuple[int, int, Cause], live: bool, copies: Copies, segments: dict[str, Any]
 ) -> tuple[str, bytes]:
     """The file's name, without its suffix, and its bytes."""
     cause_ns, epoch, why = cause
-    now_s = time.time()
+    now_s, release = time.time(), os.uname()
     # One clock for all that is in the file; a wall clock that was set since the stop is off by as much.
     unix_minus_monotonic_ns = round(now_s * 1e9) - time.monotonic_ns()
     at_s = (cause_ns + unix_minus_monotonic_ns) / 1e9
-    release = os.uname()
+    versions = {"failstop": VERSION, "python": ".".join(map(str, sys.version_info[:3]))}
     head = {
         "name": name,
         "t": at_s,
@@ -152,12 +146,7 @@ def _contents(
         "layout": layout.LAYOUT_VERSION,
         "run": f"{copies[layout.SUPERVISOR][0]:016x}",
         "host": release.nodename,
-        "versions": {
-            "failstop": VERSION,
-            "python": ".".join(map(str, sys.version_info[:3])),
-            "kernel": release.release,
-            "machine": release.machine,
-        },
+        "versions": {**versions, "kernel": release.release, "machine": release.machine},
     }
     body = {
         "segments": segments,
@@ -179,7 +168,7 @@ def _outcome(copies: Copies, segments: dict[str, Any], cause: tuple[int, int, Ca
         return told
     seen = copying.left_stop(copies, cause_ns)
     if told and seen:
-        told |= {"written_by": seen["written_by"], "written_us": seen["written_us"]}
+        return told | {"written_by": seen["written_by"], "written_us": seen["written_us"]}
     return told or seen
 
 

@@ -13,7 +13,7 @@ import pytest
 from failstop.incidents import brief, export, file, plot, report, story
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
-from failstop.incidents.prune import prune
+from failstop.incidents.store import prune
 from tests.support.imports import FORBIDDEN, imported
 from tests.support.incident_parts import drive_and_die
 

@@ -11,7 +11,7 @@ import pytest
 from failstop.cli.main import main
 from failstop.incidents import store
 from failstop.incidents.file import IncidentError
-from failstop.incidents.prune import prune
+from failstop.incidents.store import prune
 from tests.support.incident_parts import UNIX_NS, drive_and_die
 
 MADE = drive_and_die()
