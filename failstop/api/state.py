@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from math import pi
 from typing import Any, cast
 
@@ -45,6 +46,24 @@ WHEELS = (1, 2, 3, 4)
 """As the settings number them: front and rear on the left, front and rear on the right."""
 
 
+RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
+    "processes": (layout.SUPERVISOR, msgpack.unpackb),
+    "settings": (layout.SUPERVISOR, msgpack.unpackb),
+    "stop": (layout.SUPERVISOR, msgpack.unpackb),
+    "link": (layout.SUPERVISOR, lambda payload: payload.decode("ascii", "replace")),
+    "latch": (layout.SUPERVISOR, records.LATCH.unpack),
+    "state": (layout.GATE, msgpack.unpackb),
+    "said": (layout.GATE, msgpack.unpackb),
+    "port": (layout.PORT_OWNER, records.PORT.unpack),
+    "imu": (layout.TELEMETRY, records.IMU.unpack),
+    "battery": (layout.TELEMETRY, records.BATTERY.unpack),
+    "bias": (layout.TELEMETRY, records.BIAS.unpack),
+    "odometry": (layout.TELEMETRY, records.ODOMETRY.unpack),
+    "pad": (layout.TELEMETRY, records.PAD.unpack),
+}
+"""What a snapshot is made of: whose each record is, and what reads it."""
+
+
 class StateReader:
     """Reads snapshots of one run of a service; reads only, and needs no client slot."""
 
@@ -54,43 +73,40 @@ class StateReader:
         self.name = name
         self.incarnation = self.run.incarnation
         others = (which for which in layout.PROCESSES if which != layout.SUPERVISOR)
-        views = {
-            layout.SUPERVISOR: self.run.supervisor,
-            **{which: attach(name, which, self.run.found) for which in others},
-        }
+        views = {which: attach(name, which, self.run.found) for which in others}
+        views[layout.SUPERVISOR] = self.run.supervisor
         self._beats = {which: heartbeat.HeartbeatReader(view) for which, view in views.items()}
         self._epoch = views[layout.SUPERVISOR].word("epoch")
-        self._table = views[layout.SUPERVISOR].latest_reader("processes")
-        self._settings = views[layout.SUPERVISOR].latest_reader("settings")
-        self._stop = views[layout.SUPERVISOR].latest_reader("stop")
-        self._link = views[layout.SUPERVISOR].latest_reader("link")
-        self._latch = views[layout.SUPERVISOR].latest_reader("latch")
-        self._gate = views[layout.GATE].latest_reader("state")
-        self._said = views[layout.GATE].latest_reader("said")
-        self._port = views[layout.PORT_OWNER].latest_reader("port")
+        self._records = {record: views[whose].latest_reader(record) for record, (whose, _) in RECORDS.items()}
         self._stops = views[layout.PORT_OWNER].ring_reader("stops", from_oldest=True)
         self._stopped: tuple[int, Cause | None] = (0, None)
         """The newest epoch in which the port owner stopped by itself, and its first cause there."""
         self._joints: dict[str, Joint] = {}
         self._mounted: tuple[tuple[int, float], ...] = ()
         """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
-        self._imu = views[layout.TELEMETRY].latest_reader("imu")
-        self._battery = views[layout.TELEMETRY].latest_reader("battery")
-        self._bias = views[layout.TELEMETRY].latest_reader("bias")
-        self._odometry = views[layout.TELEMETRY].latest_reader("odometry")
-        self._pad = views[layout.TELEMETRY].latest_reader("pad")
+
+    def _value(self, record: str) -> Any:
+        """The newest value of one of RECORDS; None before the first."""
+        entry = self._records[record].read()
+        return RECORDS[record][1](entry[2]) if entry else None
+
+    def _begun(self, record: str) -> Any:
+        """The same of one that each service that runs has. Raises FailstopError before that."""
+        if (found := self._value(record)) is None:
+            raise self._starting()
+        return found
+
+    def _starting(self) -> FailstopError:
+        return FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
 
     def read(self) -> State:
         """A snapshot now. Raises FailstopError while the service has not published one yet."""
-        dead = self.run.dead()
-        epoch = self._epoch.get()  # before the gate's record: a newer one is then no sign of a stop
-        gate, table = self._gate.read(), self._table.read()
-        if gate is None or table is None:
-            raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
+        decided, cause, epoch, told_ns, dead = self._decided()
+        known: dict[str, Any] = self._begun("processes")
         now_ns = time.monotonic_ns()
-        battery = records.BATTERY.unpack(found[2]) if (found := self._battery.read()) else None
-        decided, cause = self._decided(gate[2], epoch, now_ns, dead=dead)
-        known: dict[str, Any] = msgpack.unpackb(table[2])
+        millivolts, plugged = self._value("battery") or (0, 0)
+        imu, bias, odometry, pad = map(self._value, ("imu", "bias", "odometry", "pad"))
+        starved, attended = known["starved"], decided.get("attended")
         return State(
             name=self.name,
             enabled=decided["enabled"],
@@ -103,31 +119,26 @@ class StateReader:
             waiting_for=known["waiting_for"],
             device=self._device(),
             processes=self._processes(known["processes"], now_ns, dead=dead),
-            starved=_starved(known["starved"]),
+            starved=starved and Starved(starved["times"], starved["longest_ms"] / 1000, starved["process"]),
             clients=self._clients(decided["clients"], now_ns),
             sources=tuple(Source(**row) for row in decided["sources"]),
-            scan_age_s=max(0, now_ns - decided["scan_ns"]) / 1e9 if decided["scan_ns"] else None,
+            scan_age_s=_age_s(now_ns, decided["scan_ns"]) if decided["scan_ns"] else None,
             last_stop=self._last_stop(),
-            imu=self._sample(),
-            gyro_bias=self._gyro_bias(),
-            odometry=self._pose(),
-            pad_mode=self._pad_mode(),
-            battery_v=battery[0] / 1000 if battery and battery[0] else None,
-            plugged=cast("Plugged", records.PLUGGED[battery[1] if battery else 0]),
-            attended_by=tuple(names) if (names := decided.get("attended")) is not None else None,
-            age_s=max(0, now_ns - gate[1]) / 1e9,
+            imu=imu and Imu(imu[:3], imu[3:], RATE_VARIANCE),
+            gyro_bias=bias and GyroBias(bias[:3], *bias[3:]),
+            odometry=odometry and Odometry(*(*odometry, POSE_VARIANCE)),
+            pad_mode=pad and cast("PadMode", records.PAD_MODES[pad[6]]),
+            battery_v=millivolts / 1000 or None,
+            plugged=cast("Plugged", records.PLUGGED[plugged]),
+            attended_by=None if attended is None else tuple(attended),
+            age_s=_age_s(now_ns, told_ns),
             arm=self._arm(decided.get("arm"), now_ns),
         )
 
     def decided(self) -> tuple[dict[str, Any], Cause | None]:
         """What the gate has decided last, and what is latched: the part of read() that a driving program needs each
         time. Raises FailstopError."""
-        dead = self.run.dead()
-        epoch = self._epoch.get()
-        gate = self._gate.read()
-        if gate is None:
-            raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
-        return self._decided(gate[2], epoch, time.monotonic_ns(), dead=dead)
+        return self._decided()[:2]
 
     def _wheels(self, speeds_rps: list[float]) -> Wheels:
         if not self._mounted:
@@ -146,40 +157,47 @@ class StateReader:
         for name, servo, commanded, measured, measured_ns, torque, temperature_c, supply_mv in found["joints"]:
             joint = self._joints[name]
             at = measured if commanded is None else commanded
+            angle_rad, commanded_rad, at_rad = (
+                None if pulses is None else round(joint.rad(pulses), 4) for pulses in (measured, commanded, at)
+            )
             joints[name] = JointState(
                 servo=servo,
-                angle_rad=None if measured is None else round(joint.rad(measured), 4),
+                angle_rad=angle_rad,
                 pulses=measured,
-                age_s=None if measured is None else max(0, now_ns - measured_ns) / 1e9,
-                commanded_rad=None if commanded is None else round(joint.rad(commanded), 4),
+                age_s=None if measured is None else _age_s(now_ns, measured_ns),
+                commanded_rad=commanded_rad,
                 commanded_pulses=commanded,
                 torque=torque,
                 temperature_c=temperature_c or None,
                 supply_v=supply_mv / 1000 if supply_mv else None,
-                at_rad=None if at is None else round(joint.rad(at), 4),
+                at_rad=at_rad,
                 at_by="" if at is None else "read" if at == measured else "sent",
             )
         return ArmState(**{**found, "joints": joints, "silent": tuple(found["silent"]), "wrong": tuple(found["wrong"])})
 
     def settings(self) -> dict[str, float | str]:
         """Every setting that the service was started with, by its whole key. Raises FailstopError while it starts."""
-        entry = self._settings.read()
-        if entry is None:
-            raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
-        found: dict[str, float | str] = msgpack.unpackb(entry[2])
+        found: dict[str, float | str] = self._begun("settings")
         return found
 
-    def _decided(self, payload: bytes, epoch: int, now_ns: int, *, dead: bool) -> tuple[dict[str, Any], Cause | None]:
-        """What the gate has published, and what is latched. A stop that it has not followed yet, because it hangs or
-        has just died, is in force all the same: the port owner admits nothing of an older epoch, nor of the one
-        in which it stopped by itself, and the gate's successor starts latched. The same holds for a gate that says on
-        what it said before the supervisor died or fell silent."""
-        decided: dict[str, Any] = msgpack.unpackb(payload)
+    def _decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
+        """What the gate has published, what is latched, the epoch, when the gate published it, and whether the
+        supervisor is dead. A stop that the gate has not followed yet, because it hangs or has just died, is in force
+        all the same: the port owner admits nothing of an older epoch, nor of the one in which it stopped by itself, and
+        the gate's successor starts latched. The same holds for a gate that says on what it said before the supervisor
+        died or fell silent."""
+        dead = self.run.dead()
+        epoch = self._epoch.get()  # before the gate's record: a newer one is then no sign of a stop
+        if (entry := self._records["state"].read()) is None:
+            raise self._starting()
+        _, told_ns, payload = entry
+        decided: dict[str, Any] = RECORDS["state"][1](payload)
         tripped = causes.read(decided["estop"]) if decided["estop"] else None
-        cause = self._latched() or tripped
+        since, _, _, latched = self._value("latch") or (0, 0, 0, b"")
+        cause = (causes.read(latched) if since else None) or tripped
         # Its death comes before what the port owner has noticed of it: the gate dies with it.
         cause = cause or (causes.DIED(layout.SUPERVISOR) if dead else self._own_stop(epoch))
-        if not cause and decided["enabled"] and self.run.silent(now_ns):
+        if not cause and decided["enabled"] and self.run.silent(time.monotonic_ns()):
             cause = causes.SILENT()
         if cause and not tripped:
             decided |= {
@@ -190,13 +208,7 @@ class StateReader:
                 "sources": [],
                 "clients": [{**client, "driving": False} for client in decided["clients"]],
             }
-        return decided, cause
-
-    def _latched(self) -> Cause | None:
-        """By the supervisor's word."""
-        entry = self._latch.read()
-        since, _, _, cause = records.LATCH.unpack(entry[2]) if entry else (0, 0, 0, b"")
-        return causes.read(cause) if since else None
+        return decided, cause, epoch, told_ns, dead
 
     def _own_stop(self, epoch: int) -> Cause | None:
         """Why the port owner stopped by itself in this epoch, which the supervisor has not answered yet; else None.
@@ -208,20 +220,16 @@ class StateReader:
         return self._stopped[1] if self._stopped[0] >= epoch else None
 
     def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> tuple[Client, ...]:
-        entry = self._said.read()
         said = {
-            slot: {"sees": sees, "wrong": wrong, "said_s": max(0, now_ns - t_ns) / 1e9}
-            for slot, t_ns, sees, wrong in (msgpack.unpackb(entry[2]) if entry else ())
+            slot: {"sees": sees, "wrong": wrong, "said_s": _age_s(now_ns, t_ns)}
+            for slot, t_ns, sees, wrong in self._value("said") or ()
         }
         return tuple(Client(**client, **said.get(client["slot"], {})) for client in clients)
 
     def _device(self) -> Device:
-        entry, link = self._port.read(), self._link.read()
-        proof = cast("Link", link[2].decode("ascii", "replace") if link else "unproven")
-        if entry is None:
-            return Device(None, "closed", proof)
-        _, _, state, path = records.PORT.unpack(entry[2])
-        return Device(path, cast("PortState", records.PORT_STATES[state]), proof)
+        *_, state, path = self._value("port") or (0, 0, None, None)
+        found = "closed" if state is None else records.PORT_STATES[state]
+        return Device(path, cast("PortState", found), cast("Link", self._value("link") or "unproven"))
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
         """`dead`: the supervisor, which keeps the table, has died; two of the others have with it."""
@@ -252,10 +260,9 @@ class StateReader:
         )
 
     def _last_stop(self) -> Stop | None:
-        entry = self._stop.read()
-        if entry is None:
+        found: dict[str, Any] | None = self._value("stop")
+        if found is None:
             return None
-        found: dict[str, Any] = msgpack.unpackb(entry[2])
         cause = causes.read(found["cause"])
         return Stop(
             cause=cause,
@@ -270,40 +277,13 @@ class StateReader:
             sent=found["sent"],
         )
 
-    def _pad_mode(self) -> PadMode | None:
-        entry = self._pad.read()
-        mode = records.PAD_MODES[records.PAD.unpack(entry[2])[6]] if entry else None
-        return cast("PadMode | None", mode)
-
-    def _sample(self) -> Imu | None:
-        entry = self._imu.read()
-        if entry is None:
-            return None
-        ax, ay, az, *rate = records.IMU.unpack(entry[2])
-        x, y, z = rate
-        return Imu((ax, ay, az), (x, y, z), RATE_VARIANCE)
-
-    def _gyro_bias(self) -> GyroBias | None:
-        entry = self._bias.read()
-        if entry is None:
-            return None
-        x, y, z, tracking, calibrated = records.BIAS.unpack(entry[2])
-        return GyroBias((x, y, z), tracking, calibrated)
-
-    def _pose(self) -> Odometry | None:
-        entry = self._odometry.read()
-        if entry is None:
-            return None
-        x_m, y_m, th_rad, vx_mps, vy_mps, wz_radps, std_mps, std_radps = records.ODOMETRY.unpack(entry[2])
-        return Odometry(x_m, y_m, th_rad, vx_mps, vy_mps, wz_radps, std_mps, std_radps, POSE_VARIANCE)
-
 
 def _seconds(value: float | None, each: float) -> float | None:
     return None if value is None else value / each
 
 
-def _starved(found: dict[str, Any] | None) -> Starved | None:
-    return None if found is None else Starved(found["times"], found["longest_ms"] / 1000, found["process"])
+def _age_s(now_ns: int, t_ns: int) -> float:
+    return max(0, now_ns - t_ns) / 1e9
 
 
 __all__ = ["Process", "State", "StateReader", "Stop"]
