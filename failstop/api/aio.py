@@ -6,9 +6,8 @@ import asyncio
 
 from failstop.api.events import LOOK_EVERY_S, Event, EventLog
 from failstop.api.news import News
-from failstop.api.request import Request
-from failstop.api.robot import POLL_S, Robot
-from failstop.api.waiting import Watch
+from failstop.api.robot import Robot
+from failstop.api.waiting import Steps, T, ask, reach
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import records
 
@@ -42,15 +41,9 @@ class AsyncRobot:
         self.robot.__exit__(kind, error, at)
 
     async def _ask(self, verb: int, told: Callable[[str], None] | None = None) -> str:
-        robot = self.robot
         async with self._turn:
-            request = Request(robot, verb, robot._answer_s, told)
-            try:
-                while (answer := request.look()) is None:
-                    await asyncio.sleep(POLL_S)
-            finally:
-                request.leave()
-        return robot._asked(verb, answer)
+            answer = await _through(ask(self.robot, verb, self.robot._answer_s, told))
+        return self.robot._asked(verb, answer)
 
     async def enable(self, told: Callable[[str], None] | None = None) -> str:
         """As Robot.enable."""
@@ -66,10 +59,7 @@ class AsyncRobot:
 
     async def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
         """As Robot.wait_for."""
-        with Watch(self.robot, what, timeout_s) as watch:
-            while (state := watch.look()) is None:
-                await _news(watch.news, watch.sleep_s())
-            return state
+        return await _through(reach(self.robot, what, timeout_s))
 
     def events(self, *, past: bool = False) -> AsyncIterator[Event]:
         """As Robot.events: `async for event in robot.events()`. What is told from this call on, whenever it is read: a
@@ -116,6 +106,19 @@ class AsyncRobot:
     def settings(self) -> dict[str, float | str]:
         """As Robot.settings."""
         return self.robot.settings
+
+
+async def _through(steps: Steps[T]) -> T:
+    """Take the steps, as waiting.sleep_through() does; the event loop goes on in between."""
+    try:
+        while True:
+            news, for_s = next(steps)
+            await (_news(news, for_s) if news else asyncio.sleep(for_s))
+    except StopIteration as done:
+        found: T = done.value
+        return found
+    finally:
+        steps.close()
 
 
 async def _follow(log: EventLog) -> AsyncIterator[Event]:

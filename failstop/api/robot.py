@@ -16,12 +16,11 @@ from failstop.api.client import Client, gone, runtime_dir, send_stop
 from failstop.api.driving import Answer, Blocked, judge, settled
 from failstop.api.errors import FailstopError, NoService, Refused
 from failstop.api.events import LOOK_EVERY_S, Event, EventLog
-from failstop.api.request import Request
 from failstop.api.run import Run
 from failstop.api.samples import Sample, SampleReader
 from failstop.api.snapshot import Block, State
 from failstop.api.state import StateReader
-from failstop.api.waiting import Watch
+from failstop.api.waiting import POLL_S, Turn, ask, reach, sleep_through
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import records
 from failstop.shm.instance import DEFAULT_NAME
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
 
 ANSWER_S = 1.0
 """How long a request may take; the gate answers within a tick."""
-POLL_S = 0.0003
 MOST_OF_A_NAME = 64
 """Bytes of an operator's name; the rest is left out."""
 TAKEN_S = 0.01
@@ -90,8 +88,8 @@ class Robot:
         self._disable_on_exit = disable_on_exit
         self._enabled = False
         """By this Robot."""
-        self._pending: Request | None = None
-        """The request that the gate has not answered yet."""
+        self._pending: Turn | None = None
+        """Whose request the gate has not answered yet."""
         self._run: Run | None = None
         self._state_reader: StateReader | None = None
         self._samples: SampleReader | None = None
@@ -146,13 +144,8 @@ class Robot:
 
     def _disable_at_the_end(self) -> None:
         """Whatever keeps it from being disabled keeps nobody from closing; the wheels stop by that too."""
-        request = Request(self, records.DISABLE, min(self._answer_s, CLOSING_S))
         with contextlib.suppress(FailstopError):
-            try:
-                while request.look() is None:
-                    time.sleep(POLL_S)
-            finally:
-                request.leave()
+            sleep_through(ask(self, records.DISABLE, min(self._answer_s, CLOSING_S)))
 
     @property
     def closed(self) -> bool:
@@ -222,13 +215,7 @@ class Robot:
     def _ask(
         self, verb: int, told: Callable[[str], None] | None = None, prepare: Callable[[Client], None] | None = None
     ) -> str:
-        request = Request(self, verb, self._answer_s, told, prepare)
-        try:
-            while (answer := request.look()) is None:
-                time.sleep(POLL_S)
-        finally:
-            request.leave()
-        return self._asked(verb, answer)
+        return self._asked(verb, sleep_through(ask(self, verb, self._answer_s, told, prepare)))
 
     def _asked(self, verb: int, answer: str) -> str:
         """What it means for the end of this Robot."""
@@ -357,10 +344,7 @@ class Robot:
         """Wait until the state is so, and return it: a word (failstop.api.waiting), or what a function of the state
         says. A service that is not there is waited for too, unless this Robot is of one run. Raises TimedOut, which
         says what is the case and what to do, and ValueError for a word that there is not."""
-        with Watch(self, what, timeout_s) as watch:
-            while (state := watch.look()) is None:
-                watch.news.wait(watch.sleep_s())
-            return state
+        return sleep_through(reach(self, what, timeout_s))
 
     def events(self, *, past: bool = False) -> Iterator[Event]:
         """What the service tells people, as it happens: stops, deaths, requests (docs/journal.md). Waits for the next
