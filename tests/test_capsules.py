@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.api.way import on_the_way
+from failstop.api.arm import on_the_way
 from failstop.policy.capsules import CHASSIS, FLOOR, Model, _apart_squared
 from failstop.policy.settings import Settings
 

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     T = TypeVar("T")
 
 
+RECORDS = ("command", "request", "sensed", "interlocks", "attended", "said", "arm_goal", "arm_path")
+"""What a client writes into its slot, once it has said hello there."""
 GIVEN_UP = "given up for a later request of this program"
 
 
@@ -154,14 +156,7 @@ class Client:
         # Without a thread or memory the gate learns of a death later, when the kernel has taken the process down.
         with contextlib.suppress(RuntimeError, OSError):
             self._held.life = HeldByThread(self._segment.futex("held", write=True))
-        self._commands = self._segment.latest_writer("command")
-        self._requests = self._segment.latest_writer("request")
-        self._sensed = self._segment.latest_writer("sensed")
-        self._interlocks = self._segment.latest_writer("interlocks")
-        self._attended = self._segment.latest_writer("attended")
-        self._said = self._segment.latest_writer("said")
-        self._arm_goal = self._segment.latest_writer("arm_goal")
-        self._arm_path = self._segment.latest_writer("arm_path")
+        self._records = {record: self._segment.latest_writer(record) for record in RECORDS}
         self._reply = self._gate.latest_reader(f"reply.{self.slot}")
         self._hint = bytes([self.slot])
         self._segment.latest_writer("hello").write(self._hello(self._session))
@@ -199,42 +194,42 @@ class Client:
     def command(self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str) -> None:
         """Hand a velocity command to the gate; returns at once. Raises NoService, and ValueError for a source that is
         too long."""
-        self._commands.write(records.COMMAND.pack(self._session, vx_mps, vy_mps, wz_radps, manual, source))
+        self._records["command"].write(records.COMMAND.pack(self._session, vx_mps, vy_mps, wz_radps, manual, source))
         self._ring()
 
     def sensed(self) -> None:
         """Say that the obstacle sensor delivered just now; the gate sees it at its next tick or command."""
-        self._sensed.write(records.HELD.pack(self._session, []))
+        self._records["sensed"].write(records.HELD.pack(self._session, []))
 
     def hold(self, names: list[str]) -> None:
         """Say that these interlocks hold now, and no others by this client; the gate sees it at its next tick."""
-        self._interlocks.write(records.HELD.pack(self._session, names))
+        self._records["interlocks"].write(records.HELD.pack(self._session, names))
 
     def attended(self, who: str, t_ns: int) -> None:
         """Say that an operator was there at that time; 0: is there no more. Raises NoService, and ValueError for a name
         that is too long."""
-        self._attended.write(records.HELD.pack(self._session, [who]), t_ns)
+        self._records["attended"].write(records.HELD.pack(self._session, [who]), t_ns)
         self._ring()
 
     def say(self, sees: str, wrong: str) -> None:
         """Say in a line what this program sees, and what is wrong; the gate passes it on within 0.2 s."""
-        self._said.write(records.SAID.pack(self._session, sees, wrong))
+        self._records["said"].write(records.SAID.pack(self._session, sees, wrong))
 
     def ask(self, verb: int) -> int:
         """Make a request; returns its number, for answer(). Raises NoService."""
         self._number += 1
-        self._requests.write(records.REQUEST.pack(self._session, self._number, verb))
+        self._records["request"].write(records.REQUEST.pack(self._session, self._number, verb))
         self._ring()
         return self._number
 
     def arm_goal(self, mode: int, values: dict[int, float]) -> None:
         """Hand a goal of the arm to the gate; returns at once. Raises NoService, ValueError."""
-        self._arm_goal.write(records.ARM_GOAL.pack(self._session, mode, values))
+        self._records["arm_goal"].write(records.ARM_GOAL.pack(self._session, mode, values))
         self._ring()
 
     def arm_path(self, share: float, servos: list[int], rows: records.Rows) -> None:
         """Leave a trajectory for the request that follows. Raises ValueError."""
-        self._arm_path.write(records.ARM_PATH.pack(self._session, share, servos, rows))
+        self._records["arm_path"].write(records.ARM_PATH.pack(self._session, share, servos, rows))
 
     def answer(self, asked: int) -> Reply | None:
         """The answer to a request; None while there is none. What the request has changed is in the state from then

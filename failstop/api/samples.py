@@ -10,6 +10,7 @@ sample: what one read brought has one time.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from failstop.api.client import attach
@@ -85,6 +86,9 @@ class OdometrySample(NamedTuple):
     """m2 and rad2: not to be trusted."""
 
 
+Sample = ImuSample | BatterySample | PadSample | OdometrySample
+
+
 class SampleReader:
     """The samples from now on; needs no permission and no client slot. Not thread-safe."""
 
@@ -108,7 +112,7 @@ class SampleReader:
         while entry := self._board.next():
             kind, values = box.unpack_board(entry[2])
             if make := _MAKERS.get(kind):
-                found.append(make(entry[1], values))
+                found.append(make(entry[1], *values))
         news = self._odometry.read()
         if news and news[0] != self._odometry_seq:
             self._odometry_seq = news[0]
@@ -118,22 +122,11 @@ class SampleReader:
         return found
 
 
-def _imu(t_ns: int, values: tuple[float, ...]) -> Sample:
-    return ImuSample(t_ns, values[:3], values[3:])
-
-
-def _battery(t_ns: int, values: tuple[float, ...]) -> Sample:
-    return BatterySample(t_ns, values[0] / 1000, records.PLUGGED[int(values[1])])
-
-
-def _pad(t_ns: int, values: tuple[float, ...]) -> Sample:
-    buttons, hat, *axes, mode = map(int, values)
-    return PadSample(t_ns, buttons, hat, tuple(axes), records.PAD_MODES[mode])
-
-
-_MAKERS = {box.IMU: _imu, box.BATTERY: _battery, box.PAD: _pad}
+_MAKERS: dict[int, Callable[..., Sample]] = {
+    box.IMU: lambda t_ns, *values: ImuSample(t_ns, values[:3], values[3:]),
+    box.BATTERY: lambda t_ns, millivolts, plugged: BatterySample(t_ns, millivolts / 1000, records.PLUGGED[plugged]),
+    box.PAD: lambda t_ns, buttons, hat, *rest: PadSample(t_ns, buttons, hat, rest[:-1], records.PAD_MODES[rest[-1]]),
+}
 """Of the box's records, those that are samples: what the arm's servos answer is told in State.arm."""
-
-Sample = ImuSample | BatterySample | PadSample | OdometrySample
 
 __all__ = ["BatterySample", "ImuSample", "OdometrySample", "PadSample", "Sample", "SampleReader"]

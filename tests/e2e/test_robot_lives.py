@@ -235,7 +235,7 @@ def test_no_command_of_a_thread_that_goes_on_reaches_the_wheels(trial: Trial) ->
 def test_a_closed_slot_s_descriptor_is_no_other_file_s(trial: Trial) -> None:
     """Whatever still has a writer of the slot must not reach the file that gets its number next."""
     robot = Robot(trial.name)
-    commands = robot._client()._commands
+    commands = robot._client()._records["command"]
     robot.close()
     with open(os.devnull, "wb"), pytest.raises(OSError, match="Bad file descriptor"):
         commands.write(b"x")
