@@ -14,8 +14,8 @@ from failstop.board import codec, framing, peripherals, servos
 from failstop.board.burst import BURST, FIRST_STOP_END
 from failstop.board.codec import STOP
 from failstop.board.framing import MOTOR
-from failstop.lab.sim.motors import Motors
 from failstop.lab import encoders
+from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
 
 VERSIONS = (10, 11, 12)

@@ -20,9 +20,9 @@ from failstop.board import codec, framing, peripherals, servos
 from failstop.board.codec import STOP, check_motion
 from failstop.board.framing import MOTOR, FrameError
 from failstop.board.peripherals import check_aux
-from failstop.lab.sim.motors import Motors
 from failstop.lab import encoders
 from failstop.lab.encoders import PING
+from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import Receiver
 
 VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text())

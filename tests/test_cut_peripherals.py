@@ -17,8 +17,8 @@ from failstop.board.burst import BURST
 from failstop.board.codec import STOP
 from failstop.board.framing import AUX_FUNCS, MAX_DATA, MOTOR, PWM_SERVO, FrameError, seal
 from failstop.board.peripherals import check_aux
-from failstop.lab.sim.motors import Motors
 from failstop.lab import encoders
+from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import Receiver
 
 pytestmark = pytest.mark.slow  # they cut each frame at every byte

@@ -18,8 +18,8 @@ from bench import ticks
 from failstop import FailstopError, Robot
 from failstop.api.client import send_stop
 from failstop.board.framing import MOTOR
-from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.client import Event
+from failstop.lab.sim.motors import Motors
 from failstop.lab.trial import wait_for
 
 ROOT = Path(__file__).resolve().parent.parent

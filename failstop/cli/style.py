@@ -142,7 +142,7 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
 
 def _words(line: Line) -> Iterable[Line]:
     """The words of a line, each with the spaces after it: what is written without a space between, in whatever roles.
-    A command in backquotes is not broken."""
+    A command in backquotes is not broken; a process id stays with its word."""
     word: Line = []
     for text, role in line:
         if text.startswith("`"):
@@ -150,7 +150,7 @@ def _words(line: Line) -> Iterable[Line]:
             continue
         start = 0
         for end in range(1, len(text) + 1):
-            if text[end - 1] == " " and (end == len(text) or text[end] != " "):
+            if text[end - 1] == " " and (end == len(text) or text[end] != " ") and text[end - 4 : end] != "pid ":
                 yield [*word, (text[start:end], role)]
                 word, start = [], end
         if start < len(text):

@@ -1,20 +1,24 @@
-"""Report: an incident as text for people, in 80 columns or what there is. Pure but for the colours (style.py)."""
+"""Report: an incident for people, as lines of a terminal (cli/style.py) of 80 columns or what there is. Pure."""
 
 from __future__ import annotations
 
-import textwrap
 import time
 from typing import Any
 
 from failstop.api.words import span, took
-from failstop.cli.style import DIM, FAIL, STRONG, WARN, cut, paint
+from failstop.cli import style
+from failstop.cli.style import DIM, FAIL, PLAIN, STRONG, WARN
 from failstop.incidents import brief, signals, story
 from failstop.incidents.incident import Incident
-from failstop.incidents.story import CAUSE, Line
+from failstop.incidents.story import CAUSE
 from failstop.policy import causes
 from failstop.policy.settings import BY_KEY, declaration
 from failstop.shm.records import printable
 from failstop.supervisor.stops import wheels_seen
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    Lines = list[style.Line]
 
 NARROWEST = 60
 LABEL = 10
@@ -75,64 +79,56 @@ def when(unix_s: float) -> str:
     return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(unix_s))
 
 
-def table(heads: list[dict[str, Any]], columns: int) -> list[str]:
+def table(heads: list[dict[str, Any]], columns: int) -> Lines:
     """The list of incidents, the newest last: id, when, why, and how the stop was proven, below each other."""
-    lines = []
+    lines: Lines = []
     for head in heads:
         said = proof(head["stop"], head)
-        lines.append(paint(head["id"], STRONG))
-        lines += wrap(f"{when(head['t'])}  {printable(head['reason'])}", columns, 2)
-        lines += [paint(line, FAIL if "NOT " in said else DIM) for line in wrap(said, columns, 2)]
+        lines.append([(head["id"], STRONG)])
+        lines += _wrapped("  ", f"{when(head['t'])}  {head['reason']}", PLAIN, columns)
+        lines += _wrapped("  ", said, FAIL if "NOT " in said else DIM, columns)
     return lines
 
 
-def summary(incident: Incident, columns: int, since_ns: int, now_s: float, again: str = "") -> list[str]:
+def summary(incident: Incident, columns: int, since_ns: int, now_s: float, again: str = "") -> Lines:
     """What matters, without scrolling: the facts, and the lines of the story that led to the stop and came of it;
     `again`: the words that name the incident on a command line."""
     columns = max(columns, NARROWEST)
-    more = f"--all tells the rest; a picture: `failstop incident plot{again}`"
     return [
         *_head(incident, columns, now_s),
         *_story(incident, brief.choose(incident, story.tell(incident), since_ns), columns, short=True),
-        *(paint(row, DIM) for row in wrap(more, columns)),
+        *_wrapped("", f"--all tells the rest; a picture: `failstop incident plot{again}`", DIM, columns),
     ]
 
 
-def text(incident: Incident, columns: int, since_ns: int, now_s: float) -> list[str]:
+def text(incident: Incident, columns: int, since_ns: int, now_s: float) -> Lines:
     """The whole report."""
     columns = max(columns, NARROWEST)
     begin_ms, end_ms = map(incident.ms, incident.span_ns())
     recorded = f"from {-begin_ms / 1e3:.1f} s before to {end_ms / 1e3:.1f} s after"
     return [
         *_head(incident, columns, now_s),
-        *_facts([("recorded", recorded, "")], columns),
+        *_facts([("recorded", recorded, PLAIN)], columns),
         *_story(incident, story.within(story.tell(incident), since_ns), columns),
-        "",
-        paint("Processes", STRONG) + ", as the file was saved",
-        *_processes(incident),
-        "",
-        paint("Around it", STRONG),
+        [],
+        [("Processes", STRONG), (", as the file was saved", PLAIN)],
+        *([("  ", PLAIN), *row] for row in style.table(_processes(incident))),
+        [],
+        [("Around it", STRONG)],
         *_facts(_around(incident), columns),
     ]
 
 
-def wrap(text: str, columns: int, indent: int = 0) -> list[str]:
-    """Lines of a text, each at most so wide; a process id stays with its word."""
-    margin = " " * indent
-    rows = textwrap.wrap(text.replace("pid ", "pid\xa0"), columns, initial_indent=margin, subsequent_indent=margin)
-    return [row.replace("\xa0", " ") for row in rows] or [margin]
+def _wrapped(lead: str, text: str, role: str, columns: int) -> Lines:
+    """A text behind what leads it, as wide as that from its second row on."""
+    return style.wrap([(lead, PLAIN), (printable(text), role)], columns, len(lead))
 
 
-def _facts(rows: list[Fact], columns: int) -> list[str]:
-    lines = []
-    for name, value, role in rows:
-        first, *rest = wrap(printable(value), columns - INDENT)
-        lines += [f"  {name:<{INDENT - 4}}  {paint(first, role)}"]
-        lines += [" " * INDENT + paint(line, role) for line in rest]
-    return lines
+def _facts(rows: list[Fact], columns: int) -> Lines:
+    return [line for name, said, role in rows for line in _wrapped(f"  {name:<{INDENT - 2}}", said, role, columns)]
 
 
-def _head(incident: Incident, columns: int, now_s: float) -> list[str]:
+def _head(incident: Incident, columns: int, now_s: float) -> Lines:
     """The facts: what, when, and the three times of the stop, which are kept apart."""
     head = incident.head
     ago = f", {span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
@@ -150,7 +146,7 @@ def _head(incident: Incident, columns: int, now_s: float) -> list[str]:
         rows.append(("note", f"{by}: what was told, no more.", WARN))
     if incident.undecoded:
         rows.append(("damaged", f"{incident.undecoded} records could not be decoded", WARN))
-    return [f"{paint('Incident', STRONG)} {paint(incident.id, STRONG)}", *_facts(rows, columns)]
+    return [[(f"Incident {incident.id}", STRONG)], *_facts(rows, columns)]
 
 
 def _before(incident: Incident) -> str:
@@ -210,40 +206,35 @@ def _delayed(incident: Incident, after_s: float) -> str:
     return ", when the port was back" if back else ""
 
 
-def _story(incident: Incident, lines: list[Line], columns: int, *, short: bool = False) -> list[str]:
-    rows = (row for line in lines for row in _row(incident, line, columns, short=short))
-    return ["", paint("Story", STRONG) + ", milliseconds from the cause", *rows]
+def _story(incident: Incident, lines: list[story.Line], columns: int, *, short: bool = False) -> Lines:
+    rows = (row for line in lines for row in _rows(incident, line, columns, short=short))
+    return [[], [("Story", STRONG), (", milliseconds from the cause", PLAIN)], *rows]
 
 
-def _row(incident: Incident, line: Line, columns: int, *, short: bool) -> list[str]:
-    cause = line.what == CAUSE
+def _rows(incident: Incident, line: story.Line, columns: int, *, short: bool) -> Lines:
     label = SHORT.get(line.what, printable(line.what.replace("_", " "))[:LABEL])
-    said, width = printable(line.text), columns - LEAD
+    label, role = f"{label:<{LABEL}}  ", ROLES.get(line.what, PLAIN)
+    said = printable(line.text)
+    if line.what == CAUSE:
+        return style.wrap([(f">>{'0':>10}  {label}{said}", role)], columns, LEAD)
     until = f"until {incident.ms(line.until_ns):+.1f}"
     more = f" ({line.count} x {until})" if line.count > 1 else ""
-    if short and not cause:
-        if len(said) + len(more) > width:
-            more = f" ({until})" if more else ""
-        first, rest = cut(said, width - len(more)) + more, []
-    else:
-        first, *rest = wrap(said + more, width)
-    role = ROLES.get(line.what, "")
-    rest = [" " * LEAD + row for row in rest]
-    if cause:
-        return [paint(f">>{'0':>10}  {label:<{LABEL}}  {first}", role), *(paint(row, role) for row in rest)]
-    return [f"  {incident.ms(line.ns):>+10.1f}  {paint(f'{label:<{LABEL}}', role)}  {first}", *rest]
+    if short:
+        if more and LEAD + len(said + more) > columns:
+            more = f" ({until})"
+        said = style.cut(said, columns - LEAD - len(more))
+    lead = (f"  {incident.ms(line.ns):>+10.1f}  ", PLAIN)
+    return style.wrap([lead, (label, role), (said + more, PLAIN)], columns, LEAD)
 
 
-def _processes(incident: Incident) -> list[str]:
+def _processes(incident: Incident) -> Lines:
     end_ns = incident.span_ns()[1]
-    lines = [f"  {'':<10} {'pid':>7}  {'state':<8} {'last beat':>9} {'worst turn':>10} {'restarts':>8}  last exit"]
+    rows = [("", " pid", "state", " last beat", " worst turn", " restarts", "last exit")]
     for name, row in incident.processes().items():
         ago_ms = max(0.0, (end_ns - row["beat_ns"]) / 1e6)
-        lines.append(
-            f"  {name:<10} {row['pid']:>7}  {row.get('state', ''):<8} {ago_ms:>6.0f} ms {row['worst_ms']:>7.1f} ms"
-            f" {row['restarts']:>8}  {row['last_exit'] or ''}".rstrip()
-        )
-    return lines
+        times = (f" {ago_ms:.0f} ms", f" {row['worst_ms']:.1f} ms", f" {row['restarts']}")
+        rows.append((name, f" {row['pid']}", row.get("state", ""), *times, row["last_exit"] or ""))
+    return [[(text, PLAIN) for text in row] for row in rows]
 
 
 def _around(incident: Incident) -> list[Fact]:

@@ -15,7 +15,7 @@ from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Incident
 from failstop.incidents.store import prune
 from tests.support.imports import FORBIDDEN, imported
-from tests.support.incident_parts import drive_and_die
+from tests.support.incident_parts import drive_and_die, printed
 
 HEAD = {"name": "failstop", "t": 1.5}
 KEPT = Path(__file__).parent / "kept" / "0.1.0-gate-died.incident"
@@ -103,7 +103,7 @@ def test_an_incident_of_another_layout_tells_what_was_told(tmp_path: Path) -> No
     assert [event.kind for event in found.events] == ["enabled", "stop", "died"]
     for whole in (False, True):
         tell = report.text if whole else report.summary
-        text = "\n".join(tell(found, 200, found.cause_ns - 10**10, found.head["t"]))
+        text = printed(tell(found, 200, found.cause_ns - 10**10, found.head["t"]))
         assert re.search(r"^  why +the mast fell$", text, re.M)
         assert "Of failstop 0.1.0, which laid its records out otherwise" in text
         assert "gate (pid 102) was killed by SIGKILL" in text

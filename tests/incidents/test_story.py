@@ -14,7 +14,7 @@ from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE, Line
 from failstop.policy import causes
 from failstop.shm import layout
-from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
+from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die, printed
 
 NOW_S = UNIX_NS / 1e9 + 7200
 
@@ -29,11 +29,11 @@ def told(incident: Incident, what: str) -> list[str]:
 
 
 def text(incident: Incident, columns: int = 80, seconds: float = 10.0) -> str:
-    return "\n".join(report.text(incident, columns, incident.cause_ns - round(seconds * 1e9), NOW_S))
+    return printed(report.text(incident, columns, incident.cause_ns - round(seconds * 1e9), NOW_S))
 
 
 def summary(incident: Incident, columns: int = 80, seconds: float = 10.0) -> str:
-    return "\n".join(report.summary(incident, columns, incident.cause_ns - round(seconds * 1e9), NOW_S))
+    return printed(report.summary(incident, columns, incident.cause_ns - round(seconds * 1e9), NOW_S))
 
 
 def test_lines_are_in_the_order_of_time_and_one_is_the_cause(incident: Incident) -> None:

@@ -11,13 +11,13 @@ from failstop.incidents import brief, report, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE
 from failstop.policy import causes
-from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die
+from tests.support.incident_parts import CAUSE_NS, UNIX_NS, Recorder, at, drive_and_die, printed
 
 TERMINAL_LINES = 24
 
 
 def shown(made: Recorder, columns: int = 80) -> list[str]:
-    return report.summary(made.incident(), columns, at(-10_000), UNIX_NS / 1e9 + 300)
+    return printed(report.summary(made.incident(), columns, at(-10_000), UNIX_NS / 1e9 + 300)).splitlines()
 
 
 def fact(made: Recorder, name: str) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import msgpack
 
 from failstop.board.interface import BOARD
+from failstop.cli import style
 from failstop.incidents import file
 from failstop.incidents.incident import Incident
 from failstop.policy import causes
@@ -28,6 +29,11 @@ RATE_STILL, RATE_MOVING = 0.002, 0.006
 def at(ms: float) -> int:
     """CLOCK_MONOTONIC of a moment."""
     return CAUSE_NS + round(ms * 1e6)
+
+
+def printed(lines: list[style.Line]) -> str:
+    """A report, without its colours."""
+    return "\n".join(map(style.plain, lines))
 
 
 class KeptRing:

@@ -54,14 +54,14 @@ def main(arguments: Namespace) -> int:
 
 
 def _list(arguments: Namespace) -> int:
-    from failstop.cli.style import width
+    from failstop.cli.style import show, width
     from failstop.incidents import report
 
     found, problems = store.heads(arguments.name, os.environ)
     if arguments.json:
         print(json.dumps(found, indent=2))
     elif found:
-        print("\n".join(report.table(found, width())))
+        show(report.table(found, width()))
     elif not problems:
         print(f"no incidents of {arguments.name!r}: nothing was latched yet")
     for problem in problems:
@@ -72,7 +72,7 @@ def _list(arguments: Namespace) -> int:
 def _show(arguments: Namespace) -> int:
     import time
 
-    from failstop.cli.style import width
+    from failstop.cli.style import show, width
     from failstop.incidents import report
 
     incident = _meant(arguments)
@@ -84,7 +84,7 @@ def _show(arguments: Namespace) -> int:
             lines = report.text(incident, width(), since_ns, time.time())
         else:
             lines = report.summary(incident, width(), since_ns, time.time(), _same(arguments))
-        print("\n".join(lines))
+        show(lines)
     return 0
 
 

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from random import Random
 
 from failstop.board.framing import BUS_SERVO, MOTOR, PWM_SERVO
-from failstop.lab.sim.motors import Motors
 from failstop.lab.sim import upward
 from failstop.lab.sim.imu import Imu
+from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import Receiver
 from failstop.lab.sim.servos import Servos
 
