@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import closing
 
 from failstop.api.events import LOOK_EVERY_S, Event, EventLog
 from failstop.api.news import News
@@ -122,18 +123,14 @@ async def _through(steps: Steps[T]) -> T:
 
 
 async def _follow(log: EventLog) -> AsyncIterator[Event]:
-    news = News(log.name)
-    try:
+    with closing(News(log.name)) as news:
         while True:
-            news.clear()
-            news.watch()
+            news.look()
             found = log.read()
             for event in found:
                 yield event
             if not found:
                 await _news(news, LOOK_EVERY_S)
-    finally:
-        news.close()
 
 
 async def _news(news: News, timeout_s: float) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Iterator
+from contextlib import closing
 
 import msgpack
 
@@ -74,18 +75,14 @@ class EventLog:
     def follow(self, every_s: float = POLL_S) -> Iterator[Event | None]:
         """Every event, those that are there first, each as it is told; None when there is none for a while (`every_s`),
         so that the caller can do something else. Raises NoService when the service has ended."""
-        news = News(self.name)
-        try:
+        with closing(News(self.name)) as news:
             while True:
-                news.clear()
-                news.watch()
+                news.look()
                 found = self.read()
                 yield from found
                 if not found:
                     news.wait(every_s)
                     yield None
-        finally:
-            news.close()
 
     def skip(self) -> None:
         """Only what is told from here on."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import NamedTuple
 
 from failstop.api import words
 
@@ -20,16 +21,14 @@ STAMP = "%Y%m%d-%H%M%S"
 STAMP_CHARACTERS = len("20260131-120000")
 
 
-class Earlier:
-    """The run before this one, which was not ended in order: when, how, and the incident that was saved of it."""
+class Earlier(NamedTuple):
+    """The run before this one, which was not ended in order."""
 
-    __slots__ = ("how", "incident", "t")
-
-    def __init__(self, t: float, how: str, incident: str) -> None:
-        """`t`: Unix time, to the second."""
-        self.t = t
-        self.how = how
-        self.incident = incident
+    t: float
+    """When: Unix time, to the second."""
+    how: str
+    incident: str
+    """The incident that was saved of it."""
 
     def show(self, name: str) -> str:
         """The command that tells its story."""

@@ -56,6 +56,11 @@ class News:
             self._watched = self._watched and not mask & ~_MODIFY
             at += 16 + int.from_bytes(told[at + 12 : at + 16], "little")
 
+    def look(self) -> None:
+        """Before a look at what there may be news of: whatever is told after this wakes whoever waits."""
+        self.clear()
+        self.watch()
+
     def wait(self, timeout_s: float) -> None:
         """Sleep until there may be news."""
         poll = select.poll()

@@ -91,32 +91,27 @@ class Run:
 
     def check_source(self, source: str) -> None:
         """Raises Undeclared for a source that no client may command as; FailstopError while the service starts."""
-        if source not in self._sources and source not in (declared := self._declared("sources")):
-            if source == PAD:
-                raise Undeclared(f"source {PAD!r} is the board's gamepad alone; a client's are {', '.join(declared)}")
-            raise self._undeclared("source", source, declared)
+        if source not in self._sources:
+            self._check("source", (source,))
 
     def check_interlocks(self, interlocks: tuple[str, ...]) -> None:
         """Raises Undeclared for an interlock that the settings do not name; FailstopError while the service starts."""
         if interlocks:
-            declared = self._declared("interlocks")
-            for interlock in interlocks:
-                if interlock not in declared:
-                    raise self._undeclared("interlock", interlock, declared)
+            self._check("interlock", interlocks)
 
-    def _declared(self, family: str) -> list[str]:
+    def _check(self, kind: str, names: tuple[str, ...]) -> None:
         if not (rules := self._follow()):
             raise FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
-        found: list[str] = rules[family]
-        return found
-
-    def _undeclared(self, kind: str, name: str, declared: list[str]) -> Undeclared:
-        nearest = _nearest(name[:LONGEST_SHOWN], declared)
+        declared: list[str] = rules[f"{kind}s"]
         known = ", ".join(declared) or "none"
-        return Undeclared(
-            f"no {kind} {name[:LONGEST_SHOWN]!r} in the settings of {self.name!r}, which declare: {known}; "
-            + (f"did you mean {nearest!r}?" if nearest else f"add [{kind}s.NAME] and restart the service")
-        )
+        for name in (name[:LONGEST_SHOWN] for name in names if name not in declared):
+            if (kind, name) == ("source", PAD):
+                raise Undeclared(f"source {PAD!r} is the board's gamepad alone; a client's are {known}")
+            nearest = _nearest(name, declared)
+            raise Undeclared(
+                f"no {kind} {name!r} in the settings of {self.name!r}, which declare: {known}; "
+                + (f"did you mean {nearest!r}?" if nearest else f"add [{kind}s.NAME] and restart the service")
+            )
 
 
 def _nearest(name: str, declared: list[str]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Generator
+from contextlib import closing
 from typing import Literal, TypeVar, get_args
 
 from failstop.api import verdict
@@ -142,11 +143,9 @@ def reach(robot: Robot, what: Word | Callable[[State], bool], timeout_s: float |
         raise ValueError(f"wait_for({what!r}): no such word; there are {', '.join(_CHECKS)}")
     name = getattr(what, "__name__", "that") if callable(what) else what
     until_s = float("inf") if timeout_s is None else time.monotonic() + timeout_s
-    news = News(robot.name)
-    try:
+    with closing(News(robot.name)) as news:
         while True:
-            news.clear()
-            news.watch()
+            news.look()
             late, state = time.monotonic() >= until_s, None
             try:
                 state = robot.state
@@ -159,8 +158,6 @@ def reach(robot: Robot, what: Word | Callable[[State], bool], timeout_s: float |
             if late and timeout_s is not None:
                 raise TimedOut(_late(name, timeout_s, state))
             yield news, min(LOOK_S, max(0.0, until_s - time.monotonic()))
-    finally:
-        news.close()
 
 
 def _late(name: str, timeout_s: float, state: State | None) -> str:

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgpack
 
@@ -26,8 +26,7 @@ is a frame for the arm's servos."""
 _SPEEDS = struct.Struct(f"<6x{'Bf' * framing.WHEELS}")
 
 
-@dataclass(frozen=True)
-class Tick:
+class Tick(NamedTuple):
     """What the gate decided at one tick."""
 
     ns: int
@@ -88,8 +87,7 @@ class Write:
         return PING if self.head in BOARD.pings else OTHER
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """One IMU sample, as published: m/s2, and rad/s less the bias."""
 
     ns: int
@@ -97,8 +95,7 @@ class Sample:
     rate_radps: tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class ArmGoal:
+class ArmGoal(NamedTuple):
     """What the arm was to do at a moment, as box.pack_arm."""
 
     ns: int
@@ -108,19 +105,15 @@ class ArmGoal:
     aims: dict[int, float]
 
 
-@dataclass(frozen=True)
-class Stop:
+class Stop(NamedTuple):
     """A cause, as who noticed it put it into shared memory."""
 
     ns: int
     noticed_by: str
     cause: Cause
-    written_ns: int
-    """0: not known, or not written."""
 
 
-@dataclass(frozen=True)
-class Event:
+class Event(NamedTuple):
     """What people were told."""
 
     ns: int
@@ -272,8 +265,8 @@ class Incident:
         """Every cause that port owner and gate noticed."""
         found = []
         for segment, ring in ((layout.PORT_OWNER, "stops"), (layout.GATE, "trips")):
-            for _, (_, cause_ns, written_ns, cause) in self._entries(segment, ring, records.STOPPED.unpack):
-                found.append(Stop(cause_ns, segment, causes.read(cause), written_ns))
+            for _, (_, cause_ns, _, cause) in self._entries(segment, ring, records.STOPPED.unpack):
+                found.append(Stop(cause_ns, segment, causes.read(cause)))
         return sorted(found, key=lambda stop: stop.ns)
 
     @cached_property

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import groupby, pairwise
 from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -75,8 +76,7 @@ def verdicts(incident: Incident) -> list[tuple[int, bool]]:
     return found
 
 
-@dataclass(frozen=True)
-class Silence:
+class Silence(NamedTuple):
     """A process that did not beat for longer than it should."""
 
     process: str
