@@ -6,6 +6,7 @@ service may be of another version, half started or half dead.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import stat
@@ -19,7 +20,7 @@ from failstop.shm import bell, instance, layout, records
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.api.state import State, StateReader
+    from failstop.api.state import State
 
 LATCH_S = 1.0
 """How long a request may take until it is seen latched; the service needs a few milliseconds."""
@@ -56,17 +57,24 @@ def send(name: str, reason: str, who: str) -> str:
 def _watch(name: str, pipe: int) -> tuple[str, str]:
     """The port owner reads the pipe when it has written the stop: an empty pipe is a stop that is out. A flood of
     others' requests never leaves it empty; then an epoch newer than the one seen first says as much."""
+    from failstop.api.state import StateReader
+
     until_s = time.monotonic() + LATCH_S
-    reader, problem = _reader(name)
+    reader, problem = None, ""
+    try:
+        reader = StateReader(name)
+    except Exception as error:  # whatever is wrong with its memory, the request is in the pipe
+        problem = str(error)
     taken, first_epoch = False, -1
     while time.monotonic() < until_s:
         taken = taken or _waiting(pipe) == 0
         if taken and not reader:
             return f"the service {name!r} has written the stop; whether it is latched can't be seen from here", problem
-        if state := _state(reader):
-            first_epoch = state.epoch if first_epoch < 0 else first_epoch
-            if state.estop and (taken or state.epoch > first_epoch):
-                return _told(name, state)
+        with contextlib.suppress(Exception):  # likewise, and it may be better the next time
+            if reader and (state := reader.read()):
+                first_epoch = state.epoch if first_epoch < 0 else first_epoch
+                if state.estop and (taken or state.epoch > first_epoch):
+                    return _told(name, state)
         time.sleep(LOOK_S)
     return "", problem or f"the service {name!r} has not latched it within {LATCH_S:g} s"
 
@@ -79,23 +87,6 @@ def _told(name: str, state: State) -> tuple[str, str]:
     return text, f"{doubt}: use the POWER SWITCH" if doubt else ""
 
 
-def _reader(name: str) -> tuple[StateReader | None, str]:
-    """What reads the state, or why nothing can."""
-    from failstop.api.state import StateReader
-
-    try:
-        return StateReader(name), ""
-    except Exception as error:  # whatever is wrong with its memory, the request is in the pipe
-        return None, str(error)
-
-
-def _state(reader: StateReader | None) -> State | None:
-    try:
-        return reader.read() if reader else None
-    except Exception:  # likewise, and it may be better the next time
-        return None
-
-
 def _waiting(pipe: int) -> int:
     """Bytes that nobody has read yet. Raises OSError."""
     found: tuple[int] = _INT.unpack(fcntl.ioctl(pipe, termios.FIONREAD, _INT.pack(0)))
@@ -104,15 +95,10 @@ def _waiting(pipe: int) -> int:
 
 def port_of(name: str) -> str:
     """The port of a service, by its own word; empty when that can't be read."""
-    try:
-        found = attach(name, layout.PORT_OWNER)
-        try:
-            entry = found.latest_reader("port").read()
-        finally:
-            found.close()
-        return records.PORT.unpack(entry[2])[3] if entry else ""
-    except Exception:  # whatever is wrong with its memory
-        return ""
+    with contextlib.suppress(Exception), contextlib.closing(attach(name, layout.PORT_OWNER)) as found:
+        if entry := found.latest_reader("port").read():
+            return records.PORT.unpack(entry[2])[3]
+    return ""
 
 
 def same(port: str, device: str) -> bool:
