@@ -153,7 +153,7 @@ class Supervisor:
         self._stop_for_news(ready, now_ns)
         self._follow_aftermath(now_ns)
         self.processes.reap(ready, now_ns)
-        self.processes.arm()
+        self.processes.arm(self._port)
         self._follow_port(ready, now_ns)
         self._follow_answer(now_ns)
         self._follow_reset(now_ns)

@@ -77,10 +77,10 @@ class PortOwner:
         self._silence_ns = 2 * settings.ns("gate.refresh_s")
         self._stuck = False
         self._watched = (-1, 0)
-        self._attach(context)
-        self._watch_others(context)
-        self.epoch = self._epoch_word.get()
         self.wire = Wire(context.fd("port"), self.bus.servos)
+        self._attach(context)
+        self._watch_others(context, self.wire.tell)
+        self.epoch = self._epoch_word.get()
         self._number = context.port_number
         self._path = settings.text("device.path")
         self._burst()
@@ -101,8 +101,8 @@ class PortOwner:
         self._supervisor_bell = context.bell("supervisor_bell")
         self._telemetry_bell = context.bell("telemetry_bell")
 
-    def _watch_others(self, context: Context) -> None:
-        """What it reads, and what wakes it."""
+    def _watch_others(self, context: Context, tell: Callable[[], None]) -> None:
+        """What it reads, and what wakes it; `tell`: what is done first at the early news of a death."""
         supervisor = context.segment("supervisor")
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_beat = supervisor.word("beat_ns")
@@ -113,9 +113,12 @@ class PortOwner:
         self._control = Control(context.fd("control"))
         self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
-        self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 0)
-        self._gate = Peer(layout.GATE, context, self.loop)
-        self._peers = (self._gate, *(Peer(name, context, self.loop) for name in (layout.TELEMETRY, layout.STOPPER)))
+        self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 0, tell)
+        self._gate = Peer(layout.GATE, context, self.loop, tell)
+        self._peers = (
+            self._gate,
+            *(Peer(name, context, self.loop, tell) for name in (layout.TELEMETRY, layout.STOPPER)),
+        )
         for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._stop_pipe, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
 
@@ -210,6 +213,7 @@ class PortOwner:
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
         """The supervisor's is the end of this process too, when the stop has been repeated."""
+        self.wire.answer()
         for peer in self._peers:
             if peer.died(ready):
                 self.wire.burst()

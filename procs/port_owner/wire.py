@@ -73,15 +73,14 @@ class Wire(StopPort):
     def frame(self, data: bytes, backlog: int = 0) -> bool:
         """Write one frame. False, with nothing of it written or kept, when the kernel holds bytes and was handed more
         than `backlog` of them here, or takes none: what is kept for later would be late."""
-        if self.lost or self.unsent or (self._holds() and max(self._handed, 1) > backlog):
-            self._note(box.FRAME, data, 0)
-            return False
-        taken = self._write(data)
+        with self._writing:
+            if self.lost or self.unsent or self._barred or (self._holds() and max(self._handed, 1) > backlog):
+                taken = 0
+            else:
+                taken = self._write(data)
+                self.unsent = b"" if self.lost else data[taken:] if taken else b""
         self._note(box.FRAME, data, taken)
-        if self.lost or not taken:
-            return False
-        self.unsent = data[taken:]
-        return True
+        return taken > 0 and not self.lost
 
     def stuck(self, now_ns: int) -> bool:
         """True when bytes have been held back for DRAIN_NS; asked once a tick."""

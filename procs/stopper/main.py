@@ -47,7 +47,8 @@ class Stopper:
         self.heartbeat = context.heartbeat
         self.loop = Loop(context.world)
         self._epoch_word = supervisor.word("epoch")
-        self._port_owner = Peer(layout.PORT_OWNER, context, self.loop)
+        self._port = StopPort(context.fd("port"), context.settings.servos())
+        self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port.tell)
         self._port_owner_written = port_owner.word("written_ns")
         self._port_owner_moving = port_owner.word("moving")
         self._barrier = Barrier()
@@ -56,7 +57,6 @@ class Stopper:
         self._written_word = context.own.word("written_ns")
         self._bell = context.bell("bell")
         self._control = Control(context.fd("control"))
-        self._port = StopPort(context.fd("port"), context.settings.servos())
         self._number = context.port_number
         self._number_word = context.own.word("port_number")
         self._number_word.set(self._number if self._port.fd >= 0 else 0)

@@ -37,7 +37,7 @@ class Early:
         self.armed: list[tuple[int, int, int]] = []
         """Whose death is waited for, at which futex: pid, block, index."""
 
-    def arm(self, life: Lifeline, block: int, index: int) -> None:
+    def arm(self, life: Lifeline, block: int, index: int, _tell: object = None) -> None:
         """Nothing to wait for."""
         life.armed = True
         self.armed.append((life.pid, block, index))
