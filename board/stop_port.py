@@ -25,7 +25,7 @@ LOOK_S = 0.0005
 class StopPort:
     """-1: no port. `lost` turns true when a write finds that the device has gone, for the reason `errno`."""
 
-    __slots__ = ("_answered", "_stop", "_told", "_writing", "errno", "fd", "lost", "unsent")
+    __slots__ = ("_stop", "_writing", "errno", "fd", "lost", "unsent")
 
     def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
         """`servos`: of the robot's arm: what stops them is the end of the same write, so that it comes behind a whole
@@ -37,26 +37,17 @@ class StopPort:
         self.unsent = b""
         """What the kernel did not take yet; only ever the rest of a burst or of one frame."""
         self._writing = _thread.allocate_lock()
-        """Held while the loop looks whether it may write, and writes; and by a thread in tell()."""
-        self._told = self._answered = 0
-        """How many deaths tell() was called for, and how many of them the loop has begun to answer."""
+        """Held by the loop while it looks whether it may write, and writes; and by a thread in early_stop()."""
 
-    def tell(self) -> None:
-        """Write the first stop frame of a burst, from the thread that a death was told to: the loop, which it wakes
-        then, writes the burst. What is no burst does not go out in between."""
+    def early_stop(self) -> None:
+        """Write the burst as far as its first stop frame, from the thread that has learned of a death. The loop, which
+        is woken then, writes the burst."""
         with self._writing:
-            self._told += 1
             if self.fd >= 0:
-                self._write(BOARD.first_stop)
+                self._write_early()
 
-    def answer(self) -> None:
-        """The loop begins to answer deaths: it looks after this at all those that were told of."""
-        self._answered = self._told
-
-    @property
-    def _barred(self) -> bool:
-        """A death was told of that the loop does not know of yet."""
-        return self._told != self._answered
+    def _write_early(self) -> int:
+        return self._write(BOARD.first_stop)
 
     def burst(self) -> bool:
         """Write the stop burst, now; True when the kernel has all of it. The rest of a cut frame is dropped for it,
@@ -68,7 +59,7 @@ class StopPort:
     def flush(self) -> bool:
         """Go on with what the kernel did not take; True when nothing is left."""
         with self._writing:
-            return not self.unsent or (not self._barred and self._put(self.unsent, rest=True))
+            return not self.unsent or self._put(self.unsent, rest=True)
 
     def _put(self, data: bytes, *, rest: bool) -> bool:
         """Write what can be; `rest`: of what was begun before."""

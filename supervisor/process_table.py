@@ -124,8 +124,8 @@ class ProcessTable:
                 child.on(RUNS)
                 self._tell_watchers()
                 if child.life:
-                    tell = port.tell if child.row.name == layout.PORT_OWNER else None
-                    self.early.arm(child.life, child.block, 0, tell)
+                    stop = port.early_stop if child.row.name == layout.PORT_OWNER else None
+                    self.early.arm(child.life, child.block, 0, stop)
 
     def _tell_watchers(self) -> None:
         """Those who watch others look up whom, and who runs."""
