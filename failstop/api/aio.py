@@ -43,8 +43,7 @@ class AsyncRobot:
 
     async def _ask(self, verb: int, told: Callable[[str], None] | None = None) -> str:
         async with self._turn:
-            answer = await _through(ask(self.robot, verb, self.robot._answer_s, told))
-        return self.robot._asked(verb, answer)
+            return await _through(ask(self.robot, verb, self.robot._answer_s, told))
 
     async def enable(self, told: Callable[[str], None] | None = None) -> str:
         """As Robot.enable."""

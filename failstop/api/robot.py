@@ -135,17 +135,14 @@ class Robot:
             self._closed = self._closing = True
         try:
             if self._enabled and self._disable_on_exit and self._connected:
-                self._disable_at_the_end()
+                # Whatever keeps it from being disabled keeps nobody from closing; the wheels stop by that too.
+                with contextlib.suppress(FailstopError):
+                    sleep_through(ask(self, records.DISABLE, min(self._answer_s, CLOSING_S)))
         finally:
             with self._lock:
                 self._closing = False
                 self._leave(in_order=in_order)
                 self._run = None
-
-    def _disable_at_the_end(self) -> None:
-        """Whatever keeps it from being disabled keeps nobody from closing; the wheels stop by that too."""
-        with contextlib.suppress(FailstopError):
-            sleep_through(ask(self, records.DISABLE, min(self._answer_s, CLOSING_S)))
 
     @property
     def closed(self) -> bool:
@@ -169,15 +166,15 @@ class Robot:
         if connected:
             connected.close(in_order=in_order)
 
-    def _check_open(self, *, closing: bool = False) -> None:
-        """`closing`: for what the end of this Robot still asks."""
-        if self._closed and not closing:
+    def _check_open(self) -> None:
+        """What the end of this Robot still asks is asked (`_closing`)."""
+        if self._closed and not self._closing:
             raise FailstopError(f"this Robot of {self.name!r} is closed: make a new one")
 
     def _current(self) -> Run:
         """The run that is there now. When it is over, and its last processes are ending, its state can still be read.
         Raises NoService, FailstopError."""
-        self._check_open(closing=self._closing)
+        self._check_open()
         run = self._run
         if run is None or run.over():
             run = self._run = self._renewed()
@@ -215,13 +212,7 @@ class Robot:
     def _ask(
         self, verb: int, told: Callable[[str], None] | None = None, prepare: Callable[[Client], None] | None = None
     ) -> str:
-        return self._asked(verb, sleep_through(ask(self, verb, self._answer_s, told, prepare)))
-
-    def _asked(self, verb: int, answer: str) -> str:
-        """What it means for the end of this Robot."""
-        if verb in (records.ENABLE, records.DISABLE):
-            self._enabled = verb == records.ENABLE
-        return answer
+        return sleep_through(ask(self, verb, self._answer_s, told, prepare))
 
     def enable(self, told: Callable[[str], None] | None = None) -> str:
         """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked

@@ -96,7 +96,7 @@ def ask(
                 if told:
                     told(said)
             with robot._lock:
-                robot._check_open(closing=robot._closing)
+                robot._check_open()
                 if run.over():
                     raise gone(robot.name)
             if time.monotonic() > until_s:
@@ -105,6 +105,8 @@ def ask(
             yield POLL
         if not answer.done:
             raise Refused(answer.text, answer.cause)
+        if verb in (records.ENABLE, records.DISABLE):
+            robot._enabled = verb == records.ENABLE
         return str(answer)
     finally:
         _leave(robot, turn)
@@ -118,7 +120,7 @@ def _send(
     with robot._lock:
         before = robot._pending
         if before and before.thread != turn.thread:
-            robot._check_open(closing=robot._closing)
+            robot._check_open()
             return None
         run = robot._current()
         client = robot._slot(run)
