@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import failstop
-from failstop.api import reasons
+from failstop.api import why
 from failstop.board.decoder import BUTTONS
 from failstop.board.interface import BOARD
 from failstop.policy import causes
@@ -136,7 +136,7 @@ def test_whatever_bytes_there_are_a_stop_is_one(payload: bytes) -> None:
     except ValueError:
         found = causes.UNKNOWN()
     assert str(causes.read(payload)) == str(found)
-    assert all(reasons.explain(found))
+    assert all(why.meaning(found))
 
 
 def test_damage_is_told_apart() -> None:
@@ -193,7 +193,7 @@ def test_texts(cause: Cause, text: str) -> None:
 
 @every_row
 def test_every_row_is_explained(kind: Kind) -> None:
-    what, remedy = reasons.explain(example(kind))
+    what, remedy = why.meaning(example(kind))
     assert not set("{}[]") & set(what)
     assert not set("{}") & set(remedy)
     assert len(what) > 20
@@ -205,30 +205,30 @@ def test_every_row_is_explained(kind: Kind) -> None:
 @every_row
 def test_a_row_without_arguments_is_explained_too(kind: Kind) -> None:
     empty = kind(*(of() for _, of in kind.parameters))
-    assert all(reasons.explain(empty))
-    assert '""' not in reasons.explain(empty)[0]
+    assert all(why.meaning(empty))
+    assert '""' not in why.meaning(empty)[0]
 
 
 @pytest.mark.parametrize("process", PROCESSES)
 def test_what_a_process_does_is_said(process: str) -> None:
     for cause in (causes.DIED(process), causes.HANGS(process, 251), causes.STARVED(process, 251)):
-        what, _ = reasons.explain(cause)
+        what, _ = why.meaning(cause)
         assert f"the process {process}" in what
         assert f"which {ROLES[process]}" in what
 
 
 def test_names_of_who_did_it() -> None:
     assert (
-        reasons.explain(causes.REQUESTED("hand near", "failstop estop", 4711))[0]
+        why.meaning(causes.REQUESTED("hand near", "failstop estop", 4711))[0]
         == 'failstop estop (pid 4711) asked for a stop: "hand near"'
     )
-    assert reasons.explain(causes.REQUESTED("", "nav", 3))[0] == "nav (pid 3) asked for a stop"
-    assert reasons.explain(causes.PIPED("chaos"))[0] == 'somebody wrote to the stop pipe: "chaos"'
-    assert reasons.explain(causes.PIPED(""))[0] == "somebody wrote to the stop pipe"
-    assert "pressed X on the gamepad" in reasons.explain(causes.BUTTON(BUTTONS["X"]))[0]
-    assert "L1 and 0x0400" in reasons.explain(causes.BUTTON(0x4400))[0]
+    assert why.meaning(causes.REQUESTED("", "nav", 3))[0] == "nav (pid 3) asked for a stop"
+    assert why.meaning(causes.PIPED("chaos"))[0] == 'somebody wrote to the stop pipe: "chaos"'
+    assert why.meaning(causes.PIPED(""))[0] == "somebody wrote to the stop pipe"
+    assert "pressed X on the gamepad" in why.meaning(causes.BUTTON(BUTTONS["X"]))[0]
+    assert "L1 and 0x0400" in why.meaning(causes.BUTTON(0x4400))[0]
     two = causes.TWO_PUBLISHERS("cmd_vel", "nav (pid 42)", "a, b (pid 43)")
-    assert reasons.explain(two)[0] == "nav (pid 42) and a, b (pid 43) both commanded as cmd_vel"
+    assert why.meaning(two)[0] == "nav (pid 42) and a, b (pid 43) both commanded as cmd_vel"
 
 
 def test_what_the_board_refuses_is_a_defect() -> None:
@@ -241,7 +241,7 @@ def test_what_the_board_refuses_is_a_defect() -> None:
     faults.append(BOARD.check_motion(fast, -1.0))
     for fault in faults:
         assert fault
-        what, remedy = reasons.explain(causes.BAD_FRAME(fault))
+        what, remedy = why.meaning(causes.BAD_FRAME(fault))
         assert f"({fault})" in what
         assert "report it" in remedy
 
@@ -269,7 +269,7 @@ def asked(line: bytes) -> Cause:
     assert found.kind in ASKED
     assert str(found).startswith("stop request")
     assert str(found).isprintable()
-    what, _ = reasons.explain(found)
+    what, _ = why.meaning(found)
     assert re.match(r"somebody wrote to the stop pipe|.* \(pid \d+\) asked for a stop", what)
     return found
 

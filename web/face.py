@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from failstop.api import history, reasons, verdict, words
+from failstop.api import history, verdict, words
+from failstop.api.why import meaning
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
 
@@ -142,7 +143,7 @@ def _why(state: State) -> str:
     if doubt := verdict.doubt(state):
         return sentence(doubt)
     if state.cause:
-        return sentence(reasons.explain(state.cause)[0])
+        return sentence(meaning(state.cause)[0])
     if state.blocked:
         return BLOCKS.get(state.blocked) or sentence(state.blocked)
     return sentence(words.velocity(*state.body_vel) or "The command is zero")
@@ -166,7 +167,7 @@ def _next(state: State) -> str:
     if verdict.doubt(state):
         return f"{POWER} and on again."
     if state.cause:
-        return f"{sentence(reasons.explain(state.cause)[1])[:-1]}; then hold RESET."
+        return f"{sentence(meaning(state.cause)[1])[:-1]}; then hold RESET."
     if missing := _waits(state):
         return sentence(missing)
     if not state.enabled and state.attended_by == ():

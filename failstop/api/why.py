@@ -6,9 +6,10 @@ import dataclasses
 from typing import Any
 
 from failstop.api import history, verdict, words
-from failstop.api.reasons import explain as reason
 from failstop.api.snapshot import Block, State, Stop
-from failstop.policy.causes import Cause
+from failstop.board.decoder import BUTTONS
+from failstop.policy.causes import Cause, filled
+from failstop.policy.processes import ROLES
 from failstop.supervisor.stops import NOT_SENT
 
 TYPE_CHECKING = False
@@ -84,9 +85,24 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
     )
 
 
+def meaning(cause: Cause) -> tuple[str, str]:
+    """What happened and what to see to before a reset, in plain words: two texts that continue a sentence."""
+    given = cause.named()
+    given["role"] = ROLES.get(str(given.get("process")), "")
+    given["names"] = _buttons(int(given.get("buttons", 0)))
+    return filled(cause.kind.what, given), cause.kind.remedy
+
+
+def _buttons(pressed: int) -> str:
+    """Names of the pressed buttons, the bits that have none by number."""
+    names = [name for name, bit in BUTTONS.items() if pressed & bit]
+    names += [f"0x{1 << bit:04X}" for bit in range(16) if pressed & 1 << bit and 1 << bit not in BUTTONS.values()]
+    return " and ".join(names)
+
+
 def _first(state: State) -> list[str]:
     """What to see to before a reset."""
-    return [reason(state.cause)[1]] if state.cause and not verdict.doubt(state) else []
+    return [meaning(state.cause)[1]] if state.cause and not verdict.doubt(state) else []
 
 
 def _free(state: State) -> str:
@@ -100,7 +116,7 @@ def _since(state: State, events: Sequence[Event], now_s: float) -> tuple[float |
     """Since when this block holds, as far as is known, and what began it."""
     stop = state.last_stop
     if state.cause:
-        return (stop.t if stop and stop.cause == state.cause else None), reason(state.cause)[0]
+        return (stop.t if stop and stop.cause == state.cause else None), meaning(state.cause)[0]
     if state.block is Block.NO_SCAN:
         age_s = state.scan_age_s
         told = "has not delivered once in this run" if age_s is None else f"delivered last {words.span(age_s)} ago"
