@@ -10,7 +10,7 @@ import sys
 
 from failstop.api.errors import Refused
 from failstop.install import InstallError
-from failstop.install.steps import Plan, Step
+from failstop.install.steps import Plan
 
 
 def as_json(plan: Plan) -> str:
@@ -23,13 +23,8 @@ def as_text(plan: Plan) -> str:
     """A plan as lines."""
     shown = [step for step in plan.steps if step.verb]
     verbs = max((len(step.verb) for step in shown), default=0)
-    lines = [line(step, verbs) for step in shown]
+    lines = [f"{step.verb:<{verbs}}  {step.subject}{f': {step.remark}' if step.remark else ''}" for step in shown]
     return "\n".join([*lines, *(f"{'note':<{verbs}}  {note}" for note in plan.notes)])
-
-
-def line(step: Step, width: int) -> str:
-    """A step as one line, its verb padded to a width."""
-    return f"{step.verb:<{width}}  {step.subject}{f': {step.remark}' if step.remark else ''}"
 
 
 def need_root() -> None:

@@ -8,15 +8,17 @@ import sys
 
 from failstop.api.errors import Refused
 from failstop.discovery import LINK
-from failstop.install import InstallError, dialogue, look, parts, plan, tree
+from failstop.install import InstallError, dialogue, found, plan, rows, tree
 from failstop.install.do import Doer
-from failstop.install.extras import EXTRAS, OPERATE, VIEW
+from failstop.install.extras import EXTRAS, OPERATE, UNITS_OF_EXTRAS, VIEW
+from failstop.install.found import Request
 from failstop.install.layout import PREFIX, unit_of
 from failstop.install.machine import READY_S, Machine
 from failstop.install.steps import Plan
 from failstop.policy.settings import BY_KEY
 from failstop.shm import instance
 from failstop.shm.instance import DEFAULT_NAME, option
+from failstop.version import VERSION
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -77,26 +79,24 @@ def main(arguments: Namespace) -> int:
         dialogue.need_root()
         if request.live:
             dialogue.need_systemd()
-    brought = parts.of_this_version()
-    configured = look.configured_device(request)
-    found = dataclasses.replace(look.look(request, brought.units), configured_device=configured)
+    texts = rows.texts(UNITS_OF_EXTRAS)
+    there = dataclasses.replace(found.look(request), configured_device=found.configured_device(request))
     # Of what is there already too: a new environment takes the place of the one that it runs in.
-    wanted = tuple(extra.needs for extra in EXTRAS if extra.needs and extra.choice(request, found))
+    wanted = tuple(extra.needs for extra in EXTRAS if extra.needs and extra.choice(request, there))
     tree.needed(wanted)
     environment = None if arguments.use_running_venv else tree.running(PREFIX, tree.interpreter(), wanted)
-    device = plan.device_of(brought, request, found)
-    there = device == LINK or os.path.exists(device)
+    device = plan.device_of(texts, request, there)
     # What would be done can be shown without a board.
-    found = dataclasses.replace(found, device_there=there or dry)
-    made = plan.install(brought, request, environment.digest() if environment else "", found)
+    there = dataclasses.replace(there, device_there=dry or device == LINK or os.path.exists(device))
+    made = plan.install(texts, request, environment.digest() if environment else "", there)
     if arguments.json:
         print(dialogue.as_json(made))
         return 0
     if not made.steps:
         runs = " and runs" if request.live and request.start else ""
-        print(f"nothing to do: failstop {brought.version} is installed{runs}")
+        print(f"nothing to do: failstop {VERSION} is installed{runs}")
         return 0
-    print(f"failstop {brought.version}, to be installed {'here' if request.live else f'in {request.root}'}:\n")
+    print(f"failstop {VERSION}, to be installed {'here' if request.live else f'in {request.root}'}:\n")
     print(dialogue.as_text(made) + "\n")
     if dry:
         return 0
@@ -109,7 +109,7 @@ def main(arguments: Namespace) -> int:
     return 0
 
 
-def _request(arguments: Namespace) -> plan.Request:
+def _request(arguments: Namespace) -> Request:
     instance.check_name(arguments.name)
     if arguments.device is not None:
         BY_KEY["device.path"].check(arguments.device, "--device")
@@ -117,13 +117,13 @@ def _request(arguments: Namespace) -> plan.Request:
             raise InstallError(f"--device {arguments.device}: no path of a port has quotes or backslashes")
     if arguments.root is not None and not os.path.isdir(arguments.root):
         raise InstallError(f"--root {arguments.root}: no such directory")
-    return plan.Request(
+    return Request(
         arguments.name,
         arguments.device or "",
         os.path.abspath(arguments.root or "/"),
         arguments.root is None,
         not arguments.no_start,
-        _running_command() if arguments.use_running_venv else plan.OWN_COMMAND,
+        _running_command() if arguments.use_running_venv else rows.UNIT_COMMAND,
         arguments.ros2_user,
         arguments.fleet,
         arguments.web,
@@ -151,7 +151,7 @@ def _consent(made: Plan, arguments: Namespace) -> None:
     dialogue.consent(f"{warning}Go ahead?", arguments.yes)
 
 
-def _done(request: plan.Request, environment: tree.Environment | None) -> str:
+def _done(request: Request, environment: tree.Environment | None) -> str:
     if not request.live:
         needs = environment.interpreter if environment else request.command
         missing = not os.path.exists(os.path.join(request.root, needs.lstrip("/")))

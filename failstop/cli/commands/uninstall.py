@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import sys
 
-from failstop.install import InstallError, dialogue, look, parts, plan, unplan
+from failstop.install import InstallError, dialogue, plan
 from failstop.install.do import Doer
+from failstop.install.found import Request, look
 from failstop.install.machine import Machine
 from failstop.shm import instance
 
@@ -42,10 +43,10 @@ def main(arguments: Namespace) -> int:
             dialogue.need_systemd()
     if not live and not os.path.isdir(arguments.root):
         raise InstallError(f"--root {arguments.root}: no such directory")
-    name = instance.check_name(arguments.name) if arguments.name else plan.Request.name
-    request = plan.Request(name, "", os.path.abspath(arguments.root or "/"), live)
-    found = look.look(request, parts.of_this_version().units)
-    make = unplan.uninstall_instance if arguments.name else unplan.uninstall
+    name = instance.check_name(arguments.name) if arguments.name else Request.name
+    request = Request(name, "", os.path.abspath(arguments.root or "/"), live)
+    found = look(request)
+    make = plan.uninstall_instance if arguments.name else plan.uninstall
     made = make(request, found, arguments.purge)
     if arguments.json:
         print(dialogue.as_json(made))
