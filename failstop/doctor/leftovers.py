@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 
-from failstop.doctor.facts import Leftover, User
-from failstop.doctor.system import System, user_name
+from failstop.doctor.system import SHM, System, User, user
 from failstop.shm import claim, instance, segment
 from failstop.shm.instance import InstanceError
 
-SHM = "/dev/shm"
+
+@dataclasses.dataclass(frozen=True)
+class Leftover:
+    """Shared memory of an instance whose service is not running."""
+
+    instance: str
+    size: int
+    owner: str
+    ours: bool
+    """The service's user could remove it."""
 
 
 def look(server: User, system: System) -> tuple[tuple[Leftover, ...], tuple[str, ...]]:
@@ -28,7 +37,7 @@ def look(server: User, system: System) -> tuple[tuple[Leftover, ...], tuple[str,
 
 def remove(system: System) -> tuple[list[Leftover], list[Leftover]]:
     """Remove what this user may; returns (removed, left)."""
-    found, _ = look(User("", os.geteuid(), frozenset()), system)
+    found, _ = look(User("", os.geteuid()), system)
     removed: list[Leftover] = []
     left: list[Leftover] = []
     for leftover in found:
@@ -81,6 +90,6 @@ def _stat(path: str) -> os.stat_result | None:
 
 
 def _leftover(name: str, stats: list[os.stat_result], server: User) -> Leftover:
+    owner = stats[0].st_uid
     # The sticky bit: only the owner or root removes a name.
-    ours = server.uid in (0, stats[0].st_uid)
-    return Leftover(name, len(stats), sum(found.st_blocks * 512 for found in stats), user_name(stats[0].st_uid), ours)
+    return Leftover(name, sum(found.st_blocks * 512 for found in stats), user(owner).name, server.uid in (0, owner))
