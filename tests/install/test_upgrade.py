@@ -58,7 +58,7 @@ def had_a_unit_more(checkout: Path) -> None:
 
 
 def files(root: Path) -> dict[str, tuple[str, int, bytes]]:
-    """What an installation has put there; accounts and the catalog are the machine's, and the list has its own order."""
+    """What an installation has put there; accounts and catalog are the machine's, and the list has its own order."""
     found = snapshot(root)
     return {
         path: kept
