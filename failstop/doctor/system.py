@@ -38,6 +38,10 @@ class User:
 class System:
     """Reads below `root`."""
 
+    in_container = staticmethod(grant.in_container)
+    early_news = staticmethod(futex.proven)
+    """The kernel tells of a death before it takes the memory down."""
+
     def __init__(self, root: str = "/") -> None:
         self.root = root
 
@@ -142,14 +146,6 @@ class System:
             return False
         os.sched_setscheduler(0, policy, parameters)
         return True
-
-    def in_container(self) -> bool:
-        """This process runs in one."""
-        return grant.in_container()
-
-    def early_news(self) -> bool:
-        """The kernel tells of a death before it takes the memory down."""
-        return futex.proven()
 
     def backward_ns(self) -> int:
         """The furthest that CLOCK_MONOTONIC went back between two readings; 0: never."""

@@ -13,11 +13,12 @@ import signal
 import stat
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Protocol
 
 from failstop.install import InstallError
 from failstop.install.layout import MANIFEST_NAME, RUNTIME, STATE
+from failstop.install.machine import Machine
 from failstop.install.steps import Command, Directory, File, Link, Remove, Start, Step, Tree
+from failstop.install.tree import Environment
 
 NEW = ".new-by-install"
 OLD = ".old-by-install"
@@ -25,23 +26,6 @@ OLD = ".old-by-install"
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 Undo = Callable[[], None]
-
-
-class Environment(Protocol):
-    """What a Tree step writes (tree.Environment)."""
-
-    def write(self, directory: str) -> None:
-        """Into a directory that is not there yet. Raises OSError."""
-
-
-class Machine(Protocol):
-    """The system's programs (machine.Machine)."""
-
-    def run(self, words: Sequence[str], accepted: Sequence[int] = (0,)) -> None:
-        """Run a program to its end. Raises InstallError on another exit code than the accepted."""
-
-    def start(self, unit: str) -> None:
-        """Start a unit and wait until it is ready. Raises InstallError."""
 
 
 class Doer:

@@ -48,25 +48,15 @@ class Machine:
 
 def _first_words(unit: str, since_s: float) -> str:
     """The first line of a unit's own since then, in wall time."""
-    words = (
-        "journalctl",
-        "--quiet",
-        "--no-pager",
-        "--output=cat",
-        "-u",
-        unit,
-        "-t",
-        "failstop",
-        f"--since=@{since_s:.3f}",
-    )
-    return next(iter(_call(words).stdout.splitlines()), "").removeprefix("failstop: ")
+    words = ("journalctl", "--quiet", "--no-pager", "--output=cat", "-u", unit, "-t", "failstop")
+    return next(iter(_call((*words, f"--since=@{since_s:.3f}")).stdout.splitlines()), "").removeprefix("failstop: ")
 
 
 def show(unit: str) -> dict[str, str]:
     """State, and what it says of itself."""
-    result = _call(("systemctl", "show", "-p", "ActiveState,SubState,StatusText,Result", unit))
-    found = dict(line.split("=", 1) for line in result.stdout.splitlines() if "=" in line)
-    return {key: found.get(key, "") for key in ("ActiveState", "SubState", "StatusText", "Result")}
+    keys = ("ActiveState", "SubState", "StatusText", "Result")
+    result = _call(("systemctl", "show", "-p", ",".join(keys), unit))
+    return dict.fromkeys(keys, "") | dict(line.split("=", 1) for line in result.stdout.splitlines() if "=" in line)
 
 
 def active_units() -> tuple[str, ...]:
@@ -81,13 +71,7 @@ def _call(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PATH": PATH, "LC_ALL": "C.UTF-8"}
     try:
         return subprocess.run(
-            words,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=RUN_S,
-            check=False,
-            env=environment,
+            words, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=RUN_S, check=False, env=environment
         )
     except FileNotFoundError:
         raise InstallError(f"{words[0]} is not on this machine: install the package that has it") from None

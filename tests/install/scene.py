@@ -12,6 +12,7 @@ from failstop.install import InstallError
 from failstop.install.extras import UNITS_OF_EXTRAS
 from failstop.install.found import Found, Request
 from failstop.install.layout import MANIFEST, Manifest
+from failstop.install.machine import Machine
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Tree
 from failstop.install.tree import Entry, Environment
 
@@ -54,10 +55,11 @@ def environment(version: str = "1.0") -> Environment:
     )
 
 
-class NotingMachine:
+class NotingMachine(Machine):
     """Notes what it is to run; one command of these may fail."""
 
     def __init__(self, failing: str = "") -> None:
+        super().__init__()
         self.ran: list[str] = []
         self._failing = failing
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import sys
+from functools import partial
 
 from failstop.api.errors import Refused
 from failstop.discovery import LINK
@@ -74,11 +75,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Install. Raises InstallError, Refused, SettingError; then nothing is changed."""
     request = _request(arguments)
-    dry = arguments.dry_run or arguments.json
-    if not dry:
-        dialogue.need_root()
-        if request.live:
-            dialogue.need_systemd()
+    dry = not dialogue.changes(arguments)
     texts = rows.texts(UNITS_OF_EXTRAS)
     there = dataclasses.replace(found.look(request), configured_device=found.configured_device(request))
     # Of what is there already too: a new environment takes the place of the one that it runs in.
@@ -89,23 +86,14 @@ def main(arguments: Namespace) -> int:
     # What would be done can be shown without a board.
     there = dataclasses.replace(there, device_there=dry or device == LINK or os.path.exists(device))
     made = plan.install(texts, request, environment.digest() if environment else "", there)
-    if arguments.json:
-        print(dialogue.as_json(made))
-        return 0
-    if not made.steps:
+    if not (made.steps or arguments.json):
         runs = " and runs" if request.live and request.start else ""
         print(f"nothing to do: failstop {VERSION} is installed{runs}")
         return 0
-    print(f"failstop {VERSION}, to be installed {'here' if request.live else f'in {request.root}'}:\n")
-    print(dialogue.as_text(made) + "\n")
-    if dry:
-        return 0
-    _consent(made, arguments)
-    dialogue.undo_when_ended()
-    left = Doer(request.root, Machine(arguments.wait), environment).do(made.steps)
-    for what in left:
-        print(f"failstop: {what}: remove it by hand", file=sys.stderr)
-    print(_done(request, environment))
+    heading = f"failstop {VERSION}, to be installed {'here' if request.live else f'in {request.root}'}"
+    doer = Doer(request.root, Machine(arguments.wait), environment)
+    if dialogue.carry_out(made, heading, arguments, partial(_consent, made, arguments), doer):
+        print(_done(request, environment))
     return 0
 
 
@@ -115,8 +103,6 @@ def _request(arguments: Namespace) -> Request:
         BY_KEY["device.path"].check(arguments.device, "--device")
         if '"' in arguments.device or "\\" in arguments.device:
             raise InstallError(f"--device {arguments.device}: no path of a port has quotes or backslashes")
-    if arguments.root is not None and not os.path.isdir(arguments.root):
-        raise InstallError(f"--root {arguments.root}: no such directory")
     return Request(
         arguments.name,
         arguments.device or "",
@@ -142,12 +128,13 @@ def _running_command() -> str:
 
 
 def _consent(made: Plan, arguments: Namespace) -> None:
-    if made.restarts and arguments.yes and not arguments.restart:
+    units = ", ".join(made.restarts)
+    if units and arguments.yes and not arguments.restart:
         raise Refused(
-            f"{', '.join(made.restarts)} runs and would be restarted, which stops the wheels: say --restart too, "
+            f"{units} runs and would be restarted, which stops the wheels: say --restart too, "
             f"or stop it first (systemctl stop {' '.join(made.restarts)})"
         )
-    warning = f"{', '.join(made.restarts)} is restarted: THE WHEELS STOP. " if made.restarts else ""
+    warning = f"{units} is restarted: THE WHEELS STOP. " if units else ""
     dialogue.consent(f"{warning}Go ahead?", arguments.yes)
 
 
