@@ -8,22 +8,8 @@ import os
 
 from failstop import config, discovery
 from failstop.fleet.settings import KEY_PLACE
-from failstop.install import machine, tree
-from failstop.install.extras import EXTRAS, UNITS_OF_EXTRAS
-from failstop.install.layout import (
-    COMMAND_LINK,
-    MANIFEST,
-    MANIFEST_NAME,
-    PACKAGE_UNIT,
-    PREFIX,
-    STATE,
-    UNITS,
-    Manifest,
-    configuration_of,
-    parents,
-    unit_of,
-)
-from failstop.install.rows import ROWS, UNIT_COMMAND
+from failstop.install import layout, machine, tree
+from failstop.install.rows import FLEET, ROWS, UNIT_COMMAND
 from failstop.shm.instance import DEFAULT_NAME
 
 ROS_SETUPS = "/opt/ros/*/setup.sh"
@@ -48,7 +34,7 @@ class Request:
     fleet: bool = False
     """The robot is to be published to its fleet's broker; False: it is not, or goes on to be."""
     web: str = ""
-    """The operator's page: extras.VIEW or extras.OPERATE; empty: none, or the one that is there."""
+    """The operator's page: rows.VIEW or rows.OPERATE; empty: none, or the one that is there."""
 
     def at(self, path: str) -> str:
         """Where a path of the installed system is now."""
@@ -64,7 +50,7 @@ class Found:
     directories: frozenset[str] = frozenset()
     tree: str = ""
     """The digest of the environment."""
-    manifest: Manifest | None = None
+    manifest: layout.Manifest | None = None
     active: tuple[str, ...] = ()
     """Units of failstop that run."""
     udev: bool = False
@@ -92,11 +78,17 @@ def look(request: Request) -> Found:
     """What is there of what an installation would have. Raises InstallError when the list of what was installed is
     damaged."""
     at = request.at
-    boot = [unit_of(request.name), *(row.source for row in ROWS if row.boot), *UNITS_OF_EXTRAS]
-    wants = [_inside(path, request) for path in glob.glob(at(f"{UNITS}/*.wants"))]
-    paths = [row.place for row in ROWS] + [path for extra in EXTRAS for path in (extra.place, extra.settings) if path]
-    paths += [f"{folder}/{unit}" for folder in wants for unit in boot]
-    paths += [COMMAND_LINK, MANIFEST, PREFIX, configuration_of(request.name), "/etc/passwd", "/etc/group"]
+    boot = [layout.unit_of(request.name), *(row.source for row in ROWS if row.boot)]
+    wants = [_inside(path, request) for path in glob.glob(at(f"{layout.UNITS}/*.wants"))]
+    paths = [*(row.place for row in ROWS), *(f"{folder}/{unit}" for folder in wants for unit in boot), FLEET.settings]
+    paths += [
+        layout.COMMAND_LINK,
+        layout.MANIFEST,
+        layout.PREFIX,
+        layout.configuration_of(request.name),
+        "/etc/passwd",
+        "/etc/group",
+    ]
     files, links = {}, {}
     for path in paths:
         if os.path.islink(at(path)):
@@ -107,12 +99,14 @@ def look(request: Request) -> Found:
     return Found(
         files,
         links,
-        frozenset(part for path in [*paths, f"{STATE}/x"] for part in parents(path) if os.path.isdir(at(part))),
-        _tree(at(PREFIX)),
-        Manifest.load(files[MANIFEST]) if MANIFEST in files else None,
+        frozenset(
+            part for path in [*paths, f"{layout.STATE}/x"] for part in layout.parents(path) if os.path.isdir(at(part))
+        ),
+        _tree(at(layout.PREFIX)),
+        layout.Manifest.load(files[layout.MANIFEST]) if layout.MANIFEST in files else None,
         machine.active_units() if request.live else (),
         request.live and os.path.exists(UDEV_CONTROL),
-        os.path.exists(at(PACKAGE_UNIT)),
+        os.path.exists(at(layout.PACKAGE_UNIT)),
         board=request.live and discovery.board_there(),
         fleet_key=os.path.isfile(at(KEY_PLACE)),
         ros_setup=max((_inside(path, request) for path in glob.glob(at(ROS_SETUPS))), default=""),
@@ -125,11 +119,11 @@ def _inside(path: str, request: Request) -> str:
 
 def _tree(path: str) -> str:
     """The digest of the environment; empty when there is none, nor anything else."""
-    return tree.digest_of(path, MANIFEST_NAME) if os.path.isdir(path) and os.listdir(path) else ""
+    return tree.digest_of(path, layout.MANIFEST_NAME) if os.path.isdir(path) and os.listdir(path) else ""
 
 
 def configured_device(request: Request) -> str:
     """What the instance's configuration says of the board's port; empty when there is none. Raises SettingError when
     this version refuses it."""
-    path = request.at(configuration_of(request.name))
+    path = request.at(layout.configuration_of(request.name))
     return str(config.load(path).flat()["device.path"]) if os.path.exists(path) else ""

@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 
 from failstop.install import InstallError
-from failstop.install.extras import UNITS_OF_EXTRAS
+from failstop.install.rows import EXTRAS
 
 PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 RUN_S = 60.0
@@ -62,7 +62,7 @@ def show(unit: str) -> dict[str, str]:
 def active_units() -> tuple[str, ...]:
     """The units of failstop that run, or are about to."""
     states = "--state=active,activating,reloading"
-    patterns = ("failstop.service", "failstop@*.service", *UNITS_OF_EXTRAS)
+    patterns = ("failstop.service", "failstop@*.service", *(extra.source for extra in EXTRAS))
     result = _call(("systemctl", "list-units", states, "--plain", "--no-legend", *patterns))
     return tuple(line.split()[0] for line in result.stdout.splitlines() if line.strip())
 

@@ -7,39 +7,8 @@ import dataclasses
 from collections.abc import Collection, Mapping
 
 from failstop.discovery import LINK
-from failstop.install import InstallError
-from failstop.install.extras import EXTRAS, SERVICE_USER
+from failstop.install import InstallError, layout, rows
 from failstop.install.found import Found, Request
-from failstop.install.layout import (
-    ACCOUNT_FILES,
-    CATALOG,
-    CATALOG_DATABASE,
-    COMMAND_LINK,
-    CONFIGURATION,
-    MANIFEST,
-    PREFIX,
-    RUNTIME,
-    STATE,
-    UDEV,
-    UNITS,
-    Manifest,
-    configuration_of,
-    parents,
-    sha256,
-    unit_file,
-    unit_of,
-)
-from failstop.install.rows import (
-    FLEET_SETTINGS,
-    LATE,
-    ROWS,
-    SETTINGS,
-    SYSUSERS,
-    UNIT_COMMAND,
-    accounts,
-    entries,
-    wanted_by,
-)
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
 from failstop.shm.instance import DEFAULT_NAME
 from failstop.version import VERSION
@@ -60,7 +29,7 @@ def install(texts: Texts, request: Request, tree: str, found: Found) -> Plan:
     """The steps to what is wanted; `tree` is the digest of the environment to install, empty for none. Raises
     InstallError."""
     _refuse(texts, request, found)
-    before = found.manifest or Manifest()
+    before = found.manifest or layout.Manifest()
     files, links = _files(texts, request, found), _links(texts, request, found)
     gone = [path for path in before.files if path not in files]
     new_tree = bool(tree) and tree != found.tree
@@ -68,15 +37,19 @@ def install(texts: Texts, request: Request, tree: str, found: Found) -> Plan:
     linking = [_link(path, target, found) for path, target in links.items() if found.links.get(path) != target]
     written = {step.subject for step in content}
     changed = {*written, *(step.subject for step in linking), *gone}
-    restarts = found.active if new_tree or any(unit_file(unit) in written for unit in found.active) else ()
-    making = _make_accounts(texts[SYSUSERS], request, found)
-    needed = [part for path in (*files, *links, *written, PREFIX if new_tree else MANIFEST) for part in parents(path)]
+    restarts = found.active if new_tree or any(layout.unit_file(unit) in written for unit in found.active) else ()
+    making = _make_accounts(texts[rows.SYSUSERS], request, found)
+    needed = [
+        part
+        for path in (*files, *links, *written, layout.PREFIX if new_tree else layout.MANIFEST)
+        for part in layout.parents(path)
+    ]
     directories = [part for part in dict.fromkeys(needed) if part not in found.directories]
-    listed = Manifest(
+    listed = layout.Manifest(
         VERSION,
         request.command,
         tree,
-        {path: sha256(data) for path, (data, _) in files.items()},
+        {path: layout.sha256(data) for path, (data, _) in files.items()},
         {**before.links, **links},
         tuple(dict.fromkeys([*before.directories, *directories])),
     ).dump()
@@ -96,7 +69,7 @@ def install(texts: Texts, request: Request, tree: str, found: Found) -> Plan:
     if not (steps or starts):
         return Plan((), _notes(request, found))
     steps += _told(request, found, changed)
-    if UDEV in written and request.live and found.udev:
+    if layout.UDEV in written and request.live and found.udev:
         steps += [_run("udevadm", "trigger", "--subsystem-match=tty")]
         steps += [_run("udevadm", "settle", f"--timeout={SETTLE_S}", accepted=(0, 1))]
     if request.live and (new_tree or making or content):
@@ -114,30 +87,39 @@ def uninstall(request: Request, found: Found, purge: bool = False) -> Plan:
     steps = [
         *_ends(request, found, found.active, "*", gone),
         *(Remove("remove", path) for path in gone),
-        Remove("remove", PREFIX, "the Python environment" if manifest.tree else "the list of what was installed"),
+        Remove(
+            "remove", layout.PREFIX, "the Python environment" if manifest.tree else "the list of what was installed"
+        ),
         *_told(request, found, gone),
         *(_purge(request, found) if purge else ()),
         *(Remove("", path, only_empty=True) for path in reversed(manifest.directories)),
     ]
-    kept = () if purge else (f"{CONFIGURATION}, {STATE} and the user failstop stay; --purge removes them too",)
+    kept = (
+        ()
+        if purge
+        else (f"{layout.CONFIGURATION}, {layout.STATE} and the user failstop stay; --purge removes them too",)
+    )
     return Plan(tuple(steps), kept, found.active)
 
 
 def uninstall_instance(request: Request, found: Found, purge: bool = False) -> Plan:
     """The steps that take one instance away and leave the rest. Raises InstallError."""
     manifest = _listed_by(found)
-    unit = unit_of(request.name)
-    gone = [path for path in manifest.links if path.startswith(UNITS) and path.endswith(f"/{unit}")]
+    unit = layout.unit_of(request.name)
+    gone = [path for path in manifest.links if path.startswith(layout.UNITS) and path.endswith(f"/{unit}")]
     if not gone:
         raise InstallError(f"no instance {request.name!r} is installed")
     active = tuple(name for name in found.active if name == unit)
     left = {path: target for path, target in manifest.links.items() if path not in gone}
-    own = {configuration_of(request.name): "your settings", f"{STATE}/{request.name}": "logs and incidents"}
+    own = {
+        layout.configuration_of(request.name): "your settings",
+        f"{layout.STATE}/{request.name}": "logs and incidents",
+    }
     steps = [
         *_ends(request, found, active, request.name, gone),
         *(Remove("remove", path, "no longer starts at boot") for path in gone),
         *(Remove("remove", path, what) for path, what in own.items() if purge),
-        File("", MANIFEST, data=dataclasses.replace(manifest, links=left).dump()),
+        File("", layout.MANIFEST, data=dataclasses.replace(manifest, links=left).dump()),
         *_told(request, found, gone),
     ]
     return Plan(tuple(steps), (), active)
@@ -146,7 +128,7 @@ def uninstall_instance(request: Request, found: Found, purge: bool = False) -> P
 def device_of(texts: Texts, request: Request, found: Found) -> str:
     """The board's port, as the service will have it: by the name that outlives a replug, where the rule gives one."""
     named = request.device or found.configured_device
-    return named or (LINK if found.board else _example_device(texts[SETTINGS].splitlines())[1])
+    return named or (LINK if found.board else _example_device(texts[rows.SETTINGS].splitlines())[1])
 
 
 def _example_device(lines: list[str]) -> tuple[int, str]:
@@ -156,24 +138,24 @@ def _example_device(lines: list[str]) -> tuple[int, str]:
 
 
 def _refuse(texts: Texts, request: Request, found: Found) -> None:
-    for extra in EXTRAS:
+    for extra in rows.EXTRAS:
         extra.refuse(request, found)
     if found.package:
         raise InstallError(
             "the Debian package of failstop is installed here: it is the service already; "
             "remove it first (apt remove failstop) if you want another one"
         )
-    if PREFIX in found.links:
-        raise InstallError(f"{PREFIX} is a link to {found.links[PREFIX]}: remove it")
+    if layout.PREFIX in found.links:
+        raise InstallError(f"{layout.PREFIX} is a link to {found.links[layout.PREFIX]}: remove it")
     if found.tree and found.manifest is None:
-        raise InstallError(f"{PREFIX} is there, and is not an installation's: remove it, or move it away")
+        raise InstallError(f"{layout.PREFIX} is there, and is not an installation's: remove it, or move it away")
     if found.manifest and found.manifest.command != request.command:
         raise InstallError(
             f"an installation that runs {found.manifest.command} is here, this one would run {request.command}: "
             "`failstop uninstall` first; it keeps your configuration"
         )
-    unit, configuration = unit_of(request.name), configuration_of(request.name)
-    for path in (*(row.place for row in ROWS), unit_file(unit), configuration):
+    unit, configuration = layout.unit_of(request.name), layout.configuration_of(request.name)
+    for path in (*(row.place for row in rows.OWN), layout.unit_file(unit), configuration):
         if (target := found.links.get(path)) == MASK:
             raise InstallError(f"{path} is masked: systemctl unmask {unit}")
         if target is not None:
@@ -194,48 +176,52 @@ def _refuse(texts: Texts, request: Request, found: Found) -> None:
 
 def _files(texts: Texts, request: Request, found: Found) -> dict[str, tuple[bytes, str]]:
     """Content and remark of every file but the settings."""
-    files = {row.place: (texts[row.source], row.remark) for row in ROWS}
-    for extra in EXTRAS:
-        if choice := extra.choice(request, found):
-            files[extra.place] = extra.filled(texts[extra.unit], choice, found)
-    return {
-        path: ((text.replace(UNIT_COMMAND, request.command) if path.startswith(UNITS) else text).encode(), remark)
-        for path, (text, remark) in files.items()
-    }
+    files = {}
+    for row in rows.ROWS:
+        if choice := row.choice(request, found):
+            text, remark = row.filled(texts[row.source], choice, found)
+            text = text.replace(rows.UNIT_COMMAND, request.command) if row.place.startswith(layout.UNITS) else text
+            files[row.place] = (text.encode(), remark)
+    return files
+
+
+def _boot_units(request: Request, found: Found) -> list[str]:
+    """What starts with the machine."""
+    units = [row.source for row in rows.ROWS if row.boot and row.choice(request, found)]
+    return [layout.unit_of(request.name) if unit == rows.SERVICE else unit for unit in units]
 
 
 def _links(texts: Texts, request: Request, found: Found) -> dict[str, str]:
-    links = {COMMAND_LINK: request.command}
-    boot = [row.source for row in ROWS if row.boot and row.source != unit_of(DEFAULT_NAME)]
-    for unit in (unit_of(request.name), *boot, *(extra.unit for extra in EXTRAS if extra.choice(request, found))):
-        source = unit_file(unit)
-        targets = wanted_by(texts[source.rpartition("/")[2]])
-        links |= {f"{UNITS}/{target}.wants/{unit}": source for target in targets}
+    links = {layout.COMMAND_LINK: request.command}
+    for unit in _boot_units(request, found):
+        source = layout.unit_file(unit)
+        targets = rows.wanted_by(texts[source.rpartition("/")[2]])
+        links |= {f"{layout.UNITS}/{target}.wants/{unit}": source for target in targets}
     return links
 
 
-def _differing(files: dict[str, tuple[bytes, str]], found: Found, before: Manifest) -> list[File]:
+def _differing(files: dict[str, tuple[bytes, str]], found: Found, before: layout.Manifest) -> list[File]:
     steps = []
     for path, (data, remark) in files.items():
         there = found.files.get(path)
         if there is None:
             steps.append(File("create", path, remark, data))
         elif there != data:
-            by_hand = "" if sha256(there) == before.files.get(path) else "; it was changed by hand"
+            by_hand = "" if layout.sha256(there) == before.files.get(path) else "; it was changed by hand"
             steps.append(File("replace", path, remark + by_hand, data))
     return steps
 
 
 def _settings(texts: Texts, request: Request, found: Found) -> list[File]:
     """The examples, where there are no settings: those are the user's, and stay as they are."""
-    lines = texts[SETTINGS].splitlines(keepends=True)
+    lines = texts[rows.SETTINGS].splitlines(keepends=True)
     at, _ = _example_device(lines)
     device = device_of(texts, request, found)
     lines[at] = f'path = "{device}"\n'
-    examples = {configuration_of(request.name): ("".join(lines), f"your settings; the board at {device}")}
-    for extra in EXTRAS:
+    examples = {layout.configuration_of(request.name): ("".join(lines), f"your settings; the board at {device}")}
+    for extra in rows.EXTRAS:
         if extra.settings and extra.choice(request, found):
-            examples[extra.settings] = (texts[FLEET_SETTINGS], "where its broker is: look at it")
+            examples[extra.settings] = (texts[rows.FLEET_SETTINGS], "where its broker is: look at it")
     return [
         File("create", path, remark, text.encode())
         for path, (text, remark) in examples.items()
@@ -247,7 +233,7 @@ def _link(path: str, target: str, found: Found) -> Link:
     if path in found.files:
         raise InstallError(f"{path} is a file, and is not an installation's: remove it, or move it away")
     sleep = "/sleep.target.wants/" in path
-    remark = "the command" if path == COMMAND_LINK else "before a sleep" if sleep else "starts at boot"
+    remark = "the command" if path == layout.COMMAND_LINK else "before a sleep" if sleep else "starts at boot"
     return Link("replace" if path in found.links else "create", path, remark, target)
 
 
@@ -255,23 +241,23 @@ def _listed(manifest: bytes, new_tree: bool, found: Found) -> list[Step]:
     """The environment with the list in it; the list alone, or nothing, if these are as they should be."""
     if new_tree:
         verb = "replace" if found.tree else "create"
-        return [Tree(verb, PREFIX, "failstop and what it needs, copied from here", manifest)]
-    return [File("", MANIFEST, data=manifest)] if found.files.get(MANIFEST) != manifest else []
+        return [Tree(verb, layout.PREFIX, "failstop and what it needs, copied from here", manifest)]
+    return [File("", layout.MANIFEST, data=manifest)] if found.files.get(layout.MANIFEST) != manifest else []
 
 
 def _starts(request: Request, found: Found, restarts: tuple[str, ...]) -> list[Start]:
     if not (request.live and request.start):
         return []
-    remarks = {extra.unit: extra.remark for extra in EXTRAS}
-    others = [extra.unit for extra in EXTRAS if extra.choice(request, found)]
-    wanted = [name for name in (unit_of(request.name), *others) if name not in found.active]
+    remarks = {extra.source: extra.started for extra in rows.EXTRAS}
+    others = [extra.source for extra in rows.EXTRAS if extra.choice(request, found)]
+    wanted = [name for name in (layout.unit_of(request.name), *others) if name not in found.active]
     return [
         Start("start", unit, remarks.get(unit, "motion stays disabled until somebody enables it"))
         for unit in sorted(dict.fromkeys((*restarts, *wanted)), key=lambda unit: unit in remarks)
     ]
 
 
-def _listed_by(found: Found) -> Manifest:
+def _listed_by(found: Found) -> layout.Manifest:
     """What was installed. Raises InstallError."""
     if found.manifest:
         return found.manifest
@@ -285,7 +271,7 @@ def _listed_by(found: Found) -> Manifest:
 def _ends(request: Request, found: Found, units: tuple[str, ...], name: str, gone: Collection[str]) -> list[Command]:
     """The service's end, and that of whoever still tries to stop a board that could not be stopped, because of the end
     just now for one."""
-    late = Command("", f"who tries to stop {name}", words=("systemctl", "stop", LATE.replace("@", f"@{name}")))
+    late = Command("", f"who tries to stop {name}", words=("systemctl", "stop", rows.LATE.replace("@", f"@{name}")))
     return [*_stops(units), *([late] if request.live else []), *_on_undo(request, found, gone)]
 
 
@@ -297,7 +283,10 @@ def _stops(units: tuple[str, ...]) -> list[Command]:
 
 def _readers(request: Request, found: Found, changed: Collection[str]) -> list[tuple[str, ...]]:
     """What tells those of the running system that have read these files."""
-    told = {RELOAD: any(path.startswith(UNITS) for path in changed), UDEV_RELOAD: UDEV in changed and found.udev}
+    told = {
+        RELOAD: any(path.startswith(layout.UNITS) for path in changed),
+        UDEV_RELOAD: layout.UDEV in changed and found.udev,
+    }
     return [words for words, holds in told.items() if holds and request.live]
 
 
@@ -309,7 +298,7 @@ def _on_undo(request: Request, found: Found, changed: Collection[str]) -> list[C
 def _told(request: Request, found: Found, changed: Collection[str]) -> list[Command]:
     """Those who are to read the new files, or to find them gone."""
     words = ("journalctl", *(() if request.live else (f"--root={request.root}",)), "--update-catalog")
-    catalog = [_run(*words, touches=(CATALOG_DATABASE,))] if CATALOG in changed else []
+    catalog = [_run(*words, touches=(layout.CATALOG_DATABASE,))] if layout.CATALOG in changed else []
     return [*catalog, *(_run(*words) for words in _readers(request, found, changed))]
 
 
@@ -320,7 +309,7 @@ def _run(*words: str, touches: tuple[str, ...] = (), accepted: tuple[int, ...] =
 
 def _make_accounts(sysusers: str, request: Request, found: Found) -> list[Command]:
     """The service's user and its groups, where one is missing."""
-    users, memberships = accounts(sysusers)
+    users, memberships = rows.accounts(sysusers)
     passwd = {row[0] for row in found.rows("/etc/passwd")}
     members = {row[0]: row[3].split(",") for row in found.rows("/etc/group")}
     there = passwd.issuperset(users) and members.keys() >= {*users}
@@ -333,8 +322,8 @@ def _make_accounts(sysusers: str, request: Request, found: Found) -> list[Comman
             "create",
             f"user and group {', '.join(users)}",
             f"the service runs as it{f'; in the groups of {groups}' if groups else ''}",
-            ("systemd-sysusers", *root, "--inline", *entries(sysusers)),
-            touches=ACCOUNT_FILES,
+            ("systemd-sysusers", *root, "--inline", *rows.entries(sysusers)),
+            touches=layout.ACCOUNT_FILES,
         )
     ]
 
@@ -342,11 +331,15 @@ def _make_accounts(sysusers: str, request: Request, found: Found) -> list[Comman
 def _make_member(request: Request, found: Found) -> list[Command]:
     """The bridge's user may drive."""
     name = request.ros2_user
-    members = next((row[3].split(",") for row in found.rows("/etc/group") if row[0] == SERVICE_USER), [])
+    members = next((row[3].split(",") for row in found.rows("/etc/group") if row[0] == rows.SERVICE_USER), [])
     if not name or name == "root" or name in members:
         return []
-    words = ("usermod", *_prefix(request), "--append", "--groups", SERVICE_USER, name)
-    return [Command("add", f"user {name} to the group {SERVICE_USER}", "it may drive", words, touches=ACCOUNT_FILES)]
+    words = ("usermod", *_prefix(request), "--append", "--groups", rows.SERVICE_USER, name)
+    return [
+        Command(
+            "add", f"user {name} to the group {rows.SERVICE_USER}", "it may drive", words, touches=layout.ACCOUNT_FILES
+        )
+    ]
 
 
 def _prefix(request: Request) -> tuple[str, ...]:
@@ -357,27 +350,34 @@ def _prefix(request: Request) -> tuple[str, ...]:
 def _purge(request: Request, found: Found) -> list[Step]:
     """What an installation leaves, and what an earlier uninstall has left."""
     steps: list[Step] = [
-        Remove("remove", CONFIGURATION, "your configuration"),
-        Remove("remove", STATE, "logs and incidents"),
-        *([Remove("", RUNTIME)] if request.live else []),
+        Remove("remove", layout.CONFIGURATION, "your configuration"),
+        Remove("remove", layout.STATE, "logs and incidents"),
+        *([Remove("", layout.RUNTIME)] if request.live else []),
     ]
     # With another home it is a person's, or another program's.
-    if any(row[0] == SERVICE_USER and row[5] == STATE for row in found.rows("/etc/passwd") if len(row) == 7):
-        user, group = (("userdel", *_prefix(request), SERVICE_USER), ("groupdel", *_prefix(request), SERVICE_USER))
-        steps.append(Command("remove", "user failstop", words=user, touches=ACCOUNT_FILES))
-        steps.append(Command("", "group failstop", words=group, touches=ACCOUNT_FILES, accepted=(0, NO_SUCH_GROUP)))
+    if any(
+        row[0] == rows.SERVICE_USER and row[5] == layout.STATE for row in found.rows("/etc/passwd") if len(row) == 7
+    ):
+        user, group = (
+            ("userdel", *_prefix(request), rows.SERVICE_USER),
+            ("groupdel", *_prefix(request), rows.SERVICE_USER),
+        )
+        steps.append(Command("remove", "user failstop", words=user, touches=layout.ACCOUNT_FILES))
+        steps.append(
+            Command("", "group failstop", words=group, touches=layout.ACCOUNT_FILES, accepted=(0, NO_SUCH_GROUP))
+        )
     return steps
 
 
 def _check(request: Request) -> Command:
     """That the service's user can run what was installed, before anything is started."""
     who = ("setpriv", "--reuid=failstop", "--regid=failstop", "--clear-groups")
-    words = (*who, request.command, "config", "--check", configuration_of(request.name))
+    words = (*who, request.command, "config", "--check", layout.configuration_of(request.name))
     return Command("check", "that the user failstop can run it", words=words)
 
 
 def _notes(request: Request, found: Found) -> tuple[str, ...]:
-    configuration = configuration_of(request.name)
+    configuration = layout.configuration_of(request.name)
     notes = {
         f"{configuration} is yours and stays as it is": configuration in found.files,
         "udev does not run here: its rule takes effect when it does": request.live and not found.udev,

@@ -21,9 +21,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from failstop.install import InstallError, layout, rows, tree
-from failstop.install.extras import EXTRAS, UNITS_OF_EXTRAS
 from failstop.install.layout import PREFIX
-from failstop.install.rows import BY_SOURCE, LATE, ROWS, SETTINGS, SYSUSERS
+from failstop.install.rows import EXTRAS, LATE, OWN, ROWS, SETTINGS, SYSUSERS
 from failstop.shm.instance import DEFAULT_NAME
 from failstop.version import VERSION
 
@@ -36,10 +35,10 @@ LAB = f"{tree.SITE}/failstop/lab/"
 NOBODY = "failstop developers <root@localhost>"
 DOC = "usr/share/doc/failstop"
 WORDS = {
-    "@BOOT@": " ".join(row.source for row in ROWS if row.boot),
-    "@EXTRAS@": " ".join(UNITS_OF_EXTRAS),
+    "@BOOT@": " ".join(row.source for row in OWN if row.boot),
+    "@EXTRAS@": " ".join(extra.source for extra in EXTRAS),
     "@LATE@": LATE.replace("@", "@*"),
-    "@SYSUSERS@": BY_SOURCE[SYSUSERS].package,
+    "@SYSUSERS@": next(row.package for row in ROWS if row.source == SYSUSERS),
     "@CONFIGURATION@": layout.CONFIGURATION,
     "@STATE@": layout.STATE,
     "@RUNTIME@": layout.RUNTIME,
@@ -84,7 +83,7 @@ def build(directory: Path, out: Path, interpreter: str) -> tuple[Path, Path]:
 def _robots(environment: tree.Environment, root: Path, out: Path) -> Path:
     (root / "opt").mkdir(parents=True)
     environment.write(str(root / PREFIX.lstrip("/")))
-    for path, text in files(rows.texts(UNITS_OF_EXTRAS)).items():
+    for path, text in files(rows.texts()).items():
         _write(root / path, text)
     (root / "usr/bin").mkdir(parents=True)
     (root / "usr/bin/failstop").symlink_to(f"{PREFIX}/bin/failstop")
@@ -124,7 +123,6 @@ def files(texts: Mapping[str, str]) -> dict[str, str]:
     return {
         CONFIGURATION: texts[SETTINGS],
         **{row.package.lstrip("/"): texts[row.source] for row in ROWS},
-        **{extra.package.lstrip("/"): texts[extra.unit] for extra in EXTRAS},
         f"{DOC}/changelog.gz": changelog(),
         f"{DOC}/copyright": (CHECKOUT / "LICENSE").read_text()
         + f"\nThe packages below {PREFIX} have licences of their own, in their .dist-info directories.\n",

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from failstop.install import InstallError
-from failstop.install.extras import UNITS_OF_EXTRAS
 from failstop.install.found import Found, Request
 from failstop.install.layout import MANIFEST, Manifest
 from failstop.install.machine import Machine
+from failstop.install.rows import EXTRAS
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Tree
 from failstop.install.tree import Entry, Environment
 
@@ -38,7 +38,7 @@ TEXTS = {
     "failstop.toml": EXAMPLE,
     "failstop.1": MANUAL,
     **SHELLS,
-    **dict.fromkeys(UNITS_OF_EXTRAS, "# an extra\n"),
+    **{extra.source: "# an extra\n" for extra in EXTRAS},
 }
 
 

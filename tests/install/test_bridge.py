@@ -7,16 +7,16 @@ import dataclasses
 import pytest
 
 from failstop.install import InstallError, rows
-from failstop.install.extras import BRIDGE, UNITS_OF_EXTRAS
 from failstop.install.found import Found, Request
 from failstop.install.plan import install, uninstall
+from failstop.install.rows import BRIDGE
 from failstop.install.steps import Command, File
 from tests.install.scene import BARE, GROUP, LIVE, PASSWD, TEXTS, after, shown
 
 PLACE = BRIDGE.place
 REQUEST = Request(ros2_user="anna")
-OWN = rows.texts(UNITS_OF_EXTRAS)
-BROUGHT = TEXTS | {name: OWN[name] for name in (BRIDGE.unit, rows.FLEET_SETTINGS)}
+OWN = rows.texts()
+BROUGHT = TEXTS | {name: OWN[name] for name in (BRIDGE.source, rows.FLEET_SETTINGS)}
 ANNA = PASSWD + b"anna:x:1000:1000::/home/anna:/bin/bash\n"
 MACHINE = dataclasses.replace(
     BARE, files={"/etc/passwd": ANNA, "/etc/group": GROUP}, ros_setup="/opt/ros/jazzy/setup.sh"
@@ -44,7 +44,7 @@ def test_without_the_option_there_is_none_and_one_that_is_there_stays() -> None:
     assert PLACE not in after(install(BROUGHT, LIVE, "tree 1", MACHINE), MACHINE).files
     found = installed()
     assert install(BROUGHT, LIVE, "tree 1", found).steps == ()
-    newer = BROUGHT | {BRIDGE.unit: BROUGHT[BRIDGE.unit] + "# newer\n"}
+    newer = BROUGHT | {BRIDGE.source: BROUGHT[BRIDGE.source] + "# newer\n"}
     plan = install(newer, LIVE, "tree 1", found)
     assert f"replace {PLACE}" in shown(plan)
     assert b"User=anna\n" in after(plan, found).files[PLACE]

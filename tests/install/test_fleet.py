@@ -10,16 +10,16 @@ from failstop.fleet import settings
 from failstop.fleet.settings import KEY_PLACE
 from failstop.fleet.settings import PLACE as SETTINGS
 from failstop.install import InstallError, rows
-from failstop.install.extras import FLEET, UNITS_OF_EXTRAS
 from failstop.install.found import Found, Request
 from failstop.install.plan import install, uninstall
+from failstop.install.rows import FLEET
 from failstop.install.steps import File
 from tests.install.scene import BARE, LIVE, TEXTS, after, shown
 
-PLACE, UNIT = FLEET.place, FLEET.unit
+PLACE, UNIT = FLEET.place, FLEET.source
 REQUEST = Request(fleet=True)
-OWN = rows.texts(UNITS_OF_EXTRAS)
-BROUGHT = TEXTS | {name: OWN[name] for name in (FLEET.unit, rows.FLEET_SETTINGS)}
+OWN = rows.texts()
+BROUGHT = TEXTS | {name: OWN[name] for name in (FLEET.source, rows.FLEET_SETTINGS)}
 MACHINE = dataclasses.replace(BARE, fleet_key=True)
 
 
@@ -43,7 +43,7 @@ def test_without_the_option_there_is_none_and_one_that_is_there_stays() -> None:
     assert PLACE not in after(install(BROUGHT, LIVE, "tree 1", MACHINE), MACHINE).files
     found = installed()
     assert install(BROUGHT, LIVE, "tree 1", found).steps == ()
-    newer = BROUGHT | {FLEET.unit: BROUGHT[FLEET.unit] + "# newer\n"}
+    newer = BROUGHT | {FLEET.source: BROUGHT[FLEET.source] + "# newer\n"}
     assert f"replace {PLACE}" in shown(install(newer, LIVE, "tree 1", found))
 
 

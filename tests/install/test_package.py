@@ -10,8 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from failstop.install.extras import UNITS_OF_EXTRAS
-from failstop.install.rows import ROWS
+from failstop.install.rows import EXTRAS, OWN, ROWS
 from tests.install.scene import MANUAL, SHELLS, TEXTS
 
 SCRIPT = Path(__file__).resolve().parents[2] / "packaging/deb/build.py"
@@ -37,10 +36,10 @@ def test_completion_is_where_the_shells_look(build: ModuleType) -> None:
 def test_the_scripts_know_every_unit(build: ModuleType) -> None:
     """That of the rows, as the build writes them."""
     scripts = {name: build.script(name) for name in build.SCRIPTS}
-    for unit in UNITS_OF_EXTRAS:
-        assert unit in scripts["postinst"]
-        assert unit in scripts["prerm"]
-    for row in ROWS:
+    for extra in EXTRAS:
+        assert extra.source in scripts["postinst"]
+        assert extra.source in scripts["prerm"]
+    for row in OWN:
         assert (row.source in scripts["postrm"]) == row.boot, row
     for name, text in scripts.items():
         assert not re.search(r"@[A-Z]+@", text), name

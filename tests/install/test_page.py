@@ -7,14 +7,14 @@ import dataclasses
 import pytest
 
 from failstop.install import InstallError, rows
-from failstop.install.extras import MAY_DRIVE, OPERATE, PAGE, PAGE_USER, UNITS_OF_EXTRAS, VIEW
 from failstop.install.found import Found, Request
 from failstop.install.plan import install, uninstall
+from failstop.install.rows import MAY_DRIVE, OPERATE, PAGE, PAGE_USER, VIEW
 from tests.install.scene import BARE, GROUP, LIVE, PASSWD, TEXTS, after, shown
 
 PLACE = PAGE.place
-OWN = rows.texts(UNITS_OF_EXTRAS)
-BROUGHT = TEXTS | {name: OWN[name] for name in (PAGE.unit, rows.FLEET_SETTINGS)}
+OWN = rows.texts()
+BROUGHT = TEXTS | {name: OWN[name] for name in (PAGE.source, rows.FLEET_SETTINGS)}
 ACCOUNTS = {"/etc/passwd": PASSWD, "/etc/group": GROUP}
 MACHINE = dataclasses.replace(BARE, files=ACCOUNTS)
 
@@ -43,7 +43,7 @@ def test_without_the_option_there_is_none_and_one_that_is_there_stays_what_it_is
     for which in (VIEW, OPERATE):
         found = installed(which)
         assert install(BROUGHT, LIVE, "tree 1", found).steps == ()
-        newer = BROUGHT | {PAGE.unit: BROUGHT[PAGE.unit] + "# newer\n"}
+        newer = BROUGHT | {PAGE.source: BROUGHT[PAGE.source] + "# newer\n"}
         plan = install(newer, LIVE, "tree 1", found)
         assert f"replace {PLACE}" in shown(plan)
         assert (MAY_DRIVE.encode() in after(plan, found).files[PLACE]) == (which == OPERATE)

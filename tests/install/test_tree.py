@@ -15,7 +15,7 @@ import pytest
 
 from failstop.cli.commands import completion
 from failstop.install import InstallError, rows, tree
-from failstop.install.extras import UNITS_OF_EXTRAS
+from failstop.install.rows import EXTRAS
 from tests.install.scene import SYSUSERS, UNIT, environment
 
 BASE = os.path.realpath(getattr(sys, "_base_executable", sys.executable))
@@ -208,7 +208,7 @@ def test_the_interpreter_is_one_that_the_service_can_run(monkeypatch: pytest.Mon
 
 
 def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
-    found = rows.texts(UNITS_OF_EXTRAS)
+    found = rows.texts()
     units = {name: text for name, text in found.items() if name.endswith(".service")}
     assert all(rows.UNIT_COMMAND in text for text in units.values())
     wanted = {name: rows.wanted_by(text)[:1] for name, text in units.items()}
@@ -217,7 +217,7 @@ def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
         "failstop@.service": ["multi-user.target"],
         "failstop-sleep.service": ["sleep.target"],
         rows.LATE: [],
-        **{unit: ["multi-user.target"] for unit in UNITS_OF_EXTRAS},
+        **{extra.source: ["multi-user.target"] for extra in EXTRAS},
     }
     users, memberships = rows.accounts(found[rows.SYSUSERS])
     assert users == ["failstop"]
@@ -226,7 +226,7 @@ def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
     assert found["failstop.catalog"].count("Defined-By: failstop") > 3
     assert ".TH FAILSTOP 1" in found["failstop.1"]
     assert all("failstop" in found[shell] for shell in completion.SHELLS)
-    assert found.keys() == {row.source for row in rows.ROWS} | {*UNITS_OF_EXTRAS, rows.SETTINGS, rows.FLEET_SETTINGS}
+    assert found.keys() == {row.source for row in rows.ROWS} | {rows.SETTINGS, rows.FLEET_SETTINGS}
 
 
 def test_units_and_accounts_are_read_as_systemd_reads_them() -> None:

@@ -11,10 +11,10 @@ from failstop.api.errors import Refused
 from failstop.discovery import LINK
 from failstop.install import InstallError, dialogue, found, plan, rows, tree
 from failstop.install.do import Doer
-from failstop.install.extras import EXTRAS, OPERATE, UNITS_OF_EXTRAS, VIEW
 from failstop.install.found import Request
 from failstop.install.layout import PREFIX, unit_of
 from failstop.install.machine import READY_S, Machine
+from failstop.install.rows import EXTRAS, OPERATE, VIEW
 from failstop.install.steps import Plan
 from failstop.policy.settings import BY_KEY
 from failstop.shm import instance
@@ -76,7 +76,7 @@ def main(arguments: Namespace) -> int:
     """Install. Raises InstallError, Refused, SettingError; then nothing is changed."""
     request = _request(arguments)
     dry = not dialogue.changes(arguments)
-    texts = rows.texts(UNITS_OF_EXTRAS)
+    texts = rows.texts()
     there = dataclasses.replace(found.look(request), configured_device=found.configured_device(request))
     # Of what is there already too: a new environment takes the place of the one that it runs in.
     wanted = tuple(extra.needs for extra in EXTRAS if extra.needs and extra.choice(request, there))
