@@ -39,12 +39,9 @@ def install(texts: Texts, request: Request, tree: str, found: Found) -> Plan:
     changed = {*written, *(step.subject for step in linking), *gone}
     restarts = found.active if new_tree or any(layout.unit_file(unit) in written for unit in found.active) else ()
     making = _make_accounts(texts[rows.SYSUSERS], request, found)
-    needed = [
-        part
-        for path in (*files, *links, *written, layout.PREFIX if new_tree else layout.MANIFEST)
-        for part in layout.parents(path)
-    ]
-    directories = [part for part in dict.fromkeys(needed) if part not in found.directories]
+    paths = (*files, *links, *written, layout.PREFIX if new_tree else layout.MANIFEST)
+    needed = dict.fromkeys(part for path in paths for part in layout.parents(path))
+    directories = [part for part in needed if part not in found.directories]
     listed = layout.Manifest(
         VERSION,
         request.command,
@@ -52,29 +49,24 @@ def install(texts: Texts, request: Request, tree: str, found: Found) -> Plan:
         {path: layout.sha256(data) for path, (data, _) in files.items()},
         {**before.links, **links},
         tuple(dict.fromkeys([*before.directories, *directories])),
-    ).dump()
+    )
     steps: list[Step] = [
         *_stops(restarts),
         *_on_undo(request, found, changed),
         *(Directory("", path) for path in directories),
         # First the list: what was cut short by a power failure can be taken away, or done again.
-        *_listed(listed, new_tree, found),
+        *_listed(listed.dump(), new_tree, found),
         *(Remove("remove", path, "of another version") for path in gone),
         *content,
         *making,
         *_make_member(request, found),
         *linking,
+        *_told(request, found, changed),
+        *(_name_board() if layout.UDEV in written and request.live and found.udev else ()),
+        *([_check(request)] if request.live and (new_tree or making or content) else ()),
+        *_starts(request, found, restarts),
     ]
-    starts = _starts(request, found, restarts)
-    if not (steps or starts):
-        return Plan((), _notes(request, found))
-    steps += _told(request, found, changed)
-    if layout.UDEV in written and request.live and found.udev:
-        steps += [_run("udevadm", "trigger", "--subsystem-match=tty")]
-        steps += [_run("udevadm", "settle", f"--timeout={SETTLE_S}", accepted=(0, 1))]
-    if request.live and (new_tree or making or content):
-        steps.append(_check(request))
-    return Plan((*steps, *starts), _notes(request, found), restarts)
+    return Plan(tuple(steps), _notes(request, found), restarts)
 
 
 def uninstall(request: Request, found: Found, purge: bool = False) -> Plan:
@@ -300,6 +292,12 @@ def _told(request: Request, found: Found, changed: Collection[str]) -> list[Comm
     words = ("journalctl", *(() if request.live else (f"--root={request.root}",)), "--update-catalog")
     catalog = [_run(*words, touches=(layout.CATALOG_DATABASE,))] if layout.CATALOG in changed else []
     return [*catalog, *(_run(*words) for words in _readers(request, found, changed))]
+
+
+def _name_board() -> list[Command]:
+    """Have the new rule name a board that is plugged in."""
+    settle = ("udevadm", "settle", f"--timeout={SETTLE_S}")
+    return [_run("udevadm", "trigger", "--subsystem-match=tty"), _run(*settle, accepted=(0, 1))]
 
 
 def _run(*words: str, touches: tuple[str, ...] = (), accepted: tuple[int, ...] = (0,)) -> Command:
