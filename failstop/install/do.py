@@ -23,6 +23,8 @@ from failstop.install.tree import Environment
 NEW = ".new-by-install"
 OLD = ".old-by-install"
 
+STAYS = (errno.ENOENT, errno.ENOTEMPTY, errno.EBUSY)
+"""Why a directory is not removed where that is well."""
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 Undo = Callable[[], None]
@@ -72,7 +74,7 @@ class Doer:
                 self._put(path, partial(self._tree, manifest))
             case Remove(only_empty=True):
                 # It may be empty only when what was moved aside is removed.
-                self._last.append(partial(_remove_empty, path))
+                self._last.append(partial(_remove_empty, path, *STAYS))
             case Remove():
                 self._aside(path)
             case Command():
@@ -84,8 +86,8 @@ class Doer:
 
     def _directory(self, path: str) -> None:
         if not os.path.isdir(path):
-            self._undos.append(partial(_remove_empty, path))
-            os.mkdir(path)
+            self._undos.append(partial(_remove_empty, path, errno.ENOENT))
+            os.mkdir(path, 0o755)
             os.chmod(path, 0o755)
 
     def _put(self, path: str, make: Callable[[str], None]) -> None:
@@ -131,7 +133,7 @@ class Doer:
         paths = [self._at(path) for path in step.touches]
         after: dict[str, bytes | None] = {}
         for path in _missing_parents(paths):
-            self._undos.append(partial(_remove_empty, path))
+            self._undos.append(partial(_remove_empty, path, *STAYS))
         for path in paths:
             self._undos.append(partial(_restore_unless_changed, path, _restorer(path), after))
         if step.words:
@@ -198,12 +200,12 @@ def _missing_parents(paths: Sequence[str]) -> list[str]:
     return sorted(found, key=len)
 
 
-def _remove_empty(path: str) -> None:
-    """A directory, unless it holds something."""
+def _remove_empty(path: str, *accepted: int) -> None:
+    """A directory. Raises OSError for another error than the accepted."""
     try:
         os.rmdir(path)
     except OSError as error:
-        if error.errno not in (errno.ENOENT, errno.ENOTEMPTY, errno.EBUSY):
+        if error.errno not in accepted:
             raise
 
 

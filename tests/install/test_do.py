@@ -203,6 +203,16 @@ def test_what_cannot_be_changed_back_is_named(root: Path) -> None:
     assert not (root / "new").exists(), "the rest is"
 
 
+def test_a_new_directory_that_somebody_else_has_filled_is_named(root: Path) -> None:
+    def fill(step: Step) -> None:
+        (root / "new/theirs").touch()
+        raise OSError("injected")
+
+    with pytest.raises(InstallError, match=r"could NOT be changed back: .*not empty.*/new"):
+        Doer(str(root), NotingMachine()).do([Directory("create", "/new")], fill)
+    assert (root / "new/theirs").exists()
+
+
 def test_a_users_file_that_somebody_else_changed_meanwhile_stays(root: Path) -> None:
     passwd = root / "etc/passwd"
 
