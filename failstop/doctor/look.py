@@ -20,7 +20,7 @@ from failstop.doctor.system import System, User, account, user
 from failstop.install.layout import unit_of
 from failstop.policy.settings import SettingError, Settings
 from failstop.shm import layout, segment
-from failstop.shm.instance import DEFAULT_NAME, check_name
+from failstop.shm.instance import DEFAULT_NAME, check_name, option
 
 NAMED = "--device"
 """The origin of a device that the user named."""
@@ -169,14 +169,10 @@ class Look:
         """The self-test of the stop path, where it is safe; else why it was left out."""
         return stop_test.tried(self)
 
-    def again(self, *options: str) -> str:
+    def again(self) -> str:
         """The command that asks the same once more."""
-        words = ["failstop", "doctor", *options]
-        if self.name != DEFAULT_NAME:
-            words += ["--name", self.name]
-        if self.named:
-            words += ["--device", self.device[0]]
-        return shlex.join(words)
+        device = f" --device {shlex.quote(self.device[0])}" if self.named else ""
+        return f"failstop doctor{option(self.name)}{device}"
 
 
 def settings_of(name: str, path: str | None, system: System) -> tuple[str | None, Settings]:

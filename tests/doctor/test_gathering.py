@@ -218,6 +218,16 @@ def test_the_clocks_of_this_machine() -> None:
     assert 0 < System().resolution_ns() < 20_000_000
 
 
+def test_rights_and_room(tmp_path: Path) -> None:
+    write(tmp_path, "/proc/self/status", "Name:\tpython3\nCapEff:\t0000000000804000\n")
+    system = System(str(tmp_path))
+    assert [capability for capability in range(64) if system.capable(capability)] == [14, 23]
+    assert not System(str(tmp_path / "nothing")).capable(14)
+    assert (system.free("/nowhere"), system.writable("/nowhere")) == (None, False)
+    assert (system.free("/") or 0) > 0
+    assert system.writable("/")
+
+
 def test_asking_for_real_time_leaves_no_trace() -> None:
     before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
     System().realtime()
