@@ -11,7 +11,7 @@ import pytest
 
 from failstop import discovery
 from failstop.api.snapshot import Client, Starved
-from failstop.doctor import paste, port
+from failstop.doctor import paste, port, stop_test
 from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, worst
 from failstop.doctor.leftovers import Leftover
 from failstop.doctor.look import NAMED, Look
@@ -132,6 +132,88 @@ def test_on_a_machine_that_is_well_every_check_says_so() -> None:
     found = examine(look())
     assert {name for name, _ in found} == CHECKS.keys()
     assert [finding for _, finding in found if finding.level != OK or finding.fix] == []
+
+
+def said(given: Look, check: str) -> list[tuple[str, str, str]]:
+    """(text, fix, advice) of each finding of a check."""
+    return [(row.text, row.fix, row.advice) for name, row in examine(given) if name == check]
+
+
+RUNS = "'failstop' runs (pid 100, user failstop), device open, the board answers"
+OPENED = ((Holder(101, "fs:port_owner", "failstop.service", ours=True),), 0)
+
+
+@pytest.mark.parametrize(
+    ("check", "given", "says"),
+    [
+        ("port", look(), "/dev/ttyACM0 (the default of device.path)"),
+        ("port", look(node=but(NODE, resolved="/dev/x")), "/dev/ttyACM0, which is /dev/x (the default of device.path)"),
+        ("holders", look(), "nobody has it open"),
+        ("holders", look(holders=OPENED), "only the service has it open (1 processes)"),
+        ("grabbers", look(), "neither ModemManager nor brltty runs"),
+        ("grabbers", look(files=on("ModemManager")), "ModemManager runs and is told to leave this port alone"),
+        (
+            "service",
+            look(),
+            "'failstop' runs (pid 100, user failstop), device open, the board answers, motion disabled",
+        ),
+        ("RemoveIPC", look(), "RemoveIPC is on (the default); it does not concern failstop"),
+        ("idle", look(), "the slowest idle state C1 takes 2 us to wake from"),
+        ("stop path", look(), "stop tool: acknowledged by the board after 4.5 ms"),
+    ],
+)
+def test_what_is_said_where_all_is_well(check: str, given: Look, says: str) -> None:
+    assert [text for text, *_ in said(given, check)] == [says]
+
+
+@pytest.mark.parametrize(
+    ("check", "given", "fix", "advice"),
+    [
+        ("holders", look(holders=((Holder(7, "python3"),), 0)), "sudo kill 7", ""),
+        ("holders", look(holders=((Holder(7, "x", "old.service"),), 0)), "sudo systemctl stop old.service", ""),
+        ("version", look(service=but(SERVICE, version="0")), "sudo systemctl restart failstop.service", "it stops"),
+        ("version", look(service=but(SERVICE, version="0"), unit={}), "sudo kill 100", "then start it again"),
+        ("clock", look(files={f"{CLOCKS}/current_clocksource": "hpet"}), "", "add clocksource=tsc"),
+        ("realtime", look(service=serving(processes=UNRIGHTED)), "", "LimitRTPRIO=40, as the one of failstop install"),
+    ],
+)
+def test_the_remedy_fits_the_case(check: str, given: Look, fix: str, advice: str) -> None:
+    [(_, found, besides)] = said(given, check)
+    assert found == fix
+    assert advice in besides
+
+
+UNTOUCHED = but(NODE, accessible=False)
+
+
+@pytest.mark.parametrize(
+    ("changed", "why", "fix"),
+    [
+        ({"service": but(SERVICE, state=None)}, "the running service can't be asked", ""),
+        ({"service": serving(enabled=True)}, "motion is enabled", "failstop disable --name failstop"),
+        ({}, "the service runs, and would be stopped once and reset", "failstop doctor --stop-test --name failstop"),
+        ({"service": None, "node": None}, "there is no port", ""),
+        ({"service": None, "node": but(NODE, character=False)}, "there is no port", ""),
+        ({"service": None, "node": UNTOUCHED}, "this user may not open the port", ""),
+        ({"service": None, "holders": ((Holder(7, "x"),), 0)}, "x (pid 7) has the port open", ""),
+        (
+            {"service": None, "node": but(NODE, usb_id=None)},
+            "/dev/ttyACM0 may not be the board, and it is not written to",
+            "failstop doctor --device /dev/ttyACM0",
+        ),
+    ],
+)
+def test_where_the_stop_path_is_left_alone(changed: dict[str, Any], why: str, fix: str) -> None:
+    assert stop_test.tried(look(**changed)) == StopPath((), why, fix)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{}, {"node": but(NODE, usb_id=None, pseudo=True)}, {"node": but(NODE, usb_id=None), "device": ("/dev/x", NAMED)}],
+)
+def test_where_it_is_tried(monkeypatch: pytest.MonkeyPatch, changed: dict[str, Any]) -> None:
+    monkeypatch.setattr(stop_test, "by_hand", lambda path: (path,))
+    assert stop_test.tried(look(service=None, **changed)) == StopPath((NODE.path,))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

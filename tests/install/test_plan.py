@@ -54,6 +54,20 @@ def test_a_bare_machine_gets_everything_in_an_order_that_works() -> None:
     assert plan.restarts == ()
 
 
+def test_what_is_shown_of_the_steps() -> None:
+    remarks = {step.subject: step.remark for step in install(TEXTS, LIVE, "tree 1", BARE).steps}
+    wants = "/etc/systemd/system/multi-user.target.wants/failstop.service"
+    sleep = "/etc/systemd/system/sleep.target.wants/failstop-sleep.service"
+    assert [remarks[path] for path in ("/usr/local/bin/failstop", wants, sleep)] == [
+        "the command",
+        "starts at boot",
+        "before a sleep",
+    ]
+    assert remarks["user and group failstop"] == "the service runs as it; in the groups of dialout"
+    gone = {step.subject: step.remark for step in uninstall(LIVE, installed()).steps}
+    assert gone[PREFIX] == "the Python environment"
+
+
 def test_every_directory_that_is_missing_is_made_before_it_is_used() -> None:
     there = {"/", *BARE.directories}
     for step in install(TEXTS, LIVE, "tree 1", BARE).steps:
@@ -152,6 +166,8 @@ def test_a_second_robot_is_an_instance_with_a_board_of_its_own() -> None:
 def test_another_environment_is_called_where_it_is() -> None:
     plan = install(TEXTS, dataclasses.replace(LIVE, command="/srv/venv/bin/failstop"), "", BARE)
     assert not [step for step in plan.steps if isinstance(step, Tree)]
+    assert Directory("", PREFIX) in plan.steps, "for the list alone"
+    assert Directory("", PREFIX) not in install(TEXTS, LIVE, "tree 1", BARE).steps, "it is the tree itself"
     units = [step for step in plan.steps if isinstance(step, File) and step.subject.endswith(".service")]
     assert len(units) == 4
     assert all(b"=/srv/venv/bin/failstop " in step.data and b"/opt" not in step.data for step in units)
