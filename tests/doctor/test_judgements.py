@@ -152,11 +152,8 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", ours=True),), 0)
         ("holders", look(holders=OPENED), "only the service has it open (1 processes)"),
         ("grabbers", look(), "neither ModemManager nor brltty runs"),
         ("grabbers", look(files=on("ModemManager")), "ModemManager runs and is told to leave this port alone"),
-        (
-            "service",
-            look(),
-            "'failstop' runs (pid 100, user failstop), device open, the board answers, motion disabled",
-        ),
+        ("service", look(), f"{RUNS}, motion disabled"),
+        ("service", look(service=serving(enabled=True)), f"{RUNS}, motion enabled"),
         ("RemoveIPC", look(), "RemoveIPC is on (the default); it does not concern failstop"),
         ("idle", look(), "the slowest idle state C1 takes 2 us to wake from"),
         ("stop path", look(), "stop tool: acknowledged by the board after 4.5 ms"),
