@@ -2,8 +2,9 @@
 
 A write to a USB port submits the transfer itself, and interrupts carry it on. A write to a pty only queues work for a
 worker of ordinary priority, which waits wherever it is for whatever runs there: most of all behind the end of the very
-process that was killed, 8 to 14 ms for the ROS 2 bridge. Here these workers run before ordinary programs, as
-interrupts do; the bytes still come to the board when it reads them.
+process that was killed, 8 to 14 ms for the ROS 2 bridge, and behind what the service does once the stop is written.
+Here they have the priority of the kernel's interrupt threads, which carry a USB port's bytes; the bytes still come to
+the board when it reads them.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from collections.abc import Iterator
 from types import TracebackType
 
 _KTHREADD = 2
-_PRIORITY = os.sched_param(1)
+_PRIORITY = os.sched_param(50)
+"""Of interrupt threads: Linux, kernel/sched/syscalls.c, sched_set_fifo()."""
 _ORDINARY = os.sched_param(0)
 
 

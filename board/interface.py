@@ -6,6 +6,7 @@ A second board is a second class of this form, in a module of its own (docs/dev/
 from __future__ import annotations
 
 from failstop.board import burst, codec, decoder, peripherals, servos
+from failstop.board.burst import FIRST_STOP_END
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
         @property
         def burst(self) -> bytes:
             """One write that stops the wheels whatever state the board's receiver is in."""
+
+        @property
+        def first_stop(self) -> bytes:
+            """The beginning of the burst, up to its first stop frame."""
 
         @property
         def pings(self) -> tuple[bytes, ...]:
@@ -70,6 +75,7 @@ class RosController:
     stop = codec.STOP
     burst_with = staticmethod(burst.burst_with)
     burst = burst.BURST
+    first_stop = burst[:FIRST_STOP_END]
     pings = tuple(peripherals.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
     motor_speeds = staticmethod(codec.motor_speeds)
     check_motion = staticmethod(codec.check_motion)

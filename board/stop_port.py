@@ -9,6 +9,7 @@ knows no such device      not written; the port has gone
 
 from __future__ import annotations
 
+import _thread
 import os
 import time
 
@@ -24,7 +25,7 @@ LOOK_S = 0.0005
 class StopPort:
     """-1: no port. `lost` turns true when a write finds that the device has gone, for the reason `errno`."""
 
-    __slots__ = ("_stop", "errno", "fd", "lost", "unsent")
+    __slots__ = ("_stop", "_writing", "errno", "fd", "lost", "unsent")
 
     def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
         """`servos`: of the robot's arm: what stops them is the end of the same write, so that it comes behind a whole
@@ -35,16 +36,30 @@ class StopPort:
         self.errno = 0
         self.unsent = b""
         """What the kernel did not take yet; only ever the rest of a burst or of one frame."""
+        self._writing = _thread.allocate_lock()
+        """Held by the loop while it looks whether it may write, and writes; and by a thread in early_stop()."""
+
+    def early_stop(self) -> None:
+        """Write the burst as far as its first stop frame, from the thread that has learned of a death. The loop, which
+        is woken then, writes the burst."""
+        with self._writing:
+            if self.fd >= 0:
+                self._write_early()
+
+    def _write_early(self) -> int:
+        return self._write(BOARD.first_stop)
 
     def burst(self) -> bool:
         """Write the stop burst, now; True when the kernel has all of it. The rest of a cut frame is dropped for it,
         since the burst heals any cut; the rest of an earlier burst goes first."""
         begun = self.unsent if self._stop.endswith(self.unsent) else b""
-        return self.fd >= 0 and self._put(begun + self._stop, rest=False)
+        with self._writing:
+            return self.fd >= 0 and self._put(begun + self._stop, rest=False)
 
     def flush(self) -> bool:
         """Go on with what the kernel did not take; True when nothing is left."""
-        return not self.unsent or self._put(self.unsent, rest=True)
+        with self._writing:
+            return not self.unsent or self._put(self.unsent, rest=True)
 
     def _put(self, data: bytes, *, rest: bool) -> bool:
         """Write what can be; `rest`: of what was begun before."""
@@ -83,11 +98,12 @@ class StopPort:
     def adopt(self, fd: int) -> None:
         """Let the old descriptor go at once and keep another, -1 for none. One that is kept open over a USB drop
         renumbers the device."""
-        if self.fd >= 0:
-            port.close_port(self.fd)
-        self.fd = fd
-        self.lost = fd < 0
-        self.unsent = b""
+        with self._writing:
+            old, self.fd = self.fd, fd
+            self.lost = fd < 0
+            self.unsent = b""
+        if old >= 0:
+            port.close_port(old)
 
     def close(self) -> None:
         """Let it go."""

@@ -48,6 +48,8 @@ bit port_open;          /* the port owner's port record names the port that the 
 bit fencing;            /* the stopper is about to do the second half of its fencing */
 bit answered_death;     /* the port owner has written since the supervisor died */
 bit po_died_sup, po_died_stp, gate_died_sup, gate_died_po, stp_died;    /* lifelines that have not been looked at */
+bit po_writing;         /* the port owner's loop holds the lock in which it looks whether it may write, and writes */
+bit told_gate, told_sup;        /* its threads have stopped for a death that the loop has not looked at */
 
 /* The board and the world. The kernel passes bytes on in the order of the writes: the write orders everything. */
 bit plugged = 1;
@@ -167,13 +169,25 @@ inline refuse() {
 #define recheck (epoch == frame)
 #endif
 
+#ifdef NO_BAR
+#define may_write true
+#else
+#define may_write !barred
+#endif
+#ifdef NO_LOCK
+#define unlocked true
+#else
+#define unlocked !po_writing
+#endif
+
 /* What a turn answers before it looks into the ring. */
+#define barred ((told_gate && gate_died_po) || (told_sup && !answered_death))
 #define causes (request || gate_died_po || (state[SUP] == DEAD && !orphan) || (drives && lapsed) || epoch != seen || \
   fd[PO] == BROKEN)
 
 proctype port_owner() provided (awake(PO))
 {
-  bit drives, orphan, writing;
+  bit drives, orphan;
 #define seen po_seen
 begin:
   {
@@ -188,7 +202,7 @@ end_turn:
       d_step { request = 0; refuse() };
       stops = 1
     :: d_step { beats(PO) && gate_died_po -> burst(PO) };
-      d_step { gate_died_po = 0; refuse() };
+      d_step { gate_died_po = 0; told_gate = 0; refuse() };
       stops = 1
     :: d_step { beats(PO) && state[SUP] == DEAD && !orphan -> burst(PO) };
       d_step { orphan = 1; answered_death = 1; refuse() }
@@ -214,8 +228,8 @@ lapse:
         :: current && !lapsed
         :: else -> no_frame(); goto end_turn
         fi };
-      atomic { if :: recheck -> writing = 1 :: else -> no_frame(); goto end_turn fi };
-      d_step { motion(); drives = 1; writing = 0; no_frame() }
+      atomic { if :: recheck && may_write -> po_writing = 1 :: else -> no_frame(); goto end_turn fi };
+      d_step { motion(); drives = 1; po_writing = 0; no_frame() }
 #ifdef NEW_HIDES_LOSS
     :: d_step { beats(PO) && passed_po && fd[PO] != GOOD -> fd[PO] = passed_po; passed_po = NONE; burst(PO) };
 #else
@@ -230,14 +244,27 @@ lapse:
 dies:
   atomic {
     if
-    :: writing -> if :: motion() :: usable(PO) -> cut = 1 :: true fi
+    :: po_writing -> if :: motion() :: usable(PO) -> cut = 1 :: true fi
     :: else
     fi;
-    seen = 0; stopped_in = 0; no_frame(); drives = 0; orphan = 0; writing = 0;
+    seen = 0; stopped_in = 0; no_frame(); drives = 0; orphan = 0; po_writing = 0;
+    told_gate = 0; told_sup = 0;
     fd[PO] = NONE; state[PO] = DEAD; po_died_sup = 1; po_died_stp = 1
   };
 end_dead:
   atomic { if :: state[PO] == STARTS -> goto begin :: state[PO] == KILLED -> goto dies fi }
+}
+
+/* ---- shm/lifeline.py: the port owner's threads, to which a death is told before its loop has woken. Those of supervisor and
+ * stopper write nothing that their loops would not, at no other moment: they stop for a port owner that is dead. */
+
+proctype news() provided (awake(PO))
+{
+end_waits:
+  do
+  :: d_step { state[PO] == RUNS && gate_died_po && !told_gate && unlocked -> told_gate = 1; burst(PO) }
+  :: d_step { state[PO] == RUNS && state[SUP] == DEAD && !answered_death && !told_sup && unlocked -> told_sup = 1; burst(PO) }
+  od
 }
 
 /* ---- procs/gate/main.py; without its latch: a client may reset it as soon as the epoch is newer */
@@ -472,7 +499,7 @@ end_world:
 init {
   atomic {
     fd[SUP] = GOOD; fd[PO] = GOOD; fd[STP] = GOOD;
-    run supervisor(); run opener(); run port_owner(); run gate(); run stopper(); run systemd(); run world()
+    run supervisor(); run opener(); run port_owner(); run news(); run gate(); run stopper(); run systemd(); run world()
   }
 }
 

@@ -10,6 +10,8 @@ from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from failstop.procs.context import Context
     from failstop.procs.loop import Loop
 
@@ -20,15 +22,17 @@ _LINE = 1
 class Peer:
     """`life` is None while there is none, or none whose death has not been answered."""
 
-    __slots__ = ("_early", "_loop", "_named", "_word", "death", "heart", "life")
+    __slots__ = ("_early", "_loop", "_named", "_stop", "_word", "death", "heart", "life")
 
-    def __init__(self, name: str, context: Context, loop: Loop) -> None:
+    def __init__(self, name: str, context: Context, loop: Loop, stop: Callable[[], None]) -> None:
+        """`stop`: what the thread does that the early news of its death comes to."""
         self.death = causes.DIED(name)
         """The cause of a stop for it."""
         self.heart = HeartbeatReader(context.segment(name))
         self.life: Lifeline | None = None
         self._word = context.segment("supervisor").word(f"{name}_life")
         self._early = context.early
+        self._stop = stop
         self._loop = loop
         self._named = 0
 
@@ -52,17 +56,18 @@ class Peer:
                 return died
             self._loop.watch(self.life.fd, READ)
         if self.life and not self.life.armed and self.heart.running(pid):
-            self._early.arm(self.life, block, _LINE)
+            self._early.arm(self.life, block, _LINE, lambda: self._stop_early(pid))
         return died
+
+    def _stop_early(self, pid: int) -> None:
+        """In the thread that waits. Where another is named by now, somebody has stopped for this one: who was held up
+        for so long must not cut into the motion that came after."""
+        if self.named() == pid:
+            self._stop()
 
     def died(self, ready: dict[int, int]) -> int:
         """Its pid when this wake-up, or the early news before it, says that it has died, else 0."""
         return self.life.pid if self.life and self.life.died(ready) else 0
-
-    def demote(self) -> None:
-        """Take its real-time rights: its end is to hold nobody up."""
-        if self.life:
-            self.life.demote()
 
     def drop(self) -> None:
         """Watch it no longer."""

@@ -9,12 +9,14 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable
+from time import monotonic_ns
 from typing import Any
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 from failstop.policy import causes
 from failstop.ros2 import report, words
+from failstop.ros2.commanders import FRESH_NS
 from failstop.ros2.contract import ARM_ACTION, ARM_BUSY, ARM_GOAL, ARM_SERVICES
 from failstop.ros2.fill import fill, type_of
 from failstop.ros2.graph import latch
@@ -57,8 +59,11 @@ class Job:
 class ArmFace:
     """Its subscription, publisher and services."""
 
-    def __init__(self, node: Any, qos: Any, group: Any, link: Link, shared: Shared) -> None:
-        """`link`: of the executor's thread, for what is done at once."""
+    def __init__(
+        self, node: Any, qos: Any, group: Any, link: Link, shared: Shared, waited_ns: Callable[[], int]
+    ) -> None:
+        """`link`: of the executor's thread, for what is done at once; `waited_ns`: how long the message at hand has
+        waited for its callback."""
         self._node = node
         self._link = link
         self._shared = shared
@@ -67,6 +72,13 @@ class ArmFace:
         self._goal_job: Job | None = None
         self._way_job: Job | None = None
         """Of the action's goal."""
+        self._waited_ns = waited_ns
+        self.goal_timeout_s = 0.5
+        """A goal older than this starts nothing (arm.goal_timeout_s)."""
+        self._turned_ns = monotonic_ns()
+        self._since_ns = 0
+        """Goals that came before this may have lain in the kernel while this node did not run, for `_away_ns`."""
+        self._away_ns = 0
         self._busy_ns = 0
         self._latched = False
         kind = type_of(ARM_BUSY.type)
@@ -94,6 +106,8 @@ class ArmFace:
 
     def go(self, path: Way, told: Callable[[str], None]) -> Job:
         """The action's goal, which two are not at once. Raises Refused."""
+        if old := self._old():
+            raise Refused(old)
         if self._rivals():
             raise Refused("more than one node sends goals")
         if self._under_way():
@@ -124,6 +138,7 @@ class ArmFace:
 
     def follow(self, now_ns: int) -> None:
         """With every turn of the watch: whether it moves, who else sends goals, and how the last goal ended."""
+        self._turned(now_ns)
         if now_ns - self._busy_ns >= BUSY_NS:
             self._busy_ns = now_ns
             self._busy.publish(fill(self._message, {"data": report.busy(self._shared.state)}))
@@ -134,6 +149,21 @@ class ArmFace:
                 job.result()
             except FailstopError as error:
                 self._node.get_logger().warning(f"{ARM_GOAL.name}: {error}")
+
+    def _turned(self, now_ns: int) -> None:
+        """This node runs. Whoever was held up for longer than a goal counts takes what it finds for old: how long that
+        has lain in the kernel nobody knows."""
+        if now_ns - self._turned_ns > self.goal_timeout_s * 1e9:
+            self._since_ns, self._away_ns = now_ns + FRESH_NS, now_ns - self._turned_ns
+        self._turned_ns = now_ns
+
+    def _old(self, waited_ns: int = 0) -> str:
+        """Why the goal at hand, which is known to have waited so long, starts nothing; empty: it is young enough."""
+        now_ns = monotonic_ns()
+        self._turned(now_ns)
+        if now_ns - waited_ns < self._since_ns:
+            waited_ns = self._away_ns
+        return words.waited(waited_ns / 1e9) if waited_ns > self.goal_timeout_s * 1e9 else ""
 
     def _rivals(self) -> bool:
         """True, and latched once, while more than one node publishes goals."""
@@ -151,7 +181,10 @@ class ArmFace:
         if not message.points:
             self._goal_job = self.begin(_hold)
             return
+        now_ns = self._node.get_clock().now().nanoseconds
         try:
+            if old := self._old(self._waited_ns()) or words.late(message.header.stamp, now_ns, self.goal_timeout_s):
+                raise Refused(old)
             path = way(message)
             if self._way_job and not self._way_job():
                 raise Refused(f"{ARM_ACTION.name} moves the arm")

@@ -132,7 +132,7 @@ ARM_GOAL = Topic(
     PLAIN,
     0,
     "where the arm goes: joints by the names of the settings, rad; without points it is held. A second publisher "
-    "latches a stop",
+    "latches a stop. A goal that is older than arm.goal_timeout_s, by its stamp or since it had to wait, is refused",
 )
 ARM_BUSY = Topic("~/arm_busy", "std_msgs/msg/Bool", PLAIN, 10, "true while the arm moves, or is about to")
 ARM_TOPICS = (ARM_GOAL, ARM_BUSY)

@@ -144,7 +144,9 @@ class Inward:
         self._timeout_s = mirrors.command_timeout_s(settings)
         self._scan.timeout_s = float(settings["scan.timeout_s"])
         if self.arm is None and any(key.startswith("joints.") for key in settings):
-            self.arm = ArmFace(self._node, self._qos, self._group, self._link, self._shared)
+            self.arm = ArmFace(self._node, self._qos, self._group, self._link, self._shared, self._waited_ns)
+        if self.arm:
+            self.arm.goal_timeout_s = float(settings["arm.goal_timeout_s"])
         self._asserts = f"interlocks.{CLIENT}.timeout_s" in settings
 
     def _say(self, now_ns: int) -> None:
@@ -172,14 +174,12 @@ class Inward:
             self._latch(str(causes.NOT_FINITE(self._commanders.names())))
             return
         if self._type == STAMPED and (late := self._late(message.header.stamp)):
-            self._complain("late", late)
+            self._complain("late", f"cmd_vel is refused: {late}")
             return
         if any(velocity):
             self._moving_ns, self._velocity = now_ns, velocity
         if waited_ns > self._timeout_s * 1e9:
-            self._complain(
-                "waited", f"cmd_vel is refused: it waited {waited_ns / 1e9:.3f} s here; is the machine overloaded?"
-            )
+            self._complain("waited", f"cmd_vel is refused: {words.waited(waited_ns / 1e9)}")
             return
         if not self._commanders.passes(now_ns - waited_ns):
             return
@@ -190,11 +190,7 @@ class Inward:
 
     def _late(self, stamp: Any) -> str:
         """Why a stamp is refused; empty: it is not."""
-        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
-        age_s = (self._node.get_clock().now().nanoseconds - stamp_ns) / 1e9
-        if stamp_ns == 0 or age_s <= self._timeout_s:
-            return ""
-        return f"cmd_vel is refused: its stamp is {age_s:.3f} s old (most: {self._timeout_s:g} s); do the clocks agree?"
+        return words.late(stamp, self._node.get_clock().now().nanoseconds, self._timeout_s)
 
     def _scanned(self, _message: bytes) -> None:
         if self._waited_ns() > FRESH_NS:

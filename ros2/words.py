@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from failstop.api.errors import FailstopError, Refused
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -33,6 +35,21 @@ def refused(error: FailstopError) -> str:
 def reset(was: Cause | None) -> str:
     """The answer to a reset that was done; `was`: what had been latched."""
     return f"e-stop cleared (was: {plain(was) or None}); motion still disabled"
+
+
+def waited(waited_s: float) -> str:
+    """Why a message that came late to its callback is refused."""
+    return f"it waited {waited_s:.3f} s here; is the machine overloaded?"
+
+
+def late(stamp: Any, now_ns: int, most_s: float) -> str:
+    """Why a message is refused for its stamp (builtin_interfaces/Time; 0 counts as now, of ROS's clock like `now_ns`);
+    empty: it is not."""
+    stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+    age_s = (now_ns - stamp_ns) / 1e9
+    if stamp_ns == 0 or age_s <= most_s:
+        return ""
+    return f"its stamp is {age_s:.3f} s old (most: {most_s:g} s); do the clocks agree?"
 
 
 def velocity(linear_x: float, linear_y: float, angular_z: float) -> str:

@@ -20,6 +20,8 @@ from failstop.shm.bell import EventBell
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from failstop.shm.futex import Futex
     from failstop.shm.segment import Segment
 
@@ -33,7 +35,7 @@ _WAY_S = 30e-6
 
 
 def give_way() -> None:
-    """Sleep for a moment; call when a stop was written, and whoever dies is demoted. Bytes for a pty, or for a
+    """Sleep for a moment; call when a stop was written. Bytes for a pty, or for a
     driver that hands them to a kernel thread, are carried by one of lower priority, which may be waiting for this core:
     without it the stop lay there until the writer's whole turn had ended (0.66 ms, traced)."""
     sleep(_WAY_S)
@@ -120,24 +122,29 @@ class EarlyNews:
         self.bell = EventBell.create()
         _thread.stack_size(_STACK_BYTES)
 
-    def arm(self, life: Lifeline, block: int, watcher: int) -> None:
+    def arm(self, life: Lifeline, block: int, watcher: int, stop: Callable[[], None] | None = None) -> None:
         """Wait for the death of the process of the service that holds this block already."""
-        self.watch(life, self._lifelines, block * futex.PER_BLOCK + watcher)
+        self.watch(life, self._lifelines, block * futex.PER_BLOCK + watcher, stop)
 
-    def watch(self, life: Lifeline, segment: Segment, line: int = 0) -> None:
-        """Wait in a thread of its own for the death of who holds this line. Once a lifeline; until it is closed."""
+    def watch(self, life: Lifeline, segment: Segment, line: int = 0, stop: Callable[[], None] | None = None) -> None:
+        """Wait in a thread of its own for the death of who holds this line. Once a lifeline; until it is closed.
+        `stop`: what that thread does before the bell rings; then it makes way for the bytes."""
         if not life.armed:
             life.armed = True
             # A machine that is out of threads or memory still has the late news.
             with contextlib.suppress(RuntimeError, OSError):
                 life.early = segment.futex("held", line)
-                _thread.start_new_thread(self._wait, (life, life.early))
+                _thread.start_new_thread(self._wait, (life, life.early, stop))
 
-    def _wait(self, life: Lifeline, word: Futex) -> None:
+    def _wait(self, life: Lifeline, word: Futex, stop: Callable[[], None] | None) -> None:
         # A thread does not inherit what SCHED_RESET_ON_FORK takes away.
         os.sched_setscheduler(0, *self._policy)
         if word.wait_for_death(lambda: life.fd >= 0):
             life.marked = True
+            if stop:
+                stop()
+                life.demote()
+                give_way()
             self.bell.ring()
             # Whoever hears it needs the interpreter now: what is left to do here would cost it three hand-overs of the
             # lock, 0.1 to 0.2 ms (traced).

@@ -16,7 +16,7 @@ from failstop.procs import rights, starved
 from failstop.procs.loop import NEVER, READ, Loop
 from failstop.shm import bell, heartbeat, layout, records, segment
 from failstop.shm.heartbeat import Heartbeat
-from failstop.shm.lifeline import give_way, pid_namespace
+from failstop.shm.lifeline import pid_namespace
 from failstop.shm.packing import pack
 from failstop.supervisor import grant, written
 from failstop.supervisor.aftermath import Aftermath
@@ -153,7 +153,7 @@ class Supervisor:
         self._stop_for_news(ready, now_ns)
         self._follow_aftermath(now_ns)
         self.processes.reap(ready, now_ns)
-        self.processes.arm()
+        self.processes.arm(self._port)
         self._follow_port(ready, now_ns)
         self._follow_answer(now_ns)
         self._follow_reset(now_ns)
@@ -173,18 +173,12 @@ class Supervisor:
         dead = self.processes.died(ready)
         port_owner = self.processes[layout.PORT_OWNER]
         written_ns = self._burst() if port_owner in dead else 0
-        if written_ns and port_owner.life:
-            port_owner.life.demote()
-            give_way()
         for child in dead:
             if child.fence:
                 child.fence.gone(now_ns, written_ns if child is port_owner else 0)
         stops = self._collect(dead, now_ns, written_ns) + self._held_up(now_ns)
         if stops:
             self._raise_epoch(stops)
-        for child in dead:
-            if child.life:
-                child.life.demote()
 
     def _follow_aftermath(self, now_ns: int) -> None:
         if stops := self.aftermath.follow(now_ns, listening=self._listening(now_ns)):

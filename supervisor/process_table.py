@@ -116,14 +116,16 @@ class ProcessTable:
                 child.restarts.forget()
                 self._restart_in(child, 0, now_ns)
 
-    def arm(self) -> None:
-        """A process that runs holds its block: wait for the early news of its death."""
+    def arm(self, port: OwnPort) -> None:
+        """A process that runs holds its block: wait for the early news of its death, which stops at once on the port
+        when it is the port owner's."""
         for child in self.children:
             if child.state == STARTING and child.beat.running(child.pid):
                 child.on(RUNS)
                 self._tell_watchers()
                 if child.life:
-                    self.early.arm(child.life, child.block, 0)
+                    stop = port.early_stop if child.row.name == layout.PORT_OWNER else None
+                    self.early.arm(child.life, child.block, 0, stop)
 
     def _tell_watchers(self) -> None:
         """Those who watch others look up whom, and who runs."""

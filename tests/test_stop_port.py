@@ -50,6 +50,17 @@ def pty() -> Iterator[Pty]:
         yield made
 
 
+def test_an_early_stop_is_a_burst_s_beginning_to_the_board(pty: Pty) -> None:
+    own, board = StopPort(pty.slave), Board()
+    os.write(pty.slave, MOTION)
+    own.early_stop()
+    data = pty.read()
+    assert data == MOTION + BURST[: len(data) - len(MOTION)]
+    board.feed(data)
+    assert [any(speeds) for _, speeds in board.executed] == [True, False]
+    StopPort(-1).early_stop()
+
+
 WHOLE = len(BURST)
 
 

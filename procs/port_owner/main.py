@@ -77,10 +77,10 @@ class PortOwner:
         self._silence_ns = 2 * settings.ns("gate.refresh_s")
         self._stuck = False
         self._watched = (-1, 0)
-        self._attach(context)
-        self._watch_others(context)
-        self.epoch = self._epoch_word.get()
         self.wire = Wire(context.fd("port"), self.bus.servos)
+        self._attach(context)
+        self._watch_others(context, self.wire.early_stop)
+        self.epoch = self._epoch_word.get()
         self._number = context.port_number
         self._path = settings.text("device.path")
         self._burst()
@@ -101,8 +101,8 @@ class PortOwner:
         self._supervisor_bell = context.bell("supervisor_bell")
         self._telemetry_bell = context.bell("telemetry_bell")
 
-    def _watch_others(self, context: Context) -> None:
-        """What it reads, and what wakes it."""
+    def _watch_others(self, context: Context, stop: Callable[[], None]) -> None:
+        """What it reads, and what wakes it; `stop`: what its threads do first at the early news of a death."""
         supervisor = context.segment("supervisor")
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_beat = supervisor.word("beat_ns")
@@ -113,9 +113,12 @@ class PortOwner:
         self._control = Control(context.fd("control"))
         self._early = context.early
         self._supervisor_life = Lifeline(context.parent)
-        self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 0)
-        self._gate = Peer(layout.GATE, context, self.loop)
-        self._peers = (self._gate, *(Peer(name, context, self.loop) for name in (layout.TELEMETRY, layout.STOPPER)))
+        self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 0, stop)
+        self._gate = Peer(layout.GATE, context, self.loop, stop)
+        self._peers = (
+            self._gate,
+            *(Peer(name, context, self.loop, stop) for name in (layout.TELEMETRY, layout.STOPPER)),
+        )
         for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._stop_pipe, self._supervisor_life.fd):
             self.loop.watch(fd, READ)
 
@@ -210,20 +213,15 @@ class PortOwner:
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
         """The supervisor's is the end of this process too, when the stop has been repeated."""
+        self.wire.heed()
         for peer in self._peers:
             if peer.died(ready):
                 self.wire.burst()
-                peer.demote()
-                give_way()
                 self._own_stop(now_ns, self._now_ns(), peer.death)
                 peer.drop()
         if self._leave.ns == NEVER and self._supervisor_life.died(ready):
             self._leave.set(now_ns + repeats.LEAVE_AFTER_NS)
             self.wire.burst()
-            self._supervisor_life.demote()
-            for peer in self._peers:
-                peer.demote()  # it dies with its parent
-            give_way()
             self._own_stop(now_ns, self._now_ns(), causes.DIED(layout.SUPERVISOR))
             self.loop.forget(self._supervisor_life.fd)
             self.loop.forget(self._control.fd)

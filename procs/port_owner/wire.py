@@ -6,6 +6,7 @@ import os
 import select
 
 from failstop.board import port
+from failstop.board.interface import BOARD
 from failstop.board.stop_port import StopPort
 from failstop.shm import box
 
@@ -20,11 +21,13 @@ DRAIN_NS = 100_000_000
 class Wire(StopPort):
     """The port owner's. Nothing is written to it from when it is lost."""
 
-    __slots__ = ("_box", "_handed", "_held_since_ns", "_refused")
+    __slots__ = ("_box", "_early", "_handed", "_held_since_ns", "_refused")
 
     def __init__(self, fd: int, servos: tuple[int, ...] = ()) -> None:
         super().__init__(fd, servos)
         self._box: RingWriter | None = None
+        self._early: list[int] = []
+        """How much the kernel took of each early stop that the loop has not heeded yet."""
         self._handed = 0
         """Bytes handed to the kernel since it last held none."""
         self._held_since_ns = 0
@@ -37,7 +40,22 @@ class Wire(StopPort):
         self._handed += taken
         return taken
 
+    def _write_early(self) -> int:
+        taken = 0 if self.lost else super()._write_early()
+        self._early.append(taken)
+        return taken
+
+    def heed(self) -> None:
+        """The loop is about to look for deaths. Between an early stop and this nothing but a burst goes out: whoever
+        has written a stop early has marked its lifeline before."""
+        with self._writing:
+            early, self._early = self._early, []
+        for taken in early:
+            self._note(box.BURST, BOARD.first_stop, taken)
+
     def _put(self, data: bytes, *, rest: bool) -> bool:
+        if rest and self._early:
+            return False
         whole = super()._put(data, rest=rest)
         self._note(box.REST if rest else box.BURST, data, len(data) - len(self.unsent))
         return whole
@@ -73,15 +91,14 @@ class Wire(StopPort):
     def frame(self, data: bytes, backlog: int = 0) -> bool:
         """Write one frame. False, with nothing of it written or kept, when the kernel holds bytes and was handed more
         than `backlog` of them here, or takes none: what is kept for later would be late."""
-        if self.lost or self.unsent or (self._holds() and max(self._handed, 1) > backlog):
-            self._note(box.FRAME, data, 0)
-            return False
-        taken = self._write(data)
+        with self._writing:
+            if self.lost or self.unsent or self._early or (self._holds() and max(self._handed, 1) > backlog):
+                taken = 0
+            else:
+                taken = self._write(data)
+                self.unsent = b"" if self.lost else data[taken:] if taken else b""
         self._note(box.FRAME, data, taken)
-        if self.lost or not taken:
-            return False
-        self.unsent = data[taken:]
-        return True
+        return taken > 0 and not self.lost
 
     def stuck(self, now_ns: int) -> bool:
         """True when bytes have been held back for DRAIN_NS; asked once a tick."""

@@ -21,7 +21,7 @@ from failstop.procs.peer import Peer
 from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
 from failstop.shm import bell, heartbeat, layout, records
 from failstop.shm.barrier import Barrier
-from failstop.shm.lifeline import Lifeline, give_way
+from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -47,7 +47,8 @@ class Stopper:
         self.heartbeat = context.heartbeat
         self.loop = Loop(context.world)
         self._epoch_word = supervisor.word("epoch")
-        self._port_owner = Peer(layout.PORT_OWNER, context, self.loop)
+        self._port = StopPort(context.fd("port"), context.settings.servos())
+        self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port.early_stop)
         self._port_owner_written = port_owner.word("written_ns")
         self._port_owner_moving = port_owner.word("moving")
         self._barrier = Barrier()
@@ -56,7 +57,6 @@ class Stopper:
         self._written_word = context.own.word("written_ns")
         self._bell = context.bell("bell")
         self._control = Control(context.fd("control"))
-        self._port = StopPort(context.fd("port"), context.settings.servos())
         self._number = context.port_number
         self._number_word = context.own.word("port_number")
         self._number_word.set(self._number if self._port.fd >= 0 else 0)
@@ -108,8 +108,6 @@ class Stopper:
         self._stopped_for = pid
         if not self._succeeded():
             self._burst(now_ns)
-            self._port_owner.demote()
-            give_way()
 
     def _succeeded(self) -> bool:
         """True when a new port owner runs: it has stopped the wheels at its start, and by now they may have been

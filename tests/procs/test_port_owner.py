@@ -97,6 +97,34 @@ def test_a_bell_that_was_rung_does_not_keep_it_awake(scene: Scene) -> None:
         assert scene.owner.loop.wait(0) == {}
 
 
+def test_at_the_early_news_the_first_stop_goes_out_before_the_loop_has_woken(scene: Scene) -> None:
+    for pid in (scene.gate.pid, scene.supervisor.pid):
+        scene.turn()
+        scene.pty.read()
+        scene.early.tell(pid)
+        assert scene.pty.read() == BOARD.first_stop
+        assert scene.turn() == BURST
+
+
+def test_no_motion_follows_an_early_stop_that_comes_in_mid_turn(scene: Scene) -> None:
+    """Deaths have been looked at in this turn, and the frame is good."""
+    frames = scene.owner._frames
+
+    class Dying:
+        def next(self) -> object:
+            scene.early.tell(scene.gate.pid)
+            scene.owner._frames = frames
+            return frames.next()
+
+    scene.drive()
+    scene.put(SLOWER)
+    scene.owner._frames = Dying()  # type: ignore[assignment]
+    assert scene.turn() == BOARD.first_stop
+    scene.put(SLOWER)
+    assert scene.turn() == BURST
+    assert scene.reasons() == ["gate died"]
+
+
 # Motion.
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.board.interface import BOARD
 from failstop.procs import starved
 from failstop.procs.stopper.main import HANG_NS, HELD_UP_NS
 from failstop.shm import heartbeat, layout, records
@@ -57,6 +58,17 @@ def test_the_port_owner_s_death_is_answered_at_once_and_again(scene: Scene) -> N
     assert scene.stays
 
 
+def test_at_the_early_news_the_first_stop_goes_out_before_the_loop_has_woken(scene: Scene) -> None:
+    scene.early.tell(scene.port_owner.pid)
+    assert scene.pty.read() == BOARD.first_stop
+    assert scene.turn() == BURST
+
+
+def test_the_supervisor_s_death_is_the_port_owner_s_to_answer_first(scene: Scene) -> None:
+    scene.early.tell(scene.supervisor.pid)
+    assert scene.pty.read() == b""
+
+
 def test_the_repeats_go_on_until_a_new_port_owner_has_stopped_itself(scene: Scene) -> None:
     scene.die(scene.port_owner)
     scene.turn()
@@ -69,6 +81,7 @@ def test_the_repeats_go_on_until_a_new_port_owner_has_stopped_itself(scene: Scen
 def test_one_that_was_held_up_meanwhile_does_not_cut_into_the_motion_of_the_next(scene: Scene) -> None:
     scene.die(scene.port_owner)
     scene.start(layout.PORT_OWNER)
+    scene.early.tell(scene.port_owner.pid)
     assert scene.turn(100 * MS) == b""
     assert scene.written(500) == []
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import select
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -104,6 +105,53 @@ def test_no_port_takes_nothing(held: Held) -> None:
     assert not wire.frame(MOTION)
     assert not wire.stuck(T0)
     wire.close()
+
+
+# An early stop.
+
+
+def test_between_an_early_stop_and_the_loop_that_heeds_it_only_a_burst_goes_out(
+    pty: Pty, wire: Wire, kernel: Kernel
+) -> None:
+    kernel.room = 10
+    assert wire.frame(MOTION)
+    kernel.room = None
+    wire.early_stop()
+    assert not wire.flush(), "the rest of a frame of before"
+    assert not wire.frame(OTHER)
+    assert pty.read() == MOTION[:10] + BOARD.first_stop
+    wire.burst()
+    assert not wire.frame(OTHER), "of whatever cause that burst was"
+    wire.heed()
+    assert wire.frame(OTHER)
+    assert pty.read() == BURST + OTHER
+
+
+def test_an_early_stop_waits_for_the_write_that_the_loop_is_in(
+    pty: Pty, wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frame that has passed its last look is before the stop, not behind it."""
+    threads: list[threading.Thread] = []
+
+    def held_up(fd: int, data: bytes) -> int:
+        if not threads:
+            threads.append(threading.Thread(target=wire.early_stop))
+            threads[0].start()
+            threads[0].join(0.05)
+            assert threads[0].is_alive()
+        return os.write(fd, data)
+
+    before_write(monkeypatch, held_up)
+    assert wire.frame(MOTION)
+    threads[0].join()
+    assert pty.read() == MOTION + BOARD.first_stop
+
+
+def test_a_port_that_has_gone_gets_no_early_stop(pty: Pty, wire: Wire) -> None:
+    wire.lost = True
+    wire.early_stop()
+    assert pty.read() == b""
+    Wire(-1).early_stop()
 
 
 # A full port.

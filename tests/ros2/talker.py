@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import queue
+import re
 import sys
 import threading
 import time
@@ -23,7 +24,8 @@ def type_of(name: str) -> Any:
 def build(message: object, fields: dict) -> object:
     for name, value in fields.items():
         if isinstance(value, list) and value and isinstance(value[0], dict):
-            package, last = message.get_fields_and_field_types()[name][len("sequence<") : -1].split("/")  # type: ignore[attr-defined]
+            kind = message.get_fields_and_field_types()[name]  # type: ignore[attr-defined]
+            package, *_, last = re.findall(r"\w+", kind.removeprefix("sequence"))
             setattr(message, name, [build(type_of(f"{package}/msg/{last}")(), row) for row in value])
         elif isinstance(value, dict):
             build(getattr(message, name), value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 
 import pytest
@@ -136,3 +137,25 @@ def test_the_end_of_the_action_s_client_holds_the_arm(scene: Scene, planner: Nod
     scene.leave(planner)
     scene.state(lambda state: not state["arm_moving"])
     assert "nobody hears of the goal any more: held" in scene.bridge.said()
+
+
+def test_a_goal_that_is_old_moves_nothing(scene: Scene) -> None:
+    """By its stamp, or since the bridge did not run while it lay there."""
+    planner = scene.node("old_planner")
+    late = {"joint_names": ["base"], "points": [point(1, 0.3)]}
+    at = scene.state()["arm_pose"]["1"]
+    planner.publish("arm/goal", GOAL, {"header": {"stamp": {"sec": 1}}, **late}, hz=5.0)
+    wait_for("the refusal for its stamp", lambda: "arm/goal: refused: its stamp is" in scene.bridge.said())
+    planner.ask("rest", topic="arm/goal")
+    scene.bridge.send(signal.SIGSTOP)
+    try:
+        before = planner.ask("sent", topic="arm/goal")["count"]
+        planner.ask("repeat", topic="arm/goal", fields=late, hz=5.0)
+        wait_for(
+            "goals for longer than one counts", lambda: planner.ask("sent", topic="arm/goal")["count"] > before + 3
+        )
+        planner.ask("rest", topic="arm/goal")
+    finally:
+        scene.bridge.send(signal.SIGCONT)
+    wait_for("the refusal for its age", lambda: "arm/goal: refused: it waited" in scene.bridge.said())
+    assert scene.state()["arm_pose"]["1"] == pytest.approx(at, abs=4)

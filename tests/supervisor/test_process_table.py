@@ -164,7 +164,7 @@ def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
     gate, stopper = processes[layout.GATE], processes[layout.STOPPER]
     asked: list[tuple[int, int, int]] = []
 
-    def arm(_news: EarlyNews, life: Lifeline, block: int, watcher: int) -> None:
+    def arm(_news: EarlyNews, life: Lifeline, block: int, watcher: int, _tell: object) -> None:
         life.armed = True
         asked.append((life.pid, block, watcher))
 
@@ -173,8 +173,8 @@ def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
         child.started(os.posix_spawnp("sleep", ["sleep", "120"], os.environ), block, scene.now_ns)
     scene.gate.word("beat_pid").set(gate.pid)
     scene.gate.word("beat_state").set(RUNNING)
-    processes.arm()
-    processes.arm()
+    processes.arm(scene.port)
+    processes.arm(scene.port)
     assert asked == [(gate.pid, 5, 0)], "one that starts holds nothing yet"
     for child in (gate, stopper):
         child.kill(20.0)

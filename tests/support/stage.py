@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
@@ -36,11 +37,21 @@ class Early:
         self.bell = EventBell.create()
         self.armed: list[tuple[int, int, int]] = []
         """Whose death is waited for, at which futex: pid, block, index."""
+        self._lives: dict[int, tuple[Lifeline, Callable[[], None] | None]] = {}
 
-    def arm(self, life: Lifeline, block: int, index: int) -> None:
+    def arm(self, life: Lifeline, block: int, index: int, stop: Callable[[], None] | None = None) -> None:
         """Nothing to wait for."""
         life.armed = True
         self.armed.append((life.pid, block, index))
+        self._lives[life.pid] = (life, stop)
+
+    def tell(self, pid: int) -> None:
+        """What the thread does that waits for this one's death, when the news comes early."""
+        life, stop = self._lives[pid]
+        life.marked = True
+        if stop:
+            stop()
+        self.bell.ring()
 
     def watch(self, life: Lifeline, segment: Segment, line: int = 0) -> None:
         """Nor here."""

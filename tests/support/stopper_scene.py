@@ -55,4 +55,7 @@ class Scene(Stage):
     def close(self) -> None:
         self.stopper.close_port()
         self.stopper._control.close()
+        for life in (self.stopper._supervisor_life, self.stopper._port_owner.life):
+            if life:
+                life.close()
         super().close()
