@@ -25,7 +25,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
-from failstop.install import layout
+from failstop.install import layout, rows
 from failstop.lab.trial import TrialError, wait_for
 
 SYSTEMD = "/lib/systemd/systemd"
@@ -55,8 +55,8 @@ WANTED = {
 }
 
 INSTALLED = (
-    *(layout.PREFIX, layout.CONFIGURATION, layout.STATE, layout.SYSUSERS, layout.UDEV, layout.CATALOG),
-    *(layout.MANUAL, layout.COMMAND_LINK, *layout.COMPLETIONS.values()),
+    *(layout.PREFIX, layout.CONFIGURATION, layout.STATE, layout.COMMAND_LINK),
+    *(row.place for row in rows.ROWS if not row.place.startswith(layout.UNITS)),
 )
 ANEW = f"""
 [ ! -e "$root/var/lib/dpkg/info/failstop.list" ] || chroot "$root" dpkg --purge failstop

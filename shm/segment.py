@@ -189,6 +189,20 @@ def living(memory: str, folder: str = SHM) -> bool:
         os.close(fd)
 
 
+def version(memory: str) -> str:
+    """The version of failstop that made a run's segments; empty where that can't be read."""
+    try:
+        with open(path_of(memory, SUPERVISOR), "rb") as file:
+            entry = slot.check(file.read(HEADER_BYTES), _HEADER_SEED)
+    except OSError:
+        return ""
+    return _version(_HEADER.unpack(entry[2])[-1]) if entry and len(entry[2]) == _HEADER.size else ""
+
+
+def _version(told: bytes) -> str:
+    return told.rstrip(b"\0").decode("ascii", "replace")
+
+
 def dead_runs(instance: str) -> list[str]:
     """The runs of this name and user that have ended and left segments, by their `memory`, the newest last."""
     found: dict[str, int] = {}
@@ -320,10 +334,9 @@ def _check_header(fd: int, memory: str, spec: SegmentSpec, incarnation: int | No
         raise AttachError("damaged", f"{where} has no whole header: restart the service")
     _, layout, size, found, name, version = _HEADER.unpack(entry[2])
     if layout != LAYOUT_HASH:
-        theirs = version.rstrip(b"\0").decode("ascii", "replace")
         raise AttachError(
             "version",
-            f"{where} is of failstop {theirs}, this program is {VERSION} with another layout: "
+            f"{where} is of failstop {_version(version)}, this program is {VERSION} with another layout: "
             "use the service's own version, or restart the service after the upgrade",
         )
     if name.rstrip(b"\0") != spec.name.encode() or size != spec.size or os.fstat(fd).st_size < spec.size:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
+from functools import partial
 
 OK = "ok"
 SKIP = "skip"
@@ -26,24 +27,12 @@ class Finding:
     """What a person is to do, or to know of the command."""
 
 
-def ok(text: str) -> list[Finding]:
-    """All is well."""
-    return [Finding(OK, text)]
+def _found(level: str, text: str, fix: str = "", advice: str = "") -> list[Finding]:
+    return [Finding(level, text, fix, advice)]
 
 
-def skip(text: str, fix: str = "", advice: str = "") -> list[Finding]:
-    """Not known; it may be well or not."""
-    return [Finding(SKIP, text, fix, advice)]
-
-
-def warn(text: str, fix: str = "", advice: str = "") -> list[Finding]:
-    """It works, but not as well as it could."""
-    return [Finding(WARN, text, fix, advice)]
-
-
-def fail(text: str, fix: str = "", advice: str = "") -> list[Finding]:
-    """It can't be relied on like this."""
-    return [Finding(FAIL, text, fix, advice)]
+ok, skip, warn, fail = (partial(_found, level) for level in LEVELS)
+"""What a check returns: text, fix, advice."""
 
 
 def worst(levels: Iterable[str]) -> str:

@@ -3,32 +3,35 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 
-from failstop.doctor.facts import Leftover, User
-from failstop.doctor.system import System, user_name
+from failstop.doctor.system import SHM, System, User, user
 from failstop.shm import claim, instance, segment
 from failstop.shm.instance import InstanceError
 
-SHM = "/dev/shm"
+
+@dataclasses.dataclass(frozen=True)
+class Leftover:
+    """Shared memory of an instance whose service is not running."""
+
+    instance: str
+    size: int
+    owner: str
+    ours: bool
+    """The service's user could remove it."""
 
 
 def look(server: User, system: System) -> tuple[tuple[Leftover, ...], tuple[str, ...]]:
     """(what dead runs left, names of the services that run). `server`: who runs the service."""
-    found: list[Leftover] = []
-    living: list[str] = []
-    for name, runs in _runs(system).items():
-        dead = [path for run, files in runs.items() if not _lives(run, system) for path in files]
-        if any(_lives(run, system) for run in runs):
-            living.append(name)
-        if stats := [stat for stat in map(_stat, dead) if stat]:
-            found.append(_leftover(name, stats, server))
-    return tuple(found), tuple(living)
+    runs = _runs(system)
+    found = [_leftover(name, dead, server) for name, (_, dead) in runs.items()]
+    return tuple(left for left in found if left), tuple(name for name, (lives, _) in runs.items() if lives)
 
 
 def remove(system: System) -> tuple[list[Leftover], list[Leftover]]:
     """Remove what this user may; returns (removed, left)."""
-    found, _ = look(User("", os.geteuid(), frozenset()), system)
+    found, _ = look(User("", os.geteuid()), system)
     removed: list[Leftover] = []
     left: list[Leftover] = []
     for leftover in found:
@@ -45,9 +48,9 @@ def _remove(name: str, system: System) -> bool:
                 locks.append(claim.open_claims(instance.lock_path(place)))
                 if not claim.take(locks[-1], 0):
                     return False
-        for run, files in _runs(system).get(name, {}).items():
-            for path in files if not _lives(run, system) else ():
-                os.unlink(path)
+        _, dead = _runs(system).get(name, (False, []))
+        for path in dead:
+            os.unlink(path)
         return True
     except (InstanceError, OSError):
         return False
@@ -56,31 +59,30 @@ def _remove(name: str, system: System) -> bool:
             os.close(fd)
 
 
-def _runs(system: System) -> dict[str, dict[str, list[str]]]:
-    """The files of each run of each instance."""
-    found: dict[str, dict[str, list[str]]] = {}
+def _runs(system: System) -> dict[str, tuple[bool, list[str]]]:
+    """By instance: whether one of its runs lives, and the files of those that do not."""
+    found: dict[str, tuple[bool, list[str]]] = {}
     for file in system.names(SHM):
         prefix, _, rest = file.partition(".")
         name, dot, rest = rest.partition(".")
         with contextlib.suppress(InstanceError):
             if prefix == "failstop" and dot:
-                runs = found.setdefault(instance.check_name(name), {})
-                runs.setdefault(f"{name}.{rest.partition('.')[0]}", []).append(system.path(f"{SHM}/{file}"))
+                lives, dead = found.get(instance.check_name(name), (False, []))
+                if segment.living(f"{name}.{rest.partition('.')[0]}", system.path(SHM)):
+                    found[name] = True, dead
+                else:
+                    found[name] = lives, [*dead, system.path(f"{SHM}/{file}")]
     return found
 
 
-def _lives(run: str, system: System) -> bool:
-    return segment.living(run, system.path(SHM))
-
-
-def _stat(path: str) -> os.stat_result | None:
-    try:
-        return os.stat(path)
-    except OSError:
+def _leftover(name: str, paths: list[str], server: User) -> Leftover | None:
+    """These files; None: there are none, or they have gone meanwhile."""
+    stats = []
+    for path in paths:
+        with contextlib.suppress(OSError):
+            stats.append(os.stat(path))
+    if not stats:
         return None
-
-
-def _leftover(name: str, stats: list[os.stat_result], server: User) -> Leftover:
+    owner = stats[0].st_uid
     # The sticky bit: only the owner or root removes a name.
-    ours = server.uid in (0, stats[0].st_uid)
-    return Leftover(name, len(stats), sum(found.st_blocks * 512 for found in stats), user_name(stats[0].st_uid), ours)
+    return Leftover(name, sum(found.st_blocks * 512 for found in stats), user(owner).name, server.uid in (0, owner))

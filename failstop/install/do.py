@@ -13,35 +13,21 @@ import signal
 import stat
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Protocol
 
 from failstop.install import InstallError
 from failstop.install.layout import MANIFEST_NAME, RUNTIME, STATE
+from failstop.install.machine import Machine
 from failstop.install.steps import Command, Directory, File, Link, Remove, Start, Step, Tree
+from failstop.install.tree import Environment
 
 NEW = ".new-by-install"
 OLD = ".old-by-install"
 
+STAYS = (errno.ENOENT, errno.ENOTEMPTY, errno.EBUSY)
+"""Why a directory is not removed where that is well."""
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 Undo = Callable[[], None]
-
-
-class Environment(Protocol):
-    """What a Tree step writes (tree.Environment)."""
-
-    def write(self, directory: str) -> None:
-        """Into a directory that is not there yet. Raises OSError."""
-
-
-class Machine(Protocol):
-    """The system's programs (machine.Machine)."""
-
-    def run(self, words: Sequence[str], accepted: Sequence[int] = (0,)) -> None:
-        """Run a program to its end. Raises InstallError on another exit code than the accepted."""
-
-    def start(self, unit: str) -> None:
-        """Start a unit and wait until it is ready. Raises InstallError."""
 
 
 class Doer:
@@ -76,85 +62,78 @@ class Doer:
         return os.path.join(self._root, path.lstrip("/"))
 
     def _do(self, step: Step) -> None:
-        if isinstance(step, Directory):
-            self._directory(self._at(step.path))
-        elif isinstance(step, File):
-            self._file(self._at(step.path), step.data)
-        elif isinstance(step, Link):
-            self._link(self._at(step.path), step.target)
-        elif isinstance(step, Tree):
-            self._tree(self._at(step.path), step.manifest)
-        elif isinstance(step, Remove):
-            self._remove(self._at(step.path), step.only_empty)
-        elif isinstance(step, Command):
-            self._command(step)
-        elif isinstance(step, Start):
-            self._start(step.unit)
-        else:
-            raise AssertionError(f"no such step: {step}")
+        path = self._at(step.subject)
+        match step:
+            case Directory():
+                self._directory(path)
+            case File(data=data):
+                self._put(path, partial(_write, data=data))
+            case Link(target=target):
+                self._put(path, partial(os.symlink, target))
+            case Tree(manifest=manifest):
+                self._put(path, partial(self._tree, manifest))
+            case Remove(only_empty=True):
+                # It may be empty only when what was moved aside is removed.
+                self._last.append(partial(_remove_empty, path, *STAYS))
+            case Remove():
+                self._aside(path)
+            case Command():
+                self._command(step)
+            case Start():
+                self._start(step.subject)
+            case _:
+                raise AssertionError(f"no such step: {step}")
 
     def _directory(self, path: str) -> None:
         if not os.path.isdir(path):
-            self._undos.append(lambda: _unless_absent(os.rmdir, path))
+            self._undos.append(partial(_remove_empty, path, errno.ENOENT))
             os.mkdir(path, 0o755)
             os.chmod(path, 0o755)
 
-    def _file(self, path: str, data: bytes) -> None:
-        self._undos.append(_restorer(path))
-        self._undos.append(lambda: _unless_absent(os.unlink, path + NEW))
-        _write(path + NEW, data)
-        os.replace(path + NEW, path)
-
-    def _link(self, path: str, target: str) -> None:
-        self._undos.append(_restorer(path))
-        self._undos.append(lambda: _unless_absent(os.unlink, path + NEW))
-        _unless_absent(os.unlink, path + NEW)
-        os.symlink(target, path + NEW)
-        os.replace(path + NEW, path)
-
-    def _tree(self, path: str, manifest: bytes) -> None:
-        """Written beside, then renamed: what is there is whole at any time."""
-        assert self._environment is not None
+    def _put(self, path: str, make: Callable[[str], None]) -> None:
+        """Made beside, then renamed: what is there is whole at any time."""
+        new = path + NEW
         # What an installation that lost its power has left.
-        _remove(path + NEW)
-        self._undos.append(lambda: _remove(path + NEW))
-        self._environment.write(path + NEW)
-        _write(os.path.join(path + NEW, MANIFEST_NAME), manifest)
-        self._aside(path)
-        self._undos.append(lambda: _remove(path))
-        os.rename(path + NEW, path)
+        _remove(new)
+        self._undos.append(partial(_remove, new))
+        make(new)
+        if os.path.isdir(new) and not os.path.islink(new):
+            self._aside(path)
+            self._undos.append(partial(_remove, path))
+        else:
+            self._undos.append(_restorer(path))
+        os.replace(new, path)
+
+    def _tree(self, manifest: bytes, path: str) -> None:
+        assert self._environment is not None
+        self._environment.write(path)
+        _write(os.path.join(path, MANIFEST_NAME), manifest)
 
     def _aside(self, path: str) -> None:
         """Move what is at a path out of the way; it is removed when everything is done."""
-        _remove(path + OLD)
+        old = path + OLD
+        _remove(old)
         if not os.path.lexists(path):
             return
-        self._undos.append(lambda: _unless_absent(lambda old: os.rename(old, path), path + OLD))
-        self._last.append(lambda: _remove(path + OLD))
+        self._undos.append(partial(_move_back, path))
+        self._last.append(partial(_remove, old))
         try:
-            os.rename(path, path + OLD)
+            os.rename(path, old)
         except OSError as error:
             if error.errno not in (errno.EBUSY, errno.EXDEV) or not os.path.isdir(path):
                 raise
             # A mount point stays where it is: what it holds is moved aside in it, and can be moved back there.
             for name in os.listdir(path):
                 self._aside(os.path.join(path, name))
-            self._last.append(lambda: _remove_emptied(path))
-
-    def _remove(self, path: str, only_empty: bool) -> None:
-        if not only_empty:
-            self._aside(path)
-        else:
-            # It may be empty only when what was moved aside is removed.
-            self._last.append(lambda: _remove_empty(path))
+            self._last.append(partial(_remove_emptied, path))
 
     def _command(self, step: Command) -> None:
         if step.undo:
-            self._undos.append(lambda: self._machine.run(step.undo))
+            self._undos.append(partial(self._machine.run, step.undo))
         paths = [self._at(path) for path in step.touches]
         after: dict[str, bytes | None] = {}
         for path in _missing_parents(paths):
-            self._undos.append(partial(_remove_empty, path))
+            self._undos.append(partial(_remove_empty, path, *STAYS))
         for path in paths:
             self._undos.append(partial(_restore_unless_changed, path, _restorer(path), after))
         if step.words:
@@ -166,7 +145,7 @@ class Doer:
         for path in map(self._at, (STATE, RUNTIME)):
             if not os.path.isdir(path):
                 self._undos.append(partial(_remove, path))
-        self._undos.append(lambda: self._machine.run(("systemctl", "stop", unit)))
+        self._undos.append(partial(self._machine.run, ("systemctl", "stop", unit)))
         self._machine.start(unit)
 
 
@@ -207,9 +186,9 @@ def _said(step: Step | None, error: BaseException, left: list[str]) -> str:
     return f"{what}: {why}{end}"
 
 
-def _unless_absent(act: Callable[[str], None], path: str) -> None:
+def _move_back(path: str) -> None:
     with contextlib.suppress(FileNotFoundError):
-        act(path)
+        os.rename(path + OLD, path)
 
 
 def _missing_parents(paths: Sequence[str]) -> list[str]:
@@ -221,12 +200,12 @@ def _missing_parents(paths: Sequence[str]) -> list[str]:
     return sorted(found, key=len)
 
 
-def _remove_empty(path: str) -> None:
-    """A directory, unless it holds something."""
+def _remove_empty(path: str, *accepted: int) -> None:
+    """A directory. Raises OSError for another error than the accepted."""
     try:
         os.rmdir(path)
     except OSError as error:
-        if error.errno not in (errno.ENOENT, errno.ENOTEMPTY, errno.EBUSY):
+        if error.errno not in accepted:
             raise
 
 
@@ -258,28 +237,23 @@ def _restore_unless_changed(path: str, restore: Undo, after: dict[str, bytes | N
 def _restorer(path: str) -> Undo:
     """What puts a file or link back as it is now, or removes it if it is not there."""
     if os.path.islink(path):
-        target = os.readlink(path)
-
-        def restore_link() -> None:
-            _unless_absent(os.unlink, path)
-            os.symlink(target, path)
-
-        return restore_link
+        return partial(_relink, path, os.readlink(path))
     data = _content(path)
-    if data is None:
-        return lambda: _unless_absent(os.unlink, path)
-    found = os.stat(path)
+    return partial(_remove, path) if data is None else partial(_rewrite, path, data, os.stat(path))
 
-    def restore() -> None:
-        if _content(path) == data:
-            return
+
+def _relink(path: str, target: str) -> None:
+    _remove(path)
+    os.symlink(target, path)
+
+
+def _rewrite(path: str, data: bytes, was: os.stat_result) -> None:
+    if _content(path) != data:
         with open(path + NEW, "wb") as file:
             file.write(data)
-            os.fchown(file.fileno(), found.st_uid, found.st_gid)
-            os.fchmod(file.fileno(), stat.S_IMODE(found.st_mode))
+            os.fchown(file.fileno(), was.st_uid, was.st_gid)
+            os.fchmod(file.fileno(), stat.S_IMODE(was.st_mode))
         os.replace(path + NEW, path)
-
-    return restore
 
 
 def _remove(path: str) -> None:
@@ -287,4 +261,5 @@ def _remove(path: str) -> None:
     if os.path.isdir(path) and not os.path.islink(path):
         shutil.rmtree(path)
     else:
-        _unless_absent(os.unlink, path)
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(path)

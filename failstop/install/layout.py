@@ -17,22 +17,15 @@ MANIFEST_NAME = "install.json"
 MANIFEST = f"{PREFIX}/{MANIFEST_NAME}"
 # The administrator's places: those under /usr/lib belong to packages.
 UNITS = "/etc/systemd/system"
-SYSUSERS = "/etc/sysusers.d/failstop.conf"
 UDEV = "/etc/udev/rules.d/90-failstop.rules"
 CATALOG = "/usr/local/lib/systemd/catalog/failstop.catalog"
-MANUAL = "/usr/local/share/man/man1/failstop.1"
-COMPLETIONS = {
-    "bash": "/usr/local/share/bash-completion/completions/failstop",
-    "zsh": "/usr/local/share/zsh/site-functions/_failstop",
-    "fish": "/usr/local/share/fish/vendor_completions.d/failstop.fish",
-}
-"""Where each shell looks by itself."""
 COMMAND_LINK = "/usr/local/bin/failstop"
 CONFIGURATION = config.FOLDER
 configuration_of = config.file_of
 STATE = "/var/lib/failstop"
 RUNTIME = "/run/failstop"
-PACKAGE_UNIT = "/usr/lib/systemd/system/failstop.service"
+PACKAGE_UNITS = "/usr/lib/systemd/system"
+PACKAGE_UNIT = f"{PACKAGE_UNITS}/failstop.service"
 """There when the Debian package is installed."""
 ACCOUNT_FILES = tuple(
     f"/etc/{name}"
@@ -63,15 +56,15 @@ def parents(path: str) -> list[str]:
 class Manifest:
     """What is installed; the same content always has the same bytes."""
 
-    version: str
-    command: str
+    version: str = ""
+    command: str = ""
     """The command that the units call."""
-    tree: str
+    tree: str = ""
     """The digest of the environment; empty when another one is used."""
-    files: dict[str, str]
+    files: dict[str, str] = dataclasses.field(default_factory=dict)
     """SHA-256 by path. Configuration is not among them: it is the user's."""
-    links: dict[str, str]
-    directories: tuple[str, ...]
+    links: dict[str, str] = dataclasses.field(default_factory=dict)
+    directories: tuple[str, ...] = ()
     """Made by an installation, the outermost first."""
 
     def dump(self) -> bytes:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 
 from failstop.install import InstallError
-from failstop.install.extras import EXTRAS
+from failstop.install.rows import EXTRAS
 
 PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 RUN_S = 60.0
@@ -48,31 +48,21 @@ class Machine:
 
 def _first_words(unit: str, since_s: float) -> str:
     """The first line of a unit's own since then, in wall time."""
-    words = (
-        "journalctl",
-        "--quiet",
-        "--no-pager",
-        "--output=cat",
-        "-u",
-        unit,
-        "-t",
-        "failstop",
-        f"--since=@{since_s:.3f}",
-    )
-    return next(iter(_call(words).stdout.splitlines()), "").removeprefix("failstop: ")
+    words = ("journalctl", "--quiet", "--no-pager", "--output=cat", "-u", unit, "-t", "failstop")
+    return next(iter(_call((*words, f"--since=@{since_s:.3f}")).stdout.splitlines()), "").removeprefix("failstop: ")
 
 
 def show(unit: str) -> dict[str, str]:
     """State, and what it says of itself."""
-    result = _call(("systemctl", "show", "-p", "ActiveState,SubState,StatusText,Result", unit))
-    found = dict(line.split("=", 1) for line in result.stdout.splitlines() if "=" in line)
-    return {key: found.get(key, "") for key in ("ActiveState", "SubState", "StatusText", "Result")}
+    keys = ("ActiveState", "SubState", "StatusText", "Result")
+    result = _call(("systemctl", "show", "-p", ",".join(keys), unit))
+    return dict.fromkeys(keys, "") | dict(line.split("=", 1) for line in result.stdout.splitlines() if "=" in line)
 
 
 def active_units() -> tuple[str, ...]:
     """The units of failstop that run, or are about to."""
     states = "--state=active,activating,reloading"
-    patterns = ("failstop.service", "failstop@*.service", *(extra.unit for extra in EXTRAS))
+    patterns = ("failstop.service", "failstop@*.service", *(extra.source for extra in EXTRAS))
     result = _call(("systemctl", "list-units", states, "--plain", "--no-legend", *patterns))
     return tuple(line.split()[0] for line in result.stdout.splitlines() if line.strip())
 
@@ -81,13 +71,7 @@ def _call(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PATH": PATH, "LC_ALL": "C.UTF-8"}
     try:
         return subprocess.run(
-            words,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=RUN_S,
-            check=False,
-            env=environment,
+            words, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=RUN_S, check=False, env=environment
         )
     except FileNotFoundError:
         raise InstallError(f"{words[0]} is not on this machine: install the package that has it") from None

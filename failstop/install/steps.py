@@ -10,49 +10,43 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class Step:
-    """What people are shown of a step: a verb, what it is done to, a remark. A step without a verb is not shown."""
+    """A verb, what it is done to (a path, a unit, or words for people), a remark. Without a verb it is not shown."""
 
     verb: str
     subject: str
-    remark: str
+    remark: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
 class Directory(Step):
     """Make one directory, mode 0755."""
 
-    path: str
-
 
 @dataclasses.dataclass(frozen=True)
 class File(Step):
     """Write a file, whole or not at all, mode 0644, over what is there."""
 
-    path: str
-    data: bytes
+    data: bytes = b""
 
 
 @dataclasses.dataclass(frozen=True)
 class Link(Step):
     """Make a symbolic link, over a link or file that is there."""
 
-    path: str
-    target: str
+    target: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
 class Tree(Step):
-    """Put the Python environment in the place of what is at `path`, with the list of what is installed in it."""
+    """Put the Python environment in the place of what is there, with the list of what is installed in it."""
 
-    path: str
-    manifest: bytes
+    manifest: bytes = b""
 
 
 @dataclasses.dataclass(frozen=True)
 class Remove(Step):
     """Remove a file, a link or a whole directory; nothing there is well too."""
 
-    path: str
     only_empty: bool = False
     """A directory that still holds something stays."""
 
@@ -61,7 +55,7 @@ class Remove(Step):
 class Command(Step):
     """Run a program of the system."""
 
-    words: tuple[str, ...]
+    words: tuple[str, ...] = ()
     """Empty: nothing now; there is only something to undo."""
     undo: tuple[str, ...] = ()
     touches: tuple[str, ...] = ()
@@ -73,8 +67,6 @@ class Command(Step):
 @dataclasses.dataclass(frozen=True)
 class Start(Step):
     """Start a unit and wait until it is ready. Undone by stopping it."""
-
-    unit: str
 
 
 @dataclasses.dataclass(frozen=True)

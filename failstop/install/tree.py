@@ -90,33 +90,32 @@ class Environment:
     def write(self, directory: str) -> None:
         """Write all of it into a new directory, with its modules compiled: the service itself may not write there.
         Raises OSError."""
-        os.mkdir(directory, 0o755)
-        os.chmod(directory, 0o755)
-        made = {directory}
-        for entry in self.entries:
-            path = os.path.join(directory, entry.path)
-            _make_parents(os.path.dirname(path), made)
-            if entry.target:
-                os.symlink(entry.target, path)
-            else:
-                _write(path, entry)
-        self._compile(directory)
-
-    def _compile(self, directory: str) -> None:
-        # Else a strict mask of root's hides the compiled modules from the service.
+        # Else a strict mask of root's hides it from the service.
         mask = os.umask(0o022)
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                for entry in self.entries:
-                    if entry.path.endswith(".py"):
-                        path = os.path.join(directory, entry.path)
-                        if not _copy_compiled(entry.source, path):
-                            # A package may have files for another Python version.
-                            with contextlib.suppress(py_compile.PyCompileError):
-                                py_compile.compile(path, dfile=os.path.join(self.prefix, entry.path), doraise=True)
+            os.mkdir(directory)
+            for entry in self.entries:
+                path = os.path.join(directory, entry.path)
+                if not os.path.isdir(os.path.dirname(path)):
+                    os.makedirs(os.path.dirname(path))
+                if entry.target:
+                    os.symlink(entry.target, path)
+                else:
+                    with open(path, "xb") as file:
+                        file.write(entry.read())
+                        os.fchmod(file.fileno(), 0o755 if entry.executable else 0o644)
+            for entry in self.entries:
+                if entry.path.endswith(".py"):
+                    self._compile(entry, os.path.join(directory, entry.path))
         finally:
             os.umask(mask)
+
+    def _compile(self, entry: Entry, path: str) -> None:
+        if not _copy_compiled(entry.source, path):
+            # A package may have files for another Python version.
+            with warnings.catch_warnings(), contextlib.suppress(py_compile.PyCompileError):
+                warnings.simplefilter("ignore")
+                py_compile.compile(path, dfile=os.path.join(self.prefix, entry.path), doraise=True)
 
 
 def _copy_compiled(source: str, path: str) -> bool:
@@ -130,26 +129,12 @@ def _copy_compiled(source: str, path: str) -> bool:
             return False
         os.utime(path, ns=(found.st_atime_ns, found.st_mtime_ns))
         beside = cache_from_source(path)
-        os.makedirs(os.path.dirname(beside), 0o755, exist_ok=True)
+        os.makedirs(os.path.dirname(beside), exist_ok=True)
         with open(beside, "xb") as file:
             file.write(compiled)
     except OSError:
         return False
     return True
-
-
-def _make_parents(path: str, made: set[str]) -> None:
-    if path not in made:
-        _make_parents(os.path.dirname(path), made)
-        os.mkdir(path, 0o755)
-        os.chmod(path, 0o755)
-        made.add(path)
-
-
-def _write(path: str, entry: Entry) -> None:
-    with open(path, "xb") as file:
-        file.write(entry.read())
-    os.chmod(path, 0o755 if entry.executable else 0o644)
 
 
 def _digest(files: Iterator[tuple[str, bytes]]) -> str:

@@ -13,7 +13,6 @@ import gzip
 import hashlib
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -21,23 +20,31 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from failstop.install import InstallError, parts, tree
-from failstop.install.extras import EXTRAS
+from failstop.install import InstallError, layout, rows, tree
 from failstop.install.layout import PREFIX
+from failstop.install.rows import EXTRAS, LATE, OWN, ROWS, SETTINGS, SYSUSERS
+from failstop.shm.instance import DEFAULT_NAME
+from failstop.version import VERSION
 
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent.parent
 SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
-CONFIGURATION = "etc/failstop/failstop.toml"
+CONFIGURATION = layout.configuration_of(DEFAULT_NAME).lstrip("/")
 LABORATORY = "failstop-lab"
 LAB = f"{tree.SITE}/failstop/lab/"
 NOBODY = "failstop developers <root@localhost>"
 DOC = "usr/share/doc/failstop"
-COMPLETIONS = {
-    "bash": "usr/share/bash-completion/completions/failstop",
-    "zsh": "usr/share/zsh/vendor-completions/_failstop",
-    "fish": "usr/share/fish/vendor_completions.d/failstop.fish",
+WORDS = {
+    "@BOOT@": " ".join(row.source for row in OWN if row.boot),
+    "@EXTRAS@": " ".join(extra.source for extra in EXTRAS),
+    "@LATE@": LATE.replace("@", "@*"),
+    "@SYSUSERS@": next(row.package for row in ROWS if row.source == SYSUSERS),
+    "@CONFIGURATION@": layout.CONFIGURATION,
+    "@STATE@": layout.STATE,
+    "@RUNTIME@": layout.RUNTIME,
+    "@MANIFEST@": layout.MANIFEST,
 }
+"""What the scripts of the package say of the installation's rows and places."""
 
 
 def main() -> int:
@@ -63,47 +70,43 @@ def main() -> int:
 
 def build(directory: Path, out: Path, interpreter: str) -> tuple[Path, Path]:
     """Lay the packages out in a directory and pack them; returns their paths."""
-    brought = parts.of_this_version()
     whole = tree.running(PREFIX, interpreter, [extra.needs for extra in EXTRAS if extra.needs])
     inside = {entry for entry in whole.entries if entry.path.startswith(LAB)}
     robots = dataclasses.replace(whole, entries=tuple(entry for entry in whole.entries if entry not in inside))
     laboratory = dataclasses.replace(whole, entries=tuple(inside))
     return (
-        _robots(robots, brought, directory / "failstop", out),
-        _laboratory(laboratory, brought.version, directory / "failstop-lab", out),
+        _robots(robots, directory / "failstop", out),
+        _laboratory(laboratory, directory / "failstop-lab", out),
     )
 
 
-def _robots(environment: tree.Environment, brought: parts.Parts, root: Path, out: Path) -> Path:
+def _robots(environment: tree.Environment, root: Path, out: Path) -> Path:
     (root / "opt").mkdir(parents=True)
     environment.write(str(root / PREFIX.lstrip("/")))
-    for path, text in files(brought).items():
-        _write(root / path, text.encode())
-    _write_compressed(root / DOC / "changelog.gz", changelog(brought.version))
-    _write_compressed(root / "usr/share/man/man1/failstop.1.gz", brought.manual)
+    for path, text in files(rows.texts()).items():
+        _write(root / path, text)
     (root / "usr/bin").mkdir(parents=True)
     (root / "usr/bin/failstop").symlink_to(f"{PREFIX}/bin/failstop")
     _control(
         root,
         "control.in",
-        version=brought.version,
         architecture=_said("dpkg", "--print-architecture"),
         python=os.path.basename(environment.interpreter),
         libc=newest_libc(root),
     )
-    _write(root / "DEBIAN/conffiles", f"/{CONFIGURATION}\n".encode())
+    _write(root / "DEBIAN/conffiles", f"/{CONFIGURATION}\n")
     for name in SCRIPTS:
-        shutil.copyfile(HERE / name, root / "DEBIAN" / name)
+        _write(root / "DEBIAN" / name, script(name))
         os.chmod(root / "DEBIAN" / name, 0o755)
     return _packed(root, out)
 
 
-def _laboratory(environment: tree.Environment, version: str, root: Path, out: Path) -> Path:
+def _laboratory(environment: tree.Environment, root: Path, out: Path) -> Path:
     (root / "opt").mkdir(parents=True)
     environment.write(str(root / PREFIX.lstrip("/")))
-    _write(root / f"usr/share/doc/{LABORATORY}/copyright", (CHECKOUT / "LICENSE").read_bytes())
-    _write_compressed(root / f"usr/share/doc/{LABORATORY}/changelog.gz", changelog(version, LABORATORY))
-    _control(root, "control-lab.in", version=version, architecture="all")
+    _write(root / f"usr/share/doc/{LABORATORY}/copyright", (CHECKOUT / "LICENSE").read_text())
+    _write(root / f"usr/share/doc/{LABORATORY}/changelog.gz", changelog(LABORATORY))
+    _control(root, "control-lab.in", architecture="all")
     return _packed(root, out)
 
 
@@ -115,19 +118,23 @@ def _packed(root: Path, out: Path) -> Path:
     return out / os.path.basename(said.split("'")[-2])
 
 
-def files(brought: parts.Parts) -> dict[str, str]:
-    """The texts of the package but for the environment, by path."""
+def files(texts: Mapping[str, str]) -> dict[str, str]:
+    """The texts of the package but for the environment, by path; compressed where it ends in .gz."""
     return {
-        CONFIGURATION: brought.example,
-        **{f"usr/lib/systemd/system/{name}": text for name, text in brought.units.items()},
-        **{f"usr/lib/systemd/system/{extra.unit}": getattr(brought, extra.part) for extra in EXTRAS},
-        "usr/lib/sysusers.d/failstop.conf": brought.sysusers,
-        "usr/lib/udev/rules.d/90-failstop.rules": brought.udev,
-        "usr/lib/systemd/catalog/failstop.catalog": brought.catalog,
-        **{path: brought.completions[shell] for shell, path in COMPLETIONS.items()},
+        CONFIGURATION: texts[SETTINGS],
+        **{row.package.lstrip("/"): texts[row.source] for row in ROWS},
+        f"{DOC}/changelog.gz": changelog(),
         f"{DOC}/copyright": (CHECKOUT / "LICENSE").read_text()
         + f"\nThe packages below {PREFIX} have licences of their own, in their .dist-info directories.\n",
     }
+
+
+def script(name: str) -> str:
+    """A script of the package, with the rows' words in it."""
+    text = (HERE / name).read_text()
+    for word, meaning in WORDS.items():
+        text = text.replace(word, meaning)
+    return text
 
 
 def maintainer(environ: Mapping[str, str], folder: Path = CHECKOUT) -> str:
@@ -145,11 +152,11 @@ def _git(key: str, folder: Path) -> str:
     return done.stdout.strip()
 
 
-def changelog(version: str, package: str = "failstop") -> str:
+def changelog(package: str = "failstop") -> str:
     """What Debian wants to see of a version."""
     who = maintainer(os.environ)
     date = email.utils.formatdate(int(os.environ.get("SOURCE_DATE_EPOCH", time.time())))
-    return f"{package} ({version}) unstable; urgency=medium\n\n  * Version {version}.\n\n -- {who}  {date}\n"
+    return f"{package} ({VERSION}) unstable; urgency=medium\n\n  * Version {VERSION}.\n\n -- {who}  {date}\n"
 
 
 def newest_libc(root: Path) -> str:
@@ -164,20 +171,21 @@ def _control(root: Path, template: str, **words: str) -> None:
     """DEBIAN/: the control file from its template, and the checksums."""
     regular = sorted(path for path in root.rglob("*") if path.is_file() and not path.is_symlink())
     size = sum(path.stat().st_size for path in regular) // 1024 + 1
-    control = (HERE / template).read_text().format(maintainer=maintainer(os.environ), installed_kib=size, **words)
-    _write(root / "DEBIAN/control", control.encode())
+    control = (
+        (HERE / template)
+        .read_text()
+        .format(version=VERSION, maintainer=maintainer(os.environ), installed_kib=size, **words)
+    )
+    _write(root / "DEBIAN/control", control)
     sums = [f"{hashlib.md5(path.read_bytes()).hexdigest()}  {path.relative_to(root)}\n" for path in regular]
-    _write(root / "DEBIAN/md5sums", "".join(line for line in sums if not line.endswith(f"{CONFIGURATION}\n")).encode())
+    _write(root / "DEBIAN/md5sums", "".join(line for line in sums if not line.endswith(f"{CONFIGURATION}\n")))
 
 
-def _write(path: Path, data: bytes) -> None:
+def _write(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(data)
+    data = text.encode()
+    path.write_bytes(gzip.compress(data, 9, mtime=0) if path.suffix == ".gz" else data)
     os.chmod(path, 0o644)
-
-
-def _write_compressed(path: Path, text: str) -> None:
-    _write(path, gzip.compress(text.encode(), 9, mtime=0))
 
 
 def _said(*words: str) -> str:

@@ -1,25 +1,18 @@
-"""A machine on which all is well, as facts; tests change one thing."""
+"""A machine on which all is well; tests change one thing, in what the system says or in what checks share."""
 
 from __future__ import annotations
 
 import dataclasses
+import resource
+from collections.abc import Iterator
 from typing import Any
 
-from failstop.doctor.facts import (
-    Clock,
-    Cpu,
-    Facts,
-    Idle,
-    Node,
-    RemoveIpc,
-    Rights,
-    Service,
-    SharedMemory,
-    StopTest,
-    Ticks,
-    Unit,
-    User,
-)
+from failstop.doctor.look import Look, Service
+from failstop.doctor.machine import CLOCKS, PROCESSORS, RUNTIME, Ticks
+from failstop.doctor.port import Node
+from failstop.doctor.stop_test import StopPath, StopTest
+from failstop.doctor.system import System, User
+from failstop.policy.settings import Settings
 from failstop.shm.layout import PROCESSES
 from failstop.version import VERSION
 from tests.support.states import process, state
@@ -42,39 +35,105 @@ NODE = Node(
 )
 STATE = state(processes={name: process(pid=100 + at) for at, name in enumerate(PROCESSES)})
 SERVICE = Service(100, VERSION, "failstop", STATE)
-UNIT = Unit("failstop.service", "loaded", "active", "running", "enabled", "success", "failstop", False, 100, 0)
-RIGHTS = Rights(40, -1, nice_capability=False, lock_capability=False, realtime_granted=True, runtime_us=950_000)
-CLOCK = Clock("tsc", ("tsc", "hpet"), backward_ns=0, resolution_ns=1, synchronized=True, offset_s=0.0001)
-MEMORY = SharedMemory(True, True, 1 << 30, 1 << 21)
-CPU = Cpu(4, ("performance",), Idle("C1", 2))
+UNIT = {
+    "LoadState": "loaded",
+    "ActiveState": "active",
+    "SubState": "running",
+    "UnitFileState": "enabled",
+    "Result": "success",
+    "User": "failstop",
+    "NeedDaemonReload": "no",
+    "MainPID": "100",
+    "NRestarts": "0",
+}
 TICKS = (Ticks(False, 500, 60.0, 400.0, 3000.0), Ticks(True, 500, 20.0, 60.0, 300.0))
-STOPS = (StopTest("stop tool", True, 4.5),)
+MIB = 1 << 20
+FILES = {
+    RUNTIME: "950000",
+    f"{CLOCKS}/current_clocksource": "tsc",
+    f"{CLOCKS}/available_clocksource": "tsc hpet",
+    f"{PROCESSORS}/cpu0/cpufreq/scaling_governor": "performance",
+    f"{PROCESSORS}/cpu0/cpuidle/state1/name": "C1",
+    f"{PROCESSORS}/cpu0/cpuidle/state1/latency": "2",
+}
+KERNEL: dict[str, Any] = {
+    "free": 1 << 30,
+    "writable": True,
+    "realtime": True,
+    "capable": False,
+    "in_container": False,
+    "early_news": True,
+    "backward_ns": 0,
+    "resolution_ns": 1,
+    "wall_clock": (True, 0.0001),
+}
+"""What the functions of System say, whatever they are asked."""
+LIMITS = {resource.RLIMIT_RTPRIO: 40, resource.RLIMIT_MEMLOCK: -1}
+SHARED: dict[str, Any] = {
+    "settings": ("", Settings(), ""),
+    "service": SERVICE,
+    "systemd": True,
+    "unit": UNIT,
+    "user": PERSON,
+    "service_user": SERVER,
+    "device": ("/dev/ttyACM0", "the default of device.path"),
+    "node": NODE,
+    "holders": ((), 0),
+    "runs": ((), ()),
+    "commands": ("failstop", "failstop"),
+    "ticks": TICKS,
+    "stops": StopPath((StopTest("stop tool", True, 4.5),)),
+}
+"""What checks share (Look)."""
 
-WELL = Facts(
-    name="failstop",
-    device="/dev/ttyACM0",
-    device_origin="the default of device.path",
-    user=PERSON,
-    service_user=SERVER,
-    rights=RIGHTS,
-    clock=CLOCK,
-    memory=MEMORY,
-    cpu=CPU,
-    lease_s=0.06,
-    period_s=0.02,
-    node=NODE,
-    service=SERVICE,
-    systemd=True,
-    unit=UNIT,
-    remove_ipc=RemoveIpc(True, ""),
-    ticks=TICKS,
-    stops=STOPS,
-)
+
+class Made(System):
+    """A system of these files; None: a file that is not there."""
+
+    def __init__(
+        self,
+        files: dict[str, str | None] | None = None,
+        owners: dict[str, str] | None = None,
+        opens: dict[int, set[str]] | None = None,
+        limits: dict[int, int] | None = None,
+        **kernel: Any,
+    ) -> None:
+        super().__init__("/nowhere")
+        self._files = {path: text for path, text in (FILES | (files or {})).items() if text is not None}
+        self._owners = owners or {}
+        self._opens = opens or {}
+        self._limits = LIMITS | (limits or {})
+        for name, says in (KERNEL | kernel).items():
+            setattr(self, name, lambda *_, says=says: says)
+
+    def read(self, path: str) -> str | None:
+        return self._files.get(path)
+
+    def names(self, path: str) -> list[str]:
+        below = (file.removeprefix(f"{path}/") for file in self._files if file.startswith(f"{path}/"))
+        return sorted({name.partition("/")[0] for name in below})
+
+    def owner(self, path: str) -> str:
+        return self._owners.get(path, "")
+
+    def open_files(self) -> Iterator[tuple[int, set[str] | None]]:
+        return iter(self._opens.items())
+
+    def limit(self, which: int) -> int:
+        return self._limits[which]
 
 
-def facts(**changed: Any) -> Facts:
-    """All is well but for this."""
-    return dataclasses.replace(WELL, **changed)
+def look(name: str = "failstop", *, stop_wanted: bool = False, **changed: Any) -> Look:
+    """All is well but for this: what checks share, or what the system says."""
+    system = Made(**{key: value for key, value in changed.items() if key not in SHARED})
+    made = Look(name, stop_wanted=stop_wanted, system=system)
+    vars(made).update(SHARED | {key: value for key, value in changed.items() if key in SHARED})
+    return made
+
+
+def on(comm: str, pid: int = 9) -> dict[str, str | None]:
+    """The files of a machine on which this program runs."""
+    return {f"/proc/{pid}/comm": comm}
 
 
 def serving(**changed: Any) -> Service:
@@ -84,4 +143,4 @@ def serving(**changed: Any) -> Service:
 
 def but(part: Any, **changed: Any) -> Any:
     """One part, changed."""
-    return dataclasses.replace(part, **changed)
+    return part | changed if isinstance(part, dict) else dataclasses.replace(part, **changed)

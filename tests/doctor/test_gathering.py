@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from failstop.doctor import leftovers, machine_facts, port_facts, service_facts, ticks
-from failstop.doctor.facts import Idle, RemoveIpc, Unit
-from failstop.doctor.gather import gather
-from failstop.doctor.system import System
+from failstop.doctor import leftovers, machine, port, service, table
+from failstop.doctor.look import Look, version_of
+from failstop.doctor.system import System, User, user
 from failstop.install.layout import unit_of
 from failstop.lab.trial import Trial
 from failstop.shm import claim, layout, segment
+from failstop.version import VERSION
 
 
 def write(root: Path, path: str, text: str) -> None:
@@ -37,26 +37,27 @@ def test_the_usb_device_is_found_above_its_node(tmp_path: Path) -> None:
     link.mkdir(parents=True)
     (link / "device").symlink_to(tmp_path / f"{usb}/1-2:1.0".lstrip("/"))
     system = System(str(tmp_path))
-    assert port_facts.usb_identity("/sys/dev/char/166:0/device", system) == ("1a86:55d4", "USB Single Serial")
-    assert port_facts.usb_identity("/sys/dev/char/4:0/device", system) == (None, "")
+    assert port.usb_identity("/sys/dev/char/166:0/device", system) == ("1a86:55d4", "USB Single Serial")
+    assert port.usb_identity("/sys/dev/char/4:0/device", system) == (None, "")
 
 
 @pytest.mark.parametrize(
-    ("text", "ignored"), [("E:ID_MM_DEVICE_IGNORE=1\n", True), ("E:ID_BUS=usb\n", False), (None, None)]
+    ("text", "ignored"), [("E:ID_MM_DEVICE_IGNORE=1\n", True), ("E:ID_BUS=usb\n", False), (None, False)]
 )
-def test_what_udev_tells_modem_manager(tmp_path: Path, text: str | None, ignored: bool | None) -> None:
+def test_what_udev_tells_modem_manager(tmp_path: Path, text: str | None, ignored: bool) -> None:
     if text is not None:
         write(tmp_path, "/run/udev/data/c166:0", text)
-    assert port_facts.modem_ignored("/run/udev/data/c166:0", System(str(tmp_path))) is ignored
+    assert port.modem_ignored("/run/udev/data/c166:0", System(str(tmp_path))) is ignored
 
 
-def test_grabbers_and_their_units(tmp_path: Path) -> None:
+def test_processes_and_their_units(tmp_path: Path) -> None:
     write(tmp_path, "/proc/12/comm", "ModemManager\n")
     write(tmp_path, "/proc/12/cgroup", "0::/system.slice/ModemManager.service\n")
     write(tmp_path, "/proc/13/comm", "bash\n")
-    found = port_facts.grabbers(System(str(tmp_path)))
-    assert [(holder.pid, holder.name, holder.unit) for holder in found] == [
-        (12, "ModemManager", "ModemManager.service")
+    system = System(str(tmp_path))
+    assert [(pid, system.comm(pid), system.unit(pid)) for pid in system.pids()] == [
+        (12, "ModemManager", "ModemManager.service"),
+        (13, "bash", ""),
     ]
 
 
@@ -66,28 +67,28 @@ CONF = "/systemd/logind.conf"
 @pytest.mark.parametrize(
     ("files", "found"),
     [
-        ({}, RemoveIpc(True, "")),
-        ({f"/etc{CONF}": "[Login]\n#RemoveIPC=no\n"}, RemoveIpc(True, "")),
-        ({f"/etc{CONF}": "[Login]\nRemoveIPC=no\n"}, RemoveIpc(False, f"/etc{CONF}")),
+        ({}, (True, "")),
+        ({f"/etc{CONF}": "[Login]\n#RemoveIPC=no\n"}, (True, "")),
+        ({f"/etc{CONF}": "[Login]\nRemoveIPC=no\n"}, (False, f"/etc{CONF}")),
         (
             {f"/etc{CONF}": "RemoveIPC=no\n", f"/run{CONF}.d/a.conf": "RemoveIPC = yes\n"},
-            RemoveIpc(True, f"/run{CONF}.d/a.conf"),
+            (True, f"/run{CONF}.d/a.conf"),
         ),
         (
             {f"/usr/lib{CONF}.d/a.conf": "RemoveIPC=yes\n", f"/etc{CONF}.d/a.conf": "RemoveIPC=no\n"},
-            RemoveIpc(False, f"/etc{CONF}.d/a.conf"),
+            (False, f"/etc{CONF}.d/a.conf"),
         ),
-        ({f"/usr/lib{CONF}": "RemoveIPC=no\n", f"/etc{CONF}": "[Login]\n"}, RemoveIpc(True, "")),
+        ({f"/usr/lib{CONF}": "RemoveIPC=no\n", f"/etc{CONF}": "[Login]\n"}, (True, "")),
         (
             {f"/etc{CONF}.d/a.conf": "RemoveIPC=no\n", f"/usr/lib{CONF}.d/b.conf": "RemoveIPC=1\n"},
-            RemoveIpc(True, f"/usr/lib{CONF}.d/b.conf"),
+            (True, f"/usr/lib{CONF}.d/b.conf"),
         ),
     ],
 )
-def test_remove_ipc_as_logind_reads_it(tmp_path: Path, files: dict[str, str], found: RemoveIpc) -> None:
+def test_remove_ipc_as_logind_reads_it(tmp_path: Path, files: dict[str, str], found: tuple[bool, str]) -> None:
     for path, text in files.items():
         write(tmp_path, path, text)
-    assert service_facts.remove_ipc(System(str(tmp_path))) == found
+    assert service.logind_removes(System(str(tmp_path))) == found
 
 
 def test_governors_and_the_slowest_state_in_use(tmp_path: Path) -> None:
@@ -98,19 +99,12 @@ def test_governors_and_the_slowest_state_in_use(tmp_path: Path) -> None:
         for key, value in (("name", name), ("latency", latency), ("disable", disabled)):
             write(tmp_path, f"{folder}/cpu0/cpuidle/{state}/{key}", f"{value}\n")
     (tmp_path / "sys/devices/system/cpu/cpufreq").mkdir()
-    found = machine_facts.cpu(System(str(tmp_path)))
-    assert (found.cores, found.governors) == (2, ("performance", "powersave"))
-    assert found.slowest_idle == Idle("C6", 85)
+    look = Look(system=System(str(tmp_path)))
+    assert "CPU governor powersave" in machine.processor(look)[0].text
+    assert machine.idle(look)[0].text == "the slowest idle state C6 takes 85 us to wake from"
 
 
-def test_what_systemctl_says() -> None:
-    text = (
-        "LoadState=loaded\nActiveState=failed\nSubState=failed\nUnitFileState=enabled\nResult=watchdog\n"
-        "User=failstop\nNeedDaemonReload=yes\nMainPID=0\nNRestarts=4\n"
-    )
-    expected = Unit("failstop.service", "loaded", "failed", "failed", "enabled", "watchdog", "failstop", True, 0, 4)
-    assert service_facts.parse_unit("failstop.service", text) == expected
-    assert service_facts.parse_unit("x.service", "LoadState=not-found\n").user == "root"
+def test_units_by_name() -> None:
     assert unit_of("failstop") == "failstop.service"
     assert unit_of("left") == "failstop@left.service"
 
@@ -118,23 +112,25 @@ def test_what_systemctl_says() -> None:
 SYSTEMCTL = """#!/bin/sh
 test "$1 $2" = "show failstop@left.service" && echo LoadState=loaded && echo MainPID=12
 """
+TOLD = {"LoadState": "loaded", "MainPID": "12"}
 
 
 @pytest.mark.parametrize(
     ("script", "found"),
-    [(SYSTEMCTL, ("loaded", 12)), ("#!/bin/sh\nexit 1\n", None), ("#!/bin/sh\nexec sleep 30\n", None), ("", None)],
+    [(SYSTEMCTL, TOLD), ("#!/bin/sh\nexit 1\n", {}), ("#!/bin/sh\nexec sleep 30\n", {}), ("", {})],
     ids=["answers", "fails", "hangs", "missing"],
 )
 def test_systemctl_is_asked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, found: tuple[str, int] | None
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, found: dict[str, str]
 ) -> None:
     if script:
         write(tmp_path, "bin/systemctl", script)
         (tmp_path / "bin/systemctl").chmod(0o755)
     shell_tools = "" if not script else ":/usr/bin:/bin"
     monkeypatch.setenv("PATH", f"{tmp_path}/bin{shell_tools}")
-    unit = service_facts.unit("left")
-    assert (unit and (unit.load, unit.main_pid)) == found
+    look = Look("left")
+    vars(look)["systemd"] = True
+    assert look.unit == found
 
 
 @pytest.fixture
@@ -147,15 +143,13 @@ def dead_run() -> Iterator[str]:
 
 
 def test_the_shared_memory_of_a_dead_run(dead_run: str) -> None:
-    server = port_facts.user(os.geteuid())
-    found = machine_facts.shared_memory(server, System())
-    left = next(row for row in found.leftovers if row.instance == dead_run)
-    assert (left.segments, left.ours) == (len(layout.SEGMENTS), True)
-    assert left.size > 0
-    assert service_facts.version_of(dead_run, System()) == service_facts.client_version()
-    stranger = port_facts.User("stranger", os.geteuid() + 4711, frozenset())  # type: ignore[attr-defined]
-    found = machine_facts.shared_memory(stranger, System())
-    assert not next(row for row in found.leftovers if row.instance == dead_run).ours
+    def left(server: User) -> leftovers.Leftover:
+        return next(row for row in leftovers.look(server, System())[0] if row.instance == dead_run)
+
+    assert left(user(os.geteuid())).ours
+    assert left(user(os.geteuid())).size > 0
+    assert version_of(dead_run) == VERSION
+    assert not left(User("stranger", os.geteuid() + 4711)).ours
 
 
 def test_what_dead_runs_left_is_removed_and_what_lives_is_not(dead_run: str, tmp_path: Path) -> None:
@@ -171,7 +165,7 @@ def test_what_dead_runs_left_is_removed_and_what_lives_is_not(dead_run: str, tmp
             write(tmp_path, f"/dev/shm/{file}", "")
         supervisor = os.open(tmp_path / "dev/shm" / alive[1], os.O_RDWR)
         assert claim.take(supervisor, 0)
-        _, living = leftovers.look(port_facts.user(os.geteuid()), System())
+        _, living = leftovers.look(user(os.geteuid()), System())
         assert trial.name in living
         removed, left = leftovers.remove(System(str(tmp_path)))
     assert [row.instance for row in removed] == [dead_run]
@@ -186,8 +180,8 @@ def test_who_has_a_device_open_that_an_unplug_has_removed(tmp_path: Path) -> Non
     (tmp_path / "proc" / "77" / "comm").write_text("minicom\n")
     (files / "3").symlink_to("/dev/ttyACM0 (deleted)")
     (files / "4").symlink_to("/dev/ttyACM1")
-    [found] = port_facts.unplugged(System(str(tmp_path)))
-    assert (found.pid, found.name, found.gone) == (77, "minicom", "/dev/ttyACM0")
+    [found] = port.held(Look(device="/nowhere", system=System(str(tmp_path))))
+    assert found.text.startswith("minicom (pid 77) has /dev/ttyACM0 open from before an unplug")
 
 
 def test_who_has_a_device_open() -> None:
@@ -199,54 +193,64 @@ def test_who_has_a_device_open() -> None:
         try:
             assert other.stdout is not None
             assert other.stdout.readline() == "open\n"
-            holders, _ = port_facts.holders(path, {4711}, System())
+            holders, _ = port.holders(path, {4711}, System())
             assert [(holder.pid, holder.ours) for holder in holders] == [(other.pid, False)]
-            assert port_facts.holders(path, {other.pid}, System())[0][0].ours
+            assert port.holders(path, {other.pid}, System())[0][0].ours
         finally:
             other.kill()
     os.close(slave)
-    assert port_facts.holders(path, set(), System())[0] == ()
+    assert port.holders(path, set(), System())[0] == ()
     os.close(master)
 
 
 def test_a_pseudo_terminal_is_told_from_a_board() -> None:
     master, slave = pty.openpty()
-    found = port_facts.node(os.ttyname(slave), System())
+    found = port.node(os.ttyname(slave), System())
     assert found is not None
     assert (found.character, found.pseudo, found.accessible) == (True, True, True)
-    assert port_facts.node("/nowhere", System()) is None
+    assert port.node("/nowhere", System()) is None
     os.close(slave)
     os.close(master)
 
 
 def test_the_clocks_of_this_machine() -> None:
-    found = machine_facts.clock(System())
-    assert found.backward_ns == 0
-    assert 0 < found.resolution_ns < 20_000_000
+    assert System().backward_ns() == 0
+    assert 0 < System().resolution_ns() < 20_000_000
+
+
+def test_rights_and_room(tmp_path: Path) -> None:
+    write(tmp_path, "/proc/self/status", "Name:\tpython3\nCapEff:\t0000000000804000\n")
+    system = System(str(tmp_path))
+    assert [capability for capability in range(64) if system.capable(capability)] == [14, 23]
+    assert not System(str(tmp_path / "nothing")).capable(14)
+    assert (system.free("/nowhere"), system.writable("/nowhere")) == (None, False)
+    assert (system.free("/") or 0) > 0
+    assert system.writable("/")
 
 
 def test_asking_for_real_time_leaves_no_trace() -> None:
     before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
-    machine_facts.rights(System())
+    System().realtime()
     assert (os.sched_getscheduler(0), os.sched_getparam(0).sched_priority) == before
 
 
 def test_the_ticks_of_this_machine() -> None:
-    found = ticks.measure(0.3)
+    found = machine.measure(0.3)
     assert not found[0].realtime
     for row in found:
-        assert 1 <= row.count <= 30
+        assert 1 <= row.times <= 30
         assert 0 < row.median_us <= row.p99_us <= row.worst_us
 
 
 def test_ticks_in_numbers() -> None:
-    found = ticks.summary([n * 1000 for n in range(101)], realtime=True)
-    assert (found.median_us, found.p99_us, found.worst_us, found.count) == (50.0, 99.0, 100.0, 101)
+    found = machine.summary([n * 1000 for n in range(101)], realtime=True)
+    assert (found.median_us, found.p99_us, found.worst_us, found.times) == (50.0, 99.0, 100.0, 101)
 
 
 def test_all_of_it_is_quick() -> None:
     begun_s = time.monotonic()
-    found = gather(f"none-{os.getpid()}", None, "/nowhere", quick=True, stop_test_wanted=False, system=System())
+    look = Look(f"none-{os.getpid()}", device="/nowhere", quick=True)
+    table.examine(look)
     assert time.monotonic() - begun_s < 10.0
-    assert found.service is None
-    assert found.stop_skipped == "there is no port"
+    assert look.service is None
+    assert look.stops.skipped == "there is no port"

@@ -2,146 +2,235 @@
 
 from __future__ import annotations
 
-import dataclasses
+import resource
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from failstop import discovery
 from failstop.api.snapshot import Client, Starved
-from failstop.doctor import judge_port, paste
-from failstop.doctor.facts import NAMED, Facts, Holder, Idle, Leftover, RemoveIpc, Ros2, StopTest, Ticks
+from failstop.doctor import paste, port, stop_test
 from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, worst
+from failstop.doctor.leftovers import Leftover
+from failstop.doctor.look import NAMED, Look
+from failstop.doctor.machine import CLOCKS, PROCESSORS, RUNTIME, Ticks
+from failstop.doctor.port import Holder
+from failstop.doctor.stop_test import StopPath, StopTest
 from failstop.doctor.table import CHECKS, as_records, examine
-from tests.doctor.parts import (
-    CLOCK,
-    CPU,
-    MEMORY,
-    NODE,
-    PERSON,
-    RIGHTS,
-    SERVER,
-    SERVICE,
-    STATE,
-    UNIT,
-    WELL,
-    but,
-    facts,
-    serving,
-)
+from failstop.policy.settings import Settings
+from tests.doctor.parts import FILES, NODE, PERSON, SERVER, SERVICE, STATE, UNIT, but, look, on, serving
 from tests.support.states import arm
 
 UNRIGHTED = {name: but(row, realtime=False, memory_locked=False) for name, row in STATE.processes.items()}
 STARVED = Starved(1, 0.07, "gate")
 PORT = STATE.device
 BRIDGE = Client(0, "ros2", 7, False, "no scan", "/a and /b drive", 0.1)
-LATE = but(RIGHTS, early_news=False)
-POOR = but(RIGHTS, realtime_granted=False, realtime_limit=0, memory_limit=65536)
+BRIDGED = serving(clients=(but(BRIDGE, said_s=None),))
+POOR: dict[str, Any] = {"realtime": False, "limits": {resource.RLIMIT_RTPRIO: 0, resource.RLIMIT_MEMLOCK: 65536}}
+REMOVED = {7: {"/dev/ttyACM0 (deleted)", "/dev/ttyACM1"}}
+C10 = {f"{PROCESSORS}/cpu0/cpuidle/state3/name": "C10", f"{PROCESSORS}/cpu0/cpuidle/state3/latency": "890"}
 
-CASES: tuple[tuple[str, Facts, str, str], ...] = (
-    ("port", facts(node=None), FAIL, "no device /dev/ttyACM0"),
-    ("port", facts(node=None, candidates=(("/dev/ttyACM1", "x, USB 1a86:55d4"),)), FAIL, "/dev/ttyACM1"),
-    ("port", facts(node=but(NODE, character=False)), FAIL, "no serial port"),
-    ("port", facts(node=but(NODE, link="/dev/failstop")), WARN, "that number may be another"),
-    ("identity", facts(node=but(NODE, usb_id="0403:6001")), FAIL, "0403:6001"),
-    ("identity", facts(node=but(NODE, usb_id=None)), WARN, "no USB device"),
-    ("identity", facts(node=but(NODE, usb_id=None), device_origin=NAMED), SKIP, "no USB device"),
-    ("permission", facts(service_user=but(SERVER, gids=frozenset({998}))), FAIL, "failstop may not open"),
-    ("permission", facts(service_user=but(SERVER, gids=frozenset()), node=but(NODE, acl=True)), WARN, "ACL"),
-    ("permission", facts(node=but(NODE, accessible=False)), SKIP, "need not"),
-    ("permission", facts(node=but(NODE, accessible=False), service=None), WARN, "anna"),
-    ("permission", facts(node=but(NODE, accessible=False), service_user=None, service=None), FAIL, "anna"),
-    ("holders", facts(holders=(Holder(7, "python3"),)), FAIL, "python3 (pid 7)"),
-    ("holders", facts(holders=(Holder(7, "driver", "old.service"),)), FAIL, "old.service"),
-    ("holders", facts(holders=(Holder(7, "fs:gate", instance="left"),)), FAIL, "the service 'left' has the port"),
-    ("holders", facts(unplugged=(Holder(7, "minicom", gone="/dev/ttyACM0"),)), WARN, "/dev/ttyACM0 open from before"),
-    ("holders", facts(node=None, unplugged=(Holder(7, "minicom", gone="/dev/ttyACM0"),)), WARN, "minicom (pid 7)"),
-    ("holders", facts(unseen_processes=3), WARN, "3 processes hide"),
-    ("grabbers", facts(grabbers=(Holder(9, "ModemManager"),), node=but(NODE, modem_ignored=False)), FAIL, "ModemM"),
-    ("grabbers", facts(grabbers=(Holder(9, "ModemManager"),), node=but(NODE, modem_ignored=None)), FAIL, "ModemM"),
-    ("grabbers", facts(grabbers=(Holder(9, "brltty"),)), WARN, "brltty"),
-    ("settings", facts(settings_problem="gate.lease_s = 9.0: allowed is 0.04 to 1 s"), FAIL, "gate.lease_s = 9.0"),
-    ("deaths", facts(rights=LATE), WARN, "tells of a death late"),
-    ("service", facts(service=None), WARN, "no service named 'failstop' runs"),
-    ("service", facts(service=None, unit=None, memory=but(MEMORY, living=("left",))), WARN, "there is left"),
-    ("service", facts(service=serving(device=but(PORT, link="deaf"))), FAIL, "does not answer"),
-    ("service", facts(service=serving(device=but(PORT, link="unproven"))), WARN, "not answered"),
-    ("service", facts(service=serving(waiting_for="the port")), WARN, "waits for the port"),
-    (
-        "service",
-        facts(service=serving(arm=arm(wrong=("it hangs",)))),
-        WARN,
-        "it hangs",
-    ),
-    (
-        "clients",
-        facts(service=serving(clients=(BRIDGE,))),
-        WARN,
-        "/a and /b drive",
-    ),
-    ("ROS 2", facts(ros2=Ros2(("anna",))), SKIP, "nodes of anna run here"),
-    ("ROS 2", facts(ros2=Ros2(("anna", "bob"), 7, "bob", True)), WARN, "Fast DDS of anna is here"),
-    ("unit", facts(unit=None, systemd=False), SKIP, "systemd does not run"),
-    ("version", facts(service=but(SERVICE, state=None, problem="is of failstop 0.0.9")), FAIL, "0.0.9"),
-    ("version", facts(service=but(SERVICE, version="0.0.9")), WARN, "0.0.9"),
-    ("unit", facts(unit=None), WARN, "does not answer"),
-    ("unit", facts(unit=but(UNIT, load="not-found")), WARN, "no unit"),
-    ("unit", facts(unit=but(UNIT, load="bad-setting")), FAIL, "bad-setting"),
-    ("unit", facts(unit=but(UNIT, active="failed", result="watchdog")), FAIL, "watchdog"),
-    ("unit", facts(unit=but(UNIT, active="inactive", result="watchdog")), FAIL, "result: watchdog"),
-    ("memory lock", facts(service=None, rights=but(POOR, memory_limit=(1 << 30) - 1)), WARN, "too little"),
-    ("clock", facts(clock=but(CLOCK, resolution_ns=1001)), FAIL, "steps of 1001"),
-    ("wall clock", facts(clock=but(CLOCK, offset_s=0.5)), WARN, "0.5 s"),
-    ("unit", facts(unit=but(UNIT, restarts=3)), WARN, "restarted it 3 times"),
-    ("unit", facts(unit=but(UNIT, active="activating", sub="auto-restart", restarts=3)), FAIL, "3 times"),
-    ("unit", facts(unit=but(UNIT, needs_reload=True)), WARN, "changed on disk"),
-    ("unit", facts(unit=but(UNIT, main_pid=4711)), WARN, "4711"),
-    ("unit", facts(unit=but(UNIT, enabled="disabled")), WARN, "not started at boot"),
-    ("realtime", facts(service=serving(processes=UNRIGHTED)), WARN, "supervisor, port_owner"),
-    ("realtime", facts(service=serving(processes=UNRIGHTED, starved=STARVED)), WARN, "for 70 ms; the"),
-    ("realtime", facts(service=serving(starved=STARVED)), WARN, "for 70 ms, in spite of"),
-    ("realtime", facts(service=None, rights=POOR), WARN, "no real-time priority"),
-    ("realtime", facts(service=None, rights=but(POOR, realtime_limit=40)), WARN, "container"),
-    ("realtime", facts(service=None, rights=but(RIGHTS, runtime_us=0)), FAIL, "no time at all"),
-    ("memory lock", facts(service=serving(processes=UNRIGHTED)), WARN, "swapped out"),
-    ("memory lock", facts(service=None, rights=POOR), WARN, "64 KiB"),
-    ("clock", facts(clock=but(CLOCK, backward_ns=5)), FAIL, "went back by 5 ns"),
-    ("clock", facts(clock=but(CLOCK, resolution_ns=4_000_000)), FAIL, "steps of 4000000"),
-    ("clock", facts(clock=but(CLOCK, source="hpet")), WARN, "hpet"),
-    ("clock", facts(clock=but(CLOCK, source=None, available=())), WARN, "None"),
-    ("wall clock", facts(clock=but(CLOCK, synchronized=False)), WARN, "not synchronized"),
-    ("wall clock", facts(clock=but(CLOCK, offset_s=-2.5)), WARN, "-2.5 s"),
-    ("shared memory", facts(memory=but(MEMORY, present=False)), FAIL, "no /dev/shm"),
-    ("shared memory", facts(memory=but(MEMORY, writable=False)), FAIL, "may not write"),
-    ("shared memory", facts(memory=but(MEMORY, free=1024), service=None), FAIL, "1 KiB free"),
-    ("leftovers", facts(memory=but(MEMORY, leftovers=(Leftover("old", 14, 4096, "x", True),))), WARN, "old (4 KiB)"),
-    ("leftovers", facts(memory=but(MEMORY, leftovers=(Leftover("failstop", 14, 9, "bob", False),))), FAIL, "bob"),
-    ("RemoveIPC", facts(service_user=but(SERVER, uid=1001)), WARN, "logs out"),
-    ("processor", facts(cpu=but(CPU, governors=("performance", "powersave"))), WARN, "powersave"),
-    ("idle", facts(cpu=but(CPU, slowest_idle=Idle("C10", 890))), WARN, "C10 takes 890 us"),
-    ("ticks", facts(ticks=()), SKIP, "not measured"),
-    ("wall clock", facts(clock=but(CLOCK, synchronized=None)), SKIP, "does not say"),
-    ("ticks", facts(ticks=(Ticks(True, 9, 1.0, 1.0, 41_000.0),)), FAIL, "40 ms and the lease runs out"),
-    ("ticks", facts(ticks=(Ticks(True, 9, 1.0, 1.0, 6_000.0),)), WARN, "worst 6000 us"),
-    ("ticks", facts(ticks=(Ticks(False, 9, 1.0, 1.0, 41_000.0),)), WARN, "ordinary priority"),
-    ("stop path", facts(stops=(StopTest("stop tool", True, None),)), FAIL, "did not answer"),
-    ("stop path", facts(stops=(StopTest("stop tool", False, None),)), FAIL, "could not be written"),
-    ("stop path", facts(stops=(StopTest("stop tool", True, 1.0, "stays latched"),)), FAIL, "stays latched"),
-    ("stop path", facts(stops=(StopTest("stop tool", True, 180.0),)), WARN, "late"),
-    ("stop path", facts(stops=(), stop_skipped="motion is enabled", stop_wanted=True), WARN, "motion is enabled"),
-    ("stop path", facts(stops=(), stop_skipped="the service runs"), SKIP, "not tested: the service runs"),
+
+def nodes(*users: str) -> dict[str, Any]:
+    """Nodes of these users, of whom the last has the bridge, with a profile for Fast DDS."""
+    owners = {f"/dev/shm/fastrtps_{user}": user for user in users}
+    files = {**dict.fromkeys(owners, ""), "/proc/7/environ": "HOME=/\0FASTRTPS_DEFAULT_PROFILES_FILE=/own.xml\0"}
+    return {"files": files, "owners": {**owners, "/proc/7": users[-1]}}
+
+
+def answered(stop: StopTest) -> Look:
+    return look(stops=StopPath((stop,)))
+
+
+CASES: tuple[tuple[str, Look, str, str], ...] = (
+    ("port", look(node=but(NODE, character=False)), FAIL, "no serial port"),
+    ("port", look(node=but(NODE, link="/dev/failstop")), WARN, "that number may be another"),
+    ("identity", look(node=but(NODE, usb_id="0403:6001")), FAIL, "0403:6001"),
+    ("identity", look(node=but(NODE, usb_id=None)), WARN, "no USB device"),
+    ("identity", look(node=but(NODE, usb_id=None), device=("/dev/ttyACM0", NAMED)), SKIP, "no USB device"),
+    ("permission", look(service_user=but(SERVER, gids=frozenset({998}))), FAIL, "failstop may not open"),
+    ("permission", look(service_user=but(SERVER, gids=frozenset()), node=but(NODE, acl=True)), WARN, "ACL"),
+    ("permission", look(node=but(NODE, accessible=False)), SKIP, "need not"),
+    ("permission", look(node=but(NODE, accessible=False), service=None), WARN, "anna"),
+    ("permission", look(node=but(NODE, accessible=False), service_user=None, service=None), FAIL, "anna"),
+    ("holders", look(holders=((Holder(7, "python3"),), 0)), FAIL, "python3 (pid 7)"),
+    ("holders", look(holders=((Holder(7, "driver", "old.service"),), 0)), FAIL, "old.service"),
+    ("holders", look(holders=((Holder(7, "fs:gate", instance="left"),), 0)), FAIL, "the service 'left' has the port"),
+    ("holders", look(opens=REMOVED, files=on("minicom", 7)), WARN, "/dev/ttyACM0 open from before"),
+    ("holders", look(node=None, opens=REMOVED, files=on("minicom", 7)), WARN, "minicom (pid 7)"),
+    ("holders", look(holders=((), 3)), WARN, "3 processes hide"),
+    ("grabbers", look(files=on("ModemManager"), node=but(NODE, modem_ignored=False)), FAIL, "ModemM"),
+    ("grabbers", look(files=on("ModemManager"), node=None), FAIL, "ModemM"),
+    ("grabbers", look(files=on("brltty")), WARN, "brltty"),
+    ("settings", look(settings=("x.toml", Settings(), "gate.lease_s = 9.0: allowed is")), FAIL, "gate.lease_s = 9.0"),
+    ("deaths", look(early_news=False), WARN, "tells of a death late"),
+    ("service", look(service=None), WARN, "no service named 'failstop' runs"),
+    ("service", look(service=None, unit={}, runs=((), ("left",))), WARN, "there is left"),
+    ("service", look(service=serving(device=but(PORT, link="deaf"))), FAIL, "does not answer"),
+    ("service", look(service=serving(device=but(PORT, link="unproven"))), WARN, "not answered"),
+    ("service", look(service=serving(waiting_for="the port")), WARN, "waits for the port"),
+    ("service", look(service=serving(arm=arm(wrong=("it hangs",)))), WARN, "it hangs"),
+    ("clients", look(service=serving(clients=(BRIDGE,))), WARN, "/a and /b drive"),
+    ("ROS 2", look(**nodes("anna")), SKIP, "nodes of anna run here"),
+    ("ROS 2", look(**nodes("anna", "bob"), service=BRIDGED), WARN, "Fast DDS of anna is here"),
+    ("unit", look(unit={}, systemd=False), SKIP, "systemd does not run"),
+    ("version", look(service=but(SERVICE, state=None, problem="is of failstop 0.0.9")), FAIL, "0.0.9"),
+    ("version", look(service=but(SERVICE, version="0.0.9")), WARN, "0.0.9"),
+    ("unit", look(unit={}), WARN, "does not answer"),
+    ("unit", look(unit=but(UNIT, LoadState="not-found")), WARN, "no unit"),
+    ("unit", look(unit=but(UNIT, LoadState="bad-setting")), FAIL, "bad-setting"),
+    ("unit", look(unit=but(UNIT, ActiveState="failed", Result="watchdog")), FAIL, "watchdog"),
+    ("unit", look(unit=but(UNIT, ActiveState="inactive", Result="watchdog")), FAIL, "result: watchdog"),
+    ("unit", look(unit=but(UNIT, NRestarts="3")), WARN, "restarted it 3 times"),
+    ("unit", look(unit=but(UNIT, ActiveState="activating", SubState="auto-restart", NRestarts="3")), FAIL, "3 times"),
+    ("unit", look(unit=but(UNIT, NeedDaemonReload="yes")), WARN, "changed on disk"),
+    ("unit", look(unit=but(UNIT, MainPID="4711")), WARN, "4711"),
+    ("unit", look(unit=but(UNIT, UnitFileState="disabled")), WARN, "not started at boot"),
+    ("realtime", look(service=serving(processes=UNRIGHTED)), WARN, "supervisor, port_owner"),
+    ("realtime", look(service=serving(processes=UNRIGHTED, starved=STARVED)), WARN, "for 70 ms; the"),
+    ("realtime", look(service=serving(starved=STARVED)), WARN, "for 70 ms, in spite of"),
+    ("realtime", look(service=None, **POOR), WARN, "no real-time priority"),
+    ("realtime", look(service=None, realtime=False), WARN, "container"),
+    ("realtime", look(service=None, **POOR | {"capable": True}), WARN, "container"),
+    ("realtime", look(service=None, files={RUNTIME: "0"}), FAIL, "no time at all"),
+    ("memory lock", look(service=serving(processes=UNRIGHTED)), WARN, "swapped out"),
+    ("memory lock", look(service=None, limits={resource.RLIMIT_MEMLOCK: (1 << 30) - 1}), WARN, "too little"),
+    ("memory lock", look(service=None, **POOR), WARN, "64 KiB"),
+    ("clock", look(backward_ns=5), FAIL, "went back by 5 ns"),
+    ("clock", look(resolution_ns=1001), FAIL, "steps of 1001"),
+    ("clock", look(resolution_ns=4_000_000), FAIL, "steps of 4000000"),
+    ("clock", look(files={f"{CLOCKS}/current_clocksource": "hpet"}), WARN, "hpet"),
+    ("clock", look(files=dict.fromkeys(FILES)), WARN, "None"),
+    ("wall clock", look(wall_clock=(False, 0.0)), WARN, "not synchronized"),
+    ("wall clock", look(wall_clock=(True, 0.5)), WARN, "0.5 s"),
+    ("wall clock", look(wall_clock=(True, -2.5)), WARN, "-2.5 s"),
+    ("wall clock", look(wall_clock=None), SKIP, "does not say"),
+    ("shared memory", look(free=None), FAIL, "no /dev/shm"),
+    ("shared memory", look(writable=False), FAIL, "may not write"),
+    ("shared memory", look(free=1024, service=None), FAIL, "1 KiB free"),
+    ("leftovers", look(runs=((Leftover("old", 4096, "x", True),), ())), WARN, "old (4 KiB)"),
+    ("leftovers", look(runs=((Leftover("failstop", 9, "bob", False),), ())), FAIL, "bob"),
+    ("RemoveIPC", look(service_user=but(SERVER, uid=1001)), WARN, "logs out"),
+    ("processor", look(files={f"{PROCESSORS}/cpu1/cpufreq/scaling_governor": "powersave"}), WARN, "powersave"),
+    ("idle", look(files=C10), WARN, "C10 takes 890 us"),
+    ("ticks", look(ticks=()), SKIP, "not measured"),
+    ("ticks", look(ticks=(Ticks(True, 9, 1.0, 1.0, 41_000.0),)), FAIL, "40 ms and the lease runs out"),
+    ("ticks", look(ticks=(Ticks(True, 9, 1.0, 1.0, 6_000.0),)), WARN, "worst 6000 us"),
+    ("ticks", look(ticks=(Ticks(False, 9, 1.0, 1.0, 41_000.0),)), WARN, "ordinary priority"),
+    ("stop path", answered(StopTest("stop tool", True, None)), FAIL, "did not answer"),
+    ("stop path", answered(StopTest("stop tool", False, None)), FAIL, "could not be written"),
+    ("stop path", answered(StopTest("stop tool", True, 1.0, "stays latched")), FAIL, "stays latched"),
+    ("stop path", answered(StopTest("stop tool", True, 180.0)), WARN, "late"),
+    ("stop path", look(stops=StopPath((), "motion is enabled"), stop_wanted=True), WARN, "motion is enabled"),
+    ("stop path", look(stops=StopPath((), "the service runs")), SKIP, "not tested: the service runs"),
 )
 
 
 def test_on_a_machine_that_is_well_every_check_says_so() -> None:
-    found = examine(WELL)
-    assert {name for name, _ in found} == {check.name for check in CHECKS}
+    found = examine(look())
+    assert {name for name, _ in found} == CHECKS.keys()
     assert [finding for _, finding in found if finding.level != OK or finding.fix] == []
 
 
+def said(given: Look, check: str) -> list[tuple[str, str, str]]:
+    """(text, fix, advice) of each finding of a check."""
+    return [(row.text, row.fix, row.advice) for name, row in examine(given) if name == check]
+
+
+RUNS = "'failstop' runs (pid 100, user failstop), device open, the board answers"
+OPENED = ((Holder(101, "fs:port_owner", "failstop.service", ours=True),), 0)
+
+
+@pytest.mark.parametrize(
+    ("check", "given", "says"),
+    [
+        ("port", look(), "/dev/ttyACM0 (the default of device.path)"),
+        ("port", look(node=but(NODE, resolved="/dev/x")), "/dev/ttyACM0, which is /dev/x (the default of device.path)"),
+        ("holders", look(), "nobody has it open"),
+        ("holders", look(holders=OPENED), "only the service has it open (1 processes)"),
+        ("grabbers", look(), "neither ModemManager nor brltty runs"),
+        ("grabbers", look(files=on("ModemManager")), "ModemManager runs and is told to leave this port alone"),
+        ("service", look(), f"{RUNS}, motion disabled"),
+        ("service", look(service=serving(enabled=True)), f"{RUNS}, motion enabled"),
+        ("RemoveIPC", look(), "RemoveIPC is on (the default); it does not concern failstop"),
+        ("idle", look(), "the slowest idle state C1 takes 2 us to wake from"),
+        ("stop path", look(), "stop tool: acknowledged by the board after 4.5 ms"),
+    ],
+)
+def test_what_is_said_where_all_is_well(check: str, given: Look, says: str) -> None:
+    assert [text for text, *_ in said(given, check)] == [says]
+
+
+@pytest.mark.parametrize(
+    ("check", "given", "fix", "advice"),
+    [
+        ("holders", look(holders=((Holder(7, "python3"),), 0)), "sudo kill 7", ""),
+        ("holders", look(holders=((Holder(7, "x", "old.service"),), 0)), "sudo systemctl stop old.service", ""),
+        ("version", look(service=but(SERVICE, version="0")), "sudo systemctl restart failstop.service", "it stops"),
+        ("version", look(service=but(SERVICE, version="0"), unit={}), "sudo kill 100", "then start it again"),
+        ("clock", look(files={f"{CLOCKS}/current_clocksource": "hpet"}), "", "add clocksource=tsc"),
+        ("realtime", look(service=serving(processes=UNRIGHTED)), "", "LimitRTPRIO=40, as the one of failstop install"),
+    ],
+)
+def test_the_remedy_fits_the_case(check: str, given: Look, fix: str, advice: str) -> None:
+    [(_, found, besides)] = said(given, check)
+    assert found == fix
+    assert advice in besides
+
+
+UNTOUCHED = but(NODE, accessible=False)
+
+
+@pytest.mark.parametrize(
+    ("changed", "why", "fix"),
+    [
+        ({"service": but(SERVICE, state=None)}, "the running service can't be asked", ""),
+        ({"service": serving(enabled=True)}, "motion is enabled", "failstop disable --name failstop"),
+        ({}, "the service runs, and would be stopped once and reset", "failstop doctor --stop-test --name failstop"),
+        ({"service": None, "node": None}, "there is no port", ""),
+        ({"service": None, "node": but(NODE, character=False)}, "there is no port", ""),
+        ({"service": None, "node": UNTOUCHED}, "this user may not open the port", ""),
+        ({"service": None, "holders": ((Holder(7, "x"),), 0)}, "x (pid 7) has the port open", ""),
+        (
+            {"service": None, "node": but(NODE, usb_id=None)},
+            "/dev/ttyACM0 may not be the board, and it is not written to",
+            "failstop doctor --device /dev/ttyACM0",
+        ),
+    ],
+)
+def test_where_the_stop_path_is_left_alone(changed: dict[str, Any], why: str, fix: str) -> None:
+    assert stop_test.tried(look(**changed)) == StopPath((), why, fix)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{}, {"node": but(NODE, usb_id=None, pseudo=True)}, {"node": but(NODE, usb_id=None), "device": ("/dev/x", NAMED)}],
+)
+def test_where_it_is_tried(monkeypatch: pytest.MonkeyPatch, changed: dict[str, Any]) -> None:
+    monkeypatch.setattr(stop_test, "by_hand", lambda path: (path,))
+    assert stop_test.tried(look(service=None, **changed)) == StopPath((NODE.path,))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("devices", "says"),
+    [
+        ([("/dev/ttyACM1", "x, USB 1a86:55d4")], "here there is /dev/ttyACM1"),
+        ([("/dev/ttyS0", "n/a")], "no USB serial device at all"),
+    ],
+)
+def test_a_device_that_is_not_there(monkeypatch: pytest.MonkeyPatch, devices: list[tuple[str, str]], says: str) -> None:
+    monkeypatch.setattr(discovery, "candidates", lambda: devices)
+    [finding] = [finding for name, finding in examine(look(node=None)) if name == "port"]
+    assert finding.level == FAIL
+    assert "no device /dev/ttyACM0 (the default of device.path); " in finding.text
+    assert says in finding.text
+    assert finding.fix
+
+
 @pytest.mark.parametrize(("check", "given", "level", "says"), CASES)
-def test_what_is_wrong_is_found(check: str, given: Facts, level: str, says: str) -> None:
+def test_what_is_wrong_is_found(check: str, given: Look, level: str, says: str) -> None:
     found = [finding for name, finding in examine(given) if name == check and finding.level == level]
     assert any(says in finding.text for finding in found), examine(given)
     assert all(finding.fix or finding.advice or level == SKIP for finding in found), "every one has a remedy"
@@ -149,30 +238,33 @@ def test_what_is_wrong_is_found(check: str, given: Facts, level: str, says: str)
 
 
 def test_every_check_can_fail_or_warn() -> None:
-    assert {check for check, *_ in CASES} == {check.name for check in CHECKS}
+    assert {check for check, *_ in CASES} == CHECKS.keys()
 
 
 def test_a_service_that_runs_without_rights_is_judged_and_not_the_person_who_asks() -> None:
-    given = facts(rights=POOR)
+    given = look(**POOR)
     assert all(finding.level == OK for name, finding in examine(given) if name in ("realtime", "memory lock"))
 
 
 @pytest.mark.parametrize(
     ("changed", "ignored"),
     [
-        ({"remove_ipc": None}, ("RemoveIPC",)),
-        ({"memory": but(MEMORY, free=0)}, ("shared memory",)),
-        ({"service": None, "rights": but(POOR, memory_limit=-1)}, ("memory lock",)),
-        ({"remove_ipc": RemoveIpc(False, "/etc/systemd/logind.conf"), "service_user": PERSON}, ("RemoveIPC",)),
-        ({"grabbers": (Holder(9, "ModemManager"),)}, ("grabbers",)),
-        ({"grabbers": (Holder(9, "ModemManager"),), "node": but(NODE, pseudo=True, modem_ignored=None)}, ("grabbers",)),
-        ({"holders": (Holder(101, "fs:port_owner", "failstop.service", ours=True),)}, ("holders",)),
+        ({"systemd": False, "service_user": but(SERVER, uid=1001)}, ("RemoveIPC",)),
+        ({"free": 0}, ("shared memory",)),
+        ({"service": None, "limits": {resource.RLIMIT_MEMLOCK: -1}}, ("memory lock",)),
+        ({"files": {"/etc/systemd/logind.conf": "RemoveIPC=no"}, "service_user": PERSON}, ("RemoveIPC",)),
+        ({"files": on("ModemManager")}, ("grabbers",)),
+        ({"files": on("ModemManager"), "node": but(NODE, pseudo=True, modem_ignored=False)}, ("grabbers",)),
+        ({"holders": ((Holder(101, "fs:port_owner", "failstop.service", ours=True),), 0)}, ("holders",)),
         ({"node": but(NODE, pseudo=True, usb_id=None)}, ("identity",)),
-        ({"memory": but(MEMORY, leftovers=(Leftover("failstop", 14, 4096, "x", True),))}, ("leftovers",)),
+        ({"runs": ((Leftover("failstop", 4096, "x", True),), ())}, ("leftovers",)),
+        ({"files": {f"{PROCESSORS}/cpu0/cpuidle/state3/disable": "1", **C10}}, ("idle",)),
+        ({**nodes("anna", "bob"), "files": {"/dev/shm/fastrtps_anna": ""}, "service": BRIDGED}, ("ROS 2",)),
+        ({**nodes("bob"), "service": BRIDGED}, ("ROS 2",)),
     ],
 )
 def test_what_is_no_fault(changed: dict[str, Any], ignored: tuple[str, ...]) -> None:
-    assert [finding for name, finding in examine(facts(**changed)) if name in ignored and finding.level != OK] == []
+    assert [finding for name, finding in examine(look(**changed)) if name in ignored and finding.level != OK] == []
 
 
 @pytest.mark.parametrize(
@@ -188,47 +280,50 @@ def test_what_is_no_fault(changed: dict[str, Any], ignored: tuple[str, ...]) -> 
     ],
 )
 def test_who_may_open_a_file(mode: int, uid: int, gid: int, may: bool) -> None:
-    assert judge_port.may_open(but(NODE, mode=mode, uid=uid, gid=gid), SERVER) == may
-    assert judge_port.may_open(but(NODE, mode=mode, uid=uid, gid=gid), but(SERVER, uid=0))
+    assert port.may_open(but(NODE, mode=mode, uid=uid, gid=gid), SERVER) == may
+    assert port.may_open(but(NODE, mode=mode, uid=uid, gid=gid), but(SERVER, uid=0))
 
 
-def fixes(given: Facts) -> dict[str, str]:
+def fixes(given: Look) -> dict[str, str]:
     return {name: finding.fix for name, finding in examine(given) if finding.fix}
 
 
 def test_the_gravest_comes_first() -> None:
-    given = facts(node=None, service=None, ticks=(), clock=but(CLOCK, synchronized=None, source="hpet"))
+    given = look(node=None, service=None, ticks=(), wall_clock=None, files={f"{CLOCKS}/current_clocksource": "hpet"})
     levels = [LEVELS.index(finding.level) for _, finding in examine(given)]
     assert levels == sorted(levels, reverse=True)
     assert set(levels) == set(range(len(LEVELS)))
 
 
 def test_who_is_let_into_which_group() -> None:
-    outside = but(PERSON, gids=frozenset())
-    closed = facts(node=but(NODE, accessible=False), service=None, service_user=None, user=outside)
-    assert fixes(closed)["permission"] == "sudo usermod -aG dialout anna"
-    private = but(NODE, accessible=False, mode=0o600, gid=0, group="root")
-    assert fixes(dataclasses.replace(closed, node=private))["permission"] == "sudo failstop install"
-    assert "permission" not in fixes(dataclasses.replace(closed, node=but(private, usb_id=None))), "not root's group"
+    def closed(**changed: Any) -> dict[str, str]:
+        node = but(NODE, accessible=False, **changed)
+        return fixes(look(node=node, service=None, service_user=None, user=but(PERSON, gids=frozenset())))
+
+    assert closed()["permission"] == "sudo usermod -aG dialout anna"
+    private: dict[str, Any] = {"mode": 0o600, "gid": 0, "group": "root"}
+    assert closed(**private)["permission"] == "sudo failstop install"
+    assert "permission" not in closed(**private, usb_id=None), "not root's group"
 
 
 def test_how_a_service_that_does_not_run_is_started() -> None:
-    stopped = but(UNIT, active="inactive", sub="dead", main_pid=0)
-    assert fixes(facts(service=None, unit=stopped))["service"] == "sudo systemctl start failstop.service"
-    assert fixes(facts(service=None, unit=None))["service"] == "failstop run --device /dev/ttyACM0"
-    named = facts(service=None, unit=None, name="left", device="/dev/my board", settings_file="/etc/x.toml")
+    stopped = but(UNIT, ActiveState="inactive", SubState="dead", MainPID="0")
+    assert fixes(look(service=None, unit=stopped))["service"] == "sudo systemctl start failstop.service"
+    assert fixes(look(service=None, unit={}))["service"] == "failstop run --device /dev/ttyACM0"
+    device = ("/dev/my board", "/etc/x.toml")
+    named = look("left", service=None, unit={}, device=device, settings=("/etc/x.toml", Settings(), ""))
     assert fixes(named)["service"] == "failstop run --name left --config /etc/x.toml --device '/dev/my board'"
-    assert "service" not in fixes(facts(service=None, unit=None, node=None)), "first the port"
+    assert "service" not in fixes(look(service=None, unit={}, node=None)), "first the port"
 
 
 def test_commands_are_such_as_the_user_can_paste() -> None:
-    left = facts(memory=but(MEMORY, leftovers=(Leftover("old", 14, 4096, "anna", True),)))
+    left = look(runs=((Leftover("old", 4096, "anna", True),), ()))
     assert fixes(left)["leftovers"] == "failstop doctor --remove-leftovers"
-    others = facts(memory=but(MEMORY, leftovers=(Leftover("old", 14, 4096, "bob", True),)), commands=("fs", "/v/fs"))
-    assert fixes(others)["leftovers"] == "sudo /v/fs doctor --remove-leftovers"
-    root = dataclasses.replace(others, user=but(PERSON, name="root", uid=0))
-    assert fixes(root)["leftovers"] == "fs doctor --remove-leftovers"
-    unit = facts(unit=but(UNIT, needs_reload=True), user=but(PERSON, uid=0), commands=("/v/failstop", "/v/failstop"))
+    others: dict[str, Any] = {"runs": ((Leftover("old", 4096, "bob", True),), ()), "commands": ("fs", "/v/fs")}
+    assert fixes(look(**others))["leftovers"] == "sudo /v/fs doctor --remove-leftovers"
+    assert fixes(look(**others, user=but(PERSON, name="root", uid=0)))["leftovers"] == "fs doctor --remove-leftovers"
+    reload = but(UNIT, NeedDaemonReload="yes")
+    unit = look(unit=reload, user=but(PERSON, uid=0), commands=("/v/failstop", "/v/failstop"))
     assert fixes(unit)["unit"] == "systemctl daemon-reload"
     stop = "sudo systemctl restart failstop.service"
     assert paste.ready(stop, "/v/failstop", "/v/failstop", root=False) == stop, "no command of failstop's"
@@ -249,7 +344,7 @@ def test_the_worst_of_all() -> None:
     assert worst([]) == OK
     assert worst([OK, WARN]) == WARN
     assert worst([WARN, FAIL, OK]) == FAIL
-    records = as_records(examine(facts(node=None)))
+    records = as_records(examine(look(node=None)))
     assert worst(record["level"] for record in records) == FAIL
     assert all(
         set(record) == {"check", "level", "text", "fix", "advice"} and record["level"] in LEVELS for record in records
@@ -258,7 +353,7 @@ def test_the_worst_of_all() -> None:
 
 def test_rights_are_granted_by_who_starts_the_service() -> None:
     for container, remedy in ((False, "prlimit --pid $$ --rtprio=40"), (True, "--cap-add SYS_NICE")):
-        given = facts(service=None, rights=but(POOR, container=container))
+        given = look(service=None, in_container=container, **POOR)
         (found,) = [finding for name, finding in examine(given) if name == "realtime"]
         assert remedy in found.advice
         assert bool(found.fix) is not container

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from failstop.install import InstallError
+from failstop.install.found import Found, Request
 from failstop.install.layout import MANIFEST, Manifest
-from failstop.install.parts import Parts
-from failstop.install.plan import Found, Request
+from failstop.install.machine import Machine
+from failstop.install.rows import EXTRAS
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Tree
 from failstop.install.tree import Entry, Environment
 
@@ -26,21 +27,19 @@ EXAMPLE = '# Every setting.\n[device]\n# the board\'s port\npath = "/dev/ttyACM0
 CATALOG = "-- 5d1bd76d7a4e4b0f9c1f0b3fae1c0e55\nSubject: a stop\nDefined-By: failstop\n\nIt stopped.\n"
 MANUAL = ".TH FAILSTOP 1\n"
 SHELLS = {shell: f"# {shell}\n" for shell in ("bash", "zsh", "fish")}
-PARTS = Parts(
-    "1.0",
-    {
-        "failstop.service": UNIT,
-        "failstop@.service": TEMPLATE,
-        "failstop-sleep.service": SLEEP,
-        "failstop-late@.service": LATE,
-    },
-    SYSUSERS,
-    "# udev\n",
-    CATALOG,
-    EXAMPLE,
-    MANUAL,
-    SHELLS,
-)
+TEXTS = {
+    "failstop.service": UNIT,
+    "failstop@.service": TEMPLATE,
+    "failstop-sleep.service": SLEEP,
+    "failstop-late@.service": LATE,
+    "failstop.sysusers": SYSUSERS,
+    "failstop.udev": "# udev\n",
+    "failstop.catalog": CATALOG,
+    "failstop.toml": EXAMPLE,
+    "failstop.1": MANUAL,
+    **SHELLS,
+    **{extra.source: "# an extra\n" for extra in EXTRAS},
+}
 
 
 def environment(version: str = "1.0") -> Environment:
@@ -56,10 +55,11 @@ def environment(version: str = "1.0") -> Environment:
     )
 
 
-class NotingMachine:
+class NotingMachine(Machine):
     """Notes what it is to run; one command of these may fail."""
 
     def __init__(self, failing: str = "") -> None:
+        super().__init__()
         self.ran: list[str] = []
         self._failing = failing
 
@@ -107,20 +107,20 @@ def after(plan: Plan, found: Found, tree: str = "tree 1") -> Found:
     files, links, directories = dict(found.files), dict(found.links), set(found.directories)
     for step in plan.steps:
         if isinstance(step, File):
-            files[step.path] = step.data
+            files[step.subject] = step.data
         elif isinstance(step, Link):
-            links[step.path] = step.target
+            links[step.subject] = step.target
         elif isinstance(step, Directory):
-            directories.add(step.path)
+            directories.add(step.subject)
         elif isinstance(step, Tree):
-            directories.add(step.path)
+            directories.add(step.subject)
             files[MANIFEST] = step.manifest
         elif isinstance(step, Remove):
-            files.pop(step.path, None)
-            links.pop(step.path, None)
+            files.pop(step.subject, None)
+            links.pop(step.subject, None)
         elif isinstance(step, Command) and step.words[:1] == ("systemd-sysusers",):
             files |= {"/etc/passwd": PASSWD, "/etc/group": GROUP}
-    units = tuple(step.unit for step in plan.steps if isinstance(step, Start))
+    units = tuple(step.subject for step in plan.steps if isinstance(step, Start))
     return dataclasses.replace(
         found,
         files=files,

@@ -6,16 +6,17 @@ import dataclasses
 
 import pytest
 
-from failstop.install import InstallError, parts
-from failstop.install.extras import BRIDGE
-from failstop.install.plan import Found, Request, install
+from failstop.install import InstallError, rows
+from failstop.install.found import Found, Request
+from failstop.install.plan import install, uninstall
+from failstop.install.rows import BRIDGE
 from failstop.install.steps import Command, File
-from failstop.install.unplan import uninstall
-from tests.install.scene import BARE, GROUP, LIVE, PARTS, PASSWD, after, shown
+from tests.install.scene import BARE, GROUP, LIVE, PASSWD, TEXTS, after, shown
 
 PLACE = BRIDGE.place
 REQUEST = Request(ros2_user="anna")
-BROUGHT = dataclasses.replace(PARTS, bridge=parts.of_this_version().bridge)
+OWN = rows.texts()
+BROUGHT = TEXTS | {name: OWN[name] for name in (BRIDGE.source, rows.FLEET_SETTINGS)}
 ANNA = PASSWD + b"anna:x:1000:1000::/home/anna:/bin/bash\n"
 MACHINE = dataclasses.replace(
     BARE, files={"/etc/passwd": ANNA, "/etc/group": GROUP}, ros_setup="/opt/ros/jazzy/setup.sh"
@@ -30,7 +31,7 @@ def installed(request: Request = REQUEST) -> Found:
 
 def test_the_unit_is_written_for_that_user_and_that_ros() -> None:
     plan = install(BROUGHT, REQUEST, "tree 1", MACHINE)
-    unit = next(step.data.decode() for step in plan.steps if isinstance(step, File) and step.path == PLACE)
+    unit = next(step.data.decode() for step in plan.steps if isinstance(step, File) and step.subject == PLACE)
     assert "User=anna\n" in unit
     assert "/opt/ros/jazzy/setup.sh /opt/failstop/bin/failstop ros2\n" in unit
     member = next(step for step in plan.steps if isinstance(step, Command) and "usermod" in step.words)
@@ -43,7 +44,7 @@ def test_without_the_option_there_is_none_and_one_that_is_there_stays() -> None:
     assert PLACE not in after(install(BROUGHT, LIVE, "tree 1", MACHINE), MACHINE).files
     found = installed()
     assert install(BROUGHT, LIVE, "tree 1", found).steps == ()
-    newer = dataclasses.replace(BROUGHT, bridge=BROUGHT.bridge + "# newer\n")
+    newer = BROUGHT | {BRIDGE.source: BROUGHT[BRIDGE.source] + "# newer\n"}
     plan = install(newer, LIVE, "tree 1", found)
     assert f"replace {PLACE}" in shown(plan)
     assert b"User=anna\n" in after(plan, found).files[PLACE]

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from failstop.cli import main as cli
-from failstop.install import InstallError, dialogue, tree, unplan
+from failstop.install import InstallError, dialogue, plan, tree
 from failstop.install.machine import Machine
 from failstop.version import VERSION
 from tests.install.scene import environment, snapshot
@@ -259,8 +259,8 @@ def test_uninstall_asks_first(
     assert run(tmp_path, "install", "--yes", "--device", "/dev/board") == 0
     before = snapshot(tmp_path)
     questions: list[str] = []
-    real = unplan.uninstall
-    monkeypatch.setattr(unplan, "uninstall", lambda *given: dataclasses.replace(real(*given), restarts=restarts))
+    real = plan.uninstall
+    monkeypatch.setattr(plan, "uninstall", lambda *given: dataclasses.replace(real(*given), restarts=restarts))
     monkeypatch.setattr(builtins, "input", lambda question: (questions.append(question), answer)[1])
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
     assert run(tmp_path, "uninstall") == code

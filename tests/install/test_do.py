@@ -13,20 +13,21 @@ import pytest
 
 from failstop.install import InstallError
 from failstop.install.do import NEW, OLD, Doer
-from failstop.install.look import look
-from failstop.install.plan import Request, install
+from failstop.install.found import Request, look
+from failstop.install.plan import install, uninstall
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
-from failstop.install.unplan import uninstall
-from tests.install.scene import GROUP, PARTS, PASSWD, NotingMachine, environment, snapshot
+from tests.install.scene import GROUP, PASSWD, TEXTS, NotingMachine, environment, snapshot
 
 
 def plan_for(root: Path, version: str = "1.0", units: tuple[str, ...] = (), live: bool = True) -> Plan:
     """The plan of an installation into a directory, as if the system there ran and these units with it."""
     request = Request(root=str(root), live=live)
-    found = look(dataclasses.replace(request, live=False), PARTS.units)
-    changed = {name: f"# {version}\n{text}" for name, text in PARTS.units.items()}
-    parts = dataclasses.replace(PARTS, version=version, units=changed, catalog=f"{PARTS.catalog}{version}\n")
-    return install(parts, request, environment(version).digest(), dataclasses.replace(found, active=units, udev=True))
+    found = look(dataclasses.replace(request, live=False))
+    changed = {name: f"# {version}\n{text}" for name, text in TEXTS.items() if name.endswith(".service")}
+    changed["failstop.catalog"] = f"{TEXTS['failstop.catalog']}{version}\n"
+    return install(
+        TEXTS | changed, request, environment(version).digest(), dataclasses.replace(found, active=units, udev=True)
+    )
 
 
 def do(root: Path, plan: Plan, version: str = "1.0", machine: NotingMachine | None = None) -> NotingMachine:
@@ -80,12 +81,12 @@ def test_installed_again_it_is_nothing_and_uninstalled_it_is_as_before(root: Pat
     do(root, plan_for(root))
     assert plan_for(root, units=("failstop.service",)).steps == ()
     request = Request(root=str(root), live=False)
-    do(root, uninstall(request, look(request, PARTS.units)))
+    do(root, uninstall(request, look(request)))
     assert {path for path in snapshot(root) if path not in before} == {"etc/failstop", "etc/failstop/failstop.toml"}
     request = Request(root=str(root), live=False)
     do(
         root,
-        Plan(tuple(s for s in uninstall(request, look(request, PARTS.units), True).steps if isinstance(s, Remove))),
+        Plan(tuple(s for s in uninstall(request, look(request), True).steps if isinstance(s, Remove))),
     )
     assert snapshot(root) == before
 
@@ -141,7 +142,7 @@ class FullDisk:
         return self._left < 0
 
 
-@pytest.mark.parametrize("name", ["replace", "rename", "symlink", "mkdir", "fsync", "fchmod", "chmod"])
+@pytest.mark.parametrize("name", ["replace", "rename", "symlink", "mkdir", "fsync", "fchmod"])
 def test_a_failure_within_any_step_too(root: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     do(root, plan_for(root))
     before = snapshot(root)
@@ -191,15 +192,25 @@ def test_ctrl_c_is_a_failure_too(root: Path) -> None:
 
 def test_what_cannot_be_changed_back_is_named(root: Path) -> None:
     steps = (
-        Directory("create", "/new", "", "/new"),
-        Command("run", "something", "", ("true",), ("undo-it",)),
-        Start("start", "x", "", "x"),
+        Directory("create", "/new"),
+        Command("run", "something", words=("true",), undo=("undo-it",)),
+        Start("start", "x"),
     )
     machine = NotingMachine("undo-it")
     machine.start = lambda unit: machine.run(("undo-it",))  # type: ignore[method-assign]
     with pytest.raises(InstallError, match=r"^start x: undo-it: no; this could NOT be changed back: undo-it: no$"):
         Doer(str(root), machine).do(steps)
     assert not (root / "new").exists(), "the rest is"
+
+
+def test_a_new_directory_that_somebody_else_has_filled_is_named(root: Path) -> None:
+    def fill(step: Step) -> None:
+        (root / "new/theirs").touch()
+        raise OSError("injected")
+
+    with pytest.raises(InstallError, match=r"could NOT be changed back: .*not empty.*/new"):
+        Doer(str(root), NotingMachine()).do([Directory("create", "/new")], fill)
+    assert (root / "new/theirs").exists()
 
 
 def test_a_users_file_that_somebody_else_changed_meanwhile_stays(root: Path) -> None:
@@ -232,7 +243,7 @@ def test_a_directory_with_something_of_somebody_else_stays(root: Path) -> None:
     do(root, plan_for(root))
     (root / "usr/local/lib/systemd/catalog/other.catalog").write_text("other")
     request = Request(root=str(root), live=False)
-    do(root, uninstall(request, look(request, PARTS.units)))
+    do(root, uninstall(request, look(request)))
     assert (root / "usr/local/lib/systemd/catalog/other.catalog").exists()
     assert not (root / "usr/local/bin").exists()
 
@@ -254,7 +265,7 @@ def test_a_directory_that_can_not_be_moved_is_emptied_or_stays_as_it_was(
 
     monkeypatch.setattr(os, "rename", rename)
     before = snapshot(root)
-    steps = (Remove("remove", "state", "", "/var/lib/failstop"), Command("run", "no", "", ("no",)))
+    steps = (Remove("remove", "/var/lib/failstop"), Command("run", "no", "", ("no",)))
     with pytest.raises(InstallError, match="everything is as it was before"):
         Doer(str(root), NotingMachine("no")).do(steps)
     assert snapshot(root) == before
@@ -270,10 +281,10 @@ def test_files_and_links_over_one_another(root: Path) -> None:
     (root / "etc/d").chmod(0o640)
     before = snapshot(root)
     steps = (
-        File("create", "a", "", "/etc/a", b"new"),
-        Link("create", "b", "", "/etc/b", "/there"),
-        File("create", "d", "", "/etc/d", b"new"),
-        Remove("remove", "c", "", "/etc/c"),
+        File("create", "/etc/a", data=b"new"),
+        Link("create", "/etc/b", target="/there"),
+        File("create", "/etc/d", data=b"new"),
+        Remove("remove", "/etc/c"),
     )
     with pytest.raises(InstallError):
         Doer(str(root), NotingMachine("no")).do((*steps, Command("run", "no", "", ("no",))))
@@ -295,7 +306,7 @@ def test_an_installation_that_lost_its_power_can_be_done_again_or_taken_away(roo
         target = root / path
         target.rmdir() if target.is_dir() and not target.is_symlink() else target.unlink()
     request = Request(root=str(root), live=False)
-    do(root, uninstall(request, look(request, PARTS.units)))
+    do(root, uninstall(request, look(request)))
     assert set(snapshot(root)) - set(before) <= {"etc/failstop"}
 
 

@@ -9,17 +9,17 @@ import pytest
 from failstop.fleet import settings
 from failstop.fleet.settings import KEY_PLACE
 from failstop.fleet.settings import PLACE as SETTINGS
-from failstop.install import InstallError, parts
-from failstop.install.extras import FLEET
-from failstop.install.plan import Found, Request, install
+from failstop.install import InstallError, rows
+from failstop.install.found import Found, Request
+from failstop.install.plan import install, uninstall
+from failstop.install.rows import FLEET
 from failstop.install.steps import File
-from failstop.install.unplan import uninstall
-from tests.install.scene import BARE, LIVE, PARTS, after, shown
+from tests.install.scene import BARE, LIVE, TEXTS, after, shown
 
-PLACE, UNIT = FLEET.place, FLEET.unit
+PLACE, UNIT = FLEET.place, FLEET.source
 REQUEST = Request(fleet=True)
-OWN = parts.of_this_version()
-BROUGHT = dataclasses.replace(PARTS, fleet=OWN.fleet, fleet_example=OWN.fleet_example)
+OWN = rows.texts()
+BROUGHT = TEXTS | {name: OWN[name] for name in (FLEET.source, rows.FLEET_SETTINGS)}
 MACHINE = dataclasses.replace(BARE, fleet_key=True)
 
 
@@ -31,7 +31,7 @@ def installed() -> Found:
 
 def test_the_unit_its_link_and_an_example_of_its_settings() -> None:
     plan = install(BROUGHT, REQUEST, "tree 1", MACHINE)
-    written = {step.path: step.data.decode() for step in plan.steps if isinstance(step, File)}
+    written = {step.subject: step.data.decode() for step in plan.steps if isinstance(step, File)}
     assert f"ExecStart=/opt/failstop/bin/failstop fleet publish --config {SETTINGS}\n" in written[PLACE]
     assert f"LoadCredential=fleet.key:{KEY_PLACE}\n" in written[PLACE]
     assert written[SETTINGS] == settings.example()
@@ -43,14 +43,14 @@ def test_without_the_option_there_is_none_and_one_that_is_there_stays() -> None:
     assert PLACE not in after(install(BROUGHT, LIVE, "tree 1", MACHINE), MACHINE).files
     found = installed()
     assert install(BROUGHT, LIVE, "tree 1", found).steps == ()
-    newer = dataclasses.replace(BROUGHT, fleet=BROUGHT.fleet + "# newer\n")
+    newer = BROUGHT | {FLEET.source: BROUGHT[FLEET.source] + "# newer\n"}
     assert f"replace {PLACE}" in shown(install(newer, LIVE, "tree 1", found))
 
 
 def test_settings_that_are_there_are_the_users() -> None:
     own = dataclasses.replace(MACHINE, files={**MACHINE.files, SETTINGS: b"broker.host = 'hall'\n"})
     plan = install(BROUGHT, REQUEST, "tree 1", own)
-    assert SETTINGS not in {step.path for step in plan.steps if isinstance(step, File)}
+    assert SETTINGS not in {step.subject for step in plan.steps if isinstance(step, File)}
 
 
 def test_uninstall_takes_the_unit_away_and_leaves_settings_and_key() -> None:

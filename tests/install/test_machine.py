@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from failstop.install import machine
-from failstop.install.extras import EXTRAS
+from failstop.install.rows import EXTRAS
 
 
 @pytest.mark.starts
@@ -18,4 +18,4 @@ def test_every_unit_that_can_be_installed_is_looked_for(tmp_path: Path, monkeypa
     systemctl.chmod(0o755)
     monkeypatch.setattr(machine, "PATH", f"{tmp_path}:/bin")
     found = set(machine.active_units())
-    assert found >= {"failstop.service", "failstop@*.service", *(extra.unit for extra in EXTRAS)}
+    assert found >= {"failstop.service", "failstop@*.service", *(extra.source for extra in EXTRAS)}

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
+import re
+import subprocess
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-from tests.install.scene import MANUAL, PARTS, SHELLS
+from failstop.install.rows import EXTRAS, OWN, ROWS
+from tests.install.scene import MANUAL, SHELLS, TEXTS
 
 SCRIPT = Path(__file__).resolve().parents[2] / "packaging/deb/build.py"
 
@@ -24,14 +27,28 @@ def build() -> ModuleType:
 
 
 def test_completion_is_where_the_shells_look(build: ModuleType) -> None:
-    files = build.files(PARTS)
-    assert {shell: files[path] for shell, path in build.COMPLETIONS.items()} == SHELLS
-    assert MANUAL not in files.values(), "the manual goes in compressed"
+    files = build.files(TEXTS)
+    assert {row.source: files[row.package.lstrip("/")] for row in ROWS if row.source in SHELLS} == SHELLS
+    assert [path for path, text in files.items() if text == MANUAL] == ["usr/share/man/man1/failstop.1.gz"]
+
+
+@pytest.mark.starts
+def test_the_scripts_know_every_unit(build: ModuleType) -> None:
+    """That of the rows, as the build writes them."""
+    scripts = {name: build.script(name) for name in build.SCRIPTS}
+    for extra in EXTRAS:
+        assert extra.source in scripts["postinst"]
+        assert extra.source in scripts["prerm"]
+    for row in OWN:
+        assert (row.source in scripts["postrm"]) == row.boot, row
+    for name, text in scripts.items():
+        assert not re.search(r"@[A-Z]+@", text), name
+        subprocess.run(["sh", "-n"], input=text, text=True, check=True)
 
 
 def test_every_unit_is_in_it(build: ModuleType) -> None:
     """Those that are started on request too."""
-    units = {path.rpartition("/")[2] for path in build.files(PARTS) if path.startswith("usr/lib/systemd/system/")}
+    units = {path.rpartition("/")[2] for path in build.files(TEXTS) if path.startswith("usr/lib/systemd/system/")}
     assert units == {path.name for path in (SCRIPT.parents[2] / "systemd").glob("*.service")}
 
 

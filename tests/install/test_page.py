@@ -6,14 +6,15 @@ import dataclasses
 
 import pytest
 
-from failstop.install import InstallError, parts
-from failstop.install.extras import OPERATE, PAGE, VIEW
-from failstop.install.plan import Found, Request, install
-from failstop.install.unplan import uninstall
-from tests.install.scene import BARE, GROUP, LIVE, PARTS, PASSWD, after, shown
+from failstop.install import InstallError, rows
+from failstop.install.found import Found, Request
+from failstop.install.plan import install, uninstall
+from failstop.install.rows import MAY_DRIVE, OPERATE, PAGE, PAGE_USER, VIEW
+from tests.install.scene import BARE, GROUP, LIVE, PASSWD, TEXTS, after, shown
 
 PLACE = PAGE.place
-BROUGHT = dataclasses.replace(PARTS, page=parts.of_this_version().page)
+OWN = rows.texts()
+BROUGHT = TEXTS | {name: OWN[name] for name in (PAGE.source, rows.FLEET_SETTINGS)}
 ACCOUNTS = {"/etc/passwd": PASSWD, "/etc/group": GROUP}
 MACHINE = dataclasses.replace(BARE, files=ACCOUNTS)
 
@@ -30,11 +31,11 @@ def test_it_is_put_in_place_and_started() -> None:
     assert "create /etc/systemd/system/multi-user.target.wants/failstop-web.service" in shown(plan)
     unit = installed(VIEW).files[PLACE].decode()
     assert "ExecStart=/opt/failstop/bin/failstop web --config /etc/failstop/failstop.toml\n" in unit
-    assert PAGE.group not in unit, "who only sees and stops may not drive"
+    assert MAY_DRIVE not in unit, "who only sees and stops may not drive"
 
 
 def test_paired_devices_need_the_group() -> None:
-    assert PAGE.user + PAGE.group in installed(OPERATE).files[PLACE].decode()
+    assert PAGE_USER + MAY_DRIVE in installed(OPERATE).files[PLACE].decode()
 
 
 def test_without_the_option_there_is_none_and_one_that_is_there_stays_what_it_is() -> None:
@@ -42,10 +43,10 @@ def test_without_the_option_there_is_none_and_one_that_is_there_stays_what_it_is
     for which in (VIEW, OPERATE):
         found = installed(which)
         assert install(BROUGHT, LIVE, "tree 1", found).steps == ()
-        newer = dataclasses.replace(BROUGHT, page=BROUGHT.page + "# newer\n")
+        newer = BROUGHT | {PAGE.source: BROUGHT[PAGE.source] + "# newer\n"}
         plan = install(newer, LIVE, "tree 1", found)
         assert f"replace {PLACE}" in shown(plan)
-        assert (PAGE.group.encode() in after(plan, found).files[PLACE]) == (which == OPERATE)
+        assert (MAY_DRIVE.encode() in after(plan, found).files[PLACE]) == (which == OPERATE)
 
 
 def test_uninstall_takes_it_away() -> None:

@@ -7,15 +7,15 @@ import dataclasses
 import pytest
 
 from failstop.install import InstallError
+from failstop.install.found import Found, Request
 from failstop.install.layout import MANIFEST, PREFIX, Manifest
-from failstop.install.plan import Found, Request, install
+from failstop.install.plan import install, uninstall, uninstall_instance
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
-from failstop.install.unplan import uninstall, uninstall_instance
-from tests.install.scene import BARE, EXAMPLE, GROUP, LIVE, PARTS, PASSWD, after, shown
+from tests.install.scene import BARE, EXAMPLE, GROUP, LIVE, PASSWD, TEXTS, after, shown
 
 
 def installed(tree: str = "tree 1") -> Found:
-    return after(install(PARTS, LIVE, tree, BARE), BARE, tree)
+    return after(install(TEXTS, LIVE, tree, BARE), BARE, tree)
 
 
 def at(plan: Plan, wanted: str) -> int:
@@ -23,7 +23,7 @@ def at(plan: Plan, wanted: str) -> int:
 
 
 def test_a_bare_machine_gets_everything_in_an_order_that_works() -> None:
-    plan = install(PARTS, LIVE, "tree 1", BARE)
+    plan = install(TEXTS, LIVE, "tree 1", BARE)
     assert shown(plan) == [
         "create /opt/failstop",
         "create /etc/systemd/system/failstop.service",
@@ -54,27 +54,41 @@ def test_a_bare_machine_gets_everything_in_an_order_that_works() -> None:
     assert plan.restarts == ()
 
 
+def test_what_is_shown_of_the_steps() -> None:
+    remarks = {step.subject: step.remark for step in install(TEXTS, LIVE, "tree 1", BARE).steps}
+    wants = "/etc/systemd/system/multi-user.target.wants/failstop.service"
+    sleep = "/etc/systemd/system/sleep.target.wants/failstop-sleep.service"
+    assert [remarks[path] for path in ("/usr/local/bin/failstop", wants, sleep)] == [
+        "the command",
+        "starts at boot",
+        "before a sleep",
+    ]
+    assert remarks["user and group failstop"] == "the service runs as it; in the groups of dialout"
+    gone = {step.subject: step.remark for step in uninstall(LIVE, installed()).steps}
+    assert gone[PREFIX] == "the Python environment"
+
+
 def test_every_directory_that_is_missing_is_made_before_it_is_used() -> None:
     there = {"/", *BARE.directories}
-    for step in install(PARTS, LIVE, "tree 1", BARE).steps:
+    for step in install(TEXTS, LIVE, "tree 1", BARE).steps:
         if isinstance(step, (Directory, File, Link, Tree)):
-            assert step.path.rpartition("/")[0] in there, step
+            assert step.subject.rpartition("/")[0] in there, step
         if isinstance(step, (Directory, Tree)):
-            there.add(step.path)
+            there.add(step.subject)
 
 
 def test_the_second_time_there_is_nothing_to_do() -> None:
-    assert install(PARTS, LIVE, "tree 1", installed()).steps == ()
+    assert install(TEXTS, LIVE, "tree 1", installed()).steps == ()
 
 
 def test_an_installed_service_that_does_not_run_is_started() -> None:
     found = dataclasses.replace(installed(), active=())
-    assert shown(install(PARTS, LIVE, "tree 1", found)) == ["start failstop.service"]
-    assert install(PARTS, dataclasses.replace(LIVE, start=False), "tree 1", found).steps == ()
+    assert shown(install(TEXTS, LIVE, "tree 1", found)) == ["start failstop.service"]
+    assert install(TEXTS, dataclasses.replace(LIVE, start=False), "tree 1", found).steps == ()
 
 
 def test_another_version_is_replaced_with_the_service_stopped_first_and_started_last() -> None:
-    newer = dataclasses.replace(PARTS, version="2.0", units={**PARTS.units, "failstop.service": "[Install]\n"})
+    newer = {**TEXTS, "failstop.service": "[Install]\n"}
     plan = install(newer, LIVE, "tree 2", installed())
     assert plan.restarts == ("failstop.service",)
     assert shown(plan) == [
@@ -93,7 +107,7 @@ def test_another_version_is_replaced_with_the_service_stopped_first_and_started_
 
 
 def test_what_no_service_reads_is_replaced_without_a_restart() -> None:
-    plan = install(dataclasses.replace(PARTS, udev="# other\n"), LIVE, "tree 1", installed())
+    plan = install(TEXTS | {"failstop.udev": "# other\n"}, LIVE, "tree 1", installed())
     assert plan.restarts == ()
     assert "start failstop.service" not in shown(plan)
     assert "replace /etc/udev/rules.d/90-failstop.rules" in shown(plan)
@@ -104,39 +118,39 @@ def test_a_file_that_only_an_older_version_had_is_removed() -> None:
     assert found.manifest
     manifest = dataclasses.replace(found.manifest, files={**found.manifest.files, "/etc/udev/rules.d/1-old": "0"})
     kept = dataclasses.replace(found, manifest=manifest, files={**found.files, MANIFEST: manifest.dump()})
-    plan = install(PARTS, LIVE, "tree 1", kept)
+    plan = install(TEXTS, LIVE, "tree 1", kept)
     assert "remove /etc/udev/rules.d/1-old" in shown(plan)
 
 
 def test_a_damaged_environment_or_unit_is_repaired() -> None:
     found = installed()
-    assert "replace /opt/failstop" in shown(install(PARTS, LIVE, "tree 1", dataclasses.replace(found, tree="rot")))
+    assert "replace /opt/failstop" in shown(install(TEXTS, LIVE, "tree 1", dataclasses.replace(found, tree="rot")))
     unit = "/etc/systemd/system/failstop.service"
     damaged = dataclasses.replace(found, files={**found.files, unit: b""})
-    assert f"replace {unit}" in shown(install(PARTS, LIVE, "tree 1", damaged))
+    assert f"replace {unit}" in shown(install(TEXTS, LIVE, "tree 1", damaged))
 
 
 def test_a_configuration_that_is_there_stays() -> None:
     path = "/etc/failstop/failstop.toml"
     found = dataclasses.replace(BARE, files={**BARE.files, path: b"mine"}, configured_device="/dev/mine")
-    plan = install(PARTS, LIVE, "tree 1", found)
-    assert not [step for step in plan.steps if isinstance(step, File) and step.path == path]
+    plan = install(TEXTS, LIVE, "tree 1", found)
+    assert not [step for step in plan.steps if isinstance(step, File) and step.subject == path]
     assert plan.notes == (f"{path} is yours and stays as it is",)
     with pytest.raises(InstallError, match=r"failstop.toml says device.path = '/dev/mine': change it there"):
-        install(PARTS, dataclasses.replace(LIVE, device="/dev/other"), "tree 1", found)
-    assert install(PARTS, dataclasses.replace(LIVE, device="/dev/mine"), "tree 1", found).steps
+        install(TEXTS, dataclasses.replace(LIVE, device="/dev/other"), "tree 1", found)
+    assert install(TEXTS, dataclasses.replace(LIVE, device="/dev/mine"), "tree 1", found).steps
 
 
 def test_the_device_is_written_into_a_new_configuration_and_nothing_else_is_changed() -> None:
-    plan = install(PARTS, dataclasses.replace(LIVE, device="/dev/board"), "tree 1", BARE)
-    (step,) = [step for step in plan.steps if isinstance(step, File) and step.path.endswith(".toml")]
+    plan = install(TEXTS, dataclasses.replace(LIVE, device="/dev/board"), "tree 1", BARE)
+    (step,) = [step for step in plan.steps if isinstance(step, File) and step.subject.endswith(".toml")]
     assert step.data.decode() == EXAMPLE.replace("/dev/ttyACM0", "/dev/board")
 
 
 def test_a_second_robot_is_an_instance_with_a_board_of_its_own() -> None:
     front = Request("front", "/dev/ttyACM1")
     found = dataclasses.replace(installed(), configured_device="")
-    plan = install(PARTS, front, "tree 1", found)
+    plan = install(TEXTS, front, "tree 1", found)
     assert shown(plan) == [
         "create /etc/failstop/front.toml",
         "create /etc/systemd/system/multi-user.target.wants/failstop@front.service",
@@ -146,21 +160,23 @@ def test_a_second_robot_is_an_instance_with_a_board_of_its_own() -> None:
     ]
     assert plan.restarts == (), "the first robot's service runs on"
     with pytest.raises(InstallError, match=r"'front' needs a board of its own: .* --device"):
-        install(PARTS, Request("front"), "tree 1", found)
+        install(TEXTS, Request("front"), "tree 1", found)
 
 
 def test_another_environment_is_called_where_it_is() -> None:
-    plan = install(PARTS, dataclasses.replace(LIVE, command="/srv/venv/bin/failstop"), "", BARE)
+    plan = install(TEXTS, dataclasses.replace(LIVE, command="/srv/venv/bin/failstop"), "", BARE)
     assert not [step for step in plan.steps if isinstance(step, Tree)]
-    units = [step for step in plan.steps if isinstance(step, File) and step.path.endswith(".service")]
+    assert Directory("", PREFIX) in plan.steps, "for the list alone"
+    assert Directory("", PREFIX) not in install(TEXTS, LIVE, "tree 1", BARE).steps, "it is the tree itself"
+    units = [step for step in plan.steps if isinstance(step, File) and step.subject.endswith(".service")]
     assert len(units) == 4
     assert all(b"=/srv/venv/bin/failstop " in step.data and b"/opt" not in step.data for step in units)
     with pytest.raises(InstallError, match=r"runs /opt/failstop/bin/failstop is here, .*/srv/venv/bin/failstop"):
-        install(PARTS, dataclasses.replace(LIVE, command="/srv/venv/bin/failstop"), "", installed())
+        install(TEXTS, dataclasses.replace(LIVE, command="/srv/venv/bin/failstop"), "", installed())
 
 
 def test_a_system_that_does_not_run_is_not_told_anything() -> None:
-    plan = install(PARTS, Request(root="/mnt/image", live=False), "tree 1", BARE)
+    plan = install(TEXTS, Request(root="/mnt/image", live=False), "tree 1", BARE)
     commands = [step.words for step in plan.steps if isinstance(step, Command)]
     assert [words[:2] for words in commands] == [
         ("systemd-sysusers", "--root=/mnt/image"),
@@ -172,7 +188,7 @@ def test_a_system_that_does_not_run_is_not_told_anything() -> None:
 def test_the_user_is_made_only_where_something_is_missing() -> None:
     def made(passwd: bytes, group: bytes) -> bool:
         found = dataclasses.replace(BARE, files={"/etc/passwd": passwd, "/etc/group": group})
-        return "create user and group failstop" in shown(install(PARTS, LIVE, "tree 1", found))
+        return "create user and group failstop" in shown(install(TEXTS, LIVE, "tree 1", found))
 
     assert not made(PASSWD, GROUP)
     assert made(b"", GROUP)
@@ -196,18 +212,18 @@ def test_the_user_is_made_only_where_something_is_missing() -> None:
 )
 def test_what_is_not_ours_is_refused(found: dict[str, object], said: str) -> None:
     with pytest.raises(InstallError, match=said):
-        install(PARTS, LIVE, "tree 1", dataclasses.replace(BARE, **found))  # type: ignore[arg-type]
+        install(TEXTS, LIVE, "tree 1", dataclasses.replace(BARE, **found))  # type: ignore[arg-type]
 
 
 def removed(steps: tuple[Step, ...]) -> set[str]:
-    return {step.path for step in steps if isinstance(step, Remove) and not step.only_empty}
+    return {step.subject for step in steps if isinstance(step, Remove) and not step.only_empty}
 
 
 def test_uninstall_takes_away_all_that_install_wrote_but_the_configuration() -> None:
     written = {
-        step.path
-        for step in install(PARTS, LIVE, "tree 1", BARE).steps
-        if isinstance(step, (File, Link, Tree)) and step.path != MANIFEST
+        step.subject
+        for step in install(TEXTS, LIVE, "tree 1", BARE).steps
+        if isinstance(step, (File, Link, Tree)) and step.subject != MANIFEST
     }
     plan = uninstall(LIVE, installed())
     assert removed(plan.steps) == written - {"/etc/failstop/failstop.toml"}
@@ -252,7 +268,7 @@ def test_nothing_to_uninstall_is_said(found: Found, said: str) -> None:
 def test_one_instance_goes_and_the_other_stays() -> None:
     front = Request("front", "/dev/ttyACM1")
     one = dataclasses.replace(installed(), configured_device="")
-    both = after(install(PARTS, front, "tree 1", one), one)
+    both = after(install(TEXTS, front, "tree 1", one), one)
     plan = uninstall_instance(front, both)
     assert plan.restarts == ("failstop@front.service",)
     assert removed(plan.steps) == {"/etc/systemd/system/multi-user.target.wants/failstop@front.service"}
@@ -275,40 +291,40 @@ def test_a_manifest_is_the_same_after_reading_and_a_damaged_one_is_refused() -> 
 def test_an_absent_board_is_said_before_anything_is_done() -> None:
     absent = dataclasses.replace(BARE, device_there=False)
     with pytest.raises(InstallError, match=r"no device /dev/ttyACM0: plug the board in, .*--device .* --no-start"):
-        install(PARTS, LIVE, "tree 1", absent)
+        install(TEXTS, LIVE, "tree 1", absent)
     with pytest.raises(InstallError, match="no device /dev/board"):
-        install(PARTS, dataclasses.replace(LIVE, device="/dev/board"), "tree 1", absent)
+        install(TEXTS, dataclasses.replace(LIVE, device="/dev/board"), "tree 1", absent)
     for request in (dataclasses.replace(LIVE, start=False), dataclasses.replace(LIVE, live=False, root="/mnt")):
-        assert install(PARTS, request, "tree 1", absent).steps
+        assert install(TEXTS, request, "tree 1", absent).steps
     running = dataclasses.replace(installed(), device_there=False)
-    assert install(PARTS, LIVE, "tree 1", running).steps == (), "it runs: it waits for the board itself"
+    assert install(TEXTS, LIVE, "tree 1", running).steps == (), "it runs: it waits for the board itself"
 
 
 def test_a_file_that_was_changed_by_hand_is_named_before_it_is_replaced() -> None:
     found = installed()
     path = "/etc/udev/rules.d/90-failstop.rules"
     edited = dataclasses.replace(found, files={**found.files, path: b"mine"})
-    remarks = {step.subject: step.remark for step in install(PARTS, LIVE, "tree 1", edited).steps}
+    remarks = {step.subject: step.remark for step in install(TEXTS, LIVE, "tree 1", edited).steps}
     assert remarks[path].endswith("; it was changed by hand")
-    newer = dataclasses.replace(PARTS, udev="# newer")
+    newer = TEXTS | {"failstop.udev": "# newer"}
     remarks = {step.subject: step.remark for step in install(newer, LIVE, "tree 1", found).steps}
     assert "by hand" not in remarks[path]
 
 
 def test_without_a_start_nothing_is_started_and_what_ran_stays_stopped() -> None:
     request = dataclasses.replace(LIVE, start=False)
-    plan = install(dataclasses.replace(PARTS, version="2"), request, "tree 2", installed())
+    plan = install(TEXTS, request, "tree 2", installed())
     assert shown(plan)[0] == "stop failstop.service"
     assert not [step for step in plan.steps if isinstance(step, Start)]
 
 
 def test_the_list_of_what_is_installed_is_there_before_anything_else_is() -> None:
-    steps = install(PARTS, LIVE, "tree 1", BARE).steps
+    steps = install(TEXTS, LIVE, "tree 1", BARE).steps
     first = next(step for step in steps if isinstance(step, (File, Link, Tree)))
     assert isinstance(first, Tree)
     listed = Manifest.load(first.manifest)
     assert {*listed.files, *listed.links} == {
-        step.path for step in steps if isinstance(step, (File, Link)) and "/failstop.toml" not in step.path
+        step.subject for step in steps if isinstance(step, (File, Link)) and "/failstop.toml" not in step.subject
     }
 
 
@@ -320,6 +336,6 @@ def test_the_board_s_name_by_the_rule_is_what_a_new_configuration_says(
     board: bool, device: str, configured: str
 ) -> None:
     """A number may be another's after a replug. Where no such board is plugged in, nobody knows that it is one."""
-    plan = install(PARTS, dataclasses.replace(LIVE, device=device), "tree 1", dataclasses.replace(BARE, board=board))
-    [written] = [step.data for step in plan.steps if isinstance(step, File) and step.path.endswith(".toml")]
+    plan = install(TEXTS, dataclasses.replace(LIVE, device=device), "tree 1", dataclasses.replace(BARE, board=board))
+    [written] = [step.data for step in plan.steps if isinstance(step, File) and step.subject.endswith(".toml")]
     assert f'path = "{configured}"'.encode() in written

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from failstop.install import InstallError, parts, tree
-from failstop.install.layout import COMPLETIONS
+from failstop.cli.commands import completion
+from failstop.install import InstallError, rows, tree
+from failstop.install.rows import EXTRAS
 from tests.install.scene import SYSUSERS, UNIT, environment
 
 BASE = os.path.realpath(getattr(sys, "_base_executable", sys.executable))
@@ -207,32 +208,33 @@ def test_the_interpreter_is_one_that_the_service_can_run(monkeypatch: pytest.Mon
 
 
 def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
-    found = parts.of_this_version()
-    for text in found.units.values():
-        assert parts.UNIT_COMMAND in text
-    wanted = {name: parts.wanted_by(text)[:1] for name, text in found.units.items()}
+    found = rows.texts()
+    units = {name: text for name, text in found.items() if name.endswith(".service")}
+    assert all(rows.UNIT_COMMAND in text for text in units.values())
+    wanted = {name: rows.wanted_by(text)[:1] for name, text in units.items()}
     assert wanted == {
-        parts.SERVICE: ["multi-user.target"],
-        parts.TEMPLATE: ["multi-user.target"],
-        parts.SLEEP: ["sleep.target"],
-        parts.LATE: [],
+        "failstop.service": ["multi-user.target"],
+        "failstop@.service": ["multi-user.target"],
+        "failstop-sleep.service": ["sleep.target"],
+        rows.LATE: [],
+        **{extra.source: ["multi-user.target"] for extra in EXTRAS},
     }
-    users, memberships = parts.accounts(found.sysusers)
+    users, memberships = rows.accounts(found[rows.SYSUSERS])
     assert users == ["failstop"]
     assert memberships == [("failstop", "dialout")]
-    assert "path = " in found.example
-    assert found.catalog.count("Defined-By: failstop") > 3
-    assert ".TH FAILSTOP 1" in found.manual
-    assert set(found.completions) == set(COMPLETIONS)
-    assert all("failstop" in text for text in found.completions.values())
+    assert "path = " in found[rows.SETTINGS]
+    assert found["failstop.catalog"].count("Defined-By: failstop") > 3
+    assert ".TH FAILSTOP 1" in found["failstop.1"]
+    assert all("failstop" in found[shell] for shell in completion.SHELLS)
+    assert found.keys() == {row.source for row in rows.ROWS} | {rows.SETTINGS, rows.FLEET_SETTINGS}
 
 
 def test_units_and_accounts_are_read_as_systemd_reads_them() -> None:
-    assert parts.wanted_by(UNIT) == ["multi-user.target", "some.device"]
-    assert parts.wanted_by("[Install]\n#WantedBy=a\nWantedBy=b\nWantedBy=c d\n") == ["b", "c", "d"]
-    assert parts.accounts(SYSUSERS) == (["failstop"], [("failstop", "dialout")])
+    assert rows.wanted_by(UNIT) == ["multi-user.target", "some.device"]
+    assert rows.wanted_by("[Install]\n#WantedBy=a\nWantedBy=b\nWantedBy=c d\n") == ["b", "c", "d"]
+    assert rows.accounts(SYSUSERS) == (["failstop"], [("failstop", "dialout")])
 
 
 def test_an_incomplete_package_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InstallError, match=r"comes without its file systemd/absent .*install it again"):
-        parts._text("absent")
+        rows._text("absent")

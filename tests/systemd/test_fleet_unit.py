@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from failstop.install.extras import FLEET
+from failstop.install.rows import FLEET
 from tests.systemd.units import OLDEST, SINCE, SYSTEMD, analyze, needs_analyze, settings
 
-UNIT = FLEET.unit
+UNIT = FLEET.source
 
 LATER = {"Type": 240, "After": 1, "Description": 1, "DynamicUser": 235, "LoadCredential": 247, "StateDirectory": 235}
 LATER |= {"PrivateDevices": 209, "RestrictAddressFamilies": 211, "RestrictRealtime": 231}

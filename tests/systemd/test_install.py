@@ -15,7 +15,8 @@ import pytest
 
 from bench.container import Bind, Container, ContainerMissing
 from failstop.install import InstallError, tree
-from failstop.install.layout import COMPLETIONS, MANUAL
+from failstop.install.layout import UNITS
+from failstop.install.rows import ROWS
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
 
@@ -133,7 +134,7 @@ def test_installed_ready_driven_and_taken_away(place: Place) -> None:
     assert "nothing to do" in place.failstop("install", "--yes", command="/opt/failstop/bin/failstop")
     assert "failstop" in place.box.run("journalctl", "--list-catalog").stdout
     assert completes(place, "/usr/local/share/bash-completion/completions/failstop")
-    assert set(COMPLETIONS.values()) | {MANUAL} <= place.files() - before
+    assert {row.place for row in ROWS if not row.place.startswith(UNITS)} <= place.files() - before
     place.board.events()
     with place.driving():
         assert "THE WHEELS STOP" in place.failstop("uninstall", "--yes")

@@ -10,8 +10,9 @@ from argparse import ArgumentParser, Namespace
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.style import PLAIN
-from failstop.doctor import gather, leftovers, table
+from failstop.doctor import leftovers, table
 from failstop.doctor.finding import FAIL, OK, SKIP, WARN, Finding, worst
+from failstop.doctor.look import Look
 from failstop.doctor.system import System
 from failstop.machine import facts as machine_facts
 
@@ -49,15 +50,14 @@ def main(arguments: Namespace) -> int:
     """Print the findings; exit code 1 when one is a failure."""
     if arguments.remove_leftovers:
         return _remove_leftovers()
-    gathered = gather.gather(
+    look = Look(
         arguments.name,
         arguments.config,
         arguments.device,
         quick=arguments.quick,
-        stop_test_wanted=arguments.stop_test,
-        system=System(),
+        stop_wanted=arguments.stop_test,
     )
-    found = table.examine(gathered)
+    found = table.examine(look)
     level = worst(finding.level for _, finding in found)
     if arguments.json:
         print(json.dumps({"worst": level, **machine_facts(), "findings": table.as_records(found)}, indent=2))

@@ -5,18 +5,21 @@ from __future__ import annotations
 import dataclasses
 import os
 import sys
+from functools import partial
 
 from failstop.api.errors import Refused
 from failstop.discovery import LINK
-from failstop.install import InstallError, dialogue, look, parts, plan, tree
+from failstop.install import InstallError, dialogue, found, plan, rows, tree
 from failstop.install.do import Doer
-from failstop.install.extras import EXTRAS, OPERATE, VIEW
+from failstop.install.found import Request
 from failstop.install.layout import PREFIX, unit_of
 from failstop.install.machine import READY_S, Machine
+from failstop.install.rows import EXTRAS, OPERATE, VIEW
 from failstop.install.steps import Plan
 from failstop.policy.settings import BY_KEY
 from failstop.shm import instance
 from failstop.shm.instance import DEFAULT_NAME, option
+from failstop.version import VERSION
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -72,58 +75,41 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Install. Raises InstallError, Refused, SettingError; then nothing is changed."""
     request = _request(arguments)
-    dry = arguments.dry_run or arguments.json
-    if not dry:
-        dialogue.need_root()
-        if request.live:
-            dialogue.need_systemd()
-    brought = parts.of_this_version()
-    configured = look.configured_device(request)
-    found = dataclasses.replace(look.look(request, brought.units), configured_device=configured)
+    dry = not dialogue.changes(arguments)
+    texts = rows.texts()
+    there = dataclasses.replace(found.look(request), configured_device=found.configured_device(request))
     # Of what is there already too: a new environment takes the place of the one that it runs in.
-    wanted = tuple(extra.needs for extra in EXTRAS if extra.needs and extra.choice(request, found))
+    wanted = tuple(extra.needs for extra in EXTRAS if extra.needs and extra.choice(request, there))
     tree.needed(wanted)
     environment = None if arguments.use_running_venv else tree.running(PREFIX, tree.interpreter(), wanted)
-    device = plan.device_of(brought, request, found)
-    there = device == LINK or os.path.exists(device)
+    device = plan.device_of(texts, request, there)
     # What would be done can be shown without a board.
-    found = dataclasses.replace(found, device_there=there or dry)
-    made = plan.install(brought, request, environment.digest() if environment else "", found)
-    if arguments.json:
-        print(dialogue.as_json(made))
-        return 0
-    if not made.steps:
+    there = dataclasses.replace(there, device_there=dry or device == LINK or os.path.exists(device))
+    made = plan.install(texts, request, environment.digest() if environment else "", there)
+    if not (made.steps or arguments.json):
         runs = " and runs" if request.live and request.start else ""
-        print(f"nothing to do: failstop {brought.version} is installed{runs}")
+        print(f"nothing to do: failstop {VERSION} is installed{runs}")
         return 0
-    print(f"failstop {brought.version}, to be installed {'here' if request.live else f'in {request.root}'}:\n")
-    print(dialogue.as_text(made) + "\n")
-    if dry:
-        return 0
-    _consent(made, arguments)
-    dialogue.undo_when_ended()
-    left = Doer(request.root, Machine(arguments.wait), environment).do(made.steps)
-    for what in left:
-        print(f"failstop: {what}: remove it by hand", file=sys.stderr)
-    print(_done(request, environment))
+    heading = f"failstop {VERSION}, to be installed {'here' if request.live else f'in {request.root}'}"
+    doer = Doer(request.root, Machine(arguments.wait), environment)
+    if dialogue.carry_out(made, heading, arguments, partial(_consent, made, arguments), doer):
+        print(_done(request, environment))
     return 0
 
 
-def _request(arguments: Namespace) -> plan.Request:
+def _request(arguments: Namespace) -> Request:
     instance.check_name(arguments.name)
     if arguments.device is not None:
         BY_KEY["device.path"].check(arguments.device, "--device")
         if '"' in arguments.device or "\\" in arguments.device:
             raise InstallError(f"--device {arguments.device}: no path of a port has quotes or backslashes")
-    if arguments.root is not None and not os.path.isdir(arguments.root):
-        raise InstallError(f"--root {arguments.root}: no such directory")
-    return plan.Request(
+    return Request(
         arguments.name,
         arguments.device or "",
         os.path.abspath(arguments.root or "/"),
         arguments.root is None,
         not arguments.no_start,
-        _running_command() if arguments.use_running_venv else plan.OWN_COMMAND,
+        _running_command() if arguments.use_running_venv else rows.UNIT_COMMAND,
         arguments.ros2_user,
         arguments.fleet,
         arguments.web,
@@ -142,16 +128,17 @@ def _running_command() -> str:
 
 
 def _consent(made: Plan, arguments: Namespace) -> None:
-    if made.restarts and arguments.yes and not arguments.restart:
+    units = ", ".join(made.restarts)
+    if units and arguments.yes and not arguments.restart:
         raise Refused(
-            f"{', '.join(made.restarts)} runs and would be restarted, which stops the wheels: say --restart too, "
+            f"{units} runs and would be restarted, which stops the wheels: say --restart too, "
             f"or stop it first (systemctl stop {' '.join(made.restarts)})"
         )
-    warning = f"{', '.join(made.restarts)} is restarted: THE WHEELS STOP. " if made.restarts else ""
+    warning = f"{units} is restarted: THE WHEELS STOP. " if units else ""
     dialogue.consent(f"{warning}Go ahead?", arguments.yes)
 
 
-def _done(request: plan.Request, environment: tree.Environment | None) -> str:
+def _done(request: Request, environment: tree.Environment | None) -> str:
     if not request.live:
         needs = environment.interpreter if environment else request.command
         missing = not os.path.exists(os.path.join(request.root, needs.lstrip("/")))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-import sys
+from functools import partial
 
-from failstop.install import InstallError, dialogue, look, parts, plan, unplan
+from failstop.install import dialogue, plan
 from failstop.install.do import Doer
+from failstop.install.found import Request, look
 from failstop.install.machine import Machine
 from failstop.shm import instance
 
@@ -34,28 +35,14 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Uninstall. Raises InstallError or Refused; then nothing is changed."""
+    dialogue.changes(arguments)
     live = arguments.root is None
-    dry = arguments.dry_run or arguments.json
-    if not dry:
-        dialogue.need_root()
-        if live:
-            dialogue.need_systemd()
-    if not live and not os.path.isdir(arguments.root):
-        raise InstallError(f"--root {arguments.root}: no such directory")
-    name = instance.check_name(arguments.name) if arguments.name else plan.Request.name
-    request = plan.Request(name, "", os.path.abspath(arguments.root or "/"), live)
-    found = look.look(request, parts.of_this_version().units)
-    make = unplan.uninstall_instance if arguments.name else unplan.uninstall
-    made = make(request, found, arguments.purge)
-    if arguments.json:
-        print(dialogue.as_json(made))
-        return 0
-    print(f"to be removed{'' if live else f' from {request.root}'}:\n\n{dialogue.as_text(made)}\n")
-    if dry:
-        return 0
-    dialogue.consent("The wheels stop. Go ahead?" if made.restarts else "Go ahead?", arguments.yes)
-    dialogue.undo_when_ended()
-    for what in Doer(request.root, Machine()).do(made.steps):
-        print(f"failstop: {what}: remove it by hand", file=sys.stderr)
-    print("done")
+    name = instance.check_name(arguments.name) if arguments.name else Request.name
+    request = Request(name, "", os.path.abspath(arguments.root or "/"), live)
+    make = plan.uninstall_instance if arguments.name else plan.uninstall
+    made = make(request, look(request), arguments.purge)
+    ask = partial(dialogue.consent, "The wheels stop. Go ahead?" if made.restarts else "Go ahead?", arguments.yes)
+    heading = f"to be removed{'' if live else f' from {request.root}'}"
+    if dialogue.carry_out(made, heading, arguments, ask, Doer(request.root, Machine())):
+        print("done")
     return 0

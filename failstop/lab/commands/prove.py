@@ -13,7 +13,7 @@ from failstop import config
 from failstop.api.errors import FailstopError, Refused
 from failstop.cli import style
 from failstop.cli.commands import add_name
-from failstop.doctor.gather import settings_of
+from failstop.doctor.look import settings_of
 from failstop.doctor.system import System
 from failstop.lab.prove import report, table
 from failstop.lab.prove.report import Evidence

@@ -1,0 +1,273 @@
+"""The port: the device's file, what is behind it, who may open it, who has it open; and the checks of that."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import re
+import stat
+
+from failstop import discovery
+from failstop.discovery import BOARD_PID, BOARD_VID
+from failstop.doctor.finding import Finding, fail, ok, skip, warn
+from failstop.doctor.system import System, User
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.doctor.look import Look
+
+BOARD_USB = f"{BOARD_VID:04x}:{BOARD_PID:04x}"
+RULE = ("sudo failstop install", "it brings a rule for udev that sees to it")
+SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")
+PSEUDO_MAJORS = range(136, 144)
+"""Of the pseudo-terminals (the kernel's list of devices)."""
+UNKNOWN = "n/a"
+"""pyserial's description of a port without one: the PC's own, used or not."""
+GONE = re.compile(r"(/dev/tty(?:ACM|USB)\d+) \(deleted\)")
+"""As /proc names what a process has open and an unplug has removed."""
+USB_DEPTH = 6
+"""A serial node is so many directories below its USB device at most."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Node:
+    """The device's file."""
+
+    path: str
+    resolved: str
+    """The path behind all links."""
+    character: bool
+    pseudo: bool
+    """A pseudo-terminal, as the simulated board's."""
+    mode: int
+    uid: int
+    gid: int
+    group: str
+    usb_id: str | None = None
+    """vendor:product in hexadecimal."""
+    product: str = ""
+    modem_ignored: bool = False
+    """udev tells ModemManager to leave it alone."""
+    acl: bool = False
+    """Access is refined by an access control list."""
+    accessible: bool = False
+    """This process may read and write it."""
+    link: str = ""
+    """The name that udev's rule gives this same device, if it is another; empty: none."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Holder:
+    """A process that has the device open."""
+
+    pid: int
+    name: str
+    unit: str = ""
+    """Its systemd service, if it is in one."""
+    ours: bool = False
+    """One of the processes of the running service of this name."""
+    instance: str = ""
+    """Whose service it belongs to, if it is one of failstop's processes."""
+
+
+def node(path: str, system: System) -> Node | None:
+    """The device's file; None when it is not there."""
+    import grp
+
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    group = str(found.st_gid)
+    with contextlib.suppress(KeyError):
+        group = grp.getgrgid(found.st_gid).gr_name
+    acl = False
+    with contextlib.suppress(OSError):
+        acl = "system.posix_acl_access" in os.listxattr(path)
+    resolved, link = os.path.realpath(path), system.path(discovery.LINK)
+    character, major, minor = stat.S_ISCHR(found.st_mode), os.major(found.st_rdev), os.minor(found.st_rdev)
+    usb_id, product = usb_identity(f"/sys/dev/char/{major}:{minor}/device", system)
+    return Node(
+        path,
+        resolved,
+        character,
+        character and major in PSEUDO_MAJORS,
+        stat.S_IMODE(found.st_mode),
+        found.st_uid,
+        found.st_gid,
+        group,
+        usb_id,
+        product,
+        modem_ignored(f"/run/udev/data/c{major}:{minor}", system),
+        acl,
+        os.access(path, os.R_OK | os.W_OK),
+        link if path != link and os.path.realpath(link) == resolved else "",
+    )
+
+
+def usb_identity(device: str, system: System) -> tuple[str | None, str]:
+    """(vendor:product, product's name) of the USB device above a node in sysfs."""
+    place = os.path.realpath(system.path(device))
+    for _ in range(USB_DEPTH):
+        at = "/" + os.path.relpath(place, system.root)
+        vendor, product = system.read(f"{at}/idVendor"), system.read(f"{at}/idProduct")
+        if vendor and product:
+            return f"{vendor}:{product}", system.read(f"{at}/product") or ""
+        place = os.path.dirname(place)
+    return None, ""
+
+
+def modem_ignored(record: str, system: System) -> bool:
+    """What udev's database says of a node, if it has one."""
+    return "E:ID_MM_DEVICE_IGNORE=1" in (system.read(record) or "").splitlines()
+
+
+def holders(resolved: str, ours: set[int], system: System) -> tuple[tuple[Holder, ...], int]:
+    """The processes that have the device open, and how many could not be looked into. `ours`: pids of the service."""
+    found = []
+    unseen = 0
+    for pid, paths in system.open_files():
+        unseen += paths is None
+        if paths and resolved in paths:
+            name = _instance(system.read(f"/proc/{pid}/cmdline") or "")
+            found.append(Holder(pid, system.comm(pid), system.unit(pid), pid in ours, name))
+    return tuple(found), unseen
+
+
+def _instance(command_line: str) -> str:
+    """The instance that a process of failstop's belongs to, from its arguments; empty for others."""
+    words = command_line.split("\0")
+    if not any(word.endswith("/supervisor/child.py") for word in words):
+        return ""
+    return next((word.removeprefix("name=") for word in words if word.startswith("name=")), "")
+
+
+def present(look: Look) -> list[Finding]:
+    """The device's file is there."""
+    node, (device, origin) = look.node, look.device
+    if node is None:
+        candidates = [(path, what) for path, what in discovery.candidates() if what != UNKNOWN]
+        there = ", ".join(f"{path} ({what})" for path, what in candidates)
+        text = f"no device {device} ({origin}); "
+        if boards := [path for path, what in candidates if BOARD_USB in what]:
+            fix = f"failstop doctor --device {boards[0]}"
+            return fail(f"{text}here there is {there}", fix, f"then set device.path to {boards[0]}")
+        advice = "plug the board in, and see whether the kernel saw it come"
+        text += f"here there is {there}" if there else "there is no USB serial device at all"
+        return fail(text, "sudo dmesg | tail", advice)
+    if not node.character:
+        return fail(f"{device} is no serial port", *SERIAL_BY_NAME)
+    if node.link and not look.named:
+        text = f"{device} ({origin}) is the board now; after a replug that number may be another's"
+        advice = f"set device.path to {node.link}, which is the same board and stays it, and restart the service"
+        return warn(text, "", advice)
+    behind = "" if node.resolved == node.path else f", which is {node.resolved}"
+    return ok(f"{device}{behind} ({origin})")
+
+
+def identity(look: Look) -> list[Finding]:
+    """The board is behind it."""
+    node = look.node
+    if node is None or not node.character:
+        return []
+    if node.pseudo:
+        return ok("a pseudo-terminal: a simulated board, or a program between the board and failstop")
+    if node.usb_id is None:
+        text = f"{node.path} is no USB device; the board's port is one of {BOARD_USB}"
+        if look.named:
+            return skip(text, "", "the stop path says whether the board is behind it")
+        return warn(text, f"failstop doctor --device {node.path}", "if it is the board: naming it allows the test")
+    if node.usb_id != BOARD_USB:
+        text = f"{node.path} is USB {node.usb_id} {node.product}; the board is {BOARD_USB}"
+        return fail(text, *SERIAL_BY_NAME)
+    return ok(f"USB {node.usb_id} {node.product}, the board's")
+
+
+def may_open(node: Node, user: User) -> bool:
+    """By owner, group and mode alone."""
+    shift = 6 if node.uid == user.uid else 3 if node.gid in user.gids else 0
+    return user.uid == 0 or node.mode >> shift & 0o6 == 0o6
+
+
+def permission(look: Look) -> list[Finding]:
+    """This user and the service's may open it."""
+    node, who = look.node, look.service_user
+    if node is None or not node.character:
+        return []
+    found = []
+    whose = f"{node.path} is of the group {node.group}, mode {node.mode:04o}"
+    if who and may_open(node, who):
+        found = ok(f"the service's user {who.name} may open it")
+    elif who and node.acl:
+        found = warn(f"the mode keeps the service's user {who.name} out; the ACL may not", f"getfacl {node.path}")
+    elif who:
+        remedy = _let_in(node, who, "restart the service")
+        found = fail(f"the service's user {who.name} may not open it: {whose}", *remedy)
+    if node.accessible:
+        return [*found, *ok(f"this user ({look.user.name}) may open it")]
+    text = f"this user ({look.user.name}) may not open it"
+    if look.service and not look.service.problem:
+        return [*found, *skip(f"{text}, and need not: the service has it")]
+    return [*found, *(warn if found else fail)(f"{text}: {whose}", *_let_in(node, look.user, "log in again"))]
+
+
+def _let_in(node: Node, who: User, then: str) -> tuple[str, str]:
+    """How somebody comes to open it; root's group gives more than that."""
+    if node.mode & 0o060 == 0o060 and node.gid:
+        return f"sudo usermod -aG {node.group} {who.name}", f"then {then}"
+    if node.usb_id == BOARD_USB:
+        return RULE
+    return "", "no group may: it takes a rule for udev that gives it the group dialout and the mode 0660"
+
+
+def held(look: Look) -> list[Finding]:
+    """Nobody but the service has it open."""
+    found = [row for pid, paths in look.system.open_files() for row in _unplugged(pid, paths or set(), look.system)]
+    if look.node is None:
+        return found
+    holders, unseen = look.holders
+    for name in dict.fromkeys(holder.instance for holder in holders if holder.instance and not holder.ours):
+        text = f"the service {name!r} has the port open, and two services can't share a board"
+        found += fail(text, f"failstop doctor --name {name}", "this one may be meant; or end it")
+    for holder in holders:
+        if not (holder.ours or holder.instance):
+            text = f"{_who(holder)} has the port open: what it writes goes past every check of failstop"
+            found += fail(text, _end(holder))
+    if found:
+        return found
+    if unseen:
+        text = f"nobody else is seen with it, but {unseen} processes hide their files from this user"
+        return warn(text, f"sudo {look.again()}", "root sees them")
+    ours = sum(holder.ours for holder in holders)
+    return ok(f"only the service has it open ({ours} processes)" if ours else "nobody has it open")
+
+
+def _unplugged(pid: int, paths: set[str], system: System) -> list[Finding]:
+    """A serial device that this process has open and an unplug has removed."""
+    gone = [match[1] for match in map(GONE.fullmatch, sorted(paths)) if match]
+    holder = Holder(pid, system.comm(pid), system.unit(pid)) if gone else None
+    what = "open from before an unplug: the board comes back by another number"
+    return [row for path in gone if holder for row in warn(f"{_who(holder)} has {path} {what}", _end(holder))]
+
+
+def _who(holder: Holder) -> str:
+    return f"{holder.name} (pid {holder.pid}{f', {holder.unit}' if holder.unit else ''})"
+
+
+def _end(holder: Holder) -> str:
+    return f"sudo systemctl stop {holder.unit}" if holder.unit else f"sudo kill {holder.pid}"
+
+
+def grabbers(look: Look) -> list[Finding]:
+    """No program that opens serial ports by itself is near."""
+    found = []
+    names = {look.system.comm(pid) for pid in look.system.pids()}
+    left_alone = look.node and (look.node.modem_ignored or look.node.pseudo)
+    if "ModemManager" in names and not left_alone:
+        text = "ModemManager runs and is not told to leave the port alone: it opens it and writes to the board"
+        found += fail(text, *RULE)
+    if "brltty" in names:
+        found += warn("brltty runs: it takes serial adapters of 1a86 for itself", "sudo apt purge brltty")
+    told = "ModemManager runs and is told to leave this port alone"
+    return found or ok(told if "ModemManager" in names else "neither ModemManager nor brltty runs")
