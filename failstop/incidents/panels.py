@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     Pair = tuple[Axes, Axes]
-    Draw = Callable[[Pair, Incident], None]
+    Panel = tuple[str, float, int, Callable[[Pair, Incident], None]]
 
 INK, FAINT, GRID, PAPER = "#1b1f24", "#6b7480", "#e3e7ec", "#ffffff"
 ALARM, BEATS = "#c62828", "#a9d5c3"
@@ -37,6 +37,13 @@ WHEELS: tuple[dict[str, Any], ...] = (
     {"color": ORANGE, "linewidth": 1.4},
 )
 """As signals.WHEELS: the wheels of one side often turn alike, and both are to be seen."""
+WRITTEN = (
+    ("motion frames", MOTION, INK, 0.9),
+    ("zero frames", ZERO, FAINT, 0.9),
+    ("stop bursts", STOP_BURST, ALARM, 2.2),
+    ("pings", PING, PURPLE, 0.9),
+)
+"""The lanes of what was written: name, sort, colour and width of a stroke."""
 JOINTS = (BLUE, ORANGE, GREEN, PURPLE, INK, ALARM, FAINT, BLUE)
 NOTHING = (nan, nan, nan)
 SHADES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -168,16 +175,14 @@ def _vibration(pair: Pair, incident: Incident) -> None:
 
 def _lanes(pair: Pair, incident: Incident) -> None:
     """One lane each for what came, what went out, and who beat."""
-    sorts = (MOTION, ZERO, STOP_BURST, PING)
-    written = [_times(incident, (write.ns for write in incident.writes if write.sort == sort)) for sort in sorts]
     strokes = [
         ("commands", _times(incident, (tick.ns for tick in incident.ticks if tick.commands)), BLUE, 0.9),
-        *zip(
-            ("motion frames", "zero frames", "stop bursts", "pings"), written, (INK, FAINT, ALARM, PURPLE),
-            (0.9, 0.9, 2.2, 0.9), strict=True,
+        *(
+            (name, _times(incident, (write.ns for write in incident.writes if write.sort == sort)), color, width)
+            for name, sort, color, width in WRITTEN
         ),
         ("board heard", _times(incident, (sample.ns for sample in incident.imu)), GREEN, 0.6),
-    ]  # fmt: skip
+    ]
     names, times, colors, widths = (list(column) for column in zip(*strokes, strict=True))
     names += [process.replace("_", " ") for process in layout.PROCESSES]
     silences = signals.silences(incident)
@@ -208,11 +213,10 @@ def _lifetime(incident: Incident, process: str) -> tuple[float, float]:
     return incident.ms(begin_ns), incident.ms(end_ns)
 
 
-VELOCITY: tuple[str, float, int, Draw] = ("Velocity (dashed: commanded)", 2.2, 3, _velocity)
-ARM = ("The arm: sent (lines), goals (dots), read (crosses); pulses of 0.24 degrees", 1.9, 6, _joints)
+ARM: Panel = ("The arm: sent (lines), goals (dots), read (crosses); pulses of 0.24 degrees", 1.9, 6, _joints)
 """Only where it was moved."""
-PANELS: tuple[tuple[str, float, int, Draw], ...] = (
-    VELOCITY,
+PANELS: tuple[Panel, ...] = (
+    ("Velocity (dashed: commanded)", 2.2, 3, _velocity),
     ("Wheel speeds written to the board (rps)", 1.9, 4, _wheels),
     ARM,
     ("Vibration: gyro std over 0.5 s (mrad/s); orange: the wheels turn", 1.5, 0, _vibration),
