@@ -48,11 +48,13 @@ def tells_of(fields: dict[str, Any], cause: Cause) -> bool:
 
 def asked(cause: Cause) -> bool:
     """True when a program or a person asked for it."""
-    return cause.kind in (causes.REQUESTED, causes.PIPED)
+    return cause.kind in (causes.REQUESTED, causes.FLEET, causes.PIPED)
 
 
 def short(cause: Cause) -> str:
     """Its text without who asked for it."""
+    if cause.kind is causes.FLEET:
+        return str(cause).removesuffix(f" (by {cause.named()['who']})")
     return str(causes.PIPED(cause.named()["words"])) if cause.kind is causes.REQUESTED else str(cause)
 
 

@@ -85,6 +85,7 @@ def test_junk_is_no_proof(junk: bytes) -> None:
         (causes.REQUESTED("a (b) c", "my, node", 12), True, "stop request: a (b) c"),
         (causes.PIPED("near (nav, pid 12)"), True, "stop request: near (nav, pid 12)"),
         (causes.PIPED(""), True, "stop request"),
+        (causes.FLEET("smoke in hall 2", "ann"), True, "fleet stop: smoke in hall 2"),
         (DIED, False, "gate died"),
         (causes.NOT_FINITE("nav (pid 77)"), False, "command from nav (pid 77) is not finite"),
     ],
