@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs site fleet web deb vm wheels clean
+.PHONY: demo test quick versions campaigns lint bench soak chaos model mutants docs site fleet web deb vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -66,6 +66,11 @@ mutants: $(VENV)/.dev
 TRIALS ?=
 vm: $(VENV)/.dev
 	@$(BIN)/python -m bench.vm $(if $(TRIALS),--only $(TRIALS))
+
+# The same processes on an emulated ARM: TESTS, and a demo. Needs root, and qemu, which it names.
+TESTS ?=
+vm-arm64: $(VENV)/.dev
+	@$(BIN)/python -m bench.vm.arm64 $(TESTS)
 
 # What is made from tables of the code: tests compare each with its table.
 docs: $(VENV)/.installed

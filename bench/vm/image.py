@@ -56,6 +56,7 @@ NEEDED = {
 }
 """Programs of this machine, and the Debian packages that have them."""
 DISK_SIZE = "2G"
+PLATFORMS = tuple(f"manylinux{glibc}_x86_64" for glibc in ("2014", "_2_17", "_2_28"))
 MASKED = (
     *("apt-daily.timer", "apt-daily-upgrade.timer", "dpkg-db-backup.timer", "fstrim.timer", "e2scrub_all.timer"),
     *("e2scrub_reap.service", "systemd-timesyncd.service", "getty@tty1.service", "systemd-pstore.service"),
@@ -105,9 +106,9 @@ def cache() -> Path:
     return Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "failstop-vm"
 
 
-def check() -> None:
+def check(needed: dict[str, str] = NEEDED) -> None:
     """Raise ImageError, with the remedy, when something is missing."""
-    missing = sorted({package for program, package in NEEDED.items() if shutil.which(program) is None})
+    missing = sorted({package for program, package in needed.items() if shutil.which(program) is None})
     if missing:
         raise ImageError(f"missing here: apt-get install --no-install-recommends {' '.join(missing)}")
     if os.geteuid():
@@ -130,7 +131,7 @@ def make() -> Image:
     name = key(packages, *dependencies(), AGENT_UNIT, AGENT_RULE, *MASKED, DISK_SIZE, *made_by)
     place = cache() / f"disk-{name}"
     if not place.is_dir():
-        with _new(place) as beside:
+        with new(place) as beside:
             beside.mkdir()
             _disk(_rootfs(packages), beside)
     return Image(name, place / "disk.img", place / "vmlinuz", place / "initrd.img")
@@ -139,9 +140,9 @@ def make() -> Image:
 def _rootfs(key: str) -> Path:
     path = cache() / f"rootfs-{key}.tar"
     if not path.exists():
-        _say(f"getting Debian ({SUITE}) ...")
-        with _new(path) as beside:
-            _run(
+        say(f"getting Debian ({SUITE}) ...")
+        with new(path) as beside:
+            run(
                 *("mmdebstrap", "--quiet", "--mode=root", "--variant=minbase", "--format=tar"),
                 f"--include={','.join((*PACKAGES, *KERNEL))}",
                 '--aptopt=Acquire::Languages "none"',
@@ -152,34 +153,40 @@ def _rootfs(key: str) -> Path:
 
 
 def _disk(rootfs: Path, place: Path) -> None:
-    _say("making the guest's disk ...")
+    say("making the guest's disk ...")
     with tempfile.TemporaryDirectory(dir=cache(), prefix="root-") as directory:
         root = Path(directory)
         root.chmod(0o755)
-        _run("tar", "--extract", "--numeric-owner", "--file", str(rootfs), "--directory", directory)
+        run("tar", "--extract", "--numeric-owner", "--file", str(rootfs), "--directory", directory)
         # Packed, as Debian ships it: started from its ELF file, past the BIOS, a guest that wakes up from sleep boots.
         shutil.copyfile(next((root / "boot").glob("vmlinuz-*")), place / "vmlinuz")
         (place / "initrd.img").write_bytes(initrd.make(root))
         _environment(root)
         _settle(root)
-        _run("truncate", "--size", DISK_SIZE, str(place / "disk.img"))
-        _run("mke2fs", "-q", "-t", "ext4", "-d", directory, str(place / "disk.img"))
+        run("truncate", "--size", DISK_SIZE, str(place / "disk.img"))
+        run("mke2fs", "-q", "-t", "ext4", "-d", directory, str(place / "disk.img"))
 
 
 def _environment(root: Path) -> None:
     """A venv with everything but failstop itself, which is another at each run."""
-    wheels = root / "srv" / "wheels"
-    wheels.mkdir(parents=True)
-    platforms = [word for glibc in ("2014", "_2_17", "_2_28") for word in ("--platform", f"manylinux{glibc}_x86_64")]
-    _run(
-        *(sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--dest", str(wheels)),
-        *("--only-binary=:all:", "--implementation", "cp", "--python-version", PYTHON, *platforms, *dependencies()),
-    )
+    place = root / "srv" / "wheels"
+    wheels(place, dependencies(), PLATFORMS)
     inside = ("chroot", str(root), "env", "-i", "PATH=/usr/bin:/bin", "PIP_CONFIG_FILE=/dev/null")
-    _run(*inside, "python3", "-m", "venv", "/srv/venv")
+    run(*inside, "python3", "-m", "venv", "/srv/venv")
     pip = ("/srv/venv/bin/pip", "install", "--quiet", "--disable-pip-version-check", "--no-index")
-    _run(*inside, *pip, "--find-links", "/srv/wheels", *dependencies())
-    shutil.rmtree(wheels)
+    run(*inside, *pip, "--find-links", "/srv/wheels", *dependencies())
+    shutil.rmtree(place)
+
+
+def wheels(place: Path, needed: list[str], platforms: tuple[str, ...]) -> None:
+    """Get the wheels of these packages, and of what they need, for the guest's Python. Raises ImageError."""
+    place.mkdir(parents=True)
+    run(
+        *(sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--dest", str(place)),
+        *("--only-binary=:all:", "--implementation", "cp", "--python-version", PYTHON),
+        *(word for platform in platforms for word in ("--platform", platform)),
+        *needed,
+    )
 
 
 def _settle(root: Path) -> None:
@@ -205,7 +212,7 @@ def key(*parts: str) -> str:
 
 
 @contextlib.contextmanager
-def _new(path: Path) -> Iterator[Path]:
+def new(path: Path) -> Iterator[Path]:
     """A name beside it that takes its place when all is well, and goes away otherwise."""
     beside = path.with_name(f"{path.name}.{os.getpid()}.new")
     try:
@@ -218,12 +225,14 @@ def _new(path: Path) -> Iterator[Path]:
             beside.unlink(missing_ok=True)
 
 
-def _run(*words: str) -> None:
+def run(*words: str) -> None:
+    """Run a program that must succeed. Raises ImageError with what it said."""
     done = subprocess.run(words, check=False, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     if done.returncode:
         said = (done.stderr or done.stdout).strip().splitlines()[-5:]
         raise ImageError(f"{' '.join(words[:2])} failed ({done.returncode}): {' | '.join(said)}")
 
 
-def _say(line: str) -> None:
+def say(line: str) -> None:
+    """A line for who waits."""
     print(line, flush=True)

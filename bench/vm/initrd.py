@@ -11,19 +11,18 @@ from pathlib import Path
 MODULES = ("virtio_pci", "virtio_blk", "crc32c_generic", "ext4")
 PROGRAMS = ("sh", "insmod", "mount", "run-init")
 """Of klibc, which Debian makes for initrds."""
-DISK = "/dev/vda"
-SCRIPT = f"""\
+SCRIPT = """\
 mount -t devtmpfs dev /dev
-mount -t ext4 {DISK} /root
+mount -t ext4 /dev/vda /root
 mount -t devtmpfs dev /root/dev
-exec run-init /root /sbin/init </root/dev/console >/root/dev/console 2>&1
+exec run-init /root {init} </root/dev/console >/root/dev/console 2>&1
 """
 PROGRAM, DIRECTORY, DEVICE = 0o100755, 0o40755, 0o20600
 CONSOLE = (5, 1)
 
 
-def make(root: Path) -> bytes:
-    """The archive, from the system below `root`."""
+def make(root: Path, init: str = "/sbin/init") -> bytes:
+    """The archive, from the system below `root`, whose `init` it hands over to."""
     kernel = next((root / "lib/modules").iterdir())
     modules = [kernel / name for name in order((kernel / "modules.dep").read_text(), MODULES)]
     klibc = root / "usr/lib/klibc/bin"
@@ -32,7 +31,7 @@ def make(root: Path) -> bytes:
         *(("bin/" + name, (klibc / name).read_bytes()) for name in PROGRAMS),
         *(("lib/" + path.name, path.read_bytes()) for path in (root / "usr/lib").glob("klibc-*.so")),
         *(("modules/" + path.name, path.read_bytes()) for path in modules),
-        ("init", f"#!/bin/sh\n{loads}{SCRIPT}".encode()),
+        ("init", f"#!/bin/sh\n{loads}{SCRIPT.format(init=init)}".encode()),
     ]
     return b"".join(_archive(files))
 
