@@ -9,12 +9,23 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Callable
 
-from bench import arm, beside, kills, oneway, peers, report, service, visit
+from bench import BenchError, arm, beside, kills, oneway, peers, report, service, visit
 from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
+from failstop.api.errors import FailstopError
+from failstop.lab.sim.client import SimBoardError
 from failstop.lab.trial import Trial
+
+
+def whole(part: Callable[[], list[Row]]) -> list[Row]:
+    """A part's rows; of one that can't be measured, a row that says why: what was measured for half an hour is kept."""
+    try:
+        return part()
+    except (BenchError, SimBoardError, FailstopError, OSError) as error:
+        return [Row("a part that could not be measured", str(error), "", False, {})]
 
 
 def main() -> int:
@@ -49,14 +60,24 @@ def main() -> int:
     with carriers, Trial(options=("--config", config)) as trial:
         realtime = all(process.realtime for process in trial.robot.state.processes.values())
         rows += visit.rows(trial, carriers, much, progress)
-    with carriers, kills.heavy(), Trial(options=("--config", config)) as trial:
-        quarter = arguments.kills // 4
-        rows += kills.measure(trial, quarter, arguments.seed, progress, carriers, ballast_mb=kills.BALLAST_MB)
-    with carriers:
-        rows += arm.measure(arguments.arm_faults, arguments.seconds, arguments.seed, carriers, progress)
-    rows += service.measure(arguments.unit_kills, arguments.seed, progress)
-    rows += peers.measure(arguments.peer_kills, arguments.seed, progress)
-    rows += oneway.measure(arguments.messages, progress)
+
+    def heavy() -> list[Row]:
+        with carriers, kills.heavy(), Trial(options=("--config", config)) as trial:
+            quarter = arguments.kills // 4
+            return kills.measure(trial, quarter, arguments.seed, progress, carriers, ballast_mb=kills.BALLAST_MB)
+
+    def arms() -> list[Row]:
+        with carriers:
+            return arm.measure(arguments.arm_faults, arguments.seconds, arguments.seed, carriers, progress)
+
+    for part in (
+        heavy,
+        arms,
+        lambda: service.measure(arguments.unit_kills, arguments.seed, progress),
+        lambda: peers.measure(arguments.peer_kills, arguments.seed, progress),
+        lambda: oneway.measure(arguments.messages, progress),
+    ):
+        rows += whole(part)
     machine = {"realtime": realtime, "pty carriers": carriers.priority, "took_s": round(time.monotonic() - start_s)}
     return report.end(rows, arguments.out, machine)
 
