@@ -9,23 +9,12 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable
 
-from bench import BenchError, arm, beside, kills, oneway, peers, report, service, visit
+from bench import arm, beside, kills, oneway, peers, report, service, visit
 from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
-from failstop.api.errors import FailstopError
-from failstop.lab.sim.client import SimBoardError
 from failstop.lab.trial import Trial
-
-
-def whole(part: Callable[[], list[Row]]) -> list[Row]:
-    """A part's rows; of one that can't be measured, a row that says why: what was measured for half an hour is kept."""
-    try:
-        return part()
-    except (BenchError, SimBoardError, FailstopError, OSError) as error:
-        return [Row("a part that could not be measured", str(error), "", False, {})]
 
 
 def main() -> int:
@@ -77,7 +66,7 @@ def main() -> int:
         lambda: peers.measure(arguments.peer_kills, arguments.seed, progress),
         lambda: oneway.measure(arguments.messages, progress),
     ):
-        rows += whole(part)
+        rows += report.whole(part)
     machine = {"realtime": realtime, "pty carriers": carriers.priority, "took_s": round(time.monotonic() - start_s)}
     return report.end(rows, arguments.out, machine)
 

@@ -6,9 +6,13 @@ import dataclasses
 import json
 import os
 import sys
+from collections.abc import Callable
 from typing import Any
 
+from bench import BenchError
 from bench.stats import Row
+from failstop.api.errors import FailstopError
+from failstop.lab.sim.client import SimBoardError
 from failstop.machine import facts
 
 VERDICT = {True: "met", False: "MISSED", None: ""}
@@ -19,6 +23,14 @@ def progress(text: str) -> None:
     if sys.stderr.isatty():
         sys.stderr.write(f"\r\x1b[K{text}")
         sys.stderr.flush()
+
+
+def whole(part: Callable[[], list[Row]]) -> list[Row]:
+    """A part's rows; of one that can't be measured, a row that says why: what was measured for half an hour is kept."""
+    try:
+        return part()
+    except (BenchError, FailstopError, SimBoardError, OSError) as error:
+        return [Row("a part that could not be measured", str(error), "that it can be", False, {})]
 
 
 def end(rows: list[Row], out: str | None = None, machine: dict[str, Any] | None = None, **more: Any) -> int:

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 
 import psutil
 
-from bench import stats
+from bench import report, stats
 from bench.report import end, progress
 from bench.web.bare import Bare
 from bench.web.browser import Browser, Tab
@@ -318,11 +318,12 @@ def main(words: list[str]) -> int:
                 Web(trial.name, "--config", path, state=trial.state) as web,
             ):
                 if number == 0:
-                    rows += paint(web) + cost(trial, web, given.seconds)
-                    rows += taps(trial, web, given.taps) if given.taps else []
+                    parts = [lambda: paint(web), lambda: cost(trial, web, given.seconds)]
+                    parts += [lambda: taps(trial, web, given.taps)] if given.taps else []
                 else:
-                    rows.append(backlog(trial, web))
-                    rows += leases(trial, web, given.ends, given.kills)
+                    parts = [lambda: [backlog(trial, web)], lambda: leases(trial, web, given.ends, given.kills)]
+                for part in parts:
+                    rows += report.whole(part)
     return end(rows, given.out)
 
 

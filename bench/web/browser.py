@@ -30,7 +30,7 @@ OPTIONS = (
 )  # fmt: skip
 
 
-class BrowserError(Exception):
+class BrowserError(BenchError):
     """What was waited for did not come; says what the page said instead."""
 
 
