@@ -20,6 +20,8 @@ from typing import Any
 
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
+from bench import BenchError
+
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or ""
 START_S = 30.0
 WAIT_S = 10.0
