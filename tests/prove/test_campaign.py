@@ -84,7 +84,9 @@ def test_a_campaign_on_a_board_whose_frames_nobody_sees(tmp_path: Path) -> None:
     result = json.loads(out.read_text())
     assert (result["seed"], result["passed"], result["simulated"]) == (4, True, False)
     assert {row["path"] for row in result["rows"]} == {"kill-gate+stopper", "kill-telemetry-hang-gate", "stop-request"}
-    assert all(row["acknowledged_ms"] and row["rest_s"] and not row["samples"] for row in result["rows"])
+    for row in result["rows"]:
+        # A calm stretch of a wheel that turned may reach back to the cause: rest after 0 s is a rest.
+        assert row["acknowledged_ms"] and row["rest_s"] is not None and not row["samples"], row
 
 
 @pytest.mark.slow
