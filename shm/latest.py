@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 class LatestReader:
     """Reads the newest whole value of a record. Bytes that have not changed are not checked again: they are copied and
-    compared, which is a third of the work."""
+    compared, which is a third of the work. A record that nobody has written is zeros."""
 
     __slots__ = ("_known", "_raw", "_seed", "_seen", "_slot_bytes", "_view", "_where")
 
@@ -38,11 +38,11 @@ class LatestReader:
             return self._known
         entry = self._whole(raw)
         for _ in range(2):  # two writes that overtake a copy leave it without a value, or with one older than seen
-            if entry and entry[0] >= self._seen:
+            if entry and entry[0] >= self._seen or not raw.strip(b"\0"):
                 break
             raw = self._view[self._where]
             entry = self._whole(raw)
-        self._raw, self._known = raw if entry else b"", entry
+        self._raw, self._known = raw, entry
         self._seen = entry[0] if entry else self._seen
         return entry
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import weakref
+from time import monotonic_ns
 
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.held import HeldByThread
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     T = TypeVar("T")
 
 
+REPEAT_NS = 45_000_000
+"""A command that repeats the one before it so soon wakes nobody: the gate looks for it at its tick, and before it lets
+the one before it time out. A wake-up costs 0.2 to 0.4 ms of processor time."""
 RECORDS = ("command", "request", "sensed", "interlocks", "attended", "said", "arm_goal", "arm_path")
 """What a client writes into its slot, once it has said hello there."""
 GIVEN_UP = "given up for a later request of this program"
@@ -130,6 +134,8 @@ class Client:
         directory = runtime_dir(name)
         self._session = int.from_bytes(os.urandom(8), "little") | 1
         self._number = 0
+        self._commanded = (b"", 0)
+        """The last command, and when it was handed over."""
         self._memory, self._owner = found = run(name)
         self._gate = attach(name, layout.GATE, found)
         self._held = _Held()
@@ -192,10 +198,14 @@ class Client:
             raise gone(self.name) from None
 
     def command(self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str) -> None:
-        """Hand a velocity command to the gate; returns at once. Raises NoService, and ValueError for a source that is
+        """Hand a velocity command to the gate; returns at once. What repeats the one just before it waits for the
+        gate's tick, which it would have waited for in any case. Raises NoService, and ValueError for a source that is
         too long."""
-        self._records["command"].write(records.COMMAND.pack(self._session, vx_mps, vy_mps, wz_radps, manual, source))
-        self._ring()
+        command = records.COMMAND.pack(self._session, vx_mps, vy_mps, wz_radps, manual, source)
+        self._records["command"].write(command)
+        before, self._commanded = self._commanded, (command, monotonic_ns())
+        if before[0] != command or self._commanded[1] - before[1] > REPEAT_NS:
+            self._ring()
 
     def sensed(self) -> None:
         """Say that the obstacle sensor delivered just now; the gate sees it at its next tick or command."""

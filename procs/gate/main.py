@@ -125,6 +125,7 @@ class Gate:
         if self._next_tick.due(now_ns):
             self._tick(now_ns)
         elif self._due.due(now_ns):
+            self.clients.look_at_active(now_ns)  # one that repeats its command has not rung for it
             self._step(now_ns)
         # When what drives the wheels stops counting, as this turn saw it: it is not forgotten until the tick.
         self._due.set(self.core.due_ns(now_ns) or NEVER)
