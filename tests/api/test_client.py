@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
 from failstop.api import client as client_module
@@ -18,8 +16,13 @@ def test_what_repeats_the_command_just_before_it_wakes_nobody(trial: Trial, monk
     rings: list[bytes] = []
     now_ns = 0
     client = Client(trial.name, "test")
-    send: Callable[[int, bytes], None] = bell.send
-    monkeypatch.setattr(client_module.bell, "send", lambda fd, hint: (rings.append(hint), send(fd, hint)))
+    send = bell.send
+
+    def noted(fd: int, hint: bytes) -> None:
+        rings.append(hint)
+        send(fd, hint)
+
+    monkeypatch.setattr(bell, "send", noted)
     monkeypatch.setattr(client_module, "monotonic_ns", lambda: now_ns)
 
     def rung(vx_mps: float, elapsed_ns: int, *, manual: bool = False, source: str = "cmd_vel") -> bool:
