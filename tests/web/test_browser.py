@@ -56,9 +56,22 @@ def tab(browser: Browser, web: Web) -> Iterator[Tab]:
     assert found.errors == []
 
 
+HELD_BACK = """
+(() => { const real = fetch;
+  window.letGo = null;
+  window.fetch = async (url, ...more) => {
+    const answer = await real(url, ...more);
+    if (url === "/api/me") { window.fetch = real; await new Promise((go) => { window.letGo = go; }); }
+    return answer;
+  };
+  dispatchEvent(new Event("link-open"));
+})()"""
+"""What the page asks next about itself is answered now, and heard when it is let go."""
+
+
 @pytest.fixture(scope="module")
 def paired(tab: Tab, web: Web) -> Tab:
-    """The same, paired with a photographed code."""
+    """The same, paired with a photographed code, while an answer from before that is still on its way."""
     code = web.code()
     tab.open("about:blank")
     tab.open(f"{web.url}#{code}")
@@ -66,8 +79,11 @@ def paired(tab: Tab, web: Web) -> Tab:
     assert tab.run("location.hash") == "", "the code does not stay in the history"
     tab.until("!document.getElementById('pair').hidden")
     tab.run("document.getElementById('device-name').value = 'Anna'")
+    tab.run(HELD_BACK)
+    tab.until("window.letGo !== null")
     tab.tap("#pair button")
     tab.until("!document.getElementById('attendance').hidden")
+    tab.run("letGo()")
     return tab
 
 

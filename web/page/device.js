@@ -4,7 +4,11 @@ import {forget, keep} from "/keys.js";
 
 const $ = (id) => document.getElementById(id);
 
-function show({pairing, device}) {
+let asked = 0, shown = 0; // an answer that comes after a later one is old
+
+function show({pairing, device}, number = ++asked) {
+  if (number < shown) return;
+  shown = number;
   $("role").textContent = device ? `${device}: it sees, stops, resets and enables.` : "It sees, and it stops.";
   $("pair").hidden = !pairing || !!device;
   $("forget").hidden = !device;
@@ -12,9 +16,10 @@ function show({pairing, device}) {
 }
 
 async function look() {
+  const number = ++asked;
   try {
     const answer = await fetch("/api/me", {cache: "no-store"});
-    if (answer.ok) show(await answer.json());
+    if (answer.ok) show(await answer.json(), number);
   } catch { /* the link comes back, and then it is asked again */ }
 }
 
