@@ -6,12 +6,15 @@ import pytest
 
 from tests.ros2.scene import BOOL, FORWARD, NODE, STAMPED, TWIST, Scene
 from tests.support.commands import failstop
+from tests.support.waiting import until
 
 BACKWARD = {"linear": {"x": -0.2}}
 
 
-def told(scene: Scene, *words: str) -> str:
-    return " ".join(failstop(*words, "--name", scene.trial.name).stdout.split())
+def told(scene: Scene, text: str, *words: str) -> None:
+    """Wait until a command tells it: the bridge's own topics do so first."""
+    command = (*words, "--name", scene.trial.name)
+    until(lambda: text in " ".join(failstop(*command).stdout.split()), f"`failstop {' '.join(words)}` to tell: {text}")
 
 
 @pytest.mark.parametrize("kind", [TWIST, STAMPED])
@@ -75,10 +78,10 @@ def test_a_wrong_type_is_told_everywhere(scene: Scene) -> None:
         if row["name"] == f"{NODE[1:]}: ROS"
     )
     assert row["level"] == 1
-    assert said in told(scene, "status")
-    assert f"ros2 says: {said}" in told(scene, "why")
-    assert f"ros2 says: {said}" in told(scene, "doctor", "--quick")
-    assert said in told(scene, "events", "--kind", "said")
+    told(scene, said, "status")
+    told(scene, f"ros2 says: {said}", "why")
+    told(scene, f"ros2 says: {said}", "doctor", "--quick")
+    told(scene, said, "events", "--kind", "said")
 
 
 def test_best_effort_is_not_heard_and_is_told(scene: Scene) -> None:
@@ -99,4 +102,4 @@ def test_status_names_who_commands(scene: Scene) -> None:
     scene.scan()
     scene.drive()
     scene.state(lambda state: state["publishers"] == ["/nav"] and state["wrong"] is None)
-    assert "says ros2: cmd_vel: /nav; scan: /lidar" in told(scene, "status")
+    told(scene, "says ros2: cmd_vel: /nav; scan: /lidar", "status")
