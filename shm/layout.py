@@ -14,7 +14,7 @@ from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.latest import cell_bytes, record_bytes
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 6
+LAYOUT_VERSION = 7
 SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
@@ -177,7 +177,7 @@ SEGMENTS = (
             _word("resets_asked", "supervisor, its successor"),  # the number of the newest reset that was asked for
             _word("reset_asked_ns", "supervisor"),  # when that was asked for
             _ring("frames", 304, 64, "port_owner"),  # motion, stops, other frames for the wire (records)
-            _ring("trips", 320, 32, "supervisor"),  # every latch that it made itself, in order (records)
+            _ring("stops", 320, 32, "supervisor"),  # every stop cause that it noticed, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _latest("state", 4096, "telemetry, clients"),  # msgpack
             _latest("said", 4096, "clients"),  # what clients say of themselves (msgpack, procs/gate/said.py)
@@ -202,11 +202,11 @@ SEGMENTS = (
             _latest("pad", 32, "clients"),  # records: the last frame, the mode
             _latest("pad_arm", 32, "gate"),  # records: one a frame while the pad moves a joint
             _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
-            _ring("trips", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
+            _ring("causes", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
             _ring("servos", 16, 64, "gate"),  # answers of the arm's servos, in order (records)
             _ring("pad_requests", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
-            _ring("events", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
+            _ring("buttons", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
             _ring("box", box.BOARD_BYTES, box.BOARD_CELLS, "everyone"),  # what it decoded (box.py)
         ),
     ),

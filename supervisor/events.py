@@ -39,12 +39,12 @@ AGAIN = frozenset(("stop_again", "stop_also"))
 ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
 
 
-def say(message: str) -> None:
+def say(text: str) -> None:
     """Write one line to stderr, broken at words on a terminal. A log that can't be written is no reason to stop
     working, nor one that nobody reads (a full pipe, a terminal held by Ctrl-S): the line is dropped then."""
     try:
         if select.select((), (2,), (), 0)[1]:
-            os.write(2, f"{fitted(PREFIX + message, 2)}\n".encode("utf-8", "replace"))
+            os.write(2, f"{fitted(PREFIX + text, 2)}\n".encode("utf-8", "replace"))
     except OSError:
         return
 

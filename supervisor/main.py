@@ -111,7 +111,7 @@ class Supervisor:
         self._written_word = own.word("written_ns")
         self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
         self._stops = views[layout.PORT_OWNER].ring_reader("stops")
-        self._trips = views[layout.GATE].ring_reader("trips")
+        self._gate_stops = views[layout.GATE].ring_reader("stops")
         self._begin(resources.bells[layout.SUPERVISOR])
 
     def _begin(self, own_bell: EventBell) -> None:
@@ -248,7 +248,7 @@ class Supervisor:
         """Every stop that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
         death was answered."""
         stops = []
-        for process, ring in ((layout.PORT_OWNER, self._stops), (layout.GATE, self._trips)):
+        for process, ring in ((layout.PORT_OWNER, self._stops), (layout.GATE, self._gate_stops)):
             while entry := ring.next():
                 _, cause_ns, written_ns, cause = records.STOPPED.unpack(entry[2])
                 stops.append(Stop(cause_ns, process, causes.read(cause), written_ns))

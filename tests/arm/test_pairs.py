@@ -260,7 +260,7 @@ def test_that_there_is_none_before_it_is_taken_back(telemetry: TelemetryScene, t
 
 
 def test_the_time_before_the_verdict_and_again_after_it(supervisor: SupervisorScene, trace: Trace) -> None:
-    supervisor.trip()
+    supervisor.gate_stops()
     supervisor.turn()
     supervisor.answers(written_ns=supervisor.now_ns)
     supervisor.turn(MS)

@@ -51,7 +51,7 @@ def test_every_decision_has_its_word(block: str, wanted: str) -> None:
     if block != "disabled":
         made.core.enable(7, "", at(0))
     if block == "latched":
-        made.core.trip(causes.KEY(1), 7)
+        made.core.stop(causes.KEY(1), 7)
     if block == "scan":
         made.command(1, (0.1, 0, 0))
     made.tick(2)

@@ -180,7 +180,7 @@ SUPERVISOR = (
     Reason("supervisor/causes.py", r"self\.(since|epoch) = 1$", "a cause that stands has set it"),
     Reason("supervisor/children.py", r"return self\.pid != 1 and", "no beat is of pid 0, and no child is process 1"),
     Reason("config.py", r"version_info > \(3, 11\)", "it has five parts, and never equals two"),
-    Reason("supervisor/events.py", r"fitted\(PREFIX \+ message, 3\)", "where a line breaks on a terminal", same=False),
+    Reason("supervisor/events.py", r"fitted\(PREFIX \+ text, 3\)", "where a line breaks on a terminal", same=False),
     Reason("supervisor/events.py", r"<= LONGEST_HOLD_NS", "two times in ns at exact equality"),
     Reason("supervisor/events.py", r'get\("reason", (None)?\)', "no request begins with None"),
     Reason("supervisor/events.py", r"len\(data\) < ROOM", "an event that fills its cell to the byte", same=False),

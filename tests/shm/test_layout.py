@@ -142,7 +142,7 @@ def test_the_hash_is_reproducible() -> None:
         (r'_latest\("imu", 64', '_latest("imu", 72'),
         (r'_ring\("frames", 304, 64', '_ring("frames", 304, 63'),
         (r'_ring\("frames", 304', '_ring("frames", 303'),
-        (r'_ring\("trips", (\d+), (\d+)', r'_ring("trips", \2, \1'),
+        (r'_ring\("causes", (\d+), (\d+)', r'_ring("causes", \2, \1'),
         (r'_word\("port_number", "supervisor"\),', '_latest("port_number", 8, "supervisor"),'),
         (r'_latest\("battery", 32, ', '_word("battery", '),
         (r'(_latest\("imu"[^\n]*)\n\s*(_latest\("battery"[^\n]*)', r"\2\n            \1"),

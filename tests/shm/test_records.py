@@ -167,7 +167,7 @@ TOPS = (1e308, 1e308, 1e308)
 BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     "stopped": (
         lambda text: records.STOPPED.pack(TOP, TOP, TOP, causes.PIPED(text).pack()),
-        ["port_owner/stops", "gate/trips"],
+        ["port_owner/stops", "gate/stops"],
     ),
     "latch": (lambda text: records.LATCH.pack(TOP, TOP, TOP, causes.PIPED(text).pack()), ["supervisor/latch"]),
     "port": (lambda text: records.PORT.pack(TOP, TOP, 2, text), ["port_owner/port"]),

@@ -151,7 +151,7 @@ class ArmCore:
 
     def drop(self, why: str) -> bool:
         """Forget every goal; True when the arm may still move, and a stop is to be written for it."""
-        was = self.moving()
+        was = self.streaming()
         if way := self.way:
             way.finish(why)
             self.ended = why
@@ -189,7 +189,7 @@ class ArmCore:
 
     # Time.
 
-    def moving(self) -> bool:
+    def streaming(self) -> bool:
         """A servo may be on its way."""
         return bool(self._streaming)
 
@@ -242,7 +242,7 @@ class ArmCore:
             del self._goals[mode]
         if self.mode():
             return False
-        was = self.moving()
+        was = self.streaming()
         self._end_stream()
         return was
 
@@ -407,7 +407,7 @@ class ArmCore:
         return {
             "mode": self.mode(),
             "phase": way.phase if way else "",
-            "moving": self.moving(),
+            "moving": self.streaming(),
             "by": self.mover(),
             "refused": self.refused or next(filter(None, self._blocked.values()), ""),
             "released": self.released,

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
         core: GateCore
         epoch: int
 
-        def trip(self, cause: Cause, now_ns: int) -> None: ...
+        def stop(self, cause: Cause, now_ns: int) -> None: ...
 
         def reply(self, slot: Slot, session: int, number: int, reply: Reply, now_ns: int) -> None: ...
 
@@ -187,7 +187,7 @@ class Arm:
         """A second publisher of goals latches."""
         other = self.core.publisher(session, now_ns)
         if other and not self.core.closed:
-            self._owner.trip(causes.TWO_MOVE_THE_ARM(other, who), now_ns)
+            self._owner.stop(causes.TWO_MOVE_THE_ARM(other, who), now_ns)
         return bool(other)
 
     def _said(self, done: int, text: str) -> Reply:
