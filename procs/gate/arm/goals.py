@@ -75,7 +75,8 @@ class Journey:
         self.phase = FINDING
         self.since_ns = 0
         self.begun_ns = 0
-        self.done = False
+        self.done = self.dropped = False
+        """Over; over because somebody took the arm."""
         self.outcome = ""
 
     @property
@@ -122,10 +123,14 @@ class Journey:
         """Until its end."""
         return max(0.0, self.length_s - (now_ns - self.begun_ns) * 1e-9) if self._times else 0.0
 
-    def finish(self, outcome: str = "") -> None:
+    def finish(self, outcome: str = "", *, dropped: bool = False) -> None:
         """It is over: there, or why not."""
-        if not self.done:
-            self.done, self.outcome = True, outcome
+        self.done, self.outcome, self.dropped = True, outcome, dropped
+
+    def progress(self, now_ns: int) -> str:
+        """How far it is, for who waits."""
+        left_s = self.left_s(now_ns)
+        return f"arm, {self.purpose}: {self.phase}" + (f", {left_s:.1f} s left" if left_s > 0.0 else "")
 
 
 def too_far(joints: list[Joint], angles: Sequence[float]) -> str:
