@@ -58,13 +58,12 @@ class ArmCore:
         self._journey: Journey | None = None
         self._goals: dict[str, Goal] = {}
         self._schedule: list[tuple[int, list[Joint]]] = []
-        """When each frame's joints are due, the next first."""
-        self._streaming: list[Joint] = []
+        """When the joints of each frame are due, the next first; empty: no servo is on its way."""
         self._load_ns = self._let_go_ns = self._apart_ns = 0
         self.letting_go: list[Joint] = []
         """Whose torque is still to be switched off."""
         self.active_ns = 0
-        """When it was last moved, or asked to; 0: never."""
+        """When it was last moved, or asked to; 0: never, or let go since."""
         self.released = False
         self.refused = ""
         """Why the last goal of a stream was not taken."""
@@ -166,9 +165,9 @@ class ArmCore:
             joint.forget()
 
     def _end_stream(self) -> None:
-        for joint in self._streaming:
+        for joint in self._streamed():
             joint.forget()
-        self._streaming, self._schedule = [], []
+        self._schedule = []
 
     def release(self, now_ns: int) -> None:
         """Let go: every torque is switched off, one after the other."""
@@ -176,14 +175,17 @@ class ArmCore:
         self.forget()
         for joint in self.joints:
             joint.loaded = False
-        self.released = True
+        self.active_ns, self.released = 0, True
         self.letting_go, self._let_go_ns = self.joints.copy(), now_ns + TORQUE_APART_NS
 
     # Time.
 
     def streaming(self) -> bool:
         """A servo may be on its way."""
-        return bool(self._streaming)
+        return bool(self._schedule)
+
+    def _streamed(self) -> list[Joint]:
+        return [joint for _, group in self._schedule for joint in group]
 
     def step(self, now_ns: int) -> tuple[bytes, bool]:
         """Go on: the frame to send now, if one is due, and True when the arm is to be held first: a goal was not
@@ -193,17 +195,17 @@ class ArmCore:
         hold = self._end_stale(now_ns)
         wanted = self._follow_journey(now_ns)
         joints = self._to_stream()
-        if joints and not self._streaming:
+        if joints and not self._schedule:
             if unknown := [joint for joint in self._space.wanted(joints) if not joint.known]:
                 wanted = wanted or unknown
             elif not all(joint.loaded for joint in joints) or now_ns < self._free_ns():
                 return self._load(joints, now_ns), hold
             else:
                 self._begin(joints, now_ns)
-        elif any(joint not in self._streaming for joint in joints):
+        elif not set(joints) <= set(self._streamed()):
             self._end_stream()
             return b"", True
-        if self._streaming:
+        if self._schedule:
             frame = self._move(now_ns)
             return frame or b"", hold or frame is None
         wanted = wanted or [joint for joint in self.joints if not joint.known]
@@ -322,7 +324,6 @@ class ArmCore:
                 return
             journey.phase = goals.UNDER_WAY
         self._load_ns = 0
-        self._streaming = joints
         self._space.begin()
         self._blocked.clear()
         groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]
@@ -379,7 +380,7 @@ class ArmCore:
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
         """The board's answer to a question."""
-        if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._streaming:
+        if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._schedule:
             joint.position = float(joint.measured or 0)
             joint.known = True
 

@@ -288,8 +288,8 @@ class Arm:
             if self._tucking.outcome and not self._tucking.dropped:
                 self._tell(f"the arm did not tuck itself: {self._tucking.outcome}", "warning")
             self._tucking = None
-        if core.active_ns and (core.closed or core.mode() or core.released):
-            core.active_ns = 0 if core.released else now_ns
+        if core.active_ns and (core.closed or core.mode()):
+            core.active_ns = now_ns
         due = self._tuck.follow(core.active_ns, now_ns)
         if not due or not (journey := core.pose(goals.TUCK, SERVICE, "auto-tuck")):
             return
