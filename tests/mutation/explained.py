@@ -183,7 +183,7 @@ SUPERVISOR = (
     Reason("supervisor/events.py", r"fitted\(PREFIX \+ text, 3\)", "where a line breaks on a terminal", same=False),
     Reason("supervisor/events.py", r"<= LONGEST_HOLD_NS", "two times in ns at exact equality"),
     Reason("supervisor/events.py", r'get\("reason", (None)?\)', "no request begins with None"),
-    Reason("supervisor/events.py", r"len\(data\) < ROOM", "an event that fills its cell to the byte", same=False),
+    Reason("shm/notes.py", r"len\(data\) < room", "an event that fills its cell to the byte", same=False),
     Reason("supervisor/process_table.py", r'futex\("held", write=True\)', "the supervisor's block is the first"),
     Reason("supervisor/fence.py", r"silent_ns: int = 1,", "a nanosecond, of what is told in ms", same=False),
     Reason("supervisor/grant.py", r"open\(CONTROL_GROUP, (encoding=None)?\)", "the service runs in C.UTF-8"),
