@@ -257,6 +257,7 @@ def test_a_goal_right_after_a_stop_moves_nothing(scene: ArmScene) -> None:
     before = len(scene.moves)
     scene.run(1.0)
     assert len(scene.moves) == before
+    assert scene.state()["refused"] == scene.state()["closed"] == "a stop is latched"
 
 
 FAULTS = [

@@ -324,12 +324,19 @@ class Arm:
     def state(self, now_ns: int) -> dict[str, Any]:
         """Its part of the gate's state."""
         left_s, pose = self._tuck.left_s(self.core.active_ns, now_ns), self.core.pose_name()
+        told = self.core.state()
         return {
-            **self.core.state(),
-            "closed": "a stop is latched" if self.core.closed == LATCHED else self.core.closed,
+            **told,
+            "refused": _without_cause(told["refused"]),
+            "closed": _without_cause(self.core.closed),
             "auto_tuck_s": None if left_s is None or self.core.mode() or pose == goals.TUCK else round(left_s),
             "wrong": [f"joint {name} {text}" for name, text in self._told.items() if text],
             "pose": pose,
             "pad_joint": self._pad_joint if self.core.moved_by(PAD_PUBLISHER) else None,
             "tucks": left_s is not None and left_s <= self._notice_s and not self.core.mode(),
         }
+
+
+def _without_cause(text: str) -> str:
+    """For the state, which tells the cause elsewhere."""
+    return text.removesuffix(f" ({CAUSE})")
