@@ -26,7 +26,7 @@ from failstop.shm.bell import EventBell
 from failstop.shm.layout import BY_NAME
 
 PAYLOAD_BYTES = 64
-RING_SLOTS = BY_NAME["gate"].records["frames"].slots
+RING_CELLS = BY_NAME["gate"].records["frames"].cells
 Send = Callable[[bytes], object]
 Receive = Callable[[], bytes]
 
@@ -244,7 +244,7 @@ class Iceoryx:
         name = iox.ServiceName.new("oneway")
         payload = iox.Slice[self._ctypes.c_uint8]
         # As many as the ring holds: by default the third message in a row pushes out the first.
-        builder = node.service_builder(name).publish_subscribe(payload).subscriber_max_buffer_size(RING_SLOTS)
+        builder = node.service_builder(name).publish_subscribe(payload).subscriber_max_buffer_size(RING_CELLS)
         payloads = builder.open_or_create()
         events = node.service_builder(name).event().open_or_create()
         self._alive += [node, payloads, events]
@@ -268,7 +268,7 @@ class Iceoryx:
     def receiver(self) -> Receive:
         """Wait for the event, then take the sample and copy its bytes."""
         payloads, events = self._services()
-        subscriber = payloads.subscriber_builder().buffer_size(RING_SLOTS).create()
+        subscriber = payloads.subscriber_builder().buffer_size(RING_CELLS).create()
         wait = events.listener_builder().create().blocking_wait
         string_at = self._ctypes.string_at
 

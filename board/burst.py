@@ -9,7 +9,7 @@ up to 256 bytes of whatever follows for it (firmware source). Each part has its 
   SYS frame, which does nothing; where it waits for a length they make it 0. Stop frames as filler would not do: `AA`
   is taken for a length of 170, and as the rest of a cut motor frame they can put a wheel id in it that is none.
 - 32 zeros fill up any motor frame of this package that was cut (at most 22 bytes of data and the CRC are missing). The
-  receiver then drops it for its CRC: codec.motor_speeds makes no moving frame whose CRC is zero at any cut, which is
+  receiver then drops it for its CRC: codec.motor_speeds makes no motion frame whose CRC is zero at any cut, which is
   what it takes for zeros to complete one.
 - The first STOP ends at byte 59 (0.6 ms). It is parsed in every state but inside a frame with more than 31 bytes left.
 - 257 zeros are more than the longest rest there is, 255 bytes of data and the CRC: a frame that began anywhere before

@@ -45,7 +45,6 @@ _LARGEST_F32 = 3.4028234663852886e38
 _BATTERY = Struct("<BH")
 _IMU = Struct("<6f")
 _GAMEPAD = Struct("<HB4b")
-_SBUS = Struct("<16h4B")
 _U16 = Struct("<H")
 _I16 = Struct("<h")
 _U8 = Struct("<B")
@@ -150,14 +149,6 @@ def gamepad(data: bytes) -> tuple[int, int, int, int, int, int] | None:
         return None
     buttons, hat, lx, ly, rx, ry = _GAMEPAD.unpack(data)
     return buttons, hat, lx, ly, rx, ry
-
-
-def sbus(data: bytes) -> tuple[tuple[int, ...], bool, bool, bool, bool] | None:
-    """SBUS: (16 channels, channel 17, channel 18, signal lost, fail-safe)."""
-    if len(data) != _SBUS.size:
-        return None
-    *channels, ch17, ch18, lost, failsafe = _SBUS.unpack(data)
-    return tuple(channels), bool(ch17), bool(ch18), bool(lost), bool(failsafe)
 
 
 def servo_reply(func: int, data: bytes) -> tuple[int, int, int | None] | None:

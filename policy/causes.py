@@ -85,6 +85,14 @@ class Cause:
         """The arguments by name."""
         return {name: value for (name, _), value in zip(self.kind.parameters, self.arguments, strict=True)}
 
+    def as_map(self) -> dict[str, Value]:
+        """For programs: the name of its row, and its arguments."""
+        return {"name": self.kind.name, **self.named()}
+
+    def fields(self) -> dict[str, str]:
+        """Of an event: for people, and for programs."""
+        return {"reason": str(self), "cause": self.kind.name}
+
     def __str__(self) -> str:
         return filled(self.kind.template, self.named())
 

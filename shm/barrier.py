@@ -1,6 +1,6 @@
 """Barrier: what this thread has loaded and stored before it, everyone sees before what it loads and stores after it.
 
-Words and slots are plain loads and stores, which AArch64 may reorder; x86-64 lets a load pass the store before it. No
+Words and cells are plain loads and stores, which AArch64 may reorder; x86-64 lets a load pass the store before it. No
 library gives Python a fence. But to release a lock is a store-release, to acquire one a load-acquire, and no
 load-acquire passes a store-release that is before it. So a held lock is released and acquired again. The other way
 around is no barrier: what is before it may move in behind the acquire, what is after it in before the release.

@@ -84,10 +84,10 @@ def open_pipe_to_write(path: str) -> int:
     return place.opened(path, os.O_WRONLY, pipe=True)
 
 
-def send(fd: int, message: bytes) -> bool:
-    """Write a message of at most PIPE_BUF bytes whole; False when the pipe is full, which rings just as well."""
+def send(fd: int, data: bytes) -> bool:
+    """Write at most PIPE_BUF bytes whole; False when the pipe is full, which rings just as well."""
     try:
-        os.write(fd, message)
+        os.write(fd, data)
     except BlockingIOError:
         return False
     except OSError as error:

@@ -2,7 +2,7 @@
 minute.
 
 One ring in each writer's own segment, so it outlives its writer, and whoever looks at it disturbs nobody. A put is one
-slot of private bytes and one slice assignment. On the stop path it comes after the bytes of the stop.
+cell of private bytes and one slice assignment. On the stop path it comes after the bytes of the stop.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 
 SECONDS = 60
 """What each ring is made for, at the rates of its writer's defaults."""
-GATE_SLOTS = 3072
+GATE_CELLS = 3072
 """A tick each, 50 a second."""
-WIRE_SLOTS = 4096
+WIRE_CELLS = 4096
 """Up to 50 motion frames, 2 pings and a few stops a second; a client that drives at 100 Hz has them last for 40 s."""
-BOARD_SLOTS = 8192
+BOARD_CELLS = 8192
 """110 IMU samples, 20 gamepad frames and a battery reading a second."""
-ARM_SLOTS = 640
+ARM_CELLS = 640
 """10 a second while somebody moves the arm, and one at each change."""
-BEATS_SLOTS = 768
+BEATS_CELLS = 768
 """10 a second, and one at each stop."""
 
 GATE_BYTES = 104

@@ -1,17 +1,17 @@
 """Latest: one value, the newest whole one wins.
 
-Two slots, written in turn. A writer that dies in mid-write leaves the value before it readable in the other slot.
+Two cells, written in turn. A writer that dies in mid-write leaves the value before it readable in the other cell.
 """
 
 from __future__ import annotations
 
 from time import monotonic_ns
 
-from failstop.shm import slot
+from failstop.shm import cell
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.shm.slot import Entry
+    from failstop.shm.cell import Entry
     from failstop.shm.views import View
 
 
@@ -19,12 +19,12 @@ class LatestReader:
     """Reads the newest whole value of a record. Bytes that have not changed are not checked again: they are copied and
     compared, which is a third of the work. A record that nobody has written is zeros."""
 
-    __slots__ = ("_known", "_raw", "_seed", "_seen", "_slot_bytes", "_view", "_where")
+    __slots__ = ("_cell_bytes", "_known", "_raw", "_seed", "_seen", "_view", "_where")
 
     def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
         self._view = view
-        self._slot_bytes = slot_bytes(capacity)
-        self._where = slice(offset, offset + 2 * self._slot_bytes)
+        self._cell_bytes = cell_bytes(capacity)
+        self._where = slice(offset, offset + 2 * self._cell_bytes)
         self._seed = crc_seed
         self._seen = 0
         self._raw = b""
@@ -47,21 +47,21 @@ class LatestReader:
         return entry
 
     def _whole(self, raw: bytes) -> Entry | None:
-        size = self._slot_bytes
-        first = size if slot.sequence(raw, size) > slot.sequence(raw, 0) else 0
-        return slot.check(raw, self._seed, first, size) or slot.check(raw, self._seed, size - first, size)
+        size = self._cell_bytes
+        first = size if cell.sequence(raw, size) > cell.sequence(raw, 0) else 0
+        return cell.check(raw, self._seed, first, size) or cell.check(raw, self._seed, size - first, size)
 
 
 class LatestWriter:
     """The record's one writer; continues the sequence that a writer before it left."""
 
-    __slots__ = ("_at", "_capacity", "_seed", "_seq", "_slot_bytes", "_view")
+    __slots__ = ("_at", "_capacity", "_cell_bytes", "_seed", "_seq", "_view")
 
     def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
         self._view = view
         self._at = offset
         self._capacity = capacity
-        self._slot_bytes = slot_bytes(capacity)
+        self._cell_bytes = cell_bytes(capacity)
         self._seed = crc_seed
         found = LatestReader(view, offset, capacity, crc_seed).read()
         self._seq = found[0] if found else 0
@@ -69,18 +69,18 @@ class LatestWriter:
     def write(self, payload: bytes, t_ns: int | None = None) -> int:
         """Publish a value; returns its sequence number. Raises PayloadTooLarge, and then nothing is changed."""
         seq = self._seq + 1
-        data = slot.build(seq, monotonic_ns() if t_ns is None else t_ns, payload, self._seed, self._capacity)
-        at = self._at + (seq & 1) * self._slot_bytes
+        data = cell.build(seq, monotonic_ns() if t_ns is None else t_ns, payload, self._seed, self._capacity)
+        at = self._at + (seq & 1) * self._cell_bytes
         self._view[at : at + len(data)] = data
         self._seq = seq
         return seq
 
 
-def slot_bytes(capacity: int) -> int:
-    """Bytes one slot of this capacity takes: whole 64-byte lines, so that no two slots share one."""
-    return (slot.HEADER_BYTES + capacity + 63) // 64 * 64
+def cell_bytes(capacity: int) -> int:
+    """Bytes one cell of this capacity takes: whole 64-byte lines, so that no two cells share one."""
+    return (cell.HEADER_BYTES + capacity + 63) // 64 * 64
 
 
 def record_bytes(capacity: int) -> int:
     """Bytes a Latest record takes."""
-    return 2 * slot_bytes(capacity)
+    return 2 * cell_bytes(capacity)

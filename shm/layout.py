@@ -11,10 +11,10 @@ from zlib import crc32
 
 from failstop.shm import box
 from failstop.shm.futex import BLOCKS, PER_BLOCK
-from failstop.shm.latest import record_bytes, slot_bytes
+from failstop.shm.latest import cell_bytes, record_bytes
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 6
+LAYOUT_VERSION = 7
 SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
@@ -35,16 +35,16 @@ PROCESSES = (SUPERVISOR, PORT_OWNER, GATE, TELEMETRY, STOPPER)
 
 
 class Record:
-    """One record: its kind (word, latest, ring, futexes), payload capacity in bytes, slots (rings), readers."""
+    """One record: its kind (word, latest, ring, futexes), payload capacity in bytes, cells (rings), readers."""
 
-    __slots__ = ("capacity", "kind", "name", "readers", "slots")
+    __slots__ = ("capacity", "cells", "kind", "name", "readers")
 
-    def __init__(self, kind: str, name: str, readers: str, capacity: int = 8, slots: int = 1) -> None:
+    def __init__(self, kind: str, name: str, readers: str, capacity: int = 8, cells: int = 1) -> None:
         self.kind = kind
         self.name = name
         self.readers = readers
         self.capacity = capacity
-        self.slots = slots
+        self.cells = cells
 
     def size(self) -> int:
         """Bytes the record takes in its segment."""
@@ -54,7 +54,7 @@ class Record:
             return record_bytes(self.capacity)
         if self.kind == "futexes":
             return self.capacity
-        return slot_bytes(self.capacity) * self.slots
+        return cell_bytes(self.capacity) * self.cells
 
 
 class SegmentSpec:
@@ -76,7 +76,7 @@ class SegmentSpec:
 
 
 HEADER_BYTES = 128
-"""Every segment starts with a header slot (segment.py), frozen for all versions so that they can tell each other."""
+"""Every segment starts with a header cell (segment.py), frozen for all versions so that they can tell each other."""
 
 
 def _word(name: str, readers: str) -> Record:
@@ -87,8 +87,8 @@ def _latest(name: str, capacity: int, readers: str) -> Record:
     return Record("latest", name, readers, capacity)
 
 
-def _ring(name: str, capacity: int, slots: int, readers: str) -> Record:
-    return Record("ring", name, readers, capacity, slots)
+def _ring(name: str, capacity: int, cells: int, readers: str) -> Record:
+    return Record("ring", name, readers, capacity, cells)
 
 
 def _beat() -> tuple[Record, ...]:
@@ -147,7 +147,7 @@ SEGMENTS = (
             _latest("rules", 512, "clients"),  # what clients need of the settings (msgpack), written once
             _latest("settings", 16384, "clients"),  # every setting of this run by its whole key (msgpack)
             _ring("events", 512, 256, "clients"),  # what people are told (msgpack, supervisor/events.py)
-            _ring("box", box.BEATS_BYTES, box.BEATS_SLOTS, "everyone"),  # beat ages, its own bursts (box.py)
+            _ring("box", box.BEATS_BYTES, box.BEATS_CELLS, "everyone"),  # beat ages, its own bursts (box.py)
         ),
     ),
     SegmentSpec(
@@ -165,7 +165,7 @@ SEGMENTS = (
             _latest("port", 320, "supervisor, stopper, clients"),  # its state and path (records)
             _ring("stops", 320, 32, "supervisor"),  # every stop cause that it noticed, in order (records)
             _ring("received", 512, 512, "telemetry"),  # bytes from the board, in order; about 4 s of them
-            _ring("box", box.WIRE_BYTES, box.WIRE_SLOTS, "everyone"),  # bytes for the board (box.py)
+            _ring("box", box.WIRE_BYTES, box.WIRE_CELLS, "everyone"),  # bytes for the board (box.py)
         ),
     ),
     SegmentSpec(
@@ -177,13 +177,13 @@ SEGMENTS = (
             _word("resets_asked", "supervisor, its successor"),  # the number of the newest reset that was asked for
             _word("reset_asked_ns", "supervisor"),  # when that was asked for
             _ring("frames", 304, 64, "port_owner"),  # motion, stops, other frames for the wire (records)
-            _ring("trips", 320, 32, "supervisor"),  # every latch that it made itself, in order (records)
+            _ring("stops", 320, 32, "supervisor"),  # every stop cause that it noticed, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _latest("state", 4096, "telemetry, clients"),  # msgpack
             _latest("said", 4096, "clients"),  # what clients say of themselves (msgpack, procs/gate/said.py)
             *(_latest(f"reply.{i}", 640, "the client of that slot") for i in range(CLIENT_SLOTS)),
-            _ring("box", box.GATE_BYTES, box.GATE_SLOTS, "everyone"),  # every tick's command and decision (box.py)
-            _ring("arm_box", box.ARM_BYTES, box.ARM_SLOTS, "everyone"),  # what the arm is to do, for whom (box.py)
+            _ring("box", box.GATE_BYTES, box.GATE_CELLS, "everyone"),  # every tick's command and decision (box.py)
+            _ring("arm_box", box.ARM_BYTES, box.ARM_CELLS, "everyone"),  # what the arm is to do, for whom (box.py)
         ),
     ),
     SegmentSpec(
@@ -202,12 +202,12 @@ SEGMENTS = (
             _latest("pad", 32, "clients"),  # records: the last frame, the mode
             _latest("pad_arm", 32, "gate"),  # records: one a frame while the pad moves a joint
             _latest("pad_command", 32, "gate"),  # records: one a frame while the pad drives
-            _ring("trips", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
+            _ring("causes", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
             _ring("servos", 16, 64, "gate"),  # answers of the arm's servos, in order (records)
             _ring("pad_requests", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
-            _ring("events", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
-            _ring("box", box.BOARD_BYTES, box.BOARD_SLOTS, "everyone"),  # what it decoded (box.py)
+            _ring("buttons", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
+            _ring("box", box.BOARD_BYTES, box.BOARD_CELLS, "everyone"),  # what it decoded (box.py)
         ),
     ),
     SegmentSpec(
@@ -234,7 +234,7 @@ BY_NAME = {spec.name: spec for spec in SEGMENTS}
 
 def _fingerprint() -> int:
     text = f"layout {LAYOUT_VERSION}\n" + "\n".join(
-        f"{spec.name} {spec.writer} {spec.mode:o} {r.kind} {r.name} {r.capacity} {r.slots} {spec.offsets[r.name]}"
+        f"{spec.name} {spec.writer} {spec.mode:o} {r.kind} {r.name} {r.capacity} {r.cells} {spec.offsets[r.name]}"
         for spec in SEGMENTS
         for r in spec.records.values()
     )

@@ -13,13 +13,33 @@ from failstop.shm.records import cut
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     Value = str | int | float
     Fields = dict[str, Value]
 
-TEXT_BYTES = 280
-"""The longest text, of the note and of each field."""
-SHORT_BYTES = 64
-"""The longest text of each field, where they do not fit otherwise."""
+CUTS = ((280, 280), (280, 64))
+"""Bytes that are left of the text, and of each field's: the first that fit into the ring."""
+
+
+def fitting(
+    room: int,
+    cuts: tuple[tuple[int, int], ...],
+    text: str,
+    fields: Mapping[str, Value],
+    whole: Callable[[str, dict[str, Value]], object],
+) -> bytes:
+    """What `whole` makes of text and fields, packed into `room` bytes: texts are cut, as little as it takes, and fields
+    that still do not fit are left out."""
+    for text_bytes, value_bytes in cuts:
+        short = cut(text, text_bytes).decode()
+        given = {
+            key: cut(value, value_bytes).decode() if isinstance(value, str) else value for key, value in fields.items()
+        }
+        data = pack(whole(short, given))
+        if len(data) <= room:
+            return data
+    return pack(whole(short, {}))
 
 
 class Note:
@@ -34,17 +54,10 @@ class Note:
         self.level = level
 
     def pack(self) -> bytes:
-        """For a ring of NOTE_BYTES: texts are cut, and fields that still do not fit are left out."""
-        text = cut(self.text, TEXT_BYTES).decode()
-        for most in (TEXT_BYTES, SHORT_BYTES):
-            fields = {
-                key: cut(value, most).decode() if isinstance(value, str) else value
-                for key, value in self.fields.items()
-            }
-            data = pack((self.kind, self.level, text, fields))
-            if len(data) <= NOTE_BYTES:
-                return data
-        return pack((self.kind, self.level, text, {}))
+        """For a ring of NOTE_BYTES."""
+        return fitting(
+            NOTE_BYTES, CUTS, self.text, self.fields, lambda text, fields: (self.kind, self.level, text, fields)
+        )
 
     @classmethod
     def unpack(cls, payload: bytes) -> Note:

@@ -17,7 +17,7 @@ import struct
 
 import posix_ipc
 
-from failstop.shm import claim, place, slot
+from failstop.shm import cell, claim, place
 from failstop.shm.futex import Futex
 from failstop.shm.latest import LatestReader, LatestWriter
 from failstop.shm.layout import BY_NAME, CLIENTS, HEADER_BYTES, LAYOUT_HASH, PROCESSES, SEGMENTS, SUPERVISOR
@@ -30,7 +30,7 @@ SHM = "/dev/shm"
 MAGIC = b"failstop"
 _READ = os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
 _HEADER = struct.Struct("<8sQQQ24s24s")
-_HEADER_SEED = slot.seed("header", 0)
+_HEADER_SEED = cell.seed("header", 0)
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class Segment:
         record = self.spec.records[name]
         if record.kind != kind:
             raise TypeError(f"{self.spec.name}.{name} is a {record.kind}, not a {kind}")
-        return record, self.spec.offsets[name], slot.seed(f"{self.spec.name}.{name}", self.incarnation)
+        return record, self.spec.offsets[name], cell.seed(f"{self.spec.name}.{name}", self.incarnation)
 
     def word(self, name: str) -> Word:
         """A lone u64; only in mapped segments."""
@@ -100,12 +100,12 @@ class Segment:
     def ring_reader(self, name: str, *, from_oldest: bool = False) -> RingReader:
         """Reader of a Ring record, from the oldest entry still there or from the next one to come."""
         record, offset, seed = self._place(name, "ring")
-        return RingReader(self.view, offset, record.capacity, record.slots, seed, from_oldest=from_oldest)
+        return RingReader(self.view, offset, record.capacity, record.cells, seed, from_oldest=from_oldest)
 
     def ring_writer(self, name: str) -> RingWriter:
         """The writer of a Ring record; only for the segment's declared writer."""
         record, offset, seed = self._place(name, "ring")
-        return RingWriter(self.view, offset, record.capacity, record.slots, seed)
+        return RingWriter(self.view, offset, record.capacity, record.cells, seed)
 
     def futex(self, name: str, line: int = 0, *, write: bool = False) -> Futex:
         """A line that a lifeline hangs on, to wait there or, with `write`, to hold it; only in unmapped segments.
@@ -149,7 +149,7 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
         # Found at the first touch it would be a SIGBUS.
         os.posix_fallocate(fd, 0, spec.size)
         header = _HEADER.pack(MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), VERSION.encode())
-        os.pwrite(fd, slot.build(1, 0, header, _HEADER_SEED, HEADER_BYTES - slot.HEADER_BYTES), 0)
+        os.pwrite(fd, cell.build(1, 0, header, _HEADER_SEED, HEADER_BYTES - cell.HEADER_BYTES), 0)
         if spec.mode & 0o020 and client_gid >= 0:
             os.fchown(fd, -1, client_gid)
         os.fchmod(fd, spec.mode)
@@ -193,7 +193,7 @@ def version(memory: str) -> str:
     """The version of failstop that made a run's segments; empty where that can't be read."""
     try:
         with open(path_of(memory, SUPERVISOR), "rb") as file:
-            entry = slot.check(file.read(HEADER_BYTES), _HEADER_SEED)
+            entry = cell.check(file.read(HEADER_BYTES), _HEADER_SEED)
     except OSError:
         return ""
     return _version(_HEADER.unpack(entry[2])[-1]) if entry and len(entry[2]) == _HEADER.size else ""
@@ -328,7 +328,7 @@ def _told(memory: str, name: str) -> str:
 
 def _check_header(fd: int, memory: str, spec: SegmentSpec, incarnation: int | None) -> int:
     """Return the segment's incarnation, or raise AttachError."""
-    entry = slot.check(os.pread(fd, HEADER_BYTES, 0), _HEADER_SEED)
+    entry = cell.check(os.pread(fd, HEADER_BYTES, 0), _HEADER_SEED)
     where = _told(memory, spec.name)
     if entry is None or len(entry[2]) != _HEADER.size or not entry[2].startswith(MAGIC):
         raise AttachError("damaged", f"{where} has no whole header: restart the service")

@@ -21,32 +21,21 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from failstop.policy.causes import Cause
-    from failstop.policy.settings import Settings
-    from failstop.procs.world import World
-    from failstop.shm.segment import Segment
-    from failstop.supervisor.events import Events
     from failstop.supervisor.latch import Latch
+    from failstop.supervisor.run import Run
 
 
 class Aftermath:
     """Follows the last stop, and the link. One follow() a turn."""
 
-    def __init__(
-        self,
-        world: World,
-        views: dict[str, Segment],
-        latch: Latch,
-        settings: Settings,
-        events: Events,
-        holds: Callable[[], bool],
-    ) -> None:
+    def __init__(self, run: Run, latch: Latch, holds: Callable[[], bool]) -> None:
         """`holds`: whether the kernel holds bytes for the board."""
-        self._unix_s = world.unix_s
-        self._events = events
+        self._unix_s = run.world.unix_s
+        self._events = run.events
         self._holds = holds
-        port_owner, telemetry = views[layout.PORT_OWNER], views[layout.TELEMETRY]
-        self._record = views[layout.SUPERVISOR].latest_writer("stop")
-        self._link_record = views[layout.SUPERVISOR].latest_writer("link")
+        port_owner, telemetry, settings = run.views[layout.PORT_OWNER], run.views[layout.TELEMETRY], run.settings
+        self._record = run.own.latest_writer("stop")
+        self._link_record = run.own.latest_writer("link")
         self._pings = [port_owner.word(f"ping_{index}") for index in range(layout.PINGS)]
         self._pong = telemetry.word("pong")
         self._still = telemetry.word("still_ns")

@@ -15,11 +15,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from failstop.policy.settings import Settings
-    from failstop.procs.world import World
-    from failstop.shm.segment import Segment
-    from failstop.supervisor.events import Events
-    from failstop.supervisor.resources import Resources
+    from failstop.supervisor.run import Run
     from failstop.supervisor.stops import Stop
 
 SAMPLE_NS = 100_000_000
@@ -73,17 +69,10 @@ class Saver:
 class BlackBox:
     """One turn: follow(). begin() once, when the other processes are started."""
 
-    def __init__(
-        self,
-        world: World,
-        resources: Resources,
-        settings: Settings,
-        own: Segment,
-        views: dict[str, Segment],
-        events: Events,
-    ) -> None:
-        self._now_ns, self._select = world.now_ns, world.select
-        self._events = events
+    def __init__(self, run: Run) -> None:
+        resources, settings = run.resources, run.settings
+        self._now_ns, self._select = run.world.now_ns, run.world.select
+        self._events = run.events
         self._readable = resources.readable
         self._on = settings.on("incidents.save")
         self._words = {
@@ -92,8 +81,8 @@ class BlackBox:
             "max_mb": str(int(settings["incidents.max_mb"])),
         }
         self._environment = environment(settings)
-        self._ring = own.ring_writer("box")
-        self._beats = [views[which].word("beat_ns") for which in layout.PROCESSES]
+        self._ring = run.own.ring_writer("box")
+        self._beats = [run.views[which].word("beat_ns") for which in layout.PROCESSES]
         self._ages_ns = [0] * len(self._beats)
         """The longest silence of each process since the last sample."""
         self._seen_ns = [0] * len(self._beats)

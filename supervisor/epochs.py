@@ -11,27 +11,26 @@ from failstop.supervisor.latch import Latch
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.shm.bell import EventBell
-    from failstop.shm.segment import Segment
+    from failstop.supervisor.run import Run
     from failstop.supervisor.stops import Stop
 
 
 class Epochs:
     """The words and records of shared memory that the latch is told in."""
 
-    def __init__(self, own: Segment, views: dict[str, Segment], bells: dict[str, EventBell]) -> None:
-        gate = views[layout.GATE]
+    def __init__(self, run: Run) -> None:
+        own, gate = run.own, run.views[layout.GATE]
         self.number = 1
         self.latch = Latch()
         self.ready_word = own.word("ready")
         self._epoch_word = own.word("epoch")
         self._epoch_word.set(self.number)
         self._latch_record = own.latest_writer("latch")
-        self._stopped_word = views[layout.PORT_OWNER].word("stopped_epoch")
+        self._stopped_word = run.views[layout.PORT_OWNER].word("stopped_epoch")
         self._asked_word, self._asked_ns_word = gate.word("resets_asked"), gate.word("reset_asked_ns")
         self._decided_word = own.word("resets")
         self._decided_record = own.latest_writer("reset")
-        self._bells = bells
+        self._bells = run.resources.bells
         self._barrier = Barrier()
 
     def raise_for(self, stops: list[Stop], now_ns: int) -> None:

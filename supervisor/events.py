@@ -9,8 +9,8 @@ import os
 import select
 
 from failstop.policy import causes
-from failstop.shm import instance, layout, packing
-from failstop.shm.records import cut
+from failstop.shm import instance, layout
+from failstop.shm.notes import fitting
 from failstop.supervisor.allowance import ASKED_BYTES, OWN_BYTES, Allowance
 from failstop.supervisor.fold import PREFIX, fitted
 from failstop.supervisor.journal import encode
@@ -32,19 +32,19 @@ LONGEST_HOLD_NS = 50_000_000
 """Events wait at most this long for a stop's bytes, which are out within 5 ms where they can be written at all."""
 MOST_WAITING = 256
 CUTS = ((280, 280), (200, 60), (120, 24))
-"""Bytes that are left of the text, and of each field's: the first that fit into the ring."""
+"""As notes.CUTS."""
 ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name, causes.FLEET.name))
 AGAIN = frozenset(("stop_again", "stop_also"))
 """What anybody can bring about without end; a stop that is latched again takes somebody who resets."""
 ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
 
 
-def say(message: str) -> None:
+def say(text: str) -> None:
     """Write one line to stderr, broken at words on a terminal. A log that can't be written is no reason to stop
     working, nor one that nobody reads (a full pipe, a terminal held by Ctrl-S): the line is dropped then."""
     try:
         if select.select((), (2,), (), 0)[1]:
-            os.write(2, f"{fitted(PREFIX + message, 2)}\n".encode("utf-8", "replace"))
+            os.write(2, f"{fitted(PREFIX + text, 2)}\n".encode("utf-8", "replace"))
     except OSError:
         return
 
@@ -153,16 +153,6 @@ def entry(name: str, t_ns: int, kind: str, level: str, text: str, fields: dict[s
 
 
 def pack(t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value]) -> bytes:
-    """One event for the ring, as a msgpack map, its texts cut until it fits; fields that then still do not are left
-    out."""
-    told: dict[str, object] = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level, "text": "", "fields": {}}
-    for text_bytes, value_bytes in CUTS:
-        told["text"] = cut(text, text_bytes).decode()
-        told["fields"] = {
-            key: cut(value, value_bytes).decode() if isinstance(value, str) else value for key, value in fields.items()
-        }
-        data = packing.pack(told)
-        if len(data) <= ROOM:
-            return data
-    told["fields"] = {}
-    return packing.pack(told)
+    """One event for the ring, as a msgpack map."""
+    told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level}
+    return fitting(ROOM, CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})

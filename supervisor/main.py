@@ -33,6 +33,7 @@ from failstop.supervisor.opener import Opener
 from failstop.supervisor.port_handover import PortHandover
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.readiness import Readiness
+from failstop.supervisor.run import Run
 from failstop.supervisor.silence import Silence
 from failstop.supervisor.stops import Stop
 from failstop.supervisor.teller import Teller
@@ -83,9 +84,9 @@ class Supervisor:
         notify: Notify | None = None,
         journal: Outbox | None = None,
     ) -> None:
-        name, memory, run = resources.name, resources.memory, resources.incarnation
-        own = segment.attach(memory, layout.SUPERVISOR, run, write=True)
-        views = {process: segment.attach(memory, process, run) for process in layout.PROCESSES}
+        name, memory, incarnation = resources.name, resources.memory, resources.incarnation
+        own = segment.attach(memory, layout.SUPERVISOR, incarnation, write=True)
+        views = {process: segment.attach(memory, process, incarnation) for process in layout.PROCESSES}
         own.latest_writer("rules").write(pack(_rules(settings)))
         own.latest_writer("settings").write(pack(settings.flat()))
         notify = notify or Notify()
@@ -97,24 +98,22 @@ class Supervisor:
         self._events = Events(world, name, own.ring_writer("events"), journal, resources.published)
         advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
         self.teller = Teller(name, self._events, views, advice)
-        self._silence = Silence(views, resources.bells, self._events, advice)
-        lifelines = segment.attach_unmapped(memory, "lifelines", run)
-        self.processes = ProcessTable(world, resources, settings, self.loop, own, views, lifelines, self._events)
+        run = Run(world, resources, settings, own, views, self.loop, self._events)
+        self._silence = Silence(run, advice)
+        self.processes = ProcessTable(run, segment.attach_unmapped(memory, "lifelines", incarnation))
         self.children = self.processes.children
-        self.epochs = Epochs(own, views, resources.bells)
-        self.aftermath = Aftermath(
-            world, views | {layout.SUPERVISOR: own}, self.epochs.latch, settings, self._events, port.holds
-        )
-        self.blackbox = BlackBox(world, resources, settings, own, views, self._events)
+        self.epochs = Epochs(run)
+        self.aftermath = Aftermath(run, self.epochs.latch, port.holds)
+        self.blackbox = BlackBox(run)
         opener = Opener(world, Finder(settings.text("device.path")), resources.bells[layout.SUPERVISOR])
-        self.handover = PortHandover(port, opener, resources, views, self.loop, self.processes, self._events)
+        self.handover = PortHandover(run, port, opener, self.processes)
         self.readiness = Readiness(own.latest_writer("processes"), self.epochs, self.handover, self._silence)
         self.herald = Herald(notify, self.processes, self.epochs.latch, views)
         self._names = Names(resources.named, self._events)
         self._written_word = own.word("written_ns")
         self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
         self._stops = views[layout.PORT_OWNER].ring_reader("stops")
-        self._trips = views[layout.GATE].ring_reader("trips")
+        self._gate_stops = views[layout.GATE].ring_reader("stops")
         self._begin(resources.bells[layout.SUPERVISOR])
 
     def _begin(self, own_bell: EventBell) -> None:
@@ -263,7 +262,7 @@ class Supervisor:
         """Every stop that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
         death was answered."""
         stops = []
-        for process, ring in ((layout.PORT_OWNER, self._stops), (layout.GATE, self._trips)):
+        for process, ring in ((layout.PORT_OWNER, self._stops), (layout.GATE, self._gate_stops)):
             while entry := ring.next():
                 _, cause_ns, written_ns, cause = records.STOPPED.unpack(entry[2])
                 stops.append(Stop(cause_ns, process, causes.read(cause), written_ns))

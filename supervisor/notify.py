@@ -1,6 +1,6 @@
 """Notify: what the service manager is told (the sd_notify protocol): ready, a status line, the watchdog, the end.
 
-One datagram a message, never waited for. A message that could not be sent is sent again at a later turn, and is no
+Datagrams, never waited for. What could not be sent is sent again at a later turn, and is no
 reason to do anything else.
 """
 
@@ -29,7 +29,7 @@ class Notify:
         abstract = address.startswith("@")
         self._outbox = Outbox(b"\0" * abstract + address[abstract:].encode("utf-8", "surrogateescape"))
         self.every_ns = watchdog_us * 1000 // 2
-        """Half of the timeout: one message may get lost."""
+        """Half of the timeout: one datagram may get lost."""
         self._beat_ns = 0
         self._said = ""
         self._want_ready = False
@@ -75,9 +75,9 @@ class Notify:
         """Let the socket go."""
         self._outbox.close()
 
-    def send(self, message: str) -> bool:
-        """Send one message; False when it could not be handed over at once."""
-        return self.active and self._outbox.send(message.encode("utf-8", "replace"))
+    def send(self, lines: str) -> bool:
+        """Send one datagram; False when it could not be handed over at once."""
+        return self.active and self._outbox.send(lines.encode("utf-8", "replace"))
 
 
 def _one_line(text: str) -> str:

@@ -12,13 +12,10 @@ from failstop.shm import layout, records
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.procs.loop import Loop
-    from failstop.shm.segment import Segment
-    from failstop.supervisor.events import Events
     from failstop.supervisor.opener import Opener
     from failstop.supervisor.port import OwnPort
     from failstop.supervisor.process_table import ProcessTable
-    from failstop.supervisor.resources import Resources
+    from failstop.supervisor.run import Run
 
 SHARE_NS = 100_000_000
 """How often a process is sent the port until it has it."""
@@ -27,28 +24,19 @@ SHARE_NS = 100_000_000
 class PortHandover:
     """The supervisor's part of it; `controls`: its ends of the control sockets."""
 
-    def __init__(
-        self,
-        port: OwnPort,
-        opener: Opener,
-        resources: Resources,
-        views: dict[str, Segment],
-        loop: Loop,
-        processes: ProcessTable,
-        events: Events,
-    ) -> None:
+    def __init__(self, run: Run, port: OwnPort, opener: Opener, processes: ProcessTable) -> None:
         self._port = port
         self.opener = opener
         opener.finder.learn(port.fd)
-        self._loop = loop
+        self._loop = run.loop
         self._processes = processes
-        self._events = events
-        self._bell = resources.bells[layout.STOPPER]
-        self._record = views[layout.PORT_OWNER].latest_reader("port")
-        self._stopper_port = views[layout.STOPPER].word("port_number")
+        self._events = run.events
+        self._bell = run.resources.bells[layout.STOPPER]
+        self._record = run.views[layout.PORT_OWNER].latest_reader("port")
+        self._stopper_port = run.views[layout.STOPPER].word("port_number")
         self._shared_ns = self._lost_ns = 0
-        self.controls = {process: Control(fds[0]) for process, fds in resources.controls.items()}
-        loop.watch(port.fd, HANGUP)
+        self.controls = {process: Control(fds[0]) for process, fds in run.resources.controls.items()}
+        run.loop.watch(port.fd, HANGUP)
 
     def lost(self, ready: dict[int, int], now_ns: int) -> bool:
         """True when the port has just gone: it is let go at once, and looked for."""

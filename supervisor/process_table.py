@@ -17,13 +17,9 @@ from failstop.supervisor.starter import Starter
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.policy.settings import Settings
-    from failstop.procs.loop import Loop
-    from failstop.procs.world import World
     from failstop.shm.segment import Segment
-    from failstop.supervisor.events import Events
     from failstop.supervisor.port import OwnPort
-    from failstop.supervisor.resources import Resources
+    from failstop.supervisor.run import Run
 
 TRY_AGAIN_NS = 500_000_000
 GATE_AGAIN_NS = 60_000_000_000
@@ -33,24 +29,15 @@ GATE_AGAIN_NS = 60_000_000_000
 class ProcessTable:
     """Every process of the table as it is now. The early news of their deaths ring `early.bell`."""
 
-    def __init__(
-        self,
-        world: World,
-        resources: Resources,
-        settings: Settings,
-        loop: Loop,
-        own: Segment,
-        views: dict[str, Segment],
-        lifelines: Segment,
-        events: Events,
-    ) -> None:
+    def __init__(self, run: Run, lifelines: Segment) -> None:
         """Holds the supervisor's own block from here on."""
-        self._now_ns = world.now_ns
+        resources, settings = run.resources, run.settings
+        self._now_ns = run.world.now_ns
         self._resources = resources
-        self._events = events
-        self._loop = loop
+        self._events = run.events
+        self._loop = run.loop
         self._bells = resources.bells
-        self._life_words = {row.name: own.word(f"{row.name}_life") for row in PROCESSES}
+        self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
         self._held = lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK, write=True).hold(PER_BLOCK)
         self._block = layout.SUPERVISOR_BLOCK
         self.early = EarlyNews(lifelines)
@@ -58,7 +45,7 @@ class ProcessTable:
         deaths, window_ns = int(settings["restart.deaths"]), settings.ns("restart.window_s")
         backoff_ns = settings.ns("restart.backoff_s")
         self.children = [
-            Child(row, HeartbeatReader(views[row.name]), Restarts(deaths, window_ns, backoff_ns), loop.timer())
+            Child(row, HeartbeatReader(run.views[row.name]), Restarts(deaths, window_ns, backoff_ns), run.loop.timer())
             for row in PROCESSES
         ]
         self._by_name = {child.row.name: child for child in self.children}

@@ -20,10 +20,8 @@ from failstop.shm.barrier import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.shm.bell import EventBell
-    from failstop.shm.segment import Segment
     from failstop.supervisor.children import Child
-    from failstop.supervisor.events import Events
+    from failstop.supervisor.run import Run
 
 TELL_EVERY_NS = 10_000_000_000
 
@@ -31,13 +29,13 @@ TELL_EVERY_NS = 10_000_000_000
 class Silence:
     """What the supervisor knows of motion when it judges a silence, and the silences that it has excused."""
 
-    def __init__(self, views: dict[str, Segment], bells: dict[str, EventBell], events: Events, advice: str) -> None:
+    def __init__(self, run: Run, advice: str) -> None:
         """`advice`: what to do against it, for people."""
-        self._gate_record = views[layout.GATE].latest_reader("state")
-        self._moving_word = views[layout.PORT_OWNER].word("moving")
+        self._gate_record = run.views[layout.GATE].latest_reader("state")
+        self._moving_word = run.views[layout.PORT_OWNER].word("moving")
         self._barrier = Barrier()
-        self._bells = bells
-        self._events = events
+        self._bells = run.resources.bells
+        self._events = run.events
         self._advice = advice
         self._told_ns = 0
         self.times = 0

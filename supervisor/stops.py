@@ -166,8 +166,7 @@ class Stop:
         """The same for programs."""
         seen = "unknown" if self.observed_ns is None else "still"
         return {
-            "reason": str(self.cause),
-            "cause": self.cause.kind.name,
+            **self.cause.fields(),
             "epoch": self.epoch,
             "link": link,
             "sent": not self.held,

@@ -58,7 +58,7 @@ class Teller:
     def also(self, stop: Stop) -> None:
         """A cause that came together with others, or before their stop was answered."""
         if self._news_of(stop.cause):
-            fields = {**_named(stop.cause), "noticed_by": stop.noticed_by}
+            fields = {**stop.cause.fields(), "noticed_by": stop.noticed_by}
             self.events.tell("stop_also", f"also: {stop.cause}", fields)
 
     def stopped(
@@ -72,7 +72,7 @@ class Teller:
         held = held and written_ns > 0
         wrote += f", {NOT_SENT}" if held else ""
         fields = {
-            **_named(stop.cause),
+            **stop.cause.fields(),
             "noticed_by": stop.noticed_by,
             "written_by": by if written_ns else "nobody",
             "latency_us": round(written_us, 1) if written_ns else None,
@@ -137,8 +137,3 @@ class Teller:
         else:
             heard, level = f"NOT acknowledged by the board (link {link}); wheels that turn: POWER SWITCH", "critical"
         self.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if sent else "critical")
-
-
-def _named(cause: Cause) -> dict[str, str]:
-    """A cause as fields of an event: for people, and for programs."""
-    return {"reason": str(cause), "cause": cause.kind.name}

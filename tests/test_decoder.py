@@ -195,13 +195,6 @@ def test_every_key_event(event: int) -> None:
     assert decoder.key(data_of(upward.key(2, event))) == (2, event)
 
 
-def test_sbus() -> None:
-    channels = tuple(range(-8, 8))
-    data = data_of(upward.sbus(channels, ch18=True, safe=True))
-    assert len(data) == 36
-    assert decoder.sbus(data) == (channels, False, True, False, True)
-
-
 def test_servo_replies() -> None:
     assert decoder.servo_reply(PWM_SERVO, data_of(upward.pwm_servo_deviation(3, -20))) == (3, 0x09, -20)
     assert decoder.servo_reply(BUS_SERVO, data_of(upward.bus_servo(7, 0x05, -12))) == (7, 0x05, -12)
@@ -225,7 +218,6 @@ def test_servo_replies() -> None:
         decoder.imu(bytes(25)),
         decoder.gamepad(bytes(6)),
         decoder.gamepad(bytes(8)),
-        decoder.sbus(bytes(35)),
         decoder.servo_reply(PWM_SERVO, b"\x01\x05"),
         decoder.servo_reply(PWM_SERVO, b"\x01\x05\xdc"),
         decoder.servo_reply(PWM_SERVO, b"\x01\x06\xdc\x05"),

@@ -7,6 +7,7 @@ from math import ceil, isfinite
 from failstop.api.errors import FailstopError, Refused
 from failstop.policy.capsules import Model, would_hit
 from failstop.policy.settings import Settings
+from failstop.procs.gate.arm.goals import too_far
 from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.shm import records
 
@@ -134,10 +135,8 @@ class Arm:
         return self.joints[name]
 
     def _check(self, angles: Mapping[str, float]) -> None:
-        for name, angle in angles.items():
-            low, high = self._joint(name).range_rad()
-            if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:
-                raise Refused(f"joint {name} to {angle:g} rad: allowed is {low:.3f} to {high:.3f}")
+        if fault := too_far([self._joint(name) for name in angles], list(angles.values())):
+            raise Refused(fault)
 
 
 def _is_pose(to: object) -> bool:

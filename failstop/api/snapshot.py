@@ -358,11 +358,6 @@ class State:
             if plain[absent] is None:
                 del plain[absent]
         return plain | {
-            "cause": _plain(self.cause),
-            "last_stop": self.last_stop and {**vars(self.last_stop), "cause": _plain(self.last_stop.cause)},
+            "cause": self.cause and self.cause.as_map(),
+            "last_stop": self.last_stop and {**vars(self.last_stop), "cause": self.last_stop.cause.as_map()},
         }
-
-
-def _plain(cause: Cause | None) -> dict[str, Any] | None:
-    """A cause for programs: the name of its row in policy/causes.py, and its arguments."""
-    return None if cause is None else {"name": cause.kind.name, **cause.named()}

@@ -192,14 +192,14 @@ class StateReader:
             raise self._starting()
         _, told_ns, payload = entry
         decided: dict[str, Any] = RECORDS["state"][1](payload)
-        tripped = causes.read(decided["estop"]) if decided["estop"] else None
+        own = causes.read(decided["estop"]) if decided["estop"] else None
         since, _, _, latched = self._value("latch") or (0, 0, 0, b"")
-        cause = (causes.read(latched) if since else None) or tripped
+        cause = (causes.read(latched) if since else None) or own
         # Its death comes before what the port owner has noticed of it: the gate dies with it.
         cause = cause or (causes.DIED(layout.SUPERVISOR) if dead else self._own_stop(epoch))
         if not cause and decided["enabled"] and self.run.silent(time.monotonic_ns()):
             cause = causes.SILENT()
-        if cause and not tripped:
+        if cause and not own:
             decided |= {
                 "enabled": False,
                 "blocked": f"{blocks.LATCHED}{cause}",

@@ -53,7 +53,7 @@ class Why:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as in `failstop why --json`."""
-        cause = {"name": self.cause.kind.name, **self.cause.named()} if self.cause else None
+        cause = self.cause.as_map() if self.cause else None
         return {**vars(self), "block": self.block and self.block.value, "cause": cause}
 
 

@@ -10,15 +10,15 @@ import contextlib
 import struct
 
 from failstop.policy import causes
-from failstop.shm import box, layout, records, slot
-from failstop.shm.latest import slot_bytes
+from failstop.shm import box, cell, layout, records
+from failstop.shm.latest import cell_bytes
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
     from failstop.policy.causes import Cause
-    from failstop.shm.slot import Entry
+    from failstop.shm.cell import Entry
 
     Copies = dict[str, tuple[int, bytes]]
 
@@ -42,12 +42,12 @@ def words(name: str, data: bytes) -> dict[str, int]:
 
 
 def whole(name: str, record_name: str, incarnation: int, data: bytes) -> list[Entry]:
-    """Every whole entry of a record (a latest has two slots, a ring many), the oldest first."""
+    """Every whole entry of a record (a latest has two cells, a ring many), the oldest first."""
     spec = layout.BY_NAME[name]
     record = spec.records[record_name]
-    size, offset = slot_bytes(record.capacity), spec.offsets[record_name]
-    seed = slot.seed(f"{name}.{record_name}", incarnation)
-    found = (slot.check(data, seed, at, size) for at in range(offset, offset + record.size(), size))
+    size, offset = cell_bytes(record.capacity), spec.offsets[record_name]
+    seed = cell.seed(f"{name}.{record_name}", incarnation)
+    found = (cell.check(data, seed, at, size) for at in range(offset, offset + record.size(), size))
     return sorted(entry for entry in found if entry)
 
 

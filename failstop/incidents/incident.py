@@ -264,8 +264,8 @@ class Incident:
     def stops(self) -> list[Stop]:
         """Every cause that port owner and gate noticed."""
         found = []
-        for segment, ring in ((layout.PORT_OWNER, "stops"), (layout.GATE, "trips")):
-            for _, (_, cause_ns, _, cause) in self._entries(segment, ring, records.STOPPED.unpack):
+        for segment in (layout.PORT_OWNER, layout.GATE):
+            for _, (_, cause_ns, _, cause) in self._entries(segment, "stops", records.STOPPED.unpack):
                 found.append(Stop(cause_ns, segment, causes.read(cause)))
         return sorted(found, key=lambda stop: stop.ns)
 
@@ -275,7 +275,7 @@ class Incident:
         found = []
         for ns, event in self._entries(layout.SUPERVISOR, "events", _event):
             found.append(Event(event.get("ns", ns), event["kind"], event["level"], event["text"], event["fields"]))
-        for ns, event in self._entries(layout.TELEMETRY, "events", _map):
+        for ns, event in self._entries(layout.TELEMETRY, "buttons", _map):
             found.append(Event(ns, str(event["kind"]), "info", _button(event), {}))
         return sorted(found, key=lambda event: event.ns)
 

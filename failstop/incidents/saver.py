@@ -137,7 +137,7 @@ def _contents(
         "t": at_s,
         "saved": now_s,
         "reason": str(why),
-        "cause": {"name": why.kind.name, **why.named()},
+        "cause": why.as_map(),
         "kind": "stop" if live else "left",
         "cause_ns": cause_ns,
         "epoch": epoch,

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from typing import Any, Protocol
 
     from failstop.procs.loop import Loop
+    from failstop.shm.cell import Entry
     from failstop.shm.latest import LatestReader
     from failstop.shm.lifeline import EarlyNews
     from failstop.shm.segment import Segment
-    from failstop.shm.slot import Entry
 
     class Listener(Protocol):
         """Who acts on what clients do."""

@@ -56,8 +56,8 @@ class GateCore:
         self.enabled = False
         self.latch: Cause | None = None
         """What is latched by the supervisor's word, or by its own until the supervisor has answered that."""
-        self._tripped_in = 0
-        """The epoch in which it tripped by itself; answered once the epoch is newer."""
+        self._stopped_in = 0
+        """The epoch in which it stopped by itself; answered once the epoch is newer."""
         self.epoch = 0
         """The epoch that motion was enabled in; every frame carries it."""
         self.velocity = REST
@@ -96,7 +96,7 @@ class GateCore:
         return stale_ns if driving.manual or not self.scan.on else min(stale_ns, self.scan.silent_ns())
 
     def take(self, command: Command, now_ns: int) -> Cause | None:
-        """A new command. Returns the cause to trip for, None when it is a good one: non-finite values, a second
+        """A new command. Returns the cause to stop for, None when it is a good one: non-finite values, a second
         publisher of one source beside one whose command still counts. A stamp from the future counts as now; a source
         that no setting names, or that is the pad's, is noted and ignored."""
         if not all(map(isfinite, command.velocity)):
@@ -131,21 +131,21 @@ class GateCore:
                 self._tell(remarks.gone(driving), self._halts, now_ns)
         return self.sources.drop(session)
 
-    def trip(self, cause: Cause, epoch: int) -> bool:
+    def stop(self, cause: Cause, epoch: int) -> bool:
         """Stop by itself: disable, stand still, and say so until the supervisor has latched it. True when nothing is
         latched yet, so that this is news."""
         self.stand_still()
         if self.latch is not None:
             return False
         self.latch = cause
-        self._tripped_in = epoch
+        self._stopped_in = epoch
         return True
 
     def follow(self, latched: Cause | None, epoch: int) -> None:
         """What the supervisor has latched by now, in this epoch."""
         if latched:
             self.stand_still()
-        if latched or epoch > self._tripped_in:
+        if latched or epoch > self._stopped_in:
             self.latch = latched
 
     def stand_still(self) -> None:

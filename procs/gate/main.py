@@ -78,7 +78,7 @@ class Gate:
         """What it publishes, and whom it wakes for it."""
         own = context.own
         self._frames = own.ring_writer("frames")
-        self._trips = own.ring_writer("trips")
+        self._stops = own.ring_writer("stops")
         self._notes = own.ring_writer("notes")
         self._state = own.latest_writer("state")
         self._said_record = own.latest_writer("said")
@@ -168,13 +168,13 @@ class Gate:
     def _check_attendance(self, now_ns: int) -> None:
         """Motion goes on only while an operator is there, where the settings ask for one."""
         if self.core.enabled and (gone := self.core.attendance.gone(now_ns)):
-            self.trip(gone, now_ns)
+            self.stop(gone, now_ns)
 
     def _check_supervisor(self, now_ns: int) -> None:
         """The port owner admits nothing without it: then nobody is to be told that motion is enabled."""
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
-            self.trip(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
+            self.stop(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
 
     def _follow_said(self, now_ns: int) -> None:
         """What clients say of themselves, passed on unjudged."""
@@ -244,20 +244,20 @@ class Gate:
         self._barrier()
         self._replies[slot.index].write(reply.pack(session, number))
 
-    def trip(self, cause: Cause, now_ns: int) -> None:
+    def stop(self, cause: Cause, now_ns: int) -> None:
         """Latch a stop: burst at once, then the news to the supervisor, which raises the epoch."""
-        if self.core.trip(cause, self.epoch):
+        if self.core.stop(cause, self.epoch):
             self.send(records.STOP, b"", now_ns)
             if self.arm:
                 self.arm.stopped(LATCHED)
-            self._trips.put(records.STOPPED.pack(self.epoch, now_ns, 0, cause.pack()))
+            self._stops.put(records.STOPPED.pack(self.epoch, now_ns, 0, cause.pack()))
             self.supervisor_bell.ring()
 
     def client_command(self, command: Command, now_ns: int) -> None:
         """A new command moves the wheels at once, not at the next tick."""
         self._box.command(command)
         if fault := self.core.take(command, now_ns):
-            self.trip(fault, now_ns)
+            self.stop(fault, now_ns)
         else:
             self._step(now_ns)
 

@@ -46,8 +46,7 @@ def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) ->
     if verb == records.ARM_RELEASE:
         return Note("arm", f"arm released by {by}", fields)
     if verb == records.RESET and reply.cause:
-        was = {"reason": str(reply.cause), "cause": reply.cause.kind.name}
-        return Note("reset", f"{by}: {reply}", {**fields, **was})
+        return Note("reset", f"{by}: {reply}", {**fields, **reply.cause.fields()})
     return None
 
 

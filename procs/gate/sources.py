@@ -46,8 +46,8 @@ class Sources:
     def __init__(self, declared: dict[str, tuple[int, int]], pad_timeout_ns: int) -> None:
         """`declared`: name -> (priority, timeout in ns)."""
         rows = {**declared, PAD: (PAD_PRIORITY, pad_timeout_ns)}
-        self._order = sorted(rows, key=lambda name: -rows[name][0])
-        self._rank = {name: rows[name][0] for name in rows}
+        self._rank = {name: rows[name][0] for name in sorted(rows, key=lambda name: -rows[name][0])}
+        """The priority of each, the highest first."""
         self._timeout_ns = {name: rows[name][1] for name in rows}
         self._commands: dict[str, Command] = {}
         self._driver = ""
@@ -89,7 +89,7 @@ class Sources:
 
     def driving(self, now_ns: int) -> Command | None:
         """The command of the highest source that is fresh."""
-        for source in self._order:
+        for source in self._rank:
             if command := self.fresh(source, now_ns):
                 return command
         return None
@@ -109,7 +109,7 @@ class Sources:
         """Who drives and who waits, highest first, for people."""
         driving = self.driving(now_ns)
         rows: list[dict[str, str | int]] = []
-        for source in self._order:
+        for source in self._rank:
             if command := self.fresh(source, now_ns):
                 state = "drives" if command is driving else "waits"
                 rows.append({"source": source, "priority": self._rank[source], "who": command.who, "state": state})

@@ -37,14 +37,14 @@ Motion = tuple[bytes, int, int]
 class Admission:
     """The port owner's memory of its own stops, and its limits."""
 
-    __slots__ = ("_lease_ns", "_max_rps", "moving", "stopped_in")
+    __slots__ = ("_lease_ns", "_max_rps", "stopped_in", "wheels_move")
 
     def __init__(self, lease_ns: int, max_rps: float) -> None:
         self._lease_ns = lease_ns
         self._max_rps = max_rps
         self.stopped_in = 0
         """The newest epoch in which it stopped on its own."""
-        self.moving = False
+        self.wheels_move = False
         """A motion frame has been written since the last stop."""
 
     def decide(
@@ -61,7 +61,7 @@ class Admission:
         """One of WRITE, DROP, BURST and REQUEST, or the cause of a stop. `gate_ns`, `supervisor_ns`: when they have
         beaten last (None: no gate is watched); `check`: of the frame's content; `requested`: a stop request waits."""
         if gate_ns is None or not self.current(motion, epoch, now_ns):
-            return BURST if self.moving and motion[0] == BOARD.stop else DROP
+            return BURST if self.wheels_move and motion[0] == BOARD.stop else DROP
         if requested:
             return REQUEST
         if lapse := self.lapsed(gate_ns, supervisor_ns, now_ns):
@@ -91,5 +91,5 @@ class Admission:
 
     def stopped(self, epoch: int) -> None:
         """It has stopped in this epoch, for a cause that the supervisor has not raised it for."""
-        self.moving = False
+        self.wheels_move = False
         self.stopped_in = max(self.stopped_in, epoch)

@@ -107,7 +107,7 @@ class PortOwner:
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_beat = supervisor.word("beat_ns")
         self._frames = context.segment("gate").ring_reader("frames")
-        self._trips = context.segment("telemetry").ring_reader("trips")
+        self._causes = context.segment("telemetry").ring_reader("causes")
         self._bell = context.bell("bell")
         self._stop_pipe = context.fd("stop")
         self._control = Control(context.fd("control"))
@@ -132,7 +132,7 @@ class PortOwner:
         self._tick.set(now_ns + TICK_NS)
         self._hear_requests(ready, now_ns)
         bell.clear_rung((self._bell, self._early.bell), ready)
-        self._hear_trips()
+        self._hear_causes()
         self._answer_deaths(ready, now_ns)
         self._follow_epoch(now_ns)
         self._check_suspend(now_ns)
@@ -168,7 +168,7 @@ class PortOwner:
 
     def _stopped(self, written_ns: int) -> int:
         """What follows every burst. Returns when it was written: 0 when the kernel did not take all of it."""
-        self.admission.moving = self._arm_moved = False
+        self.admission.wheels_move = self._arm_moved = False
         self.bus.waiting.clear()
         self._lapse.set(NEVER)
         self.repeats.restart(written_ns)
@@ -205,11 +205,11 @@ class PortOwner:
             self._pipe_rests.set(NEVER)
             self.loop.watch(self._stop_pipe, READ)
 
-    def _hear_trips(self) -> None:
+    def _hear_causes(self) -> None:
         """Buttons and keys, which telemetry has decoded."""
-        while trip := self._trips.next():
+        while entry := self._causes.next():
             self.wire.burst()
-            self._own_stop(trip[1], self._now_ns(), causes.read(trip[2]))
+            self._own_stop(entry[1], self._now_ns(), causes.read(entry[2]))
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
         """The supervisor's is the end of this process too, when the stop has been repeated."""
@@ -231,7 +231,7 @@ class PortOwner:
         that this same cause has just made."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
-            just_stopped = self.admission.stopped_in >= self.epoch and not self.admission.moving
+            just_stopped = self.admission.stopped_in >= self.epoch and not self.admission.wheels_move
             self.epoch = epoch
             if not just_stopped:
                 self._burst()
@@ -249,7 +249,7 @@ class PortOwner:
 
     def _check_leases(self, now_ns: int) -> None:
         """At the moment when one runs out, not at a tick after it. Without motion there is nothing to stop."""
-        if not self.admission.moving:
+        if not self.admission.wheels_move:
             return
         if lapse := self.admission.lapsed(self._gate.heart.ns.get(), self._supervisor_beat.get(), now_ns):
             self.stop(now_ns, lapse)
@@ -295,7 +295,7 @@ class PortOwner:
         """The gate wants a burst: at once while something moves, else not again so soon after the last: clients that
         disable again and again must not keep the wire full."""
         now_ns = self._now_ns()
-        if self.admission.moving or self._arm_moved or now_ns - self._written_word.get() >= PIPE_REST_NS:
+        if self.admission.wheels_move or self._arm_moved or now_ns - self._written_word.get() >= PIPE_REST_NS:
             self._burst()
 
     def _forward_arm(self) -> None:
@@ -305,7 +305,7 @@ class PortOwner:
             move, now_ns = self.bus.waiting[0], self._now_ns()
             verdict = self._decide(move, now_ns, self.bus.check)
             if verdict == admission.WRITE:
-                due_ns = self.bus.due_ns(move[0], now_ns, wheels_move=self.admission.moving)
+                due_ns = self.bus.due_ns(move[0], now_ns, wheels_move=self.admission.wheels_move)
                 if now_ns < due_ns < NEVER:
                     break
             self.bus.waiting.popleft()
@@ -376,7 +376,7 @@ class PortOwner:
         elif self._check_suspend(now_ns):
             return
         elif self.wire.frame(frame, backlog=MOTION_BACKLOG):
-            self.admission.moving = True
+            self.admission.wheels_move = True
             self._moved_ns = now_ns
             self._await_lapse()
             self.repeats.motion()

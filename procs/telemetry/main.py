@@ -1,4 +1,4 @@
-"""Telemetry's loop: bytes from the port owner's ring, decoded, published; buttons and keys become trips for the port
+"""Telemetry's loop: bytes from the port owner's ring, decoded, published; buttons and keys become causes for the port
 owner, the pad's sticks and its reset become requests for the gate."""
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from failstop.procs.telemetry.battery_log import HEADER, BatteryLog
 from failstop.procs.telemetry.charger import Charger
 from failstop.procs.telemetry.gate_state import GateState
 from failstop.procs.telemetry.imu import Accelerometer, GyroBias
+from failstop.procs.telemetry.noticer import Noticer
 from failstop.procs.telemetry.odometry import Odometry
 from failstop.procs.telemetry.pad import Pad
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
 from failstop.procs.telemetry.tones import Tones
-from failstop.procs.telemetry.trips import Trips
 from failstop.shm import box, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.notes import Note
@@ -50,8 +50,10 @@ class Telemetry:
         self.heartbeat = context.heartbeat
         self.loop = Loop(context.world)
         self._decoder = decoder.Decoder()
-        self._trips = Trips(int(settings["pad.mode_button"]), int(settings["key.stop"]), settings["battery.stop_mv"])
-        self._pad = Pad.of(settings, self._trips)
+        self._noticer = Noticer(
+            int(settings["pad.mode_button"]), int(settings["key.stop"]), settings["battery.stop_mv"]
+        )
+        self._pad = Pad.of(settings, self._noticer)
         self._pad_mode = records.PAD_MODES[self._pad.mode]
         self._tones = Tones(on=settings.on("buzzer.tones"))
         self._accelerometer = Accelerometer.of(settings)
@@ -79,8 +81,8 @@ class Telemetry:
         self._records = {name: own.latest_writer(name) for name in ("imu", "bias", "odometry", "battery", "pad")}
         self._command = own.latest_writer("pad_command")
         self._arm_command = own.latest_writer("pad_arm")
-        self._events = own.ring_writer("events")
-        self._trips_out = own.ring_writer("trips")
+        self._buttons = own.ring_writer("buttons")
+        self._causes = own.ring_writer("causes")
         self._pad_requests = own.ring_writer("pad_requests")
         self._notes = own.ring_writer("notes")
         self._servos = own.ring_writer("servos")
@@ -213,11 +215,11 @@ class Telemetry:
         self._pad_requests.put(records.PAD_REQUEST.pack(kind, frame))
         self._gate_bell.ring()
 
-    def _trip(self, cause: Cause | None) -> None:
+    def _raise(self, cause: Cause | None) -> None:
         """The port owner stops before anyone decides anything. Not by the pipe that everybody may write to: who pressed
         is what telemetry has seen, not what somebody says."""
         if cause:
-            self._trips_out.put(cause.pack())
+            self._causes.put(cause.pack())
             self._port_owner_bell.ring()
 
     def _on_imu(self, data: bytes, t_ns: int) -> None:
@@ -238,7 +240,7 @@ class Telemetry:
 
     def _on_system(self, data: bytes, t_ns: int) -> None:
         if millivolts := decoder.battery_mv(data):
-            self._trip(self._trips.battery(millivolts))
+            self._raise(self._noticer.battery(millivolts))
             if self._charger.take(millivolts, t_ns):
                 name = records.PLUGGED[self._charger.state]
                 self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")
@@ -252,7 +254,7 @@ class Telemetry:
     def _on_pad(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.gamepad(data):
             news = self._pad.take(sample, data, t_ns)
-            self._trip(news.cause)
+            self._raise(news.cause)
             if news.command:
                 self._command.write(records.PAD_COMMAND.pack(*news.command), t_ns)
                 self._gate_bell.ring()
@@ -265,7 +267,7 @@ class Telemetry:
             self._records["pad"].write(records.PAD.pack(*sample, self._pad.mode), t_ns)
             self._box.put(box.pack_pad(sample, self._pad.mode), t_ns)
             if news.cause:
-                self._events.put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
+                self._buttons.put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
                 text = f"{news.cause}; last frames: {self._pad.recent()}"
                 self._note("pad", text, {"reason": str(news.cause)})
 
@@ -287,8 +289,8 @@ class Telemetry:
 
     def _on_key(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.key(data):
-            self._trip(self._trips.key(*sample))
-            self._events.put(pack({"kind": "key", "key": sample[0], "event": sample[1]}), t_ns)
+            self._raise(self._noticer.key(*sample))
+            self._buttons.put(pack({"kind": "key", "key": sample[0], "event": sample[1]}), t_ns)
 
 
 def run(context: Context) -> int:

@@ -1,4 +1,4 @@
-"""The gamepad: buttons that trip, the modes, the sticks, the hold that asks for a reset. Pure.
+"""The gamepad: buttons that stop, the modes, the sticks, the hold that asks for a reset. Pure.
 
 locked --MODE--> drive --MODE--> locked ...     with a lockout between two changes
 any --any latch, any other button--> locked     and locked it stays while latched
@@ -6,7 +6,7 @@ any --any latch, any other button--> locked     and locked it stays while latche
 
 from __future__ import annotations
 
-from failstop.procs.telemetry.trips import Trips
+from failstop.procs.telemetry.noticer import Noticer
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ SILENCE_NS = 500_000_000
 HOLD_ENDS = 3
 """Frames without MODE that end a hold: single frames lose it."""
 RAW_FRAMES = 6
-"""How many raw frames are kept for the log: what the pad sent just before a trip."""
+"""How many raw frames are kept for the log: what the pad sent just before a stop."""
 STANDSTILL = (0.0, 0.0, 0.0)
 
 
@@ -53,7 +53,7 @@ class Pad:
 
     def __init__(
         self,
-        trips: Trips,
+        noticer: Noticer,
         *,
         mode_button: int,
         dead_zone: float,
@@ -63,7 +63,7 @@ class Pad:
         joints: int = 0,
     ) -> None:
         """`limits`: what a stick at its end commands, in m/s, m/s and rad/s."""
-        self._trips = trips
+        self._noticer = noticer
         self._mode_button = mode_button
         self._dead_zone = dead_zone
         self._lockout_ns = round(mode_lockout_s * 1e9)
@@ -83,10 +83,10 @@ class Pad:
         self.mode = LOCKED
 
     @classmethod
-    def of(cls, settings: Settings, trips: Trips) -> Pad:
+    def of(cls, settings: Settings, noticer: Noticer) -> Pad:
         """As the settings say."""
         return cls(
-            trips,
+            noticer,
             mode_button=int(settings["pad.mode_button"]),
             dead_zone=settings["pad.dead_zone"],
             mode_lockout_s=settings["pad.mode_lockout_s"],
@@ -112,7 +112,7 @@ class Pad:
         self._notice_silence(t_ns)
         self._raw = [*self._raw[1 - RAW_FRAMES :], (t_ns, raw)]
         buttons, _, lx, ly, rx, _ = sample
-        cause = self._trips.pad(buttons)
+        cause = self._noticer.pad(buttons)
         was = self.mode
         if cause:
             self.mode = LOCKED
@@ -120,7 +120,7 @@ class Pad:
         if self.mode == DRIVE:
             command: Velocity | None = self._sticks(lx, ly, rx)
         else:
-            # Locked by MODE: stand still now, not when the command times out. A trip has stopped by itself.
+            # Locked by MODE: stand still now, not when the command times out. A cause has stopped by itself.
             command = STANDSTILL if was == DRIVE and not cause else None
         arm = self._turns_joint(lx, rx) if self.mode == JOINT else (self.joint, 0.0) if was == JOINT else None
         return PadNews(cause, command, self._reset_is_due(buttons, t_ns), arm)
@@ -140,7 +140,7 @@ class Pad:
 
     def _notice_silence(self, t_ns: int) -> None:
         if self._last_ns is not None and t_ns - self._last_ns > SILENCE_NS:
-            self._trips.forget_held()
+            self._noticer.forget_held()
             self._hold_ns = None
         self._last_ns = t_ns
 

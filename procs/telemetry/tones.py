@@ -1,4 +1,4 @@
-"""Buzzer tones: what sounds on a trip and on a change of the gamepad's mode. Pure."""
+"""Buzzer tones: what sounds on a latch and on a change of the gamepad's mode. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from failstop.procs.telemetry import pad
 OFF_MS = 100
 """Between two beeps and after the last: an off time of 0 left a buzzer sounding forever."""
 
-TRIP = buzzer(1000, 400, OFF_MS, 2)
+LATCH = buzzer(1000, 400, OFF_MS, 2)
 """Two long low beeps."""
 MODES = {
     pad.LOCKED: buzzer(1500, 100, OFF_MS, 1),
@@ -32,9 +32,9 @@ class Tones:
         self._tucks = False
 
     def follow(self, latched: bool, mode: int, *, tucks: bool = False) -> bytes:
-        """The frame to sound now, or none. A trip also locks the pad: then the trip's tone alone is heard. What is
+        """The frame to sound now, or none. A latch also locks the pad: then its tone alone is heard. What is
         latched at the start was told by whoever was there when it happened."""
-        tripped = latched and self._latched is False
+        latches = latched and self._latched is False
         changed = mode != self._mode
         announced = tucks and not self._tucks
         self._latched = latched
@@ -42,8 +42,8 @@ class Tones:
         self._tucks = tucks
         if not self._on:
             return b""
-        if tripped:
-            return TRIP
+        if latches:
+            return LATCH
         if announced:
             return TUCK
         return MODES[mode] if changed and not latched else b""

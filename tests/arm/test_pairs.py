@@ -199,7 +199,7 @@ class Memory(bytearray):
 
 
 def test_an_entry_before_the_next(trace: Trace) -> None:
-    memory = Memory(8 * ring.slot_bytes(64))  # type: ignore[attr-defined]
+    memory = Memory(8 * ring.cell_bytes(64))  # type: ignore[attr-defined]
     memory.done = trace.done
     writer = RingWriter(memory, 0, 64, 8, 1)
     trace.done.clear()
@@ -209,11 +209,11 @@ def test_an_entry_before_the_next(trace: Trace) -> None:
 
 
 def test_a_later_entry_before_the_second_look_at_a_torn_one(trace: Trace) -> None:
-    memory = Memory(8 * ring.slot_bytes(64))  # type: ignore[attr-defined]
+    memory = Memory(8 * ring.cell_bytes(64))  # type: ignore[attr-defined]
     memory.done = trace.done
     reader = RingReader(memory, 0, 64, 8, 1)
     writer = RingWriter(memory, 0, 64, 8, 1)
-    torn = ring.slot_bytes(64)  # type: ignore[attr-defined]
+    torn = ring.cell_bytes(64)  # type: ignore[attr-defined]
     writer.put(b"torn")
     memory[torn : torn + 4] = b"torn"
     writer.put(b"whole")
@@ -260,7 +260,7 @@ def test_that_there_is_none_before_it_is_taken_back(telemetry: TelemetryScene, t
 
 
 def test_the_time_before_the_verdict_and_again_after_it(supervisor: SupervisorScene, trace: Trace) -> None:
-    supervisor.trip()
+    supervisor.gate_stops()
     supervisor.turn()
     supervisor.answers(written_ns=supervisor.now_ns)
     supervisor.turn(MS)

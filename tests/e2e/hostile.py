@@ -19,7 +19,7 @@ from collections.abc import Callable
 
 from failstop import FailstopError, Robot
 from failstop.api.client import Client, attach, run, send_stop
-from failstop.shm import bell, claim, instance, latest, layout, records, segment, slot, views
+from failstop.shm import bell, cell, claim, instance, latest, layout, records, segment, views
 from failstop.shm.lifeline import pid_namespace
 
 NOBODY = 65534
@@ -125,8 +125,8 @@ def garble(name: str, index: str) -> None:
     dice = random.Random(1)
     fd = slot_file(name, int(index))
     spec = layout.BY_NAME[f"client.{index}"]
-    size = latest.slot_bytes(spec.records["command"].capacity)
-    velocity = spec.offsets["command"] + slot.HEADER_BYTES + 8  # after the session
+    size = latest.cell_bytes(spec.records["command"].capacity)
+    velocity = spec.offsets["command"] + cell.HEADER_BYTES + 8  # after the session
     begun()
     while True:
         for half in (0, size):

@@ -22,7 +22,7 @@ from failstop.board.burst import BURST
 from failstop.cli.main import main
 from failstop.lab.trial import Trial, wait_for
 from failstop.procs import limits
-from failstop.shm import instance, layout, segment, slot
+from failstop.shm import cell, instance, layout, segment
 from failstop.supervisor.blackbox import MOST_SAVERS
 from tests.support.commands import FAILSTOP, failstop
 from tests.support.ptys import Pty
@@ -221,11 +221,11 @@ def test_header_of_another_version_and_exit_code(name: str) -> None:
     with Trial(name) as trial:
         memory = posix_ipc.SharedMemory(segment.shm_name(run(name)[0], layout.SUPERVISOR))
         raw = os.pread(memory.fd, layout.HEADER_BYTES, 0)
-        entry = slot.check(raw, slot.seed("header", 0))
+        entry = cell.check(raw, cell.seed("header", 0))
         assert entry is not None
         other = bytearray(entry[2])
         other[8] ^= 0xFF
-        os.pwrite(memory.fd, slot.build(1, 0, bytes(other), slot.seed("header", 0), 200), 0)
+        os.pwrite(memory.fd, cell.build(1, 0, bytes(other), cell.seed("header", 0), 200), 0)
         try:
             result = failstop("status", "--name", name)
         finally:

@@ -17,7 +17,7 @@ from failstop.api.client import attach
 from failstop.api.client import run as run_of
 from failstop.api.state import StateReader
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import instance, layout, segment, slot
+from failstop.shm import cell, instance, layout, segment
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
@@ -59,12 +59,12 @@ def unwatched(monkeypatch: pytest.MonkeyPatch) -> None:
 def other_layout(memory: str, which: str) -> None:
     """Change the head of a segment to that of another version."""
     with open(segment.path_of(memory, which), "r+b", buffering=0) as file:
-        entry = slot.check(file.read(layout.HEADER_BYTES), segment._HEADER_SEED)
+        entry = cell.check(file.read(layout.HEADER_BYTES), segment._HEADER_SEED)
         assert entry
         magic, _, *rest = segment._HEADER.unpack(entry[2])
         head = segment._HEADER.pack(magic, 4711, *rest)
         file.seek(0)
-        file.write(slot.build(1, 0, head, segment._HEADER_SEED, layout.HEADER_BYTES - slot.HEADER_BYTES))
+        file.write(cell.build(1, 0, head, segment._HEADER_SEED, layout.HEADER_BYTES - cell.HEADER_BYTES))
 
 
 def test_a_service_of_another_version_can_be_stopped_and_only_that(trial: Trial) -> None:

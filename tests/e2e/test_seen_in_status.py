@@ -130,7 +130,7 @@ def test_zero_frames_go_out_at_5_hz_whatever_blocks(seen: Seen, blocked: str) ->
     assert len(motor) >= 3
 
 
-# Trips.
+# Noticer.
 
 
 def test_a_stop_request(seen: Seen) -> None:

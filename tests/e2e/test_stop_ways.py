@@ -21,7 +21,7 @@ import pytest
 from failstop.api import client
 from failstop.board.burst import BURST
 from failstop.lab.trial import Trial, judge, wait_for
-from failstop.shm import layout, segment, slot
+from failstop.shm import cell, layout, segment
 from tests.support.commands import FAILSTOP, failstop
 
 needs_root = pytest.mark.skipif(os.getuid() != 0, reason="needs root, whom an exclusive port does not keep out")
@@ -59,11 +59,11 @@ def another_layout(name: str) -> Iterator[None]:
             memory = posix_ipc.SharedMemory(segment.shm_name(run, process))
             raw = os.pread(memory.fd, layout.HEADER_BYTES, 0)
             before.append((memory, raw))
-            entry = slot.check(raw, slot.seed("header", 0))
+            entry = cell.check(raw, cell.seed("header", 0))
             assert entry is not None
             other = bytearray(entry[2])
             other[8] ^= 0xFF
-            os.pwrite(memory.fd, slot.build(1, 0, bytes(other), slot.seed("header", 0), 200), 0)
+            os.pwrite(memory.fd, cell.build(1, 0, bytes(other), cell.seed("header", 0), 200), 0)
         yield
     finally:
         for memory, raw in before:

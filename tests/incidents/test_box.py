@@ -18,15 +18,15 @@ from failstop.procs.gate.recorder import GateBox
 from failstop.procs.gate.sources import Command
 from failstop.procs.port_owner.wire import Wire
 from failstop.shm import box, layout
-from failstop.shm.latest import slot_bytes
+from failstop.shm.latest import cell_bytes
 from failstop.shm.ring import RingReader, RingWriter
 from tests.support.incident_parts import KeptRing, Recorder, at, drive_and_die
 
 
-def ring(capacity: int, slots: int) -> tuple[RingWriter, RingReader]:
-    memory = mmap.mmap(-1, slot_bytes(capacity) * slots)
-    reader = RingReader(memory, 0, capacity, slots, 1)  # type: ignore[arg-type]
-    return RingWriter(memory, 0, capacity, slots, 1), reader  # type: ignore[arg-type]
+def ring(capacity: int, cells: int) -> tuple[RingWriter, RingReader]:
+    memory = mmap.mmap(-1, cell_bytes(capacity) * cells)
+    reader = RingReader(memory, 0, capacity, cells, 1)  # type: ignore[arg-type]
+    return RingWriter(memory, 0, capacity, cells, 1), reader  # type: ignore[arg-type]
 
 
 def test_a_tick_tells_the_command_and_what_became_of_it() -> None:
@@ -51,7 +51,7 @@ def test_every_decision_has_its_word(block: str, wanted: str) -> None:
     if block != "disabled":
         made.core.enable(7, "", at(0))
     if block == "latched":
-        made.core.trip(causes.KEY(1), 7)
+        made.core.stop(causes.KEY(1), 7)
     if block == "scan":
         made.command(1, (0.1, 0, 0))
     made.tick(2)

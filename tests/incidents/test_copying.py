@@ -13,7 +13,7 @@ from failstop.incidents import copying
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.shm import box, layout, records, segment
-from failstop.shm.latest import slot_bytes
+from failstop.shm.latest import cell_bytes
 
 _numbers = itertools.count()
 RUN = 0x1234567890
@@ -51,14 +51,14 @@ def test_words_latest_and_rings_come_back_as_written(name: str) -> None:
     gate.latest_writer("state").write(b"new", 2)
     gate.latest_writer("reply.0").write(b"secret", 2)
     writer = gate.ring_writer("box")
-    for number in range(box.GATE_SLOTS + 5):
+    for number in range(box.GATE_CELLS + 5):
         writer.put(b"%d" % number, number)
     found = copying.segment(layout.GATE, *copies(name)[layout.GATE])
     assert found["words"]["resets_asked"] == 9
     assert found["latest"] == {"state": [2, 2, b"new"]}
     ring = found["rings"]["box"]
-    assert [entry[0] for entry in ring] == list(range(6, box.GATE_SLOTS + 6)), "in order, the oldest overwritten"
-    assert ring[-1] == [box.GATE_SLOTS + 5, box.GATE_SLOTS + 4, b"%d" % (box.GATE_SLOTS + 4)]
+    assert [entry[0] for entry in ring] == list(range(6, box.GATE_CELLS + 6)), "in order, the oldest overwritten"
+    assert ring[-1] == [box.GATE_CELLS + 5, box.GATE_CELLS + 4, b"%d" % (box.GATE_CELLS + 4)]
 
 
 def test_a_torn_entry_is_left_out_and_nothing_else(name: str) -> None:
@@ -66,7 +66,7 @@ def test_a_torn_entry_is_left_out_and_nothing_else(name: str) -> None:
     writer = gate.ring_writer("box")
     for number in range(10):
         writer.put(b"%d" % number, number)
-    at = gate.spec.offsets["box"] + 5 * slot_bytes(box.GATE_BYTES)
+    at = gate.spec.offsets["box"] + 5 * cell_bytes(box.GATE_BYTES)
     assert gate.mapped is not None
     gate.mapped[at + 24] ^= 0xFF
     ring = copying.segment(layout.GATE, *copies(name)[layout.GATE])["rings"]["box"]

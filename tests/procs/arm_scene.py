@@ -32,7 +32,7 @@ ANSWER_NS = 1 * MS
 
 class ArmScene(GateStage):
     """The gate of a robot with an arm. Time passes by run(); what the wheels and the servos are told is judged by the
-    board. The test is the supervisor: it latches what it is told to (stop), and what the gate trips for."""
+    board. The test is the supervisor: it latches what it is told to (stop), and what the gate stops for."""
 
     changed: ClassVar[dict[str, object]] = ARM
 

@@ -151,7 +151,7 @@ class GateMachine(RuleBasedStateMachine):
         manual=st.booleans(),
     )
     def take(self, velocity: tuple[float, float, float], session: int, age_ns: int, source: str, manual: bool) -> None:
-        """A command, as gate/main.py handles it: a fault trips, anything else steps at once."""
+        """A command, as gate/main.py handles it: a fault stops, anything else steps at once."""
         who = f"client {session}"
         command = Command(session, who, self.now - age_ns, velocity, manual=manual, source=source)
         fault = self.core.take(command, self.now)
@@ -162,18 +162,18 @@ class GateMachine(RuleBasedStateMachine):
         else:
             assert fault is None
         if fault:
-            self.trip(fault)
+            self.halt(fault)
         else:
             self.commands[source] = (session, min(self.now, self.now - age_ns), velocity, manual)
             self.move()
 
     @rule(velocity=st.tuples(axis, axis, axis))
     def take_of_no_source(self, velocity: tuple[float, float, float]) -> None:
-        """A source that no setting names moves nothing and trips nothing, but for values that are no numbers."""
+        """A source that no setting names moves nothing and stops nothing, but for values that are no numbers."""
         fault = self.core.take(Command(1, "client 1", self.now, velocity, source="stranger"), self.now)
         if fault:
             assert not all(map(isfinite, velocity))
-            self.trip(fault)
+            self.halt(fault)
 
     @rule()
     def sensor_delivers(self) -> None:
@@ -186,14 +186,14 @@ class GateMachine(RuleBasedStateMachine):
         self.arm_ns = self.now
 
     @rule(cause=st.sampled_from([why("key1"), why("gate died"), why("")]))
-    def trip(self, cause: Cause) -> None:
-        assert self.core.trip(cause, self.epoch) is (self.latch is None)
+    def halt(self, cause: Cause) -> None:
+        assert self.core.stop(cause, self.epoch) is (self.latch is None)
         self.fall(cause)
         assert self.core.velocity == REST
 
     @rule()
     def epoch_raised(self) -> None:
-        """The supervisor stops, or answers a trip."""
+        """The supervisor stops, or answers its own."""
         self.epoch += 1
         if self.latch is None:
             self.latch, self.latched_in = why("supervisor"), self.epoch - 1

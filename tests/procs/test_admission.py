@@ -65,7 +65,7 @@ def test_the_first_row_that_does_not_hold_decides(first: int | None, kind: str) 
     for later in (set(some) for n in range(len(after) + 1) for some in itertools.combinations(after, n)):
         failing = later if first is None else {first, *later}
         admission = Admission(LEASE_NS, MAX_RPS)
-        admission.moving = kind == "zero"
+        admission.wheels_move = kind == "zero"
         if OWN_STOP in failing:
             admission.stopped_in = EPOCH
         frame = codec.STOP if kind != "motion" else TOO_FAST if CONTENT in failing else FRAME
@@ -164,7 +164,7 @@ def test_a_frame_must_be_younger_than_the_lease(admission: Admission, age_ns: in
 
 
 def test_every_stop_ends_the_motion(admission: Admission) -> None:
-    assert not admission.moving
-    admission.moving = True
+    assert not admission.wheels_move
+    admission.wheels_move = True
     admission.stopped(1)
-    assert not admission.moving
+    assert not admission.wheels_move

@@ -15,7 +15,7 @@ from failstop.policy import causes
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.shm import box, records
 from tests.support.amounts import amount
-from tests.support.arm_settings import DRIVE, SERVOS
+from tests.support.arm_settings import ARM, DRIVE, SERVOS
 from tests.support.stage import MS
 
 from .arm_scene import ZERO_WHEELS, ArmScene
@@ -257,6 +257,7 @@ def test_a_goal_right_after_a_stop_moves_nothing(scene: ArmScene) -> None:
     before = len(scene.moves)
     scene.run(1.0)
     assert len(scene.moves) == before
+    assert scene.state()["refused"] == scene.state()["closed"] == "a stop is latched"
 
 
 FAULTS = [
@@ -361,6 +362,23 @@ def test_released_it_stays_limp_until_it_is_asked_to_move(scene: ArmScene) -> No
     assert all(servo.limp() for servo in scene.servos.by_id.values())
     scene.travel({1: 0.1})
     assert scene.finish() == (records.DONE, "arm is there")
+
+
+def test_an_enable_right_behind_a_release_does_not_wake_the_gate_without_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The settings have no drive pose, so the wheels are enabled while torques are still to be switched off."""
+    no_pose = {key: -1 for key in ARM if key.endswith(".drive")}
+    monkeypatch.setattr(ArmScene, "changed", {**ARM, **no_pose, "arm.drive_pan": -1})
+    scene = ArmScene(tmp_path, monkeypatch)
+    try:
+        scene.ask_for(records.ARM_RELEASE)
+        scene.ask_for(records.ENABLE, client=1)
+        assert scene.finish(client=1) == (records.DONE, "motion enabled")
+        scene.turn()
+        assert scene.gate.loop.due_ns() > scene.clock()
+    finally:
+        scene.close()
 
 
 class Judged(ArmScene):

@@ -95,7 +95,7 @@ def test_a_client_that_does_not_drive_leaves_without_a_word(driving: Gate) -> No
 
 def test_a_latched_or_disabled_robot_has_no_silent_driver(driving: Gate) -> None:
     driving.drive(VELOCITY, 3)
-    driving.core.trip(why("key1"), 1)
+    driving.core.stop(why("key1"), 1)
     driving.step(301 * MS)
     assert told(driving) == []
 

@@ -11,7 +11,7 @@ from .gate_bench import Gate, stands
 
 
 def test_a_trip_stands_disables_and_latches_at_once(driving: Gate) -> None:
-    assert driving.core.trip(why("key1"), 3)
+    assert driving.core.stop(why("key1"), 3)
     assert stands(driving)
     assert not driving.core.enabled
     assert driving.blocked == "estop: key1"
@@ -19,19 +19,19 @@ def test_a_trip_stands_disables_and_latches_at_once(driving: Gate) -> None:
 
 
 def test_the_first_reason_is_kept(driving: Gate) -> None:
-    driving.core.trip(why("key1"), 3)
-    assert not driving.core.trip(why("another"), 4)
+    driving.core.stop(why("key1"), 3)
+    assert not driving.core.stop(why("another"), 4)
     assert said(driving.core.latch) == "key1"
 
 
 def test_a_reason_without_words_latches_too(driving: Gate) -> None:
-    assert driving.core.trip(why(""), 1)
+    assert driving.core.stop(why(""), 1)
     assert driving.blocked == "estop: stop request"
     assert told(driving.core.enable(2, "", driving.now)) == (False, "a stop is latched (stop request)")
 
 
 def test_the_latch_is_told_before_everything_else(gate: Gate) -> None:
-    gate.core.trip(why("key1"), 1)
+    gate.core.stop(why("key1"), 1)
     assert gate.blocked == "estop: key1"
     gate.core.follow(None, 2)
     assert gate.blocked == "disabled"
@@ -42,13 +42,13 @@ def test_the_latch_is_told_before_everything_else(gate: Gate) -> None:
 
 
 def test_enable_is_refused_while_latched(driving: Gate) -> None:
-    driving.core.trip(why("key1"), 3)
+    driving.core.stop(why("key1"), 3)
     assert told(driving.core.enable(4, "", driving.now)) == (False, "a stop is latched (key1)")
     assert not driving.core.enabled
 
 
 def test_nothing_but_a_reset_ends_a_latch(driving: Gate) -> None:
-    driving.core.trip(why("key1"), 3)
+    driving.core.stop(why("key1"), 3)
     driving.core.disable()
     driving.core.client_gone(1, driving.now)
     driving.core.enable(4, "", driving.now)
@@ -59,7 +59,7 @@ def test_nothing_but_a_reset_ends_a_latch(driving: Gate) -> None:
 
 
 def test_the_end_of_the_latch_enables_nothing(driving: Gate) -> None:
-    driving.core.trip(why("key1"), 3)
+    driving.core.stop(why("key1"), 3)
     driving.core.follow(None, 4)
     assert driving.core.latch is None
     assert driving.blocked == "disabled"
@@ -69,7 +69,7 @@ def test_the_end_of_the_latch_enables_nothing(driving: Gate) -> None:
 
 
 def test_its_own_trip_holds_until_the_supervisor_has_answered_it(driving: Gate) -> None:
-    driving.core.trip(why("key1"), 3)
+    driving.core.stop(why("key1"), 3)
     driving.core.follow(None, 3)
     assert driving.blocked == "estop: key1"
     driving.core.follow(None, 4)
@@ -77,7 +77,7 @@ def test_its_own_trip_holds_until_the_supervisor_has_answered_it(driving: Gate) 
 
 
 def test_what_the_supervisor_has_latched_is_what_counts(driving: Gate) -> None:
-    driving.core.trip(why("key1"), 3)
+    driving.core.stop(why("key1"), 3)
     driving.core.follow(why("gate died"), 3)
     assert driving.blocked == "estop: gate died"
 
@@ -95,7 +95,7 @@ def test_nothing_latched_is_no_news_for_who_drives(driving: Gate) -> None:
 
 
 def test_after_reset_and_enable_the_ramp_starts_from_zero(driving: Gate) -> None:
-    driving.core.trip(why("key1"), 3)
+    driving.core.stop(why("key1"), 3)
     driving.core.follow(None, 4)
     driving.enable(4)
     assert driving.core.epoch == 4

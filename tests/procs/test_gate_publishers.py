@@ -1,4 +1,4 @@
-"""One publisher of good commands: a second one trips, a value that is not finite trips, and one that dies stands."""
+"""One publisher of good commands: a second one stops, a value that is not finite stops, and one that dies stands."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def test_a_stop_of_its_own_goes_to_the_port_owner_and_then_to_the_supervisor(gat
     assert gate_scene.ask(records.ENABLE)[0]
     assert records.MOTION in gate_scene.drive(0.1)
     assert gate_scene.drive(float("nan")) == [records.STOP]
-    assert "is not finite" in gate_scene.tripped()
+    assert "is not finite" in gate_scene.stopped()
 
 
 def test_a_supervisor_that_is_silent_while_motion_is_enabled_is_a_stop(gate_scene: Scene) -> None:
@@ -37,7 +37,7 @@ def test_a_supervisor_that_is_silent_while_motion_is_enabled_is_a_stop(gate_scen
     assert gate_scene.ask(records.ENABLE)[0]
     assert gate_scene.turn(lease_ns, supervisor_beats=False) == [records.MOTION]
     assert records.STOP in gate_scene.turn(20 * MS, supervisor_beats=False)
-    assert gate_scene.tripped().startswith("supervisor hangs: ")
+    assert gate_scene.stopped().startswith("supervisor hangs: ")
     assert not gate_scene.gate.core.enabled
 
 

@@ -75,15 +75,15 @@ def test_it_waits_for_both_deaths_at_the_futexes_that_are_the_port_owner_s(scene
 
 def test_what_comes_while_it_looks_wakes_it_again(scene: Scene) -> None:
     """A key that is pressed just after the keys were looked at: its bell is not taken for one of before."""
-    trips = scene.owner._trips
+    buttons = scene.owner._causes
 
     class Pressed:
         def next(self) -> object:
-            found = trips.next()
+            found = buttons.next()
             scene.bell("bell").ring()
             return found
 
-    scene.owner._trips = Pressed()  # type: ignore[assignment]
+    scene.owner._causes = Pressed()  # type: ignore[assignment]
     scene.bell("bell").ring()
     scene.turn()
     assert select.select([scene.bell("bell").fd], [], [], 0)[0]
@@ -146,7 +146,7 @@ def test_a_stop_ends_the_motion_queued_before_it_and_not_what_comes_after(scene:
     scene.put(MOTION)
     scene.put(b"disabled", kind=records.STOP)
     assert scene.turn() == BURST
-    assert not scene.owner.admission.moving
+    assert not scene.owner.admission.wheels_move
     scene.put(b"disabled", kind=records.STOP)
     scene.put(SLOWER)
     assert scene.turn(TICK).endswith(BURST + SLOWER)
@@ -178,7 +178,7 @@ def test_to_stand_still_is_never_too_late(scene: Scene) -> None:
     scene.drive()
     scene.put(BOARD.stop, age_ns=75 * MS)
     assert scene.turn() == BURST
-    assert not scene.owner.admission.moving
+    assert not scene.owner.admission.wheels_move
     assert scene.reasons() == []
     scene.put(SLOWER)
     assert scene.turn() == SLOWER, "and nothing is latched by it"
@@ -356,7 +356,7 @@ def test_held_up_between_saying_that_it_moves_and_before_it_writes_nothing_old(
     monkeypatch.setattr(scene.owner, "_moving_word", Held())
     scene.put()
     assert scene.turn() == BURST
-    assert not scene.owner.admission.moving
+    assert not scene.owner.admission.wheels_move
 
 
 def test_a_burst_that_was_not_taken_whole_leaves_it_moving(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -458,7 +458,7 @@ def test_the_next_request_is_looked_at_when_the_pipe_s_rest_is_over(scene: Scene
     scene.drive()
     scene.ask_to_stop(b"first\n")
     scene.turn()
-    scene.owned(layout.TELEMETRY).ring_writer("trips").put(causes.KEY(1).pack())
+    scene.owned(layout.TELEMETRY).ring_writer("causes").put(causes.KEY(1).pack())
     scene.ask_to_stop(b"second\n")
     scene.turn(10 * MS)
     assert scene.next_ns() == scene.clock() + 10 * MS
@@ -495,14 +495,14 @@ def test_a_request_soon_after_motion_began_anew_is_not_put_off(scene: Scene) -> 
 
 def test_what_telemetry_has_seen_stops_before_any_motion_under_its_own_name(scene: Scene) -> None:
     scene.drive()
-    trips = scene.owned(layout.TELEMETRY).ring_writer("trips")
-    trips.put(causes.BUTTON(0x0100).pack())
+    buttons = scene.owned(layout.TELEMETRY).ring_writer("causes")
+    buttons.put(causes.BUTTON(0x0100).pack())
     scene.put()
     assert scene.turn() == BURST
     assert scene.reasons() == ["gamepad button 0x0100"]
     scene.put()
     assert scene.turn() == b"", "until the supervisor has raised the epoch"
-    trips.put(b"\xff\xff")
+    buttons.put(b"\xff\xff")
     assert scene.turn() == BURST
     assert scene.reasons() == ["stopped by the supervisor"], "whatever it is"
 

@@ -272,7 +272,7 @@ def test_a_frame_for_a_device_that_has_just_gone_is_a_device_lost(scene: Scene) 
     scene.put()
     scene.stays = scene.owner.turn({})
     assert scene.reasons() == ["device lost"]
-    assert not scene.owner.admission.moving
+    assert not scene.owner.admission.wheels_move
 
 
 @pytest.mark.parametrize("frame", [True, False])
@@ -287,7 +287,7 @@ def test_a_new_port_that_comes_before_the_loss_of_the_old_is_seen_is_a_device_lo
     scene.stays = scene.owner.turn({scene.owner._control.fd: 1})
     assert MOTION not in scene.pty.read()
     assert scene.reasons() == ["device lost"]
-    assert not scene.owner.admission.moving
+    assert not scene.owner.admission.wheels_move
     assert (scene.port_state(), scene.port()[0]) == (records.PORT_OPEN, 2)
     os.write(scene.pty.master, b"x")
     until(lambda: scene.owner.wire.fd in scene.owner.loop.wait(0), "what the board sends")
@@ -304,7 +304,7 @@ def test_a_port_that_is_known_already_changes_nothing(scene: Scene, number: int)
     assert scene.turn() == b""
     assert open_fds() == before
     assert scene.reasons() == []
-    assert scene.owner.admission.moving
+    assert scene.owner.admission.wheels_move
 
 
 def test_of_several_that_wait_the_newest_counts(scene: Scene) -> None:

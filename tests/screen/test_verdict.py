@@ -93,7 +93,7 @@ def _gate_reasons() -> dict[str, str]:
     found["no sensor"] = core.blocked(1)
     core.scan.deliver(1, 1)
     found["nothing"] = core.blocked(1)
-    core.trip(causes.KEY(1), 1)
+    core.stop(causes.KEY(1), 1)
     found["latched"] = core.blocked(1)
     return found
 

@@ -17,8 +17,8 @@ import signal
 import sys
 import time
 
-from failstop.shm import segment, slot
-from failstop.shm.latest import LatestReader, LatestWriter, slot_bytes
+from failstop.shm import cell, segment
+from failstop.shm.latest import LatestReader, LatestWriter, cell_bytes
 from failstop.shm.ring import RingReader, RingWriter
 from failstop.shm.words import Word
 
@@ -26,24 +26,24 @@ from .memory import exit_after, payload_of, time_of
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.shm.slot import Entry
+    from failstop.shm.cell import Entry
     from failstop.shm.views import View
 
 DELAY_NS = 300_000
 
 
 def check_without_crc(raw: bytes, crc_seed: int, at: int = 0, size: int | None = None) -> Entry | None:
-    """slot.check as it is, but for the CRC."""
+    """cell.check as it is, but for the CRC."""
     end = len(raw) if size is None else min(len(raw), at + size)
-    if end - at < slot.HEADER_BYTES:
+    if end - at < cell.HEADER_BYTES:
         return None
     length = int.from_bytes(raw[at + 4 : at + 8], "little")
     seq = int.from_bytes(raw[at + 8 : at + 16], "little")
     t_ns = int.from_bytes(raw[at + 16 : at + 24], "little")
-    stop = at + slot.HEADER_BYTES + length
+    stop = at + cell.HEADER_BYTES + length
     if seq == 0 or stop > end:
         return None
-    return seq, t_ns, raw[at + slot.HEADER_BYTES : stop]
+    return seq, t_ns, raw[at + cell.HEADER_BYTES : stop]
 
 
 class Separate:
@@ -57,8 +57,8 @@ class Separate:
 
     def __setitem__(self, where: slice, data: bytes) -> None:
         at = where.start
-        self._view[at + 4 : at + slot.HEADER_BYTES] = data[4 : slot.HEADER_BYTES]
-        self._view[at + slot.HEADER_BYTES : where.stop] = data[slot.HEADER_BYTES :]
+        self._view[at + 4 : at + cell.HEADER_BYTES] = data[4 : cell.HEADER_BYTES]
+        self._view[at + cell.HEADER_BYTES : where.stop] = data[cell.HEADER_BYTES :]
         self._view[at : at + 4] = data[:4]
 
 
@@ -71,13 +71,13 @@ class Case:
         self.control = control
         self.instance = ""
         if where == "anonymous":
-            self.capacity, self.slots, self.at, self.seed = size, 4, 64, 4711
-            memory = mmap.mmap(-1, 64 + slot_bytes(size) * self.slots)
+            self.capacity, self.cells, self.at, self.seed = size, 4, 64, 4711
+            memory = mmap.mmap(-1, 64 + cell_bytes(size) * self.cells)
             self.reads: View = memory
             self.writes: View = memory
         else:
             self._segment(*where.split(".", 1))
-        self.slots = 2 if kind == "latest" else self.slots
+        self.cells = 2 if kind == "latest" else self.cells
         if control:
             self.writes = Separate(self.writes)
 
@@ -89,24 +89,24 @@ class Case:
         reads = segment.attach(self.instance, of, 12345)
         self.writes, self.reads = writes.view, reads.view
         declared = writes.spec.records[record]
-        self.capacity, self.slots, self.at = declared.capacity, declared.slots, writes.spec.offsets[record]
-        self.seed = slot.seed(f"{of}.{record}", 12345)
+        self.capacity, self.cells, self.at = declared.capacity, declared.cells, writes.spec.offsets[record]
+        self.seed = cell.seed(f"{of}.{record}", 12345)
 
     def writer(self) -> LatestWriter | RingWriter:
         if self.kind == "latest":
             return LatestWriter(self.writes, self.at, self.capacity, self.seed)
-        return RingWriter(self.writes, self.at, self.capacity, self.slots, self.seed)
+        return RingWriter(self.writes, self.at, self.capacity, self.cells, self.seed)
 
     def reader(self, *, from_oldest: bool = False) -> LatestReader | RingReader:
         if self.kind == "latest":
             return LatestReader(self.reads, self.at, self.capacity, self.seed)
-        return RingReader(self.reads, self.at, self.capacity, self.slots, self.seed, from_oldest=from_oldest)
+        return RingReader(self.reads, self.at, self.capacity, self.cells, self.seed, from_oldest=from_oldest)
 
     def left_torn(self) -> int:
-        """How many slots the last death left that are not whole."""
-        size = slot_bytes(self.capacity)
+        """How many cells the last death left that are not whole."""
+        size = cell_bytes(self.capacity)
         torn = 0
-        for i in range(self.slots):
+        for i in range(self.cells):
             raw = self.reads[self.at + i * size : self.at + (i + 1) * size]
             if any(raw[:24]) and not self.is_genuine(check_without_crc(raw, 0)):
                 torn += 1
@@ -200,7 +200,7 @@ class Watch:
                 self.fault(f"left in the ring: {entry[0]} after {newest}")
             newest = entry[0]
             self.torn += not self.case.is_genuine(entry)
-        if count < min(newest, self.case.slots) - 1:
+        if count < min(newest, self.case.cells) - 1:
             self.fault(f"only {count} entries left in the ring at {newest}")
         return newest
 
@@ -243,7 +243,7 @@ def one_kill(case: Case, watch: Watch, dice: random.Random, words: tuple[Word, W
 def run(kind: str, where: str, size: int, kills: int, random_seed: int, control: bool) -> dict[str, object]:
     """Kill so many writers one after the other; returns the account."""
     if control:
-        slot.check = check_without_crc
+        cell.check = check_without_crc
     case = Case(kind, where, size, control)
     try:
         words_memory = mmap.mmap(-1, 4096)
@@ -264,7 +264,7 @@ def run(kind: str, where: str, size: int, kills: int, random_seed: int, control:
         "reads_while_writing": during,
         "accepted": watch.accepted,
         "torn_accepted": watch.torn,
-        "kills_that_left_a_torn_slot": left_torn,
+        "kills_that_left_a_torn_cell": left_torn,
         "faults": watch.faults,
     }
 

@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Callable
 
-from failstop.shm import slot
+from failstop.shm import cell
 
 
 class Memory:
@@ -81,4 +81,4 @@ def exit_after(limit_s: float) -> Callable[[], None]:
     return check
 
 
-assert slot.HEADER_BYTES == 24
+assert cell.HEADER_BYTES == 24

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from failstop.shm import slot
-from failstop.shm.latest import slot_bytes
+from failstop.shm import cell
+from failstop.shm.latest import cell_bytes
 from failstop.shm.ring import RingReader, RingWriter
 
 from .memory import Cut, Death, Memory, genuine, payload_of, time_of
@@ -16,25 +16,25 @@ if TYPE_CHECKING:
     from failstop.shm.views import View
 
 
-SEED = slot.seed("test.ring", 1)
+SEED = cell.seed("test.ring", 1)
 AT = 128
 CAPACITY = 40
-SLOTS = 8
+CELLS = 8
 
 
-SIZE = slot_bytes(CAPACITY)
+SIZE = cell_bytes(CAPACITY)
 
 
-def ring_memory(slots: int = SLOTS, capacity: int = CAPACITY) -> Cut:
-    return Cut(AT + slots * slot_bytes(capacity))
+def ring_memory(cells: int = CELLS, capacity: int = CAPACITY) -> Cut:
+    return Cut(AT + cells * cell_bytes(capacity))
 
 
-def writer_of(view: View, slots: int = SLOTS, capacity: int = CAPACITY) -> RingWriter:
-    return RingWriter(view, AT, capacity, slots, SEED)
+def writer_of(view: View, cells: int = CELLS, capacity: int = CAPACITY) -> RingWriter:
+    return RingWriter(view, AT, capacity, cells, SEED)
 
 
-def reader_of(view: View, slots: int = SLOTS, capacity: int = CAPACITY, *, from_oldest: bool = False) -> RingReader:
-    return RingReader(view, AT, capacity, slots, SEED, from_oldest=from_oldest)
+def reader_of(view: View, cells: int = CELLS, capacity: int = CAPACITY, *, from_oldest: bool = False) -> RingReader:
+    return RingReader(view, AT, capacity, cells, SEED, from_oldest=from_oldest)
 
 
 def put(writer: RingWriter, count: int = 1, size: int = CAPACITY) -> None:
@@ -53,11 +53,11 @@ def drain(reader: RingReader) -> list[int]:
 
 
 def place(seq: int) -> int:
-    return AT + seq % SLOTS * SIZE
+    return AT + seq % CELLS * SIZE
 
 
 def damage(memory: Memory, seq: int, *, zero: bool = False) -> None:
-    """Spoil the slot of this entry."""
+    """Spoil the cell of this entry."""
     at = place(seq)
     if zero:
         memory.data[at : at + SIZE] = bytes(SIZE)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from failstop.shm import segment, slot
+from failstop.shm import cell, segment
 from failstop.shm.layout import BY_NAME, LAYOUT_HASH, PRIVATE, PUBLIC, SEGMENTS
 from failstop.shm.segment import AttachError, Segment
 from failstop.version import VERSION
@@ -57,7 +57,7 @@ def write_header(
         magic, layout, BY_NAME[of].size if size is None else size, run, (name or of).encode(), version.encode()
     )
     with open(path_of(instance, of), "r+b") as file:
-        file.write(slot.build(1, 0, header, segment._HEADER_SEED, 104))
+        file.write(cell.build(1, 0, header, segment._HEADER_SEED, 104))
 
 
 def attach_any(name: str, of: str, run: int = RUN) -> Segment:

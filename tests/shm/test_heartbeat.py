@@ -78,7 +78,7 @@ def test_a_new_pid_is_never_seen_beside_its_predecessor_s_state(name: str) -> No
                     assert not seen.running(78)
 
             recorded = Recorded.__new__(Recorded)
-            recorded._cells, recorded._index = word._cells, word._index
+            recorded._words, recorded._index = word._words, word._index
             return recorded
 
     Heartbeat(Recording(own.spec, own.incarnation, own.view, own.mapped, -1), 78, 0, 20_000)

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.shm import slot
-from failstop.shm.latest import LatestReader, LatestWriter, record_bytes, slot_bytes
+from failstop.shm import cell
+from failstop.shm.latest import LatestReader, LatestWriter, cell_bytes, record_bytes
 from tests.support.children import Child
 
 from .memory import Cut, Death, Memory, exit_after, genuine, payload_of, time_of
@@ -20,7 +20,7 @@ from .memory import Cut, Death, Memory, exit_after, genuine, payload_of, time_of
 if TYPE_CHECKING:
     from failstop.shm.views import View
 
-SEED = slot.seed("test.latest", 1)
+SEED = cell.seed("test.latest", 1)
 AT = 128
 
 
@@ -61,7 +61,7 @@ def test_one_store_and_one_copy() -> None:
     memory.copies.clear()
     write(writer, 1, 40)
     write(writer, 2, 13)
-    assert [(at, len(data)) for at, data in memory.stores] == [(AT + slot_bytes(40), 64), (AT, 37)]
+    assert [(at, len(data)) for at, data in memory.stores] == [(AT + cell_bytes(40), 64), (AT, 37)]
     assert memory.copies == []
     for _ in range(3):
         reader.read()
@@ -84,7 +84,7 @@ def test_too_large_a_payload_changes_nothing() -> None:
     writer, reader = pair(memory, 40)
     write(writer, 1, 40)
     held = bytes(memory.data)
-    with pytest.raises(slot.PayloadTooLarge):
+    with pytest.raises(cell.PayloadTooLarge):
         writer.write(bytes(41))
     assert bytes(memory.data) == held
     write(writer, 2, 40)
@@ -97,16 +97,16 @@ def test_a_damaged_newest_falls_back_to_the_one_before(damage: str) -> None:
     writer, reader = pair(memory, 40)
     for seq in range(1, 8):
         write(writer, seq, 40)
-        at = AT + (seq & 1) * slot_bytes(40)
+        at = AT + (seq & 1) * cell_bytes(40)
         whole = bytes(memory.data[at : at + 64])
-        foreign = slot.seed("test.other" if damage == "other record" else "test.latest", 2)
+        foreign = cell.seed("test.other" if damage == "other record" else "test.latest", 2)
         memory.data[at : at + 64] = {
             "first byte": bytes([whole[0] ^ 1]) + whole[1:],
             "last byte": whole[:-1] + bytes([whole[-1] ^ 0x80]),
             "zeroed": bytes(64),
             "filled": b"\xff" * 64,
-            "other record": slot.build(seq, time_of(seq), payload_of(seq, 40), foreign, 40),
-            "other run": slot.build(seq, time_of(seq), payload_of(seq, 40), foreign, 40),
+            "other record": cell.build(seq, time_of(seq), payload_of(seq, 40), foreign, 40),
+            "other run": cell.build(seq, time_of(seq), payload_of(seq, 40), foreign, 40),
         }[damage]
         assert reader.read() == ((seq - 1, time_of(seq - 1), payload_of(seq - 1, 40)) if seq > 1 else None)
         memory.data[at : at + 64] = whole
@@ -119,22 +119,22 @@ def test_both_damaged_is_none() -> None:
     write(writer, 1, 40)
     write(writer, 2, 40)
     memory.data[AT] ^= 1
-    memory.data[AT + slot_bytes(40)] ^= 1
+    memory.data[AT + cell_bytes(40)] ^= 1
     assert reader.read() is None
 
 
 @pytest.mark.parametrize("filler", [b"\0", b"\xff"])
-def test_a_length_that_leads_into_the_other_slot_is_no_value_even_with_a_right_crc(filler: bytes) -> None:
-    """Whichever slot is looked at first: the bytes in the other one's place say a number below or above."""
+def test_a_length_that_leads_into_the_other_cell_is_no_value_even_with_a_right_crc(filler: bytes) -> None:
+    """Whichever cell is looked at first: the bytes in the other one's place say a number below or above."""
     memory = Memory(AT + record_bytes(40))
-    data = slot.build(2, 1, filler * 80, SEED, 80)
+    data = cell.build(2, 1, filler * 80, SEED, 80)
     memory.data[AT : AT + len(data)] = data
     assert LatestReader(memory, AT, 40, SEED).read() is None
 
 
 def test_a_death_at_every_byte_of_a_write_leaves_the_value_before_and_a_successor_goes_on() -> None:
     capacity = 40
-    size = slot.HEADER_BYTES + capacity
+    size = cell.HEADER_BYTES + capacity
     for cut in range(size + 1):
         memory = Cut(AT + record_bytes(capacity))
         writer, reader = pair(memory, capacity)
@@ -151,7 +151,7 @@ def test_a_death_at_every_byte_of_a_write_leaves_the_value_before_and_a_successo
             writer = LatestWriter(memory, AT, capacity, SEED)
 
 
-def test_deaths_one_after_the_other_in_the_same_slot() -> None:
+def test_deaths_one_after_the_other_in_the_same_cell() -> None:
     """Each successor dies in mid-write too: the last whole value outlives them all."""
     memory = Cut(AT + record_bytes(40))
     writer, reader = pair(memory, 40)
@@ -185,7 +185,7 @@ class Overtaken(Memory):
 @pytest.mark.parametrize("writes", [1, 2, 3, 4])
 @pytest.mark.parametrize("cut", [0, 1, 20, 40, 63, 64])
 def test_a_copy_that_is_overtaken_gives_a_value_and_none_older_than_seen(writes: int, cut: int) -> None:
-    """A reader that sleeps anywhere in its copy may find both slots torn, or a whole slot older than what it read
+    """A reader that sleeps anywhere in its copy may find both cells torn, or a whole cell older than what it read
     before: though there always was a whole value, and a newer one."""
     for at in range(record_bytes(40) + 1):
         memory = Cut(AT + record_bytes(40))
@@ -229,7 +229,7 @@ def test_model(cuts: list[tuple[int, int, bool]]) -> None:
     for cut, size, dies in cuts:
         payload = payload_of(seq + 1, size)
         if size > 40:
-            with pytest.raises(slot.PayloadTooLarge):
+            with pytest.raises(cell.PayloadTooLarge):
                 writer.write(payload, 5)
         elif not dies:
             seq, value = seq + 1, payload

@@ -11,8 +11,8 @@ from types import ModuleType
 
 import pytest
 
-from failstop.shm import layout, slot
-from failstop.shm.latest import record_bytes, slot_bytes
+from failstop.shm import cell, layout
+from failstop.shm.latest import cell_bytes, record_bytes
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, HEADER_BYTES, LAYOUT_HASH, PROCESSES, SEGMENTS
 from failstop.shm.words import LINE_BYTES
 
@@ -112,11 +112,11 @@ def test_every_process_has_a_whole_heartbeat() -> None:
 
 
 @pytest.mark.parametrize("capacity", [0, 1, 39, 40, 41, 104, 105, 2048])
-def test_a_slot_holds_its_capacity_and_shares_no_line(capacity: int) -> None:
-    assert slot_bytes(capacity) >= slot.HEADER_BYTES + capacity
-    assert slot_bytes(capacity) - slot.HEADER_BYTES - capacity < LINE_BYTES
-    assert slot_bytes(capacity) % LINE_BYTES == 0
-    assert record_bytes(capacity) == 2 * slot_bytes(capacity)
+def test_a_cell_holds_its_capacity_and_shares_no_line(capacity: int) -> None:
+    assert cell_bytes(capacity) >= cell.HEADER_BYTES + capacity
+    assert cell_bytes(capacity) - cell.HEADER_BYTES - capacity < LINE_BYTES
+    assert cell_bytes(capacity) % LINE_BYTES == 0
+    assert record_bytes(capacity) == 2 * cell_bytes(capacity)
 
 
 def test_the_hash_is_reproducible() -> None:
@@ -126,7 +126,7 @@ def test_the_hash_is_reproducible() -> None:
     same, here = ([(spec.name, spec.size, spec.offsets) for spec in of.SEGMENTS] for of in (module, layout))
     assert same == here
     gate = module.BY_NAME["gate"].records
-    assert (gate["frames"].capacity, gate["frames"].slots, gate["state"].capacity) == (304, 64, 4096)
+    assert (gate["frames"].capacity, gate["frames"].cells, gate["state"].capacity) == (304, 64, 4096)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_the_hash_is_reproducible() -> None:
         (r'_latest\("imu", 64', '_latest("imu", 72'),
         (r'_ring\("frames", 304, 64', '_ring("frames", 304, 63'),
         (r'_ring\("frames", 304', '_ring("frames", 303'),
-        (r'_ring\("trips", (\d+), (\d+)', r'_ring("trips", \2, \1'),
+        (r'_ring\("causes", (\d+), (\d+)', r'_ring("causes", \2, \1'),
         (r'_word\("port_number", "supervisor"\),', '_latest("port_number", 8, "supervisor"),'),
         (r'_latest\("battery", 32, ', '_word("battery", '),
         (r'(_latest\("imu"[^\n]*)\n\s*(_latest\("battery"[^\n]*)', r"\2\n            \1"),

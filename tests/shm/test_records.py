@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from failstop.policy import causes
 from failstop.policy.settings import LONGEST_NAME, MOST_OF_A_FAMILY
 from failstop.shm import records
+from failstop.shm.cell import HEADER_BYTES, build
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS
 from failstop.shm.packing import pack
 from failstop.shm.payload import Shape
-from failstop.shm.slot import HEADER_BYTES, build
 
 U64 = st.integers(0, 2**64 - 1)
 U32 = st.integers(0, 2**32 - 1)
@@ -167,7 +167,7 @@ TOPS = (1e308, 1e308, 1e308)
 BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
     "stopped": (
         lambda text: records.STOPPED.pack(TOP, TOP, TOP, causes.PIPED(text).pack()),
-        ["port_owner/stops", "gate/trips"],
+        ["port_owner/stops", "gate/stops"],
     ),
     "latch": (lambda text: records.LATCH.pack(TOP, TOP, TOP, causes.PIPED(text).pack()), ["supervisor/latch"]),
     "port": (lambda text: records.PORT.pack(TOP, TOP, 2, text), ["port_owner/port"]),

@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from failstop.shm import slot
+from failstop.shm import cell
 from failstop.shm.ring import RingReader, RingWriter, newest
 
 from .memory import Memory, genuine
 from .rings import (
     AT,
     CAPACITY,
+    CELLS,
     SEED,
     SIZE,
-    SLOTS,
     damage,
     die_writing,
     drain,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 def test_empty() -> None:
     memory = ring_memory()
-    assert newest(memory, AT, CAPACITY, SLOTS, SEED) == 0
+    assert newest(memory, AT, CAPACITY, CELLS, SEED) == 0
     for oldest in (True, False):
         reader = reader_of(memory, from_oldest=oldest)
         assert reader.next() is None
@@ -42,7 +42,7 @@ def test_empty() -> None:
 def test_order_over_many_laps() -> None:
     memory = ring_memory()
     writer, reader = writer_of(memory), reader_of(memory)
-    for _ in range(5 * SLOTS):
+    for _ in range(5 * CELLS):
         put(writer, 3)
         assert drain(reader) == [writer.seq - 2, writer.seq - 1, writer.seq]
         assert reader.next() is None
@@ -65,7 +65,7 @@ def test_an_idle_ring_costs_one_copy_a_look() -> None:
     """Looking through the whole ring is for damage only, not for a ring in which nothing is new."""
     memory = ring_memory()
     writer, reader = writer_of(memory), reader_of(memory)
-    for _ in range(3 * SLOTS):
+    for _ in range(3 * CELLS):
         memory.copies.clear()
         assert reader.next() is None
         assert len(memory.copies) == 1
@@ -78,15 +78,15 @@ def test_too_large_a_payload_changes_nothing() -> None:
     writer, reader = writer_of(memory), reader_of(memory)
     put(writer, 3)
     held = bytes(memory.data)
-    with pytest.raises(slot.PayloadTooLarge):
+    with pytest.raises(cell.PayloadTooLarge):
         writer.put(bytes(CAPACITY + 1))
     assert bytes(memory.data) == held
     put(writer)
     assert drain(reader) == [1, 2, 3, 4]
 
 
-@pytest.mark.parametrize("read", range(SLOTS + 2))
-@pytest.mark.parametrize("ahead", [*range(1, 3 * SLOTS + 2), 10 * SLOTS])
+@pytest.mark.parametrize("read", range(CELLS + 2))
+@pytest.mark.parametrize("ahead", [*range(1, 3 * CELLS + 2), 10 * CELLS])
 def test_lapping_counts_exactly_what_was_lost(read: int, ahead: int) -> None:
     memory = ring_memory()
     writer, reader = writer_of(memory), reader_of(memory)
@@ -95,22 +95,22 @@ def test_lapping_counts_exactly_what_was_lost(read: int, ahead: int) -> None:
     reader_at, lost_before = (drained[-1] if drained else 0), reader.lost
     put(writer, ahead)
     found = drain(reader)
-    assert found == list(range(max(reader_at, writer.seq - SLOTS) + 1, writer.seq + 1))
-    assert reader.lost - lost_before == found[0] - reader_at - 1 == max(0, ahead - SLOTS)
+    assert found == list(range(max(reader_at, writer.seq - CELLS) + 1, writer.seq + 1))
+    assert reader.lost - lost_before == found[0] - reader_at - 1 == max(0, ahead - CELLS)
 
 
-@pytest.mark.parametrize("written", [0, 1, SLOTS - 1, SLOTS, SLOTS + 1, 3 * SLOTS + 5])
+@pytest.mark.parametrize("written", [0, 1, CELLS - 1, CELLS, CELLS + 1, 3 * CELLS + 5])
 def test_where_readers_start(written: int) -> None:
     memory = ring_memory()
     writer = writer_of(memory)
     put(writer, written)
     latest, oldest = reader_of(memory), reader_of(memory, from_oldest=True)
     assert latest.next() is None
-    assert drain(oldest) == list(range(max(1, written - SLOTS + 1), written + 1))
+    assert drain(oldest) == list(range(max(1, written - CELLS + 1), written + 1))
     put(writer, 2)
     assert drain(latest) == drain(oldest) == [written + 1, written + 2]
     assert latest.lost == oldest.lost == 0
-    assert RingReader(memory, AT, CAPACITY, SLOTS, SEED).next() is None, "unless told"
+    assert RingReader(memory, AT, CAPACITY, CELLS, SEED).next() is None, "unless told"
 
 
 def test_many_readers_do_not_know_of_each_other() -> None:
@@ -132,7 +132,7 @@ def test_many_readers_do_not_know_of_each_other() -> None:
     assert readers[-1].lost > 0
 
 
-def test_a_lone_slot_is_a_ring_too() -> None:
+def test_a_lone_cell_is_a_ring_too() -> None:
     memory = ring_memory(1)
     writer, reader = writer_of(memory, 1), reader_of(memory, 1)
     put(writer)
@@ -142,7 +142,7 @@ def test_a_lone_slot_is_a_ring_too() -> None:
     assert reader.lost == 4
 
 
-@pytest.mark.parametrize("written", [0, 1, SLOTS - 1, SLOTS, SLOTS + 3])
+@pytest.mark.parametrize("written", [0, 1, CELLS - 1, CELLS, CELLS + 3])
 def test_a_death_at_every_byte_and_a_successor_goes_on(written: int) -> None:
     for cut in range(SIZE + 1):
         memory = ring_memory()
@@ -160,41 +160,41 @@ def test_a_death_at_every_byte_and_a_successor_goes_on(written: int) -> None:
         assert reader.lost == lost
 
 
-def test_a_chain_of_deaths_in_one_slot() -> None:
+def test_a_chain_of_deaths_in_one_cell() -> None:
     memory = ring_memory()
     writer, reader = writer_of(memory), reader_of(memory)
-    put(writer, SLOTS + 2)
+    put(writer, CELLS + 2)
     drain(reader)
     for cut in range(SIZE):
         writer = die_writing(memory, writer, cut)
-        assert writer.seq == SLOTS + 2
+        assert writer.seq == CELLS + 2
         assert reader.next() is None
     put(writer)
-    assert drain(reader) == [SLOTS + 3]
+    assert drain(reader) == [CELLS + 3]
 
 
 def test_from_the_oldest_after_a_death_in_mid_write() -> None:
-    """The death tore the very slot in which the oldest entry was: all the others must be read before a successor
+    """The death tore the very cell in which the oldest entry was: all the others must be read before a successor
     has written anything."""
     memory = ring_memory()
     writer = writer_of(memory)
-    put(writer, 2 * SLOTS)
+    put(writer, 2 * CELLS)
     die_writing(memory, writer)
     reader = reader_of(memory, from_oldest=True)
-    assert drain(reader) == list(range(SLOTS + 2, 2 * SLOTS + 1))
+    assert drain(reader) == list(range(CELLS + 2, 2 * CELLS + 1))
 
 
 def test_a_slow_reader_after_a_death_in_mid_write() -> None:
     """The same, for a reader that was a whole lap behind."""
     memory = ring_memory()
     writer, reader = writer_of(memory), reader_of(memory)
-    put(writer, SLOTS)
+    put(writer, CELLS)
     die_writing(memory, writer)
-    assert drain(reader) == list(range(2, SLOTS + 1))
+    assert drain(reader) == list(range(2, CELLS + 1))
     assert reader.lost == 1
 
 
-@pytest.mark.parametrize(("zero", "first"), [(False, 0), (False, 2 * SLOTS + 3), (True, 2 * SLOTS + 3)])
+@pytest.mark.parametrize(("zero", "first"), [(False, 0), (False, 2 * CELLS + 3), (True, 2 * CELLS + 3)])
 @pytest.mark.parametrize("spoiled", [(2,), (1,), (2, 3), (1, 2, 3), (2, 4), (1, 2, 3, 4, 5)])
 def test_damage_loses_only_what_was_damaged(spoiled: tuple[int, ...], first: int, zero: bool) -> None:
     """A damaged entry must not hold up the stops behind it for a lap of the ring."""
@@ -207,27 +207,27 @@ def test_damage_loses_only_what_was_damaged(spoiled: tuple[int, ...], first: int
         damage(memory, first + seq, zero=zero)
     assert drain(reader) == [first + seq for seq in range(1, 7) if seq not in spoiled]
     assert reader.lost == len(spoiled)
-    put(writer, SLOTS)
-    assert drain(reader) == list(range(first + 7, first + 7 + SLOTS))
+    put(writer, CELLS)
+    assert drain(reader) == list(range(first + 7, first + 7 + CELLS))
     assert reader.lost == len(spoiled)
 
 
-def test_a_zeroed_slot_of_the_first_lap_holds_up_no_longer_than_that_lap() -> None:
-    """The one damage that looks like a slot never used; the next lap ends it, and it is counted."""
+def test_a_zeroed_cell_of_the_first_lap_holds_up_no_longer_than_that_lap() -> None:
+    """The one damage that looks like a cell never used; the next lap ends it, and it is counted."""
     memory = ring_memory()
     writer, reader = writer_of(memory), reader_of(memory)
     put(writer, 4)
     damage(memory, 2, zero=True)
     assert drain(reader) == [1]
-    put(writer, SLOTS)
-    assert drain(reader) == list(range(5, 5 + SLOTS))
+    put(writer, CELLS)
+    assert drain(reader) == list(range(5, 5 + CELLS))
     assert reader.lost == 3
 
 
 def test_damage_to_the_newest_waits_for_what_comes() -> None:
     memory = ring_memory()
     writer, reader = writer_of(memory), reader_of(memory)
-    put(writer, SLOTS + 3)
+    put(writer, CELLS + 3)
     drain(reader)
     lost = reader.lost
     put(writer, 1)
@@ -239,7 +239,7 @@ def test_damage_to_the_newest_waits_for_what_comes() -> None:
     assert reader.lost == lost + 1
 
 
-def test_a_slot_copied_over_another_is_damage() -> None:
+def test_a_cell_copied_over_another_is_damage() -> None:
     """Whole, with a right CRC, and in the wrong place."""
     for source in range(1, 7):
         for target in range(2, 6):
@@ -251,36 +251,36 @@ def test_a_slot_copied_over_another_is_damage() -> None:
             memory.data[place(target) : place(target) + SIZE] = memory.data[place(source) : place(source) + SIZE]
             assert drain(reader) == [seq for seq in range(1, 7) if seq != target]
             assert reader.lost == 1
-            assert newest(memory, AT, CAPACITY, SLOTS, SEED) == 6
+            assert newest(memory, AT, CAPACITY, CELLS, SEED) == 6
 
 
-def test_a_successor_does_not_go_on_after_an_entry_in_the_wrong_slot() -> None:
+def test_a_successor_does_not_go_on_after_an_entry_in_the_wrong_cell() -> None:
     memory = ring_memory()
     put(writer_of(memory), 6)
     memory.data[place(2) : place(2) + SIZE] = memory.data[place(6) : place(6) + SIZE]
     damage(memory, 6)
-    assert newest(memory, AT, CAPACITY, SLOTS, SEED) == 5
+    assert newest(memory, AT, CAPACITY, CELLS, SEED) == 5
     assert writer_of(memory).seq == 5
 
 
-def test_an_entry_whose_length_leads_into_the_next_slot_is_none_even_with_a_right_crc() -> None:
+def test_an_entry_whose_length_leads_into_the_next_cell_is_none_even_with_a_right_crc() -> None:
     memory = ring_memory()
-    data = slot.build(1, 1, bytes(2 * CAPACITY), SEED, 2 * CAPACITY)
+    data = cell.build(1, 1, bytes(2 * CAPACITY), SEED, 2 * CAPACITY)
     memory.data[place(1) : place(1) + len(data)] = data
-    assert newest(memory, AT, CAPACITY, SLOTS, SEED) == 0
+    assert newest(memory, AT, CAPACITY, CELLS, SEED) == 0
     assert reader_of(memory).next() is None
 
 
 def test_published_while_the_ring_is_looked_through_is_not_lost() -> None:
-    """The reader meets a slot in mid-write, and the writer goes on while it looks for damage."""
-    for at_copy in range(2, 2 * SLOTS + 3):
+    """The reader meets a cell in mid-write, and the writer goes on while it looks for damage."""
+    for at_copy in range(2, 2 * CELLS + 3):
         memory = ring_memory()
         writer = writer_of(memory)
-        put(writer, SLOTS + 3)
+        put(writer, CELLS + 3)
         reader = reader_of(memory)
         torn = Memory(0)
         torn.data = memory.data
-        damage(memory, SLOTS + 4)  # as it is while the writer stores it
+        damage(memory, CELLS + 4)  # as it is while the writer stores it
         copies = 0
 
         def later(at_copy: int = at_copy, writer: RingWriter = writer) -> None:
@@ -295,17 +295,17 @@ def test_published_while_the_ring_is_looked_through_is_not_lost() -> None:
         found += drain(reader)
         if copies < at_copy:
             continue
-        assert found == [SLOTS + 4, SLOTS + 5, SLOTS + 6]
+        assert found == [CELLS + 4, CELLS + 5, CELLS + 6]
         assert reader.lost == 0
 
 
 @pytest.mark.parametrize("puts", [1, 2, 3, 7])
-@pytest.mark.parametrize("slots", [1, 2, 3, 8, 64])
-def test_a_writer_as_fast_as_the_reader_cannot_hold_it_in_a_chase(slots: int, puts: int) -> None:
-    """While the reader copies one slot the writer overwrites the oldest ones: one call must still come to an end."""
-    memory = ring_memory(slots)
-    writer, reader = writer_of(memory, slots), reader_of(memory, slots)
-    put(writer, 5 * slots)
+@pytest.mark.parametrize("cells", [1, 2, 3, 8, 64])
+def test_a_writer_as_fast_as_the_reader_cannot_hold_it_in_a_chase(cells: int, puts: int) -> None:
+    """While the reader copies one cell the writer overwrites the oldest ones: one call must still come to an end."""
+    memory = ring_memory(cells)
+    writer, reader = writer_of(memory, cells), reader_of(memory, cells)
+    put(writer, 5 * cells)
     memory.before_copy = lambda: put(writer, puts)
     last = 0
     for _ in range(20):
@@ -313,10 +313,10 @@ def test_a_writer_as_fast_as_the_reader_cannot_hold_it_in_a_chase(slots: int, pu
         lost = reader.lost
         entry = reader.next()
         # A writer that laps a small ring between two copies leaves nothing to read, but must not keep the caller.
-        assert len(memory.copies) <= 2 * slots + 10
+        assert len(memory.copies) <= 2 * cells + 10
         if entry is None:
             continue
         assert genuine(entry)
         assert entry[0] - last - 1 == reader.lost - lost
         last = entry[0]
-    assert last > 0 or puts >= slots
+    assert last > 0 or puts >= cells

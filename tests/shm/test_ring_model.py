@@ -12,8 +12,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, initialize, rule
 
-from failstop.shm import slot
-from failstop.shm.latest import slot_bytes
+from failstop.shm import cell
+from failstop.shm.latest import cell_bytes
 from failstop.shm.ring import RingReader, RingWriter
 from tests.support.children import Child
 
@@ -21,7 +21,7 @@ from .memory import Death, exit_after, genuine, payload_of, time_of
 from .rings import AT, CAPACITY, SEED, SIZE, reader_of, ring_memory, writer_of
 
 if TYPE_CHECKING:
-    from failstop.shm.slot import Entry
+    from failstop.shm.cell import Entry
 
 
 class RingModel(RuleBasedStateMachine):
@@ -29,13 +29,13 @@ class RingModel(RuleBasedStateMachine):
 
     readers: Bundle[tuple[RingReader, list[int]]] = Bundle("readers")
 
-    @initialize(slots=st.sampled_from([1, 2, 3, 8]))
-    def start(self, slots: int) -> None:
-        self.slots = slots
-        self.memory = ring_memory(slots)
-        self.writer = writer_of(self.memory, slots)
+    @initialize(cells=st.sampled_from([1, 2, 3, 8]))
+    def start(self, cells: int) -> None:
+        self.cells = cells
+        self.memory = ring_memory(cells)
+        self.writer = writer_of(self.memory, cells)
         self.put: list[bytes] = []
-        self.torn = False  # the slot of the next entry, which was that of the oldest, is torn
+        self.torn = False  # the cell of the next entry, which was that of the oldest, is torn
 
     @rule(payloads=st.lists(st.binary(max_size=CAPACITY), min_size=1, max_size=12))
     def append(self, payloads: list[bytes]) -> None:
@@ -47,8 +47,8 @@ class RingModel(RuleBasedStateMachine):
     @rule(payload=st.binary(max_size=CAPACITY), share=st.floats(0, 1))
     def die(self, payload: bytes, share: float) -> None:
         seq = len(self.put) + 1
-        data = slot.build(seq, 77, payload, SEED, CAPACITY)
-        at = AT + seq % self.slots * SIZE
+        data = cell.build(seq, 77, payload, SEED, CAPACITY)
+        at = AT + seq % self.cells * SIZE
         before = bytes(self.memory.data[at : at + SIZE])
         self.memory.left = int(len(data) * share)
         with pytest.raises(Death):
@@ -59,9 +59,9 @@ class RingModel(RuleBasedStateMachine):
             self.torn = False
         elif after != before:
             self.torn = True
-        self.writer = writer_of(self.memory, self.slots)
-        # With a lone slot a torn one leaves nothing to tell a successor how far its predecessor was.
-        if self.slots == 1 and self.torn:
+        self.writer = writer_of(self.memory, self.cells)
+        # With a lone cell a torn one leaves nothing to tell a successor how far its predecessor was.
+        if self.cells == 1 and self.torn:
             self.put_lone_again(before)
         assert self.writer.seq == len(self.put)
 
@@ -72,14 +72,14 @@ class RingModel(RuleBasedStateMachine):
 
     @rule()
     def successor(self) -> None:
-        self.writer = writer_of(self.memory, self.slots)
+        self.writer = writer_of(self.memory, self.cells)
         assert self.writer.seq == len(self.put)
 
     @rule(target=readers, from_oldest=st.booleans())
     def reader(self, from_oldest: bool) -> tuple[RingReader, list[int]]:
-        reader = reader_of(self.memory, self.slots, from_oldest=from_oldest)
+        reader = reader_of(self.memory, self.cells, from_oldest=from_oldest)
         last = len(self.put)
-        return reader, [max(1, last - self.slots + 1) if from_oldest else last + 1]
+        return reader, [max(1, last - self.cells + 1) if from_oldest else last + 1]
 
     @rule(which=readers, count=st.integers(1, 12))
     def read(self, which: tuple[RingReader, list[int]], count: int) -> None:
@@ -88,8 +88,8 @@ class RingModel(RuleBasedStateMachine):
             lost = reader.lost
             entry: Entry | None = reader.next()
             last, at = len(self.put), model[0]
-            oldest = max(1, last - self.slots + 1)
-            if self.torn and last >= self.slots:
+            oldest = max(1, last - self.cells + 1)
+            if self.torn and last >= self.cells:
                 oldest += 1
             expected = max(at, oldest)
             if expected > last:
@@ -143,21 +143,21 @@ def read_all_the_while(reader: RingReader, size: int, enough: int, pause: int) -
     return seen, reader.lost - first_lost
 
 
-@pytest.mark.parametrize(("capacity", "slots", "pause"), [(40, 8, 0), (40, 8, 16), (320, 64, 100), (16384, 4, 3)])
-def test_a_writer_at_full_speed(capacity: int, slots: int, pause: int) -> None:
-    memory = mmap.mmap(-1, AT + slots * slot_bytes(capacity))
-    with Child(flat_out(writer_of(memory, slots, capacity), capacity)):
-        reader = reader_of(memory, slots, capacity)
+@pytest.mark.parametrize(("capacity", "cells", "pause"), [(40, 8, 0), (40, 8, 16), (320, 64, 100), (16384, 4, 3)])
+def test_a_writer_at_full_speed(capacity: int, cells: int, pause: int) -> None:
+    memory = mmap.mmap(-1, AT + cells * cell_bytes(capacity))
+    with Child(flat_out(writer_of(memory, cells, capacity), capacity)):
+        reader = reader_of(memory, cells, capacity)
         seen, lost = read_all_the_while(reader, capacity, 2_000, pause)
         if pause:
             assert lost > 0, "the reader was to be lapped"
-        late = reader_of(memory, slots, capacity, from_oldest=True)
+        late = reader_of(memory, cells, capacity, from_oldest=True)
         read_all_the_while(late, capacity, 50, 0)
     assert seen == 2_000
 
 
 def test_readers_in_several_processes() -> None:
-    memory = mmap.mmap(-1, AT + 64 * slot_bytes(320))
+    memory = mmap.mmap(-1, AT + 64 * cell_bytes(320))
     with Child(flat_out(writer_of(memory, 64, 320), 320)):
 
         def read(send: object, wait: object) -> tuple[int, int]:

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from failstop.shm import segment, slot
+from failstop.shm import cell, segment
 from failstop.shm.layout import BY_NAME, HEADER_BYTES, LAYOUT_HASH
 from failstop.version import VERSION
 
@@ -21,7 +21,7 @@ from .segments import (
 
 
 def test_the_header_fits_its_place() -> None:
-    assert slot.HEADER_BYTES + segment._HEADER.size <= HEADER_BYTES
+    assert cell.HEADER_BYTES + segment._HEADER.size <= HEADER_BYTES
     assert len(VERSION.encode()) <= 24
     assert all(len(name) <= 24 for name in NAMES)
 
@@ -55,7 +55,7 @@ def test_a_damaged_header(name: str, of: str, damage: str) -> None:
             file.seek(90)
             file.write(bytes([byte ^ 1]))
         elif damage == "short header":
-            file.write(slot.build(1, 0, segment.MAGIC, segment._HEADER_SEED, 104))
+            file.write(cell.build(1, 0, segment.MAGIC, segment._HEADER_SEED, 104))
         elif damage == "empty":
             file.truncate(0)
         elif damage == "cut":
@@ -122,7 +122,7 @@ def test_a_file_that_is_too_small_is_not_mapped(name: str, of: str) -> None:
         assert "wrong size or name" in message
 
 
-def test_slots_of_another_run_are_not_read(name: str) -> None:
+def test_cells_of_another_run_are_not_read(name: str) -> None:
     """Even with every byte of the dead run's records in place."""
     segment.create(name, "gate", 1).close()
     own = segment.attach(name, "gate", 1, write=True)

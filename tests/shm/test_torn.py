@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from failstop.shm import slot
+from failstop.shm import cell
 from failstop.shm.latest import LatestReader, LatestWriter, record_bytes
 from failstop.shm.ring import RingReader, RingWriter
 from tests.support.amounts import LONG, amount
@@ -69,7 +69,7 @@ def test_killed_writers_leave_no_torn_record(kind: str, where: str, size: int) -
         assert account["reads_while_writing"] > KILLS
         assert account["accepted"] >= KILLS
         assert account["written"] >= KILLS
-        left += account["kills_that_left_a_torn_slot"]
+        left += account["kills_that_left_a_torn_cell"]
         if left or size < 65536:
             return
     pytest.fail("no kill landed in the middle of a store")
@@ -98,7 +98,7 @@ class Stepwise:
             self.each()
 
 
-SEED = slot.seed("test.torn", 1)
+SEED = cell.seed("test.torn", 1)
 
 
 @pytest.mark.parametrize("stores", ["one", "separate"])
@@ -109,7 +109,7 @@ def test_a_reader_after_every_byte_of_every_store(
 ) -> None:
     """The same with no luck in it: with the CRC nothing torn is read, without it much is."""
     if not crc:
-        monkeypatch.setattr(slot, "check", check_without_crc)
+        monkeypatch.setattr(cell, "check", check_without_crc)
     view = Stepwise(Memory(max(record_bytes(40), 4 * 64)))
     target = view if stores == "one" else Separate(view)
     latest = kind == "latest"

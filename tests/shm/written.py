@@ -15,7 +15,7 @@ from failstop.shm.segment import Segment
 from .memory import payload_of, time_of
 
 if TYPE_CHECKING:
-    from failstop.shm.slot import Entry
+    from failstop.shm.cell import Entry
 
 RUN = 0xFEEDFACE
 NAMES = [spec.name for spec in SEGMENTS]
@@ -49,7 +49,7 @@ class Written:
                 if record.kind == "latest"
                 else writes.ring_writer(record.name).put
             )
-            for seq in range(1, record.slots + 6):
+            for seq in range(1, record.cells + 6):
                 payload = payload_of(seq, dice.randrange(record.capacity + 1))
                 assert put(payload, time_of(seq)) == seq
                 found.add((seq, time_of(seq), payload))
@@ -94,7 +94,7 @@ class Written:
                     self.seen += entry is not None
                     continue
                 last = 0
-                for _ in range(self.spec.records[name].slots + 1):
+                for _ in range(self.spec.records[name].cells + 1):
                     entry = reader.next()
                     if entry is None:
                         break
@@ -128,7 +128,7 @@ class Written:
         elif way == 4:  # bytes from elsewhere in the same segment, records and all
             source = self.dice.randrange(self.spec.size - size + 1)
             data = self.image[source : source + size]
-        elif way == 5:  # the same by lines, so that whole slots move
+        elif way == 5:  # the same by lines, so that whole cells move
             at, size = at // 64 * 64, max(64, size // 64 * 64)
             source = self.dice.randrange(self.spec.size // 64) * 64
             data = self.image[source : source + size]

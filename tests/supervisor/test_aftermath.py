@@ -32,8 +32,8 @@ class Watched(Scene):
         self.link = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("link")
 
     def stop(self, reason: str) -> None:
-        """The gate trips, and the port owner answers."""
-        self.trip(reason)
+        """The gate stops, and the port owner answers."""
+        self.gate_stops(reason)
         self.turn()
         self.answers(written_ns=self.now_ns)
         self.turn(MS)

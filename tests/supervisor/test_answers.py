@@ -96,7 +96,7 @@ def test_a_stop_that_the_port_owner_wrote(scene: Scene) -> None:
 
 
 def test_a_stop_that_the_port_owner_wrote_in_answer(scene: Scene) -> None:
-    scene.trip()
+    scene.gate_stops()
     scene.turn()
     scene.answers(written_ns=scene.now_ns + 80_000)
     assert scene.turn(MS) == b""
@@ -114,7 +114,7 @@ def test_a_stop_that_the_port_owner_could_not_write_is_the_supervisor_s(scene: S
 
 def test_an_answer_without_a_new_burst_is_none(scene: Scene) -> None:
     """A port owner that has lost the port answers the epoch, and its last burst was long ago."""
-    scene.trip()
+    scene.gate_stops()
     scene.turn()
     scene.answers()
     assert scene.turn(MS) == BURST
@@ -134,7 +134,7 @@ def test_a_device_lost_is_said_to_be_not_written(scene: Scene) -> None:
 
 
 def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) -> None:
-    scene.trip()
+    scene.gate_stops()
     assert scene.turn() == b""
     assert scene.next_ns() == scene.now_ns + 5 * MS, "to the moment"
     assert scene.turn(5 * MS - 1) == b"", "it has the first go"
@@ -145,14 +145,14 @@ def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) 
 
 def test_without_a_port_owner_the_burst_is_written_at_once(scene: Scene) -> None:
     scene.supervisor.processes[layout.PORT_OWNER].state = WAITING
-    scene.trip()
+    scene.gate_stops()
     assert scene.turn() == BURST
 
 
 def test_a_full_port_is_said_to_be_not_written(scene: Scene) -> None:
     scene.supervisor.processes[layout.PORT_OWNER].state = WAITING
     fill(scene.port.fd)
-    scene.trip()
+    scene.gate_stops()
     scene.supervisor.turn({})
     assert scene.told()["written_us"] is None
 
@@ -208,19 +208,19 @@ def test_a_cause_that_comes_while_the_last_is_looked_at_is_not_slept_over(
     def then_another(*arguments: Any) -> list[Stop]:
         found = real(*arguments)
         if found:
-            scene.trip("the second")
+            scene.gate_stops("the second")
             scene.resources.bells[layout.SUPERVISOR].ring()
         return found
 
     monkeypatch.setattr(scene.supervisor, "_collect", then_another)
-    scene.trip("the first")
+    scene.gate_stops("the first")
     scene.resources.bells[layout.SUPERVISOR].ring()
     scene.turn()
     assert scene.resources.bells[layout.SUPERVISOR].fd in scene.supervisor.loop.wait(0)
 
 
 def test_the_first_cause_is_the_one_that_is_latched(scene: Scene) -> None:
-    scene.trip("the first")
+    scene.gate_stops("the first")
     scene.turn()
     scene.answers(written_ns=scene.now_ns)
     scene.turn(MS)
@@ -231,7 +231,7 @@ def test_the_first_cause_is_the_one_that_is_latched(scene: Scene) -> None:
 
 
 def test_a_reset_clears_the_latch_and_says_so_once_it_is_done(scene: Scene) -> None:
-    scene.trip("the first")
+    scene.gate_stops("the first")
     scene.turn()
     scene.answers(written_ns=scene.now_ns)
     scene.turn(MS)
@@ -244,7 +244,7 @@ def test_a_reset_clears_the_latch_and_says_so_once_it_is_done(scene: Scene) -> N
 
 
 def test_a_reset_waits_for_the_stop_to_be_carried_out(scene: Scene) -> None:
-    scene.trip("the first")
+    scene.gate_stops("the first")
     scene.turn()
     scene.ask_reset(scene.now_ns + MS)
     scene.turn(MS)
@@ -258,7 +258,7 @@ def test_a_reset_waits_for_the_stop_to_be_carried_out(scene: Scene) -> None:
 
 def test_a_stop_and_a_reset_that_did_not_know_of_it(scene: Scene) -> None:
     """Whichever the supervisor hears first, the second stop is latched."""
-    scene.trip("the first")
+    scene.gate_stops("the first")
     scene.turn()
     scene.answers(written_ns=scene.now_ns)
     scene.turn(MS)
@@ -273,7 +273,7 @@ def test_a_stop_and_a_reset_that_did_not_know_of_it(scene: Scene) -> None:
     )
     assert scene.cause() == (2, "the first")
     scene.reset()
-    scene.trip("the third")
+    scene.gate_stops("the third")
     scene.turn(MS)
     scene.answers()
     scene.turn(MS)
@@ -283,7 +283,7 @@ def test_a_stop_and_a_reset_that_did_not_know_of_it(scene: Scene) -> None:
 
 
 def test_people_are_told_when_the_stop_is_out_and_not_before(scene: Scene) -> None:
-    scene.trip("multiple cmd_vel publishers")
+    scene.gate_stops("multiple cmd_vel publishers")
     scene.notice("key1", written_ns=scene.now_ns + 50_000)
     scene.turn()
     assert scene.word("epoch").get() == 2
@@ -324,7 +324,7 @@ def test_no_event_is_sent_before_the_burst(scene: Scene, monkeypatch: pytest.Mon
 
     scene.supervisor._port = Port()  # type: ignore[assignment]
     monkeypatch.setattr(scene.supervisor._events, "_send", send)
-    scene.trip("the first")
+    scene.gate_stops("the first")
     scene.supervisor._events.tell("note", "from before")
     scene.turn()
     assert order == []
@@ -339,7 +339,7 @@ def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, t
     scene.supervisor.herald.notify = notify
     scene.supervisor.processes[layout.PORT_OWNER].state = WAITING
     fill(scene.port.fd)
-    scene.trip()
+    scene.gate_stops()
     scene.supervisor.turn({})
     scene.now_ns += OWED_NS - MS
     scene.supervisor.turn({})
@@ -357,7 +357,7 @@ def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, t
 def test_a_stop_that_the_port_owner_has_written_is_owed_no_more(scene: Scene, tmp_path: Path) -> None:
     notify = Notify(str(tmp_path / "nobody"), 2)
     scene.supervisor.herald.notify = notify
-    scene.trip()
+    scene.gate_stops()
     scene.turn()
     scene.answers(written_ns=scene.now_ns)
     scene.turn(MS)

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from failstop.policy.settings import Settings
+from failstop.procs.loop import Loop
 from failstop.procs.world import World
 from failstop.shm import box, layout, segment
 from failstop.supervisor import blackbox, starter
@@ -26,6 +27,7 @@ from failstop.supervisor.blackbox import (
 )
 from failstop.supervisor.events import Events
 from failstop.supervisor.resources import Resources
+from failstop.supervisor.run import Run
 from failstop.supervisor.stops import Stop
 from tests.support.waiting import until
 from tests.support.why import why
@@ -71,7 +73,8 @@ class Scene:
 
     def new(self, **changed: object) -> BlackBox:
         settings = Settings({**self.settings.flat(), **{f"incidents.{key}": value for key, value in changed.items()}})
-        return BlackBox(World(now_ns=lambda: T0), self.resources, settings, self.own, self.views, self.events)
+        world = World(now_ns=lambda: T0)
+        return BlackBox(Run(world, self.resources, settings, self.own, self.views, Loop(world), self.events))
 
     def spawn(self, arguments: list[str], environ: dict[str, str], passed: list[int]) -> int:
         """In the place of the saver's own program."""

@@ -1,4 +1,4 @@
-"""Events: lines for people, entries for the journal, slots for programs - and never a reason to stop working."""
+"""Events: lines for people, entries for the journal, cells for programs - and never a reason to stop working."""
 
 from __future__ import annotations
 
@@ -88,9 +88,9 @@ class Scene:
 
     def ring(self) -> list[dict[str, Any]]:
         found = []
-        while slot := self._reader.next():
-            found.append(msgpack.unpackb(slot[2]))
-            assert slot[1] == found[-1]["ns"]
+        while entry := self._reader.next():
+            found.append(msgpack.unpackb(entry[2]))
+            assert entry[1] == found[-1]["ns"]
         return found
 
     def journal(self) -> list[bytes]:
@@ -192,7 +192,7 @@ def test_a_kind_that_nobody_knows_is_a_note_and_a_level_too(scene: Scene) -> Non
 
 
 @pytest.mark.parametrize("size", [1, 47, 200, 5_000, 100_000])
-def test_every_event_fits_into_its_slot(size: int) -> None:
+def test_every_event_fits_into_its_cell(size: int) -> None:
     fields: dict[str, str | int | float] = {"reason": "\u2713" * size, "who": "\udcff" * size, "epoch": 2**63}
     data = pack(2**62, 1.7e9, "stop_outcome", "critical", "\u2713" * size, fields)
     assert len(data) <= ROOM

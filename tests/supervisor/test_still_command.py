@@ -13,12 +13,14 @@ import pytest
 from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.settings import Settings
+from failstop.procs.loop import Loop
 from failstop.procs.world import World
 from failstop.shm import layout, segment
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.events import Events
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.resources import Resources
+from failstop.supervisor.run import Run
 from failstop.supervisor.stops import Stop
 from tests.support.why import why
 
@@ -44,9 +46,8 @@ class Scene:
         events.tell = self._tell  # type: ignore[method-assign,assignment]
         self.latch = Latch()
         self.held = False
-        self.aftermath = Aftermath(
-            World(), views | {layout.SUPERVISOR: own}, self.latch, settings, events, lambda: self.held
-        )
+        run = Run(World(), self.resources, settings, own, views, Loop(World()), events)
+        self.aftermath = Aftermath(run, self.latch, lambda: self.held)
         self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
         self.now_ns = 100 * S
         self.epoch = 1

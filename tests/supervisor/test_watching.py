@@ -76,7 +76,7 @@ def test_the_port_owner_s_death_is_answered_first_on_its_own_descriptor(
 
 def test_who_is_to_answer_an_epoch_is_woken(watching: Watching) -> None:
     watching.rung(layout.PORT_OWNER), watching.rung(layout.GATE)
-    watching.trip()
+    watching.gate_stops()
     watching.turn()
     assert watching.rung(layout.PORT_OWNER)
     assert watching.rung(layout.GATE)
@@ -246,7 +246,7 @@ def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(watching: Watc
 
 
 def test_its_own_beat_tells_the_epoch_that_it_has_raised(watching: Watching) -> None:
-    watching.trip()
+    watching.gate_stops()
     watching.pass_time(MS)
     assert watching.word("beat_ns").get() == watching.now_ns
     assert watching.word("beat_epoch").get() == watching.supervisor.epoch == 2
@@ -596,7 +596,7 @@ def test_what_the_service_manager_is_told(watching: Watching) -> None:
     assert len(heard.said) == 3, "the gate's state is looked at ten times a second"
     watching.pass_time(MS)
     assert heard.said[3:] == ["STATUS=motion enabled; blocked: no scan"]
-    watching.trip("bumper")
+    watching.gate_stops("bumper")
     watching.pass_time(MS)
     watching.answers(written_ns=watching.now_ns)
     watching.pass_time(MS)

@@ -69,7 +69,7 @@ class Scene(GateStage):
         super().__init__(directory, monkeypatch)
         self.latch = Latch()
         self._reply = self.own.latest_reader("reply.0")
-        self._trips = self.own.ring_reader("trips")
+        self._stops = self.own.ring_reader("stops")
         self._number = 0
         self.asked: list[int] = []
         """Kinds of the frames that the last ask() led to."""
@@ -119,9 +119,9 @@ class Scene(GateStage):
             found.append(records.FRAME.unpack(entry[2])[1])
         return found
 
-    def tripped(self) -> str:
+    def stopped(self) -> str:
         """The reason of a stop that it has published."""
-        entry = self._trips.next()
+        entry = self._stops.next()
         return str(causes.read(records.STOPPED.unpack(entry[2])[3])) if entry else ""
 
     def request(self, verb: int, asked_ns: int | None = None) -> None:

@@ -110,7 +110,7 @@ class Recorder:
             "t": unix_ns / 1e9,
             "saved": unix_ns / 1e9 + 2.2,
             "reason": str(self.why),
-            "cause": {"name": self.why.kind.name, **self.why.named()},
+            "cause": self.why.as_map(),
             "kind": self.kind,
             "cause_ns": CAUSE_NS,
             "epoch": 7,

@@ -68,7 +68,7 @@ class Scene(Stage):
         self.turn()
         self.put()
         assert self.turn() == MOTION
-        assert self.owner.admission.moving
+        assert self.owner.admission.wheels_move
 
     def causes(self) -> list[tuple[int, int, str]]:
         """Stops that it has published since the last call: (epoch, when written, reason). All of them latch."""

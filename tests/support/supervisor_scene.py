@@ -80,9 +80,9 @@ class Scene:
         stop = records.STOPPED.pack(1, self.now_ns, written_ns, why(reason).pack())
         self.port_owner.ring_writer("stops").put(stop)
 
-    def trip(self, reason: str = "multiple cmd_vel publishers") -> None:
+    def gate_stops(self, reason: str = "multiple cmd_vel publishers") -> None:
         """The gate has latched."""
-        self.gate.ring_writer("trips").put(records.STOPPED.pack(1, self.now_ns, 0, why(reason).pack()))
+        self.gate.ring_writer("stops").put(records.STOPPED.pack(1, self.now_ns, 0, why(reason).pack()))
 
     def turn(self, elapsed_ns: int = 0) -> bytes:
         """Time passes and the supervisor wakes up; returns what it wrote to the port."""

@@ -49,7 +49,7 @@ class Scene:
         self._gate = self.owned(layout.GATE).latest_writer("state")
         self._bells = {name: EventBell.create() for name in ("bell", "port_owner_bell", "gate_bell", "supervisor_bell")}
         self.gate: dict[str, Any] = {"enabled": False, "estop": None, "epoch": 1, "body_vel": [0.0, 0.0, 0.0]}
-        self._readers = {name: self.own.ring_reader(name) for name in ("trips", "pad_requests", "notes", "events")}
+        self._readers = {name: self.own.ring_reader(name) for name in ("causes", "pad_requests", "notes", "buttons")}
         self.telemetry: Telemetry
         self.start()
 

@@ -45,7 +45,7 @@ def test_bias_charger_log_and_tones_on_a_running_service(tmp_path: Path) -> None
         trial.board.pad(MODE)
         trial.board.wait_for(lambda event: event.func == BUZZER and event.data == tones.MODES[1][4:-1], 5.0)
         trial.board.pad(0x0100)
-        trial.board.wait_for(lambda event: event.func == BUZZER and event.data == tones.TRIP[4:-1], 5.0)
+        trial.board.wait_for(lambda event: event.func == BUZZER and event.data == tones.LATCH[4:-1], 5.0)
         wait_for("the button's raw frames in the log", lambda: "last frames: 0020" in trial.service.said())
 
         wait_for("the calibration", lambda: bias_dps(trial) is not None)

@@ -1,4 +1,4 @@
-"""The gamepad: trips, modes, sticks, and the hold that resets."""
+"""The gamepad: stops, modes, sticks, and the hold that resets."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.policy.settings import Settings
+from failstop.procs.telemetry.noticer import Noticer
 from failstop.procs.telemetry.pad import DRIVE, JOINT, LOCKED, Pad, PadNews
-from failstop.procs.telemetry.trips import Trips
 from failstop.shm import records
 
 MS = 1_000_000
@@ -22,7 +22,7 @@ class Held:
 
     def __init__(self, **changed: object) -> None:
         settings = Settings(dict(changed))
-        self.pad = Pad.of(settings, Trips(int(settings["pad.mode_button"]), int(settings["key.stop"])))
+        self.pad = Pad.of(settings, Noticer(int(settings["pad.mode_button"]), int(settings["key.stop"])))
         self.now_ns = 1_000_000 * MS
 
     def frame(self, buttons: int = 0, lx: int = 0, ly: int = 0, rx: int = 0, ry: int = 0) -> PadNews:
@@ -61,7 +61,7 @@ def driving(held: Held) -> Held:
     return held
 
 
-def test_any_button_but_mode_trips_on_its_first_frame(held: Held) -> None:
+def test_any_button_but_mode_stops_on_its_first_frame(held: Held) -> None:
     assert str(held.frame(X).cause) == "gamepad button 0x0100"
     for bit in range(16):
         if 1 << bit != MODE:
@@ -69,7 +69,7 @@ def test_any_button_but_mode_trips_on_its_first_frame(held: Held) -> None:
     assert held.tap(MODE).cause is None
 
 
-def test_the_first_frame_of_all_trips_too() -> None:
+def test_the_first_frame_of_all_stops_too() -> None:
     assert str(Held().frame(X).cause) == "gamepad button 0x0100"
 
 

@@ -12,7 +12,7 @@ import pytest
 from failstop.board import framing
 from failstop.policy import causes
 from failstop.procs.telemetry import tones
-from failstop.procs.telemetry.trips import LOW_READINGS
+from failstop.procs.telemetry.noticer import LOW_READINGS
 from failstop.shm import records
 from tests.support.telemetry_scene import MS, Scene
 from tests.support.waiting import until
@@ -128,10 +128,10 @@ def test_odometry_stands_when_the_gate_is_silent(scene: Scene) -> None:
 def test_a_button_stops_and_its_raw_frames_are_in_the_log(scene: Scene) -> None:
     scene.pad(ly=5)
     scene.pad(X)
-    assert scene.told("trips") == [causes.BUTTON(0x0100).pack()]
+    assert scene.told("causes") == [causes.BUTTON(0x0100).pack()]
     assert scene.rung("port_owner_bell")
     assert scene.notes() == ["gamepad button 0x0100; last frames: 00000000050000 (-50 ms), 00010000000000 (-0 ms)"]
-    assert [msgpack.unpackb(event) for event in scene.told("events")] == [
+    assert [msgpack.unpackb(event) for event in scene.told("buttons")] == [
         {"kind": "pad", "buttons": X, "raw": "00010000000000"}
     ]
 
@@ -139,14 +139,14 @@ def test_a_button_stops_and_its_raw_frames_are_in_the_log(scene: Scene) -> None:
 @pytest.mark.parametrize("event", [0x01, 0x02, 0x04, 0x20, 0x40, 0x80])
 def test_key_1_s_presses_trip(scene: Scene, event: int) -> None:
     scene.key(1, event)
-    assert scene.told("trips") == [causes.KEY(1).pack()]
+    assert scene.told("causes") == [causes.KEY(1).pack()]
 
 
 @pytest.mark.parametrize(("key", "event"), [(1, 0x08), (1, 0x10), (2, 0x01)])
 def test_other_keys_and_releases_do_not(scene: Scene, key: int, event: int) -> None:
     scene.key(key, event)
-    assert scene.told("trips") == []
-    assert len(scene.told("events")) == 1
+    assert scene.told("causes") == []
+    assert len(scene.told("buttons")) == 1
 
 
 def test_the_pad_s_frame_and_mode_are_published(scene: Scene) -> None:
@@ -215,7 +215,7 @@ def test_tones_are_requests_for_frames_that_are_not_motion(sounding: Scene) -> N
     sounding.gate["estop"] = causes.KEY(1).pack()
     sounding.turn(elapsed_ns=20 * MS)
     requests = [records.PAD_REQUEST.unpack(request) for request in sounding.told("pad_requests")]
-    assert requests == [(records.PAD_FRAME, tones.MODES[1]), (records.PAD_FRAME, tones.TRIP)]
+    assert requests == [(records.PAD_FRAME, tones.MODES[1]), (records.PAD_FRAME, tones.LATCH)]
     assert all(frame[2] == framing.BUZZER for _, frame in requests)
     assert sounding.rung("gate_bell")
 
@@ -252,7 +252,7 @@ def test_a_damaged_charger_file_is_unknown(scene: Scene, content: str) -> None:
 def test_a_low_battery_stops_where_the_settings_say_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(tmp_path, monkeypatch, **{"battery.stop_mv": 10_500})
     scene.battery(*[10_400] * LOW_READINGS)
-    assert scene.told("trips") == [causes.BATTERY(10.4).pack()]
+    assert scene.told("causes") == [causes.BATTERY(10.4).pack()]
     scene.close()
 
 
@@ -291,7 +291,7 @@ def test_frames_that_make_no_sense_are_not_passed_on(scene: Scene) -> None:
     scene.turn((framing.IMU, b"short"), (framing.SYS, b"\x04"), (framing.GAMEPAD, b"1"), (framing.KEY, b"\x01\x03"))
     scene.turn((framing.SBUS, bytes(36)))
     assert [scene.latest(name) for name in ("imu", "battery", "pad")] == [None] * 3
-    assert scene.told("trips") == []
+    assert scene.told("causes") == []
 
 
 def test_it_beats(scene: Scene) -> None:

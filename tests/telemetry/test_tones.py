@@ -28,25 +28,25 @@ def test_off_by_default() -> None:
 
 
 def test_a_trip_sounds_once(sounding: Tones) -> None:
-    assert [sounding.follow(True, pad.LOCKED) for _ in range(3)] == [tones.TRIP, b"", b""]
+    assert [sounding.follow(True, pad.LOCKED) for _ in range(3)] == [tones.LATCH, b"", b""]
 
 
 def test_each_trip_sounds(sounding: Tones) -> None:
     sounding.follow(True, pad.LOCKED)
     assert sounding.follow(False, pad.LOCKED) == b""
-    assert sounding.follow(True, pad.LOCKED) == tones.TRIP
+    assert sounding.follow(True, pad.LOCKED) == tones.LATCH
 
 
 def test_each_mode_has_its_tone(sounding: Tones) -> None:
     assert sounding.follow(False, pad.DRIVE) == tones.MODES[pad.DRIVE]
     assert sounding.follow(False, pad.DRIVE) == b""
     assert sounding.follow(False, pad.LOCKED) == tones.MODES[pad.LOCKED]
-    assert len({tones.TRIP, *tones.MODES.values()}) == 1 + len(records.PAD_MODES)
+    assert len({tones.LATCH, *tones.MODES.values()}) == 1 + len(records.PAD_MODES)
 
 
 def test_a_trip_that_locks_the_pad_sounds_as_a_trip(sounding: Tones) -> None:
     sounding.follow(False, pad.DRIVE)
-    assert sounding.follow(True, pad.LOCKED) == tones.TRIP
+    assert sounding.follow(True, pad.LOCKED) == tones.LATCH
     assert sounding.follow(False, pad.LOCKED) == b""
 
 
@@ -54,7 +54,7 @@ def test_what_was_latched_before_the_start_is_not_told_again() -> None:
     assert Tones(on=True).follow(True, pad.LOCKED) == b""
 
 
-@pytest.mark.parametrize("frame", [tones.TRIP, *tones.MODES.values()])
+@pytest.mark.parametrize("frame", [tones.LATCH, *tones.MODES.values()])
 def test_every_tone_ends(frame: bytes) -> None:
     """An off time of 0 left one sounding forever: 100 ms."""
     assert frame[2] == BUZZER

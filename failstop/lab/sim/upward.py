@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from struct import Struct, pack
 
-from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU, KEY, PWM_SERVO, SBUS, SYS, seal
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU, KEY, PWM_SERVO, SYS, seal
 
 _BATTERY = Struct("<BH")
 _IMU = Struct("<6f")
 _GAMEPAD = Struct("<HB4b")
-_SBUS = Struct("<16h4B")
 _PULSE = Struct("<BBH")
 _DEVIATION = Struct("<BBb")
 
@@ -36,13 +31,6 @@ def imu(ax: float, ay: float, az: float, gx: float, gy: float, gz: float) -> byt
 def gamepad(buttons: int, hat: int = 0, lx: int = 0, ly: int = 0, rx: int = 0, ry: int = 0) -> bytes:
     """GAMEPAD: buttons as in decoder.BUTTONS, hat, axes -128 to 127."""
     return seal(GAMEPAD, _GAMEPAD.pack(buttons, hat, lx, ly, rx, ry))
-
-
-def sbus(
-    channels: Sequence[int], ch17: bool = False, ch18: bool = False, lost: bool = False, safe: bool = False
-) -> bytes:
-    """SBUS: 16 channels, two switches, signal lost, fail-safe."""
-    return seal(SBUS, _SBUS.pack(*channels, ch17, ch18, lost, safe))
 
 
 def pwm_servo_position(servo: int, pulse_us: int) -> bytes:

@@ -31,8 +31,8 @@ SERVICE = 0
 """The session of the service's own journeys: to the drive pose, to the tuck pose."""
 MOVES_APART_NS = MOST_MOVES * MOVE_NS
 """Between two frames of moves that are both late: the port owner drops what a stop would wait for too long."""
-LOAD_APART_NS = 4_000_000
-"""Between two frames that switch a torque on."""
+TORQUE_APART_NS = 4_000_000
+"""Between two frames that switch a torque on or off."""
 NEAR = 1.0
 """Pulses from its end at which a journey is there."""
 LATE_S = 2.0
@@ -55,17 +55,16 @@ class ArmCore:
         self.ignore_absent = settings.text("arm.absent") == "ignore"
         self._reader = Reader(self.joints, now_ns)
         self._space = Space(settings, self.joints)
-        self.journey: Journey | None = None
+        self._journey: Journey | None = None
         self._goals: dict[str, Goal] = {}
         self._schedule: list[tuple[int, list[Joint]]] = []
-        """When each frame's joints are due, the next first."""
-        self._streaming: list[Joint] = []
-        self._load_ns = self._apart_ns = 0
+        """When the joints of each frame are due, the next first; empty: no servo is on its way."""
+        self._load_ns = self._let_go_ns = self._apart_ns = 0
+        self.letting_go: list[Joint] = []
+        """Whose torque is still to be switched off."""
         self.active_ns = 0
-        """When it was last moved, or asked to; 0: never."""
+        """When it was last moved, or asked to; 0: never, or let go since."""
         self.released = False
-        self.ended = ""
-        """Why the last goal was dropped."""
         self.refused = ""
         """Why the last goal of a stream was not taken."""
         self._blocked: dict[int, str] = {}
@@ -81,7 +80,7 @@ class ArmCore:
     @property
     def way(self) -> Journey | None:
         """The journey, until it is over."""
-        return self.journey if self.journey and not self.journey.done else None
+        return self._journey if self._journey and not self._journey.done else None
 
     def _goal(self) -> Goal | None:
         """The goal of the highest mode, but for a journey."""
@@ -131,17 +130,18 @@ class ArmCore:
         self.active_ns, self.released = now_ns, False
         return ""
 
-    def travel(self, journey: Journey, now_ns: int) -> None:
-        """Begin a journey; whoever moved the arm before moves it no more."""
-        self.drop("preempted")
-        self.journey = journey
+    def travel(self, journey: Journey, now_ns: int, why: str = "preempted") -> bool:
+        """Begin a journey; whoever moved the arm before moves it no more, and is told why. As drop()."""
+        was = self.drop(why)
+        self._journey = journey
         journey.since_ns = now_ns
         for joint in journey.joints:
             joint.misses = 0  # what was silent before is asked again
         self._reader.hurry(now_ns)
         self.active_ns, self.released = now_ns, False
+        return was
 
-    def pose(self, purpose: str, session: int, who: str, now_ns: int) -> Journey | None:
+    def pose(self, purpose: str, session: int, who: str) -> Journey | None:
         """The way to a pose of the settings, drive or tuck, which travel() begins; None: no joint is part of it."""
         joints = [joint for joint in self.joints if getattr(joint, purpose) >= 0]
         rows = [(0.0, _ends(joints, purpose))]
@@ -151,11 +151,9 @@ class ArmCore:
 
     def drop(self, why: str) -> bool:
         """Forget every goal; True when the arm may still move, and a stop is to be written for it."""
-        was = self.moving()
+        was = self.streaming()
         if way := self.way:
-            way.finish(why)
-            self.ended = why
-        self.journey = None
+            way.finish(why, dropped=True)
         self._goals.clear()
         self._load_ns = 0
         self._end_stream()
@@ -167,49 +165,47 @@ class ArmCore:
             joint.forget()
 
     def _end_stream(self) -> None:
-        for joint in self._streaming:
+        for joint in self._streamed():
             joint.forget()
-        self._streaming, self._schedule = [], []
+        self._schedule = []
 
-    def client_gone(self, session: int) -> bool:
-        """A client has gone; True when it moved the arm, which is to be held."""
-        moved = self.moved_by(session)
-        if moved:
-            self.drop("its client has gone")
-        return moved
-
-    def release(self) -> list[bytes]:
-        """Let go: the frames that switch every torque off."""
+    def release(self, now_ns: int) -> None:
+        """Let go: every torque is switched off, one after the other."""
         self.drop("released")
         self.forget()
         for joint in self.joints:
             joint.loaded = False
-        self.released = True
-        return [BOARD.servo_torque(joint.servo, False) for joint in self.joints]
+        self.active_ns, self.released = 0, True
+        self.letting_go, self._let_go_ns = self.joints.copy(), now_ns + TORQUE_APART_NS
 
     # Time.
 
-    def moving(self) -> bool:
+    def streaming(self) -> bool:
         """A servo may be on its way."""
-        return bool(self._streaming)
+        return bool(self._schedule)
+
+    def _streamed(self) -> list[Joint]:
+        return [joint for _, group in self._schedule for joint in group]
 
     def step(self, now_ns: int) -> tuple[bytes, bool]:
         """Go on: the frame to send now, if one is due, and True when the arm is to be held first: a goal was not
         renewed. One frame a step: what a stop would have to wait for is bounded."""
+        if self.letting_go:
+            return self._let_go(now_ns), False
         hold = self._end_stale(now_ns)
         wanted = self._follow_journey(now_ns)
         joints = self._to_stream()
-        if joints and not self._streaming:
+        if joints and not self._schedule:
             if unknown := [joint for joint in self._space.wanted(joints) if not joint.known]:
                 wanted = wanted or unknown
             elif not all(joint.loaded for joint in joints) or now_ns < self._free_ns():
                 return self._load(joints, now_ns), hold
             else:
                 self._begin(joints, now_ns)
-        elif any(joint not in self._streaming for joint in joints):
+        elif not set(joints) <= set(self._streamed()):
             self._end_stream()
             return b"", True
-        if self._streaming:
+        if self._schedule:
             frame = self._move(now_ns)
             return frame or b"", hold or frame is None
         wanted = wanted or [joint for joint in self.joints if not joint.known]
@@ -229,6 +225,8 @@ class ArmCore:
 
     def due_ns(self) -> int:
         """When to step again."""
+        if self.letting_go:
+            return self._let_go_ns
         if self._schedule:
             return max(self._schedule[0][0], self._apart_ns)
         return min(self._load_ns, self._reader.due_ns()) if self._load_ns else self._reader.due_ns()
@@ -242,7 +240,7 @@ class ArmCore:
             del self._goals[mode]
         if self.mode():
             return False
-        was = self.moving()
+        was = self.streaming()
         self._end_stream()
         return was
 
@@ -309,8 +307,14 @@ class ArmCore:
             self._load_ns = self._free_ns()
             return b""
         joint.loaded = True
-        self._load_ns = now_ns + LOAD_APART_NS
+        self._load_ns = now_ns + TORQUE_APART_NS
         return BOARD.servo_torque(joint.servo, True)
+
+    def _let_go(self, now_ns: int) -> bytes:
+        if now_ns < self._let_go_ns:
+            return b""
+        self._let_go_ns = now_ns + TORQUE_APART_NS
+        return BOARD.servo_torque(self.letting_go.pop(0).servo, False)
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
         """Begin to stream: from here on each of these joints is sent a move every period."""
@@ -320,7 +324,6 @@ class ArmCore:
                 return
             journey.phase = goals.UNDER_WAY
         self._load_ns = 0
-        self._streaming = joints
         self._space.begin()
         self._blocked.clear()
         groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]
@@ -377,7 +380,7 @@ class ArmCore:
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
         """The board's answer to a question."""
-        if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._streaming:
+        if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._schedule:
             joint.position = float(joint.measured or 0)
             joint.known = True
 
@@ -397,21 +400,17 @@ class ArmCore:
         joints = self._judged(purpose)
         return self.off(joints, _ends(joints, purpose))
 
-    def silent(self) -> list[int]:
-        """The servos that do not answer."""
-        return [joint.servo for joint in self.joints if joint.silent]
-
     def state(self) -> dict[str, Any]:
         """What people and programs are told."""
         way = self.way
         return {
             "mode": self.mode(),
             "phase": way.phase if way else "",
-            "moving": self.moving(),
+            "moving": self.streaming(),
             "by": self.mover(),
             "refused": self.refused or next(filter(None, self._blocked.values()), ""),
             "released": self.released,
-            "silent": self.silent(),
+            "silent": [joint.servo for joint in self.joints if joint.silent],
             "joints": [
                 (
                     joint.name,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from itertools import pairwise
 from math import isfinite
+from operator import itemgetter
 
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 
@@ -71,11 +72,11 @@ class Journey:
         self.joints = joints
         self.share = share
         self._rows = rows
-        self._times: list[float] = []
         self.phase = FINDING
         self.since_ns = 0
         self.begun_ns = 0
-        self.done = False
+        self.done = self.dropped = False
+        """Over; over because somebody took the arm."""
         self.outcome = ""
 
     @property
@@ -91,14 +92,13 @@ class Journey:
     @property
     def length_s(self) -> float:
         """How long it takes, once it has begun."""
-        return self._times[-1]
+        return self._rows[-1][0]
 
     def begin(self, now_ns: int) -> str:
         """All of its joints are known: it begins where they are. Returns why it can't."""
         start = tuple(joint.position for joint in self.joints)
         rows = self._rows if self._rows[0][0] > 0.0 else [(self._least_s(start, self._rows[0][1]), self._rows[0][1])]
         self._rows = [(0.0, start), *rows]
-        self._times = [row[0] for row in self._rows]
         self.begun_ns = now_ns
         return too_fast_between(self.joints, self._rows)
 
@@ -111,8 +111,8 @@ class Journey:
     def at(self, now_ns: int) -> tuple[float, ...]:
         """Where each joint is to be now."""
         t_s = (now_ns - self.begun_ns) * 1e-9
-        after = bisect_right(self._times, t_s)
-        if after == len(self._times):
+        after = bisect_right(self._rows, t_s, key=itemgetter(0))
+        if after == len(self._rows):
             return self.ends
         (t0, begin), (t1, end) = self._rows[after - 1], self._rows[after]
         share = (t_s - t0) / (t1 - t0)
@@ -120,12 +120,16 @@ class Journey:
 
     def left_s(self, now_ns: int) -> float:
         """Until its end."""
-        return max(0.0, self.length_s - (now_ns - self.begun_ns) * 1e-9) if self._times else 0.0
+        return max(0.0, self.length_s - (now_ns - self.begun_ns) * 1e-9) if self.begun_ns else 0.0
 
-    def finish(self, outcome: str = "") -> None:
+    def finish(self, outcome: str = "", *, dropped: bool = False) -> None:
         """It is over: there, or why not."""
-        if not self.done:
-            self.done, self.outcome = True, outcome
+        self.done, self.outcome, self.dropped = True, outcome, dropped
+
+    def progress(self, now_ns: int) -> str:
+        """How far it is, for who waits."""
+        left_s = self.left_s(now_ns)
+        return f"arm, {self.purpose}: {self.phase}" + (f", {left_s:.1f} s left" if left_s > 0.0 else "")
 
 
 def too_far(joints: list[Joint], angles: Sequence[float]) -> str:

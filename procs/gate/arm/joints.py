@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from math import copysign, pi, sqrt
 
+from failstop.board.servos import PULSES_PER_REVOLUTION
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
-PULSES_PER_RAD = 1500 / (2 * pi)
-"""0.24 degrees each."""
+PULSES_PER_RAD = PULSES_PER_REVOLUTION / (2 * pi)
 MOST_MISSES = 4
 """Questions in a row without an answer: it counts as silent."""
 

@@ -29,18 +29,13 @@ if TYPE_CHECKING:
     from failstop.procs.gate.core import GateCore
     from failstop.procs.loop import Timer
 
-    class End(Protocol):
-        """What is done at the end of a journey."""
-
-        def __call__(self, waiter: Waiter, outcome: str, now_ns: int, *, dropped: bool) -> None: ...
-
     class Owner(Protocol):
         """What the gate does for the arm."""
 
         core: GateCore
         epoch: int
 
-        def trip(self, cause: Cause, now_ns: int) -> None: ...
+        def stop(self, cause: Cause, now_ns: int) -> None: ...
 
         def reply(self, slot: Slot, session: int, number: int, reply: Reply, now_ns: int) -> None: ...
 
@@ -56,20 +51,19 @@ MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
 LONGEST_S = 600.0
 PAD_PUBLISHER = -1
 """The gamepad's session: no client's."""
-RELEASE_APART_NS = 4_000_000
 
 
 class Waiter:
-    """A client that waits for the end of a journey, and what is done for it then: with the outcome, and whether the
-    journey was dropped."""
+    """A client that waits for the end of a journey, and whether it wants motion to be enabled then."""
 
-    __slots__ = ("done", "number", "session", "slot", "told_ns")
+    __slots__ = ("enables", "journey", "number", "session", "slot", "told_ns")
 
-    def __init__(self, slot: Slot, number: int, done: End) -> None:
+    def __init__(self, slot: Slot, number: int, journey: Journey, *, enables: bool = False) -> None:
         self.slot = slot
         self.session = slot.session
         self.number = number
-        self.done = done
+        self.journey = journey
+        self.enables = enables
         self.told_ns = 0
 
 
@@ -88,8 +82,6 @@ class Arm:
         self._pad_joint = ""
         self._by_servo = {joint.servo: joint for joint in self.core.joints}
         self._waiter: Waiter | None = None
-        self._releasing: list[bytes] = []
-        self._release_ns = 0
         self._tuck = AutoTuck(context.settings)
         self._tucking: Journey | None = None
         """Its way, until people have been told how it ended."""
@@ -113,23 +105,14 @@ class Arm:
         self._follow_tuck(now_ns)
         self._tell_joints()
         self._box.follow(now_ns, core)
-        due_ns = now_ns + TELL_NS if gate.enabled else max(core.due_ns(), now_ns + 1)
-        self._due.set(min(due_ns, self._release_ns) if self._releasing else due_ns)
+        self._due.set(now_ns + TELL_NS if gate.enabled else max(core.due_ns(), now_ns + 1))
 
     def _step(self, now_ns: int) -> None:
-        if self._releasing:
-            if now_ns >= self._release_ns:
-                self._release_ns = now_ns + RELEASE_APART_NS
-                self._send(self._releasing.pop(0), now_ns)
-            return
         frame, hold = self.core.step(now_ns)
         if hold:
             self._hold(now_ns)
         if frame:
-            self._send(frame, now_ns)
-
-    def _send(self, frame: bytes, now_ns: int) -> None:
-        self._owner.send(records.ARM, frame, now_ns)
+            self._owner.send(records.ARM, frame, now_ns)
 
     def _hold(self, now_ns: int) -> None:
         """Stop it where it is, by the write that stops everything: the wheels stand while an arm moves."""
@@ -139,14 +122,15 @@ class Arm:
 
     def stopped(self, reason: str) -> None:
         """A stop, whose write has stopped the arm: nobody moves it any more."""
-        self._releasing.clear()
+        self.core.letting_go.clear()
         self.core.drop(reason)
 
     def client_gone(self, session: int, now_ns: int) -> None:
         """A client has left or died: what it moved is held, what it waited for is given up."""
-        if self.core.client_gone(session):
+        if self.core.moved_by(session):
+            self.core.drop("its client has gone")
             self._hold(now_ns)
-        if self._waiter and self._waiter.session == session:
+        elif self._waiter and self._waiter.session == session:
             self._give_up("given up: its client has gone", now_ns)
 
     def _give_up(self, why: str, now_ns: int) -> None:
@@ -187,7 +171,7 @@ class Arm:
         """A second publisher of goals latches."""
         other = self.core.publisher(session, now_ns)
         if other and not self.core.closed:
-            self._owner.trip(causes.TWO_MOVE_THE_ARM(other, who), now_ns)
+            self._owner.stop(causes.TWO_MOVE_THE_ARM(other, who), now_ns)
         return bool(other)
 
     def _said(self, done: int, text: str) -> Reply:
@@ -197,7 +181,7 @@ class Arm:
         """A client's request about the arm."""
         if verb == records.ARM_HOLD:
             self._give_up(f"held by {slot.who()}", now_ns)
-            self._releasing.clear()
+            self.core.letting_go.clear()
             self._hold(now_ns)
             return Reply(records.DONE, "arm held")
         if closed := self.core.closed:
@@ -206,23 +190,22 @@ class Arm:
             return self._said(records.REFUSED, LATCHED)
         if verb == records.ARM_RELEASE:
             self._hold(now_ns)
-            self._releasing, self._release_ns = self.core.release(), now_ns + RELEASE_APART_NS
+            self.core.release(now_ns)
             return Reply(records.DONE, "arm released: its torque is off")
         if verb == records.ARM_READ:
             self.core.forget()
             journey: Journey | str = Journey("read", slot.session, slot.who(), self.core.joints, [])
         else:
-            journey = self._journey(slot, verb, now_ns)
+            journey = self._journey(slot, verb)
         if isinstance(journey, str):
             return Reply(records.REFUSED, journey)
-        self._travel(journey, Waiter(slot, number, self._moved), "preempted", now_ns)
-        return Reply(records.UNDER_WAY, self._progress(now_ns))
+        return self._travel(Waiter(slot, number, journey), "preempted", now_ns)
 
-    def _journey(self, slot: Slot, verb: int, now_ns: int) -> Journey | str:
+    def _journey(self, slot: Slot, verb: int) -> Journey | str:
         """The way that is asked for, or why there is none."""
         if verb in (records.ARM_DRIVE, records.ARM_TUCK):
             purpose = goals.DRIVE if verb == records.ARM_DRIVE else goals.TUCK
-            return self.core.pose(purpose, slot.session, slot.who(), now_ns) or f"the settings have no {purpose} pose"
+            return self.core.pose(purpose, slot.session, slot.who()) or f"the settings have no {purpose} pose"
         if verb != records.ARM_MOVE or (path := slot.arm_path()) is None:
             return "no trajectory came with the request"
         share, servos, rows = path
@@ -239,66 +222,57 @@ class Arm:
             return fault
         return Journey(goals.MOVE, slot.session, slot.who(), joints, pulses, share)
 
-    def _travel(self, journey: Journey, waiter: Waiter | None, why: str, now_ns: int) -> None:
-        """Begin a journey; `why`: what whoever moved the arm before is told."""
-        self._give_up(why, now_ns)
+    def _travel(self, waiter: Waiter, why: str, now_ns: int) -> Reply:
+        """Begin a journey for who waits; `why`: what whoever moved the arm before is told."""
+        if self.core.travel(waiter.journey, now_ns, why):
+            self._hold(now_ns)
         self._answer_waiter(now_ns)
         self._waiter = waiter
-        self.core.travel(journey, now_ns)
-
-    def _moved(self, waiter: Waiter, outcome: str, now_ns: int, *, dropped: bool) -> None:
-        done = records.REFUSED if outcome or dropped else records.DONE
-        self._answer(waiter, self._said(done, outcome or "arm is there"), now_ns)
-
-    def _answer(self, waiter: Waiter, reply: Reply, now_ns: int) -> None:
-        self._owner.reply(waiter.slot, waiter.session, waiter.number, reply, now_ns)
-
-    def _progress(self, now_ns: int) -> str:
-        journey = self.core.journey
-        if journey is None:
-            return ""
-        left_s = journey.left_s(now_ns)
-        return f"arm, {journey.purpose}: {journey.phase}" + (f", {left_s:.1f} s left" if left_s > 0.0 else "")
+        return Reply(records.UNDER_WAY, waiter.journey.progress(now_ns))
 
     def _answer_waiter(self, now_ns: int) -> None:
         """Tell who waits how far it is, and how it ended."""
-        waiter, journey = self._waiter, self.core.journey
+        waiter = self._waiter
         if waiter is None:
             return
-        if journey is None or journey.done:
-            self._waiter = None
-            outcome = journey.outcome if journey else self.core.ended
-            if waiter.slot.session == waiter.session:
-                waiter.done(waiter, outcome, now_ns, dropped=journey is None)
-        elif now_ns - waiter.told_ns >= TELL_NS:
-            waiter.told_ns = now_ns
-            self._answer(waiter, Reply(records.UNDER_WAY, self._progress(now_ns)), now_ns)
+        journey = waiter.journey
+        if not journey.done:
+            if now_ns - waiter.told_ns >= TELL_NS:
+                waiter.told_ns = now_ns
+                self._answer(waiter, Reply(records.UNDER_WAY, journey.progress(now_ns)), now_ns)
+            return
+        self._waiter = None
+        if waiter.slot.session != waiter.session:
+            return
+        if waiter.enables and not journey.dropped:
+            self._enable_in_pose(waiter, now_ns)
+        else:
+            done = records.REFUSED if journey.outcome else records.DONE
+            self._answer(waiter, self._said(done, journey.outcome or "arm is there"), now_ns)
+
+    def _answer(self, waiter: Waiter, reply: Reply, now_ns: int) -> None:
+        self._owner.reply(waiter.slot, waiter.session, waiter.number, reply, now_ns)
 
     # Enabling motion.
 
     def enable(self, slot: Slot, number: int, now_ns: int) -> Reply | None:
         """To the drive pose, and then the gate enables motion, if that is what was read back. None: the settings have
         no drive pose, so nothing is asked of the arm."""
-        if self._waiter and self._purpose() == goals.DRIVE and self._waiter.session != slot.session:
-            return Reply(records.REFUSED, f"{self._waiter.slot.who()} is enabling motion")
-        journey = self.core.pose(goals.DRIVE, SERVICE, slot.who(), now_ns)
+        waiter = self._waiter
+        if waiter and waiter.journey.purpose == goals.DRIVE and waiter.session != slot.session:
+            return Reply(records.REFUSED, f"{waiter.slot.who()} is enabling motion")
+        journey = self.core.pose(goals.DRIVE, SERVICE, slot.who())
         if journey is None:
             return None
-        self._travel(journey, Waiter(slot, number, self._posed), ENABLED, now_ns)
+        reply = self._travel(Waiter(slot, number, journey, enables=True), ENABLED, now_ns)
         self.core.forget()
-        return Reply(records.UNDER_WAY, self._progress(now_ns))
+        return reply
 
-    def _purpose(self) -> str:
-        return self.core.journey.purpose if self.core.journey else ""
-
-    def _posed(self, waiter: Waiter, outcome: str, now_ns: int, *, dropped: bool) -> None:
-        """The end of the way to the drive pose: what was read back decides, unless it was given up, or a stop came."""
+    def _enable_in_pose(self, waiter: Waiter, now_ns: int) -> None:
+        """The end of the way to the drive pose: what was read back decides."""
         core = self.core
-        if dropped:
-            self._answer(waiter, self._said(records.REFUSED, outcome), now_ns)
-            return
-        absent = {joint.servo for joint in core.joints if joint.drive >= 0} <= set(core.silent())
-        fault = "" if absent and core.ignore_absent else outcome or core.off_pose(goals.DRIVE)
+        absent = all(joint.silent for joint in core.joints if joint.drive >= 0)
+        fault = "" if absent and core.ignore_absent else waiter.journey.outcome or core.off_pose(goals.DRIVE)
         if fault:
             hint = '; without the arm: arm.absent = "ignore"' if absent else ""
             self._answer(waiter, Reply(records.REFUSED, f"{NOT_IN_POSE}: {fault}{hint}"), now_ns)
@@ -311,13 +285,13 @@ class Arm:
         """An arm that is left alone tucks itself; it is not left alone while it moves, or may not."""
         core = self.core
         if self._tucking and self._tucking.done:
-            if self._tucking.outcome and core.journey is self._tucking:
+            if self._tucking.outcome and not self._tucking.dropped:
                 self._tell(f"the arm did not tuck itself: {self._tucking.outcome}", "warning")
             self._tucking = None
-        if core.active_ns and (core.closed or core.mode() or core.released):
-            core.active_ns = 0 if core.released else now_ns
+        if core.active_ns and (core.closed or core.mode()):
+            core.active_ns = now_ns
         due = self._tuck.follow(core.active_ns, now_ns)
-        if not due or not (journey := core.pose(goals.TUCK, SERVICE, "auto-tuck", now_ns)):
+        if not due or not (journey := core.pose(goals.TUCK, SERVICE, "auto-tuck")):
             return
         if not core.off(journey.joints, journey.ends):
             core.active_ns = 0  # it is there
@@ -333,10 +307,9 @@ class Arm:
 
     def _tell_joints(self) -> None:
         """What is wrong with a servo, once, and that it is well again."""
-        silent = self.core.silent()
         for joint in self.core.joints:
             text = ""
-            if joint.servo in silent:
+            if joint.silent:
                 text = "does not answer"
             elif joint.temperature_c >= self._hot_c:
                 text = f"is hot: {self._hot_c} degrees or more; at 85 it lets go"
@@ -351,12 +324,19 @@ class Arm:
     def state(self, now_ns: int) -> dict[str, Any]:
         """Its part of the gate's state."""
         left_s, pose = self._tuck.left_s(self.core.active_ns, now_ns), self.core.pose_name()
+        told = self.core.state()
         return {
-            **self.core.state(),
-            "closed": "a stop is latched" if self.core.closed == LATCHED else self.core.closed,
+            **told,
+            "refused": _without_cause(told["refused"]),
+            "closed": _without_cause(self.core.closed),
             "auto_tuck_s": None if left_s is None or self.core.mode() or pose == goals.TUCK else round(left_s),
             "wrong": [f"joint {name} {text}" for name, text in self._told.items() if text],
             "pose": pose,
             "pad_joint": self._pad_joint if self.core.moved_by(PAD_PUBLISHER) else None,
             "tucks": left_s is not None and left_s <= self._notice_s and not self.core.mode(),
         }
+
+
+def _without_cause(text: str) -> str:
+    """For the state, which tells the cause elsewhere."""
+    return text.removesuffix(f" ({CAUSE})")

@@ -1,4 +1,4 @@
-"""The slot: what one slice copy accepts, over every mix of old and new bytes that a write can leave."""
+"""The cell: what one slice copy accepts, over every mix of old and new bytes that a write can leave."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.shm import slot
+from failstop.shm import cell
 from failstop.shm.layout import SEGMENTS
 
-SEED = slot.seed("gate.state", 0x0123456789ABCDEF)
+SEED = cell.seed("gate.state", 0x0123456789ABCDEF)
 
 
 def image(seq: int, t_ns: int, payload: bytes, seed: int = SEED) -> bytes:
-    return slot.build(seq, t_ns, payload, seed, len(payload))
+    return cell.build(seq, t_ns, payload, seed, len(payload))
 
 
 def mixes(old: bytes, new: bytes, word: int) -> list[bytes]:
@@ -38,25 +38,25 @@ def mixes(old: bytes, new: bytes, word: int) -> list[bytes]:
 
 
 def padded(data: bytes, size: int, rest: bytes = b"") -> bytes:
-    """The slot's bytes in memory: the image, then whatever an older and longer one left behind it."""
+    """The cell's bytes in memory: the image, then whatever an older and longer one left behind it."""
     left = (rest or bytes(size))[len(data) : size]
     return data + left + bytes(size - len(data) - len(left))
 
 
 def only_pure(old: bytes, new: bytes, word: int) -> tuple[int, int]:
     """Check every mix; returns how many were checked and how many were accepted."""
-    allowed = {slot.check(old, SEED), slot.check(new, SEED)}
+    allowed = {cell.check(old, SEED), cell.check(new, SEED)}
     assert None not in allowed
     checked = accepted = 0
     for mix in mixes(old, new, word):
         checked += 1
-        entry = slot.check(mix, SEED)
+        entry = cell.check(mix, SEED)
         if entry is None:
             continue
         accepted += 1
         assert entry in allowed
         # Accepted only when all that the CRC covers is of one image; behind it anything may lie.
-        stop = slot.HEADER_BYTES + len(entry[2])
+        stop = cell.HEADER_BYTES + len(entry[2])
         assert mix[:stop] in (old[:stop], new[:stop])
     return checked, accepted
 
@@ -93,7 +93,7 @@ STEPS = {
 def test_every_mix_of_8_byte_words(size: int, pair: str, step: str) -> None:
     before, after = PAIRS_OF_PAYLOADS[pair]
     seq, t_ns, seq_after, t_after_ns = STEPS[step]
-    room = size - slot.HEADER_BYTES
+    room = size - cell.HEADER_BYTES
     old, new = image(seq, t_ns, before(room)), image(seq_after, t_after_ns, after(room))
     checked, accepted = only_pure(old, new, 8)
     assert checked == 2 ** (size // 8)
@@ -115,7 +115,7 @@ def test_every_mix_of_4_byte_words(pair: str) -> None:
 @pytest.mark.parametrize(("shorter", "longer"), [(0, 40), (8, 40), (16, 24), (33, 40), (39, 40), (1, 2), (40, 40)])
 @pytest.mark.parametrize("grows", [True, False])
 def test_every_mix_of_payloads_of_different_length(shorter: int, longer: int, grows: bool) -> None:
-    """A shorter image leaves the tail of the one before it, and of those before that, in the slot."""
+    """A shorter image leaves the tail of the one before it, and of those before that, in the cell."""
     oldest = image(3, 1, b"\xee" * 40)
     a, b = counter(7, shorter), counter(8, longer)
     if not grows:
@@ -131,22 +131,22 @@ def test_every_window_of_new_bytes_and_of_old_ones(pair: str) -> None:
     """A store that goes up, down, or outwards from any byte to any other, and one that left a hole."""
     before, after = PAIRS_OF_PAYLOADS[pair]
     old, new = image(1, 5, before(72)), image(3, 6, after(72))
-    allowed = {slot.check(old, SEED): old, slot.check(new, SEED): new}
+    allowed = {cell.check(old, SEED): old, cell.check(new, SEED): new}
     for first, second in ((old, new), (new, old)):
         for start, stop in itertools.combinations(range(len(old) + 1), 2):
             mix = first[:start] + second[start:stop] + first[stop:]
-            entry = slot.check(mix, SEED)
+            entry = cell.check(mix, SEED)
             assert entry is None or allowed[entry] == mix
 
 
 def test_every_mix_of_three_generations() -> None:
     """A death in mid-write, then a death in the mid-write of the successor: words of three images."""
     images = [image(5 + 2 * i, 100 + i, counter(5 + 2 * i, 40)) for i in range(3)]
-    allowed = {slot.check(whole, SEED): whole for whole in images}
+    allowed = {cell.check(whole, SEED): whole for whole in images}
     accepted = 0
     for choice in itertools.product(range(3), repeat=8):
         mix = b"".join(images[c][i * 8 : i * 8 + 8] for i, c in enumerate(choice))
-        entry = slot.check(mix, SEED)
+        entry = cell.check(mix, SEED)
         if entry is not None:
             accepted += 1
             assert allowed[entry] == mix
@@ -158,7 +158,7 @@ def test_every_single_bit_error_is_refused() -> None:
     for bit in range(len(whole) * 8):
         flipped = bytearray(whole)
         flipped[bit // 8] ^= 1 << bit % 8
-        assert slot.check(bytes(flipped), SEED) is None
+        assert cell.check(bytes(flipped), SEED) is None
 
 
 def test_all_pairs_of_bit_errors_are_refused() -> None:
@@ -167,7 +167,7 @@ def test_all_pairs_of_bit_errors_are_refused() -> None:
         flipped = bytearray(whole)
         flipped[one // 8] ^= 1 << one % 8
         flipped[two // 8] ^= 1 << two % 8
-        assert slot.check(bytes(flipped), SEED) is None
+        assert cell.check(bytes(flipped), SEED) is None
 
 
 @given(
@@ -178,71 +178,71 @@ def test_all_pairs_of_bit_errors_are_refused() -> None:
     seed=st.integers(0, 2**32 - 1),
 )
 def test_round_trip_with_anything_behind_it(seq: int, t_ns: int, payload: bytes, tail: bytes, seed: int) -> None:
-    raw = slot.build(seq, t_ns, payload, seed, 300) + tail
-    assert slot.check(raw, seed) == (seq, t_ns, payload)
-    assert slot.sequence(raw) == seq
+    raw = cell.build(seq, t_ns, payload, seed, 300) + tail
+    assert cell.check(raw, seed) == (seq, t_ns, payload)
+    assert cell.sequence(raw) == seq
 
 
 @given(payload=st.binary(max_size=60), at=st.integers(0, 64), cut=st.integers(0, 84))
 def test_a_cut_copy_is_not_whole(payload: bytes, at: int, cut: int) -> None:
     raw = bytes(at) + image(9, 9, payload)
-    cut = min(cut, slot.HEADER_BYTES + len(payload))
-    assert slot.check(raw[: at + cut], SEED, at) == ((9, 9, payload) if len(raw) == at + cut else None)
-    assert slot.check(raw, SEED, at, cut) == ((9, 9, payload) if len(raw) == at + cut else None)
+    cut = min(cut, cell.HEADER_BYTES + len(payload))
+    assert cell.check(raw[: at + cut], SEED, at) == ((9, 9, payload) if len(raw) == at + cut else None)
+    assert cell.check(raw, SEED, at, cut) == ((9, 9, payload) if len(raw) == at + cut else None)
 
 
 @given(raw=st.binary(max_size=200), at=st.integers(0, 220), size=st.none() | st.integers(0, 220))
 def test_any_bytes_are_no_crash(raw: bytes, at: int, size: int | None) -> None:
-    assert slot.check(raw, SEED, at, size) is None
-    assert slot.sequence(raw, at) >= 0
-    if len(raw) < at + slot.HEADER_BYTES:
-        assert slot.sequence(raw, at) == 0
+    assert cell.check(raw, SEED, at, size) is None
+    assert cell.sequence(raw, at) >= 0
+    if len(raw) < at + cell.HEADER_BYTES:
+        assert cell.sequence(raw, at) == 0
 
 
 @pytest.mark.parametrize("filler", [b"\0", b"\xff", b"\xaa", b"\x55", b"\x01"])
 def test_filled_memory_is_not_a_record(filler: bytes) -> None:
     for size in (24, 64, 328, 2112):
         for seed in (0, SEED, 0xFFFFFFFF):
-            assert slot.check(filler * size, seed) is None
+            assert cell.check(filler * size, seed) is None
 
 
 def test_sequence_0_is_never_a_record() -> None:
-    assert slot.check(image(0, 1, b"payload"), SEED) is None
+    assert cell.check(image(0, 1, b"payload"), SEED) is None
 
 
-def test_a_length_beyond_the_slot_is_refused_even_with_a_right_crc() -> None:
-    """The length leads into the next slot: its bytes must not be taken for this one's."""
+def test_a_length_beyond_the_cell_is_refused_even_with_a_right_crc() -> None:
+    """The length leads into the next cell: its bytes must not be taken for this one's."""
     raw = image(1, 1, b"x" * 100)
-    assert slot.check(raw, SEED) is not None
-    assert slot.check(raw, SEED, 0, 64) is None
+    assert cell.check(raw, SEED) is not None
+    assert cell.check(raw, SEED, 0, 64) is None
 
 
 def test_a_payload_over_the_capacity_is_refused_by_name() -> None:
-    slot.build(1, 1, b"12345678", SEED, 8)
-    with pytest.raises(slot.PayloadTooLarge, match="payload of 9 bytes, the record holds 8"):
-        slot.build(1, 1, b"123456789", SEED, 8)
+    cell.build(1, 1, b"12345678", SEED, 8)
+    with pytest.raises(cell.PayloadTooLarge, match="payload of 9 bytes, the record holds 8"):
+        cell.build(1, 1, b"123456789", SEED, 8)
 
 
 def test_every_record_of_the_layout_has_its_own_seed() -> None:
-    """A slot copied to the place of another record, or left from another run, never passes there."""
+    """A cell copied to the place of another record, or left from another run, never passes there."""
     names = ["header"] + [f"{spec.name}.{record}" for spec in SEGMENTS for record in spec.records]
     for incarnation in (0, 1, 2, 0x0123456789ABCDEF, 2**64 - 1):
-        seeds = {slot.seed(name, incarnation) for name in names}
+        seeds = {cell.seed(name, incarnation) for name in names}
         assert len(seeds) == len(names)
 
 
 def test_the_seed_of_the_headers_is_the_same_in_every_version() -> None:
     """Programs of different layouts read each other's headers, to say so."""
-    assert slot.seed("header", 0) == 0x0E0B70A5
+    assert cell.seed("header", 0) == 0x0E0B70A5
 
 
 @given(payload=st.binary(max_size=100), one=st.integers(0, 2**32 - 1), two=st.integers(0, 2**32 - 1))
-def test_a_slot_passes_with_no_other_seed(payload: bytes, one: int, two: int) -> None:
-    raw = slot.build(1, 1, payload, one, 100)
-    assert (slot.check(raw, two) is not None) == (one == two)
+def test_a_cell_passes_with_no_other_seed(payload: bytes, one: int, two: int) -> None:
+    raw = cell.build(1, 1, payload, one, 100)
+    assert (cell.check(raw, two) is not None) == (one == two)
 
 
 @given(one=st.integers(0, 2**64 - 1), two=st.integers(0, 2**64 - 1))
 def test_runs_have_different_seeds(one: int, two: int) -> None:
     """Unequal as long as the CRC of the incarnation itself differs, which it does but for 1 pair in 2**32."""
-    assert (slot.seed("gate.state", one) == slot.seed("gate.state", two)) == (one == two)
+    assert (cell.seed("gate.state", one) == cell.seed("gate.state", two)) == (one == two)

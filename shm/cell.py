@@ -1,11 +1,11 @@
-"""The slot: the unit of everything in shared memory that is wider than one word.
+"""The cell: the unit of everything in shared memory that is wider than one word.
 
     crc32 u32 | length u32 | seq u64 | t_mono_ns u64 | payload[length]
 
 The CRC covers all that follows it and is seeded with the record's name and the run's incarnation, so bytes of another
 record, or of a dead run, never pass as this one's.
 
-Writing: (1) build the whole slot privately, (2) store it with ONE slice assignment.
+Writing: (1) build the whole cell privately, (2) store it with ONE slice assignment.
 Reading: (1) take ONE slice copy, (2) check the private copy, (3) use nothing but that copy.
 
 Integrity then needs no memory ordering: whatever mixture of old and new bytes a reader or a death in mid-write leaves,
@@ -38,7 +38,7 @@ def seed(record: str, incarnation: int) -> int:
 
 
 def build(seq: int, t_ns: int, payload: bytes, crc_seed: int, capacity: int) -> bytes:
-    """Return the slot's bytes, ready for one slice assignment; `seq` starts at 1 (0 means never written)."""
+    """Return the cell's bytes, ready for one slice assignment; `seq` starts at 1 (0 means never written)."""
     if len(payload) > capacity:
         raise PayloadTooLarge(f"payload of {len(payload)} bytes, the record holds {capacity}")
     body = _BODY.pack(len(payload), seq, t_ns) + payload
@@ -46,7 +46,7 @@ def build(seq: int, t_ns: int, payload: bytes, crc_seed: int, capacity: int) -> 
 
 
 def sequence(raw: bytes, at: int = 0) -> int:
-    """The sequence number a slot claims, unchecked: good only for choosing which slot to check first."""
+    """The sequence number a cell claims, unchecked: good only for choosing which cell to check first."""
     if len(raw) < at + HEADER_BYTES:
         return 0
     seq: int = _HEAD.unpack_from(raw, at)[2]

@@ -16,8 +16,8 @@ LOW_READINGS = 5
 """In a row, about one a second: the motors pull the voltage down when they start."""
 
 
-class Trips:
-    """Remembers the pad's last buttons, so that a held one is one request. A button trips on its first frame: real
+class Noticer:
+    """Remembers the pad's last buttons, so that a held one is one request. A button stops on its first frame: real
     taps last one frame only, so nothing may wait for a second."""
 
     __slots__ = ("_held", "_low", "_low_mv", "_mode", "_stop_key")
