@@ -67,6 +67,9 @@ TRIALS = (
     Trial("drain_tool", "`failstop stop --wait 2` beside the stalled service", INSIDE, "it takes bytes again", 20.0),
     Trial("drain_stop", "`systemctl stop` while it takes none", INSIDE, "it takes bytes again", 1000.0),
     Trial("clock", "the clock stepped by +1 h, -2 h, +1 h", INSIDE),
+    Trial("autosuspend", "the board may sleep after 2 s without a transfer (autosuspend)", INSIDE),
+    Trial("suspended", "SIGKILL of the gate while the board sleeps between two frames", INSIDE, "the kill", 200.0),
+    Trial("modem", "a plug without the service: ModemManager does not open the port", INSIDE),
     Trial("floor_outside", "the floor, in the guest of the boots", OUTSIDE, "the kill"),
     Trial("sleep", "sleep and resume, the chip keeps its power", OUTSIDE, "the processes run again", 1000.0),
     Trial(
