@@ -80,6 +80,7 @@ TRIALS = (
         1000.0,
         fresh=True,
     ),
+    Trial("hibernate", "sleep to disk and resume", OUTSIDE, "the processes run again", 1000.0),
     Trial("reboot", "`systemctl reboot` while driving", OUTSIDE, "its exec", 10000.0),
     Trial("boot", "reset of the machine while driving, and boot", OUTSIDE),
     Trial("poweroff", "`systemctl poweroff` while driving", OUTSIDE, "its exec", 10000.0),
