@@ -38,7 +38,7 @@ class LatestReader:
             return self._known
         entry = self._whole(raw)
         for _ in range(2):  # two writes that overtake a copy leave it without a value, or with one older than seen
-            if entry and entry[0] >= self._seen or not raw.strip(b"\0"):
+            if (entry and entry[0] >= self._seen) or not raw.strip(b"\0"):
                 break
             raw = self._view[self._where]
             entry = self._whole(raw)

@@ -49,6 +49,9 @@ if TYPE_CHECKING:
 
 MS = 1_000_000
 TICK_NS = 20 * MS
+"""A third of the lease that motion has of its beats."""
+BEATS_ALONE = 2
+"""Ticks in which it shows that it lives and looks at nothing, if nothing has happened: what happens rings."""
 ANSWER_NS = 5_000_000
 """How long the port owner may take to answer a raised epoch before the supervisor writes the burst itself."""
 HURRY_NS = 1_000_000
@@ -167,6 +170,18 @@ class Supervisor:
         self.blackbox.follow(now_ns, ready=self.readiness.ever)
         self.heartbeat.beat(now_ns, self.epoch)
         self._events.flush(now_ns, hold=self._unanswered is not None)
+
+    def rest(self) -> dict[int, int]:
+        """Sleep until something has happened, or it is time to look whether something has; returns what is ready."""
+        for _ in range(BEATS_ALONE):
+            ready = self.loop.wait(TICK_NS)
+            now_ns = self._now_ns()
+            late = now_ns - self._turned_ns >= EXCUSE_NS
+            if ready or late or self._unanswered or now_ns >= self.loop.due_ns():
+                return ready
+            self._watched_ns, self._turned_ns = self._turned_ns, now_ns
+            self.heartbeat.beat(now_ns, self.epoch)
+        return self.loop.wait(TICK_NS)
 
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
         """Deaths, and what others noticed: the burst where nobody else can write it, then the epoch, then the rest."""
@@ -416,6 +431,6 @@ def run(
     ready: dict[int, int] = {}
     while not supervisor.ending:
         supervisor.turn(ready)
-        ready = supervisor.loop.wait(TICK_NS)
+        ready = supervisor.rest()
     well = supervisor.finish()
     return int(supervisor.broken or not well)

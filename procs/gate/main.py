@@ -60,7 +60,7 @@ class Gate:
         self._said = Said(now_ns)
         self._barrier = Barrier()
         self._ticks = self._rings = 0
-        self._published = b""
+        self._published: dict[str, object] = {}
         self._published_ns = 0
         self._attach(context)
         self._watch_others(context)
@@ -337,34 +337,31 @@ class Gate:
             self.arm.client_gone(slot.session, now_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish the state when it has changed, and at least every PUBLISH_NS."""
+        """Publish the state when it has changed, and at least every PUBLISH_NS. The sensor's last delivery, which is
+        new at every tick, waits for that: whoever reads the state would unpack it at every tick too."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0
-        more: dict[str, object] = {"arm": self.arm.state(now_ns)} if self.arm else {}
+        state: dict[str, object] = {"arm": self.arm.state(now_ns)} if self.arm else {}
         if core.attendance.on:
-            more["attended"] = core.attendance.names(now_ns)
-        state = pack(
-            {
-                **more,
-                "enabled": core.enabled,
-                "estop": core.latch and core.latch.pack(),
-                "blocked": core.blocked(now_ns) or None,
-                "body_vel": core.velocity,
-                "wheels_rps": core.speeds,
-                "epoch": self.epoch,
-                "scan_ns": core.scan.delivered_ns,
-                "sources": core.sources.table(now_ns),
-                "clients": [
-                    {"slot": slot.index, "name": slot.name, "pid": slot.pid, "driving": slot.session == driver}
-                    for slot in self.clients.active
-                ],
-            }
-        )
+            state["attended"] = core.attendance.names(now_ns)
+        state |= {
+            "enabled": core.enabled,
+            "estop": core.latch and core.latch.pack(),
+            "blocked": core.blocked(now_ns) or None,
+            "body_vel": core.velocity,
+            "wheels_rps": core.speeds,
+            "epoch": self.epoch,
+            "sources": core.sources.table(now_ns),
+            "clients": [
+                {"slot": slot.index, "name": slot.name, "pid": slot.pid, "driving": slot.session == driver}
+                for slot in self.clients.active
+            ],
+        }
         if state != self._published or now_ns - self._published_ns >= PUBLISH_NS:
             self._published = state
             self._published_ns = now_ns
-            self._state.write(state, now_ns)
+            self._state.write(pack({**state, "scan_ns": core.scan.delivered_ns}), now_ns)
 
 
 def run(context: Context) -> int:

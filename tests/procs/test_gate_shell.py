@@ -58,3 +58,21 @@ def test_a_successor_starts_latched(gate_scene: Scene) -> None:
     gate_scene.stop(2, "key1")
     gate_scene.start_gate()
     assert said(gate_scene.gate.core.latch) == "key1"
+
+
+def test_a_command_that_is_repeated_without_a_ring_does_not_time_out(gate_scene: Scene) -> None:
+    gate_scene.turn()
+    gate_scene.request(records.ENABLE)
+    gate_scene.turn()
+
+    gate_scene.command(0.2)
+    gate_scene.turn(MS)
+    ends_ns = gate_scene.gate.core.due_ns(gate_scene.clock())
+    assert ends_ns
+    gate_scene.clock.now_ns = ends_ns - 22 * MS
+    gate_scene.tick()
+    gate_scene.command(0.2)  # behind the tick's back
+    gate_scene.clock.now_ns = ends_ns
+    gate_scene.gate.turn({})
+    assert gate_scene.gate.core.blocked(gate_scene.clock()) == ""
+    assert gate_scene.gate.core.due_ns(gate_scene.clock()) == ends_ns + 298 * MS + 1

@@ -158,6 +158,10 @@ class Scene(GateStage):
 
     def drive(self, vx_mps: float) -> list[int]:
         """A person's command; returns the kinds of the frames that it led to."""
+        self.command(vx_mps)
+        return self.turn(10 * MS)
+
+    def command(self, vx_mps: float) -> None:
+        """A person's command, without a ring."""
         payload = records.COMMAND.pack(SESSION, vx_mps, 0.0, 0.0, True, "cmd_vel")
         self._client.latest_writer("command").write(payload, self.clock())
-        return self.turn(10 * MS)

@@ -270,6 +270,48 @@ def test_a_clock_that_jumps(trial: Trial, settings: str, tmp_path: Path) -> None
         assert (status, said["written"]) == (200, True)
 
 
+PUT_OUT = """
+import ctypes, runpy, signal
+madvise = ctypes.CDLL(None).madvise
+def put_out(number, frame):
+    with open("/proc/self/maps", encoding="utf-8") as file:
+        maps = [(line, [int(end, 16) for end in line.split()[0].split("-")]) for line in file]
+    for line, (start, end) in maps:
+        madvise(ctypes.c_void_p(start), ctypes.c_size_t(end - start), 4 if " r-xp " in line and "/" in line else 21)
+signal.signal(signal.SIGUSR1, put_out)
+runpy.run_module("failstop", run_name="__main__", alter_sys=True)
+"""
+"""The page, which at a signal has the kernel take away its code (MADV_DONTNEED), and of the rest what there is room for
+in the swap (MADV_PAGEOUT)."""
+
+
+def faults(pid: int) -> int:
+    """How often the process has touched memory that was not there."""
+    with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
+        fields = file.read().rpartition(")")[2].split()
+    return int(fields[7]) + int(fields[9])
+
+
+@pytest.mark.page
+def test_a_page_whose_memory_is_swapped_out(trial: Trial, settings: str, tmp_path: Path) -> None:
+    """Ten times a second: the operator stays, or is gone on a slow machine, and nothing moves after that; STOP works."""
+    with Web(trial.name, "--config", settings, state=str(tmp_path), program=("-c", PUT_OUT)) as web, driven(trial):
+        with Viewer(web, web.pair()) as viewer:
+            moving(trial, viewer)
+            before, since_ns = faults(web.process.pid), time.monotonic_ns()
+            for _ in range(10):
+                os.kill(web.process.pid, signal.SIGUSR1)
+                viewer.stay(0.1)
+            assert faults(web.process.pid) - before > 500, "it was taken away"
+            if trial.robot.state.estop:
+                stopped(trial, since_ns, "operator gone: Anna's phone, was not heard for")
+            else:
+                assert trial.moving()
+        os.kill(web.process.pid, signal.SIGUSR1)
+        status, said = web.post("/api/stop")
+        assert (status, said["written"]) == (200, True)
+
+
 def test_a_wrong_key_renews_nothing(trial: Trial, web: Web, anna: dict[str, str]) -> None:
     with Viewer(web, anna) as viewer:
         viewer.send(attend=True)

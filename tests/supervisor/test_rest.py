@@ -1,0 +1,58 @@
+"""Between two looks at everything the supervisor only shows that it lives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop.procs.loop import READ
+from failstop.shm import layout
+from failstop.supervisor.main import BEATS_ALONE, EXCUSE_NS
+from tests.support.supervisor_scene import MS, Scene
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+    made = Scene(tmp_path, monkeypatch)
+    made.turn()
+    made.answers()
+    made.turn(MS)
+    yield made
+    made.close()
+
+
+def rest(scene: Scene) -> tuple[int, dict[int, int]]:
+    """How often it has beaten while it rested, and what was ready then."""
+    loops = scene.word("beat_loops")
+    before = loops.get()
+    ready = scene.supervisor.rest()
+    return loops.get() - before, ready
+
+
+def test_nothing_has_happened(scene: Scene) -> None:
+    assert rest(scene) == (BEATS_ALONE, {})
+
+
+def test_what_rings_is_looked_at_at_once(scene: Scene) -> None:
+    bell = scene.resources.bells[layout.SUPERVISOR]
+    bell.ring()
+    assert rest(scene) == (0, {bell.fd: READ})
+
+
+def test_a_stop_that_is_not_answered_is_looked_after_at_every_tick(scene: Scene) -> None:
+    scene.notice()
+    scene.turn(MS)
+    assert rest(scene) == (0, {})
+
+
+def test_who_was_held_up_looks_at_everything(scene: Scene) -> None:
+    scene.now_ns += EXCUSE_NS
+    assert rest(scene) == (0, {})
+
+
+def test_a_time_that_has_come_is_looked_at(scene: Scene) -> None:
+    timer = scene.supervisor.loop.timer()
+    timer.set(scene.now_ns)
+    assert rest(scene) == (0, {})
