@@ -301,10 +301,10 @@ DO: dict[str, Callable[[Scene], Result | list[Result]]] = {
     "floor_outside": floor_outside,
     "sleep": sleep,
     "sleep_lost": sleep_lost,
-    "hibernate": hibernate,
     "reboot": reboot,
     "boot": boot,
     "poweroff": poweroff,
+    "hibernate": hibernate,
 }
 
 
