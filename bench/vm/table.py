@@ -27,8 +27,8 @@ class Trial(NamedTuple):
     """Or: a bar for their median, in floors' medians."""
     times: int = 1
     fresh: bool = False
-    """In a guest that has not slept yet: of a second sleep qemu 7.2 was seen to tell nothing. A sleep to disk comes last,
-    since what it left in the swap space held up a reboot."""
+    """In a guest that has not slept yet: of a second sleep qemu 7.2 was seen to tell nothing. That to disk is last, since
+    what it left in the swap space held up a reboot."""
 
 
 @dataclasses.dataclass
