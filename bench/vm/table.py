@@ -27,7 +27,7 @@ class Trial(NamedTuple):
     """Or: a bar for their median, in floors' medians."""
     times: int = 1
     fresh: bool = False
-    """In a guest that has not slept yet: of a second sleep qemu 7.2 was seen to tell nothing. That to disk is last, since
+    """In a guest that has not slept yet: of a second sleep qemu 7.2 was seen to tell nothing. That to disk is last:
     what it left in the swap space held up a reboot."""
 
 
