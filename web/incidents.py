@@ -12,8 +12,7 @@ import tempfile
 import time
 from typing import Any
 
-from failstop.api import words
-from failstop.incidents import store
+from failstop.incidents import outcome, store
 
 MOST_SHOWN = 20
 FRESH_S = 2.0
@@ -107,21 +106,7 @@ class Incidents:
 
 
 def _card(head: dict[str, Any]) -> dict[str, Any]:
-    return {"id": head["id"], "t": head["t"], "reason": head["reason"], "proof": _proof(head["stop"])}
-
-
-def _proof(stop: dict[str, Any] | None) -> str:
-    """How far the stop was proven when the file was saved."""
-    if not stop:
-        return "not known whether a stop was written"
-    if stop.get("written_us") is None:
-        return "NOT written"
-    found = [f"written after {words.took(stop['written_us'] / 1e6)}"]
-    if (heard_us := stop.get("acknowledged_us")) is not None:
-        found.append(f"acknowledged after {words.took(heard_us / 1e6)}")
-    if stop.get("observed_ms") is not None:
-        found.append("wheels seen still")
-    return ", ".join(found)
+    return {"id": head["id"], "t": head["t"], "reason": head["reason"], "proof": outcome.proof(head["stop"], head)}
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import msgpack
 
+from failstop.api.words import took
 from failstop.policy import causes
+from failstop.supervisor.stops import wheels_seen
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -12,6 +14,7 @@ if TYPE_CHECKING:
 
     from failstop.policy.causes import Cause
 
+UNSTILL = "wheels NOT seen still"
 LEVELS = ("noticed_by", "written_by", "written_us", "acknowledged_us", "observed_ms")
 
 
@@ -39,6 +42,23 @@ def known(record: bytes | None, events: list[bytes], epoch: int, cause: Cause) -
     if not found:
         return None
     return dict.fromkeys(LEVELS) | {"wheels": "unknown"} | found
+
+
+def proof(stop: dict[str, Any] | None, head: dict[str, Any]) -> str:
+    """How the stop was proven, the three levels in a few words; `head` tells how long after it the file was saved."""
+    if stop is None:
+        return "not known whether a stop was written"
+    parts = [f"NOT written within {took(max(0.0, head['saved'] - head['t']))}"]
+    if stop.get("written_us") is not None:
+        parts = [f"written after {took(stop['written_us'] / 1e6)}"]
+    if (heard_us := stop.get("acknowledged_us")) is not None:
+        parts.append(f"acknowledged after {took(heard_us / 1e6)}")
+    if (seen_ms := stop.get("observed_ms")) is not None:
+        # Without a word that would not fit a line of 80 columns.
+        parts.append(wheels_seen(seen_ms / 1e3).removeprefix("wheels "))
+    elif stop.get("wheels") == "unstill":
+        parts.append(UNSTILL)
+    return ", ".join(parts)
 
 
 def tells_of(fields: dict[str, Any], cause: Cause) -> bool:

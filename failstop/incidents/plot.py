@@ -6,7 +6,7 @@ from io import BytesIO
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
-from failstop.incidents import file, panels, report, signals
+from failstop.incidents import file, outcome, panels, report, signals
 from failstop.incidents.file import IncidentError
 from failstop.incidents.incident import Event, Incident
 from failstop.incidents.panels import ALARM, FAINT, GRID, INK, PAPER
@@ -109,7 +109,7 @@ def _draw(figure: Figure, incident: Incident, seconds: float) -> None:
 
 def _title(figure: Figure, incident: Incident) -> None:
     head = incident.head
-    proof = report.proof(report.known(incident), head)
+    proof = outcome.proof(report.known(incident), head)
     reason = shorten(incident.reason, 130) or "?"
     inch = 1 / figure.get_figheight()
     figure.text(0.03, 1 - 0.45 * inch, reason, fontsize=min(19, 1300 / len(reason)), fontweight="bold", color=ALARM)

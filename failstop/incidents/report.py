@@ -8,7 +8,7 @@ from typing import Any
 from failstop.api.words import span, took
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, PLAIN, STRONG, WARN
-from failstop.incidents import brief, signals, story
+from failstop.incidents import brief, outcome, signals, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE
 from failstop.policy import causes
@@ -29,7 +29,6 @@ INDENT = 16
 Fact = tuple[str, str, str]
 """Its name, what it says, and its role."""
 NOT_KNOWN = "not known"
-UNSTILL = "wheels NOT seen still"
 DRIVER_ENDS = ("driver_silent", "driver_gone", "driver_ended")
 TICK_NS = 100_000_000
 """The gate's decision and its word on it belong together when they are no further apart."""
@@ -40,23 +39,6 @@ ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "stop": FAIL, "died": FAIL, 
 ROLES |= {"wire": DIM, "board": DIM}
 SHORT = {"stop_outcome": "outcome", "stop_again": "again", "stop_also": "also"}
 SHORT |= dict.fromkeys(("device_lost", "device_back"), "device") | dict.fromkeys(DRIVER_ENDS, "driver")
-
-
-def proof(stop: dict[str, Any] | None, head: dict[str, Any]) -> str:
-    """How the stop was proven, the three levels in a few words; `head` tells how long after it the file was saved."""
-    if stop is None:
-        return "not known whether a stop was written"
-    parts = [f"NOT written within {took(max(0.0, head['saved'] - head['t']))}"]
-    if stop.get("written_us") is not None:
-        parts = [f"written after {took(stop['written_us'] / 1e6)}"]
-    if (heard_us := stop.get("acknowledged_us")) is not None:
-        parts.append(f"acknowledged after {took(heard_us / 1e6)}")
-    if (seen_ms := stop.get("observed_ms")) is not None:
-        # Without a word that would not fit a line of 80 columns.
-        parts.append(wheels_seen(seen_ms / 1e3).removeprefix("wheels "))
-    elif stop.get("wheels") == "unstill":
-        parts.append(UNSTILL)
-    return ", ".join(parts)
 
 
 def known(incident: Incident) -> dict[str, Any] | None:
@@ -83,7 +65,7 @@ def table(heads: list[dict[str, Any]], columns: int) -> Lines:
     """The list of incidents, the newest last: id, when, why, and how the stop was proven, below each other."""
     lines: Lines = []
     for head in heads:
-        said = proof(head["stop"], head)
+        said = outcome.proof(head["stop"], head)
         lines.append([(head["id"], STRONG)])
         lines += _wrapped("  ", f"{when(head['t'])}  {head['reason']}", PLAIN, columns)
         lines += _wrapped("  ", said, FAIL if "NOT " in said else DIM, columns)
@@ -195,7 +177,7 @@ def _proofs(incident: Incident) -> list[Fact]:
     if (seen_ms := stop.get("observed_ms")) is not None:
         seen = ("observed", f"by the IMU: {wheels_seen(seen_ms / 1e3)}", "")
     elif stop.get("wheels") == "unstill":
-        seen = ("observed", f"by the IMU: {UNSTILL}", FAIL)
+        seen = ("observed", f"by the IMU: {outcome.UNSTILL}", FAIL)
     return [written, heard, seen]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import msgpack
 import pytest
 
-from failstop.incidents import report
+from failstop.incidents import outcome
 from failstop.incidents.outcome import asked, known, short
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -38,7 +38,11 @@ OUTCOME = event("stop_outcome", **NAMED, epoch=7, acknowledged_us=None, observed
 
 def test_the_record_of_this_stop() -> None:
     found = known(msgpack.packb(RECORD), [], 7, DIED)
-    assert report.proof(found, HEAD) == ("written after 82 us, acknowledged after 4.40 ms, still after about 0.3 s")
+    assert outcome.proof(found, HEAD) == ("written after 82 us, acknowledged after 4.40 ms, still after about 0.3 s")
+
+
+def test_a_stop_that_nobody_told_of() -> None:
+    assert outcome.proof(None, HEAD) == "not known whether a stop was written"
 
 
 @pytest.mark.parametrize(("epoch", "cause"), [(8, DIED), (7, LOST), (7, causes.DIED("telemetry"))])
@@ -50,7 +54,7 @@ def test_what_was_told_of_it_outlasts_the_record() -> None:
     found = known(msgpack.packb(RECORD), [TOLD, OUTCOME], 7, LOST)
     assert found is not None
     assert found["written_us"] is None
-    assert report.proof(found, HEAD) == "NOT written within 2.2 s, wheels NOT seen still"
+    assert outcome.proof(found, HEAD) == "NOT written within 2.2 s, wheels NOT seen still"
 
 
 def test_events_of_an_earlier_stop_for_the_same_reason_do_not_count() -> None:

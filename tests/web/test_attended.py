@@ -294,7 +294,7 @@ def faults(pid: int) -> int:
 
 @pytest.mark.page
 def test_a_page_whose_memory_is_swapped_out(trial: Trial, settings: str, tmp_path: Path) -> None:
-    """Ten times a second: the operator stays, or is gone on a slow machine, and nothing moves after that; STOP works."""
+    """Ten times a second: the operator stays, or on a slow machine is gone and nothing moves after it; STOP works."""
     with Web(trial.name, "--config", settings, state=str(tmp_path), program=("-c", PUT_OUT)) as web, driven(trial):
         with Viewer(web, web.pair()) as viewer:
             moving(trial, viewer)
