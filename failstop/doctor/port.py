@@ -127,16 +127,16 @@ def _usb_device(device: str, system: System) -> str | None:
 
 
 def modem_ignored(place: str, system: System) -> bool:
-    """What udev's database says of a node, whose place in sysfs is given, and of the USB device above it."""
-    return _told(place, "ID_MM_PORT_IGNORE", system) or _told(
-        _usb_device(f"{place}/device", system), "ID_MM_DEVICE_IGNORE", system
-    )
+    """What udev's database says of a node, whose place in sysfs is given, or of the USB device above it."""
+    of_node = _record(place, system)
+    of_device = _record(_usb_device(f"{place}/device", system), system)
+    return "E:ID_MM_PORT_IGNORE=1" in of_node or "E:ID_MM_DEVICE_IGNORE=1" in (*of_node, *of_device)
 
 
-def _told(place: str | None, name: str, system: System) -> bool:
+def _record(place: str | None, system: System) -> list[str]:
+    """The lines of udev's database for a device of a number."""
     number = system.read(f"{place}/dev") if place else None
-    record = system.read(f"/run/udev/data/c{number}") if number else None
-    return f"E:{name}=1" in (record or "").splitlines()
+    return (system.read(f"/run/udev/data/c{number}") or "").splitlines() if number else []
 
 
 def holders(resolved: str, ours: set[int], system: System) -> tuple[tuple[Holder, ...], int]:

@@ -46,8 +46,8 @@ def test_the_usb_device_is_found_above_its_node(tmp_path: Path) -> None:
     [
         ("E:ID_MM_PORT_IGNORE=1\n", None, True),
         ("E:ID_MM_CANDIDATE=1\n", "E:ID_MM_DEVICE_IGNORE=1\n", True),
-        # ModemManager looks for each word at its own device.
-        ("E:ID_MM_DEVICE_IGNORE=1\n", "E:ID_MM_PORT_IGNORE=1\n", False),
+        ("E:ID_MM_DEVICE_IGNORE=1\n", None, True),
+        ("E:ID_BUS=usb\n", "E:ID_MM_PORT_IGNORE=1\n", False),
         ("E:ID_BUS=usb\n", "E:ID_BUS=usb\n", False),
         (None, None, False),
     ],
