@@ -34,6 +34,16 @@ STOP_S = (
 )
 """When the kernel had the port, and when the service, or its stop tool, said first that a stop was written."""
 SETTLE_S = 2.0
+HIBERNATION = """set -e
+fallocate --length 600M /swap
+chmod 600 /swap
+mkswap /swap
+swapon /swap
+mkdir -p /run/systemd/sleep.conf.d
+printf '[Sleep]\\nHibernateMode=test_resume\\n' >/run/systemd/sleep.conf.d/vm.conf
+"""
+"""Where the image goes, and that the machine goes on at once."""
+HIBERNATED = "Image saving done"
 
 
 class Clock:
@@ -115,7 +125,11 @@ class Scene:
 
     def resumed_s(self) -> float:
         """When the kernel let the processes run again after the last sleep, by the guest's clock."""
-        last = self.machine.must("sh", "-c", "dmesg | grep 'Restarting tasks' | tail -n 1")[0]
+        return self.told_s("Restarting tasks")
+
+    def told_s(self, words: str) -> float:
+        """When the kernel said this last, by the guest's clock."""
+        last = self.machine.must("sh", "-c", f"dmesg | grep '{words}' | tail -n 1")[0]
         return float(last[1 : last.index("]")])
 
     def status(self) -> str:
@@ -186,6 +200,27 @@ def sleep(scene: Scene) -> Result:
 def sleep_lost(scene: Scene) -> Result:
     """Past systemd, so that the wheels turn over the sleep; the chip wakes at 9600 bit/s."""
     return _sleep(scene, "sleep_lost", ("echo mem > /sys/power/state",), stands=False)
+
+
+def hibernate(scene: Scene) -> Result:
+    """As people do it. The image is written to the disk, and the machine goes on from its memory."""
+    scene.machine.must("sh", "-c", HIBERNATION)
+    scene.moving()
+    since_ns = _in_a_moment(scene, "systemctl", "hibernate")
+    scene.until("the end of the sleep", lambda: scene.machine.run("sh", "-c", f"dmesg | grep '{HIBERNATED}'")[0] == 0)
+    time.sleep(SETTLE_S)
+    found = scene.board.events()
+    began_s, resumed_s = scene.told_s("hibernation: hibernation entry"), scene.resumed_s()
+    stops_s = [scene.clock.theirs(event.arrival_ns) / 1e9 for event in found if event.is_stop]
+    woken_s = [at_s for at_s in stops_s if at_s > resumed_s]
+    result = Result("hibernate", missed=int(not woken_s), after=judge(found, since_ns, was_moving=True).motion_after)
+    if woken_s:
+        result.ms = (woken_s[0] - resumed_s) * 1e3
+    if not stops_s or stops_s[0] > began_s:
+        result.wrong.append("the wheels were not stopped before the sleep")
+    if any(scene.board.wheels()):
+        result.wrong.append("the wheels turn at the end")
+    return result
 
 
 def _ended(scene: Scene, name: str, since_ns: int, found: list[Event]) -> Result:
@@ -269,6 +304,7 @@ DO: dict[str, Callable[[Scene], Result | list[Result]]] = {
     "reboot": reboot,
     "boot": boot,
     "poweroff": poweroff,
+    "hibernate": hibernate,
 }
 
 

@@ -48,7 +48,7 @@ class Node:
     """vendor:product in hexadecimal."""
     product: str = ""
     modem_ignored: bool = False
-    """udev tells ModemManager to leave it alone."""
+    """udev tells ModemManager to leave it, or the whole USB device, alone."""
     acl: bool = False
     """Access is refined by an access control list."""
     accessible: bool = False
@@ -87,7 +87,8 @@ def node(path: str, system: System) -> Node | None:
         acl = "system.posix_acl_access" in os.listxattr(path)
     resolved, link = os.path.realpath(path), system.path(discovery.LINK)
     character, major, minor = stat.S_ISCHR(found.st_mode), os.major(found.st_rdev), os.minor(found.st_rdev)
-    usb_id, product = usb_identity(f"/sys/dev/char/{major}:{minor}/device", system)
+    place = f"/sys/dev/char/{major}:{minor}"
+    usb_id, product = usb_identity(f"{place}/device", system)
     return Node(
         path,
         resolved,
@@ -99,7 +100,7 @@ def node(path: str, system: System) -> Node | None:
         group,
         usb_id,
         product,
-        modem_ignored(f"/run/udev/data/c{major}:{minor}", system),
+        modem_ignored(place, system),
         acl,
         os.access(path, os.R_OK | os.W_OK),
         link if path != link and os.path.realpath(link) == resolved else "",
@@ -108,19 +109,34 @@ def node(path: str, system: System) -> Node | None:
 
 def usb_identity(device: str, system: System) -> tuple[str | None, str]:
     """(vendor:product, product's name) of the USB device above a node in sysfs."""
+    at = _usb_device(device, system)
+    if at is None:
+        return None, ""
+    return f"{system.read(f'{at}/idVendor')}:{system.read(f'{at}/idProduct')}", system.read(f"{at}/product") or ""
+
+
+def _usb_device(device: str, system: System) -> str | None:
+    """Where in sysfs the USB device above another device is."""
     place = os.path.realpath(system.path(device))
     for _ in range(USB_DEPTH):
         at = "/" + os.path.relpath(place, system.root)
-        vendor, product = system.read(f"{at}/idVendor"), system.read(f"{at}/idProduct")
-        if vendor and product:
-            return f"{vendor}:{product}", system.read(f"{at}/product") or ""
+        if system.read(f"{at}/idVendor") and system.read(f"{at}/idProduct"):
+            return at
         place = os.path.dirname(place)
-    return None, ""
+    return None
 
 
-def modem_ignored(record: str, system: System) -> bool:
-    """What udev's database says of a node, if it has one."""
-    return "E:ID_MM_DEVICE_IGNORE=1" in (system.read(record) or "").splitlines()
+def modem_ignored(place: str, system: System) -> bool:
+    """What udev's database says of a node, whose place in sysfs is given, or of the USB device above it."""
+    of_node = _record(place, system)
+    of_device = _record(_usb_device(f"{place}/device", system), system)
+    return "E:ID_MM_PORT_IGNORE=1" in of_node or "E:ID_MM_DEVICE_IGNORE=1" in (*of_node, *of_device)
+
+
+def _record(place: str | None, system: System) -> list[str]:
+    """The lines of udev's database for a device of a number."""
+    number = system.read(f"{place}/dev") if place else None
+    return (system.read(f"/run/udev/data/c{number}") or "").splitlines() if number else []
 
 
 def holders(resolved: str, ours: set[int], system: System) -> tuple[tuple[Holder, ...], int]:

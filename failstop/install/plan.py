@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Collection, Mapping
 
-from failstop.discovery import LINK
+from failstop.discovery import BOARD_VID, LINK
 from failstop.install import InstallError, layout, rows
 from failstop.install.found import Found, Request
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
@@ -16,6 +16,8 @@ from failstop.version import VERSION
 MASK = "/dev/null"
 RELOAD = ("systemctl", "daemon-reload")
 UDEV_RELOAD = ("udevadm", "control", "--reload")
+TRIGGERED = (("--subsystem-match=tty",), ("--subsystem-match=usb", f"--attr-match=idVendor={BOARD_VID:04x}"))
+"""Which devices the rule is about, in udevadm's words."""
 SETTLE_S = 5
 """How long the new rule may take to name a board that is plugged in; else the service waits for it."""
 NO_SUCH_GROUP = 6
@@ -295,9 +297,9 @@ def _told(request: Request, found: Found, changed: Collection[str]) -> list[Comm
 
 
 def _name_board() -> list[Command]:
-    """Have the new rule name a board that is plugged in."""
+    """Have the new rule name a board that is plugged in, and treat its USB device."""
     settle = ("udevadm", "settle", f"--timeout={SETTLE_S}")
-    return [_run("udevadm", "trigger", "--subsystem-match=tty"), _run(*settle, accepted=(0, 1))]
+    return [*(_run("udevadm", "trigger", *which) for which in TRIGGERED), _run(*settle, accepted=(0, 1))]
 
 
 def _run(*words: str, touches: tuple[str, ...] = (), accepted: tuple[int, ...] = (0,)) -> Command:

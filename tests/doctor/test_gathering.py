@@ -42,12 +42,28 @@ def test_the_usb_device_is_found_above_its_node(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "ignored"), [("E:ID_MM_DEVICE_IGNORE=1\n", True), ("E:ID_BUS=usb\n", False), (None, False)]
+    ("of_node", "of_device", "ignored"),
+    [
+        ("E:ID_MM_PORT_IGNORE=1\n", None, True),
+        ("E:ID_MM_CANDIDATE=1\n", "E:ID_MM_DEVICE_IGNORE=1\n", True),
+        ("E:ID_MM_DEVICE_IGNORE=1\n", None, True),
+        ("E:ID_BUS=usb\n", "E:ID_MM_PORT_IGNORE=1\n", False),
+        ("E:ID_BUS=usb\n", "E:ID_BUS=usb\n", False),
+        (None, None, False),
+    ],
 )
-def test_what_udev_tells_modem_manager(tmp_path: Path, text: str | None, ignored: bool) -> None:
-    if text is not None:
-        write(tmp_path, "/run/udev/data/c166:0", text)
-    assert port.modem_ignored("/run/udev/data/c166:0", System(str(tmp_path))) is ignored
+def test_what_udev_tells_modem_manager(
+    tmp_path: Path, of_node: str | None, of_device: str | None, ignored: bool
+) -> None:
+    usb, node = "/sys/devices/pci0/usb1/1-2", "/sys/dev/char/166:0"
+    for name, text in (("idVendor", "1a86\n"), ("idProduct", "55d4\n"), ("dev", "189:1\n")):
+        write(tmp_path, f"{usb}/{name}", text)
+    write(tmp_path, f"{node}/dev", "166:0\n")
+    (tmp_path / f"{node}/device".lstrip("/")).symlink_to(tmp_path / usb.lstrip("/"))
+    for number, record in (("166:0", of_node), ("189:1", of_device)):
+        if record is not None:
+            write(tmp_path, f"/run/udev/data/c{number}", record)
+    assert port.modem_ignored(node, System(str(tmp_path))) is ignored
 
 
 def test_processes_and_their_units(tmp_path: Path) -> None:

@@ -47,6 +47,7 @@ def test_a_bare_machine_gets_everything_in_an_order_that_works() -> None:
         "run systemctl daemon-reload",
         "run udevadm control --reload",
         "run udevadm trigger --subsystem-match=tty",
+        "run udevadm trigger --subsystem-match=usb --attr-match=idVendor=1a86",
         "run udevadm settle --timeout=5",
         "check that the user failstop can run it",
         "start failstop.service",

@@ -191,7 +191,7 @@ def test_sysusers_makes_the_user(tmp_path: Path) -> None:
     assert re.search(r"^failstop:", group, re.MULTILINE)
 
 
-RULE = re.compile(r'([A-Z]+(?:\{\w+\})?)(==|!=|\+=|:=|=)"([^"]*)"')
+RULE = re.compile(r'([A-Z]+(?:\{[\w/]+\})?)(==|!=|\+=|:=|=)"([^"]*)"')
 
 
 def test_udev_rules_are_well_formed_and_for_this_board() -> None:
@@ -202,6 +202,9 @@ def test_udev_rules_are_well_formed_and_for_this_board() -> None:
     link = next(rule for rule in rules if "SYMLINK" in rule)
     assert f'ATTRS{{idVendor}}=="{BOARD_VID:04x}", ATTRS{{idProduct}}=="{BOARD_PID:04x}"' in link
     assert 'SYMLINK+="failstop", GROUP="dialout", MODE="0660", TAG+="systemd"' in link
+    device = next(rule for rule in rules if "power/control" in rule)
+    assert f'ATTR{{idVendor}}=="{BOARD_VID:04x}", ATTR{{idProduct}}=="{BOARD_PID:04x}|7523"' in device
+    assert 'ENV{ID_MM_DEVICE_IGNORE}="1", ATTR{power/control}="on"' in device
     assert "dev-failstop.device" in UNIT["WantedBy"]
     jumps = [value for rule in rules for key, _, value in RULE.findall(rule) if key in ("GOTO", "LABEL")]
     assert len(jumps) == 2
