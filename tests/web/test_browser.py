@@ -116,6 +116,7 @@ def test_a_stranger_sees_and_stops_and_nothing_else(trial: Trial, tab: Tab) -> N
 
 
 def test_a_wrong_code_is_told(tab: Tab) -> None:
+    tab.tap("#pair summary")
     tab.run("document.getElementById('code').value = '0000-0000'")
     tab.tap("#pair button")
     tab.until("document.getElementById('pair-why').textContent.includes('no code is on offer')")

@@ -23,7 +23,7 @@ async function look() {
   } catch { /* the link comes back, and then it is asked again */ }
 }
 
-$("pair").addEventListener("submit", async (event) => {
+document.querySelector("#pair form").addEventListener("submit", async (event) => {
   event.preventDefault();
   $("pair-why").textContent = "";
   try {
@@ -48,6 +48,7 @@ const given = decodeURIComponent(location.hash.slice(1));
 if (given) {
   history.replaceState(null, "", location.pathname);
   $("code").value = given;
+  $("pair").open = true;
   addEventListener("device", () => { if (!$("pair").hidden) $("device-name").focus(); }, {once: true});
 }
 addEventListener("link-open", look);

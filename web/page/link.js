@@ -2,15 +2,19 @@
 const LEAST_MS = 250, MOST_MS = 2000, POLL_MS = 500;
 let socket = null;
 
-export function send(message) {
-  if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
-}
-
-addEventListener("stopping", (event) => send({stop: event.detail}));
-
 export function connected() {
   return !!socket && socket.readyState === WebSocket.OPEN;
 }
+
+export function send(message) {
+  if (connected()) socket.send(JSON.stringify(message));
+}
+
+addEventListener("stopping", (event) => {
+  if (!connected()) return;
+  event.preventDefault(); // it is on its way
+  send({stop: event.detail});
+});
 
 export function reconnect() {
   if (socket) socket.close();

@@ -3,6 +3,7 @@
 (() => {
   const EVERY_MS = 300; // an answer comes within that when it is written, or says that it was not
   const TRIES = 60;
+  const ASIDE_MS = 4;
   const MOST_OPEN = 4;
   const button = document.getElementById("stop");
   const said = document.getElementById("stop-said");
@@ -27,11 +28,13 @@
   async function stop() {
     const id = Math.random().toString(36).slice(2);
     // Where the websocket is up it is the shorter way, as it needs no new request; by its id the robot knows it for the same.
-    dispatchEvent(new CustomEvent("stopping", {detail: id}));
+    const sent = !dispatchEvent(new CustomEvent("stopping", {detail: id, cancelable: true}));
     const open = [];
     newest = id;
     say("asking ...", "asking");
     if (navigator.vibrate) navigator.vibrate(40);
+    // What the browser does for a request would hold up the bytes of the websocket.
+    if (sent) await new Promise((go) => setTimeout(go, ASIDE_MS));
     let asked = 0, done = false, wrong = "no answer";
     for (let number = 0; number < TRIES && !done; number++) {
       const wait = new Promise((next) => setTimeout(next, EVERY_MS));
