@@ -168,7 +168,8 @@ class Pair(Guarded):
         if not self.page.pairing_on:
             self.refuse(403, "pairing is off on this robot")
             return
-        if not self.page.pair_limit.take(str(self.request.remote_ip), time.monotonic()):
+        address = str(self.request.remote_ip)
+        if not self.page.pair_limit.take(address, time.monotonic()):
             self.refuse(429, "too many tries: wait a few seconds")
             return
         given = self.body()
@@ -177,6 +178,7 @@ class Pair(Guarded):
         except (devices.NotPaired, FailstopError) as error:
             self.refuse(403, str(error))
             return
+        self.page.pair_limit.give_back(address)  # who has the code does not guess: one address may be a room of phones
         secure = self.request.protocol == "https"
         self.set_cookie(
             self.cookie, token, expires_days=YEAR_DAYS, httponly=True, secure=secure, samesite="Strict", path="/"

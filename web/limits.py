@@ -21,3 +21,9 @@ class Limit:
             self._left.pop(next(iter(self._left)))
         self._left[key] = (left - 1 if left >= 1 else left), max(now_s, since_s)
         return left >= 1
+
+    def give_back(self, key: str) -> None:
+        """What this one took last does not count after all."""
+        if key in self._left:
+            left, since_s = self._left[key]
+            self._left[key] = (min(float(self._burst), left + 1), since_s)

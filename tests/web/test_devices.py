@@ -122,6 +122,17 @@ def test_a_limit_gives_at_once_then_slowly() -> None:
     assert not limit.take("a", 5.0), "a clock that goes back gives nothing"
 
 
+def test_what_is_given_back_can_be_taken_again_and_no_more() -> None:
+    limit = Limit(0.001, 2)
+    limit.give_back("a")
+    assert [limit.take("a", 1.0) for _ in range(3)] == [True, True, False]
+    limit.give_back("a")
+    assert [limit.take("a", 1.0) for _ in range(2)] == [True, False]
+    for _ in range(5):
+        limit.give_back("a")
+    assert [limit.take("a", 1.0) for _ in range(3)] == [True, True, False], "never more than the burst"
+
+
 def test_names_that_are_made_up_take_no_memory() -> None:
     limit = Limit(0.001, 1)
     for number in range(3 * MOST_KEYS):

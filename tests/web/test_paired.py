@@ -104,6 +104,11 @@ def test_a_device_forgets_itself(web: Web) -> None:
     assert web.post("/api/forget", headers=carl)[0] == 401
 
 
+def test_a_room_of_phones_pairs_one_after_the_other(web: Web) -> None:
+    for number in range(8):
+        assert web.post("/api/forget", headers=web.pair(f"phone {number}"))[0] == 200
+
+
 def test_a_code_is_used_once_and_guesses_are_limited(web: Web) -> None:
     code = web.code()
     said = [web.ask("POST", "/api/pair", {"code": "0000-0000", "name": "Eve"}) for _ in range(8)]
