@@ -169,6 +169,10 @@ def _rows() -> Iterator[Family]:
         lambda state: _states("state", LINKS, state.device.link), "state",
     )  # fmt: skip
     yield row(
+        "speed_limit_ratio", GAUGE, "The share of the settings' speeds that drivers may use",
+        lambda state: _one(state.speed_limit),
+    )  # fmt: skip
+    yield row(
         "battery_volts", GAUGE, "The battery's voltage",
         lambda state: _one(state.battery_v),
     )  # fmt: skip

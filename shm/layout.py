@@ -118,6 +118,7 @@ def _client(index: int) -> SegmentSpec:
             _latest("interlocks", 224, "gate"),  # the conditions that this client says hold, at its time
             _latest("attended", 96, "gate"),  # the operator who was there at its time; 0: who is there no more
             _latest("request", 320, "gate"),
+            _latest("speed_limit", 32, "gate"),  # the limit that a request is about (records)
             _latest("arm_goal", 128, "gate"),  # follow or jog, renewed (records)
             _latest("arm_path", 8192, "gate"),  # the trajectory that a request is about (records)
             _latest("said", 400, "gate"),  # in a line, what the client sees and what is wrong (records)
@@ -176,6 +177,7 @@ SEGMENTS = (
             *_beat(),
             _word("resets_asked", "supervisor, its successor"),  # the number of the newest reset that was asked for
             _word("reset_asked_ns", "supervisor"),  # when that was asked for
+            _word("limit", "its successor"),  # percent of the settings' speeds that it allows; 0: nobody has set one
             _ring("frames", 304, 64, "port_owner"),  # motion, stops, other frames for the wire (records)
             _ring("stops", 320, 32, "supervisor"),  # every stop cause that it noticed, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)

@@ -54,6 +54,7 @@ ARM_TUCK = 6
 ARM_HOLD = 7
 ARM_RELEASE = 8
 ARM_READ = 9
+LIMIT = 10
 
 REFUSED = 0
 DONE = 1
@@ -222,6 +223,8 @@ HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
 of pids (lifeline.pid_namespace), its name."""
 REQUEST: Payload[int, int, int] = Payload("<QQB")
 """A client session's request: its number, which comes back in the reply; its verb, ENABLE or another."""
+SPEED_LIMIT: Payload[int, int] = Payload("<QB")
+"""The speed limit that a session's request is about, in percent of the settings' speeds."""
 REPLY: Payload[int, int, int, str, bytes] = Payload("<QQB", Tail(_pack_reply, _unpack_reply))
 """The reply to a session's request: its number; DONE, REFUSED with the reason, or UNDER_WAY with how far it is; the
 text; where that says CAUSE, this cause is meant, packed."""

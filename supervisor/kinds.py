@@ -42,6 +42,7 @@ KINDS = (
     EventKind("enabled", "notice", "3bfd144a1c00461f861da553c93614d9", "who"),
     EventKind("disabled", "notice", "9ed186beffa7488bbf12bd4f6463b06f"),
     EventKind("reset", "notice", "085c02e749f54017874cb058835723df", "who"),
+    EventKind("limit", "notice", "70435faa2f774175863433ae2a9e0b23", "who"),
     EventKind("refused", "notice", "e46f8afd78764309952f8428eebda5b9", "who verb reason"),
     EventKind("ignored", "warning", "b3b319d319c74c748c77923638d33b72", "who source"),
     EventKind("said", "info", "7d3f0b6e9c1a4f52a8e45b0c6d2f9137", "who sees wrong"),

@@ -199,7 +199,7 @@ class Forget(Guarded):
 
 
 class Verb(Guarded):
-    """Reset, enable, disable, for paired devices."""
+    """Reset, enable, disable, limit the speed, for paired devices."""
 
     async def post(self, verb: str) -> None:
         """The gate decides."""
@@ -208,7 +208,7 @@ class Verb(Guarded):
         if not self.page.verb_limit.take(verb, time.monotonic()):
             self.refuse(429, "too many requests: wait a second")
             return
-        done, said = await self.page.hands.ask(verb, self.who())
+        done, said = await self.page.hands.ask(verb, self.who(), self.body().get("percent"))
         if done:
             self.finish({"said": said})
         else:

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 
-VERBS = ("reset", "enable", "disable")
+VERBS = ("reset", "enable", "disable", "limit")
 MOST_WAITING = 4
 
 
@@ -20,24 +20,26 @@ class Hands:
         self._thread = ThreadPoolExecutor(1, "hands")
         self._waiting = 0
 
-    async def ask(self, verb: str, who: str) -> tuple[bool, str]:
-        """(done, what was said)."""
+    async def ask(self, verb: str, who: str, percent: object = None) -> tuple[bool, str]:
+        """(done, what was said). `percent`: of the speed limit, as it came."""
         if self._waiting >= MOST_WAITING:
             return False, "others are asking: again in a moment"
         self._waiting += 1
         try:
-            return await asyncio.get_running_loop().run_in_executor(self._thread, self._ask, verb, who)
+            return await asyncio.get_running_loop().run_in_executor(self._thread, self._ask, verb, who, percent)
         finally:
             self._waiting -= 1
 
-    def _ask(self, verb: str, who: str) -> tuple[bool, str]:
+    def _ask(self, verb: str, who: str, percent: object) -> tuple[bool, str]:
         try:
             with Robot(self._name, client=who, disable_on_exit=False) as robot:
+                if verb == "limit":
+                    return True, robot.limit_speed(percent / 100 if isinstance(percent, (int, float)) else 0.0)
                 asked = {"reset": robot.reset, "enable": robot.enable, "disable": robot.disable}[verb]
-                return True, str(asked())
+                return True, asked()
         except Refused as refused:
             return False, str(refused.args[0])
-        except FailstopError as error:
+        except (FailstopError, ValueError) as error:
             return False, str(error)
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from contextlib import closing
 from failstop.api.events import LOOK_EVERY_S, Event, EventLog
 from failstop.api.news import News
 from failstop.api.robot import Robot
-from failstop.api.waiting import Steps, T, ask, reach
+from failstop.api.waiting import Steps, T, ask, limiting, reach
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import records
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
     from types import TracebackType
 
+    from failstop.api.client import Client
     from failstop.api.driving import Answer
     from failstop.api.samples import Sample
     from failstop.api.snapshot import State
@@ -41,9 +42,11 @@ class AsyncRobot:
     ) -> None:
         self.robot.__exit__(kind, error, at)
 
-    async def _ask(self, verb: int, told: Callable[[str], None] | None = None) -> str:
+    async def _ask(
+        self, verb: int, told: Callable[[str], None] | None = None, prepare: Callable[[Client], None] | None = None
+    ) -> str:
         async with self._turn:
-            return await _through(ask(self.robot, verb, self.robot._answer_s, told))
+            return await _through(ask(self.robot, verb, self.robot._answer_s, told, prepare))
 
     async def enable(self, told: Callable[[str], None] | None = None) -> str:
         """As Robot.enable."""
@@ -56,6 +59,10 @@ class AsyncRobot:
     async def reset(self) -> str:
         """As Robot.reset."""
         return await self._ask(records.RESET)
+
+    async def limit_speed(self, share: float) -> str:
+        """As Robot.limit_speed."""
+        return await self._ask(records.LIMIT, prepare=limiting(share))
 
     async def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
         """As Robot.wait_for."""

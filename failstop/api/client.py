@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 REPEAT_NS = 45_000_000
 """A command that repeats the one before it so soon wakes nobody: the gate looks for it at its tick, and before it lets
 the one before it time out. A wake-up costs 0.2 to 0.4 ms of processor time."""
-RECORDS = ("command", "request", "sensed", "interlocks", "attended", "said", "arm_goal", "arm_path")
+RECORDS = ("command", "request", "sensed", "interlocks", "attended", "said", "speed_limit", "arm_goal", "arm_path")
 """What a client writes into its slot, once it has said hello there."""
 GIVEN_UP = "given up for a later request of this program"
 
@@ -231,6 +231,10 @@ class Client:
         self._records["request"].write(records.REQUEST.pack(self._session, self._number, verb))
         self._ring()
         return self._number
+
+    def speed_limit(self, percent: int) -> None:
+        """Leave a speed limit for the request that follows."""
+        self._records["speed_limit"].write(records.SPEED_LIMIT.pack(self._session, percent))
 
     def arm_goal(self, mode: int, values: dict[int, float]) -> None:
         """Hand a goal of the arm to the gate; returns at once. Raises NoService, ValueError."""

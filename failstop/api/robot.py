@@ -20,7 +20,7 @@ from failstop.api.run import Run
 from failstop.api.samples import Sample, SampleReader
 from failstop.api.snapshot import Block, State
 from failstop.api.state import StateReader
-from failstop.api.waiting import POLL_S, Turn, ask, reach, sleep_through
+from failstop.api.waiting import POLL_S, Turn, ask, limiting, reach, sleep_through
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
 from failstop.shm import records
 from failstop.shm.instance import DEFAULT_NAME
@@ -235,6 +235,11 @@ class Robot:
         """Clear the latched stop; motion stays disabled until enable(). With nothing latched it changes nothing. Raises
         Refused."""
         return self._ask(records.RESET)
+
+    def limit_speed(self, share: float) -> str:
+        """Allow every driver this share of the settings' speeds, 0.05 to 1, until another is set or the service ends.
+        It counts at once, by the ramps. Raises Refused, ValueError."""
+        return self._ask(records.LIMIT, prepare=limiting(share))
 
     def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> Answer:
         """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3

@@ -331,6 +331,8 @@ class State:
     """Whether a charger is plugged in, judged from the voltage's steps."""
     age_s: float
     """Of the gate's record, s: it publishes every 0.08 s at least."""
+    speed_limit: float = 1.0
+    """The share of the settings' speeds that drivers may use (`Robot.limit_speed`)."""
     attended_by: tuple[str, ...] | None = None
     """The operators who are there; None: none is needed (setting attend.required)."""
     arm: ArmState | None = None

@@ -130,6 +130,7 @@ class StateReader:
             pad_mode=pad and cast("PadMode", records.PAD_MODES[pad[6]]),
             battery_v=millivolts / 1000 or None,
             plugged=cast("Plugged", records.PLUGGED[plugged]),
+            speed_limit=decided["limit"] / 100,
             attended_by=None if attended is None else tuple(attended),
             age_s=_age_s(now_ns, told_ns),
             arm=self._arm(decided.get("arm"), now_ns),

@@ -112,6 +112,14 @@ def ask(
         _leave(robot, turn)
 
 
+def limiting(share: float) -> Callable[[Client], None]:
+    """What the gate finds with a request to limit the speed. Raises ValueError for a share that is no percentage of a
+    speed."""
+    if not 0.0 < share <= 1.0:
+        raise ValueError(f"a speed limit of {share}: must be over 0, and at most 1")
+    return lambda client: client.speed_limit(round(100 * share))
+
+
 def _send(
     robot: Robot, verb: int, turn: Turn, prepare: Callable[[Client], None] | None
 ) -> tuple[Client, Run, int] | None:

@@ -54,6 +54,11 @@ def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
     return ", ".join(parts)
 
 
+def limited(share: float) -> str:
+    """A speed limit that somebody has set."""
+    return f"speed limited to {100 * share:.0f} % of the settings'"
+
+
 def took(seconds: float) -> str:
     """A short time, to what matters of it."""
     if seconds < 1e-4:

@@ -28,6 +28,7 @@ COMMANDS = {
     "estop": ("cli.commands.stop", "the same as stop"),
     "attend": ("cli.commands.attend", "be the operator without whom the robot does not move"),
     "drive": ("cli.commands.drive", "drive for a while"),
+    "limit": ("cli.commands.limit", "a speed limit for every driver, in percent of the settings'"),
     "arm": ("cli.commands.arm", "the arm: where it is, move, jog, poses, hold, release"),
     "config": ("cli.commands.config", "every setting with its value and origin"),
     "doctor": ("cli.commands.doctor", "what on this machine weakens the promises, and what helps"),
@@ -43,7 +44,7 @@ COMMANDS = {
 }
 
 GROUPS = (
-    ("drive", ("enable", "disable", "drive", "teleop", "attend", "stop", "estop", "reset", "arm")),
+    ("drive", ("enable", "disable", "drive", "teleop", "attend", "stop", "estop", "reset", "limit", "arm")),
     ("look", ("status", "watch", "why", "events", "incident", "metrics", "fleet")),
     ("check", ("demo", "doctor", "prove", "chaos", "config")),
     ("service", ("run", "sim", "web", "ros2", "install", "uninstall", "completion")),

@@ -99,6 +99,7 @@ class Slot:
         self._attended = Inbox(segment, "attended", records.HELD.unpack)
         self._said = Inbox(segment, "said", records.SAID.unpack)
         self._arm_goal = Inbox(segment, "arm_goal", records.ARM_GOAL.unpack)
+        self._speed_limit = Inbox(segment, "speed_limit", records.SPEED_LIMIT.unpack)
         self._arm_path = Inbox(segment, "arm_path", records.ARM_PATH.unpack)
         self._once = (self._command, self._request, self._arm_goal)
         for each in self._once:
@@ -155,6 +156,11 @@ class Slot:
         """The trajectory that lies in the slot (share, servos, rows)."""
         found = self._arm_path.of(self.session)
         return found and found[1:]
+
+    def speed_limit(self) -> int:
+        """The speed limit that lies in the slot, percent; 0: none."""
+        found = self._speed_limit.of(self.session)
+        return found[1] if found else 0
 
     def sensed_ns(self) -> int:
         """When this session said last that the obstacle sensor delivered; 0: never."""

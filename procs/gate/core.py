@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 STILL = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
+LEAST_LIMIT = 5
+"""Percent: a limit under it would be a stop without a word."""
 MOST_IGNORED = 64
 """Sources that are no client's and are told of in the life of a gate."""
 
@@ -44,7 +46,8 @@ class GateCore:
     def __init__(self, settings: Settings, kinematics: Wheels, now_ns: int) -> None:
         acceleration = settings["limits.acceleration_mps2"]
         limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
-        self._limits = tuple(limit * axis for limit, axis in zip(limits, kinematics.axes, strict=True))
+        self._most = tuple(limit * axis for limit, axis in zip(limits, kinematics.axes, strict=True))
+        self.limit_to(100)
         self._ramps = (acceleration, acceleration, settings["limits.acceleration_radps2"])
         self._refresh_ns = settings.ns("gate.refresh_s")
         self._longest_step_ns = 2 * settings.ns("gate.period_s")
@@ -178,6 +181,15 @@ class GateCore:
         """Forbid motion."""
         self.stand_still()
         return Reply(True, "motion disabled")
+
+    def limit_to(self, percent: int) -> Reply:
+        """Allow this share of the settings' speeds. It counts from the next step on, by the ramps."""
+        if not LEAST_LIMIT <= percent <= 100:
+            return Reply(False, f"a speed limit of {percent} %: must be {LEAST_LIMIT} to 100")
+        self.limit = percent
+        """Percent of the settings' speeds."""
+        self._limits = tuple(most * percent / 100 for most in self._most)
+        return Reply(True, f"speed limited to {percent} % of the settings'" if percent < 100 else "speed limit lifted")
 
     def check_interlocks(self, now_ns: int) -> str:
         """Once a tick: an interlock that is lost while enabled disables motion; returns which, in words."""

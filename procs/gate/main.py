@@ -69,6 +69,7 @@ class Gate:
         """When the epoch was raised last: requests to enable from before that are refused."""
         self._last = causes.UNKNOWN()
         """The cause of the last stop."""
+        self.core.limit_to(self._limit_word.get() or 100)
         self._follow_latch()
         self.arm = Arm(self, context, self.loop.timer(), now_ns) if settings.servos() else None
         claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
@@ -81,6 +82,7 @@ class Gate:
         self._stops = own.ring_writer("stops")
         self._notes = own.ring_writer("notes")
         self._state = own.latest_writer("state")
+        self._limit_word = own.word("limit")
         self._said_record = own.latest_writer("said")
         self._box = GateBox(own.ring_writer("box"))
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
@@ -294,6 +296,9 @@ class Gate:
             self.send(records.STOP, b"", now_ns)
             if self.arm:
                 self.arm.stopped("motion disabled")
+        elif verb == records.LIMIT:
+            reply = self.core.limit_to(slot.speed_limit())
+            self._limit_word.set(self.core.limit)
         elif verb in ARM_VERBS:
             reply = self.arm.request(slot, number, verb, now_ns) if self.arm else Reply(False, NO_ARM)
         else:
@@ -347,6 +352,7 @@ class Gate:
             state["attended"] = core.attendance.names(now_ns)
         state |= {
             "enabled": core.enabled,
+            "limit": core.limit,
             "estop": core.latch and core.latch.pack(),
             "blocked": core.blocked(now_ns) or None,
             "body_vel": core.velocity,

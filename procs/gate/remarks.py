@@ -21,6 +21,7 @@ VERBS = {
     records.ARM_HOLD: "hold the arm",
     records.ARM_RELEASE: "release the arm",
     records.ARM_READ: "read the arm",
+    records.LIMIT: "limit the speed",
 }
 MOST_AT_ONCE = 20
 EVERY_NS = 200_000_000
@@ -43,6 +44,8 @@ def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) ->
         return Note("enabled", f"motion enabled by {by}", fields)
     if verb == records.DISABLE and enabled:
         return Note("disabled", f"motion disabled by {by}", fields)
+    if verb == records.LIMIT:
+        return Note("limit", f"{reply} by {by}", fields)
     if verb == records.ARM_RELEASE:
         return Note("arm", f"arm released by {by}", fields)
     if verb == records.RESET and reply.cause:

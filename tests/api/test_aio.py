@@ -45,6 +45,21 @@ def test_events_and_requests_of_several_tasks(trial: Trial) -> None:
     assert asyncio.run(stop_is_told()) == ["enabled", "disabled", "enabled", "stop"]
 
 
+def test_the_speed_is_limited_by_either(trial: Trial) -> None:
+    async def limit() -> None:
+        async with Robot.connect(trial.name) as robot:
+            assert await robot.limit_speed(0.4) == "speed limited to 40 % of the settings'"
+            assert robot.state.speed_limit == 0.4
+            assert robot.robot.limit_speed(1) == "speed limit lifted"
+            for wrong in (0.0, -1.0, 1.01, float("nan")):
+                with pytest.raises(ValueError, match="speed limit"):
+                    await robot.limit_speed(wrong)
+            with pytest.raises(Refused, match="must be 5 to 100"):
+                await robot.limit_speed(0.01)
+
+    asyncio.run(limit())
+
+
 async def _ask(robot: AsyncRobot) -> None:
     await asyncio.gather(robot.enable(), robot.disable(), robot.enable())
     robot.estop("enough")

@@ -7,6 +7,7 @@ import json
 import os
 import pty
 import resource
+import signal
 import tty
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.cli.main import COMMANDS, HIDDEN, main
-from failstop.lab.trial import Trial
+from failstop.lab.trial import Trial, wait_for
 from tests.support.commands import failstop
 
 
@@ -40,6 +41,26 @@ def test_a_session(trial: Trial) -> None:
     assert "`failstop reset --name" in screen
     assert "motion still disabled" in failstop("reset", *at).stdout
     assert failstop("disable", *at).stdout == "motion disabled\n"
+
+
+def test_a_speed_limit_holds_for_every_driver_until_it_is_lifted(trial: Trial) -> None:
+    at = ("--name", trial.name)
+    assert failstop("limit", *at).stdout == "no speed limit but the settings'\n"
+    assert failstop("limit", "50", *at).stdout == "speed limited to 50 % of the settings'\n"
+    assert "limit     speed limited to 50 %" in failstop("status", *at).stdout
+    trial.enable()
+    driven = failstop("drive", "0.2", "0", "0", "--for", "0.5", *at).stdout
+    assert "no faster than 0.10 m/s forward" in driven
+    refused = failstop("limit", "2", *at)
+    assert (refused.returncode, refused.stderr) == (2, "failstop: refused: a speed limit of 2 %: must be 5 to 100\n")
+    assert failstop("limit", "0", *at).returncode == 1
+    os.kill(trial.robot.state.processes["gate"].pid, signal.SIGKILL)
+    wait_for("the next gate", lambda: trial.robot.state.processes["gate"].restarts == 1)
+    wait_for("its word", lambda: not trial.robot.state.waiting_for)
+    assert failstop("limit", *at).stdout == "speed limited to 50 % of the settings'\n", "a death lifts nothing"
+    assert failstop("limit", "100", *at).stdout == "speed limit lifted\n"
+    told = failstop("events", "--kind", "limit", *at).stdout
+    assert "speed limited to 50 % of the settings' by failstop limit (pid" in told
 
 
 def test_status_json_has_what_is_promised(trial: Trial) -> None:

@@ -364,21 +364,34 @@ def test_released_it_stays_limp_until_it_is_asked_to_move(scene: ArmScene) -> No
     assert scene.finish() == (records.DONE, "arm is there")
 
 
-def test_an_enable_right_behind_a_release_does_not_wake_the_gate_without_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The settings have no drive pose, so the wheels are enabled while torques are still to be switched off."""
+def test_an_enable_right_behind_a_release_leaves_no_torque_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The settings have no drive pose, so nothing else is asked of the arm."""
     no_pose = {key: -1 for key in ARM if key.endswith(".drive")}
     monkeypatch.setattr(ArmScene, "changed", {**ARM, **no_pose, "arm.drive_pan": -1})
     scene = ArmScene(tmp_path, monkeypatch)
     try:
         scene.ask_for(records.ARM_RELEASE)
         scene.ask_for(records.ENABLE, client=1)
+        assert scene.finish(client=1) == (records.REFUSED, "the arm is being released: ask again in a moment")
+        scene.run(0.1)
+        assert all(servo.limp() for servo in scene.servos.by_id.values())
+        scene.ask_for(records.ENABLE, client=1)
         assert scene.finish(client=1) == (records.DONE, "motion enabled")
         scene.turn()
         assert scene.gate.loop.due_ns() > scene.clock()
     finally:
         scene.close()
+
+
+def test_who_enables_goes_before_who_only_moves_the_arm_there_and_after_who_enables(scene: ArmScene) -> None:
+    scene.ask_for(records.ARM_DRIVE)
+    scene.run(0.1)
+    scene.ask_for(records.ENABLE, client=1)
+    scene.run(0.1)
+    assert scene.answered() == (records.REFUSED, "wheels enabled")
+    scene.ask_for(records.ENABLE)
+    assert scene.finish() == (records.REFUSED, "other (pid 0) is enabling motion")
+    assert scene.finish(client=1) == (records.DONE, "motion enabled")
 
 
 class Judged(ArmScene):

@@ -6,6 +6,8 @@ from itertools import pairwise
 
 import pytest
 
+from tests.support.why import told
+
 from .gate_bench import MS, ROBOT, Gate, stands
 
 
@@ -33,6 +35,25 @@ def test_limits_and_ramps_are_the_settings() -> None:
     gate.enable()
     assert gate.drive((9.0, 9.0, 9.0), 1)[0] == pytest.approx((0.02, 0.02, 0.04))
     assert gate.drive((9.0, 9.0, 9.0), 100)[-1] == (0.35, 0.1, 2.0)
+
+
+def test_a_speed_limit_counts_at_once_by_the_ramps_and_is_lifted(gate: Gate) -> None:
+    gate.enable()
+    assert gate.drive((9.0, -9.0, 9.0), 60)[-1] == (0.2, -0.2, 1.0)
+    assert told(gate.core.limit_to(25)) == (True, "speed limited to 25 % of the settings'")
+    found = gate.drive((9.0, -9.0, 9.0), 40)
+    assert found[0] == pytest.approx((0.19, -0.19, 0.96)), "no jump"
+    assert found[-1] == (0.05, -0.05, 0.25)
+    assert gate.drive((0.03, 0.0, 0.0), 40)[-1] == (0.03, 0.0, 0.0), "what is slower is not scaled"
+    assert told(gate.core.limit_to(100)) == (True, "speed limit lifted")
+    assert gate.drive((9.0, 0.0, 0.0), 60)[-1] == (0.2, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("percent", [0, 4, 101, 255])
+def test_a_speed_limit_that_is_none_is_refused_and_changes_nothing(gate: Gate, percent: int) -> None:
+    gate.core.limit_to(50)
+    assert told(gate.core.limit_to(percent)) == (False, f"a speed limit of {percent} %: must be 5 to 100")
+    assert gate.core.limit == 50
 
 
 def test_slowing_down_and_turning_round_ramp_too(driving: Gate) -> None:

@@ -54,6 +54,16 @@ def test_disabling_writes_a_stop(gate_scene: Scene) -> None:
     assert gate_scene.asked == [records.STOP]
 
 
+def test_a_successor_keeps_the_speed_limit(gate_scene: Scene) -> None:
+    assert gate_scene.ask(records.LIMIT) == (False, "a speed limit of 0 %: must be 5 to 100"), "none lies in the slot"
+    gate_scene.limit(30)
+    assert gate_scene.ask(records.LIMIT) == (True, "speed limited to 30 % of the settings'")
+    gate_scene.limit(3)
+    assert not gate_scene.ask(records.LIMIT)[0]
+    gate_scene.start_gate()
+    assert gate_scene.gate.core.limit == 30
+
+
 def test_a_successor_starts_latched(gate_scene: Scene) -> None:
     gate_scene.stop(2, "key1")
     gate_scene.start_gate()

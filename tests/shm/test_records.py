@@ -192,6 +192,10 @@ BIGGEST: dict[str, tuple[Callable[[str], bytes], list[str]]] = {
         [f"client.{i}/said" for i in range(CLIENT_SLOTS)],
     ),
     "request": (lambda text: records.REQUEST.pack(TOP, TOP, 255), [f"client.{i}/request" for i in range(CLIENT_SLOTS)]),
+    "speed_limit": (
+        lambda text: records.SPEED_LIMIT.pack(TOP, 255),
+        [f"client.{i}/speed_limit" for i in range(CLIENT_SLOTS)],
+    ),
     "imu": (lambda text: records.IMU.pack(*TOPS, *TOPS), ["telemetry/imu"]),
     "battery": (lambda text: records.BATTERY.pack(2**32 - 1, 2), ["telemetry/battery"]),
     "pad": (lambda text: records.PAD.pack(65535, 255, -128, -128, 127, 127, 1), ["telemetry/pad"]),

@@ -161,6 +161,11 @@ class Scene(GateStage):
         self.command(vx_mps)
         return self.turn(10 * MS)
 
+    def limit(self, percent: int) -> None:
+        """The client leaves a speed limit for its request."""
+        payload = records.SPEED_LIMIT.pack(SESSION, percent)
+        self._client.latest_writer("speed_limit").write(payload, self.clock())
+
     def command(self, vx_mps: float) -> None:
         """A person's command, without a ring."""
         payload = records.COMMAND.pack(SESSION, vx_mps, 0.0, 0.0, True, "cmd_vel")

@@ -175,6 +175,20 @@ def test_reset_and_enable_are_held_and_letting_go_cancels(trial: Trial, paired: 
     wait_for("motion to be disabled", lambda: not trial.robot.state.enabled)
 
 
+def test_a_lower_speed_takes_a_touch_and_a_higher_one_is_held(trial: Trial, paired: Tab) -> None:
+    paired.tap("#limit [data-percent='25']")
+    wait_for("the limit", lambda: trial.robot.state.speed_limit == 0.25)
+    paired.until("document.querySelector('#limit [aria-pressed=true]').dataset.percent === '25'")
+    lift = paired.press("#limit [data-percent='100']")
+    paired.until("document.querySelector('#limit .held') !== null")
+    lift()
+    paired.until("document.querySelector('#limit .held') === null")
+    assert trial.robot.state.speed_limit == 0.25
+    lift = paired.press("#limit [data-percent='100']")
+    wait_for("the limit to be lifted", lambda: trial.robot.state.speed_limit == 1.0)
+    lift()
+
+
 def test_what_stands_in_the_way_is_said_instead_of_a_dead_button(trial: Trial, paired: Tab) -> None:
     wait_for("nothing latched", lambda: not trial.robot.state.estop)
     paired.tap("#reset")

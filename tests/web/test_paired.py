@@ -48,6 +48,17 @@ def test_a_paired_device_resets_enables_and_disables(trial: Trial, web: Web, ann
     assert not trial.robot.state.enabled
 
 
+def test_a_paired_device_limits_the_speed(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    assert web.post("/api/limit", {"percent": 25}, anna) == (200, {"said": "speed limited to 25 % of the settings'"})
+    assert trial.robot.state.speed_limit == 0.25
+    assert web.get("/api/state")["face"]["limit"] == 25
+    for wrong in ({}, {"percent": "100"}, {"percent": 3}, {"percent": 200}):
+        assert web.post("/api/limit", wrong, anna)[0] == 409
+    assert trial.robot.state.speed_limit == 0.25
+    assert web.post("/api/limit", {"percent": 100})[0] == 401
+    assert web.post("/api/limit", {"percent": 100}, anna)[0] == 200
+
+
 def test_a_refusal_is_told(trial: Trial, web: Web, anna: dict[str, str]) -> None:
     trial.robot.estop("test")
     wait_for("the latch", lambda: trial.robot.state.estop)

@@ -1,19 +1,20 @@
-// Hands: reset and enable by holding for two seconds, disable at a touch. Letting go, or anything unexpected, cancels.
+// Hands: what may move the robot, or let it go faster, is held for two seconds; the rest happens at a touch. Letting go, or
+// anything unexpected, cancels.
 import {post} from "/link.js";
 
 const $ = (id) => document.getElementById(id);
 const HOLD_MS = 2000;
-let can = {}, holding = null;
+let can = {}, limit = 100, holding = null;
 
 function said(text, refused) {
   $("answer").textContent = text;
   $("answer").classList.toggle("refused", refused);
 }
 
-async function ask(verb) {
+async function ask({verb, percent}) {
   said("asking ...", false);
   try {
-    const found = await post(`/api/${verb}`);
+    const found = await post(`/api/${verb}`, {percent: Number(percent)});
     said(found.said || found.error, !found.ok);
   } catch {
     said("The robot was not reached: nothing was changed, as far as is known.", true);
@@ -29,11 +30,11 @@ function cancel() {
 
 function begin(button) {
   cancel();
-  const verb = button.dataset.verb;
+  const {verb, percent} = button.dataset;
   if (can[verb]) { said(`Not now: ${can[verb]}.`, true); return; }
-  if (verb === "disable") { ask(verb); return; }
+  if (verb === "disable" || percent <= limit) { ask(button.dataset); return; }
   button.classList.add("held");
-  holding = {button, timer: setTimeout(() => { cancel(); if (navigator.vibrate) navigator.vibrate(30); ask(verb); }, HOLD_MS)};
+  holding = {button, timer: setTimeout(() => { cancel(); if (navigator.vibrate) navigator.vibrate(30); ask(button.dataset); }, HOLD_MS)};
 }
 
 for (const button of document.querySelectorAll("#hands button")) {
@@ -51,7 +52,10 @@ addEventListener("visibilitychange", cancel);
 addEventListener("stopped", () => { cancel(); said("", false); });
 addEventListener("link-lost", cancel);
 addEventListener("face", (event) => {
-  can = event.detail.can;
+  ({can, limit} = event.detail);
+  for (const button of document.querySelectorAll("#limit button")) {
+    button.setAttribute("aria-pressed", Number(button.dataset.percent) === limit);
+  }
   for (const [verb, why] of Object.entries(can)) {
     $(verb).setAttribute("aria-disabled", why ? "true" : "false");
     $(`${verb}-why`).textContent = why;

@@ -82,6 +82,7 @@ function showFacts() {
   const charger = face.plugged === "unknown" ? "" : `, charger ${face.plugged}`;
   const rows = [
     ["Drives", face.driver || "nobody"],
+    ...(face.limit < 100 ? [["Limit", `${face.limit} % of the settings' speeds`]] : []),
     ["Battery", face.battery_v ? `${face.battery_v.toFixed(2)} V${charger}` : "not known"],
     ["Port", face.port],
     ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has not answered yet"}[face.link] || face.link],

@@ -38,7 +38,7 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     rows = wheels(state)
     rows += _drivers(state, history.left_off(events), now_s)
     rows += last_stop(state, now_s, history.earlier(events))
-    rows += [*_arm(state), device(state), battery(state), *_sensors(state), *_clients(state)]
+    rows += [*_limit(state), *_arm(state), device(state), battery(state), *_sensors(state), *_clients(state)]
     wrapped = [part for row in rows for part in style.wrap(row, columns, LABEL)]
     return [*wrapped, [], *processes(state), *_remarks(state, columns, history.exits(events))]
 
@@ -151,6 +151,11 @@ def _sensors(state: State) -> list[Line]:
     scan = "obstacle sensor " + ("never delivered" if age_s is None else f"delivered {words.span(age_s)} ago")
     pad = f", gamepad {state.pad_mode}" if state.pad_mode else ""
     return [row("sensor", scan + pad, WARN if state.blocked == blocks.NO_SCAN else PLAIN)]
+
+
+def _limit(state: State) -> list[Line]:
+    """The speed limit, where somebody has set one."""
+    return [row("limit", words.limited(state.speed_limit), WARN)] if state.speed_limit < 1 else []
 
 
 def _arm(state: State) -> list[Line]:

@@ -107,6 +107,11 @@ TEXTS = {
         "A reset clears the latch and nothing else: motion stays disabled.\n"
         "Next: failstop enable --name @FAILSTOP_NAME@",
     ),
+    "limit": (
+        "@FAILSTOP_WHO@ has changed the speed limit",
+        "It counts for every driver until another is set or the service ends.\n"
+        "Next: failstop limit 100 --name @FAILSTOP_NAME@ lifts it",
+    ),
     "refused": (
         "@FAILSTOP_WHO@ was refused: @FAILSTOP_VERB@",
         "The reason: @FAILSTOP_REASON@. Nothing was changed.\nNext: failstop status --name @FAILSTOP_NAME@",

@@ -258,8 +258,10 @@ class Arm:
     def enable(self, slot: Slot, number: int, now_ns: int) -> Reply | None:
         """To the drive pose, and then the gate enables motion, if that is what was read back. None: the settings have
         no drive pose, so nothing is asked of the arm."""
+        if self.core.letting_go:
+            return Reply(records.REFUSED, "the arm is being released: ask again in a moment")
         waiter = self._waiter
-        if waiter and waiter.journey.purpose == goals.DRIVE and waiter.session != slot.session:
+        if waiter and waiter.enables and waiter.session != slot.session:
             return Reply(records.REFUSED, f"{waiter.slot.who()} is enabling motion")
         journey = self.core.pose(goals.DRIVE, SERVICE, slot.who())
         if journey is None:
