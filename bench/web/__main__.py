@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import signal
 import sys
@@ -137,11 +138,12 @@ def bare_taps(trial: Trial, browser: Browser, cases: int) -> list[int]:
     return found
 
 
-def paired(browser: Browser, web: Web, url: str) -> Tab:
-    """A page of a device that is paired."""
+def paired(browser: Browser, web: Web, url: str, device: str = "") -> Tab:
+    """A page of a device that is paired, under that name."""
     tab = browser.tab(f"{url}#{web.code()}")
     tab.until(SHOWN)
     tab.until("document.getElementById('code').value !== '' && !document.getElementById('pair').hidden")
+    tab.run(f"document.getElementById('device-name').value = {json.dumps(device)}")
     tab.tap("#pair button")
     tab.until("!document.getElementById('attendance').hidden")
     return tab
