@@ -92,6 +92,9 @@ class Slot:
         self.parted = False
         """Who left the slot last said goodbye."""
         self._hello = segment.latest_reader("hello")
+        self._greeting: Entry | None = None
+        self._greeted = 0
+        """The hello that was read last, and whose it is."""
         self._command = Inbox(segment, "command", records.COMMAND.unpack)
         self._request = Inbox(segment, "request", records.REQUEST.unpack)
         self._sensed = Inbox(segment, "sensed", records.HELD.unpack)
@@ -117,6 +120,11 @@ class Slot:
     def greet(self) -> int:
         """The session that says hello now; 0 when none does."""
         entry = self._hello.read()
+        if entry is not self._greeting:
+            self._greeting, self._greeted = entry, self._introduced(entry)
+        return self._greeted
+
+    def _introduced(self, entry: Entry | None) -> int:
         if entry is None:
             return 0
         try:
