@@ -118,7 +118,7 @@ def _client(index: int) -> SegmentSpec:
             _latest("interlocks", 224, "gate"),  # the conditions that this client says hold, at its time
             _latest("attended", 96, "gate"),  # the operator who was there at its time; 0: who is there no more
             _latest("request", 320, "gate"),
-            _latest("speed_limit", 32, "gate"),  # the limit that a request is about (records)
+            _latest("speed_limit", 40, "gate"),  # the limit that a request is about (records)
             _latest("arm_goal", 128, "gate"),  # follow or jog, renewed (records)
             _latest("arm_path", 8192, "gate"),  # the trajectory that a request is about (records)
             _latest("said", 400, "gate"),  # in a line, what the client sees and what is wrong (records)

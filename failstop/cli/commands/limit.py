@@ -10,7 +10,7 @@ from failstop.api.words import limited
 from failstop.cli.commands import add_name
 
 EXAMPLES = """\
-failstop limit 30   # of every driver, until another limit is set or the service ends
+failstop limit 30   # of every driver, until another is set
 failstop limit 100  # lift it
 failstop limit      # what it is now
 """
