@@ -15,7 +15,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import psutil
 
@@ -24,10 +24,9 @@ from bench.report import end, progress
 from bench.web.bare import Bare
 from bench.web.browser import Browser, Tab
 from bench.web.cut import Cut
-from bench.web.parts import Web
+from bench.web.parts import Web, driven
 from bench.web.viewer import Viewer
-from failstop.api.errors import FailstopError, Refused
-from failstop.api.robot import Robot
+from failstop.api.errors import Refused
 from failstop.lab.trial import Trial, judge, wait_for
 
 LEASE_S = 0.3
@@ -43,27 +42,6 @@ SHOWN = "document.getElementById('word').textContent !== 'CONNECTING'"
 BACKLOG_S = 5.0
 SPREAD_S = 0.0618
 """Between the moments of two touches, in a second: no two alike."""
-
-
-@contextlib.contextmanager
-def driven(trial: Trial) -> Iterator[None]:
-    """Somebody commands all the time, and somebody else enables as soon as it can be."""
-    ended = threading.Event()
-
-    def drive() -> None:
-        with Robot(trial.name, client="driver") as robot:
-            while not ended.wait(0.02):
-                with contextlib.suppress(FailstopError):
-                    robot.sensed()
-                    robot.drive(0.2, 0.0, 0.0)
-
-    thread = threading.Thread(target=drive)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
 
 
 def moving(trial: Trial) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import json
 import os
@@ -9,10 +10,14 @@ import signal
 import ssl
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 from types import TracebackType
 from typing import Any
 
-from failstop.lab.trial import TrialError, wait_for
+from failstop.api.errors import FailstopError
+from failstop.api.robot import Robot
+from failstop.lab.trial import Trial, TrialError, wait_for
 from failstop.web import control
 
 HEADERS = {"X-Failstop": "1"}
@@ -115,3 +120,24 @@ class Web:
         wait_for(f"{word} on the page", lambda: self.get("/api/state")["face"]["word"] == word)
         found: dict[str, Any] = self.get("/api/state")["face"]
         return found
+
+
+@contextlib.contextmanager
+def driven(trial: Trial) -> Iterator[None]:
+    """Somebody commands all the time."""
+    ended = threading.Event()
+
+    def drive() -> None:
+        with Robot(trial.name, client="driver") as robot:
+            while not ended.wait(0.02):
+                with contextlib.suppress(FailstopError):
+                    robot.sensed()
+                    robot.drive(0.2, 0.0, 0.0)
+
+    thread = threading.Thread(target=drive)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()

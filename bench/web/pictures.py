@@ -10,9 +10,9 @@ from pathlib import Path
 
 from PIL import Image
 
-from bench.web.__main__ import ATTENDED, SHOWN, driven, paired
+from bench.web.__main__ import ATTENDED, SHOWN, paired
 from bench.web.browser import Browser, Tab
-from bench.web.parts import Web
+from bench.web.parts import Web, driven
 from failstop.lab.trial import Trial, wait_for
 
 PICTURES = Path(__file__).parents[2] / "docs/pictures"

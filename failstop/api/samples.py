@@ -58,7 +58,7 @@ class PadSample(NamedTuple):
     axes: tuple[int, ...]
     """lx, ly, rx, ry."""
     mode: str
-    """locked or drive."""
+    """locked, drive or joint."""
 
 
 class OdometrySample(NamedTuple):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.web.parts import Web
+from bench.web.parts import Web, driven
 from bench.web.viewer import Viewer
 from failstop.api.errors import Refused
 from failstop.api.robot import Robot
@@ -70,27 +70,6 @@ def anna(web: Web, paired: dict[Web, dict[str, str]]) -> dict[str, str]:
 def paired() -> dict[Web, dict[str, str]]:
     """By page: one pairs five devices at once, and no more."""
     return {}
-
-
-@contextlib.contextmanager
-def driven(trial: Trial) -> Iterator[None]:
-    """Somebody commands all the time."""
-    ended = threading.Event()
-
-    def drive() -> None:
-        with Robot(trial.name, client="driver") as robot:
-            while not ended.wait(0.02):
-                with contextlib.suppress(Exception):
-                    robot.sensed()
-                    robot.drive(0.2, 0.0, 0.0)
-
-    thread = threading.Thread(target=drive)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
 
 
 def enabled(trial: Trial) -> None:
