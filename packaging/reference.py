@@ -37,6 +37,8 @@ TITLES = {
     "samples": "Samples (failstop.api.samples)",
     "errors": "Errors",
 }
+SHARED = {"Calls": "calls", "Session": "session"}
+"""What is shown with the first class that is made of it."""
 FIRST = {"snapshot": ("State",), "errors": ("FailstopError",)}
 
 
@@ -49,20 +51,23 @@ def page() -> str:
     """The page."""
     parts = [HEAD]
     for module, names in CLASSES.items():
-        tree = ast.parse((API / f"{module}.py").read_text())
-        found = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef) and node.name[0] != "_"}
+        found = _classes(module)
         order = names or (*FIRST[module], *(name for name in found if name not in FIRST[module]))
         parts.append(f"## {TITLES[module]}\n")
-        values = vars(importlib.import_module(f"failstop.api.{module}"))
-        parts += [part for name in order for part in _class(found[name], values)]
+        parts += [part for name in order for part in _class(found[name], module)]
     return "\n".join(parts)
 
 
-def _class(node: ast.ClassDef, values: dict[str, object]) -> Iterator[str]:
-    bases = [ast.unparse(base) for base in node.bases if ast.unparse(base) not in ("NamedTuple", "Exception")]
+def _classes(module: str) -> dict[str, ast.ClassDef]:
+    tree = ast.parse((API / f"{module}.py").read_text())
+    return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef) and node.name[0] != "_"}
+
+
+def _class(node: ast.ClassDef, module: str) -> Iterator[str]:
+    bases = [name for base in node.bases if (name := ast.unparse(base)) not in ("NamedTuple", "Exception", *SHARED)]
     yield f"### {node.name}{f' ({bases[0]})' if bases else ''}\n"
     yield f"{_flat(ast.get_docstring(node) or '')}\n"
-    rows = [*_fields(node), *_members(node, values)]
+    rows = [*_fields(node), *sorted(_all_members(node, node.name, module), key=lambda row: row[0][0].islower())]
     if rows:
         yield "| | |\n|---|---|"
         yield from (
@@ -90,13 +95,21 @@ def _text(node: ast.stmt | None) -> str:
     return ""
 
 
-def _members(node: ast.ClassDef, values: dict[str, object]) -> Iterator[tuple[str, str]]:
+def _all_members(node: ast.ClassDef, name: str, module: str) -> Iterator[tuple[str, str]]:
+    """Its own, then those of what it is made of. The constructor is the one that has a capital."""
+    yield from _members(node, name, vars(importlib.import_module(f"failstop.api.{module}")))
+    for base in map(ast.unparse, node.bases):
+        if (home := SHARED.get(base)) and module != "aio":
+            yield from _all_members(_classes(home)[base], name, home)
+
+
+def _members(node: ast.ClassDef, name: str, values: dict[str, object]) -> Iterator[tuple[str, str]]:
     """Methods and properties; what begins with an underscore is nobody's."""
     for item in node.body:
         if not isinstance(item, (ast.FunctionDef, ast.AsyncFunctionDef)):
             continue
         if item.name == "__init__" and (told := ast.get_docstring(item)):
-            yield f"{node.name}{_signature(item, values)}", _flat(told)
+            yield f"{name}{_signature(item, values)}", _flat(told)
         if item.name.startswith("_"):
             continue
         marks = {ast.unparse(mark) for mark in item.decorator_list}

@@ -15,7 +15,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from failstop.api.robot import Robot
+    from failstop.api.session import Session
     from failstop.api.snapshot import ArmState
 
     Told = Callable[[str], None] | None
@@ -30,14 +30,14 @@ class Arm:
     """`robot.arm`. It moves only while motion is disabled and nothing is latched; one client at a time: a second one's
     goal is a latched stop."""
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, session: Session) -> None:
         """Raises FailstopError for a robot whose settings name no joints."""
-        self._robot = robot
-        settings = Settings(dict(robot.settings))
+        self._session = session
+        settings = Settings(dict(session.settings))
         self.joints = {joint.name: joint for joint in from_settings(settings)}
         """Each joint by name, with its range (range_rad)."""
         if not self.joints:
-            raise FailstopError(f"the robot of {robot.name!r} has no arm: its settings name no [joints.NAME]")
+            raise FailstopError(f"the robot of {session.name!r} has no arm: its settings name no [joints.NAME]")
         self._model = Model(settings) if settings.on("arm.collision") else None
 
     def move(
@@ -64,7 +64,7 @@ class Arm:
             self._check(angles)
             rows.append((float(t_s), [float(angles[name]) for name in names]))
         self._check_way([(t_s, dict(zip(names, angles, strict=True))) for t_s, angles in rows])
-        ask = self._robot._ask
+        ask = self._session._ask
         return ask(records.ARM_MOVE, told, lambda client: client.arm_path(speed, servos, rows))
 
     def pose(self, name: str, told: Told = None) -> str:
@@ -74,7 +74,7 @@ class Arm:
         ends = {joint.name: joint.rad(at) for joint in self.joints.values() if (at := getattr(joint, name)) >= 0}
         if ends:
             self._check_way([(0.0, ends)])
-        return self._robot._ask(POSES[name], told)
+        return self._session._ask(POSES[name], told)
 
     def follow(self, to: Mapping[str, float]) -> None:
         """Follow these angles, from now on until arm.goal_timeout_s after the last call; returns at once. Raises
@@ -91,29 +91,29 @@ class Arm:
 
     def _goal(self, mode: int, values: Mapping[str, float]) -> None:
         found = {self._joint(name).servo: float(value) for name, value in values.items()}
-        with self._robot._lock:
-            self._robot._client().arm_goal(mode, found)
+        with self._session._lock:
+            self._session._client().arm_goal(mode, found)
 
     def hold(self) -> str:
         """Stop where it is; torque stays, every goal is dropped, an enable on its way to the drive pose given up."""
-        return self._robot._ask(records.ARM_HOLD)
+        return self._session._ask(records.ARM_HOLD)
 
     def release(self) -> str:
         """Switch the torque off: the arm falls, and lets go of what it holds. Raises Refused while motion is
         enabled."""
-        return self._robot._ask(records.ARM_RELEASE)
+        return self._session._ask(records.ARM_RELEASE)
 
     def read(self, told: Told = None) -> dict[str, float]:
         """Read where each joint is; angles by name. Raises Refused."""
-        self._robot._ask(records.ARM_READ, told)
+        self._session._ask(records.ARM_READ, told)
         return {name: angle for name, joint in self.state.joints.items() if (angle := joint.angle_rad) is not None}
 
     @property
     def state(self) -> ArmState:
         """What the service knows of the arm (State.arm)."""
-        found = self._robot.state.arm
+        found = self._session.state.arm
         if found is None:
-            raise FailstopError(f"the service {self._robot.name!r} tells nothing of an arm: see `failstop status`")
+            raise FailstopError(f"the service {self._session.name!r} tells nothing of an arm: see `failstop status`")
         return found
 
     def _check_way(self, rows: list[tuple[float, dict[str, float]]]) -> None:

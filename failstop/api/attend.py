@@ -8,7 +8,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from failstop.api.robot import Robot
+    from failstop.api.session import Session
 
 
 class Attendance:
@@ -23,8 +23,8 @@ class Attendance:
     unless somebody else attends. The robot's clock alone counts.
     """
 
-    def __init__(self, robot: Robot, who: str) -> None:
-        self._robot = robot
+    def __init__(self, session: Session, who: str) -> None:
+        self._session = session
         self.who = who
         """As people see it."""
 
@@ -37,8 +37,8 @@ class Attendance:
     def renew(self, proven_ns: int | None = None) -> None:
         """The operator was there at `proven_ns` (CLOCK_MONOTONIC, ns; default: now), such as when a question was put
         that has been answered since. Repeat it every 0.1 s or so. Raises NoService when no service runs."""
-        self._robot._attended(self.who, time.monotonic_ns() if proven_ns is None else proven_ns)
+        self._session._attended(self.who, time.monotonic_ns() if proven_ns is None else proven_ns)
 
     def give_up(self, who: str = "") -> None:
         """The operator leaves. Raises NoService."""
-        self._robot._attended(who or self.who, 0)
+        self._session._attended(who or self.who, 0)

@@ -50,7 +50,7 @@ def test_the_speed_is_limited_by_either(trial: Trial) -> None:
         async with Robot.connect(trial.name) as robot:
             assert await robot.limit_speed(0.4) == "speed limited to 40 % of the settings'"
             assert robot.state.speed_limit == 0.4
-            assert robot.robot.limit_speed(1) == "speed limit lifted"
+            assert await robot.limit_speed(1) == "speed limit lifted"
             for wrong in (0.0, -1.0, 1.01, float("nan")):
                 with pytest.raises(ValueError, match="speed limit"):
                     await robot.limit_speed(wrong)
