@@ -12,11 +12,12 @@ from failstop.api.client import last_run, runtime_dir
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
-from failstop.doctor import leftovers, paste, port, stop_test
+from failstop.doctor import device, leftovers, paste
+from failstop.doctor.device import Holder, Node
 from failstop.doctor.leftovers import Leftover
-from failstop.doctor.machine import Ticks, measure
-from failstop.doctor.port import Holder, Node
+from failstop.doctor.stop_test import StopPath
 from failstop.doctor.system import System, User, account, user
+from failstop.doctor.ticks import Ticks, measure
 from failstop.install.layout import unit_of
 from failstop.policy.settings import SettingError, Settings
 from failstop.shm import layout, segment
@@ -61,6 +62,8 @@ class Look:
         self.system = system or System()
         self._config_path = config_path
         self._device = device
+        self.stops: StopPath | None = None
+        """What a self-test of the stop path has found, where there was one."""
 
     @cached_property
     def settings(self) -> tuple[str, Settings, str]:
@@ -141,13 +144,13 @@ class Look:
     @cached_property
     def node(self) -> Node | None:
         """The device's file; None: it is not there."""
-        return port.node(self.device[0], self.system)
+        return device.node(self.device[0], self.system)
 
     @cached_property
     def holders(self) -> tuple[tuple[Holder, ...], int]:
         """Who has the device open, and how many processes could not be looked into."""
         ours = {row.pid for row in self.state.processes.values()} if self.state else set()
-        return port.holders(self.node.resolved, ours, self.system) if self.node else ((), 0)
+        return device.holders(self.node.resolved, ours, self.system) if self.node else ((), 0)
 
     @cached_property
     def runs(self) -> tuple[tuple[Leftover, ...], tuple[str, ...]]:
@@ -163,11 +166,6 @@ class Look:
     def ticks(self) -> tuple[Ticks, ...]:
         """The timing self-test."""
         return () if self.quick else measure()
-
-    @cached_property
-    def stops(self) -> stop_test.StopPath:
-        """The self-test of the stop path, where it is safe; else why it was left out."""
-        return stop_test.tried(self)
 
     def again(self) -> str:
         """The command that asks the same once more."""

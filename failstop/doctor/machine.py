@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import os
 import resource
-import subprocess
-import sys
-from typing import NamedTuple
 
 from failstop.api import words
 from failstop.doctor.finding import Finding, fail, ok, skip, warn
 from failstop.doctor.leftovers import Leftover
 from failstop.doctor.system import SHM
-from failstop.policy.processes import BY_NAME
 from failstop.shm import layout
 from failstop.supervisor import grant
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.doctor.look import Look
+    from failstop.doctor.ticks import Ticks
 
 CAP_IPC_LOCK = 14
 CAP_SYS_NICE = 23
@@ -31,6 +28,7 @@ LATE_US = 5_000.0
 ENOUGH_BYTES = 1 << 30
 """Of memory that may be locked: far more than the service's processes map."""
 STEP_S = 0.5
+MICRO = 1e6
 CLOCKS = "/sys/devices/system/clocksource/clocksource0"
 PROCESSORS = "/sys/devices/system/cpu"
 RUNTIME = "/proc/sys/kernel/sched_rt_runtime_us"
@@ -46,21 +44,6 @@ SET_CLOCK = {
     False: ("", "start an NTP client (chrony, ntpd); in a container the host's clock counts"),
 }
 """By whether systemd runs."""
-TICKS_S = 5.0
-PERIOD_S = 0.01
-"""Two moments for each of the gate's ticks."""
-CHILD = os.path.join(os.path.dirname(os.path.abspath(__file__)), "tick_child.py")
-MICRO = 1e6
-
-
-class Ticks(NamedTuple):
-    """How late a process was woken, against the moments that it asked for."""
-
-    realtime: bool
-    times: int
-    median_us: float
-    p99_us: float
-    worst_us: float
 
 
 def realtime(look: Look) -> list[Finding]:
@@ -257,29 +240,3 @@ def _ticks(row: Ticks, look: Look) -> list[Finding]:
     if row.realtime and row.worst_us >= LATE_US:
         return warn(text, look.again(), "once more on a quiet machine; then a kernel with PREEMPT_RT")
     return ok(text)
-
-
-def measure(seconds: float = TICKS_S) -> tuple[Ticks, ...]:
-    """Two processes that tick side by side, one with real-time priority; without it where that is refused."""
-    started = []
-    for priority in (0, BY_NAME["gate"].priority):
-        command = [sys.executable, "-I", "-S", CHILD, str(seconds), str(PERIOD_S), str(priority)]
-        started.append((priority, subprocess.Popen(command, stdout=subprocess.PIPE, text=True)))
-    found = []
-    for priority, process in started:
-        with process:
-            try:
-                said, _ = process.communicate(timeout=seconds + 10.0)
-            except BaseException:
-                process.kill()
-                raise
-        if process.returncode == 0 and (late := sorted(map(int, said.split()))):
-            found.append(summary(late, realtime=priority > 0))
-    return tuple(found)
-
-
-def summary(late_ns: list[int], *, realtime: bool) -> Ticks:
-    """Of sorted times, at least one."""
-    last = len(late_ns) - 1
-    median_us, p99_us, worst_us = (late_ns[round(last * share)] / 1000 for share in (0.5, 0.99, 1.0))
-    return Ticks(realtime, len(late_ns), median_us, p99_us, worst_us)

@@ -17,15 +17,9 @@ from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
 from failstop.board.port import PortError, release_exclusive
 from failstop.board.stop_port import StopPort
-from failstop.doctor.finding import Finding, fail, ok, skip, warn
-from failstop.doctor.port import BOARD_USB
 from failstop.doctor.tap import Tap
 from failstop.stopping import tool
 from failstop.supervisor.port import OwnPort
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.doctor.look import Look
 
 ANSWER_S = 0.5
 SERVICE_ANSWER_S = 2.0
@@ -53,65 +47,6 @@ class StopPath(NamedTuple):
     """Why the stop path was not tested."""
     fix: str = ""
     """The command by which it would be."""
-
-
-def stop_path(look: Look) -> list[Finding]:
-    """Each writer's burst, and the board's answer behind it."""
-    found = []
-    for writer, written, answered_ms, problem in look.stops.stops:
-        if problem:
-            advice = "once that is seen to; wheels that turn: the POWER SWITCH"
-            found += fail(f"{writer}: {problem}", look.again(), advice)
-        elif not written:
-            found += fail(f"{writer}: the burst could not be written", "", "unplug the board and plug it in again")
-        elif answered_ms is None:
-            text = f"{writer}: the burst was written, and the board did not answer the ping behind it"
-            found += fail(text, look.again(), "is it the board? if so, cut its power and try again")
-        elif answered_ms > SLOW_ANSWER_MS:
-            text = f"{writer}: acknowledged by the board after {answered_ms:.1f} ms, which is late"
-            found += warn(text, look.again(), "once more on a quiet machine")
-        else:
-            found += ok(f"{writer}: acknowledged by the board after {answered_ms:.1f} ms")
-    if look.stops.skipped:
-        told = warn if look.stop_wanted else skip
-        fix = look.stops.fix
-        found += told(f"not tested: {look.stops.skipped}", fix, "" if fix else "see to that first")
-    return found
-
-
-def tried(look: Look) -> StopPath:
-    """The self-test where it is safe, else why it was left out."""
-    node, (holders, _) = look.node, look.holders
-    if look.service:
-        return _of_service(look)
-    if node is None or not node.character:
-        return StopPath(skipped="there is no port")
-    if not node.accessible:
-        return StopPath(skipped="this user may not open the port")
-    if holders:
-        return StopPath(skipped=f"{holders[0].name} (pid {holders[0].pid}) has the port open")
-    if not (look.named or node.pseudo or node.usb_id == BOARD_USB):
-        unsure = f"{node.path} may not be the board, and it is not written to"
-        return StopPath(skipped=unsure, fix=f"failstop doctor --device {node.path}")
-    return StopPath(by_hand(node.path))
-
-
-def _of_service(look: Look) -> StopPath:
-    test = f"failstop doctor --stop-test --name {look.name}"
-    if not (state := look.state):
-        return StopPath(skipped="the running service can't be asked")
-    if state.enabled:
-        return StopPath(skipped="motion is enabled", fix=f"failstop disable --name {look.name}")
-    if state.cause:
-        return StopPath(skipped=f"a stop is latched already ({state.cause})", fix=f"failstop reset --name {look.name}")
-    if not look.stop_wanted:
-        return StopPath(skipped="the service runs, and would be stopped once and reset", fix=test)
-    if problem := no_right(look.name):
-        return StopPath(skipped=problem, fix=f"sudo {test}")
-    try:
-        return StopPath(by_service(look.name))
-    except FailstopError as error:
-        return StopPath((StopTest("port owner, by a stop request", False, None, str(error)),))
 
 
 def by_hand(path: str) -> tuple[StopTest, ...]:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from failstop.doctor import machine, paste, port, service, stop_test
+from failstop.doctor import machine, paste, port, service, stop_path
 from failstop.doctor.finding import LEVELS, Finding
 from failstop.doctor.look import Look
 
@@ -33,7 +33,7 @@ CHECKS: dict[str, Callable[[Look], list[Finding]]] = {
     "processor": machine.processor,
     "idle": machine.idle,
     "ticks": machine.ticks,
-    "stop path": stop_test.stop_path,
+    "stop path": stop_path.stop_path,
 }
 """A check may find nothing, one thing, or several."""
 

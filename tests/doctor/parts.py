@@ -7,11 +7,12 @@ import resource
 from collections.abc import Iterator
 from typing import Any
 
+from failstop.doctor.device import Node
 from failstop.doctor.look import Look, Service
-from failstop.doctor.machine import CLOCKS, PROCESSORS, RUNTIME, Ticks
-from failstop.doctor.port import Node
+from failstop.doctor.machine import CLOCKS, PROCESSORS, RUNTIME
 from failstop.doctor.stop_test import StopPath, StopTest
 from failstop.doctor.system import System, User
+from failstop.doctor.ticks import Ticks
 from failstop.policy.settings import Settings
 from failstop.shm.layout import PROCESSES
 from failstop.version import VERSION

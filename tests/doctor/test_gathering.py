@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.doctor import leftovers, machine, port, service, table
+from failstop.doctor import device, leftovers, machine, port, service, stop_path, table, ticks
 from failstop.doctor.look import Look, version_of
 from failstop.doctor.system import System, User, user
 from failstop.install.layout import unit_of
@@ -37,8 +37,8 @@ def test_the_usb_device_is_found_above_its_node(tmp_path: Path) -> None:
     link.mkdir(parents=True)
     (link / "device").symlink_to(tmp_path / f"{usb}/1-2:1.0".lstrip("/"))
     system = System(str(tmp_path))
-    assert port.usb_identity("/sys/dev/char/166:0/device", system) == ("1a86:55d4", "USB Single Serial")
-    assert port.usb_identity("/sys/dev/char/4:0/device", system) == (None, "")
+    assert device.usb_identity("/sys/dev/char/166:0/device", system) == ("1a86:55d4", "USB Single Serial")
+    assert device.usb_identity("/sys/dev/char/4:0/device", system) == (None, "")
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_what_udev_tells_modem_manager(
     for number, record in (("166:0", of_node), ("189:1", of_device)):
         if record is not None:
             write(tmp_path, f"/run/udev/data/c{number}", record)
-    assert port.modem_ignored(node, System(str(tmp_path))) is ignored
+    assert device.modem_ignored(node, System(str(tmp_path))) is ignored
 
 
 def test_processes_and_their_units(tmp_path: Path) -> None:
@@ -209,22 +209,22 @@ def test_who_has_a_device_open() -> None:
         try:
             assert other.stdout is not None
             assert other.stdout.readline() == "open\n"
-            holders, _ = port.holders(path, {4711}, System())
+            holders, _ = device.holders(path, {4711}, System())
             assert [(holder.pid, holder.ours) for holder in holders] == [(other.pid, False)]
-            assert port.holders(path, {other.pid}, System())[0][0].ours
+            assert device.holders(path, {other.pid}, System())[0][0].ours
         finally:
             other.kill()
     os.close(slave)
-    assert port.holders(path, set(), System())[0] == ()
+    assert device.holders(path, set(), System())[0] == ()
     os.close(master)
 
 
 def test_a_pseudo_terminal_is_told_from_a_board() -> None:
     master, slave = pty.openpty()
-    found = port.node(os.ttyname(slave), System())
+    found = device.node(os.ttyname(slave), System())
     assert found is not None
     assert (found.character, found.pseudo, found.accessible) == (True, True, True)
-    assert port.node("/nowhere", System()) is None
+    assert device.node("/nowhere", System()) is None
     os.close(slave)
     os.close(master)
 
@@ -251,7 +251,7 @@ def test_asking_for_real_time_leaves_no_trace() -> None:
 
 
 def test_the_ticks_of_this_machine() -> None:
-    found = machine.measure(0.3)
+    found = ticks.measure(0.3)
     assert not found[0].realtime
     for row in found:
         assert 1 <= row.times <= 30
@@ -259,7 +259,7 @@ def test_the_ticks_of_this_machine() -> None:
 
 
 def test_ticks_in_numbers() -> None:
-    found = machine.summary([n * 1000 for n in range(101)], realtime=True)
+    found = ticks.summary([n * 1000 for n in range(101)], realtime=True)
     assert (found.median_us, found.p99_us, found.worst_us, found.times) == (50.0, 99.0, 100.0, 101)
 
 
@@ -269,4 +269,4 @@ def test_all_of_it_is_quick() -> None:
     table.examine(look)
     assert time.monotonic() - begun_s < 10.0
     assert look.service is None
-    assert look.stops.skipped == "there is no port"
+    assert stop_path.tried(look).skipped == "there is no port"

@@ -11,14 +11,15 @@ import pytest
 
 from failstop import discovery
 from failstop.api.snapshot import Client, Starved
-from failstop.doctor import paste, port, stop_test
+from failstop.doctor import paste, port, stop_path
+from failstop.doctor.device import Holder
 from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, worst
 from failstop.doctor.leftovers import Leftover
 from failstop.doctor.look import NAMED, Look
-from failstop.doctor.machine import CLOCKS, PROCESSORS, RUNTIME, Ticks
-from failstop.doctor.port import Holder
+from failstop.doctor.machine import CLOCKS, PROCESSORS, RUNTIME
 from failstop.doctor.stop_test import StopPath, StopTest
 from failstop.doctor.table import CHECKS, as_records, examine
+from failstop.doctor.ticks import Ticks
 from failstop.policy.settings import Settings
 from tests.doctor.parts import FILES, NODE, PERSON, SERVER, SERVICE, STATE, UNIT, but, look, on, serving
 from tests.support.states import arm
@@ -201,7 +202,7 @@ UNTOUCHED = but(NODE, accessible=False)
     ],
 )
 def test_where_the_stop_path_is_left_alone(changed: dict[str, Any], why: str, fix: str) -> None:
-    assert stop_test.tried(look(**changed)) == StopPath((), why, fix)
+    assert stop_path.tried(look(**changed)) == StopPath((), why, fix)
 
 
 @pytest.mark.parametrize(
@@ -209,8 +210,8 @@ def test_where_the_stop_path_is_left_alone(changed: dict[str, Any], why: str, fi
     [{}, {"node": but(NODE, usb_id=None, pseudo=True)}, {"node": but(NODE, usb_id=None), "device": ("/dev/x", NAMED)}],
 )
 def test_where_it_is_tried(monkeypatch: pytest.MonkeyPatch, changed: dict[str, Any]) -> None:
-    monkeypatch.setattr(stop_test, "by_hand", lambda path: (path,))
-    assert stop_test.tried(look(service=None, **changed)) == StopPath((NODE.path,))  # type: ignore[arg-type]
+    monkeypatch.setattr(stop_path, "by_hand", lambda path: (path,))
+    assert stop_path.tried(look(service=None, **changed)) == StopPath((NODE.path,))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

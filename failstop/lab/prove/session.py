@@ -14,7 +14,8 @@ from types import FrameType
 from failstop.api.errors import FailstopError, NoService, Refused
 from failstop.api.robot import Robot
 from failstop.cli import style
-from failstop.doctor import port
+from failstop.doctor.device import holders as holders_of
+from failstop.doctor.device import node as node_of
 from failstop.doctor.system import System
 from failstop.install.layout import unit_of
 from failstop.lab.prove import report
@@ -103,7 +104,7 @@ def _characterize(stand: Stand, velocities: Sequence[Velocity], *, quick: bool) 
 def check_free(device: str, *names: str) -> None:
     """Nobody else drives this board, a service of one of these names least of all. Raises Refused with the command that
     ends whoever does."""
-    node = port.node(device, System())
+    node = node_of(device, System())
     for name in names:
         with contextlib.suppress(NoService):
             served = Robot(name).state.device.path
@@ -113,7 +114,7 @@ def check_free(device: str, *names: str) -> None:
                 raise Refused(f"the service {name!r} runs, and this test kills what it runs: {end}")
     if node is None:
         return  # the run says it, with the devices that are there
-    holders, _ = port.holders(node.resolved, set(), System())
+    holders, _ = holders_of(node.resolved, set(), System())
     for holder in holders:
         end = f"sudo systemctl stop {holder.unit}" if holder.unit else f"kill {holder.pid}"
         raise Refused(f"{holder.name} (pid {holder.pid}) has {device} open: {end}")
