@@ -13,6 +13,8 @@ from failstop.install import InstallError
 from failstop.shm.instance import DEFAULT_NAME
 
 PREFIX = "/opt/failstop"
+UNIT_COMMAND = f"{PREFIX}/bin/failstop"
+"""What the units call; replaced when another environment is used."""
 MANIFEST_NAME = "install.json"
 MANIFEST = f"{PREFIX}/{MANIFEST_NAME}"
 # The administrator's places: those under /usr/lib belong to packages.

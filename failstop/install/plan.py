@@ -174,7 +174,7 @@ def _files(texts: Texts, request: Request, found: Found) -> dict[str, tuple[byte
     for row in rows.ROWS:
         if choice := row.choice(request, found):
             text, remark = row.filled(texts[row.source], choice, found)
-            text = text.replace(rows.UNIT_COMMAND, request.command) if row.place.startswith(layout.UNITS) else text
+            text = text.replace(layout.UNIT_COMMAND, request.command) if row.place.startswith(layout.UNITS) else text
             files[row.place] = (text.encode(), remark)
     return files
 

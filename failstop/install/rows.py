@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from failstop.install.found import Found, Request
 
 SERVICE, LATE, SYSUSERS = "failstop.service", "failstop-late@.service", "failstop.sysusers"
-UNIT_COMMAND = "/opt/failstop/bin/failstop"
-"""What the units call; replaced when another environment is used."""
 SETTINGS, FLEET_SETTINGS = "failstop.toml", "fleet.toml"
 """Generated texts, every value its default: of the service, of the robot in its fleet."""
 SERVICE_USER = "failstop"

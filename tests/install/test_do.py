@@ -13,7 +13,8 @@ import pytest
 
 from failstop.install import InstallError
 from failstop.install.do import NEW, OLD, Doer
-from failstop.install.found import Request, look
+from failstop.install.found import Request
+from failstop.install.looking import look
 from failstop.install.plan import install, uninstall
 from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
 from tests.install.scene import GROUP, PASSWD, TEXTS, NotingMachine, environment, snapshot

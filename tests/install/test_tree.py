@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from failstop.cli.commands import completion
-from failstop.install import InstallError, rows, tree
+from failstop.install import InstallError, layout, rows, tree
 from failstop.install.rows import EXTRAS
 from tests.install.scene import SYSUSERS, UNIT, environment
 
@@ -210,7 +210,7 @@ def test_the_interpreter_is_one_that_the_service_can_run(monkeypatch: pytest.Mon
 def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
     found = rows.texts()
     units = {name: text for name, text in found.items() if name.endswith(".service")}
-    assert all(rows.UNIT_COMMAND in text for text in units.values())
+    assert all(layout.UNIT_COMMAND in text for text in units.values())
     wanted = {name: rows.wanted_by(text)[:1] for name, text in units.items()}
     assert wanted == {
         "failstop.service": ["multi-user.target"],

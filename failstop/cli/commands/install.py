@@ -9,7 +9,7 @@ from functools import partial
 
 from failstop.api.errors import Refused
 from failstop.discovery import LINK
-from failstop.install import InstallError, dialogue, found, plan, rows, tree
+from failstop.install import InstallError, dialogue, layout, looking, plan, rows, tree
 from failstop.install.do import Doer
 from failstop.install.found import Request
 from failstop.install.layout import PREFIX, unit_of
@@ -77,7 +77,7 @@ def main(arguments: Namespace) -> int:
     request = _request(arguments)
     dry = not dialogue.changes(arguments)
     texts = rows.texts()
-    there = dataclasses.replace(found.look(request), configured_device=found.configured_device(request))
+    there = dataclasses.replace(looking.look(request), configured_device=looking.configured_device(request))
     # Of what is there already too: a new environment takes the place of the one that it runs in.
     wanted = tuple(extra.needs for extra in EXTRAS if extra.needs and extra.choice(request, there))
     tree.needed(wanted)
@@ -109,7 +109,7 @@ def _request(arguments: Namespace) -> Request:
         os.path.abspath(arguments.root or "/"),
         arguments.root is None,
         not arguments.no_start,
-        _running_command() if arguments.use_running_venv else rows.UNIT_COMMAND,
+        _running_command() if arguments.use_running_venv else layout.UNIT_COMMAND,
         arguments.ros2_user,
         arguments.fleet,
         arguments.web,

@@ -7,7 +7,8 @@ from functools import partial
 
 from failstop.install import dialogue, plan
 from failstop.install.do import Doer
-from failstop.install.found import Request, look
+from failstop.install.found import Request
+from failstop.install.looking import look
 from failstop.install.machine import Machine
 from failstop.shm import instance
 

@@ -10,9 +10,10 @@ import time
 from collections.abc import Callable, Iterator
 
 from failstop.api.errors import FailstopError, Refused
-from failstop.lab.faults import arm, inject
+from failstop.lab.faults import arm
 from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.fault import HANG, ITSELF, KILL, RESET, SPIN, Fault, fits, told
+from failstop.lab.faults.injectors import injector
 from failstop.lab.faults.judge import verdict
 from failstop.lab.faults.scene import Scene
 from failstop.lab.sim.client import Event, SimBoardError
@@ -80,7 +81,7 @@ class _Injection:
         self.scene = scene
         self.fault = fault
         self.outcome = outcome
-        self.injector = inject.injector(fault)
+        self.injector = injector(fault)
         self.pids: dict[str, int] = {}
         self.mark = 0
         self.latched: Cause | None = None
@@ -243,7 +244,7 @@ def _inject_one(scene: Scene, fault: Fault, index: int, seed: object, seen_s: fl
     outcome = Outcome(fault, index, struck=False)
     # Of the row too: the same row at the same index is the same fault, whatever else a campaign draws.
     scene.chance = random.Random(f"{seed} {index} {fault.name}")
-    if reason := inject.injector(fault).unfit():
+    if reason := injector(fault).unfit():
         outcome.skipped = reason
         return outcome
     begun_s = time.monotonic()
@@ -270,7 +271,7 @@ def campaign(
     """Random faults from index `first` on, until `until(injected)`. A row that can't be done here is yielded once,
     skipped."""
     rows = tuple(rows)
-    unfit = {row.name: reason for row in rows if isinstance(row, Fault) and (reason := inject.injector(row).unfit())}
+    unfit = {row.name: reason for row in rows if isinstance(row, Fault) and (reason := injector(row).unfit())}
     for row in rows:
         if row.name in unfit:
             yield Outcome(row, 0, skipped=unfit[row.name])

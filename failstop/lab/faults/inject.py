@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
-from failstop.lab.faults import ptrace
-from failstop.lab.faults.fault import SPIN, Fault
+from failstop.lab.faults.fault import Fault
 from failstop.lab.faults.scene import Scene
-from failstop.lab.faults.steps import Steps
 
 TROUBLE_S = 0.2
 ASKED = "asked meanwhile"
@@ -60,52 +57,3 @@ class AskedMeanwhile(Injector):
         now_ns = time.monotonic_ns()
         scene.ask(ASKED)
         return now_ns
-
-
-class Processes(Injector):
-    """What the row's steps say."""
-
-    def __init__(self, fault: Fault) -> None:
-        super().__init__(fault)
-        self._pids: dict[str, int] = {}
-        self._steps: Steps | None = None
-
-    def unfit(self) -> str:
-        return ptrace.unfit() if self.fault.struck(SPIN) else ""
-
-    def prepare(self, scene: Scene) -> None:
-        self._pids = scene.look_up_pids()
-        self._steps = Steps(self.fault, scene.chance)
-
-    def strike(self, scene: Scene) -> int:
-        assert self._steps
-        fault_ns = self._steps.take(self._pids, scene.driver.run)
-        if self.fault.stop_tool:
-            scene.start_stop_tool()
-        return fault_ns
-
-    def heal(self, scene: Scene) -> None:
-        if self._steps:
-            self._steps.undo(self._pids)
-
-
-Registry = dict[str, Callable[[Fault], Injector]]
-
-
-def _all() -> Registry:
-    from failstop.lab.faults import inject_board, inject_clients, inject_machine
-
-    found: Registry = {"processes": Processes}
-    for module in (inject_board, inject_clients, inject_machine):
-        found.update(module.INJECTORS)
-    return found
-
-
-def injector(fault: Fault) -> Injector:
-    """The row's injector. Raises KeyError when there is none."""
-    return _all()[fault.injector](fault)
-
-
-def names() -> set[str]:
-    """Every injector."""
-    return set(_all())

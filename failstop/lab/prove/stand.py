@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import signal
 import subprocess
@@ -17,6 +16,7 @@ from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
 from failstop.lab.faults.driving import Driver
 from failstop.lab.faults.scene import is_ours
+from failstop.lab.prove.child import end_with_parent
 from failstop.lab.prove.table import VELOCITIES
 from failstop.lab.prove.watch import Watch
 from failstop.lab.sim.client import SimBoard
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from failstop.lab.prove.swing import Swing
 
 LOOK_EVERY_S = 0.001
-_PR_SET_PDEATHSIG = 1
-_libc = ctypes.CDLL(None, use_errno=True)
 FREE_S = 5.0
 """The port is to be had again within this time after the service's end."""
 SIM_FREE_S = 0.5
@@ -60,11 +58,6 @@ class StandService(Service):
             env=self._environment,
             preexec_fn=end_with_parent,
         )
-
-
-def end_with_parent() -> None:
-    """In the child, before exec: SIGTERM when the parent dies. The supervisor then stops the wheels and ends."""
-    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
 def settings_for(user: dict[str, object]) -> dict[str, object]:

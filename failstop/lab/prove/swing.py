@@ -8,7 +8,7 @@ import sys
 
 from failstop.api.arm import Arm
 from failstop.api.errors import FailstopError
-from failstop.lab.prove.stand import end_with_parent
+from failstop.lab.prove.child import end_with_parent
 from failstop.lab.prove.watch import Move, Reading
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
 from failstop.procs.gate.arm.reader import AGREE
