@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,8 @@ BELOW = {
 """What each room may import of failstop; the face (failstop, ros2) knows all of them."""
 EVERYBODYS = {"version"}
 CLOCKS = {"monotonic", "monotonic_ns", "perf_counter", "sleep", "time", "time_ns"}
+PROGRAM = "failstop.supervisor.child"
+"""Run by its path, with a supervisor to start; imported for the name of a variable alone."""
 WITHOUT_A_WORLD = {"procs/world.py", "supervisor/port.py"}
 """The world itself, and the first burst of a run, before there is a process to hand one to."""
 
@@ -85,3 +88,39 @@ def clocks(path: Path) -> set[str]:
 def test_a_process_asks_no_clock_but_its_world_s() -> None:
     named = {str(path.relative_to(ROOT)) for room in ("procs", "supervisor") for path in modules(room) if clocks(path)}
     assert named == WITHOUT_A_WORLD
+
+
+def at_run_time(tree: ast.AST) -> Iterator[ast.AST]:
+    """What is imported, within functions too, but not for types alone."""
+    for node in ast.iter_child_nodes(tree):
+        if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
+            yield node
+            yield from at_run_time(node)
+
+
+def needed(module: str, path: Path, modules: dict[str, Path]) -> set[str]:
+    """The modules that it imports."""
+    found = set()
+    for node in at_run_time(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found |= {name if (name := f"{node.module}.{each.name}") in modules else node.module for each in node.names}
+        elif isinstance(node, ast.Import):
+            found |= {name.name for name in node.names}
+    return found & modules.keys() - {module}
+
+
+def name_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    parts = parts if parts[0] == "failstop" else ("failstop", *parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def test_no_module_imports_one_that_imports_it() -> None:
+    paths = [path for path in (ROOT / "failstop").rglob("*.py") if not path.parent.is_symlink()]
+    for room in (*BELOW, "ros2", "fleet", "web"):
+        paths += (ROOT / room).rglob("*.py")
+    found = {name_of(path): path for path in paths}
+    assert len(found) > 250
+    graph = {name: needed(name, path, found) for name, path in found.items()}
+    del graph[PROGRAM]
+    tuple(TopologicalSorter(graph).static_order())
