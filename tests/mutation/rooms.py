@@ -14,8 +14,18 @@ class Room(NamedTuple):
 
 ROOMS = {
     "gate": Room(
-        tuple(f"procs/gate/{name}.py" for name in ("core", "sources", "scan", "interlocks", "kinematics")),
+        (
+            *(f"procs/gate/{name}.py" for name in ("attendance", "core", "interlocks", "scan", "sources")),
+            "policy/kinematics.py",
+        ),
         ("tests/procs/test_gate_*.py", "tests/procs/test_kinematics.py"),
+    ),
+    "arm": Room(
+        (
+            *(f"procs/gate/arm/{name}.py" for name in ("core", "goals", "joints", "space", "tuck")),
+            "policy/capsules.py",
+        ),
+        ("tests/procs/test_gate_arm*.py",),
     ),
     "port_owner": Room(
         ("procs/peer.py", "procs/port_owner/*.py"),
@@ -26,6 +36,13 @@ ROOMS = {
             "tests/procs/test_repeats.py",
             "tests/procs/test_suspend.py",
             "tests/procs/test_wire.py",
+        ),
+    ),
+    "telemetry": Room(
+        tuple(f"procs/telemetry/{name}.py" for name in ("charger", "noticer", "odometry", "pad", "still")),
+        (
+            "tests/procs/test_noticer.py",
+            *(f"tests/telemetry/test_{name}.py" for name in ("charger", "odometry", "pad", "still")),
         ),
     ),
     "stopper": Room(

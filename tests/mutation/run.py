@@ -66,12 +66,20 @@ def chosen(where: Path, rooms: list[str]) -> tuple[list[str], list[str]]:
     files: set[str] = set()
     tests: set[str] = set()
     for room, _, name in (room.partition("/") for room in rooms):
-        found = [path for glob in ROOMS[room].files for path in where.glob(glob) if name in ("", path.stem)]
+        found = [path for path in matches(where, ROOMS[room].files) if name in ("", path.stem)]
         if not found:
             raise KeyError(name)
         files |= {f"failstop/{str(path.relative_to(where)).removeprefix('failstop/')}" for path in found}
-        tests |= {str(path.relative_to(where)) for glob in ROOMS[room].tests for path in where.glob(glob)}
+        tests |= {str(path.relative_to(where)) for path in matches(where, ROOMS[room].tests)}
     return sorted(files), sorted(tests)
+
+
+def matches(where: Path, patterns: tuple[str, ...]) -> list[Path]:
+    """What these patterns match; LookupError for one that matches nothing: its file has another name now."""
+    found = {pattern: list(where.glob(pattern)) for pattern in patterns}
+    if lost := [pattern for pattern, paths in found.items() if not paths]:
+        raise LookupError(f"nothing matches {', '.join(lost)}: mend tests/mutation/rooms.py")
+    return [path for paths in found.values() for path in paths]
 
 
 def settle(where: Path, rooms: list[str]) -> None:
