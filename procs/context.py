@@ -16,7 +16,6 @@ from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import RUNNING, Heartbeat
-from failstop.shm.lifeline import EarlyNews
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ class Context:
         self.own = segment.attach(self.memory, process, self.incarnation, write=True)
         lifelines = segment.attach_unmapped(self.memory, "lifelines", self.incarnation)
         self.held = lifelines.futex("held", block * PER_BLOCK, write=True).hold(PER_BLOCK)
-        self.early = EarlyNews(lifelines)
+        self.early = self.world.early_news(lifelines)
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, self.world.now_ns())
 
     def runs(self) -> None:

@@ -6,7 +6,6 @@ from failstop.policy import causes
 from failstop.procs.loop import READ
 from failstop.shm import records
 from failstop.shm.heartbeat import HeartbeatReader
-from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -14,6 +13,7 @@ if TYPE_CHECKING:
 
     from failstop.procs.context import Context
     from failstop.procs.loop import Loop
+    from failstop.shm.lifeline import Lifeline
 
 _LINE = 1
 """In each process's block of futexes; line 0 is the supervisor's to wait on."""
@@ -22,7 +22,7 @@ _LINE = 1
 class Peer:
     """`life` is None while there is none, or none whose death has not been answered."""
 
-    __slots__ = ("_early", "_loop", "_named", "_stop", "_word", "death", "heart", "life")
+    __slots__ = ("_early", "_lifeline", "_loop", "_named", "_stop", "_word", "death", "heart", "life")
 
     def __init__(self, name: str, context: Context, loop: Loop, stop: Callable[[], None]) -> None:
         """`stop`: what the thread does that the early news of its death comes to."""
@@ -31,6 +31,7 @@ class Peer:
         self.heart = HeartbeatReader(context.segment(name))
         self.life: Lifeline | None = None
         self._word = context.segment("supervisor").word(f"{name}_life")
+        self._lifeline = context.world.lifeline
         self._early = context.early
         self._stop = stop
         self._loop = loop
@@ -51,7 +52,7 @@ class Peer:
             died = self.life.pid if self.life and self.life.dead() else 0
             self.drop()
             try:
-                self.life = Lifeline(pid)
+                self.life = self._lifeline(pid)
             except ProcessLookupError:
                 return died
             self._loop.watch(self.life.fd, READ)

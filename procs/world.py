@@ -1,17 +1,22 @@
-"""World: the clocks of the machine that a process runs on, and its ways to wait.
+"""World: the machine that a process runs on: its clocks, its ways to wait, its other processes, what a port holds.
 
-Every shell is handed one and asks no other clock. A test hands in one whose clock it moves. The fields are functions,
-so that who needs one often keeps it, and asks as fast as it would without a World.
+Every shell is handed one and asks no other. A test hands in one whose clock it moves, or whose processes it plays. The
+fields are functions, so that who needs one often keeps it, and asks as fast as it would without a World.
 """
 
 from __future__ import annotations
 
+import os
 import select
 import time
 
+from failstop.board import port
+from failstop.procs import starved
+from failstop.shm.lifeline import EarlyNews, Lifeline
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
 
 
 def gained_ns(
@@ -24,10 +29,32 @@ def gained_ns(
     return boot_ns - max(before_ns, now_ns())
 
 
+def spawn(arguments: list[str], environ: Mapping[str, str], passed: Sequence[int] = ()) -> int:
+    """Start a process that inherits the descriptors in `passed`; returns its pid. Raises OSError."""
+    for fd in passed:
+        os.set_inheritable(fd, True)
+    try:
+        # A terminal's signals (Ctrl-C, Ctrl-Z, quit, its hang-up) go to a whole process group: were the children in
+        # it, they would all die or freeze at once, with nobody left to stop the wheels.
+        return os.posix_spawn(arguments[0], arguments, environ, setsid=True)
+    finally:
+        for fd in passed:
+            os.set_inheritable(fd, False)
+
+
+def reap(pid: int, options: int = os.WNOHANG) -> int | None:
+    """The exit code of a child that has ended, negative the signal that killed it; None: it can't be collected yet."""
+    found, status = os.waitpid(pid, options)
+    return os.waitstatus_to_exitcode(status) if found else None
+
+
 class World:
     """The real one, but for what is given."""
 
-    __slots__ = ("epoll", "gained_ns", "now_ns", "select", "sleep", "unix_s")
+    __slots__ = (
+        *("early_news", "epoll", "gained_ns", "kill", "lifeline", "now_ns", "reap", "select", "sleep", "spawn"),
+        *("starved", "unix_s", "unsent_bytes"),
+    )
 
     def __init__(
         self,
@@ -45,3 +72,14 @@ class World:
         self.sleep = sleep
         self.select = select.select
         self.epoll = select.epoll
+        self.spawn = spawn
+        self.reap = reap
+        self.kill = os.kill
+        self.lifeline = Lifeline
+        """The news of a process's death, by its pid."""
+        self.early_news = EarlyNews
+        """The same by what it holds, in threads of their own."""
+        self.starved = starved.look
+        """Whether the machine did not run a silent process."""
+        self.unsent_bytes = port.unsent_bytes
+        """What the kernel has taken for a port, and not passed on."""

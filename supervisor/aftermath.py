@@ -30,7 +30,7 @@ class Aftermath:
 
     def __init__(self, run: Run, latch: Latch, holds: Callable[[], bool]) -> None:
         """`holds`: whether the kernel holds bytes for the board."""
-        self._unix_s = run.world.unix_s
+        self._world = run.world
         self._events = run.events
         self._holds = holds
         port_owner, telemetry, settings = run.views[layout.PORT_OWNER], run.views[layout.TELEMETRY], run.settings
@@ -61,7 +61,7 @@ class Aftermath:
         if last and last.written_ns and self._latch.reset_epoch < last.epoch:
             return
         self._tell()
-        stop.answered_by(by, written_ns, latched, epoch, self._after_ns, self._unix_s())
+        stop.answered_by(by, written_ns, latched, epoch, self._after_ns, self._world.unix_s())
         self._last = stop
         self._publish()
 
@@ -145,7 +145,7 @@ class Aftermath:
         self._command_ran = True
         try:
             words = ["/bin/sh", "-c", self._command]
-            self._command_pids.append(os.posix_spawn(words[0], words, os.environ, setsid=True))
+            self._command_pids.append(self._world.spawn(words, os.environ))
         except OSError as error:
             text = f"cannot run still.command ({self._command}): {error}"
             self._events.tell("command", text, {"state": "failed", "reason": str(error)}, level="error")
@@ -158,7 +158,7 @@ class Aftermath:
         """What an earlier stop has run, and has not ended: it hangs, and must not keep this stop from its own."""
         for pid in self._command_pids:
             try:
-                os.killpg(pid, signal.SIGKILL)
+                self._world.kill(-pid, signal.SIGKILL)
                 how = "killed"
             except OSError as error:  # of another user's rights, by sudo
                 how = f"cannot be killed ({error.strerror})"
@@ -167,10 +167,8 @@ class Aftermath:
 
     def _reap(self) -> None:
         for pid in tuple(self._command_pids):
-            found, status = os.waitpid(pid, os.WNOHANG)
-            if found:
+            if (code := self._world.reap(pid)) is not None:
                 self._command_pids.remove(pid)
-                code = os.waitstatus_to_exitcode(status)
                 text = f"still.command (pid {pid}) ended with code {code}"
                 self._events.tell("command", text, {"state": "ended", "pid": pid, "code": code})
 

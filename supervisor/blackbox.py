@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 
 from failstop.shm import box, layout, records
-from failstop.supervisor.starter import environment, script_command, spawn
+from failstop.supervisor.starter import environment, script_command
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -52,18 +52,15 @@ class Saver:
             os.close(self._hurry)
             self._hurry = -1
 
-    def ended(self) -> tuple[int, str] | None:
-        """Once it has: (exit code, its word). Its descriptors are given back."""
-        pid, status = os.waitpid(self.pid, os.WNOHANG)
-        if not pid:
-            return None
+    def last_word(self) -> str:
+        """Of one that has ended. Its descriptors are given back."""
         try:
             told = os.read(self._result, 4096).decode("utf-8", "replace")
         except OSError:
             told = ""
         self.hasten()
         os.close(self._result)
-        return os.waitstatus_to_exitcode(status), told
+        return told
 
 
 class BlackBox:
@@ -71,7 +68,7 @@ class BlackBox:
 
     def __init__(self, run: Run) -> None:
         resources, settings = run.resources, run.settings
-        self._now_ns, self._select = run.world.now_ns, run.world.select
+        self._now_ns, self._world = run.world.now_ns, run.world
         self._events = run.events
         self._readable = resources.readable
         self._on = settings.on("incidents.save")
@@ -159,13 +156,13 @@ class BlackBox:
     def _spawn(self, words: dict[str, str], fds: dict[str, int], pipes: tuple[int, int]) -> int:
         words = self._words | words | {"fds": ",".join(f"{which}:{fd}" for which, fd in fds.items())}
         arguments = script_command(("incidents", "start.py"), words=words)
-        return spawn(arguments, self._environment, [*pipes, *fds.values()])
+        return self._world.spawn(arguments, self._environment, [*pipes, *fds.values()])
 
     def _reap(self) -> None:
         for saver in tuple(self._savers):
-            if ended := saver.ended():
+            if (code := self._world.reap(saver.pid)) is not None:
                 self._savers.remove(saver)
-                self._tell(*ended)
+                self._tell(code, saver.last_word())
 
     def _tell(self, code: int, told: str) -> None:
         if not code and told == NOTHING:
@@ -194,10 +191,10 @@ class BlackBox:
         for saver in self._savers:
             saver.hasten()
             try:
-                pidfd = os.pidfd_open(saver.pid)
+                life = self._world.lifeline(saver.pid)
             except OSError:
                 continue
-            self._select((pidfd,), (), (), max(0, until_ns - self._now_ns()) * 1e-9)
-            os.close(pidfd)
+            life.wait(max(0, until_ns - self._now_ns()) * 1e-9)
+            life.close()
         self._reap()
         self._events.flush()

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import signal
 
 from failstop.procs.loop import NEVER, Timer
-from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.processes import Process
+    from failstop.procs.world import World
     from failstop.shm.heartbeat import HeartbeatReader
+    from failstop.shm.lifeline import Lifeline
     from failstop.supervisor.fence import Fence
     from failstop.supervisor.restarts import Restarts
 
@@ -48,7 +48,8 @@ die of it."""
 class Child:
     """One row of the process table as it is now."""
 
-    def __init__(self, row: Process, beat: HeartbeatReader, restarts: Restarts, restart: Timer) -> None:
+    def __init__(self, world: World, row: Process, beat: HeartbeatReader, restarts: Restarts, restart: Timer) -> None:
+        self._world = world
         self.row = row
         self.beat = beat
         self.restarts = restarts
@@ -76,7 +77,7 @@ class Child:
 
     def started(self, pid: int, block: int, now_ns: int) -> None:
         """It was just started. Raises OSError, and then nothing is changed."""
-        self.life = Lifeline(pid)
+        self.life = self._world.lifeline(pid)
         self.pid = pid
         self.block = block
         self.fence = None
@@ -135,10 +136,8 @@ class Child:
     def reap(self) -> str:
         """Collect the dead process and return how it died, in words; empty: it can't be collected yet, as while a
         debugger holds it."""
-        pid, status = os.waitpid(self.pid, os.WNOHANG)
-        if not pid:
+        if (code := self._world.reap(self.pid)) is None:
             return ""
-        code = os.waitstatus_to_exitcode(status)
         self.last_exit = f"exited with code {code}" if code >= 0 else f"killed by {_SIGNALS.get(-code, -code)}"
         if self.life:
             self.life.close()

@@ -30,7 +30,8 @@ def start(words: dict[str, str]) -> int:
     _take_signals()
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
     world = World()
-    port = OwnPort(_take_descriptors(int(words["lock"]), int(words["port"])), settings.servos())
+    fd = _take_descriptors(int(words["lock"]), int(words["port"]))
+    port = OwnPort(fd, settings.servos(), world.unsent_bytes)
     notify = Notify.taken_from(os.environ, os.getpid())
     journal = Outbox(SOCKET) if is_stderr(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:

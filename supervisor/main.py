@@ -90,7 +90,7 @@ class Supervisor:
         own.latest_writer("rules").write(pack(_rules(settings)))
         own.latest_writer("settings").write(pack(settings.flat()))
         notify = notify or Notify()
-        self._now_ns, self._sleep = world.now_ns, world.sleep
+        self._now_ns, self._sleep, self._kill = world.now_ns, world.sleep, world.kill
         self._port = port
         self.loop = Loop(world)
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
@@ -352,7 +352,7 @@ class Supervisor:
                 self._raise_epoch([stop])
             return
         # Killed before the burst: a port owner that wakes up between the two could write one frame more.
-        os.kill(child.pid, signal.SIGKILL)
+        self._kill(child.pid, signal.SIGKILL)
         kill_ns = self._now_ns()
         stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0
         self._raise_epoch([stop])

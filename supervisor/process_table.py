@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 
 from failstop.policy.processes import PROCESSES
@@ -10,7 +9,6 @@ from failstop.procs.loop import READ
 from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
-from failstop.shm.lifeline import EarlyNews
 from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RECALLED, RUNS, STARTING, Child
 from failstop.supervisor.restarts import Restarts
 from failstop.supervisor.starter import Starter
@@ -32,6 +30,7 @@ class ProcessTable:
     def __init__(self, run: Run, lifelines: Segment) -> None:
         """Holds the supervisor's own block from here on."""
         resources, settings = run.resources, run.settings
+        self._world = run.world
         self._now_ns = run.world.now_ns
         self._resources = resources
         self._events = run.events
@@ -40,12 +39,18 @@ class ProcessTable:
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
         self._held = lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK, write=True).hold(PER_BLOCK)
         self._block = layout.SUPERVISOR_BLOCK
-        self.early = EarlyNews(lifelines)
-        self._starter = Starter(resources.name, resources.incarnation, resources.runtime_dir, settings)
+        self.early = run.world.early_news(lifelines)
+        self._starter = Starter(run.world, resources.name, resources.incarnation, resources.runtime_dir, settings)
         deaths, window_ns = int(settings["restart.deaths"]), settings.ns("restart.window_s")
         backoff_ns = settings.ns("restart.backoff_s")
         self.children = [
-            Child(row, HeartbeatReader(run.views[row.name]), Restarts(deaths, window_ns, backoff_ns), run.loop.timer())
+            Child(
+                run.world,
+                row,
+                HeartbeatReader(run.views[row.name]),
+                Restarts(deaths, window_ns, backoff_ns),
+                run.loop.timer(),
+            )
             for row in PROCESSES
         ]
         self._by_name = {child.row.name: child for child in self.children}
@@ -150,8 +155,8 @@ class ProcessTable:
             child.started(pid, block, self._now_ns())
         except OSError:
             # Out of descriptors: without its pidfd nobody would know of its death.
-            os.kill(pid, signal.SIGKILL)
-            os.waitpid(pid, 0)
+            self._world.kill(pid, signal.SIGKILL)
+            self._world.reap(pid, 0)
             raise
         return pid
 

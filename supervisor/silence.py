@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import msgpack
 
-from failstop.procs import starved
 from failstop.shm import layout
 from failstop.shm.barrier import Barrier
 
@@ -34,6 +33,7 @@ class Silence:
         self._gate_record = run.views[layout.GATE].latest_reader("state")
         self._moving_word = run.views[layout.PORT_OWNER].word("moving")
         self._barrier = Barrier()
+        self._starved = run.world.starved
         self._bells = run.resources.bells
         self._events = run.events
         self._advice = advice
@@ -55,7 +55,7 @@ class Silence:
 
     def starved(self, child: Child) -> bool:
         """True when the machine did not run this silent process."""
-        return starved.look(child.pid, child.beat, child.allowed_ns(), self._bells[child.row.name])
+        return self._starved(child.pid, child.beat, child.allowed_ns(), self._bells[child.row.name])
 
     def follow(self, children: list[Child], now_ns: int) -> None:
         """Once a turn: who was excused and has beaten again is told of."""

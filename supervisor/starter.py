@@ -17,6 +17,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.processes import Process
     from failstop.policy.settings import Settings
+    from failstop.procs.world import World
 
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
@@ -36,19 +37,6 @@ def script_command(script: tuple[str, ...], *arguments: str, words: dict[str, st
     """The command line of a script of this package, by its path from there."""
     path = os.path.join(_PACKAGE, *script)
     return [sys.executable, "-I", "-S", path, *arguments, *(f"{key}={value}" for key, value in words.items())]
-
-
-def spawn(arguments: list[str], environ: dict[str, str], passed: list[int]) -> int:
-    """Start a process that inherits the descriptors in `passed`; returns its pid. Raises OSError."""
-    for fd in passed:
-        os.set_inheritable(fd, True)
-    try:
-        # A terminal's signals (Ctrl-C, Ctrl-Z, quit, its hang-up) go to a whole process group: were the children in
-        # it, they would all die or freeze at once, with nobody left to stop the wheels.
-        return os.posix_spawn(arguments[0], arguments, environ, setsid=True)
-    finally:
-        for fd in passed:
-            os.set_inheritable(fd, False)
 
 
 def environment(settings: Settings) -> dict[str, str]:
@@ -72,9 +60,10 @@ def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int
 class Starter:
     """Starts children; knows what every start has in common."""
 
-    __slots__ = ("_common", "_environment")
+    __slots__ = ("_common", "_environment", "_spawn")
 
-    def __init__(self, name: str, incarnation: int, runtime_dir: str, settings: Settings) -> None:
+    def __init__(self, world: World, name: str, incarnation: int, runtime_dir: str, settings: Settings) -> None:
+        self._spawn = world.spawn
         self._common = {"name": name, "run": f"{incarnation:x}", "dir": runtime_dir, "parent": str(os.getpid())}
         self._environment = environment(settings)
 
@@ -85,4 +74,4 @@ class Starter:
         passed = [fd for fd in given.values() if fd >= 0]
         numbers = {"block": block, "number": port_number, **given}
         arguments = command(row.name, {**self._common, **{key: str(value) for key, value in numbers.items()}})
-        return spawn(arguments, self._environment, passed)
+        return self._spawn(arguments, self._environment, passed)

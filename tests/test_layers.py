@@ -1,5 +1,5 @@
-"""The rooms point one way: whoever reads one of them needs no other but those below it. A process asks no clock but its
-World's."""
+"""The rooms point one way: whoever reads one of them needs no other but those below it. A process asks no machine but
+its World."""
 
 from __future__ import annotations
 
@@ -20,11 +20,17 @@ BELOW = {
 }
 """What each room may import of failstop; the face (failstop, ros2) knows all of them."""
 EVERYBODYS = {"version"}
-CLOCKS = {"monotonic", "monotonic_ns", "perf_counter", "sleep", "time", "time_ns"}
+MACHINE = {
+    "time": {"monotonic", "monotonic_ns", "perf_counter", "sleep", "time", "time_ns"},
+    "os": {"fork", "kill", "killpg", "pidfd_open", "posix_spawn", "posix_spawnp", "wait", "waitid", "waitpid"},
+    "select": {"epoll", "poll", "select"},
+    "port": {"unsent_bytes"},
+}
+"""What a World is asked for instead, by module."""
 PROGRAM = "failstop.supervisor.child"
 """Run by its path, with a supervisor to start; imported for the name of a variable alone."""
-WITHOUT_A_WORLD = {"procs/world.py", "supervisor/port.py"}
-"""The world itself, and the first burst of a run, before there is a process to hand one to."""
+WITHOUT_A_WORLD = {"procs/world.py", "supervisor/events.py", "supervisor/port.py"}
+"""The world itself; what is said on stderr; the first burst of a run, before there is a process to hand one to."""
 
 
 def modules(room: str) -> list[Path]:
@@ -74,20 +80,22 @@ def test_only_the_face_uses_the_libraries_of_the_face() -> None:
     assert not found
 
 
-def clocks(path: Path) -> set[str]:
-    """The clocks of the module `time` that a module names."""
+def asked(path: Path) -> set[str]:
+    """What a module asks the machine itself."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module == "time":
-            found |= {name.name for name in node.names}
-        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "time":
-            found.add(node.attr)
-    return found & CLOCKS
+        if isinstance(node, ast.ImportFrom) and node.module:
+            module = node.module.rpartition(".")[2]
+            found |= {f"{module}.{name.name}" for name in node.names if name.name in MACHINE.get(module, ())}
+        elif isinstance(node, ast.Attribute) and node.attr in MACHINE.get(ast.unparse(node.value), ()):
+            found.add(ast.unparse(node))
+    return found
 
 
-def test_a_process_asks_no_clock_but_its_world_s() -> None:
-    named = {str(path.relative_to(ROOT)) for room in ("procs", "supervisor") for path in modules(room) if clocks(path)}
-    assert named == WITHOUT_A_WORLD
+def test_a_process_asks_no_machine_but_its_world() -> None:
+    named = {str(path.relative_to(ROOT)): asked(path) for room in ("procs", "supervisor") for path in modules(room)}
+    assert {path: found for path, found in named.items() if found and path not in WITHOUT_A_WORLD} == {}
+    assert all(named[path] for path in WITHOUT_A_WORLD)
 
 
 def at_run_time(tree: ast.AST) -> Iterator[ast.AST]:

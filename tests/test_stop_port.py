@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.board import codec, port, stop_port
+from failstop.board import codec, stop_port
 from failstop.board.burst import BURST
 from failstop.board.stop_port import DRAIN_S, TRIES, StopPort
 from tests.support.ptys import Board, Pty, new_pty
@@ -176,9 +176,8 @@ def test_what_was_written_is_waited_for_but_not_for_ever(
         return left
 
     clock = Time()
-    monkeypatch.setattr(port, "unsent_bytes", unsent_bytes)
     monkeypatch.setattr(stop_port, "time", clock)
-    own = StopPort(pty.slave)
+    own = StopPort(pty.slave, (), unsent_bytes)
     own.unsent = rest
     assert own.drain() is drained
     assert clock.now_s - 1000.0 == pytest.approx(waited_s, abs=0.002)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 
-from failstop.board.port import PortError, open_port
+from failstop.board.port import PortError, open_port, unsent_bytes
 from failstop.board.stop_port import StopPort
 
 RETRY_S = 0.02
@@ -46,7 +46,7 @@ def stop(path: str, wait: Callable[[PortError], float], say: Callable[[str], Non
 
 def _write(path: str, servos: tuple[int, ...] = ()) -> None:
     """Open without taking the port from anyone, write the whole burst, see it drained, close."""
-    stop_port = StopPort(open_port(path, exclusive=False), servos)
+    stop_port = StopPort(open_port(path, exclusive=False), servos, unsent_bytes)
     try:
         stop_port.burst()
         if not stop_port.drain():

@@ -20,7 +20,7 @@ from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell, heartbeat, layout, records
 from failstop.shm.barrier import Barrier
-from failstop.shm.lifeline import Lifeline, give_way
+from failstop.shm.lifeline import give_way
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class PortOwner:
         self._silence_ns = 2 * settings.ns("gate.refresh_s")
         self._stuck = False
         self._watched = (-1, 0)
-        self.wire = Wire(context.fd("port"), self.bus.servos)
+        self.wire = Wire(context.fd("port"), context.world, self.bus.servos)
         self._attach(context)
         self._watch_others(context, self.wire.early_stop)
         self.epoch = self._epoch_word.get()
@@ -112,7 +112,7 @@ class PortOwner:
         self._stop_pipe = context.fd("stop")
         self._control = Control(context.fd("control"))
         self._early = context.early
-        self._supervisor_life = Lifeline(context.parent)
+        self._supervisor_life = context.world.lifeline(context.parent)
         self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 0, stop)
         self._gate = Peer(layout.GATE, context, self.loop, stop)
         self._peers = (

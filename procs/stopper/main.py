@@ -21,7 +21,6 @@ from failstop.procs.peer import Peer
 from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
 from failstop.shm import bell, heartbeat, layout, records
 from failstop.shm.barrier import Barrier
-from failstop.shm.lifeline import Lifeline
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -43,11 +42,11 @@ class Stopper:
     def __init__(self, context: Context) -> None:
         supervisor = context.segment("supervisor")
         port_owner = context.segment("port_owner")
-        self._now_ns = context.world.now_ns
+        self._now_ns, self._starved = context.world.now_ns, context.world.starved
         self.heartbeat = context.heartbeat
         self.loop = Loop(context.world)
         self._epoch_word = supervisor.word("epoch")
-        self._port = StopPort(context.fd("port"), context.settings.servos())
+        self._port = StopPort(context.fd("port"), context.settings.servos(), context.world.unsent_bytes)
         self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port.early_stop)
         self._port_owner_written = port_owner.word("written_ns")
         self._port_owner_moving = port_owner.word("moving")
@@ -62,7 +61,7 @@ class Stopper:
         self._number_word.set(self._number if self._port.fd >= 0 else 0)
         self._turned_ns = self._excused_ns = self._now_ns()
         self._early = context.early
-        self._supervisor_life = Lifeline(context.parent)
+        self._supervisor_life = context.world.lifeline(context.parent)
         self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 1)
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""
@@ -170,7 +169,7 @@ class Stopper:
         if not life or heart.age_ns(now_ns) >= HANG_NS + starved.LONGEST_NS:
             return False
         # The word last: what the port owner was about to write when it was looked at has been told by then.
-        is_starved = starved.look(life.pid, heart, HANG_NS, self._port_owner_bell)
+        is_starved = self._starved(life.pid, heart, HANG_NS, self._port_owner_bell)
         self._barrier()
         return is_starved and not self._port_owner_moving.get()
 

@@ -17,6 +17,7 @@ from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.recorder import GateBox
 from failstop.procs.gate.sources import Command
 from failstop.procs.port_owner.wire import Wire
+from failstop.procs.world import World
 from failstop.shm import box, layout
 from failstop.shm.latest import cell_bytes
 from failstop.shm.ring import RingReader, RingWriter
@@ -109,7 +110,7 @@ def test_the_wire_is_recorded_after_it_was_written() -> None:
 
     seen: list[bytes] = []
     kept = Watched()
-    wire = Wire(writes)
+    wire = Wire(writes, World())
     wire.burst()
     wire.keep(kept)  # type: ignore[arg-type]
     wire.burst()

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import port
 from failstop.board.interface import BOARD
 from failstop.procs.loop import Timer
 from failstop.procs.port_owner.pings import GAP_NS, Pings
@@ -88,7 +87,7 @@ def test_the_port_owner_asks_after_each_stop(scene: Scene, monkeypatch: pytest.M
     scene.drive()
     scene.turn(100 * MS)
     before = len(scene.asked)
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: len(BOARD.burst))
+    scene.world.play("unsent_bytes", lambda fd: len(BOARD.burst))
     scene.ask_to_stop(b"x")
     scene.turn()
     assert len(scene.asked) == before + 1
@@ -100,23 +99,23 @@ def test_a_ping_that_the_port_does_not_take_is_not_counted(scene: Scene, monkeyp
     scene.turn()
     asked = list(scene.asked)
     words = [scene.word(f"ping_{index}") for index in range(layout.PINGS)]
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: 5000)
+    scene.world.play("unsent_bytes", lambda fd: 5000)
     for _ in range(3):
         scene.owner.wire.burst()
     scene.turn(PERIOD)
     assert scene.asked == asked
     assert [scene.word(f"ping_{index}") for index in range(layout.PINGS)] == words
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: 0)
+    scene.world.play("unsent_bytes", lambda fd: 0)
     scene.turn(GAP_NS)
     assert len(scene.asked) == len(asked) + 1, "and it is asked again soon"
 
 
 def test_motion_goes_on_behind_a_ping_and_behind_nothing_else(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     scene.turn()
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: len(BOARD.pings[0]))
+    scene.world.play("unsent_bytes", lambda fd: len(BOARD.pings[0]))
     scene.put()
     assert scene.turn(TICK) == MOTION
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: len(BOARD.pings[0]) + 1)
+    scene.world.play("unsent_bytes", lambda fd: len(BOARD.pings[0]) + 1)
     scene.put()
     assert scene.turn(TICK) == b""
 

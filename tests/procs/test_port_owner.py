@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import codec, interface, peripherals, port
+from failstop.board import codec, interface, peripherals
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.lab import encoders
 from failstop.policy import causes
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
+from failstop.procs.world import World
 from failstop.shm import box, layout, records
 from tests.support.port_scene import MOTION, SLOWER, TICK, Kernel, Scene
 from tests.support.stage import MS
@@ -62,8 +63,8 @@ def test_a_start_on_a_port_that_has_just_gone_is_a_device_lost(tmp_path: Path, m
     scene.close()
 
 
-def unplugged_first(fd: int, _written: object = None) -> wire_module.Wire:
-    made = wire_module.Wire(fd)
+def unplugged_first(fd: int, *_: object) -> wire_module.Wire:
+    made = wire_module.Wire(fd, World())
     made.lost = True
     return made
 
@@ -228,7 +229,7 @@ def test_a_motor_frame_in_another_s_clothes_never_passes(scene: Scene) -> None:
 
 def test_another_frame_follows_motion_that_is_still_under_way(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     scene.drive()
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: 27)
+    scene.world.play("unsent_bytes", lambda fd: 27)
     beep = peripherals.buzzer(1400, 100, 100, 1)
     scene.put(beep, kind=records.OTHER)
     assert scene.turn() == beep
@@ -237,7 +238,7 @@ def test_another_frame_follows_motion_that_is_still_under_way(scene: Scene, monk
 def test_a_zero_frame_that_finds_the_port_busy_becomes_a_burst(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else the wheels would turn on until the gate's next refresh, 0.2 s later."""
     scene.drive()
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: 27)
+    scene.world.play("unsent_bytes", lambda fd: 27)
     scene.put(SLOWER)
     assert scene.turn() == b""
     scene.put(codec.STOP)
@@ -570,7 +571,7 @@ def test_the_black_box_has_all_that_was_written_and_what_the_port_did_not_take(
     scene.put()
     scene.turn()
     assert scene.kept() == [(box.FRAME, len(MOTION), len(MOTION))]
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: len(MOTION))
+    scene.world.play("unsent_bytes", lambda fd: len(MOTION))
     scene.put(SLOWER)
     scene.turn()
     assert scene.kept() == [(box.FRAME, len(SLOWER), 0)]

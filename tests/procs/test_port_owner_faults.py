@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import port
 from failstop.board.burst import BURST
 from failstop.procs.loop import READ
 from failstop.procs.port_owner import main
@@ -164,7 +163,7 @@ def test_silence_without_motion_is_nothing(scene: Scene) -> None:
 def test_a_port_that_does_not_drain_is_a_stop_once(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     scene.drive()
     held = [100]
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: held[0])
+    scene.world.play("unsent_bytes", lambda fd: held[0])
     for _ in range(30):
         scene.turn(TICK)
     assert scene.reasons() == [POWER_SWITCH]
@@ -180,7 +179,7 @@ def test_a_port_that_does_not_drain_while_nothing_moves_is_one_too(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene.turn()
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: 100)
+    scene.world.play("unsent_bytes", lambda fd: 100)
     for _ in range(6):
         scene.turn(TICK)
     assert scene.reasons() == [POWER_SWITCH]
@@ -193,7 +192,7 @@ def test_bytes_just_written_are_no_sign_of_a_port_that_does_not_drain(
     scene.drive()
     held = [0]
     kernel.taken = held
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: held[0])
+    scene.world.play("unsent_bytes", lambda fd: held[0])
     for _ in range(30):
         held[0] = 0
         scene.put()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import codec, port, stop_port
+from failstop.board import codec, stop_port
 from failstop.board.burst import BURST
 from failstop.board.port import PortError, open_port
 from failstop.stopping import tool
@@ -244,7 +244,7 @@ def test_bytes_that_the_kernel_still_holds_are_no_stop(
     pty: Pty, clock: Clock, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     held = [59]
-    monkeypatch.setattr(port, "unsent_bytes", lambda _: held[0])
+    monkeypatch.setattr(tool, "unsent_bytes", lambda _: held[0])
     clock.after(0.05, lambda: held.__setitem__(0, 0))
     tool.stop(pty.link, wait(0.0), said.append)
     assert sum(clock.slept) >= 0.05

@@ -341,7 +341,7 @@ def test_without_a_port_it_judges_as_with_one(scene: Scene) -> None:
 
 
 def test_a_starved_port_owner_that_moves_nothing_is_left_alone(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(starved, "look", lambda *_: True)
+    scene.world.play("starved", lambda *_: True)
     assert scene.written(1_000, alive=False) == []
     scene.turn()
     assert scene.written(249, alive=False) == []
@@ -349,7 +349,7 @@ def test_a_starved_port_owner_that_moves_nothing_is_left_alone(scene: Scene, mon
 
 
 def test_but_not_for_ever(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(starved, "look", lambda *_: True)
+    scene.world.play("starved", lambda *_: True)
     last_ms = (HANG_NS + starved.LONGEST_NS) // MS
     wrote = scene.written(last_ms + HANG_NS // MS, alive=False)
     assert wrote[0] == (last_ms, BURST)
@@ -362,6 +362,6 @@ def test_a_starved_port_owner_that_moves_the_wheels_is_fenced(scene: Scene, monk
         scene._views[layout.PORT_OWNER].word("moving").set(1)
         return True
 
-    monkeypatch.setattr(starved, "look", look)
+    scene.world.play("starved", look)
     assert scene.written(249, alive=False) == []
     assert scene.turn(MS, alive=False) == BURST

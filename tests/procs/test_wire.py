@@ -12,11 +12,13 @@ from typing import Any
 
 import pytest
 
-from failstop.board import codec, peripherals, port
+from failstop.board import codec, peripherals
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.procs.port_owner.main import MOTION_BACKLOG, PING_BACKLOG
 from failstop.procs.port_owner.wire import DRAIN_NS, Wire
+from failstop.procs.world import World
+from tests.support.played import PlayedWorld
 from tests.support.ptys import Board, Pty, new_pty
 from tests.support.stand_ins import before_write
 from tests.support.waiting import until
@@ -35,8 +37,13 @@ def pty() -> Iterator[Pty]:
 
 
 @pytest.fixture
-def wire(pty: Pty) -> Wire:
-    return Wire(pty.slave)
+def world() -> PlayedWorld:
+    return PlayedWorld()
+
+
+@pytest.fixture
+def wire(pty: Pty, world: PlayedWorld) -> Wire:
+    return Wire(pty.slave, world)
 
 
 class Kernel:
@@ -65,14 +72,18 @@ def kernel(monkeypatch: pytest.MonkeyPatch) -> Kernel:
 class Held:
     """Answers for the kernel how many unsent bytes it holds."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self) -> None:
         self.bytes = 0
-        monkeypatch.setattr(port, "unsent_bytes", lambda fd: self.bytes)
+
+    def __call__(self, _fd: int) -> int:
+        return self.bytes
 
 
 @pytest.fixture
-def held(monkeypatch: pytest.MonkeyPatch) -> Held:
-    return Held(monkeypatch)
+def held(world: PlayedWorld) -> Held:
+    made = Held()
+    world.play("unsent_bytes", made)
+    return made
 
 
 def assert_stopped(stream: bytes) -> None:
@@ -98,7 +109,7 @@ def test_frames_and_bursts_arrive_whole(pty: Pty, wire: Wire) -> None:
 
 
 def test_no_port_takes_nothing(held: Held) -> None:
-    wire = Wire(-1)
+    wire = Wire(-1, World())
     assert wire.lost
     wire.burst()
     wire.flush()
@@ -151,7 +162,7 @@ def test_a_port_that_has_gone_gets_no_early_stop(pty: Pty, wire: Wire) -> None:
     wire.lost = True
     wire.early_stop()
     assert pty.read() == b""
-    Wire(-1).early_stop()
+    Wire(-1, World()).early_stop()
 
 
 # A full port.
@@ -357,14 +368,14 @@ def test_stuck_after_exactly_the_time(wire: Wire, held: Held) -> None:
 
 
 def test_a_port_that_cannot_say_what_it_holds_has_gone_and_is_not_stuck(
-    wire: Wire, held: Held, monkeypatch: pytest.MonkeyPatch
+    wire: Wire, held: Held, world: PlayedWorld
 ) -> None:
     def gone(_fd: int) -> int:
         raise OSError
 
     held.bytes = 1
     assert not wire.stuck(T0)
-    monkeypatch.setattr(port, "unsent_bytes", gone)
+    world.play("unsent_bytes", gone)
     assert not wire.stuck(T0 + DRAIN_NS)
     assert wire.lost
 
@@ -422,15 +433,15 @@ def test_a_write_that_was_refused_beside_somebody_else_s_holds_nothing_back(
     assert not wire.stuck(T0 + DRAIN_NS), "there was room"
 
 
-def test_a_full_port_is_not_waited_for(pty: Pty, wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, waited_s = select.select, []
+def test_a_full_port_is_not_waited_for(pty: Pty, world: PlayedWorld) -> None:
+    wire, waited_s = Wire(pty.slave, world), []
 
     def timed(*given: Any) -> Any:
         waited_s.append(given[3])
-        return real(*given[:3], 0)  # type: ignore[call-arg]
+        return select.select(*given[:3], 0)  # type: ignore[call-arg]
 
     pty.fill()
-    monkeypatch.setattr(select, "select", timed)
+    world.play("select", timed)
     assert not wire.frame(MOTION)
     waited_s.clear()
     wire.stuck(T0)
@@ -504,7 +515,7 @@ def test_close_lets_the_port_go_at_once(pty: Pty, wire: Wire) -> None:
 
 def test_the_first_bytes_on_a_new_port_are_a_burst(pty: Pty, kernel: Kernel, held: Held) -> None:
     with new_pty() as old:
-        wire = Wire(old.slave)
+        wire = Wire(old.slave, World())
         kernel.room = 10
         wire.frame(MOTION)
         kernel.room = None

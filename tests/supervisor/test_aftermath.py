@@ -9,7 +9,6 @@ from typing import Any
 import msgpack
 import pytest
 
-from failstop.board import port
 from failstop.policy import causes
 from failstop.procs.loop import GONE
 from failstop.shm import layout, records, segment
@@ -254,7 +253,7 @@ def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Watched)
 def test_a_stop_that_the_kernel_holds_is_told_of_as_that_unless_the_board_has_answered(
     scene: Watched, monkeypatch: pytest.MonkeyPatch, answered: bool
 ) -> None:
-    monkeypatch.setattr(port, "unsent_bytes", lambda fd: 1280)  # of a later write, where the board has answered
+    scene.world.play("unsent_bytes", lambda fd: 1280)  # of a later write, where the board has answered
     scene.stop("the first")
     scene.said()
     scene.pings(0, answered=answered)

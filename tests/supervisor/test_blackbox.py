@@ -12,7 +12,7 @@ import pytest
 
 from failstop.policy.settings import Settings
 from failstop.procs.loop import Loop
-from failstop.procs.world import World
+from failstop.procs.world import World, spawn
 from failstop.shm import box, layout, segment
 from failstop.supervisor import blackbox, starter
 from failstop.supervisor.blackbox import (
@@ -29,6 +29,7 @@ from failstop.supervisor.events import Events
 from failstop.supervisor.resources import Resources
 from failstop.supervisor.run import Run
 from failstop.supervisor.stops import Stop
+from tests.support.played import PlayedWorld
 from tests.support.waiting import until
 from tests.support.why import why
 
@@ -55,8 +56,9 @@ class Told(Events):
 class Scene:
     """A black box whose savers are shells: they wait to be hastened, say a word and end with a code."""
 
-    def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(blackbox, "spawn", self.spawn)
+    def __init__(self, directory: Path) -> None:
+        self.world = PlayedWorld(now_ns=lambda: T0)
+        self.world.play("spawn", self.spawn)
         self.resources = Resources(f"box{os.getpid()}x{next(_numbers)}", str(directory))
         memory = self.resources.memory
         self.own = segment.attach(memory, layout.SUPERVISOR, write=True)
@@ -73,8 +75,8 @@ class Scene:
 
     def new(self, **changed: object) -> BlackBox:
         settings = Settings({**self.settings.flat(), **{f"incidents.{key}": value for key, value in changed.items()}})
-        world = World(now_ns=lambda: T0)
-        return BlackBox(Run(world, self.resources, settings, self.own, self.views, Loop(world), self.events))
+        run = Run(self.world, self.resources, settings, self.own, self.views, Loop(self.world), self.events)
+        return BlackBox(run)
 
     def spawn(self, arguments: list[str], environ: dict[str, str], passed: list[int]) -> int:
         """In the place of the saver's own program."""
@@ -86,7 +88,7 @@ class Scene:
         self.started.append(words)
         hurry, result = (f"/proc/self/fd/{words[key]}" for key in ("hurry", "result"))
         script = f'read x <{hurry}; printf "{self.word}" >{result}; exit {self.code}'
-        return starter.spawn(["/bin/sh", "-c", script], dict(os.environ), passed)
+        return spawn(["/bin/sh", "-c", script], dict(os.environ), passed)
 
     def records(self) -> list[bytes]:
         found = []
@@ -118,8 +120,8 @@ class Scene:
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    made = Scene(tmp_path)
     yield made
     made.close()
 
@@ -219,11 +221,11 @@ def test_what_is_told_of_its_end(scene: Scene, word: str, code: int, told: str |
     assert scene.events.told == told
 
 
-def test_a_saver_that_can_not_be_started_leaves_nothing_open(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_saver_that_can_not_be_started_leaves_nothing_open(scene: Scene) -> None:
     def refused(*_: object) -> int:
         raise OSError(11, "Resource temporarily unavailable")
 
-    monkeypatch.setattr(blackbox, "spawn", refused)
+    scene.world.play("spawn", refused)
     before = os.listdir("/proc/self/fd")
     scene.box.latched(CAUSE, 7)
     scene.box.follow(T0 + START_NS, ready=True)
@@ -286,12 +288,12 @@ def test_at_the_end_of_the_service_what_waits_is_saved_at_once(scene: Scene) -> 
 
 
 def test_without_a_descriptor_to_wait_with_each_is_hastened_all_the_same(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
+    scene: Scene,
 ) -> None:
     def refused(_pid: int) -> int:
         raise OSError(24, "Too many open files")
 
-    monkeypatch.setattr(os, "pidfd_open", refused)
+    scene.world.play("lifeline", refused)
     scene.box.latched(CAUSE, 7)
     scene.box.latched(CAUSE, 8)
     for _ in range(2):

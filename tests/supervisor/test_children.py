@@ -27,7 +27,8 @@ process, nobody runs or beats who has none, nobody dies twice, and only the dead
 
 
 def child(state: str) -> Child:
-    made = Child(PROCESSES[0], None, Restarts(5, 10**10, 10**8), Loop(World()).timer())  # type: ignore[arg-type]
+    world = World()
+    made = Child(world, PROCESSES[0], None, Restarts(5, 10**10, 10**8), Loop(world).timer())  # type: ignore[arg-type]
     made.state = state
     return made
 

@@ -16,7 +16,6 @@ from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS
 from failstop.shm.heartbeat import RUNNING
 from failstop.shm.lifeline import EarlyNews, Lifeline
-from failstop.supervisor import children
 from failstop.supervisor.children import DIED
 from failstop.supervisor.process_table import TRY_AGAIN_NS
 from failstop.supervisor.starter import Starter
@@ -42,7 +41,7 @@ def test_a_process_that_can_not_be_watched_is_not_left_running(scene: Scene, mon
 
     processes = scene.supervisor.processes
     monkeypatch.setattr(Starter, "start", start)
-    monkeypatch.setattr(children, "Lifeline", no_descriptor)
+    scene.world.play("lifeline", no_descriptor)
     gate = processes[layout.GATE]
     processes.start(gate, scene.port)
     (pid,) = started

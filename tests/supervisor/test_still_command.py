@@ -14,7 +14,6 @@ from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.procs.loop import Loop
-from failstop.procs.world import World
 from failstop.shm import layout, segment
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.events import Events
@@ -22,6 +21,7 @@ from failstop.supervisor.latch import Latch
 from failstop.supervisor.resources import Resources
 from failstop.supervisor.run import Run
 from failstop.supervisor.stops import Stop
+from tests.support.played import PlayedWorld
 from tests.support.why import why
 
 S = 1_000_000_000
@@ -42,11 +42,12 @@ class Scene:
         settings = Settings({"still.command": command.format(file=self.file), "still.after_s": 1.0})
         self.texts: list[str] = []
         self.told: list[tuple[str, object, str]] = []
-        events = Events(World(), self.resources.name)
+        self.world = PlayedWorld()
+        events = Events(self.world, self.resources.name)
         events.tell = self._tell  # type: ignore[method-assign,assignment]
         self.latch = Latch()
         self.held = False
-        run = Run(World(), self.resources, settings, own, views, Loop(World()), events)
+        run = Run(self.world, self.resources, settings, own, views, Loop(self.world), events)
         self.aftermath = Aftermath(run, self.latch, lambda: self.held)
         self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
         self.now_ns = 100 * S
@@ -168,14 +169,14 @@ def test_one_that_has_ended_is_not_told_to_hang(scene_of: Callable[[str], Scene]
 
 
 def test_one_that_can_not_be_started_is_told_of(
-    scene_of: Callable[[str], Scene], monkeypatch: pytest.MonkeyPatch
+    scene_of: Callable[[str], Scene],
 ) -> None:
     scene = scene_of("true")
 
     def refused(*_: object, **__: object) -> int:
         raise OSError(11, "Resource temporarily unavailable")
 
-    monkeypatch.setattr(os, "posix_spawn", refused)
+    scene.world.play("spawn", refused)
     scene.stop_unheeded()
     reason = "[Errno 11] Resource temporarily unavailable"
     text = f"cannot run still.command (true): {reason}"
@@ -183,7 +184,7 @@ def test_one_that_can_not_be_started_is_told_of(
 
 
 def test_one_that_may_not_be_killed_keeps_no_stop_from_its_command(
-    scene_of: Callable[[str], Scene], monkeypatch: pytest.MonkeyPatch
+    scene_of: Callable[[str], Scene],
 ) -> None:
     scene = scene_of(NEVER_ENDS)
     scene.stop_unheeded()
@@ -191,9 +192,9 @@ def test_one_that_may_not_be_killed_keeps_no_stop_from_its_command(
     def refused(_pid: int, _number: int) -> None:
         raise PermissionError(1, "Operation not permitted")
 
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "killpg", refused)
-        scene.stop_unheeded()
+    may = scene.world.play("kill", refused)
+    scene.stop_unheeded()
+    scene.world.play("kill", may)
     wait_for("the command again", lambda: len(scene.runs()) == 2)
     assert any("cannot be killed" in text for text in scene.texts)
 

@@ -87,9 +87,9 @@ def test_who_is_silent_for_its_deadline_is_killed_first_and_the_port_owner_answe
     watching: Watching, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     order: list[str] = []
-    real_kill, real_burst = os.kill, watching.port.burst
+    real_burst = watching.port.burst
     dummy = watching.employ(name)
-    monkeypatch.setattr(os, "kill", lambda pid, number: (order.append("kill"), real_kill(pid, number)))
+    watching.world.play("kill", lambda pid, number: (order.append("kill"), os.kill(pid, number)))
     monkeypatch.setattr(OwnPort, "burst", lambda _: (order.append("burst"), real_burst())[1])
     watching.supervisor._tried_ns = watching.now_ns + BY_NAME[name].deadline_ns  # no zeros of its own just now
     watching.supervisor._turned_ns = watching.now_ns + BY_NAME[name].deadline_ns - MS  # it was not held up itself
@@ -272,7 +272,7 @@ def starving(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> Watching:
     for name in BY_NAME:
         watching.employ(name)
     watching.supervisor.readiness.ever = True
-    monkeypatch.setattr(starved, "look", lambda *_: True)
+    watching.world.play("starved", lambda *_: True)
     return watching
 
 
@@ -344,7 +344,7 @@ def test_nobody_is_spared_for_ever_and_none_is_down_for_it(starving: Watching) -
 
 def test_who_has_just_beaten_after_all_is_left_alone(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> None:
     watching.employ(layout.GATE)
-    monkeypatch.setattr(starved, "look", lambda *_: watching.gate.word("beat_ns").set(watching.now_ns))
+    watching.world.play("starved", lambda *_: watching.gate.word("beat_ns").set(watching.now_ns))
     for _ in range(30):
         watching.pass_time(20 * MS)
     assert (watching.supervisor.epoch, watching.supervisor._silence.times) == (1, 0)

@@ -13,12 +13,12 @@ from typing import ClassVar
 from failstop.policy.settings import Settings
 from failstop.procs import handover
 from failstop.procs.handover import Control
-from failstop.procs.world import World
 from failstop.shm import bell, heartbeat, layout, records, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.lifeline import Lifeline
 from failstop.shm.segment import Segment
+from tests.support.played import PlayedWorld
 from tests.support.ptys import Pty
 from tests.support.waiting import until
 
@@ -110,7 +110,7 @@ class Stage:
         for spec in layout.SEGMENTS:
             segment.create(self.name, spec.name, INCARNATION).close()
         self.clock = Clock()
-        self.world = World(now_ns=self.clock)
+        self.world = PlayedWorld(now_ns=self.clock)
         self.pty = Pty()
         self.settings = Settings({"device.path": self.pty.link, **self.changed})
         self.supervisor = Dummy()

@@ -17,7 +17,6 @@ from failstop.policy import causes
 from failstop.policy.reply import unpack
 from failstop.policy.settings import Settings
 from failstop.procs import rights
-from failstop.procs.world import World
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import children, main
@@ -25,6 +24,7 @@ from failstop.supervisor.datagram import Outbox
 from failstop.supervisor.main import Supervisor
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.resources import Resources
+from tests.support.played import PlayedWorld
 from tests.support.stage import MOST_LATE
 from tests.support.why import said, told, why
 
@@ -40,14 +40,14 @@ class Scene:
     ) -> None:
         self.now_ns = 40_000 * MS
         self.late = 0
-        self.world = World(now_ns=lambda: self.now_ns, sleep=self.sleep)
+        self.world = PlayedWorld(now_ns=lambda: self.now_ns, sleep=self.sleep)
         monkeypatch.setattr(rights, "take_rights", lambda priority: granted)
         self.master, slave = pty.openpty()
         tty.setraw(slave)
         for fd in (self.master, slave):
             os.set_blocking(fd, False)
         self.resources = Resources(f"a{os.getpid()}x{next(_numbers)}", str(directory))
-        self.port = OwnPort(slave)
+        self.port = OwnPort(slave, unsent_bytes=self.world.unsent_bytes)
         self.supervisor = Supervisor(self.world, self.resources, self.port, Settings(), None, journal)
         memory = self.resources.memory
         self.port_owner = segment.attach(memory, layout.PORT_OWNER, write=True)
@@ -154,7 +154,8 @@ class Scene:
         for saver in self.supervisor.blackbox._savers:
             os.killpg(saver.pid, signal.SIGKILL)
             os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT)
-            saver.ended()
+            self.world.reap(saver.pid)
+            saver.last_word()
         self.port.close()
 
 
