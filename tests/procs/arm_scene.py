@@ -158,6 +158,10 @@ class ArmScene(GateStage):
         packed = records.ARM_GOAL.pack((SESSION, OTHER)[client], mode, values)
         self.segment_of(client).latest_writer("arm_goal").write(packed, self.clock())
 
+    def assert_lid(self) -> None:
+        """The interlock `lid`, which a test's settings may have, holds now."""
+        self._other.latest_writer("interlocks").write(records.HELD.pack(OTHER, ["lid"]), self.clock())
+
     def pad(self, joint: int, share: float) -> None:
         """What telemetry says of the gamepad in its joint mode."""
         self._pad.write(records.PAD_ARM.pack(joint, share), self.clock())

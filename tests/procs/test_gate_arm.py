@@ -364,23 +364,60 @@ def test_released_it_stays_limp_until_it_is_asked_to_move(scene: ArmScene) -> No
     assert scene.finish() == (records.DONE, "arm is there")
 
 
-def test_an_enable_right_behind_a_release_leaves_no_torque_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The settings have no drive pose, so nothing else is asked of the arm."""
-    no_pose = {key: -1 for key in ARM if key.endswith(".drive")}
-    monkeypatch.setattr(ArmScene, "changed", {**ARM, **no_pose, "arm.drive_pan": -1})
-    scene = ArmScene(tmp_path, monkeypatch)
-    try:
-        scene.ask_for(records.ARM_RELEASE)
-        scene.ask_for(records.ENABLE, client=1)
-        assert scene.finish(client=1) == (records.REFUSED, "the arm is being released: ask again in a moment")
-        scene.run(0.1)
-        assert all(servo.limp() for servo in scene.servos.by_id.values())
-        scene.ask_for(records.ENABLE, client=1)
-        assert scene.finish(client=1) == (records.DONE, "motion enabled")
-        scene.turn()
-        assert scene.gate.loop.due_ns() > scene.clock()
-    finally:
-        scene.close()
+@pytest.fixture
+def no_pose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ArmScene]:
+    """The settings have no drive pose, so an enable asks nothing of the arm but to stand."""
+    no_drive = {key: -1 for key in ARM if key.endswith(".drive")}
+    monkeypatch.setattr(ArmScene, "changed", {**ARM, **no_drive, "arm.drive_pan": -1, "interlocks.lid.timeout_s": 0.5})
+    made = ArmScene(tmp_path, monkeypatch)
+    made.run(0.4)
+    yield made
+    made.close()
+
+
+def test_an_enable_right_behind_a_release_leaves_no_torque_on(no_pose: ArmScene) -> None:
+    scene = no_pose
+    scene.assert_lid()
+    scene.ask_for(records.ARM_RELEASE)
+    scene.ask_for(records.ENABLE, client=1)
+    assert scene.finish(client=1) == (records.REFUSED, "the arm is being released: ask again in a moment")
+    scene.run(0.1)
+    assert all(servo.limp() for servo in scene.servos.by_id.values())
+    scene.ask_for(records.ENABLE, client=1)
+    assert scene.finish(client=1) == (records.DONE, "motion enabled")
+    scene.turn()
+    assert scene.gate.loop.due_ns() > scene.clock()
+
+
+def test_an_enable_takes_the_arm_from_who_moves_it_also_without_a_drive_pose(no_pose: ArmScene) -> None:
+    """And nothing of it is left to go on with when an interlock disables motion again."""
+    scene = no_pose
+    scene.travel({1: 1.0}, over_s=6.0)
+    scene.run(2.0)
+    assert scene.state()["moving"]
+    scene.assert_lid()
+    scene.ask_for(records.ENABLE, client=1)
+    assert scene.finish(client=1) == (records.DONE, "motion enabled")
+    stood = scene.at(1)
+    assert scene.answered() == (records.REFUSED, "wheels enabled")
+    assert not scene.state()["moving"]
+    scene.run(2.0)
+    assert not scene.gate.core.enabled
+    assert scene.at(1) == stood
+
+
+def test_what_was_moved_by_hand_while_motion_was_enabled_is_read_before_it_moves(no_pose: ArmScene) -> None:
+    scene = no_pose
+    scene.assert_lid()
+    scene.run(0.1)
+    scene.ask_for(records.ENABLE)
+    assert scene.finish() == (records.DONE, "motion enabled")
+    scene.servos.change(1, scene.clock(), position=300.0)
+    scene.ask_for(records.DISABLE, client=1)
+    scene.run(0.02)
+    scene.travel({1: 0.5}, over_s=2.0)
+    scene.run(1.0)
+    assert sent(scene, 1)[0][1] == pytest.approx(300, abs=10)
 
 
 def test_who_enables_goes_before_who_only_moves_the_arm_there_and_after_who_enables(scene: ArmScene) -> None:

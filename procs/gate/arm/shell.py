@@ -257,16 +257,18 @@ class Arm:
 
     def enable(self, slot: Slot, number: int, now_ns: int) -> Reply | None:
         """To the drive pose, and then the gate enables motion, if that is what was read back. None: the settings have
-        no drive pose, so nothing is asked of the arm."""
+        no drive pose, so the arm stands where it is, and motion may be enabled now."""
         if self.core.letting_go:
             return Reply(records.REFUSED, "the arm is being released: ask again in a moment")
         waiter = self._waiter
         if waiter and waiter.enables and waiter.session != slot.session:
             return Reply(records.REFUSED, f"{waiter.slot.who()} is enabling motion")
         journey = self.core.pose(goals.DRIVE, SERVICE, slot.who())
+        reply = None
         if journey is None:
-            return None
-        reply = self._travel(Waiter(slot, number, journey, enables=True), ENABLED, now_ns)
+            self._give_up(ENABLED, now_ns)
+        else:
+            reply = self._travel(Waiter(slot, number, journey, enables=True), ENABLED, now_ns)
         self.core.forget()
         return reply
 
