@@ -139,8 +139,8 @@ class Stop(Guarded):
         """Answers when it is written, or was not within 0.3 s; then the page asks again."""
         asked = time.time()
         try:
-            self.page.asked.ask(self.page.name, self.who(), self.body().get("id"))
-            written = await stopping.written(self.page.name, self.page.watcher.epoch)
+            asked_ns = self.page.asked.ask(self.page.name, self.who(), self.body().get("id"))
+            written = await stopping.written(self.page.name, asked_ns)
         except NoService as error:
             self.refuse(503, str(error))
             return

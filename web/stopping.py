@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import fcntl
-import os
-import struct
-import termios
+import contextlib
 import time
-from collections import deque
 
-from failstop.api.client import send_stop
-from failstop.shm import bell, instance
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from failstop.api.client import attach, send_stop
+from failstop.api.errors import FailstopError
+from failstop.shm import layout
 
 WRITTEN_S = 0.3
 """How long a request is watched; the page repeats one that was not written by then."""
@@ -23,48 +16,41 @@ LOOK_S = 0.001
 MOST_IDS = 64
 MOST_OF_AN_ID = 32
 REASON = "STOP on the page"
-_INT = struct.Struct("i")
 
 
 class Asked:
     """The requests of late, by the id that the page gives each: one may come by two ways, and is one stop."""
 
     def __init__(self) -> None:
-        self._ids: deque[str] = deque(maxlen=MOST_IDS)
+        self._ids: dict[str, int] = {}
 
-    def ask(self, name: str, who: str, identity: object) -> None:
-        """Ask for a stop, unless that was done for this id. Raises NoService, FailstopError, and then it was not."""
+    def ask(self, name: str, who: str, identity: object) -> int:
+        """Ask for a stop, unless that was done for this id; returns when it was (CLOCK_MONOTONIC ns). Raises NoService,
+        FailstopError, and then it was not."""
         known = str(identity)[:MOST_OF_AN_ID] if identity else ""
-        if known and known in self._ids:
-            return
+        if known in self._ids:
+            return self._ids[known]
+        asked_ns = time.monotonic_ns()
         send_stop(name, REASON, who)
-        self._ids.append(known)
+        if known:
+            self._ids[known] = asked_ns
+            if len(self._ids) > MOST_IDS:
+                del self._ids[next(iter(self._ids))]
+        return asked_ns
 
 
-async def written(name: str, epoch: Callable[[], int | None]) -> bool:
-    """Wait for a stop that was asked for; True once it is written to the board, by the word of the port owner, which
-    reads the pipe after that. A flood of others' requests may never leave the pipe empty: then a newer epoch says as
-    much."""
-    before = epoch()
+async def written(name: str, asked_ns: int) -> bool:
+    """Wait for a stop that was asked for then; True once one is written to the board, by the word of the port owner.
+    While there is no board there is none."""
     try:
-        pipe = bell.open_pipe_to_write(instance.stop_path(instance.find(name)))
-    except (OSError, instance.InstanceError, instance.NoService):
+        found = attach(name, layout.PORT_OWNER)
+    except FailstopError:
         return False
-    try:
+    with contextlib.closing(found):
+        word = found.word("written_ns")
         until_s = time.monotonic() + WRITTEN_S
-        while time.monotonic() < until_s:
-            if not _waiting(pipe):
-                return True
+        while word.get() < asked_ns:
+            if time.monotonic() >= until_s:
+                return False
             await asyncio.sleep(LOOK_S)
-        now = epoch()
-        return before is not None and now is not None and now > before
-    except OSError:
-        return False
-    finally:
-        os.close(pipe)
-
-
-def _waiting(pipe: int) -> int:
-    """Bytes that nobody has read yet. Raises OSError."""
-    found: tuple[int] = _INT.unpack(fcntl.ioctl(pipe, termios.FIONREAD, _INT.pack(0)))
-    return found[0]
+    return True

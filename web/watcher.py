@@ -56,10 +56,6 @@ class Watcher:
             assert self._follower is not None
             self._show(face.face(self.state, self._follower.events, unix_s))
 
-    def epoch(self) -> int | None:
-        """The newest epoch that was seen."""
-        return self.state.epoch if self.state else None
-
     @staticmethod
     def _what_matters(state: State) -> object:
         moves = any(state.wheels_radps)

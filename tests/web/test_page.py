@@ -43,6 +43,21 @@ def test_stopped_again_while_it_is_stopped(trial: Trial, web: Web) -> None:
     assert (status, said["written"]) == (200, True)
 
 
+def test_while_the_board_is_unplugged_no_stop_is_said_to_be_written() -> None:
+    """The wheels may turn: who has touched STOP must hear of the power switch."""
+    with Trial(f"web-gone-{os.getpid()}") as lost, Web(lost.name) as page:
+        lost.enable()
+        lost.drive(0.3)
+        lost.board.unplug()
+        wait_for("the loss", lambda: "is gone" in lost.service.said())
+        status, said = page.post("/api/stop")
+        assert (status, said["written"]) == (200, False)
+        lost.board.replug()
+        wait_for("the port", lambda: "is back" in lost.service.said())
+        status, said = page.post("/api/stop")
+        assert (status, said["written"]) == (200, True)
+
+
 def test_everything_that_is_answered_carries_the_headers(web: Web) -> None:
     for method, path in (("GET", "/"), ("GET", "/page.js"), ("GET", "/nowhere"), ("PUT", "/"), ("POST", "/api/stop/x")):
         _, headers, _ = web.ask(method, path)
