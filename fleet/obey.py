@@ -25,21 +25,22 @@ FORGOTTEN = "asked for before its publisher was started anew, which does not kno
 class Duty:
     """One stop that this robot carries out."""
 
-    def __init__(self, order: Order, now_s: float, unix_s: float, epoch: int | None) -> None:
-        """It is in the stop pipe. `now_s`: monotonic; `epoch`: the service's before that, None where that was not to be
-        read."""
+    def __init__(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
+        """It is in the stop pipe. `now_s`: monotonic; `before`: the service's state before that, None where that was
+        not to be read."""
         self.id = order.id
         self.reached: dict[str, float] = {levels.ASKED: 0.0}
         self.why = ""
         self.told_s = now_s
         self._since_s = now_s
         self._unix_s = unix_s
-        self._epoch = epoch
+        self._epoch = before.epoch if before else None
+        self._latched = before.cause if before else None
 
     def look(self, state: State | None, now_s: float) -> bool:
         """True when something more has become known of it."""
         stop = state.last_stop if state else None
-        if stop is None or not self._answers_it(stop):
+        if state is None or stop is None or not self._answers_it(state, stop):
             return False
         known = {
             levels.FAILED: stop.written_s is None,
@@ -54,9 +55,13 @@ class Duty:
         self.why = UNWRITTEN if known[levels.FAILED] else ""
         return bool(new)
 
-    def _answers_it(self, stop: Stop) -> bool:
-        """A stop of before the request is no answer to it; whichever came after it is."""
-        return stop.t >= self._unix_s if self._epoch is None else stop.epoch > self._epoch
+    def _answers_it(self, state: State, stop: Stop) -> bool:
+        """A stop of before the request is no answer to it; whichever came after it is. So is the one that was latched
+        before, and is: the service has heard the request, follows the first stop alone, and still hears the board."""
+        if self._epoch is None:
+            return stop.t >= self._unix_s
+        was_latched = self._latched is not None and state.cause == self._latched
+        return stop.epoch > self._epoch or (was_latched and state.epoch > self._epoch and state.device.link == "alive")
 
     def open(self, now_s: float) -> bool:
         """More may become known of it."""
@@ -110,10 +115,10 @@ class Obedience:
         """It could not be asked for. It stays new: it is tried again when the sender repeats it."""
         return Answer(order.id, self._robot, {levels.FAILED: 0.0}, problem)
 
-    def begin(self, order: Order, now_s: float, unix_s: float, epoch: int | None) -> None:
-        """It was asked for, at `now_s` and in `epoch` or later."""
+    def begin(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
+        """It was asked for, at `now_s`; `before`: the service's state before that."""
         self._seen.obeyed(order.id, order.unix_s, unix_s)
-        duty = self._duties[order.id] = Duty(order, now_s, unix_s, epoch)
+        duty = self._duties[order.id] = Duty(order, now_s, unix_s, before)
         self._followed = [*self._followed, duty][-MOST_DUTIES:]
         while len(self._duties) > MOST_DUTIES:
             del self._duties[next(iter(self._duties))]

@@ -215,7 +215,7 @@ class Publisher:
             if problem := self._robot.stop(order.reason, order.by):
                 answer = self._obedience.failed(order, problem)
             else:
-                self._obedience.begin(order, now_s, unix_s, state.epoch if state else None)
+                self._obedience.begin(order, now_s, unix_s, state)
                 self._look_at_s, self._unsaved = now_s + FIRST_LOOK_S, True
             standard.say(f"fleet stop by {order.by}: {order.reason or 'no reason given'}: {problem or 'asked for'}")
         if answer:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from failstop.fleet import levels, obey
 from failstop.fleet.levels import Answer, Order
 from failstop.fleet.obey import Obedience
 from failstop.fleet.replay import Seen
+from failstop.policy import causes
 from tests.support import states
 
 KEY = bytes(range(32))
@@ -33,9 +35,12 @@ def robot() -> Obedience:
     return Obedience(KEY, "robot-1", Seen(10.0))
 
 
-def begin(robot: Obedience, given: Order, now_s: float = 0.0, epoch: int | None = EPOCH) -> None:
+BEFORE = states.state(epoch=EPOCH)
+
+
+def begin(robot: Obedience, given: Order, now_s: float = 0.0, before: State | None = BEFORE) -> None:
     assert robot.hear(given.message(KEY), now_s, UNIX_S) == (given, None)
-    robot.begin(given, now_s, UNIX_S, epoch)
+    robot.begin(given, now_s, UNIX_S, before)
 
 
 def told(answers: list[Answer]) -> list[list[str]]:
@@ -81,9 +86,21 @@ def test_whatever_stop_came_after_the_request_confirms_it(robot: Obedience) -> N
     assert told(robot.look(stopped(epoch=EPOCH + 3, written_s=1e-06), 1.0)) == [[levels.ASKED, levels.WRITTEN]]
 
 
+def test_a_stop_that_is_latched_already_confirms_it_once_the_service_has_heard_it(robot: Obedience) -> None:
+    before = stopped(epoch=EPOCH, written_s=1e-06, acknowledged_s=4e-03)
+    begin(robot, order(), before=before)
+    assert told(robot.look(before, 0.1)) == [[levels.ASKED]], "not heard yet"
+    heard = dataclasses.replace(before, epoch=EPOCH + 1)
+    deaf = dataclasses.replace(heard, device=dataclasses.replace(heard.device, link="deaf"))
+    assert robot.look(deaf, 0.2) == []
+    another = dataclasses.replace(heard, cause=causes.DIED("gate"))
+    assert robot.look(another, 0.3) == [], "it was reset meanwhile, and what is told of the new one comes soon"
+    assert told(robot.look(heard, 0.4)) == [[levels.ASKED, levels.WRITTEN, levels.ACKNOWLEDGED]]
+
+
 @pytest.mark.parametrize(("t", "confirms"), [(UNIX_S - 1, False), (UNIX_S + 0.1, True)])
 def test_where_the_epoch_was_not_known_the_time_decides(robot: Obedience, t: float, confirms: bool) -> None:
-    begin(robot, order(), epoch=None)
+    begin(robot, order(), before=None)
     (answer,) = robot.look(stopped(epoch=1, written_s=1e-06, t=t), 1.0)
     assert (levels.WRITTEN in answer.reached) is confirms
 

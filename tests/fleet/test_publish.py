@@ -144,6 +144,8 @@ def test_a_real_robot_is_stopped_and_confirms(trial: Trial, published: Any, list
     assert state.estop == "fleet stop: smoke (by ann)"
     assert not trial.moving()
     pump("the latch", lambda: said(listener, "state")["safetyState"]["eStop"] == "MANUAL", listener)
+    again = failstop("fleet", "stop", "once more", *options)
+    assert (again.returncode, again.stdout.splitlines()[0]) == (0, "1 of 1 robots have confirmed the stop")
 
 
 def test_a_killed_publisher_is_lost_and_an_ended_one_is_not(published: Any, listener: Listener) -> None:
