@@ -37,6 +37,8 @@ MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
+MOVES = (records.ENABLE, records.ARM_MOVE, records.ARM_DRIVE, records.ARM_TUCK)
+"""Requests after which something may move: those from before the last stop are refused."""
 LOOK_AT_ALL_EVERY = 10
 """Ticks between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
 
@@ -66,7 +68,7 @@ class Gate:
         self._watch_others(context)
         self.epoch = self._epoch_word.get()
         self._raised_ns = 0
-        """When the epoch was raised last: requests to enable from before that are refused."""
+        """When the epoch was raised last."""
         self._last = causes.UNKNOWN()
         """The cause of the last stop."""
         self.core.limit_to(self._limit_word.get() or 100)
@@ -287,7 +289,7 @@ class Gate:
         if verb == records.RESET:
             self._resets.ask((slot, slot.session, number, asked_ns))
             return
-        if verb == records.ENABLE and asked_ns < self._raised_ns:
+        if verb in MOVES and asked_ns < self._raised_ns:
             reply = asked_before(self._last)
         elif verb == records.ENABLE:
             reply = self._enable(slot, number, now_ns)

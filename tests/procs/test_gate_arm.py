@@ -12,13 +12,14 @@ from struct import unpack_from
 import pytest
 
 from failstop.policy import causes
+from failstop.policy.reply import unpack
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.shm import box, records
 from tests.support.amounts import amount
 from tests.support.arm_settings import ARM, DRIVE, SERVOS
 from tests.support.stage import MS
 
-from .arm_scene import ZERO_WHEELS, ArmScene
+from .arm_scene import SESSION, ZERO_WHEELS, ArmScene
 
 FOLLOW, JOG = records.ARM_FOLLOW, records.ARM_JOG
 
@@ -509,3 +510,57 @@ def test_the_gamepad_beside_a_program_latches(scene: ArmScene) -> None:
     scene.pad(1, 0.5)
     scene.run(0.02)
     assert scene.gate.core.latch == causes.TWO_MOVE_THE_ARM("test (pid 0)", "gamepad")
+
+
+def test_a_stream_that_a_stop_has_ended_does_not_begin_again_by_a_reset(scene: ArmScene) -> None:
+    """Who holds a key through both has to let go of it first: a reset moves nothing."""
+    follow(scene, 1.0, 0.3)
+    scene.stop(causes.PIPED(""))
+    stood = scene.at(1)
+    follow(scene, 0.3, -0.3)
+    scene.ask_for(records.RESET, client=1)
+    follow(scene, 1.0, -0.3)
+    assert scene.answered(client=1)[0] == records.DONE
+    assert scene.at(1) == pytest.approx(stood, abs=1)
+    assert scene.state()["refused"] == "the goals before it were ended: pause first"
+    scene.run(0.6)
+    follow(scene, 1.0, -0.3)
+    assert scene.at(1) < stood - 10
+
+
+def test_a_stick_that_is_held_through_a_stop_and_a_reset_turns_no_joint_until_it_was_let_go_of(
+    scene: ArmScene,
+) -> None:
+    def hold(share: float) -> None:
+        for _ in range(20):
+            scene.pad(1, share)
+            scene.run(0.05)
+
+    hold(0.5)
+    scene.stop(causes.PIPED(""))
+    scene.ask_for(records.RESET)
+    scene.run(0.06)
+    assert scene.answered()[0] == records.DONE
+    stood = scene.at(2)
+    hold(0.5)
+    assert scene.at(2) == stood
+    scene.pad(1, 0.0)
+    scene.run(0.02)
+    hold(0.5)
+    assert scene.at(2) > stood + 10
+
+
+@pytest.mark.parametrize("verb", [records.ARM_DRIVE, records.ARM_TUCK, records.ARM_MOVE])
+def test_a_way_that_was_asked_for_before_a_stop_is_not_gone_after_it(scene: ArmScene, verb: int) -> None:
+    """Its client was held up after it had dated the request."""
+    asked_ns = scene.clock()
+    scene.run(0.02)
+    scene.stop(causes.PIPED(""))
+    scene.ask_for(records.RESET, client=1)
+    assert scene.finish(client=1)[0] == records.DONE
+    scene.segment_of(0).latest_writer("request").write(records.REQUEST.pack(SESSION, 1, verb), asked_ns)
+    scene.run(1.0)
+    entry = scene.own.latest_reader("reply.0").read()
+    assert entry
+    assert "before the last stop" in str(unpack(entry[2])[2])
+    assert not scene.moves

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 ENABLED = "wheels enabled"
 LATCHED = f"a stop is latched ({CAUSE})"
+ENDED = "the goals before it were ended: pause first"
 SERVICE = 0
 """The session of the service's own journeys: to the drive pose, to the tuck pose."""
 MOVES_APART_NS = MOST_MOVES * MOVE_NS
@@ -57,6 +58,8 @@ class ArmCore:
         self._space = Space(settings, self.joints)
         self._journey: Journey | None = None
         self._goals: dict[str, Goal] = {}
+        self._ended: dict[int, int] = {}
+        """The last goal of each session whose stream a stop or an enable has ended, and that goes on all the same."""
         self._schedule: list[tuple[int, list[Joint]]] = []
         """When the joints of each frame are due, the next first; empty: no servo is on its way."""
         self._load_ns = self._let_go_ns = self._apart_ns = 0
@@ -114,7 +117,7 @@ class ArmCore:
         """A goal of a stream. Returns why it is not taken; that of another publisher is the gate's to look for."""
         goal.t_ns = min(goal.t_ns, now_ns)
         check = goals.too_far if goal.mode == goals.FOLLOW else goals.too_fast
-        self.refused = self.closed or check(goal.joints, goal.values)
+        self.refused = self._shut(goal) or check(goal.joints, goal.values)
         if self.refused:
             return self.refused
         if (way := self.way) and way.session == SERVICE:
@@ -129,6 +132,19 @@ class ArmCore:
         self._goals[goal.mode] = goal
         self.active_ns, self.released = now_ns, False
         return ""
+
+    def _shut(self, goal: Goal) -> str:
+        """Why no goal of its stream counts now. One that goes on through a stop and a reset must not move the arm by
+        that reset: whoever holds a key has to let go of it first."""
+        ended_ns = self._ended.pop(goal.session, None)
+        if not self.closed and (ended_ns is None or goal.t_ns - ended_ns > self._timeout_ns):
+            return ""
+        self._ended[goal.session] = goal.t_ns
+        return self.closed or ENDED
+
+    def pause(self, session: int) -> None:
+        """Its stream is over, by its own doing."""
+        self._ended.pop(session, None)
 
     def travel(self, journey: Journey, now_ns: int, why: str = "preempted") -> bool:
         """Begin a journey; whoever moved the arm before moves it no more, and is told why. As drop()."""
@@ -158,6 +174,12 @@ class ArmCore:
         self._load_ns = 0
         self._end_stream()
         return was
+
+    def stop(self, why: str) -> None:
+        """As drop(), for a stop that is written already: it ends what was let go of, too, and every stream."""
+        self._ended |= {goal.session: goal.t_ns for goal in self._goals.values()}
+        self.letting_go.clear()
+        self.drop(why)
 
     def forget(self) -> None:
         """Nobody reads from here on: where the joints are must be read again before they move."""

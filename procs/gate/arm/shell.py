@@ -122,11 +122,11 @@ class Arm:
 
     def stopped(self, reason: str) -> None:
         """A stop, whose write has stopped the arm: nobody moves it any more."""
-        self.core.letting_go.clear()
-        self.core.drop(reason)
+        self.core.stop(reason)
 
     def client_gone(self, session: int, now_ns: int) -> None:
         """A client has left or died: what it moved is held, what it waited for is given up."""
+        self.core.pause(session)
         if self.core.moved_by(session):
             self.core.drop("its client has gone")
             self._hold(now_ns)
@@ -161,6 +161,8 @@ class Arm:
             return
         joint = self.core.joints[index]
         self._pad_joint = joint.name
+        if not share:
+            self.core.pause(PAD_PUBLISHER)
         goal = Goal(goals.JOG, PAD_PUBLISHER, PAD, t_ns, [joint], (share * joint.speed / PULSES_PER_RAD,))
         if share and not self._rivals(PAD_PUBLISHER, PAD, now_ns):
             self.core.take(goal, now_ns)
