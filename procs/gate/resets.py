@@ -28,7 +28,9 @@ class Resets:
         self._waiting: list[Asked] = []
 
     def ask(self, asked: Asked) -> None:
-        """Pass one on, when it is its turn."""
+        """Pass one on, when it is its turn. Of those who ask again before it is, the newest counts: the line is no
+        longer than there are slots."""
+        self._waiting[1:] = [each for each in self._waiting[1:] if each[0] is not asked[0]]
         self._waiting.append(asked)
         if len(self._waiting) == 1:
             self._pass_on()

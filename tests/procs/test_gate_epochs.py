@@ -66,6 +66,20 @@ def test_resets_are_decided_one_after_the_other(gate_scene: Scene) -> None:
     assert gate_scene.replied() == (8, True, "no stop is latched")
 
 
+def test_who_asks_for_resets_without_end_is_in_the_line_once(gate_scene: Scene) -> None:
+    """While the first one is being decided; nobody else has to wait behind the rest."""
+    mine, other = gate_scene.gate.clients.slots[:2]
+    gate_scene.stop(2, "key1")
+    gate_scene.tick()
+    for number in range(1000):
+        gate_scene.gate.client_request(mine, number, records.RESET, gate_scene.clock(), gate_scene.clock())
+    gate_scene.gate.client_request(other, 1, records.RESET, gate_scene.clock(), gate_scene.clock())
+    gate_scene.decide()
+    assert gate_scene.own.word("resets_asked").get() == 3
+    assert gate_scene.replied() == (999, True, "no stop is latched")
+    assert gate_scene.own.latest_reader("reply.1").read()
+
+
 def test_a_damaged_cause_latches_too(gate_scene: Scene) -> None:
     record = records.LATCH.pack(2, gate_scene.clock(), gate_scene.clock(), b"?")
     gate_scene.own_supervisor().latest_writer("latch").write(record, gate_scene.clock())
