@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from failstop.api.client import Client
-from failstop.procs import starved
 from failstop.procs.stopper.main import HANG_NS
 from failstop.shm import records, ring
 from failstop.shm.barrier import Barrier
@@ -176,7 +175,7 @@ def test_the_stoppers_look_before_moving(tmp_path: Path, monkeypatch: pytest.Mon
     scene = stopper_scene.Scene(tmp_path, monkeypatch)
     try:
         trace.watch(moving=scene.stopper._port_owner_moving)
-        monkeypatch.setattr(starved, "look", lambda *_: trace.done.append("look") or True)
+        monkeypatch.setattr(scene.stopper, "_starved", lambda *_: trace.done.append("look") or True)
         scene.written(HANG_NS // MS + 5, alive=False)
         assert trace.has("look", "barrier", "load moving")
         assert trace.done.index("load moving") > trace.done.index("barrier") > trace.done.index("look")
