@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 
 import pytest
@@ -37,6 +38,21 @@ def test_what_is_started_again_may_take_longer_for_its_start(hardy_trial: Trial)
     wait_for("another gate", lambda: hardy_trial.service.pids()["gate"] not in (0, gate))
     wait_for("the service to be ready", hardy_trial.service.ready)
     assert int(limits(hardy_trial.service.pids()["gate"])["Max realtime timeout"]) == LOOP_US
+
+
+@pytest.mark.parametrize("process", [name for name in PROCESSES if name != SUPERVISOR])
+def test_an_interrupt_is_an_end_at_once(trial: Trial, process: str) -> None:
+    """No exception, and no interpreter that is taken down."""
+    trial.enable()
+    trial.drive(0.2)
+    pid = trial.service.pids()[process]
+    trial.board.events()
+    begun_ns = time.monotonic_ns()
+    os.kill(pid, signal.SIGINT)
+    stop = trial.board.wait_for(lambda event: event.is_stop and event.arrival_ns >= begun_ns, 5.0)
+    assert (stop.arrival_ns - begun_ns) / 1e6 < LATEST_MS
+    wait_for("its end", lambda: trial.robot.state.processes[process].last_exit == "killed by SIGINT")
+    assert "Traceback" not in trial.service.said()
 
 
 @pytest.mark.alone
