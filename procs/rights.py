@@ -56,7 +56,7 @@ def take_rights(priority: int) -> int:
     that the kernel needs to report this process's death.
     """
     granted = 0
-    _limit(resource.RLIMIT_CORE, NO_DUMP)
+    leave_no_dump()
     _limit(resource.RLIMIT_RTTIME, None)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
@@ -68,6 +68,11 @@ def take_rights(priority: int) -> int:
     if futex.proven():
         granted |= EARLY_NEWS
     return granted
+
+
+def leave_no_dump() -> None:
+    """For whoever others stop the wheels for."""
+    _limit(resource.RLIMIT_CORE, NO_DUMP)
 
 
 def settle() -> None:
