@@ -10,6 +10,7 @@ from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.policy.settings import Settings
+from failstop.procs import rights
 from failstop.ros2 import mirrors
 from failstop.ros2.contract import NODE, SETTINGS, Qos, Setting
 from failstop.ros2.inward import Inward
@@ -171,6 +172,7 @@ def main(name: str, ros_arguments: Sequence[str]) -> int:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
+    rights.leave_no_dump()
     try:
         rclpy.init(args=["failstop", *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:

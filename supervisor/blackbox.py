@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import os
 
+import msgpack
+
 from failstop.shm import box, layout, records
 from failstop.supervisor.starter import environment, script_command
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from typing import Any
 
     from failstop.supervisor.run import Run
     from failstop.supervisor.stops import Stop
@@ -29,8 +32,6 @@ PATIENCE_NS = 60_000_000_000
 MOST_SAVERS = 4
 """Stops that are being saved, or wait for it, at one time."""
 FINISH_S = 1.0
-NOTHING = "nothing to save"
-"""The saver's word on a run that never was ready."""
 NEXT = "next: look at the disk and at the state directory"
 
 
@@ -52,15 +53,16 @@ class Saver:
             os.close(self._hurry)
             self._hurry = -1
 
-    def last_word(self) -> str:
-        """Of one that has ended. Its descriptors are given back."""
+    def last_word(self) -> dict[str, Any] | None:
+        """Of one that has ended: what it has saved, if anything, or what is `wrong`; None: it said nothing. Its
+        descriptors are given back."""
         try:
-            told = os.read(self._result, 4096).decode("utf-8", "replace")
-        except OSError:
-            told = ""
+            told = msgpack.unpackb(os.read(self._result, 4096))
+        except (OSError, ValueError):
+            told = None
         self.hasten()
         os.close(self._result)
-        return told
+        return told if isinstance(told, dict) else None
 
 
 class BlackBox:
@@ -164,16 +166,17 @@ class BlackBox:
                 self._savers.remove(saver)
                 self._tell(code, saver.last_word())
 
-    def _tell(self, code: int, told: str) -> None:
-        if not code and told == NOTHING:
+    def _tell(self, code: int, told: dict[str, Any] | None) -> None:
+        if not code and told == {}:
             return
-        if not code and told.startswith("saved "):
-            identity = told.removeprefix("saved ")
-            text = f"incident {identity} saved; next: {self._events.command(f'incident show {identity}')}"
-            self._events.tell("incident", text, {"id": identity})
+        told = told or {}
+        identity = "" if code else told.get("id")
+        if identity:
+            show = self._events.command(f"incident show {identity}")
+            self._events.tell("incident", f"incident {identity} saved; next: {show}", told)
         else:
             died = f"the saver was killed by signal {-code}" if code < 0 else f"the saver ended with code {code}"
-            self._not_saved(f"{records.printable(told) or died}; {NEXT}")
+            self._not_saved(f"{records.printable(str(told.get('wrong', ''))) or died}; {NEXT}")
 
     def _not_saved(self, why: str) -> None:
         self._events.tell("incident", f"incident not saved: {why}", {"reason": why}, level="warning")

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from failstop.supervisor.restarts import Restarts
 
 _SIGNALS = {found.value: found.name for found in signal.Signals}
+_SIGNALS[signal.SIGXCPU] += " (it ran on and on at real-time priority)"
 STARTING_NS = 5_000_000_000
 """A process that does not say that it runs within this time is killed."""
 

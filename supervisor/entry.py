@@ -44,11 +44,11 @@ def start(words: dict[str, str]) -> int:
         port.drain()
         port.close()
         return 1
-    try:
-        return main.run(world, resources, port, settings, notify, journal)
-    finally:
-        resources.remove()
-        port.close()  # an exit would wait for a port that does not drain
+    # Not where it fails: then every moment counts, and the next run saves what is left behind.
+    code = main.run(world, resources, port, settings, notify, journal)
+    resources.remove()
+    port.close()  # an exit would wait for a port that does not drain
+    return code
 
 
 def _take_signals() -> None:

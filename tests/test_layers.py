@@ -29,7 +29,7 @@ MACHINE = {
 """What a World is asked for instead, by module."""
 PROGRAM = "failstop.supervisor.child"
 """Run by its path, with a supervisor to start; imported for the name of a variable alone."""
-WITHOUT_A_WORLD = {"procs/world.py", "supervisor/events.py", "supervisor/port.py"}
+WITHOUT_A_WORLD = {"procs/world.py", "supervisor/child.py", "supervisor/events.py", "supervisor/port.py"}
 """The world itself; what is said on stderr; the first burst of a run, before there is a process to hand one to."""
 
 

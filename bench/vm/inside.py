@@ -98,13 +98,28 @@ def kill_one(name: str) -> Callable[[Scene], Iterator[Result]]:
     """The trial of one process."""
 
     def trial(scene: Scene) -> Iterator[Result]:
-        scene.moving()
-        victim = scene.pid(name)
-        since_ns = time.monotonic_ns()
-        os.kill(victim, signal.SIGKILL)
-        yield scene.judged(f"kill_{name}", since_ns)
+        yield _killed(scene, f"kill_{name}", name, signal.SIGKILL)
 
     return trial
+
+
+def crash(scene: Scene) -> Iterator[Result]:
+    """As where systemd-coredump or apport is: they read all of the dying process before it is gone."""
+    pattern = Path("/proc/sys/kernel/core_pattern")
+    before = pattern.read_text()
+    pattern.write_text("|/usr/bin/md5sum")
+    try:
+        yield _killed(scene, "crash", "gate", signal.SIGSEGV)
+    finally:
+        pattern.write_text(before)
+
+
+def _killed(scene: Scene, trial: str, name: str, number: int) -> Result:
+    scene.moving()
+    victim = scene.pid(name)
+    since_ns = time.monotonic_ns()
+    os.kill(victim, number)
+    return scene.judged(trial, since_ns)
 
 
 def kill_all(scene: Scene) -> Iterator[Result]:
@@ -321,6 +336,7 @@ DO: dict[str, Callable[[Scene], Iterator[Result]]] = {
     "floor": least,
     "plug": plug,
     **{f"kill_{name}": kill_one(name) for name in KILLED},
+    "crash": crash,
     "kill_all": kill_all,
     "stop": systemctl("stop"),
     "restart": systemctl("restart"),

@@ -56,6 +56,7 @@ TRIALS = (
     Trial("floor", "the floor: an idle Python process killed, noticed, bytes written", INSIDE, "the kill"),
     Trial("plug", "the plug starts the service that is stopped", INSIDE, "udev's rights", 5000.0),
     *(Trial(f"kill_{name}", f"SIGKILL of the {name}", INSIDE, "the kill", None, KILL_FLOORS, 2) for name in KILLED),
+    Trial("crash", "SIGSEGV of the gate, where a program takes the dumps", INSIDE, "the kill", None, KILL_FLOORS, 2),
     Trial("kill_all", "SIGKILL of all at once; ExecStopPost stops", INSIDE, "the kill", 2500.0),
     Trial("stop", "`systemctl stop` while driving", INSIDE, "its exec", 500.0),
     Trial("restart", "`systemctl restart` while driving", INSIDE, "its exec", 500.0),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import NamedTuple
 
 from failstop.api import words
@@ -17,15 +16,13 @@ if TYPE_CHECKING:
 LEFT_OFF = {"driver_silent": "fell silent while it drove", "driver_gone": "ended while it drove"}
 """Kinds that tell of a driver that left the wheels turning, and what it did."""
 SINCE = frozenset((*LEFT_OFF, "driver_ended", "enabled", "disabled", "reset", "stop", "stop_again"))
-STAMP = "%Y%m%d-%H%M%S"
-STAMP_CHARACTERS = len("20260131-120000")
 
 
 class Earlier(NamedTuple):
     """The run before this one, which was not ended in order."""
 
     t: float
-    """When: Unix time, to the second."""
+    """When: Unix time, s."""
     how: str
     incident: str
     """The incident that was saved of it."""
@@ -76,22 +73,5 @@ def earlier(events: Sequence[Event]) -> Earlier | None:
     """The run before this one, if it was not ended in order and is not long ago: the first events are still there."""
     if not events or events[0].seq != 1:
         return None
-    stops: list[int] = []
-    for event in events:
-        if event.kind == "stop":
-            stops.append(int(event.t))
-        elif event.kind == "incident" and (found := _of(event)):
-            # An incident of this run has its stop before it; its stamp is the cause's, a moment earlier.
-            own = any(0 <= stop - found.t <= 1 for stop in stops)
-            if not own and found.t <= events[0].t:
-                return found
-    return None
-
-
-def _of(event: Event) -> Earlier | None:
-    identity = str(event.fields.get("id", ""))
-    try:
-        t = time.mktime(time.strptime(identity[:STAMP_CHARACTERS], STAMP))
-    except (ValueError, OverflowError):
-        return None
-    return Earlier(t, identity[STAMP_CHARACTERS + 1 :].replace("-", " "), identity)
+    found = (event.fields for event in events if event.kind == "incident" and event.fields.get("run") == "before")
+    return next((Earlier(float(it["at"]), str(it["reason"]), str(it["id"])) for it in found), None)

@@ -19,7 +19,8 @@ from failstop.policy import causes
 from failstop.procs.telemetry.state_files import state_directory
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import STARTING
-from failstop.supervisor.blackbox import NOTHING, START_NS
+from failstop.shm.packing import pack
+from failstop.supervisor.blackbox import START_NS
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -35,10 +36,12 @@ RETURN_NS = 12_000_000_000
 """A lost port is waited for: no stop can be written before it is back, and a USB drop lasts 3 to 8 s."""
 LOOK_NS = 250_000_000
 PRESSURES = ("cpu", "memory", "io")
+MOST_SAID = 500
 
 
 def main(words: dict[str, str]) -> int:
-    """Save one incident; tells the result pipe `saved ID`, NOTHING, or why not. Returns the exit code.
+    """Save one incident; tells the result pipe which (empty: a dead run is not worth one), or what is `wrong`. Returns
+    the exit code.
 
     words: name; fds: SEGMENT:FD,...; keep, max_mb; result: a pipe's end to write to; until_ns: when to copy, or sooner,
     when the pipe `hurry` is closed; and for a run that still lives: cause_ns, epoch, reason.
@@ -46,26 +49,21 @@ def main(words: dict[str, str]) -> int:
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w", encoding="ascii") as adjust:
         adjust.write("500")  # of all processes here, the one to do without
     try:
-        identity = _save(words)
-        text, code = f"saved {identity}" if identity else NOTHING, 0
+        told, code = _save(words), 0
     except (OSError, segment.AttachError, file.IncidentError) as error:
-        text, code = f"{error}", 1
-    _tell(int(words["result"]), text)
-    return code
-
-
-def _tell(result: int, text: str) -> None:
-    """The supervisor; where it has died meanwhile, whoever reads its stderr."""
+        told, code = {"wrong": str(error)[:MOST_SAID]}, 1
     try:
-        os.write(result, text.encode("utf-8", "replace")[:2000])
+        os.write(int(words["result"]), pack(told))
     except OSError:
         from failstop.supervisor.events import say
 
-        say(f"the supervisor is gone; its saver says: {text}")
+        said = told.get("wrong") or (f"incident {told['id']} saved" if told else "nothing to save")
+        say(f"the supervisor is gone; its saver says: {said}")
+    return code
 
 
-def _save(words: dict[str, str]) -> str:
-    """Returns the incident's id; empty when a dead run is not worth one."""
+def _save(words: dict[str, str]) -> dict[str, Any]:
+    """Returns which: its id, when its cause was (Unix time, s), the cause's text, and of which run it is."""
     name = words["name"]
     fds = {which: int(fd) for which, _, fd in (pair.partition(":") for pair in words["fds"].split(","))}
     live = "cause_ns" in words
@@ -85,16 +83,19 @@ def _save(words: dict[str, str]) -> str:
         received = segments[layout.PORT_OWNER]["rings"]
         received["received"] = copying.merge(received["received"], earlier)
     if not live and segments[layout.SUPERVISOR]["words"]["beat_state"] == STARTING:
-        return ""  # it never was ready: why is in the journal, and a service that can't start must not fill the folder
+        return {}  # it never was ready: why is in the journal, and a service that can't start must not fill the folder
     if live:
         cause = int(words["cause_ns"]), int(words["epoch"]), causes.read(bytes.fromhex(words["cause"]))
     else:
         # What came before the end, if no other file has it, is what people look for.
         cause = copying.unsaved_cause(copies, START_NS) or copying.left_cause(copies)
     folder = os.path.join(state_directory(name, os.environ), FOLDER)
-    path = file.write(folder, *_contents(name, cause, live, copies, segments))
+    head, body = _head(name, cause, live, copies, segments), _body(segments)
+    stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(head["t"]))
+    path = file.write(folder, f"{stamp}-{slug(cause[2])}", file.build(head, body))
     prune(folder, name, int(words["keep"]), int(words["max_mb"]) * 1_000_000)
-    return os.path.basename(path).removesuffix(file.SUFFIX)
+    identity = os.path.basename(path).removesuffix(file.SUFFIX)
+    return {"id": identity, "at": round(head["t"], 3), "reason": head["reason"], "run": "this" if live else "before"}
 
 
 def _wait(until_ns: int, hurry: int) -> bool:
@@ -122,17 +123,17 @@ def _port_lost(name: str, fd: int) -> bool:
     return bool(found) and records.PORT.unpack(found[-1][2])[2] == records.PORT_LOST
 
 
-def _contents(
+def _head(
     name: str, cause: tuple[int, int, Cause], live: bool, copies: Copies, segments: dict[str, Any]
-) -> tuple[str, bytes]:
-    """The file's name, without its suffix, and its bytes."""
+) -> dict[str, Any]:
+    """What a list of incidents shows, and a newer version can always read."""
     cause_ns, epoch, why = cause
     now_s, release = time.time(), os.uname()
     # One clock for all that is in the file; a wall clock that was set since the stop is off by as much.
     unix_minus_monotonic_ns = round(now_s * 1e9) - time.monotonic_ns()
     at_s = (cause_ns + unix_minus_monotonic_ns) / 1e9
     versions = {"failstop": VERSION, "python": ".".join(map(str, sys.version_info[:3]))}
-    head = {
+    return {
         "name": name,
         "t": at_s,
         "saved": now_s,
@@ -148,13 +149,14 @@ def _contents(
         "host": release.nodename,
         "versions": {**versions, "kernel": release.release, "machine": release.machine},
     }
-    body = {
+
+
+def _body(segments: dict[str, Any]) -> dict[str, Any]:
+    return {
         "segments": segments,
         "settings": dict(line.split("=", 1) for line in os.environ.get("FAILSTOP_SETTINGS", "").splitlines()),
         "machine": machine(),
     }
-    stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(at_s))
-    return f"{stamp}-{slug(why)}", file.build(head, body)
 
 
 def _outcome(copies: Copies, segments: dict[str, Any], cause: tuple[int, int, Cause]) -> dict[str, Any] | None:

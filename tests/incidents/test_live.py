@@ -194,7 +194,7 @@ def test_a_supervisor_that_dies_while_a_stop_is_being_saved(scene: Scene) -> Non
     trial.leave()
     trial.service.kill()
     assert scene.saved().reason.startswith("stop request: and then it got worse")
-    word = f"failstop: the supervisor is gone; its saver says: saved {scene.saved().id}\n"
+    word = f"failstop: the supervisor is gone; its saver says: incident {scene.saved().id} saved\n"
     wait_for("the saver's word", lambda: word in trial.service.said(), SAVED_S)
     assert "Traceback" not in trial.service.said()
     trial.service.start()

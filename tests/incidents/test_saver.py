@@ -24,7 +24,6 @@ from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 from failstop.shm import box, layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
-from failstop.supervisor.blackbox import NOTHING
 
 _numbers = itertools.count()
 SCRIPT = Path(failstop.__file__).parent / "incidents" / "start.py"
@@ -61,9 +60,10 @@ class Saving:
         command = [sys.executable, "-I", "-S", str(SCRIPT), *(f"{key}={value}" for key, value in words.items())]
         return subprocess.Popen(command, env=environment, pass_fds=passed)
 
-    def save(self, **words: object) -> str:
+    def save(self, **words: object) -> dict[str, object]:
         self.start(hurry=self._wait, **words).wait(30)
-        return os.read(self.result, 4096).decode()
+        told: dict[str, object] = msgpack.unpackb(os.read(self.result, 4096))
+        return told
 
     def live(self, **words: object) -> dict[str, object]:
         now_ns = time.monotonic_ns()
@@ -92,7 +92,8 @@ def test_one_file_with_everything(saving: Saving) -> None:
     saving.supervisor.word("epoch").set(2)
     told = saving.save(**saving.live())
     incident = saving.newest()
-    assert told == f"saved {incident.id}"
+    at = round(incident.head["t"], 3)
+    assert told == {"id": incident.id, "at": at, "reason": str(SAID), "run": "this"}
     assert incident.id.endswith("-stop-request-a-b-and-so-on")
     assert (incident.reason, incident.cause) == (str(SAID), SAID)
     assert incident.words(layout.SUPERVISOR)["epoch"] == 2
@@ -122,10 +123,10 @@ def test_it_copies_at_its_time_or_when_the_supervisor_ends(saving: Saving) -> No
 
 def test_a_dead_run_that_was_ready_once_is_saved_and_another_is_not(saving: Saving) -> None:
     saving.supervisor.word("beat_state").set(STARTING)
-    assert saving.save() == NOTHING
+    assert saving.save() == {}
     assert not saving.state.exists()
     saving.supervisor.word("beat_state").set(RUNNING)
-    assert saving.save().startswith("saved ")
+    assert saving.save()["run"] == "before"
     assert saving.newest().reason == "all of the service died"
 
 
@@ -139,7 +140,7 @@ def test_a_dead_run_s_file_is_of_what_came_first(saving: Saving) -> None:
     stops, wire = saving.port_owner.ring_writer("stops"), saving.port_owner.ring_writer("box")
     wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 1_000_300_000)
     stops.put(records.STOPPED.pack(2, 1_002_000_000, 1_002_100_000, causes.DIED("supervisor").pack()))
-    assert saving.save().startswith("saved ")
+    assert saving.save()["run"] == "before"
     incident = saving.newest()
     assert (incident.reason, incident.cause_ns, incident.head["kind"]) == ("gate died", 1_000_000_000, "left")
     assert incident.head["stop"]["written_us"] == 300.0
@@ -183,14 +184,14 @@ def test_a_service_that_ends_waits_for_no_port(saving: Saving) -> None:
 
 def test_a_state_directory_that_is_none_is_said_in_one_line(saving: Saving) -> None:
     saving.state.write_text("in the way")
-    assert saving.save(**saving.live()) == f"[Errno 20] Not a directory: '{saving.state}/incidents'"
+    assert saving.save(**saving.live()) == {"wrong": f"[Errno 20] Not a directory: '{saving.state}/incidents'"}
 
 
 def test_a_segment_of_another_version_is_said_in_one_line(saving: Saving) -> None:
     path = f"/dev/shm/failstop.{saving.name}.gate"
     with open(path, "r+b") as file:
         file.write(bytes(128))
-    assert saving.save(**saving.live()).endswith("has no whole header: restart the service")
+    assert str(saving.save(**saving.live())["wrong"]).endswith("has no whole header: restart the service")
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,9 @@ def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(ros: Ros) -
         driving(scene)
         with open(f"/proc/{scene.bridge.process.pid}/maps", encoding="utf-8") as file:
             assert "/dev/shm/fastrtps" not in file.read()
+        with open(f"/proc/{scene.bridge.process.pid}/limits", encoding="utf-8") as file:
+            dump = next(line for line in file if line.startswith("Max core file size")).split()[4]
+        assert int(dump) <= 1, "a crash leaves no dump, which would hold up the news of its death"
         killed_ns = time.monotonic_ns()
         scene.bridge.kill()
         assert zero_after(scene, killed_ns, 2.0) < 0.25, "sooner than its command would have timed out"

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import pytest
 
 from failstop.policy.settings import Settings
@@ -19,7 +20,6 @@ from failstop.supervisor.blackbox import (
     COPY_NS,
     MOST_SAVERS,
     NEXT,
-    NOTHING,
     PATIENCE_NS,
     SAMPLE_NS,
     START_NS,
@@ -36,6 +36,14 @@ from tests.support.why import why
 MS = 1_000_000
 T0 = 10**12
 _numbers = itertools.count()
+
+
+def word(told: object) -> str:
+    """A saver's, as printf(1) writes it."""
+    return "".join(f"\\{byte:03o}" for byte in msgpack.packb(told))
+
+
+SAID = word({"id": "0012"})
 
 
 class Told(Events):
@@ -68,7 +76,7 @@ class Scene:
         self.events = Told()
         self.now_ns = T0
         """When what is read next was written."""
-        self.word, self.code = "saved 0012", 0
+        self.word, self.code = SAID, 0
         self.started: list[dict[str, str]] = []
         self.settings = Settings({"incidents.keep": 7, "incidents.max_mb": 8})
         self.box = self.new()
@@ -199,12 +207,14 @@ SAVED = "incident 0012 saved; next: `failstop incident show 0012 --name left`"
 @pytest.mark.parametrize(
     ("word", "code", "told"),
     [
-        ("saved 0012", 0, [("incident", SAVED, {"id": "0012"}, "")]),
-        (NOTHING, 0, []),
-        (NOTHING, 3, NOTHING),
-        ("saved 0012", 3, "saved 0012"),
-        ("no room\\n", 1, "no room?"),
-        ("\\377", 1, "\ufffd"),
+        (SAID, 0, [("incident", SAVED, {"id": "0012"}, "")]),
+        (SAID, 3, "the saver ended with code 3"),
+        (word({}), 0, []),
+        (word({}), 3, "the saver ended with code 3"),
+        (word({"wrong": "no room\n"}), 1, "no room?"),
+        (word({"wrong": 7}), 1, "7"),
+        ("\\377", 1, "the saver ended with code 1"),
+        (word(["id"]), 0, "the saver ended with code 0"),
         ("", 3, "the saver ended with code 3"),
         ("", 0, "the saver ended with code 0"),
         ("", "$(kill -9 $$)", "the saver was killed by signal 9"),

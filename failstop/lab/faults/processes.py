@@ -39,6 +39,15 @@ HANG_OF = {
     STOPPER: ("supervisor, through the port owner", DEADLINES_MS[STOPPER]),
     SUPERVISOR: ("port owner (its lease), then systemd's watchdog", LEASE_MS),
 }
+AT_ITS_END = "port owner, as the kernel ends it; without real-time rights supervisor, through the port owner"
+LOOPS_IN = {
+    GATE: HANG_OF[GATE],
+    PORT_OWNER: ("supervisor, as it fences it or as the kernel ends it", DEADLINES_MS[PORT_OWNER]),
+    TELEMETRY: (AT_ITS_END, DEADLINES_MS[TELEMETRY]),
+    STOPPER: (AT_ITS_END, DEADLINES_MS[STOPPER]),
+    SUPERVISOR: ("port owner (its lease); then it has died", LEASE_MS),
+}
+"""At real-time priority the kernel ends an endless loop after 0.1 s (procs/rights.py)."""
 HANG_OF_BOTH = {
     (SUPERVISOR, PORT_OWNER): ("stopper", STOPPER_MS),
     (SUPERVISOR, GATE): ("port owner (its lease)", LEASE_MS),
@@ -62,7 +71,8 @@ def _row(
 ) -> Fault:
     """What stays latched is the first cause; a service that lost its supervisor starts again, with nothing latched.
     `fenced_s`: the hung hang until the supervisor has fenced them; 0: they are continued before."""
-    fates = {KILL: (causes.DIED,), HANG: (causes.HANGS, causes.STARVED), SPIN: (causes.HANGS, causes.STARVED)}
+    hangs = (causes.HANGS, causes.STARVED)
+    fates = {KILL: (causes.DIED,), HANG: hangs, SPIN: (*hangs, causes.DIED)}
     struck = {process: fates[action] for action, process in steps if action != CONTINUE}
     continued = {process for action, process in steps if action == CONTINUE}
     again = SUPERVISOR in struck and SUPERVISOR not in continued
@@ -96,7 +106,7 @@ def _kill(process: str) -> Fault:
 
 
 def _hang(process: str, action: str, cause: str) -> Fault:
-    first, bar_ms = HANG_OF[process]
+    first, bar_ms = (HANG_OF if action == HANG else LOOPS_IN)[process]
     steps = ((action, process),)
     fenced_s = DEADLINES_MS.get(process, bar_ms) / 1000
     return _row(f"{action}-{process}", HANGS, f"{cause} the {process}", first, bar_ms, steps, fenced_s=fenced_s)
