@@ -225,10 +225,11 @@ class Client:
         """Say in a line what this program sees, and what is wrong; the gate passes it on within 0.2 s."""
         self._records["said"].write(records.SAID.pack(self._session, sees, wrong))
 
-    def ask(self, verb: int) -> int:
-        """Make a request; returns its number, for answer(). Raises NoService."""
+    def ask(self, verb: int, asked_ns: int | None = None) -> int:
+        """Make a request; returns its number, for answer(). `asked_ns`: when it was asked for (CLOCK_MONOTONIC), if not
+        now. Raises NoService."""
         self._number += 1
-        self._records["request"].write(records.REQUEST.pack(self._session, self._number, verb))
+        self._records["request"].write(records.REQUEST.pack(self._session, self._number, verb), asked_ns)
         self._ring()
         return self._number
 

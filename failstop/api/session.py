@@ -41,6 +41,8 @@ class Turn:
 
     def __init__(self) -> None:
         self.thread = threading.get_ident()
+        self.asked_ns = time.monotonic_ns()
+        """A stop that comes while it waits for its turn is one that its caller did not know of."""
 
 
 class Session:
@@ -248,7 +250,7 @@ class Session:
             self._pending = turn
             if prepare:
                 prepare(client)
-            return client, run, client.ask(verb)
+            return client, run, client.ask(verb, turn.asked_ns)
 
     def _pass(self, turn: Turn) -> None:
         """Let the next one pass."""

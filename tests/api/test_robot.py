@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable
 
 import pytest
 
-from failstop import Block, Blocked, Driving, NoService, Preempted, Refused, Robot, TimedOut
+from failstop import Block, Blocked, Driving, FailstopError, NoService, Preempted, Refused, Robot, TimedOut
 from failstop.lab.trial import Trial, wait_for
 
 
@@ -211,6 +212,35 @@ def test_threads_that_drive_and_look_at_once(trial: Trial) -> None:
         for thread in threads:
             thread.join(10)
     assert not errors
+
+
+def test_what_had_to_wait_for_another_thread_s_request_was_asked_before_the_stop_that_came_meanwhile(
+    trial: Trial,
+) -> None:
+    """The gate hangs in front of the first, and is killed for that: a reset of before must not clear it."""
+    robot = Robot(trial.name)
+    robot.limit_speed(1.0)
+    told: list[str] = []
+
+    def ask(call: Callable[[], str]) -> None:
+        try:
+            told.append(call())
+        except FailstopError as error:
+            told.append(str(error))
+
+    gate = trial.service.pids()["gate"]
+    os.kill(gate, signal.SIGSTOP)
+    first = threading.Thread(target=ask, args=(lambda: robot.limit_speed(0.5),))
+    first.start()
+    wait_for("the first to be sent", lambda: robot._pending is not None)
+    second = threading.Thread(target=ask, args=(robot.reset,))
+    second.start()
+    first.join(10)
+    second.join(10)
+    assert "did not answer" in told[0]
+    assert "asked before the last stop (gate " in told[1]
+    assert trial.robot.state.cause
+    robot.close()
 
 
 def test_the_end_of_a_robot_is_met_by_its_other_threads(trial: Trial) -> None:
