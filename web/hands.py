@@ -13,11 +13,12 @@ MOST_WAITING = 4
 
 
 class Hands:
-    """One thread, so that a request that takes its time holds up nothing else, and least of all a STOP."""
+    """A thread for each, so that one that takes its time, as an enable with an arm does, holds up nothing else: no
+    STOP, no disable, and no reset, which would then be asked for after a stop that its operator did not know of."""
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._thread = ThreadPoolExecutor(1, "hands")
+        self._threads = ThreadPoolExecutor(MOST_WAITING, "hands")
         self._waiting = 0
 
     async def ask(self, verb: str, who: str, percent: object = None) -> tuple[bool, str]:
@@ -26,7 +27,7 @@ class Hands:
             return False, "others are asking: again in a moment"
         self._waiting += 1
         try:
-            return await asyncio.get_running_loop().run_in_executor(self._thread, self._ask, verb, who, percent)
+            return await asyncio.get_running_loop().run_in_executor(self._threads, self._ask, verb, who, percent)
         finally:
             self._waiting -= 1
 
@@ -44,4 +45,4 @@ class Hands:
 
     def close(self) -> None:
         """Wait for nobody."""
-        self._thread.shutdown(wait=False, cancel_futures=True)
+        self._threads.shutdown(wait=False, cancel_futures=True)

@@ -1,0 +1,34 @@
+"""What a paired device asks for while another request takes its time: an enable that moves an arm to its drive pose."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from bench.web.parts import Web
+from failstop.lab.trial import Trial, wait_for, write_settings
+from tests.support.arm_settings import ARM
+
+pytestmark = pytest.mark.page
+
+
+def test_a_disable_gives_up_an_enable_that_is_under_way(tmp_path: Path) -> None:
+    settings, pairing = tmp_path / "arm.toml", tmp_path / "web.toml"
+    write_settings(str(settings), ARM)
+    pairing.write_text('[web]\npairing = "on"\ntls = "on"\n')
+    with (
+        Trial(f"hands-{os.getpid()}", ("--config", str(settings))) as trial,
+        Web(trial.name, "--config", str(pairing), state=trial.state) as web,
+    ):
+        anna = web.pair()
+        answers: list[tuple[int, dict[str, str]]] = []
+        asking = threading.Thread(target=lambda: answers.append(web.post("/api/enable", headers=anna)))
+        asking.start()
+        wait_for("the arm to move", lambda: trial.robot.state.arm and trial.robot.state.arm.moving)
+        assert web.post("/api/disable", headers=anna) == (200, {"said": "motion disabled"})
+        asking.join()
+        assert answers == [(409, {"error": "motion disabled"})]
+        assert not trial.robot.state.enabled
