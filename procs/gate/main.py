@@ -88,6 +88,8 @@ class Gate:
         self._said_record = own.latest_writer("said")
         self._box = GateBox(own.ring_writer("box"))
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
+        self._replied = [(0, 0)] * layout.CLIENT_SLOTS
+        """The session and the number of the last request that was answered there."""
         self._port_owner_bell = context.bell("port_owner_bell")
         self.supervisor_bell = context.bell("supervisor_bell")
 
@@ -243,7 +245,12 @@ class Gate:
             self._remark(records.RESET, who, pid, reply, now_ns)
 
     def reply(self, slot: Slot, session: int, number: int, reply: Reply, now_ns: int) -> None:
-        """Tell a client, once the state that it reads is that of after its request."""
+        """Tell a client, once the state that it reads is that of after its request. What a later request of the same
+        session has given up is not told of: it would take the place of the answer to that one."""
+        last_session, last_number = self._replied[slot.index]
+        if session == last_session and number < last_number:
+            return
+        self._replied[slot.index] = session, number
         self._publish(now_ns)
         self._barrier()
         self._replies[slot.index].write(reply.pack(session, number))
