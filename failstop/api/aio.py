@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import closing
-from functools import cached_property
 
 from failstop.api.calls import Calls
 from failstop.api.events import LOOK_EVERY_S, Event, EventLog
@@ -26,11 +25,6 @@ class AsyncRobot(Calls):
     """What `Robot.connect()` returns; an asynchronous context manager. It belongs to one event loop. What is
     not here is as Robot has it."""
 
-    @cached_property
-    def _turn(self) -> asyncio.Lock:
-        """The tasks of a loop are one thread: a request of one waits here for that of another."""
-        return asyncio.Lock()
-
     async def __aenter__(self) -> AsyncRobot:
         self._check_open()
         return self
@@ -41,8 +35,7 @@ class AsyncRobot(Calls):
         self._close(in_order=not isinstance(error, Exception))
 
     async def _answered(self, verb: int, told: Told = None, prepare: Prepare = None) -> str:
-        async with self._turn:
-            return await _through(self._asking(verb, told, prepare))
+        return await _through(self._asking(verb, told, prepare, task=asyncio.current_task()))
 
     async def enable(self, told: Callable[[str], None] | None = None) -> str:
         """As Robot.enable."""

@@ -37,10 +37,12 @@ CLOSING_S = 0.3
 
 
 class Turn:
-    """A thread's place in the queue of a session's requests."""
+    """A place in the queue of a session's requests."""
 
-    def __init__(self) -> None:
+    def __init__(self, task: object) -> None:
+        """`task`: of an event loop, that awaits its turn; None: the thread itself waits, and its tasks with it."""
         self.thread = threading.get_ident()
+        self.task = task
         self.asked_ns = time.monotonic_ns()
         """A stop that comes while it waits for its turn is one that its caller did not know of."""
 
@@ -202,13 +204,18 @@ class Session:
         return sleep_through(self._asking(verb, told, prepare))
 
     def _asking(
-        self, verb: int, told: Told = None, prepare: Prepare = None, answer_s: float | None = None
+        self,
+        verb: int,
+        told: Told = None,
+        prepare: Prepare = None,
+        answer_s: float | None = None,
+        task: object = None,
     ) -> Steps[str]:
         """One request to the gate, until it is answered. The gate keeps one request of a client, and its answer, so
-        those of several threads go one after the other; one that is under way, such as an arm's move, lets others pass,
-        which is how it is given up. `told` is called with each word of how far it is, where that takes time; `prepare`:
-        what the gate finds with the request. Raises Refused, NoAnswer, NoService, FailstopError."""
-        turn, said = Turn(), ""
+        those of several threads or tasks go one after the other; one that is under way, such as an arm's move, lets
+        others pass, which is how it is given up. `told` is called with each word of how far it is, where that takes
+        time; `prepare`: what the gate finds with the request. Raises Refused, NoAnswer, NoService, FailstopError."""
+        turn, said = Turn(task), ""
         limit_s = self._answer_s if answer_s is None else answer_s
         try:
             while not (sent := self._send(verb, turn, prepare)):
@@ -238,11 +245,11 @@ class Session:
             self._pass(turn)
 
     def _send(self, verb: int, turn: Turn, prepare: Prepare) -> tuple[Client, Run, int] | None:
-        """By whom, in which run, under which number; None while another thread's is on its way. A signal's handler goes
-        before what it has interrupted."""
+        """By whom, in which run, under which number; None while another thread's or task's is on its way. A signal's
+        handler goes before what it has interrupted, and so does a thread before its tasks."""
         with self._lock:
             before = self._pending
-            if before and before.thread != turn.thread:
+            if before and (before.thread != turn.thread or turn.task not in (None, before.task)):
                 self._check_open()
                 return None
             run = self._current()

@@ -10,6 +10,7 @@ import pytest
 
 from failstop import AsyncRobot, Driving, Refused, Robot, TimedOut
 from failstop.api import news
+from failstop.api.session import Turn
 from failstop.lab.trial import Trial
 
 
@@ -43,6 +44,19 @@ def test_events_and_requests_of_several_tasks(trial: Trial) -> None:
             return found
 
     assert asyncio.run(stop_is_told()) == ["enabled", "disabled", "enabled", "stop"]
+
+
+def test_what_takes_no_await_goes_before_a_task_that_waits_for_its_answer(trial: Trial) -> None:
+    """The end of the Robot is such a call: it would wait for a task that can't go on meanwhile."""
+
+    async def end() -> None:
+        robot = Robot.connect(trial.name)
+        await robot.enable()
+        robot._pending = Turn(object())
+        robot.close()
+
+    asyncio.run(end())
+    assert not trial.robot.state.enabled
 
 
 def test_the_speed_is_limited_by_either(trial: Trial) -> None:

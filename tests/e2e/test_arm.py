@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from failstop import Refused
+from failstop import Refused, Robot
 from failstop.board.framing import BUS_SERVO
 from failstop.lab.trial import Trial, wait_for, write_settings
 from tests.support.arm_settings import ARM, DRIVE, SERVOS
@@ -101,9 +103,30 @@ def test_a_stop_on_the_way_to_the_drive_pose_wins(arm: Trial) -> None:
     assert arm.board.joints() == stood
 
 
-def test_a_second_publisher_latches(arm: Trial) -> None:
-    from failstop.api.robot import Robot
+def test_a_disable_gives_up_an_enable_of_another_task(arm: Trial) -> None:
+    async def ask() -> None:
+        async with Robot.connect(arm.name) as robot:
+            enabling = asyncio.create_task(robot.enable())
+            await robot.wait_for(lambda state: bool(state.arm and state.arm.moving), 5.0)
+            assert await robot.disable() == "motion disabled"
+            with pytest.raises(Refused):
+                await enabling
+            assert not robot.state.enabled
 
+    asyncio.run(ask())
+
+
+def test_a_disable_gives_up_an_enable_of_another_thread(arm: Trial) -> None:
+    with Robot(arm.name) as robot, ThreadPoolExecutor(1) as threads:
+        enabling = threads.submit(robot.enable)
+        robot.wait_for(lambda state: bool(state.arm and state.arm.moving), 5.0)
+        assert robot.disable() == "motion disabled"
+        with pytest.raises(Refused):
+            enabling.result()
+        assert not robot.state.enabled
+
+
+def test_a_second_publisher_latches(arm: Trial) -> None:
     follow(arm, 0.3)
     with Robot(arm.name, client="other") as other:
         other.arm.follow({"wrist": 0.1})
