@@ -21,8 +21,8 @@ _MCL_ONFAULT = 4
 
 LOOP_US = 100_000
 """Processor time at real-time priority without a pause after which the kernel ends this process. Who loops there takes
-its core from all of lower priority, and with the last core from whoever is to stop for it: by the supervisor's deadline
-for the port owner, on one core, no stop came at all."""
+the core from all of lower priority, with the last core from those who are to stop for it: all processes on one core and
+a loop in the port owner, there was no stop within 4 s."""
 NO_DUMP = 1
 """Bytes, in which no dump fits: while one is made the dying still hold what tells of their death. 0 would not do, since
 it is not heeded where a program takes the dumps (core(5)). SIGSEGV to stop frame, p50 of 5, such a program in

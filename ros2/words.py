@@ -10,6 +10,7 @@ from failstop.policy.causes import Cause
 from failstop.ros2.contract import CLIENT
 from failstop.shm.records import CAUSE
 
+LATCHED, LATCHED_BEFORE = f"a stop is latched ({CAUSE})", f"e-stop latched ({CAUSE})"
 TOPIC_CAUSE = "estop topic"
 SERVICE_CAUSE = "stop service"
 NO_ANSWER = "no answer from the gate in 0.5 s: wheels stopped"
@@ -28,8 +29,9 @@ def plain(cause: Cause | None) -> str:
 
 def refused(error: FailstopError) -> str:
     """The answer to what was not done."""
-    text = error.template.replace(CAUSE, plain(error.cause)) if isinstance(error, Refused) else str(error)
-    return f"refused: {text}"
+    if not isinstance(error, Refused):
+        return f"refused: {error}"
+    return f"refused: {error.template.replace(LATCHED, LATCHED_BEFORE).replace(CAUSE, plain(error.cause))}"
 
 
 def reset(was: Cause | None) -> str:

@@ -48,14 +48,14 @@ def _run(process: str, words: dict[str, str]) -> int:
 def fail(error: Exception) -> NoReturn:
     """The end of a process that does not know what to do: as Python tells of it but for the source, if stderr takes it,
     and then at once, as if it had been killed. To take an interpreter down takes 5 ms, in which nobody stops for it."""
-    lines = ["Traceback (most recent call last):"]
-    at = error.__traceback__
-    while at:
-        code = at.tb_frame.f_code
-        lines.append(f'  File "{code.co_filename}", line {at.tb_lineno}, in {code.co_name}')
-        at = at.tb_next
-    text = "\n".join((*lines, f"{type(error).__name__}: {error}", ""))
     try:
+        lines = ["Traceback (most recent call last):"]
+        at = error.__traceback__
+        while at:
+            code = at.tb_frame.f_code
+            lines.append(f'  File "{code.co_filename}", line {at.tb_lineno}, in {code.co_name}')
+            at = at.tb_next
+        text = "\n".join((*lines, f"{type(error).__name__}: {error}", ""))
         if select.select((), (2,), (), 0)[1]:
             os.write(2, text.encode("utf-8", "replace")[: select.PIPE_BUF])
     finally:

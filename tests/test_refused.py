@@ -17,10 +17,10 @@ def test_a_refusal_reads_as_one(reason: str) -> None:
     assert refusal.exit_code == 2
 
 
-def test_the_bridge_has_the_words_of_the_driver_before_it() -> None:
+def test_a_cause_s_own_text_is_put_in_where_it_is_told() -> None:
     refusal = Refused(f"a stop is latched ({CAUSE})", causes.KEY(1))
     assert str(refusal) == "refused: a stop is latched (key1)"
-    assert refusal.template == f"e-stop latched ({CAUSE})"
+    assert refusal.template == f"a stop is latched ({CAUSE})"
 
 
 def test_other_errors_are_no_refusals() -> None:

@@ -9,10 +9,6 @@ if TYPE_CHECKING:
     from failstop.policy.causes import Cause
 
 
-LATCHED = f"a stop is latched ({CAUSE})"
-LATCHED_BEFORE = f"e-stop latched ({CAUSE})"
-
-
 class FailstopError(Exception):
     """Base of all; the message is one line that names the thing and the remedy."""
 
@@ -29,8 +25,7 @@ class Refused(FailstopError):
     def __init__(self, template: str, cause: Cause | None = None) -> None:
         """`template`: the reason, with CAUSE in the place of the cause's own text."""
         super().__init__(template.replace(CAUSE, str(cause)))
-        self.template = template.replace(LATCHED, LATCHED_BEFORE)
-        """In the words of the driver before it, which tools compare (ROS)."""
+        self.template = template
         self.cause = cause
 
     def __str__(self) -> str:

@@ -23,7 +23,7 @@ WENT = {
 """Words that went, as regular expressions, and what is said instead."""
 GONE = re.compile(rf"\b(?:{'|'.join(WENT)})\b", re.IGNORECASE)
 ROOMS = ("failstop", "policy", "procs", "supervisor")
-CONTRACTS = {"failstop/api/errors.py": "e-stop latched (", "failstop/incidents/story.py": "cmd timeout"}
+CONTRACTS = {"failstop/incidents/story.py": "cmd timeout"}
 """Where words of the driver before it stand, which tools compare."""
 CODE = re.compile(r"^```.*?^```$|`[^`\n]+`", re.MULTILINE | re.DOTALL)
 NAMES = re.compile(r"\bfailstop estop\b|\bestop\(\)|\bRobot\.estop\b|\bscan or estop\b|\bestop_\w+")

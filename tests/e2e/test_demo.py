@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import time
 
+import pytest
+
+from failstop.lab.commands import demo
+from failstop.lab.trial import Stopped
 from failstop.shm import layout
 from tests.support.commands import failstop
 
@@ -16,3 +20,40 @@ def test_demo() -> None:
     for process in layout.PROCESSES:
         assert f"kill -9 {process} " in result.stdout
     assert "nothing moved again" in result.stdout
+
+
+class Busy:
+    """A trial on a machine on which so many kills find a robot that was stopped before."""
+
+    name = "busy"
+
+    def __init__(self, times: int) -> None:
+        self.left = times
+        self.robot = self
+        self.state = self
+        self.estop = "gate hangs: 61 ms silent"
+
+    def enable(self) -> None:
+        """Nothing to enable."""
+
+    leave = enable
+    service = property(lambda self: self)
+
+    def pids(self) -> dict[str, int]:
+        return dict.fromkeys(layout.PROCESSES, 1)
+
+    def kill(self, _process: str, _drive_s: float) -> Stopped:
+        self.left -= 1
+        return Stopped(0, 500_000, 550_000, 600_000, 0, was_moving=self.left < 0)
+
+    def recover(self, _process: str, _pid: int) -> float:
+        return 0.1
+
+
+@pytest.mark.parametrize("times", [0, 1, 2, 3])
+def test_a_kill_that_came_after_a_stop_is_done_again(times: int, capsys: pytest.CaptureFixture[str]) -> None:
+    row = demo._kill(Busy(times), "gate")  # type: ignore[arg-type]
+    said = capsys.readouterr().out
+    assert said.count("kill -9 gate") == min(times + 1, 3)
+    assert said.count("stopped before that (latched: gate hangs: 61 ms silent): is the machine busy?") == times
+    assert row.fault() == ("the wheels were not turning" if times == 3 else "")

@@ -10,7 +10,7 @@ import pytest
 
 from failstop.lab.faults import arm_table, injectors, report
 from failstop.lab.faults.campaign import inject_one
-from failstop.lab.faults.fault import CONTINUE, EVENTS, HANG, ITSELF, KILL, NEW_RUN, SPIN, Fault, fits
+from failstop.lab.faults.fault import CONTINUE, CRASH, EVENTS, HANG, ITSELF, KILL, NEW_RUN, SPIN, Fault, fits
 from failstop.lab.faults.scene import Scene
 from failstop.lab.faults.table import BY_NAME, TABLE
 from failstop.policy import causes
@@ -73,7 +73,7 @@ def test_no_row_of_the_design_is_missing() -> None:
 
 def test_every_process_and_every_few_of_them() -> None:
     steps = {tuple(sorted(fault.steps)) for fault in TABLE}
-    for action in (KILL, HANG, SPIN):
+    for action in (KILL, CRASH, HANG, SPIN):
         assert {((action, process),) for process in PROCESSES} <= steps
     for count in range(2, len(PROCESSES) + 1):
         for few in itertools.combinations(PROCESSES, count):
@@ -105,7 +105,7 @@ def test_a_row_is_in_order(fault: Fault) -> None:
         assert fault.limit_ms is not None
         assert fault.limit_ms > fault.bar_ms
         assert fault.logged or fault.latched or fault.cleared == ITSELF, "a stop that is not over by itself is said"
-    lost = SUPERVISOR in fault.struck(KILL, HANG, SPIN) and SUPERVISOR not in fault.struck(CONTINUE)
+    lost = SUPERVISOR in fault.struck(KILL, CRASH, HANG, SPIN) and SUPERVISOR not in fault.struck(CONTINUE)
     assert not lost or not fault.survives
 
 

@@ -119,7 +119,7 @@ def test_words_of_the_driver_before() -> None:
     assert words.DISABLED == "disabled"
     own = causes.REQUESTED("estop topic", "ros2", 77)
     for cause, text in ((causes.KEY(1), "key1"), (own, "estop topic")):
-        assert words.refused(Refused(f"e-stop latched ({CAUSE})", cause)) == f"refused: e-stop latched ({text})"
+        assert words.refused(Refused(f"a stop is latched ({CAUSE})", cause)) == f"refused: e-stop latched ({text})"
         assert words.reset(cause) == f"e-stop cleared (was: {text}); motion still disabled"
     assert words.refused(Refused("arm is not in the drive pose")) == "refused: arm is not in the drive pose"
     assert words.refused(NoService("no service")) == "refused: no service"

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 LATE_MS = 50.0
 """A stop later than this fails the demo: generous, for slow and busy machines; `make bench` has the real bars."""
 
+TRIES = 3
+"""Of a kill that found the wheels at rest."""
 STEP_COLUMNS = 28
 MEANING = (
     "Milliseconds from the kill while driving, on the board's side of the wire: arrival of the first stop frame that "
@@ -138,17 +140,26 @@ def _show_drive(trial: Trial) -> None:
 
 
 def _kill(trial: Trial, process: str) -> Row:
-    _step(f"kill -9 {process}")
+    """On a machine that is busy with other things a stop may come before the kill: then once more."""
+    for _ in range(TRIES):
+        _step(f"kill -9 {process}")
+        row = _killed(trial, process)
+        if row.stopped.was_moving:
+            break
+        _done(f"stopped before that ({_why(trial)}): is the machine busy?")
+    if fault := row.fault():
+        _done(paint(fault, FAIL))
+    else:
+        _done(paint(f"stop frame after {(row.stopped.stop_ns or 0) / 1e6:.2f} ms", OK) + f", {_why(trial)}")
+    return row
+
+
+def _killed(trial: Trial, process: str) -> Row:
     trial.enable()
     pid = trial.service.pids()[process]
     # A fault at a random moment of the 20 ms tick, and fast enough that every wheel turns.
     stopped = trial.kill(process, 0.3 + time.monotonic_ns() % 20_000_000 / 1e9)
-    row = Row(process, stopped, trial.recover(process, pid))
-    if fault := row.fault():
-        _done(paint(fault, FAIL))
-    else:
-        _done(paint(f"stop frame after {(stopped.stop_ns or 0) / 1e6:.2f} ms", OK) + f", {_why(trial)}")
-    return row
+    return Row(process, stopped, trial.recover(process, pid))
 
 
 def _why(trial: Trial) -> str:

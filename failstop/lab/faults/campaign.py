@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from failstop.api.errors import FailstopError, Refused
 from failstop.lab.faults import arm
 from failstop.lab.faults.arm_table import ArmFault
-from failstop.lab.faults.fault import HANG, ITSELF, KILL, RESET, SPIN, Fault, fits, told
+from failstop.lab.faults.fault import CRASH, HANG, ITSELF, KILL, RESET, SPIN, Fault, fits, told
 from failstop.lab.faults.injectors import injector
 from failstop.lab.faults.judge import verdict
 from failstop.lab.faults.scene import Scene
@@ -178,7 +178,7 @@ class _Injection:
 
     def _whole(self) -> bool:
         state = self.scene.driver.robot.state
-        again = self.fault.struck(KILL, SPIN, HANG) if self.fault.fences else self.fault.struck(KILL, SPIN)
+        again = self.fault.struck(KILL, CRASH, SPIN, *([HANG] if self.fault.fences else []))
         return state.waiting_for is None and not any(state.processes[p].pid == self.pids.get(p) for p in again)
 
     def _logged(self) -> bool:

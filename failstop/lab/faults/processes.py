@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-from failstop.lab.faults.fault import CONTINUE, DEATH, HANG, HANGS, KILL, NEW_RUN, RESET, SEVERAL, SPIN, Fault
+from failstop.lab.faults.fault import CONTINUE, CRASH, DEATH, HANG, HANGS, KILL, NEW_RUN, RESET, SEVERAL, SPIN, Fault
 from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import BY_KEY
@@ -72,7 +72,7 @@ def _row(
     """What stays latched is the first cause; a service that lost its supervisor starts again, with nothing latched.
     `fenced_s`: the hung hang until the supervisor has fenced them; 0: they are continued before."""
     hangs = (causes.HANGS, causes.STARVED)
-    fates = {KILL: (causes.DIED,), HANG: hangs, SPIN: (*hangs, causes.DIED)}
+    fates = {KILL: (causes.DIED,), CRASH: (causes.DIED,), HANG: hangs, SPIN: (*hangs, causes.DIED)}
     struck = {process: fates[action] for action, process in steps if action != CONTINUE}
     continued = {process for action, process in steps if action == CONTINUE}
     again = SUPERVISOR in struck and SUPERVISOR not in continued
@@ -99,10 +99,9 @@ def _words(processes: tuple[str, ...]) -> str:
     return f"{', '.join(processes[:-1])} and {processes[-1]}"
 
 
-def _kill(process: str) -> Fault:
-    steps = ((KILL, process),)
-    cause = f"SIGKILL of the {process}"
-    return _row(f"kill-{process}", DEATH, cause, DEATH_OF[process], AT_ONCE_MS, steps, weight=16)
+def _death(process: str, action: str, number: str, weight: int) -> Fault:
+    cause = f"{number} of the {process}"
+    return _row(f"{action}-{process}", DEATH, cause, DEATH_OF[process], AT_ONCE_MS, ((action, process),), weight=weight)
 
 
 def _hang(process: str, action: str, cause: str) -> Fault:
@@ -152,7 +151,8 @@ def _hang_both(one: str, other: str) -> Fault:
 
 
 ROWS = (
-    *(_kill(process) for process in PROCESSES),
+    *(_death(process, KILL, "SIGKILL", 16) for process in PROCESSES),
+    *(_death(process, CRASH, "SIGSEGV", 2) for process in PROCESSES),
     *(_hang(process, HANG, "SIGSTOP of") for process in PROCESSES),
     *(_hang(process, SPIN, "an endless loop in") for process in PROCESSES),
     _continued(GATE, "before it is fenced"),

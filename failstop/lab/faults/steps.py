@@ -11,10 +11,10 @@ import time
 from collections.abc import Callable
 
 from failstop.lab.faults import ptrace
-from failstop.lab.faults.fault import CONTINUE, HANG, KILL, SPIN, Fault
+from failstop.lab.faults.fault import CONTINUE, CRASH, HANG, KILL, SPIN, Fault
 from failstop.lab.faults.scene import is_ours
 
-SIGNALS = {KILL: signal.SIGKILL, HANG: signal.SIGSTOP}
+SIGNALS = {KILL: signal.SIGKILL, CRASH: signal.SIGSEGV, HANG: signal.SIGSTOP}
 APART_S = 0.005
 STOPPED_ON_S = (0.04, 0.14)
 """How long the hung stay stopped after the stop is due: less than it takes to fence them."""
