@@ -89,14 +89,13 @@ class Supervisor:
         views = {process: segment.attach(memory, process, incarnation) for process in layout.PROCESSES}
         own.latest_writer("rules").write(pack(_rules(settings)))
         own.latest_writer("settings").write(pack(settings.flat()))
-        notify = notify or Notify()
         self._now_ns, self._sleep, self._kill = world.now_ns, world.sleep, world.kill
         self._port = port
         self.loop = Loop(world)
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
         self.heartbeat = Heartbeat(own, os.getpid(), self._granted, self._now_ns())
         self._events = Events(world, name, own.ring_writer("events"), journal, resources.published)
-        advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
+        advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=bool(notify and notify.active))
         self.teller = Teller(name, self._events, views, advice)
         run = Run(world, resources, settings, own, views, self.loop, self._events)
         self._silence = Silence(run, advice)
@@ -108,7 +107,7 @@ class Supervisor:
         opener = Opener(world, Finder(settings.text("device.path")), resources.bells[layout.SUPERVISOR])
         self.handover = PortHandover(run, port, opener, self.processes)
         self.readiness = Readiness(own.latest_writer("processes"), self.epochs, self.handover, self._silence)
-        self.herald = Herald(notify, self.processes, self.epochs.latch, views)
+        self.herald = Herald(notify or Notify(), self.processes, self.epochs.latch, views)
         self._names = Names(resources.named, self._events)
         self._written_word = own.word("written_ns")
         self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")

@@ -81,8 +81,6 @@ class PortOwner:
         self._attach(context)
         self._watch_others(context, self.wire.early_stop)
         self.epoch = self._epoch_word.get()
-        self._number = context.port_number
-        self._path = settings.text("device.path")
         self._burst()
         self._stopped_word.set(self.epoch)
         self.wire.keep(context.own.ring_writer("box"))
@@ -91,6 +89,7 @@ class PortOwner:
     def _attach(self, context: Context) -> None:
         """What it publishes, and whom it wakes for it."""
         own = context.own
+        self._number, self._path = context.port_number, context.settings.text("device.path")
         self._stopped_word = own.word("stopped_epoch")
         self._written_word = own.word("written_ns")
         self._moving_word = own.word("moving")

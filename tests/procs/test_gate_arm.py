@@ -528,6 +528,26 @@ def test_a_stream_that_a_stop_has_ended_does_not_begin_again_by_a_reset(scene: A
     assert scene.at(1) < stood - 10
 
 
+def test_who_holds_the_arm_ends_the_stream_of_another_until_that_pauses(scene: ArmScene) -> None:
+    follow(scene, 1.0, 0.3)
+    scene.ask_for(records.ARM_HOLD, client=1)
+    follow(scene, 0.02, 0.3)
+    stood = scene.at(1)
+    follow(scene, 1.0, -0.3)
+    assert scene.at(1) == pytest.approx(stood, abs=3)
+    scene.run(0.6)
+    follow(scene, 1.0, -0.3)
+    assert scene.at(1) < stood - 10
+
+
+def test_who_holds_the_arm_itself_may_go_on_at_once(scene: ArmScene) -> None:
+    follow(scene, 1.0, 0.3)
+    scene.ask_for(records.ARM_HOLD)
+    stood = scene.at(1)
+    follow(scene, 1.0, -0.3)
+    assert scene.at(1) < stood - 10
+
+
 def test_a_stick_that_is_held_through_a_stop_and_a_reset_turns_no_joint_until_it_was_let_go_of(
     scene: ArmScene,
 ) -> None:

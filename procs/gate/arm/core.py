@@ -177,9 +177,13 @@ class ArmCore:
 
     def stop(self, why: str) -> None:
         """As drop(), for a stop that is written already: it ends what was let go of, too, and every stream."""
-        self._ended |= {goal.session: goal.t_ns for goal in self._goals.values()}
+        self.end_streams()
         self.letting_go.clear()
         self.drop(why)
+
+    def end_streams(self, but: int | None = None) -> None:
+        """Those of all sessions but one: they count again after a pause."""
+        self._ended |= {goal.session: goal.t_ns for goal in self._goals.values() if goal.session != but}
 
     def forget(self) -> None:
         """Nobody reads from here on: where the joints are must be read again before they move."""

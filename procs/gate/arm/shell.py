@@ -182,6 +182,7 @@ class Arm:
     def request(self, slot: Slot, number: int, verb: int, now_ns: int) -> Reply:
         """A client's request about the arm."""
         if verb == records.ARM_HOLD:
+            self.core.end_streams(slot.session)
             self._give_up(f"held by {slot.who()}", now_ns)
             self.core.letting_go.clear()
             self._hold(now_ns)
