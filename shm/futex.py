@@ -107,6 +107,8 @@ class Futex:
             if failed and ctypes.get_errno() not in (errno.EAGAIN, errno.EINTR):
                 return False
             value = self._value()
+        # It may have been woken in the place of one who waits for who holds it now: the kernel wakes one.
+        self.wake()
         return False
 
     def wake(self) -> None:

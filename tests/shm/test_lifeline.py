@@ -562,6 +562,39 @@ def test_a_file_that_is_cut_before_the_wait_is_nobody_s_death(
     one.let_go()
 
 
+class Waiter(threading.Thread):
+    """One that waits for a death, as long as it is wanted."""
+
+    def __init__(self, word: Futex) -> None:
+        super().__init__(daemon=True)
+        self.word = word
+        self.wanted = True
+        self.told: bool | None = None
+        self.start()
+        until(self.asleep, "its sleep")
+
+    def run(self) -> None:
+        self.told = self.word.wait_for_death(lambda: self.wanted)
+
+    def asleep(self) -> bool:
+        """In the kernel, at this word."""
+        with open(f"/proc/self/task/{self.native_id}/syscall", encoding="ascii") as file:
+            return f"{self.word._address:#x}" in file.read().split()
+
+
+def test_one_that_has_missed_its_call_takes_the_news_from_nobody(name: str, held: Segment) -> None:
+    """The kernel wakes one alone, who has waited for longest."""
+    with holding(name, 5) as holder:
+        left = Waiter(held.futex("held", 5 * PER_BLOCK))
+        left.wanted = False
+        other = Waiter(held.futex("held", 5 * PER_BLOCK))
+        holder.kill()
+        until(lambda: not other.is_alive(), "the news")
+        assert other.told is True
+        until(lambda: not left.is_alive(), "its end")
+        assert left.told is False
+
+
 def test_who_waits_sleeps(held: Segment) -> None:
     one = HeldByThread(held.futex("held", 0, write=True))
     word, until_ns = held.futex("held", 0), time.monotonic_ns() + 200_000_000
