@@ -113,12 +113,15 @@ class Lifeline:
 class EarlyNews:
     """One process's waiting threads; `bell` rings after a lifeline has told of a death."""
 
-    __slots__ = ("_lifelines", "_policy", "bell")
+    __slots__ = ("_above", "_lifelines", "_policy", "bell")
 
-    def __init__(self, lifelines: Segment) -> None:
-        """Threads take the scheduling that this process has now."""
+    def __init__(self, lifelines: Segment, above: int = 0) -> None:
+        """Threads take the scheduling that this process has now. `above`: a real-time priority over that of whoever may
+        die, which they take where this process has such rights: else, on one core, they wait until the kernel has
+        taken the dying down."""
         self._lifelines = lifelines
         self._policy = (os.sched_getscheduler(0), os.sched_getparam(0))
+        self._above = above if self._policy[1].sched_priority else 0
         self.bell = EventBell.create()
         _thread.stack_size(_STACK_BYTES)
 
@@ -139,6 +142,9 @@ class EarlyNews:
     def _wait(self, life: Lifeline, word: Futex, stop: Callable[[], None] | None) -> None:
         # A thread does not inherit what SCHED_RESET_ON_FORK takes away.
         os.sched_setscheduler(0, *self._policy)
+        if self._above:
+            with contextlib.suppress(PermissionError):
+                os.sched_setscheduler(0, self._policy[0], os.sched_param(self._above))
         if word.wait_for_death(lambda: life.fd >= 0):
             life.marked = True
             if stop:

@@ -352,6 +352,25 @@ def test_a_waiting_thread_takes_the_scheduling_of_before_and_not_that_of_its_sta
 
 
 @needs_root
+@pytest.mark.parametrize(("own", "found"), [(5, 7), (0, 0)])
+def test_a_waiting_thread_runs_above_the_dying_where_its_process_has_such_rights(
+    name: str, held: Segment, own: int, found: int
+) -> None:
+    with scheduled(os.SCHED_FIFO if own else os.SCHED_OTHER, own):
+        news = EarlyNews(held, 7)
+    with holding(name, 2) as holder:
+        life = Lifeline(holder.pid)
+        before = threads()
+        news.arm(life, 2, 0)
+        (thread,) = threads() - before
+        until(lambda: os.sched_getparam(thread).sched_priority == found, "its own priority")
+        os.kill(holder.pid, signal.SIGKILL)
+        assert select.select([news.bell.fd], [], [], 20)[0]
+        life.close()
+    os.close(news.bell.fd)
+
+
+@needs_root
 def test_real_time_rights_are_remembered_for_the_threads(held: Segment) -> None:
     with scheduled(os.SCHED_FIFO, 5):
         news = EarlyNews(held)
