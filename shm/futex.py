@@ -96,6 +96,10 @@ class Futex:
         """True while a thread holds it that has not died."""
         return bool(self._value() & _NUMBER)
 
+    def told(self) -> bool:
+        """True once the kernel has told of the death of who held it."""
+        return bool(self._value() & _OWNER_DIED)
+
     def wait_for_death(self, wanted: Callable[[], bool] = lambda: True) -> bool:
         """Block until who holds it has died; False when nobody does, when it was given back, or once it is not
         `wanted` any more (wake() makes it look). Lets other threads run meanwhile."""

@@ -70,8 +70,8 @@ class Lifeline:
         return self.marked or self.fd in ready
 
     def dead(self) -> bool:
-        """True once the process has died. One system call; never blocks."""
-        return self.marked or self.wait(0)
+        """True once the process has died, and from before anyone who dies with it. Two system calls; never blocks."""
+        return self.marked or (self.early is not None and self.early.told()) or self.wait(0)
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the process has ended; False: it has not within `timeout_s`."""

@@ -196,8 +196,7 @@ class StateReader:
         own = causes.read(decided["estop"]) if decided["estop"] else None
         since, _, _, latched = self._value("latch") or (0, 0, 0, b"")
         cause = (causes.read(latched) if since else None) or own
-        # Its death comes before what the port owner has noticed of it: the gate dies with it.
-        cause = cause or (causes.DIED(layout.SUPERVISOR) if dead else self._own_stop(epoch))
+        cause = cause or self._own_stop(epoch) or (causes.DIED(layout.SUPERVISOR) if dead else None)
         if not cause and decided["enabled"] and self.run.silent(time.monotonic_ns()):
             cause = causes.SILENT()
         if cause and not own:

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 LEFT_OUT = "reply."
 """Answers to clients: of no use to anybody else."""
 SUPERVISOR_DIED = causes.DIED(layout.SUPERVISOR)
-GATE_DIED = causes.DIED(layout.GATE)
 OUTLIVED_NS = 60_000_000
 """Between two beats of whoever lives; who has beaten so long after the supervisor has outlived it."""
 _WORD = struct.Struct("<Q")
@@ -93,10 +92,7 @@ def left_cause(copies: Copies) -> tuple[int, int, Cause]:
     # An epoch that was raised answered its causes: those of the last one had nobody to answer them.
     owed = [(ns, epoch, cause) for ns, epoch, cause in _causes(copies) if epoch >= supervisor["epoch"]]
     if owed:
-        first_ns, epoch, cause = owed[0]
-        # The gate is killed with its parent, and the news of its death may come first.
-        together = [why for ns, _, why in owed if ns - first_ns < OUTLIVED_NS]
-        return first_ns, epoch, SUPERVISOR_DIED if cause == GATE_DIED and SUPERVISOR_DIED in together else cause
+        return owed[0]
     outlived = any(beat_ns > supervisor["beat_ns"] + OUTLIVED_NS for beat_ns in beats.values())
     if outlived:
         return supervisor["beat_ns"], supervisor["epoch"], SUPERVISOR_DIED

@@ -211,19 +211,26 @@ class PortOwner:
             self._own_stop(entry[1], self._now_ns(), causes.read(entry[2]))
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
-        """The supervisor's is the end of this process too, when the stop has been repeated."""
         self.wire.heed()
-        for peer in self._peers:
-            if peer.died(ready):
-                self.wire.burst()
-                self._own_stop(now_ns, self._now_ns(), peer.death)
-                peer.drop()
-        if self._leave.ns == NEVER and self._supervisor_life.died(ready):
-            self._leave.set(now_ns + repeats.LEAVE_AFTER_NS)
-            self.wire.burst()
-            self._own_stop(now_ns, self._now_ns(), causes.DIED(layout.SUPERVISOR))
-            self.loop.forget(self._supervisor_life.fd)
-            self.loop.forget(self._control.fd)
+        dead = [peer for peer in self._peers if peer.died(ready)]
+        orphaned = self._leave.ns == NEVER and self._supervisor_life.died(ready)
+        if not dead and not orphaned:
+            return
+        self.wire.burst()
+        written_ns = self._now_ns()
+        # First, whoever's news came first: others die with it.
+        if orphaned or (self._leave.ns == NEVER and self._supervisor_life.dead()):
+            self._supervisor_died(now_ns, written_ns)
+        for peer in dead:
+            self._own_stop(now_ns, written_ns, peer.death)
+            peer.drop()
+
+    def _supervisor_died(self, now_ns: int, written_ns: int) -> None:
+        """The end of this process too, when the stop has been repeated."""
+        self._leave.set(now_ns + repeats.LEAVE_AFTER_NS)
+        self._own_stop(now_ns, written_ns, causes.DIED(layout.SUPERVISOR))
+        self.loop.forget(self._supervisor_life.fd)
+        self.loop.forget(self._control.fd)
 
     def _follow_epoch(self, now_ns: int) -> None:
         """A raised epoch is a stop that somebody else noticed. The answer is always a burst, but for a stop of its own

@@ -122,6 +122,22 @@ def test_the_supervisor_s_death_is_a_stop_and_then_the_end(scene: Scene) -> None
     assert written == [BURST, BURST], "the two repeats, and no motion"
 
 
+@pytest.mark.parametrize("process", [layout.GATE, layout.TELEMETRY])
+def test_the_supervisor_s_comes_before_that_of_who_dies_with_it_whoever_s_news_is_first(
+    scene: Scene, process: str
+) -> None:
+    other = scene.gate if process == layout.GATE else scene.start(process)
+    scene.drive()
+    scene.supervisor.kill()
+    other.kill()
+    life = next(peer.life for peer in scene.owner._peers if peer.life and peer.life.pid == other.pid)
+    assert scene.owner.turn({life.fd: READ})
+    assert scene.pty.read() == BURST
+    assert scene.reasons() == ["supervisor died", f"{process} died"]
+    scene.turn()
+    assert scene.reasons() == [], "each is answered once"
+
+
 @pytest.mark.parametrize(("gate_ms", "supervisor_ms"), [(60, 0), (0, 60), (60, 60), (10_000, 0)])
 def test_a_lease_that_runs_out_while_moving_is_a_stop(scene: Scene, gate_ms: int, supervisor_ms: int) -> None:
     scene.drive()

@@ -324,6 +324,18 @@ def test_the_news_comes_by_one_thread_for_each_lifeline(name: str, held: Segment
         os.close(news.bell.fd)
 
 
+def test_who_asks_knows_of_a_death_that_its_thread_has_not_told_yet(name: str, held: Segment) -> None:
+    with holding(name, 3) as holder:
+        life = Lifeline()
+        life.early = held.futex("held", 3 * PER_BLOCK)
+        assert not life.dead()
+        holder.kill()
+        assert not life.marked
+        assert life.dead()
+        life.early.close()
+        life.close()
+
+
 @contextlib.contextmanager
 def scheduled(policy: int, priority: int = 0) -> Iterator[None]:
     """Run with this scheduling."""
