@@ -153,9 +153,7 @@ def test_the_port_owner_says_what_ended_the_run(name: str) -> None:
         ([(100, causes.KEY(1)), (101, GATE_DIED), (102, SUPERVISOR_DIED)], (100, causes.KEY(1))),
     ],
 )
-def test_the_first_cause_is_told(
-    name: str, noticed: list[tuple[int, Cause]], wanted: tuple[int, Cause]
-) -> None:
+def test_the_first_cause_is_told(name: str, noticed: list[tuple[int, Cause]], wanted: tuple[int, Cause]) -> None:
     dead_run(name, dict.fromkeys(layout.PROCESSES, 90_000_000))
     stops = owned(name, layout.PORT_OWNER).ring_writer("stops")
     for ms, cause in noticed:
