@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 SUPERVISOR_PRIORITY = 30
-ABOVE_ALL = 34
-"""The real-time priority of those who wait for a death. On one core the port owner's own death was stopped for after
-15 ms by those below it, in an emulated machine where every other death took 0.3."""
 """SCHED_FIFO priorities: the higher runs first. The port owner is above all, since every stop goes through it. The
 supervisor is below the others of the stop path: it is needed only when they have died, and its own death must not hold
 up those who answer it (p50 0.4 ms at 30, 0.8 ms at 34)."""

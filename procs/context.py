@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 
-from failstop.policy.processes import ABOVE_ALL
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import rights
 from failstop.procs.world import World
@@ -48,7 +47,7 @@ class Context:
         self.own = segment.attach(self.memory, process, self.incarnation, write=True)
         lifelines = segment.attach_unmapped(self.memory, "lifelines", self.incarnation)
         self.held = lifelines.futex("held", block * PER_BLOCK, write=True).hold(PER_BLOCK)
-        self.early = self.world.early_news(lifelines, ABOVE_ALL)
+        self.early = self.world.early_news(lifelines)
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, self.world.now_ns())
 
     def runs(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from failstop.policy import causes
+from failstop.policy.processes import BY_NAME
 from failstop.procs.loop import READ
 from failstop.shm import records
 from failstop.shm.heartbeat import HeartbeatReader
@@ -22,7 +23,7 @@ _LINE = 1
 class Peer:
     """`life` is None while there is none, or none whose death has not been answered."""
 
-    __slots__ = ("_early", "_lifeline", "_loop", "_named", "_stop", "_word", "death", "heart", "life")
+    __slots__ = ("_early", "_lifeline", "_loop", "_named", "_priority", "_stop", "_word", "death", "heart", "life")
 
     def __init__(self, name: str, context: Context, loop: Loop, stop: Callable[[], None]) -> None:
         """`stop`: what the thread does that the early news of its death comes to."""
@@ -34,6 +35,7 @@ class Peer:
         self._lifeline = context.world.lifeline
         self._early = context.early
         self._stop = stop
+        self._priority = BY_NAME[name].priority
         self._loop = loop
         self._named = 0
 
@@ -57,7 +59,7 @@ class Peer:
                 return died
             self._loop.watch(self.life.fd, READ)
         if self.life and not self.life.armed and self.heart.running(pid):
-            self._early.arm(self.life, block, _LINE, lambda: self._stop_early(pid))
+            self._early.arm(self.life, block, _LINE, lambda: self._stop_early(pid), self._priority)
         return died
 
     def _stop_early(self, pid: int) -> None:

@@ -113,38 +113,47 @@ class Lifeline:
 class EarlyNews:
     """One process's waiting threads; `bell` rings after a lifeline has told of a death."""
 
-    __slots__ = ("_above", "_lifelines", "_policy", "bell")
+    __slots__ = ("_lifelines", "_policy", "bell")
 
-    def __init__(self, lifelines: Segment, above: int = 0) -> None:
-        """Threads take the scheduling that this process has now. `above`: a real-time priority over that of whoever may
-        die, which they take where this process has such rights: else, on one core, they wait until the kernel has
-        taken the dying down."""
+    def __init__(self, lifelines: Segment) -> None:
+        """Threads take the scheduling that this process has now."""
         self._lifelines = lifelines
         self._policy = (os.sched_getscheduler(0), os.sched_getparam(0))
-        self._above = above if self._policy[1].sched_priority else 0
         self.bell = EventBell.create()
         _thread.stack_size(_STACK_BYTES)
 
-    def arm(self, life: Lifeline, block: int, watcher: int, stop: Callable[[], None] | None = None) -> None:
+    def arm(
+        self, life: Lifeline, block: int, watcher: int, stop: Callable[[], None] | None = None, dying: int = 0
+    ) -> None:
         """Wait for the death of the process of the service that holds this block already."""
-        self.watch(life, self._lifelines, block * futex.PER_BLOCK + watcher, stop)
+        self.watch(life, self._lifelines, block * futex.PER_BLOCK + watcher, stop, dying)
 
-    def watch(self, life: Lifeline, segment: Segment, line: int = 0, stop: Callable[[], None] | None = None) -> None:
+    def watch(
+        self,
+        life: Lifeline,
+        segment: Segment,
+        line: int = 0,
+        stop: Callable[[], None] | None = None,
+        dying: int = 0,
+    ) -> None:
         """Wait in a thread of its own for the death of who holds this line. Once a lifeline; until it is closed.
-        `stop`: what that thread does before the bell rings; then it makes way for the bytes."""
+        `stop`: what that thread does before the bell rings; then it makes way for the bytes. `dying`: the priority of
+        who holds the line. A thread that stops runs above it, where its process has real-time rights: on one core it
+        would wait until the kernel has taken the dying down."""
         if not life.armed:
             life.armed = True
             # A machine that is out of threads or memory still has the late news.
             with contextlib.suppress(RuntimeError, OSError):
                 life.early = segment.futex("held", line)
-                _thread.start_new_thread(self._wait, (life, life.early, stop))
+                _thread.start_new_thread(self._wait, (life, life.early, stop, dying))
 
-    def _wait(self, life: Lifeline, word: Futex, stop: Callable[[], None] | None) -> None:
+    def _wait(self, life: Lifeline, word: Futex, stop: Callable[[], None] | None, dying: int) -> None:
         # A thread does not inherit what SCHED_RESET_ON_FORK takes away.
-        os.sched_setscheduler(0, *self._policy)
-        if self._above:
+        policy, own = self._policy
+        os.sched_setscheduler(0, policy, own)
+        if stop and 0 < own.sched_priority <= dying:
             with contextlib.suppress(PermissionError):
-                os.sched_setscheduler(0, self._policy[0], os.sched_param(self._above))
+                os.sched_setscheduler(0, policy, os.sched_param(dying + 1))
         if word.wait_for_death(lambda: life.fd >= 0):
             life.marked = True
             if stop:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 
-from failstop.policy.processes import ABOVE_ALL, PROCESSES
+from failstop.policy.processes import PROCESSES
 from failstop.procs.loop import READ
 from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS, PER_BLOCK
@@ -39,7 +39,7 @@ class ProcessTable:
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
         self._held = lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK, write=True).hold(PER_BLOCK)
         self._block = layout.SUPERVISOR_BLOCK
-        self.early = run.world.early_news(lifelines, ABOVE_ALL)
+        self.early = run.world.early_news(lifelines)
         self._starter = Starter(run.world, resources.name, resources.incarnation, resources.runtime_dir, settings)
         deaths, window_ns = int(settings["restart.deaths"]), settings.ns("restart.window_s")
         backoff_ns = settings.ns("restart.backoff_s")
@@ -117,7 +117,7 @@ class ProcessTable:
                 self._tell_watchers()
                 if child.life:
                     stop = port.early_stop if child.row.name == layout.PORT_OWNER else None
-                    self.early.arm(child.life, child.block, 0, stop)
+                    self.early.arm(child.life, child.block, 0, stop, child.row.priority)
 
     def _tell_watchers(self) -> None:
         """Those who watch others look up whom, and who runs."""

@@ -364,16 +364,16 @@ def test_a_waiting_thread_takes_the_scheduling_of_before_and_not_that_of_its_sta
 
 
 @needs_root
-@pytest.mark.parametrize(("own", "found"), [(5, 7), (0, 0)])
+@pytest.mark.parametrize(("own", "dying", "found"), [(5, 6, 7), (6, 6, 7), (7, 6, 7), (8, 6, 8), (0, 6, 0), (5, 0, 5)])
 def test_a_waiting_thread_runs_above_the_dying_where_its_process_has_such_rights(
-    name: str, held: Segment, own: int, found: int
+    name: str, held: Segment, own: int, dying: int, found: int
 ) -> None:
     with scheduled(os.SCHED_FIFO if own else os.SCHED_OTHER, own):
-        news = EarlyNews(held, 7)
+        news = EarlyNews(held)
     with holding(name, 2) as holder:
         life = Lifeline(holder.pid)
         before = threads()
-        news.arm(life, 2, 0)
+        news.arm(life, 2, 0, lambda: None, dying)
         (thread,) = threads() - before
         until(lambda: os.sched_getparam(thread).sched_priority == found, "its own priority")
         os.kill(holder.pid, signal.SIGKILL)

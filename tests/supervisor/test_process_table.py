@@ -163,7 +163,7 @@ def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
     gate, stopper = processes[layout.GATE], processes[layout.STOPPER]
     asked: list[tuple[int, int, int]] = []
 
-    def arm(_news: EarlyNews, life: Lifeline, block: int, watcher: int, _tell: object) -> None:
+    def arm(_news: EarlyNews, life: Lifeline, block: int, watcher: int, *_how: object) -> None:
         life.armed = True
         asked.append((life.pid, block, watcher))
 

@@ -39,7 +39,9 @@ class Early:
         """Whose death is waited for, at which futex: pid, block, index."""
         self._lives: dict[int, tuple[Lifeline, Callable[[], None] | None]] = {}
 
-    def arm(self, life: Lifeline, block: int, index: int, stop: Callable[[], None] | None = None) -> None:
+    def arm(
+        self, life: Lifeline, block: int, index: int, stop: Callable[[], None] | None = None, _dying: int = 0
+    ) -> None:
         """Nothing to wait for."""
         life.armed = True
         self.armed.append((life.pid, block, index))
