@@ -52,8 +52,8 @@ GROUPS = {
     "web": "The operator's page, `failstop web`: a process of its own, which the robot runs without.",
     "restart": "What happens to a process that died.",
     "sources": "Who may command, and who goes before whom: [sources.NAME]. "
-    f"{FIRST_SOURCE} is always there; no two priorities may be equal.",
-    "arm": "An arm on the same board: its stream, its poses, when it is told of. Without joints there is none.",
+    f"{FIRST_SOURCE} is always there, with priority 0; give every other source a different one.",
+    "arm": "An arm on the same board: its stream, its poses, its warnings. Without joints there is none.",
     "joints": "The arm's joints: [joints.NAME]. Positions are pulses of 0.24 degrees.",
     "interlocks": "What a client has to assert, again and again, for motion to be enabled: [interlocks.NAME].",
 }
