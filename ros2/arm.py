@@ -32,15 +32,16 @@ END_S = 1.0
 class Job:
     """Something asked of the service, in a thread of its own. Called: whether it has ended."""
 
-    def __init__(self, link: Link, act: Callable[[Robot], Any]) -> None:
+    def __init__(self, link: Link, act: Callable[[Robot], Any], *, at_once: bool = False) -> None:
+        """`at_once`: as for Link.call."""
         self._found: Any = None
         self._error: FailstopError | None = None
-        self._thread = threading.Thread(target=self._run, args=(link, act), daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(link, act, at_once), daemon=True)
         self._thread.start()
 
-    def _run(self, link: Link, act: Callable[[Robot], Any]) -> None:
+    def _run(self, link: Link, act: Callable[[Robot], Any], at_once: bool) -> None:
         try:
-            self._found = link.call(act)
+            self._found = link.call(act, at_once=at_once)
         except FailstopError as error:
             self._error = error
         except ValueError as error:
@@ -69,6 +70,10 @@ class ArmFace:
         self._shared = shared
         self._asking = Link(link.name)
         """Of the jobs: one client moves the arm, however many of its jobs have ended."""
+        self._newest = 0
+        """Of what was asked for: a job that has not begun when a later one is asked for does nothing."""
+        self._holds: list[Job] = []
+        """For the action, whose end they are to be."""
         self._goal_job: Job | None = None
         self._way_job: Job | None = None
         """Of the action's goal."""
@@ -99,10 +104,24 @@ class ArmFace:
             shared.lacks = (f"{ARM_ACTION.name} is not offered: {error}",)
             node.get_logger().info(shared.lacks[0])
 
+    def give_up(self) -> int:
+        """What was asked for before and has not begun does nothing. Returns the number of what is asked for now."""
+        self._newest += 1
+        return self._newest
+
     def begin(self, act: Callable[[Robot], Any]) -> Job:
-        """Ask the service for what takes time."""
+        """Ask the service for what takes time, in the place of what was asked for before."""
+        if act in (_read, _release):
+            return Job(self._asking, act)
+        number = self.give_up()
+
+        def newest(robot: Robot) -> Any:
+            if number != self._newest:
+                raise Refused("a later request took its place")
+            return act(robot)
+
         # Of the executor's client, whose enable a stop or a disable may follow: a hold must not wait for a job.
-        return Job(self._link if act is _hold else self._asking, act)
+        return Job(self._link, act, at_once=True) if act is _hold else Job(self._asking, newest)
 
     def go(self, path: Way, told: Callable[[str], None]) -> Job:
         """The action's goal, which two are not at once. Raises Refused."""
@@ -121,7 +140,7 @@ class ArmFace:
     def hold_way(self) -> None:
         """Hold the arm, if the action moves it still."""
         if self._way_job and not self._way_job():
-            self.begin(_hold)
+            self._holds.append(self.begin(_hold))
 
     def _answerer(self, act: Callable[[Robot], Any]) -> Any:
         async def answer(_request: Any, response: Any) -> Any:
@@ -143,6 +162,12 @@ class ArmFace:
             self._busy_ns = now_ns
             self._busy.publish(fill(self._message, {"data": report.busy(self._shared.state)}))
         self._rivals()
+        for job in [job for job in self._holds if job()]:
+            self._holds.remove(job)
+            try:
+                job.result()
+            except FailstopError as error:
+                latch(self._node, self._link, f"the arm could not be held: {error}")
         if self._goal_job and self._goal_job():
             job, self._goal_job = self._goal_job, None
             try:

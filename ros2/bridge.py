@@ -125,6 +125,8 @@ class Bridge:
             self._outward.end()
             spinner.close()
             self._node.destroy_node()
+        if self._shared.failed:
+            raise self._shared.failed
 
     def _follow_settings(self) -> None:
         """A service that was started anew may have other settings."""

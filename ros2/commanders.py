@@ -22,6 +22,7 @@ NAMELESS_NS = 2_000_000_000
 """A publisher's node name may come later than the publisher; longer than this, it counts as having none."""
 STOP_AGAIN_NS = 500_000_000
 """A stop that was asked for and is not latched is asked for again."""
+WINDOW_NS = 5_000_000_000
 NAMELESS = "a node without a name yet"
 DEAD_ONE = "one of them may be a dead process, which DDS counts for up to 20 s"
 LONGEST_NAMES = 150
@@ -39,6 +40,29 @@ def waited_ns(received_ns: int, wall_ns: int) -> int:
     """How long a message waited in its queue. `received_ns`: when DDS had it, `wall_ns`: now, both of the wall clock.
     Where DDS does not say (0), or the clock was set back meanwhile, it is FRESH_NS."""
     return wall_ns - received_ns if 0 < received_ns <= wall_ns else FRESH_NS
+
+
+class Lag:
+    """How much later than its quickest one a message came, by the clock of who sent it, which need not agree with
+    this one. DDS sends again what was lost, seconds later, and that counts as just received then."""
+
+    def __init__(self) -> None:
+        self._of: Sequence[Publisher] = ()
+        self._begun_ns = self._before_ns = self._least_ns = 0
+        """When this window began; the quickest of the one before it, and of this one."""
+
+    def late_ns(self, publishers: Sequence[Publisher], sent_ns: int, received_ns: int) -> int:
+        """Of a message of these publishers, each time by its own wall clock. 0 for the first of them, and where DDS
+        does not say when it was sent (0). A clock that steps counts as late for two windows at most."""
+        if not sent_ns:
+            return 0
+        lag_ns, age_ns = received_ns - sent_ns, received_ns - self._begun_ns
+        same = publishers == self._of and 0 <= age_ns < 2 * WINDOW_NS
+        if not same or age_ns >= WINDOW_NS:
+            self._before_ns = self._least_ns if same else lag_ns
+            self._of, self._begun_ns, self._least_ns = publishers, received_ns, lag_ns
+        self._least_ns = min(self._least_ns, lag_ns)
+        return lag_ns - min(self._before_ns, self._least_ns)
 
 
 class Commanders:

@@ -59,7 +59,9 @@ CMD_VEL = Topic(
     PLAIN,
     0,
     "the velocity command; TwistStamped too, as `cmd_vel_type` says (auto: what the publisher offers). A stamp older "
-    "than the command timeout is refused, a zero stamp counts as now. A value that is not finite latches a stop",
+    "than the command timeout is refused, a zero stamp counts as now. So is one that comes so much later than others of "
+    "its publisher, as what DDS sends again does. A zero command always counts. A value that is not finite latches a "
+    "stop",
 )
 SCAN = Topic(
     "scan",
@@ -159,7 +161,7 @@ RESET = Service(
 STOP = Service(
     "~/stop",
     "std_srvs/srv/Trigger",
-    "a latched stop; answers when it is written, with what is known of it within 1 s",
+    "a latched stop; a success when it is known to be written, with what is known of it within 1 s",
 )
 SERVICES = (ENABLE, RESET, STOP)
 ARM_SERVICES = tuple(

@@ -50,7 +50,7 @@ class Graph:
 def latch(node: Any, link: Link, cause: str) -> None:
     """A latched stop, by the stop pipe."""
     try:
-        link.call(lambda robot: robot.estop(cause))
+        link.stop(cause)
         node.get_logger().error(f"E-STOP: {cause}")
     except FailstopError as error:
         node.get_logger().error(f"{cause}, and there is nothing to stop: {error}")

@@ -12,7 +12,7 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.ros2 import mirrors, report, words
 from failstop.ros2.arm import ArmFace
-from failstop.ros2.commanders import FRESH_NS, Commanders, waited_ns, wrong_ends
+from failstop.ros2.commanders import FRESH_NS, Commanders, Lag, waited_ns, wrong_ends
 from failstop.ros2.contract import CLIENT, CMD_VEL, COMMAND_TYPES, ESTOP, SCAN, SERVICES, STAMPED, Topic
 from failstop.ros2.fill import type_of
 from failstop.ros2.graph import Graph, latch
@@ -47,7 +47,8 @@ class Inward:
         now_ns = monotonic_ns()
         self._accepted = COMMAND_TYPES[settings["cmd_vel_type"]]
         self._commanders = Commanders(self._accepted, settings["allowed_publishers"])
-        self._received_ns = 0
+        self._lag = Lag()
+        self._received_ns = self._sent_ns = 0
         self._scan = ScanWatch(0.5)
         self._timeout_s = 0.3
         self._run = 0
@@ -61,9 +62,10 @@ class Inward:
         self._wrong_estop: list[str] = []
         self._complained_ns: dict[str, int] = {}
         self._type = self._accepted[0]
+        # The first is looked at first.
+        self._estop_topic = self._subscribe(ESTOP, self._estop).topic_name
         self._subscription = self._subscribe(CMD_VEL, self._command, self._type)
         self._scan_topic = self._subscribe(SCAN, self._scanned, raw=True).topic_name
-        self._estop_topic = self._subscribe(ESTOP, self._estop).topic_name
         self.graph = Graph(node, self._subscription.topic_name, self._commanders, shared)
         for service, answer in zip(SERVICES, (self._enable, self._reset, self._stop), strict=True):
             # Of groups of their own: all others wait while a callback of the node's group has not come to its end.
@@ -97,9 +99,10 @@ class Inward:
             self._watch_ns = now_ns + WATCH_NS
             self._watch()
 
-    def received(self, wall_ns: int) -> None:
-        """When DDS received what the next callback is given (wall clock, ns); never called: it is not known."""
-        self._received_ns = wall_ns
+    def received(self, wall_ns: int, sent_ns: int) -> None:
+        """When DDS received what the next callback is given, and when it was sent, by its publisher's clock (wall
+        clocks, ns); 0, or never called: it is not known."""
+        self._received_ns, self._sent_ns = wall_ns, sent_ns
 
     def _waited_ns(self) -> int:
         """How long the message at hand waited in its queue."""
@@ -173,24 +176,31 @@ class Inward:
         if not all(map(isfinite, velocity)):
             self._latch(str(causes.NOT_FINITE(self._commanders.names())))
             return
-        if self._type == STAMPED and (late := self._late(message.header.stamp)):
-            self._complain("late", f"cmd_vel is refused: {late}")
-            return
+        late = self._late(message)
         if any(velocity):
+            # One that is zero may stop, however late it is and whoever sent it.
+            if late:
+                self._complain("late", f"cmd_vel is refused: {late}")
+                return
             self._moving_ns, self._velocity = now_ns, velocity
-        if waited_ns > self._timeout_s * 1e9:
-            self._complain("waited", f"cmd_vel is refused: {words.waited(waited_ns / 1e9)}")
-            return
-        if not self._commanders.passes(now_ns - waited_ns):
-            return
+            if waited_ns > self._timeout_s * 1e9:
+                self._complain("waited", f"cmd_vel is refused: {words.waited(waited_ns / 1e9)}")
+                return
+            if not self._commanders.passes(now_ns - waited_ns):
+                return
         try:
-            self._link.call(lambda robot: robot.drive(*velocity))
+            self._link.call(lambda robot: robot.command(*velocity))
         except FailstopError as error:
             self._complain("service", f"cmd_vel moves nothing: {error}")
 
-    def _late(self, stamp: Any) -> str:
-        """Why a stamp is refused; empty: it is not."""
-        return words.late(stamp, self._node.get_clock().now().nanoseconds, self._timeout_s)
+    def _late(self, message: Any) -> str:
+        """Why a command is refused for its age; empty: it is not."""
+        late_ns = self._lag.late_ns(self._commanders.publishers, self._sent_ns, self._received_ns or time_ns())
+        if late_ns > self._timeout_s * 1e9:
+            return words.repaired(late_ns / 1e9)
+        if self._type != STAMPED:
+            return ""
+        return words.late(message.header.stamp, self._node.get_clock().now().nanoseconds, self._timeout_s)
 
     def _scanned(self, _message: bytes) -> None:
         if self._waited_ns() > FRESH_NS:
@@ -215,8 +225,10 @@ class Inward:
                 await Turn()
             return self._answer(response, lambda: ended.result() and words.ENABLED)
         if request.data:
-            return self._answer(response, lambda: self._link.call(Robot.enable) and words.ENABLED)
-        return self._answer(response, lambda: self._link.call(Robot.disable) and words.DISABLED)
+            return self._answer(response, lambda: self._link.call(Robot.enable, at_once=True) and words.ENABLED)
+        if self.arm:
+            self.arm.give_up()
+        return self._answer(response, lambda: self._link.call(Robot.disable, at_once=True) and words.DISABLED)
 
     def _reset(self, _request: Any, response: Any) -> Any:
         return self._answer(response, self._ask_reset)
@@ -249,14 +261,13 @@ class Inward:
         asked_ns = monotonic_ns()
         before = self._shared.state
         try:
-            self._link.call(lambda robot: robot.estop(words.SERVICE_CAUSE))
+            self._link.stop(words.SERVICE_CAUSE)
         except FailstopError as error:
             response.success, response.message = False, words.refused(error)
             return response
-        while not (said := report.proof(before, self._shared.state)) and monotonic_ns() - asked_ns < STOP_NS:
+        while not (known := report.proof(before, self._shared.state, final=monotonic_ns() - asked_ns >= STOP_NS)):
             await Turn()
-        response.success = True
-        response.message = said or report.proof(before, self._shared.state, final=True)
+        response.success, response.message = known
         return response
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from time import monotonic_ns
 from typing import TypeVar
 
+from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused
 from failstop.api.robot import Robot
 from failstop.api.state import State
@@ -27,11 +28,16 @@ class Link:
         self._problem = FailstopError("not connected yet")
         self._tried_ns = -AGAIN_NS
 
-    def call(self, act: Callable[[Robot], T]) -> T:
+    def stop(self, reason: str) -> None:
+        """Ask for a latched stop, by the stop pipe: connected or not, whatever the last call came to. Raises NoService
+        when nothing is there to stop."""
+        send_stop(self.name, reason, CLIENT)
+
+    def call(self, act: Callable[[Robot], T], *, at_once: bool = False) -> T:
         """Do something with the robot. Raises FailstopError; a service that has gone is looked for at the next call,
-        five times a second at most."""
+        five times a second at most but for what is to be done `at_once`."""
         try:
-            return act(self._connected())
+            return act(self._connected(at_once=at_once))
         except (Refused, NoAnswer):
             raise
         except FailstopError as error:
@@ -39,9 +45,9 @@ class Link:
             self.close()
             raise
 
-    def _connected(self) -> Robot:
+    def _connected(self, *, at_once: bool) -> Robot:
         if self._robot is None:
-            if monotonic_ns() - self._tried_ns < AGAIN_NS:
+            if not at_once and monotonic_ns() - self._tried_ns < AGAIN_NS:
                 raise self._problem
             self._tried_ns = monotonic_ns()
             self._robot = Robot(self.name, client=CLIENT, answer_s=ANSWER_S, disable_on_exit=False)

@@ -36,6 +36,8 @@ DIAGNOSE_NS = 200_000_000
 HEARD_NS = 500_000_000
 """How often the graph is asked which topics somebody hears: the others are published when that is cheap."""
 SLOW_NS = 1_000_000_000
+BATTERY_NS = 5_000_000_000
+"""What the board said of its battery longer ago is not told any more."""
 SUPERVISOR = "supervisor"
 
 
@@ -71,7 +73,7 @@ class Outward:
         self._told: list[diagnostics.Status] = []
         self._deviations: tuple[float, ...] = ()
         self._joints: list[str] = []
-        self._battery: tuple[float, str] | None = None
+        self._battery: BatterySample | None = None
         self._thread = threading.Thread(target=self._run, name="outward", daemon=True)
 
     def _make(self, topic: Topic, qos: Any) -> None:
@@ -111,9 +113,13 @@ class Outward:
         self._thread.join(1.0)
 
     def _run(self) -> None:
-        while not self._ending:
-            sleep(PERIOD_S)
-            self.turn(monotonic_ns())
+        try:
+            while not self._ending:
+                sleep(PERIOD_S)
+                self.turn(monotonic_ns())
+        except BaseException as error:  # without this thread the bridge would drive and see nothing
+            self._shared.failed = error
+            self._shared.ending = True
         self._link.close()
 
     def turn(self, now_ns: int) -> None:
@@ -147,14 +153,16 @@ class Outward:
     def _sample(self, sample: object) -> None:
         if isinstance(sample, ImuSample):
             # What the port had in one piece has one time, and a filter divides by the time between two samples.
-            self._imu_ns = max(sample.t_ns + self._offset_ns, self._imu_ns + LEAST_NS)
+            # A clock that was set back is followed.
+            ros_ns = sample.t_ns + self._offset_ns
+            self._imu_ns = ros_ns if self._imu_ns - ros_ns > CLOCK_NS else max(ros_ns, self._imu_ns + LEAST_NS)
             self._send(contract.IMU, messages.imu(sample, self._imu_ns))
         elif isinstance(sample, OdometrySample):
             self._odometry(sample)
         elif isinstance(sample, PadSample):
             self._send(contract.GAMEPAD, messages.gamepad(sample, sample.t_ns + self._offset_ns))
         elif isinstance(sample, BatterySample):
-            self._battery = (sample.battery_v, sample.plugged)
+            self._battery = sample
 
     def _odometry(self, sample: OdometrySample) -> None:
         ros_ns = sample.t_ns + self._offset_ns
@@ -173,6 +181,7 @@ class Outward:
     def _lost(self, error: FailstopError) -> None:
         self._shared.problem = str(error)
         self._shared.state = None
+        self._wheels.follow((0.0,) * 4, monotonic_ns())
 
     def _follow(self, now_ns: int, *, due: bool = False) -> None:
         """What goes with the state: on every change that is noticed, and, when it is due, at its rate."""
@@ -235,8 +244,9 @@ class Outward:
         if slow:
             self._slow_ns = max(self._slow_ns + SLOW_NS, now_ns - SLOW_NS // 2)
         ros_ns = monotonic_ns() + self._offset_ns
-        if slow and state and self._battery:
-            self._publish(contract.BATTERY, messages.battery(*self._battery, ros_ns))
+        if slow and state and (sample := self._battery) and now_ns - sample.t_ns < BATTERY_NS:
+            stamp_ns = sample.t_ns + self._offset_ns
+            self._publish(contract.BATTERY, messages.battery(sample.battery_v, sample.plugged, stamp_ns))
         if not self._heard[contract.DIAGNOSTICS.name] or not (slow or now_ns - self._diagnose_ns >= DIAGNOSE_NS):
             return
         self._diagnose_ns = now_ns

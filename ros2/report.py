@@ -167,16 +167,16 @@ def says(names: str, scan: str) -> str:
     return f"cmd_vel: {names}; {scan}" if names else f"{NOBODY}; {scan}"
 
 
-def proof(before: State | None, now: State | None, *, final: bool = False) -> str:
-    """What is known of the stop that was asked for after `before`; empty while more may become known. `final`: no more
-    is waited for."""
+def proof(before: State | None, now: State | None, *, final: bool = False) -> tuple[bool, str] | None:
+    """Whether the stop that was asked for after `before` is known to be written, and what is known of it; None while
+    more may become known. `final`: no more is waited for."""
     stop = now.last_stop if now else None
     if now is None or stop is None or not now.estop or (before and stop == before.last_stop and not before.estop):
-        return "asked for a stop; the service has not told of it yet" if final else ""
+        return (False, "asked for a stop; the service has not told of it yet") if final else None
     if stop.written_s is None:
-        return f"stop latched ({words.plain(now.cause)}), and it could NOT be written: use the POWER SWITCH"
+        return False, f"stop latched ({words.plain(now.cause)}), and it could NOT be written: use the POWER SWITCH"
     if stop.observed_s is None and not final:
-        return ""
+        return None
     told = [f"written after {stop.written_s * 1e3:.1f} ms" if stop.sent else NOT_SENT]
     told.append(
         "not acknowledged yet"
@@ -184,4 +184,4 @@ def proof(before: State | None, now: State | None, *, final: bool = False) -> st
         else f"acknowledged after {stop.acknowledged_s * 1e3:.1f} ms"
     )
     told.append(_seen(stop.observed_s))
-    return f"stop latched ({words.plain(now.cause)}): {', '.join(told)}"
+    return stop.sent, f"stop latched ({words.plain(now.cause)}): {', '.join(told)}"

@@ -10,7 +10,8 @@ from failstop.ros2.mirrors import Settings
 
 @dataclasses.dataclass
 class Shared:
-    """Written by the thread that publishes: state, problem, settings, run. By the thread that listens: the rest."""
+    """Written by the thread that publishes: state, problem, settings, run, failed; by the one that listens: the
+    rest."""
 
     state: State | None = None
     problem: str = "the bridge is starting"
@@ -26,4 +27,6 @@ class Shared:
     """What is not offered, and why."""
     asked: int = 0
     """How often something was asked of the service that changes its state."""
+    failed: BaseException | None = None
+    """What has ended the thread that publishes."""
     ending: bool = False

@@ -23,9 +23,9 @@ COUNTS = ("num_subscriptions", "num_guard_conditions", "num_timers", "num_client
 class Spinner:
     """One node's, of one thread."""
 
-    def __init__(self, node: Any, received: Callable[[int], None]) -> None:
-        """`received` is told before each callback when DDS received the message, in ns of the wall clock; where rclpy's
-        executor does everything it is not called."""
+    def __init__(self, node: Any, received: Callable[[int, int], None]) -> None:
+        """`received` is told before each callback when DDS received the message and when that was sent, in ns of the
+        two wall clocks, and after it that nothing is known of what rclpy's executor calls."""
         from rclpy.executors import SingleThreadedExecutor
 
         self._node = node
@@ -119,8 +119,10 @@ class Spinner:
                 found = subscription.handle.take_message(subscription.msg_type, subscription.raw)
             if not found:
                 return
-            self._received(found[1]["received_timestamp"])
-            subscription.callback(found[0])
+            message, about = found
+            self._received(about["received_timestamp"], about.get("source_timestamp", 0))
+            subscription.callback(message)
+            self._received(0, 0)
 
     def close(self) -> None:
         """Call nothing more."""

@@ -28,6 +28,8 @@ FEEDBACK_NS = 100_000_000
 """The state is as new as this."""
 FEEDBACK = f"{ARM_ACTION.name}/_action/feedback"
 """Every client of the action hears it, so that the end of the last one is seen."""
+DISCOVERY_NS = 1_000_000_000
+"""By then a client that has sent a goal is known to hear of it."""
 Way = list[tuple[float, dict[str, float]]]
 
 
@@ -106,16 +108,17 @@ class TrajectoryFace:
     async def _execute(self, handle: Any) -> Any:
         job = self._jobs.pop(id(handle.request))
         names = list(handle.request.trajectory.joint_names)
-        told_ns, heard = 0, False
+        told_ns, gone_ns = 0, monotonic_ns() + DISCOVERY_NS
         while not job():
             if (now_ns := monotonic_ns()) - told_ns >= FEEDBACK_NS:
                 told_ns = now_ns
                 handle.publish_feedback(self._feedback(names))
-                there = self._node.count_subscribers(FEEDBACK) > 0
-                if heard and not there:
-                    self._node.get_logger().warning(f"{ARM_ACTION.name}: nobody hears of the goal any more: held")
+                if self._node.count_subscribers(FEEDBACK) > 0:
+                    gone_ns = 0
+                elif now_ns >= gone_ns:
+                    self._node.get_logger().warning(f"{ARM_ACTION.name}: nobody hears of the goal: held")
                     self._arm.hold_way()
-                heard = there
+                    gone_ns = now_ns + DISCOVERY_NS
             await Turn()
         result = self._kind.Result()
         try:

@@ -44,6 +44,11 @@ def waited(waited_s: float) -> str:
     return f"it waited {waited_s:.3f} s here; is the machine overloaded?"
 
 
+def repaired(late_s: float) -> str:
+    """Why a message that was under way for longer than others is refused."""
+    return f"it came {late_s:.3f} s later than others of its publisher; is the network overloaded?"
+
+
 def late(stamp: Any, now_ns: int, most_s: float) -> str:
     """Why a message is refused for its stamp (builtin_interfaces/Time; 0 counts as now, of ROS's clock like `now_ns`);
     empty: it is not."""

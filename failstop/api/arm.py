@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import ceil, isfinite
+from time import monotonic_ns
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.policy.capsules import Model, would_hit
@@ -15,6 +16,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from failstop.api.run import Run
     from failstop.api.session import Session
     from failstop.api.snapshot import ArmState
 
@@ -33,12 +35,29 @@ class Arm:
     def __init__(self, session: Session) -> None:
         """Raises FailstopError for a robot whose settings name no joints."""
         self._session = session
-        settings = Settings(dict(session.settings))
-        self.joints = {joint.name: joint for joint in from_settings(settings)}
-        """Each joint by name, with its range (range_rad)."""
-        if not self.joints:
-            raise FailstopError(f"the robot of {session.name!r} has no arm: its settings name no [joints.NAME]")
+        self._run: Run | None = None
+        with session._lock:
+            self._follow()
+
+    def _follow(self) -> None:
+        """A service that was started anew may have other joints, or other servos for them."""
+        run = self._session._current()
+        if run is self._run:
+            return
+        settings = Settings(dict(self._session.settings))
+        self._joints = {joint.name: joint for joint in from_settings(settings)}
+        if not self._joints:
+            name = self._session.name
+            raise FailstopError(f"the robot of {name!r} has no arm: its settings name no [joints.NAME]")
         self._model = Model(settings) if settings.on("arm.collision") else None
+        self._run = run
+
+    @property
+    def joints(self) -> dict[str, Joint]:
+        """Each joint by name, with its range (range_rad). Raises NoService, FailstopError."""
+        with self._session._lock:
+            self._follow()
+            return self._joints
 
     def move(
         self,
@@ -52,6 +71,7 @@ class Arm:
         points: (seconds from the begin, angles), each with the same joints. Returns when it was read back that it is
         there. Raises Refused: out of range, too fast, it would hit something, wheels enabled, latched, preempted, held,
         a servo that does not answer or did not follow."""
+        asked_ns = monotonic_ns()  # to look at all of the way takes time, in which something else may be asked for
         points: Sequence[Point] = [(over_s, to)] if _is_pose(to) else to  # type: ignore[assignment, list-item]
         if not points:
             raise ValueError("a trajectory needs at least one point")
@@ -65,16 +85,17 @@ class Arm:
             rows.append((float(t_s), [float(angles[name]) for name in names]))
         self._check_way([(t_s, dict(zip(names, angles, strict=True))) for t_s, angles in rows])
         ask = self._session._ask
-        return ask(records.ARM_MOVE, told, lambda client: client.arm_path(speed, servos, rows))
+        return ask(records.ARM_MOVE, told, lambda client: client.arm_path(speed, servos, rows), asked_ns)
 
     def pose(self, name: str, told: Told = None) -> str:
         """Go to a pose of the settings, "drive" or "tuck", slowly (arm.pose_speed). Raises Refused, ValueError."""
         if name not in POSES:
             raise ValueError(f"no pose {name!r}: there are {' and '.join(POSES)}")
+        asked_ns = monotonic_ns()
         ends = {joint.name: joint.rad(at) for joint in self.joints.values() if (at := getattr(joint, name)) >= 0}
         if ends:
             self._check_way([(0.0, ends)])
-        return self._session._ask(POSES[name], told)
+        return self._session._ask(POSES[name], told, asked_ns=asked_ns)
 
     def follow(self, to: Mapping[str, float]) -> None:
         """Follow these angles, from now on until arm.goal_timeout_s after the last call; returns at once. Raises
@@ -130,9 +151,10 @@ class Arm:
             raise Refused(would_hit(*hit[1:], f"after {hit[0]:.2f} s " if rows[-1][0] else ""))
 
     def _joint(self, name: str) -> Joint:
-        if name not in self.joints:
-            raise ValueError(f"no joint {name!r}: there are {', '.join(self.joints)}")
-        return self.joints[name]
+        joints = self.joints
+        if name not in joints:
+            raise ValueError(f"no joint {name!r}: there are {', '.join(joints)}")
+        return joints[name]
 
     def _check(self, angles: Mapping[str, float]) -> None:
         if fault := too_far([self._joint(name) for name in angles], list(angles.values())):

@@ -46,18 +46,22 @@ class Calls(Session):
         Raises ValueError for a value that is not finite, Undeclared (a ValueError too) for a source that the settings
         do not name, NoService when no service runs.
         """
-        if not (isfinite(vx) and isfinite(vy) and isfinite(wz)):
-            raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
-        with self._lock:
-            run = self._current()
-            run.check_source(source)
-            self._slot(run).command(vx, vy, wz, manual=manual, source=source)
+        self.command(vx, vy, wz, manual=manual, source=source)
         until_s = time.monotonic() + TAKEN_S
         while (answer := self._answer(source)) is None or not settled(answer):
             if time.monotonic() > until_s:
                 return Blocked(Block.NO_COMMAND, "the gate has not taken the command yet") if answer is None else answer
             time.sleep(POLL_S)
         return answer
+
+    def command(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> None:
+        """As drive(), without its answer: it never waits. For a program that has much else to hear."""
+        if not (isfinite(vx) and isfinite(vy) and isfinite(wz)):
+            raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
+        with self._lock:
+            run = self._current()
+            run.check_source(source)
+            self._slot(run).command(vx, vy, wz, manual=manual, source=source)
 
     def _answer(self, source: str) -> Answer | None:
         with self._lock:

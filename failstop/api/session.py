@@ -39,11 +39,11 @@ CLOSING_S = 0.3
 class Turn:
     """A place in the queue of a session's requests."""
 
-    def __init__(self, task: object) -> None:
+    def __init__(self, task: object, asked_ns: int = 0) -> None:
         """`task`: of an event loop, that awaits its turn; None: the thread itself waits, and its tasks with it."""
         self.thread = threading.get_ident()
         self.task = task
-        self.asked_ns = time.monotonic_ns()
+        self.asked_ns = asked_ns or time.monotonic_ns()
         """A stop that comes while it waits for its turn is one that its caller did not know of."""
 
 
@@ -199,9 +199,9 @@ class Session:
 
     # Requests.
 
-    def _ask(self, verb: int, told: Told = None, prepare: Prepare = None) -> str:
+    def _ask(self, verb: int, told: Told = None, prepare: Prepare = None, asked_ns: int = 0) -> str:
         """Make a request, and wait for its answer."""
-        return sleep_through(self._asking(verb, told, prepare))
+        return sleep_through(self._asking(verb, told, prepare, asked_ns=asked_ns))
 
     def _asking(
         self,
@@ -210,12 +210,14 @@ class Session:
         prepare: Prepare = None,
         answer_s: float | None = None,
         task: object = None,
+        asked_ns: int = 0,
     ) -> Steps[str]:
         """One request to the gate, until it is answered. The gate keeps one request of a client, and its answer, so
         those of several threads or tasks go one after the other; one that is under way, such as an arm's move, lets
         others pass, which is how it is given up. `told` is called with each word of how far it is, where that takes
-        time; `prepare`: what the gate finds with the request. Raises Refused, NoAnswer, NoService, FailstopError."""
-        turn, said = Turn(task), ""
+        time; `prepare`: what the gate finds with the request; `asked_ns`: when it was asked for, if not now. Raises
+        Refused, NoAnswer, NoService, FailstopError."""
+        turn, said = Turn(task, asked_ns), ""
         limit_s = self._answer_s if answer_s is None else answer_s
         try:
             while not (sent := self._send(verb, turn, prepare)):

@@ -37,8 +37,11 @@ MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
-MOVES = (records.ENABLE, records.ARM_MOVE, records.ARM_DRIVE, records.ARM_TUCK)
-"""Requests after which something may move: those from before the last stop are refused."""
+ENDS = (records.DISABLE, records.ARM_HOLD)
+ARM_MOVES = (records.ARM_MOVE, records.ARM_DRIVE, records.ARM_TUCK)
+GIVES_WAY = {records.ENABLE: ENDS, **dict.fromkeys(ARM_MOVES, (*ENDS, *ARM_MOVES, records.ENABLE))}
+"""Requests after which something may move, and what each gives way to that was asked for after it and came before it;
+and all to a stop."""
 LOOK_AT_ALL_EVERY = 10
 """Ticks between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
 
@@ -69,6 +72,8 @@ class Gate:
         self.epoch = self._epoch_word.get()
         self._raised_ns = 0
         """When the epoch was raised last."""
+        self._asked_ns: dict[int, int] = {}
+        """By verb: when what was last done was asked for."""
         self._last = causes.UNKNOWN()
         """The cause of the last stop."""
         self.core.limit_to(self._limit_word.get() or 100)
@@ -296,8 +301,8 @@ class Gate:
         if verb == records.RESET:
             self._resets.ask((slot, slot.session, number, asked_ns))
             return
-        if verb in MOVES and asked_ns < self._raised_ns:
-            reply = asked_before(self._last)
+        if overtaken := self._overtaken(verb, asked_ns):
+            reply = overtaken
         elif verb == records.ENABLE:
             reply = self._enable(slot, number, now_ns)
         elif verb == records.DISABLE:
@@ -312,9 +317,22 @@ class Gate:
             reply = self.arm.request(slot, number, verb, now_ns) if self.arm else Reply(False, NO_ARM)
         else:
             reply = Reply(False, f"unknown request {verb}")
+        if reply.done:
+            self._asked_ns[verb] = max(self._asked_ns.get(verb, 0), min(asked_ns, now_ns))
         self.reply(slot, slot.session, number, reply, now_ns)
         if reply.done != records.UNDER_WAY:
             self._remark(verb, slot.name, slot.pid, reply, now_ns, enabled=enabled)
+
+    def _overtaken(self, verb: int, asked_ns: int) -> Reply | None:
+        """The refusal of what would move something, when a stop, or something that ends it, was asked for since."""
+        later = GIVES_WAY.get(verb)
+        if later is None:
+            return None
+        if asked_ns < self._raised_ns:
+            return asked_before(self._last)
+        if any(asked_ns < self._asked_ns.get(each, 0) for each in later):
+            return Reply(False, "a later request took its place: ask again")
+        return None
 
     def _missing(self) -> str:
         return "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -264,3 +265,24 @@ def test_the_end_of_a_robot_is_met_by_its_other_threads(trial: Trial) -> None:
 def test_a_service_that_is_not_there_is_not_waited_for_by_a_robot_of_one_run(trial: Trial) -> None:
     with pytest.raises(NoService):
         Robot(f"{trial.name}-none")
+
+
+def test_the_arm_is_that_of_the_service_that_runs(tmp_path: Path) -> None:
+    """Joints are servos by the settings, which a new start may have corrected."""
+    config = tmp_path / "robot.toml"
+    config.write_text("[joints.base]\nservo = 1\n[joints.elbow]\nservo = 2\n")
+    with Trial(f"arm-of-{os.getpid()}", ("--config", str(config))) as trial, Robot(trial.name) as robot:
+        arm = robot.arm
+        assert {name: joint.servo for name, joint in arm.joints.items()} == {"base": 1, "elbow": 2}
+        config.write_text("[joints.base]\nservo = 2\n[joints.elbow]\nservo = 1\n")
+        trial.leave()
+        trial.service.kill()
+        trial.service.start()
+        assert {name: joint.servo for name, joint in arm.joints.items()} == {"base": 2, "elbow": 1}
+
+
+def test_command_moves_the_wheels_and_answers_nothing(robot: Robot) -> None:
+    robot.enable()
+    wait_for("the wheels to turn", lambda: robot.command(0.1, 0.0, 0.0, manual=True) or robot.state.moving)
+    with pytest.raises(ValueError, match="finite"):
+        robot.command(float("nan"), 0.0, 0.0)

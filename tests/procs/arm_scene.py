@@ -138,12 +138,12 @@ class ArmScene(GateStage):
     def segment_of(self, client: int) -> Any:
         return (self._client, self._other)[client]
 
-    def ask_for(self, verb: int, client: int = 0) -> None:
-        """A client asks; the answer comes by answered()."""
+    def ask_for(self, verb: int, client: int = 0, asked_ns: int = 0) -> None:
+        """A client asks, now or for what was asked for then; the answer comes by answered()."""
         self._numbers[client] += 1
         session = (SESSION, OTHER)[client]
         request = records.REQUEST.pack(session, self._numbers[client], verb)
-        self.segment_of(client).latest_writer("request").write(request, self.clock())
+        self.segment_of(client).latest_writer("request").write(request, asked_ns or self.clock())
 
     def answered(self, client: int = 0) -> tuple[int, str]:
         """(done, text) of the last request."""

@@ -12,14 +12,13 @@ from struct import unpack_from
 import pytest
 
 from failstop.policy import causes
-from failstop.policy.reply import unpack
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.shm import box, records
 from tests.support.amounts import amount
 from tests.support.arm_settings import ARM, DRIVE, SERVOS
 from tests.support.stage import MS
 
-from .arm_scene import SESSION, ZERO_WHEELS, ArmScene
+from .arm_scene import ZERO_WHEELS, ArmScene
 
 FOLLOW, JOG = records.ARM_FOLLOW, records.ARM_JOG
 
@@ -578,9 +577,24 @@ def test_a_way_that_was_asked_for_before_a_stop_is_not_gone_after_it(scene: ArmS
     scene.stop(causes.PIPED(""))
     scene.ask_for(records.RESET, client=1)
     assert scene.finish(client=1)[0] == records.DONE
-    scene.segment_of(0).latest_writer("request").write(records.REQUEST.pack(SESSION, 1, verb), asked_ns)
+    scene.ask_for(verb, asked_ns=asked_ns)
+    assert "before the last stop" in scene.finish()[1]
     scene.run(1.0)
-    entry = scene.own.latest_reader("reply.0").read()
-    assert entry
-    assert "before the last stop" in str(unpack(entry[2])[2])
     assert not scene.moves
+
+
+@pytest.mark.parametrize("verb", [records.ARM_DRIVE, records.ARM_TUCK])
+@pytest.mark.parametrize("later", [records.ARM_HOLD, records.DISABLE, records.ARM_DRIVE, records.ARM_TUCK])
+def test_a_way_that_was_asked_for_before_something_else_does_not_take_its_place(
+    scene: ArmScene, verb: int, later: int
+) -> None:
+    """Its client looked at all of the way first, or its thread came late."""
+    asked_ns = scene.clock()
+    scene.run(0.02)
+    scene.ask_for(later)
+    assert scene.finish()[0] == records.DONE
+    moves = len(scene.moves)
+    scene.ask_for(verb, asked_ns=asked_ns)
+    assert scene.finish() == (records.REFUSED, "a later request took its place: ask again")
+    scene.run(0.5)
+    assert len(scene.moves) == moves

@@ -22,6 +22,19 @@ def test_who_asked_before_the_last_stop_did_not_know_of_it(gate_scene: Scene, ve
     assert gate_scene.ask(records.RESET)[0], "and now it does"
 
 
+def test_an_enable_that_was_asked_for_before_a_disable_and_comes_after_it_moves_nothing(gate_scene: Scene) -> None:
+    asked_ns = gate_scene.clock() - 1
+    assert gate_scene.ask(records.DISABLE)[0]
+    assert gate_scene.ask(records.ENABLE, asked_ns) == (False, "a later request took its place: ask again")
+    assert gate_scene.ask(records.ENABLE)[0]
+
+
+def test_a_disable_dated_in_the_future_keeps_nobody_from_enabling(gate_scene: Scene) -> None:
+    assert gate_scene.ask(records.DISABLE, gate_scene.clock() + 10_000 * MS)[0]
+    gate_scene.turn(20 * MS)
+    assert gate_scene.ask(records.ENABLE)[0]
+
+
 def test_a_stop_of_its_own_goes_to_the_port_owner_and_then_to_the_supervisor(gate_scene: Scene) -> None:
     assert gate_scene.ask(records.ENABLE)[0]
     assert records.MOTION in gate_scene.drive(0.1)

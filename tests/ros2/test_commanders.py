@@ -13,7 +13,9 @@ from failstop.ros2.commanders import (
     GONE_NS,
     NAMELESS_NS,
     STOP_AGAIN_NS,
+    WINDOW_NS,
     Commanders,
+    Lag,
     Publisher,
     waited_ns,
 )
@@ -212,3 +214,44 @@ def _came_alone(looks: list[tuple[int, bool]], received_ns: int) -> bool:
         if b_ns - a_ns > FRESH_NS:
             ready_ns = max(ready_ns, b_ns + FRESH_NS)
     return received_ns > ready_ns
+
+
+# What DDS sends again.
+
+
+@pytest.mark.parametrize("ahead_ns", [0, 3600 * S, -3600 * S])
+def test_a_message_that_was_lost_and_sent_again_is_late_whatever_its_publisher_s_clock_says(ahead_ns: int) -> None:
+    lag = Lag()
+    for at_ns in range(100 * S, 104 * S, 50 * MS):
+        assert lag.late_ns((JOY,), at_ns + ahead_ns, at_ns + 2 * MS) == 0
+    assert lag.late_ns((JOY,), 104 * S + ahead_ns, 107 * S) == 3 * S - 2 * MS
+    assert lag.late_ns((JOY,), 107 * S + ahead_ns, 107 * S + 5 * MS) == 3 * MS
+
+
+def test_the_first_of_a_publisher_and_one_of_unknown_time_are_not_late() -> None:
+    lag = Lag()
+    assert lag.late_ns((JOY,), 100 * S, 100 * S) == 0
+    assert lag.late_ns((JOY,), 0, 101 * S) == 0
+    assert lag.late_ns((NAV,), 90 * S, 102 * S) == 0
+    assert lag.late_ns((NAV,), 90 * S, 102 * S + 2 * WINDOW_NS) == 0, "long ago nothing is known of"
+
+
+@pytest.mark.parametrize("step_ns", [-3600 * S, 3600 * S])
+@pytest.mark.parametrize("publisher_s", [False, True])
+def test_a_clock_that_steps_is_followed(step_ns: int, publisher_s: bool) -> None:
+    lag = Lag()
+    refused = []
+    for n in range(400):
+        stepped_ns = step_ns if n >= 100 else 0
+        sent_ns = 100_000 * S + n * 50 * MS + stepped_ns * publisher_s
+        received_ns = 100_000 * S + n * 50 * MS + stepped_ns * (not publisher_s)
+        if lag.late_ns((JOY,), sent_ns, received_ns) > 300 * MS:
+            refused.append(n)
+    assert not refused or (refused[0] == 100 and refused[-1] - 100 <= 2 * WINDOW_NS // (50 * MS))
+
+
+def test_clocks_that_drift_apart_refuse_nothing() -> None:
+    lag = Lag()
+    for n in range(200_000):
+        sent_ns = 100_000 * S + n * 50 * MS
+        assert lag.late_ns((JOY,), sent_ns, sent_ns + n * 5000) < MS  # 100 ppm, for three hours

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import time
 
 import pytest
 
+from failstop import Robot
 from failstop.lab.trial import wait_for
+from failstop.shm.layout import CLIENT_SLOTS
 from tests.ros2.conftest import _name
-from tests.ros2.scene import FORWARD, NODE, TWIST, Bridge, Node, Ros, Scene
+from tests.ros2.scene import BOOL, FORWARD, NODE, TWIST, Bridge, Node, Ros, Scene
 from tests.support.commands import failstop
 
 
@@ -151,3 +154,21 @@ def test_parameters_that_make_no_sense(ros: Ros, words: tuple[str, ...], says: s
         assert "Traceback" not in bridge.said()
     finally:
         bridge.close()
+
+
+def test_a_stop_needs_no_client_slot(ros: Ros) -> None:
+    """A bridge that can drive nothing goes on trying, and is asked to stop in the middle of that."""
+    with Scene(ros, _name()) as scene:
+        scene.bridge.kill()
+        with contextlib.ExitStack() as stack:
+            others = [stack.enter_context(Robot(scene.trial.name, client=f"other{n}")) for n in range(CLIENT_SLOTS)]
+            scene.trial.leave()
+            for robot in others:
+                robot.say("here")
+            scene.bridge.start()
+            scene.drive()
+            wait_for("a complaint", lambda: "cmd_vel moves nothing" in scene.bridge.said())
+            scene.node("button").publish("estop", BOOL, {"data": True}, hz=1.0)
+            wait_for("the stop", lambda: scene.trial.robot.state.cause is not None)
+            done, text = scene.eyes.call("stop")
+            assert done, text

@@ -5,12 +5,16 @@ from __future__ import annotations
 import itertools
 import math
 import statistics
+import threading
 import time
 from typing import Any
 
 import pytest
 
 from failstop.lab.trial import wait_for
+from failstop.ros2.link import Link
+from failstop.ros2.outward import Outward
+from failstop.ros2.shared import Shared
 from tests.ros2.scene import NODE, Scene
 
 SECONDS = 2.0
@@ -145,3 +149,37 @@ def test_diagnostics(scene: Scene) -> None:
     scene.trial.robot.estop("hand near wheel")
     scene.eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
     scene.eyes.next("/diagnostics", lambda message: message["status"][0]["level"] == 2)
+
+
+def test_without_a_service_no_wheel_turns(scene: Scene) -> None:
+    scene.scan()
+    scene.drive()
+    scene.enable()
+    scene.moving()
+    scene.eyes.hear("joint_states", "sensor_msgs/msg/JointState")
+    scene.eyes.next("joint_states", lambda message: all(message["velocity"][:4]))
+    scene.trial.leave()
+    scene.trial.service.kill()
+    stood = scene.eyes.next("joint_states", lambda message: not any(message["velocity"][:4]))
+    later = scene.eyes.next("joint_states")
+    assert later["position"] == stood["position"]
+
+
+class Broken(Outward):
+    """One whose turn fails."""
+
+    def __init__(self, shared: Shared) -> None:
+        self._shared, self._link, self._ending = shared, Link("none"), False
+        self._thread = threading.Thread(target=self._run)
+
+    def turn(self, now_ns: int) -> None:
+        raise RuntimeError("of rcl")
+
+
+def test_the_end_of_the_thread_that_publishes_is_the_bridge_s() -> None:
+    shared = Shared()
+    outward = Broken(shared)
+    outward.start()
+    outward.end()
+    assert shared.ending
+    assert str(shared.failed) == "of rcl"

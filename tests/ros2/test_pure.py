@@ -12,6 +12,7 @@ import pytest
 from failstop.api.errors import FailstopError
 from failstop.api.samples import ImuSample, OdometrySample, PadSample
 from failstop.api.snapshot import Device, GyroBias
+from failstop.api.state import Stop
 from failstop.policy import causes
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.ros2 import diagnostics, messages, mirrors, report, trajectory, transport, words
@@ -143,22 +144,37 @@ def test_nobody_knows_that_nothing_is_latched_without_a_state() -> None:
 
 def test_the_proof_of_a_stop_grows() -> None:
     before, asked_for = states.driving(), causes.REQUESTED("stop service", "ros2", 9)
-    assert report.proof(before, before) == ""
-    assert report.proof(before, None) == ""
+    assert report.proof(before, before) is None
+    assert report.proof(before, None) is None
     asked = states.latched(asked_for, last_stop=states.stop(acknowledged_s=None, observed_s=None))
-    assert report.proof(before, asked) == ""
+    assert report.proof(before, asked) is None
     assert report.proof(before, asked, final=True) == (
-        "stop latched (stop service): written after 0.2 ms, not acknowledged yet, not seen still yet"
+        True,
+        "stop latched (stop service): written after 0.2 ms, not acknowledged yet, not seen still yet",
     )
     seen = states.latched(asked_for, last_stop=states.stop())
     assert report.proof(before, seen) == (
-        "stop latched (stop service): written after 0.2 ms, acknowledged after 4.4 ms, observed after 300 ms"
+        True,
+        "stop latched (stop service): written after 0.2 ms, acknowledged after 4.4 ms, observed after 300 ms",
     )
-    stood = states.latched(asked_for, last_stop=states.stop(observed_s=0.0))
-    assert report.proof(before, stood).endswith("acknowledged after 4.4 ms, no shaking seen before or after")
-    lost = states.latched(asked_for, last_stop=states.stop(written_s=None))
-    assert "could NOT be written: use the POWER SWITCH" in report.proof(before, lost)
-    assert report.proof(before, None, final=True).startswith("asked for a stop")
+
+
+@pytest.mark.parametrize(
+    ("stop", "done", "said"),
+    [
+        (states.stop(observed_s=0.0), True, "acknowledged after 4.4 ms, no shaking seen before or after"),
+        (states.stop(sent=False), False, "NOT sent"),
+        (states.stop(written_s=None), False, "could NOT be written: use the POWER SWITCH"),
+        (None, False, "asked for a stop; the service has not told of it yet"),
+    ],
+)
+def test_a_stop_counts_as_done_once_it_is_known_to_be_written(stop: Stop | None, done: bool, said: str) -> None:
+    asked_for = causes.REQUESTED("stop service", "ros2", 9)
+    now = states.latched(asked_for, last_stop=stop) if stop else None
+    known = report.proof(states.driving(), now, final=True)
+    assert known
+    assert known[0] is done
+    assert said in known[1]
 
 
 def test_own_name_and_number_are_left_out_of_reasons() -> None:

@@ -37,13 +37,13 @@ def spin_until(wanted):
 node.create_subscription(String, "words", lambda message: heard.append(message.data), QoSProfile(depth=10))
 words = node.create_publisher(String, "words", 10)
 received = []
-spinner = Spinner(node, received.append)
+spinner = Spinner(node, lambda *about: received.append(about))
 spin_until(lambda: words.get_subscription_count())
 for text in ("one", "two", "three"):
     words.publish(String(data=text))
 sent_ns = time.time_ns()
 spin_until(lambda: len(heard) == 3)
-waited_s = [abs(sent_ns - at_ns) / 1e9 for at_ns in received]
+waited_s = [abs(sent_ns - at_ns) / 1e9 for about in received if any(about) for at_ns in about]
 
 # What is made later is heard too.
 late = node.create_subscription(Bool, "late", lambda message: heard.append(message.data), QoSProfile(depth=10))
@@ -77,5 +77,5 @@ def test_it_hears_answers_and_waits(ros: Ros) -> None:
     # Only ROS itself has a wait set to keep.
     assert plain != ros.real
     assert turns < 30  # it waits when there is nothing
-    assert len(waited_s) == (0 if plain else 3)
+    assert len(waited_s) == (0 if plain else 6), "when each was sent and received"
     assert all(wait_s < 20 for wait_s in waited_s)
