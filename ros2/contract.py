@@ -59,9 +59,9 @@ CMD_VEL = Topic(
     PLAIN,
     0,
     "the velocity command; TwistStamped too, as `cmd_vel_type` says (auto: what the publisher offers). A stamp older "
-    "than the command timeout is refused, a zero stamp counts as now. So is one that comes so much later than others of "
-    "its publisher, as what DDS sends again does. A zero command always counts. A value that is not finite latches a "
-    "stop",
+    "than the command timeout is refused, a zero stamp counts as now. So is a command that comes so much later than "
+    "others of its publisher, as what DDS sends again does. A zero command always counts. A value that is not finite "
+    "latches a stop",
 )
 SCAN = Topic(
     "scan",
