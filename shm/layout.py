@@ -10,8 +10,8 @@ from __future__ import annotations
 from zlib import crc32
 
 from failstop.shm import box
+from failstop.shm.cell import cell_bytes
 from failstop.shm.futex import BLOCKS, PER_BLOCK
-from failstop.shm.latest import cell_bytes, record_bytes
 from failstop.shm.words import LINE_BYTES
 
 LAYOUT_VERSION = 7
@@ -50,8 +50,6 @@ class Record:
         """Bytes the record takes in its segment."""
         if self.kind == "word":
             return LINE_BYTES
-        if self.kind == "latest":
-            return record_bytes(self.capacity)
         if self.kind == "futexes":
             return self.capacity
         return cell_bytes(self.capacity) * self.cells
@@ -84,7 +82,7 @@ def _word(name: str, readers: str) -> Record:
 
 
 def _latest(name: str, capacity: int, readers: str) -> Record:
-    return Record("latest", name, readers, capacity)
+    return Record("latest", name, readers, capacity, 2)
 
 
 def _ring(name: str, capacity: int, cells: int, readers: str) -> Record:

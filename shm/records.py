@@ -1,4 +1,4 @@
-"""Records: the payloads of fixed shape, each declared once with its values.
+"""Records: the payloads of fixed shape, each declared once: its values, how they become bytes and bytes become them.
 
 Payloads of variable shape (state, process table, the stop that people read) are msgpack maps made by their writers.
 """
@@ -6,14 +6,16 @@ Payloads of variable shape (state, process table, the stop that people read) are
 from __future__ import annotations
 
 import struct
-
-from failstop.shm.payload import REST, Payload, Tail
+from collections.abc import Callable, Sequence
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from typing import Any, Generic
+
+    from typing_extensions import TypeVarTuple, Unpack
 
     Rows = Sequence[tuple[float, Sequence[float]]]
+    Values = TypeVarTuple("Values")
 
 MOTION = 1
 """Frame kind: a motor frame; the newest wins and it dies with its epoch and the lease."""
@@ -69,6 +71,69 @@ PAD_RESET = 1
 PAD_FRAME = 2
 PLUGGED = ("unknown", "plugged", "unplugged")
 PAD_MODES = ("locked", "drive", "joint")
+
+
+LARGEST = 65536
+
+
+class Tail:
+    """What follows the numbers: how its values become bytes, and bytes its values (ValueError: not these bytes); how
+    many bytes there may be."""
+
+    __slots__ = ("least", "most", "pack", "unpack")
+
+    def __init__(
+        self,
+        pack: Callable[..., bytes],
+        unpack: Callable[[bytes], tuple[Any, ...]],
+        least: int = 0,
+        most: int = LARGEST,
+    ) -> None:
+        self.pack = pack
+        self.unpack = unpack
+        self.least = least
+        self.most = most
+
+
+NOTHING = Tail(bytes, lambda data: (), most=0)
+REST = Tail(bytes, lambda data: (data,))
+"""Bytes, as they are."""
+
+
+class Shape:
+    """Numbers in the form of `struct`, and the tail's values after them. `pack` takes what `unpack` returns; `unpack`
+    raises ValueError for bytes of another shape, so that a reader takes them for damage."""
+
+    __slots__ = ("_count", "_numbers", "_tail")
+
+    def __init__(self, form: str, tail: Tail = NOTHING) -> None:
+        self._numbers = struct.Struct(form)
+        self._count = len(self._numbers.unpack(bytes(self._numbers.size)))
+        self._tail = tail
+
+    def pack(self, *values: Any) -> bytes:
+        """The bytes of these values."""
+        return self._numbers.pack(*values[: self._count]) + self._tail.pack(*values[self._count :])
+
+    def unpack(self, payload: bytes) -> tuple[Any, ...]:
+        """The values of these bytes. Raises ValueError."""
+        size, tail = self._numbers.size, self._tail
+        if not tail.least <= len(payload) - size <= tail.most:
+            raise ValueError(f"payload of {len(payload)} bytes, {size + tail.least} to {size + tail.most} expected")
+        return (*self._numbers.unpack_from(payload), *tail.unpack(payload[size:]))
+
+
+if TYPE_CHECKING:
+
+    class Payload(Shape, Generic[Unpack[Values]]):
+        """A shape of these values, as the type checker sees it."""
+
+        def pack(self, *values: Unpack[Values]) -> bytes: ...
+
+        def unpack(self, payload: bytes) -> tuple[Unpack[Values]]: ...
+
+else:
+    Payload = Shape
 
 
 def life(pid: int, block: int) -> int:
@@ -135,20 +200,12 @@ def _unpack_names(data: bytes) -> tuple[list[str]]:
     return (data.decode("utf-8", "replace").split("\n") if data else [],)
 
 
-def _unpack_source(data: bytes) -> tuple[str]:
-    if len(data) != SOURCE_BYTES:
-        raise ValueError(f"payload of {len(data) + COMMAND.size} bytes, {SOURCE_BYTES + COMMAND.size} expected")
-    return (data.rstrip(b"\0").decode("ascii", "replace"),)
-
-
 def _pack_reply(text: str, cause: bytes) -> bytes:
     said = cut(text, REPLY_BYTES)
     return _LENGTH.pack(len(said)) + said + cause
 
 
 def _unpack_reply(data: bytes) -> tuple[str, bytes]:
-    if len(data) < _LENGTH.size:
-        raise ValueError(f"payload of {len(data) + REPLY.size} bytes, at least {_LENGTH.size + REPLY.size} expected")
     end = _LENGTH.size + _LENGTH.unpack_from(data)[0]
     return data[_LENGTH.size : end].decode("utf-8", "replace"), data[end:]
 
@@ -188,8 +245,6 @@ def _pack_answer(value: int | None) -> bytes:
 
 
 def _unpack_answer(data: bytes) -> tuple[int | None]:
-    if len(data) != _ANSWER.size:
-        raise ValueError(f"payload of {len(data) + SERVO.size} bytes, {_ANSWER.size + SERVO.size} expected")
     answered, value = _ANSWER.unpack(data)
     return (value if answered else None,)
 
@@ -210,7 +265,13 @@ raised last; the cause that is latched, else that of the last stop, packed."""
 PORT: Payload[int, int, int, str] = Payload("<QQB", _text(PATH_BYTES))
 """The port: its number in this run, since when it is in this state (ns), PORT_OPEN or another, its path."""
 COMMAND: Payload[int, float, float, float, bool, str] = Payload(
-    "<Q3d?", Tail(lambda source: _whole(source, SOURCE_BYTES).ljust(SOURCE_BYTES, b"\0"), _unpack_source)
+    "<Q3d?",
+    Tail(
+        lambda source: _whole(source, SOURCE_BYTES).ljust(SOURCE_BYTES, b"\0"),
+        lambda data: (data.rstrip(b"\0").decode("ascii", "replace"),),
+        SOURCE_BYTES,
+        SOURCE_BYTES,
+    ),
 )
 """A velocity command of the client session that wrote it: vx (m/s forward), vy (m/s left), wz (rad/s
 counter-clockwise), whether a person drives, the source, which is never cut: it could be another one."""
@@ -225,7 +286,7 @@ REQUEST: Payload[int, int, int] = Payload("<QQB")
 """A client session's request: its number, which comes back in the reply; its verb, ENABLE or another."""
 SPEED_LIMIT: Payload[int, int] = Payload("<QB")
 """The speed limit that a session's request is about, in percent of the settings' speeds."""
-REPLY: Payload[int, int, int, str, bytes] = Payload("<QQB", Tail(_pack_reply, _unpack_reply))
+REPLY: Payload[int, int, int, str, bytes] = Payload("<QQB", Tail(_pack_reply, _unpack_reply, _LENGTH.size))
 """The reply to a session's request: its number; DONE, REFUSED with the reason, or UNDER_WAY with how far it is; the
 text; where that says CAUSE, this cause is meant, packed."""
 ARM_GOAL: Payload[int, int, dict[int, float]] = Payload("<QB", Tail(_pack_goal, _unpack_goal))
@@ -234,7 +295,7 @@ ARM_GOAL: Payload[int, int, dict[int, float]] = Payload("<QB", Tail(_pack_goal, 
 ARM_PATH: Payload[int, float, list[int], Rows] = Payload("<Qd", Tail(_pack_rows, _unpack_rows))
 """A session's trajectory: the share of the joints' speeds that it may use, the servos (MOST_JOINTS at most), and rows
 (MOST_ROWS at most): when (s; 0 in the first row: as fast as allowed), and the angles (rad) of these servos' joints."""
-SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer))
+SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer, _ANSWER.size, _ANSWER.size))
 """An answer of a bus servo: which, to which question (board/servos.py), the value; None: the board says that there was
 none."""
 IMU: Payload[float, float, float, float, float, float] = Payload("<6d")

@@ -18,11 +18,9 @@ import struct
 import posix_ipc
 
 from failstop.shm import cell, claim, place
+from failstop.shm.cell import FileView, LatestReader, LatestWriter, RingReader, RingWriter
 from failstop.shm.futex import Futex
-from failstop.shm.latest import LatestReader, LatestWriter
 from failstop.shm.layout import BY_NAME, CLIENTS, HEADER_BYTES, LAYOUT_HASH, PROCESSES, SEGMENTS, SUPERVISOR
-from failstop.shm.ring import RingReader, RingWriter
-from failstop.shm.views import FileView
 from failstop.shm.words import LINE_BYTES, Word
 from failstop.version import VERSION
 
@@ -34,8 +32,8 @@ _HEADER_SEED = cell.seed("header", 0)
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.shm.cell import View
     from failstop.shm.layout import Record, SegmentSpec
-    from failstop.shm.views import View
 
 
 class AttachError(Exception):

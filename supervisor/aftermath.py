@@ -10,8 +10,8 @@ import signal
 
 from failstop.policy import causes
 from failstop.shm import layout, records
-from failstop.shm.barrier import Barrier
 from failstop.shm.packing import pack
+from failstop.shm.words import Barrier
 from failstop.supervisor.link import ALIVE, DEAF, Link
 from failstop.supervisor.stops import UNSTILL, Stop
 from failstop.supervisor.written import BY_SUPERVISOR

@@ -6,7 +6,7 @@ Whoever sees a new epoch, with its bell or without, finds the cause of it and a 
 from __future__ import annotations
 
 from failstop.shm import layout
-from failstop.shm.barrier import Barrier
+from failstop.shm.words import Barrier
 from failstop.supervisor.latch import Latch
 
 TYPE_CHECKING = False

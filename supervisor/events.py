@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from failstop.procs.world import World
-    from failstop.shm.ring import RingWriter
+    from failstop.shm.cell import RingWriter
     from failstop.supervisor.datagram import Outbox
     from failstop.supervisor.journal import Value
 

@@ -7,7 +7,7 @@ from failstop.supervisor.children import RUNNING
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.shm.latest import LatestWriter
+    from failstop.shm.cell import LatestWriter
     from failstop.supervisor.children import Child
     from failstop.supervisor.epochs import Epochs
     from failstop.supervisor.port_handover import PortHandover

@@ -15,7 +15,7 @@ from __future__ import annotations
 import msgpack
 
 from failstop.shm import layout
-from failstop.shm.barrier import Barrier
+from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from failstop.api.errors import FailstopError, NoService
 from failstop.api.held import HeldByThread
 from failstop.policy.reply import Reply, unpack
 from failstop.shm import bell, claim, instance, layout, records, segment
-from failstop.shm.barrier import Barrier
 from failstop.shm.lifeline import pid_namespace
+from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

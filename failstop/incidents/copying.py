@@ -11,7 +11,7 @@ import struct
 
 from failstop.policy import causes
 from failstop.shm import box, cell, layout, records
-from failstop.shm.latest import cell_bytes
+from failstop.shm.cell import cell_bytes
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def left_stop(copies: Copies, cause_ns: int) -> dict[str, Any] | None:
     """What is known of the stop that ended such a run, as supervisor/stops.py has it; None: nobody wrote one."""
     written: dict[int, str] = {}
     for _, ns, payload in _rows(copies, "box"):
-        kind, length, taken, _ = box.unpack_wire(payload)
+        kind, length, taken, _ = box.WIRE.unpack(payload)
         if kind == box.BURST and taken == length:
             written.setdefault(ns, "port owner")
     if layout.STOPPER in copies:

@@ -212,7 +212,7 @@ class Incident:
         """Everything for the board, in order: the port owner's, the supervisor's bursts, the stopper's last one."""
         found = [
             Write(ns, layout.PORT_OWNER, *written)
-            for ns, written in self._entries(layout.PORT_OWNER, "box", box.unpack_wire)
+            for ns, written in self._entries(layout.PORT_OWNER, "box", box.WIRE.unpack)
         ]
         for ns, ages in self._entries(layout.SUPERVISOR, "box", box.unpack_beats):
             if not ages:
@@ -246,8 +246,7 @@ class Incident:
     @cached_property
     def servo_answers(self) -> list[tuple[int, int, int, int | None]]:
         """(when, servo, what was asked, its answer; None: it had none), as decoder.servo_reply."""
-        found = self._of_board(box.SERVO)
-        return [(ns, servo, what, value if answered else None) for ns, (servo, what, answered, value) in found]
+        return [(ns, servo, what, value) for ns, (servo, what, value) in self._of_board(box.SERVO)]
 
     @cached_property
     def beats(self) -> list[tuple[int, tuple[tuple[int, int], ...]]]:

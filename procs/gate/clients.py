@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from typing import Any, Protocol
 
     from failstop.procs.loop import Loop
-    from failstop.shm.cell import Entry
-    from failstop.shm.latest import LatestReader
+    from failstop.shm.cell import Entry, LatestReader
     from failstop.shm.lifeline import EarlyNews
     from failstop.shm.segment import Segment
 

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from failstop.procs.gate.arm.core import ArmCore
     from failstop.procs.gate.core import GateCore
     from failstop.procs.gate.sources import Command
-    from failstop.shm.ring import RingWriter
+    from failstop.shm.cell import RingWriter
 
 
 ARM_EVERY_NS = 100_000_000
@@ -63,6 +63,5 @@ class GateBox:
             )
         block = box.BLOCK.get(core.blocked(now_ns), 1)
         numbers = (*velocity, *core.velocity, *core.speeds)
-        head = box.GATE.pack(epoch & box.LONGEST, block, flags, min(self._count, 255), age_us, *numbers, source)
-        self._ring.put(head + who, now_ns)
-        self._count = 0
+        count, self._count = min(self._count, 255), 0
+        self._ring.put(box.GATE.pack(epoch & box.LONGEST, block, flags, count, age_us, *numbers, source, who), now_ns)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop.policy.reply import Reply, unpack
-from failstop.shm.barrier import Barrier
+from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

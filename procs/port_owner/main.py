@@ -19,8 +19,8 @@ from failstop.procs.port_owner.servo_bus import ServoBus
 from failstop.procs.port_owner.wire import Wire
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm import bell, heartbeat, layout, records
-from failstop.shm.barrier import Barrier
 from failstop.shm.lifeline import give_way
+from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

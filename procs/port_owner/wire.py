@@ -11,7 +11,7 @@ from failstop.shm import box
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.procs.world import World
-    from failstop.shm.ring import RingWriter
+    from failstop.shm.cell import RingWriter
 
 DRAIN_NS = 100_000_000
 """A port that holds bytes back for this long does not drain: a stop cause."""

@@ -20,7 +20,7 @@ from failstop.procs.loop import GONE, HANGUP, NEVER, READ, Loop
 from failstop.procs.peer import Peer
 from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
 from failstop.shm import bell, heartbeat, layout, records
-from failstop.shm.barrier import Barrier
+from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

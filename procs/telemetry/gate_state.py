@@ -8,7 +8,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    from failstop.shm.latest import LatestReader
+    from failstop.shm.cell import LatestReader
 
 SILENT_NS = 250_000_000
 """The gate publishes at least every 100 ms. One that has been silent for this long is past its lease: the port owner

@@ -20,9 +20,9 @@ from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
 from failstop.procs.telemetry.tones import Tones
 from failstop.shm import box, records
-from failstop.shm.barrier import Barrier
 from failstop.shm.notes import Note
 from failstop.shm.packing import pack
+from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -230,7 +230,7 @@ class Telemetry:
             acceleration = self._accelerometer.mps2(ax, ay, az)
             rate_radps = self._gyro.corrected(raw_radps)
             self._records["imu"].write(records.IMU.pack(*acceleration, *rate_radps), t_ns)
-            self._box.put(box.pack_imu(acceleration, rate_radps), t_ns)
+            self._box.put(box.pack_board(box.IMU, *map(box.single, (*acceleration, *rate_radps))), t_ns)
             was_still = self._still.still_ns > 0
             self._still.take(raw_radps[0], raw_radps[1], t_ns)
             self._publish_still()
@@ -247,7 +247,7 @@ class Telemetry:
                 text = f"charger {name}: the battery stepped to {millivolts} mV"
                 self._note("charger", text, {"state": name, "battery_mv": millivolts})
             self._records["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
-            self._box.put(box.pack_battery(millivolts, self._charger.state), t_ns)
+            self._box.put(box.pack_board(box.BATTERY, millivolts, self._charger.state), t_ns)
             if due := self._log.take(millivolts, self._gate.enabled, t_ns, self._unix_s()):
                 self._files.append(BATTERY_LOG, due[0], HEADER, due[1])
 
@@ -265,7 +265,7 @@ class Telemetry:
                 self._request(records.PAD_RESET)
                 self._note("pad", "gamepad: MODE was held, reset requested")
             self._records["pad"].write(records.PAD.pack(*sample, self._pad.mode), t_ns)
-            self._box.put(box.pack_pad(sample, self._pad.mode), t_ns)
+            self._box.put(box.pack_board(box.PAD, *sample, self._pad.mode), t_ns)
             if news.cause:
                 self._buttons.put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
                 text = f"{news.cause}; last frames: {self._pad.recent()}"
@@ -274,7 +274,7 @@ class Telemetry:
     def _on_servo(self, data: bytes, t_ns: int) -> None:
         if answer := decoder.servo_reply(framing.BUS_SERVO, data):
             self._servos.put(records.SERVO.pack(*answer), t_ns)
-            self._box.put(box.pack_servo(*answer), t_ns)
+            self._box.put(box.pack_board(box.SERVO, *answer), t_ns)
             self._gate_bell.ring()
 
     def _on_pwm_servo(self, data: bytes, t_ns: int) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm.latest import LatestReader
+from failstop.shm.cell import LatestReader
 
 TIOCGEXCL = 0x80045440
 

@@ -13,7 +13,7 @@ from failstop.incidents import copying
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.shm import box, layout, records, segment
-from failstop.shm.latest import cell_bytes
+from failstop.shm.cell import cell_bytes
 
 _numbers = itertools.count()
 RUN = 0x1234567890

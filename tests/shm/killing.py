@@ -18,16 +18,14 @@ import sys
 import time
 
 from failstop.shm import cell, segment
-from failstop.shm.latest import LatestReader, LatestWriter, cell_bytes
-from failstop.shm.ring import RingReader, RingWriter
+from failstop.shm.cell import LatestReader, LatestWriter, RingReader, RingWriter, cell_bytes
 from failstop.shm.words import Word
 
 from .memory import exit_after, payload_of, time_of
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.shm.cell import Entry
-    from failstop.shm.views import View
+    from failstop.shm.cell import Entry, View
 
 DELAY_NS = 300_000
 

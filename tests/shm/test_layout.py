@@ -12,7 +12,7 @@ from types import ModuleType
 import pytest
 
 from failstop.shm import cell, layout
-from failstop.shm.latest import cell_bytes, record_bytes
+from failstop.shm.cell import cell_bytes
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, HEADER_BYTES, LAYOUT_HASH, PROCESSES, SEGMENTS
 from failstop.shm.words import LINE_BYTES
 
@@ -116,7 +116,6 @@ def test_a_cell_holds_its_capacity_and_shares_no_line(capacity: int) -> None:
     assert cell_bytes(capacity) >= cell.HEADER_BYTES + capacity
     assert cell_bytes(capacity) - cell.HEADER_BYTES - capacity < LINE_BYTES
     assert cell_bytes(capacity) % LINE_BYTES == 0
-    assert record_bytes(capacity) == 2 * cell_bytes(capacity)
 
 
 def test_the_hash_is_reproducible() -> None:

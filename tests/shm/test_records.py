@@ -18,7 +18,7 @@ from failstop.shm import records
 from failstop.shm.cell import HEADER_BYTES, build
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS
 from failstop.shm.packing import pack
-from failstop.shm.payload import Shape
+from failstop.shm.records import Shape
 
 U64 = st.integers(0, 2**64 - 1)
 U32 = st.integers(0, 2**32 - 1)

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from failstop.shm import segment
+from failstop.shm.cell import FileView
 from failstop.shm.layout import BY_NAME
 from failstop.shm.segment import AttachError, Segment
-from failstop.shm.views import FileView
 from tests.support.children import Child
 
 from .memory import genuine, payload_of, time_of

@@ -7,9 +7,8 @@ import random
 from typing import TYPE_CHECKING
 
 from failstop.shm import segment
-from failstop.shm.latest import LatestReader
+from failstop.shm.cell import LatestReader, RingReader
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, SEGMENTS, SegmentSpec
-from failstop.shm.ring import RingReader
 from failstop.shm.segment import Segment
 
 from .memory import payload_of, time_of
