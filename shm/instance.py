@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Callable
 
 from failstop.shm import bell, place, root
 
 DEFAULT_NAME = "failstop"
 _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
-
-
 RUN_DIGITS = 16
 SHARED = "/dev/shm/failstop"
 
@@ -50,33 +49,22 @@ def places(name: str) -> list[str]:
     return [os.path.join(base, check_name(name)) for base in bases()]
 
 
-def lock_path(runtime_dir: str) -> str:
-    """The file whose first byte the running service holds."""
-    return os.path.join(runtime_dir, "lock")
+def _file(name: str) -> Callable[[str], str]:
+    """Where this file is in a runtime directory."""
+    return lambda runtime_dir: os.path.join(runtime_dir, name)
 
 
-def claims_path(runtime_dir: str) -> str:
-    """The file on whose bytes clients hold their slots."""
-    return os.path.join(runtime_dir, "claims")
-
-
-def stop_path(runtime_dir: str) -> str:
-    """The FIFO that every local user may write: any bytes are a stop."""
-    return os.path.join(runtime_dir, "stop")
-
-
-def bell_path(runtime_dir: str) -> str:
-    """The FIFO by which clients wake the gate."""
-    return os.path.join(runtime_dir, "bell")
-
-
-def run_path(runtime_dir: str) -> str:
-    """The file that says which run's shared memory is the service's: its incarnation, RUN_DIGITS hexadecimal digits."""
-    return os.path.join(runtime_dir, "run")
-
-
-def _draft_path(runtime_dir: str) -> str:
-    return f"{run_path(runtime_dir)}.new"
+lock_path = _file("lock")
+"""The file whose first byte the running service holds."""
+claims_path = _file("claims")
+"""The file on whose bytes clients hold their slots."""
+stop_path = _file("stop")
+"""The FIFO that every local user may write: any bytes are a stop."""
+bell_path = _file("bell")
+"""The FIFO by which clients wake the gate."""
+run_path = _file("run")
+"""The file that says which run's shared memory is the service's: its incarnation, RUN_DIGITS hexadecimal digits."""
+_draft_path = _file("run.new")
 
 
 def publish(runtime_dir: str, incarnation: int) -> int:

@@ -19,7 +19,7 @@ SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
 NOTE_BYTES = 576
-"""What gate and telemetry tell people at once, at most (notes.py)."""
+"""What gate and telemetry tell people at once, at most (packing.py)."""
 PINGS = 4
 """Different pings in turn, so that an answer says which of them it answers."""
 PUBLIC = 0o644
@@ -178,7 +178,7 @@ SEGMENTS = (
             _word("limit", "its successor"),  # percent of the settings' speeds that it allows; 0: nobody has set one
             _ring("frames", 304, 64, "port_owner"),  # motion, stops, other frames for the wire (records)
             _ring("stops", 320, 32, "supervisor"),  # every stop cause that it noticed, in order (records)
-            _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
+            _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)
             _latest("state", 4096, "telemetry, clients"),  # msgpack
             _latest("said", 4096, "clients"),  # what clients say of themselves (msgpack, procs/gate/said.py)
             *(_latest(f"reply.{i}", 640, "the client of that slot") for i in range(CLIENT_SLOTS)),
@@ -205,7 +205,7 @@ SEGMENTS = (
             _ring("causes", 64, 8, "port_owner"),  # the cause of each button and key that stops, in order
             _ring("servos", 16, 64, "gate"),  # answers of the arm's servos, in order (records)
             _ring("pad_requests", 272, 32, "gate"),  # resets, and frames that are not motion, in order (records)
-            _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
+            _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)
             _ring("buttons", 128, 64, "clients"),  # keys and pad buttons, in order (msgpack)
             _ring("box", box.BOARD_BYTES, box.BOARD_CELLS, "everyone"),  # what it decoded (box.py)
         ),

@@ -13,17 +13,13 @@ import _thread
 import contextlib
 import os
 import select
+from collections.abc import Callable
 from time import sleep
 
 from failstop.shm import futex
 from failstop.shm.bell import EventBell
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from failstop.shm.futex import Futex
-    from failstop.shm.segment import Segment
+from failstop.shm.futex import Futex
+from failstop.shm.segment import Segment
 
 _SIGKILL = 9
 _ORDINARY = os.sched_param(0)

@@ -10,7 +10,7 @@ import select
 
 from failstop.policy import causes
 from failstop.shm import instance, layout
-from failstop.shm.notes import fitting
+from failstop.shm.packing import fitting
 from failstop.supervisor.allowance import ASKED_BYTES, OWN_BYTES, Allowance
 from failstop.supervisor.fold import PREFIX, fitted
 from failstop.supervisor.journal import encode
@@ -32,7 +32,7 @@ LONGEST_HOLD_NS = 50_000_000
 """Events wait at most this long for a stop's bytes, which are out within 5 ms where they can be written at all."""
 MOST_WAITING = 256
 CUTS = ((280, 280), (200, 60), (120, 24))
-"""As notes.CUTS."""
+"""As packing.CUTS."""
 ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name, causes.FLEET.name))
 AGAIN = frozenset(("stop_again", "stop_also"))
 """What anybody can bring about without end; a stop that is latched again takes somebody who resets."""

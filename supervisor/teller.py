@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop.shm import heartbeat, layout
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 from failstop.supervisor.link import UNPROVEN
 from failstop.supervisor.stops import NOT_SENT
 

@@ -21,7 +21,7 @@ from failstop.procs.gate.interlocks import Interlocks
 from failstop.procs.gate.scan import ScanGate
 from failstop.procs.gate.sources import PAD, Command, Sources
 from failstop.shm.blocks import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 from failstop.shm.records import CAUSE
 
 TYPE_CHECKING = False

@@ -19,8 +19,7 @@ from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
 from failstop.procs.loop import NEVER, READ, Loop
 from failstop.shm import bell, instance, layout, place, records
 from failstop.shm.heartbeat import HeartbeatReader
-from failstop.shm.notes import Note
-from failstop.shm.packing import pack
+from failstop.shm.packing import Note, pack
 from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from failstop.shm import records
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.reply import Reply
     from failstop.procs.gate.sources import Command
-    from failstop.shm.notes import Fields
+    from failstop.shm.packing import Fields
 
 VERBS = {
     records.ENABLE: "enable",

@@ -4,7 +4,7 @@ on its truth."""
 from __future__ import annotations
 
 from failstop.procs.gate.remarks import Budget
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ delivers; manual ones are exempt. It blocks without latching: motion resumes by 
 from __future__ import annotations
 
 from failstop.procs.gate.stamps import believed_ns
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 
 
 class ScanGate:

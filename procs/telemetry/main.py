@@ -20,15 +20,14 @@ from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
 from failstop.procs.telemetry.tones import Tones
 from failstop.shm import box, records
-from failstop.shm.notes import Note
-from failstop.shm.packing import pack
+from failstop.shm.packing import Note, pack
 from failstop.shm.words import Barrier
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.causes import Cause
     from failstop.procs.context import Context
-    from failstop.shm.notes import Fields
+    from failstop.shm.packing import Fields
     from failstop.shm.segment import Segment
 
 TICK_NS = 50_000_000

@@ -266,7 +266,7 @@ def other_run(name: str) -> None:
     incarnation = attach(name, layout.GATE).incarnation ^ 1
     spec = layout.BY_NAME[f"client.{client.slot}"]
     fd = slot_file(name, client.slot)
-    old = segment.Segment(spec, incarnation, cell.FileView(fd), None, fd)
+    old = segment.Segment(spec, incarnation, fd=fd)
     to_bell = bell.open_pipe_to_write(instance.bell_path(instance.find(name)))
     begun()
     while True:

@@ -89,7 +89,7 @@ def test_whole_records_of_any_content_raise_nothing(service: Service, record: st
 def test_records_of_another_run_are_ignored(service: Service) -> None:
     client = service.join()
     service.look()
-    old = Segment(client.segment.spec, INCARNATION + 1, client.segment.view, None, -1)
+    old = Segment(client.segment.spec, INCARNATION + 1, fd=client.segment.fileno())
     old.latest_writer("command").write(records.COMMAND.pack(11, 0.2, 0.0, 0.0, False, "cmd_vel"))
     assert service.look() == []
 
@@ -99,9 +99,9 @@ def test_a_truncated_segment_is_a_client_gone(service: Service, size: int) -> No
     client = service.join()
     client.command()
     service.look()
-    os.ftruncate(client.segment.view.fd, size)  # type: ignore[attr-defined]
+    os.ftruncate(client.segment.view.fd, size)  # type: ignore[union-attr]
     assert service.look() == [("gone", 11)]
-    os.ftruncate(client.segment.view.fd, client.segment.spec.size)  # type: ignore[attr-defined]
+    os.ftruncate(client.segment.view.fd, client.segment.spec.size)  # type: ignore[union-attr]
     assert service.look() == []
 
 

@@ -20,7 +20,7 @@ PRIVATE_NAMES = [spec.name for spec in SEGMENTS if spec.mode == PRIVATE]
 
 
 def path_of(instance: str, of: str) -> str:
-    return "/dev/shm" + segment.shm_name(instance, of)
+    return segment.path_of(instance, of)
 
 
 def content(path: str) -> bytes:

@@ -161,7 +161,7 @@ def test_control_a_mapped_reader_dies_of_sigbus(name: str) -> None:
     def attach_mapped() -> Segment:
         with open(path_of(name, "client.0"), "rb") as file:
             mapped = mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ)
-        return Segment(BY_NAME["client.0"], RUN, mapped, mapped, -1)
+        return Segment(BY_NAME["client.0"], RUN, mapped)
 
     with pytest.raises(TypeError, match="is written by clients"):
         segment.attach(name, "client.0", RUN)

@@ -22,7 +22,7 @@ CLIENT_NAMES = [f"client.{i}" for i in range(CLIENT_SLOTS)]
 
 
 def path_of(instance: str, of: str) -> str:
-    return "/dev/shm" + segment.shm_name(instance, of)
+    return segment.path_of(instance, of)
 
 
 class Written:

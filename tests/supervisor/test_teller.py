@@ -11,7 +11,7 @@ import pytest
 from failstop.procs.world import World
 from failstop.shm import layout, segment
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 from failstop.supervisor.events import Events
 from failstop.supervisor.stops import Stop
 from failstop.supervisor.teller import MOST_SAID, NO_EARLY_NEWS, NO_REALTIME, WAITED_NS, Teller

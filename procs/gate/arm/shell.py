@@ -16,7 +16,7 @@ from failstop.procs.gate.clients import seen
 from failstop.procs.gate.recorder import ArmBox
 from failstop.procs.gate.sources import PAD
 from failstop.shm import records
-from failstop.shm.notes import Note
+from failstop.shm.packing import Note
 from failstop.shm.records import CAUSE
 
 TYPE_CHECKING = False
