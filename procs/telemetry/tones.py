@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.board.peripherals import buzzer
+from failstop.board.codec import buzzer
 from failstop.procs.telemetry import pad
 
 OFF_MS = 100
