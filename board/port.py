@@ -76,14 +76,10 @@ def open_port(path: str, *, exclusive: bool) -> int:
         raise _explain(path, error) from None
     try:
         _prepare(path, descriptor, exclusive)
-    except termios.error as error:
+    except BaseException as error:
         os.close(descriptor)
-        raise _explain(path, OSError(*error.args)) from None
-    except OSError as error:
-        os.close(descriptor)
-        raise _explain(path, error) from None
-    except BaseException:
-        os.close(descriptor)
+        if isinstance(error, (OSError, termios.error)):
+            raise _explain(path, OSError(*error.args)) from None
         raise
     return descriptor
 
@@ -156,16 +152,13 @@ def _check_kind(path: str) -> None:
 def _prepare(path: str, descriptor: int, exclusive: bool) -> None:
     # What stat() saw may have been replaced before open(); only a terminal answers this.
     before = termios.tcgetattr(descriptor)
-    alone = True
     if exclusive:
         # Root passes TIOCEXCL; another service of root's asks for this lock too. All duplicates share it. First, since
         # TIOCEXCL would outlive a refusal: it stays until the last descriptor of the terminal is closed.
         _lock(path, descriptor)
         # Before all other changes, so that nobody else gets in while the port is being set up.
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
-    else:
-        alone = _is_alone(descriptor)
-    if alone:
+    if exclusive or _is_alone(descriptor):
         # cdc_acm sends the line coding only when it differs from the one that it sent last.
         _set_raw(descriptor, before, _OTHER_SPEED)
     _set_raw(descriptor, before, _SPEED)
@@ -247,14 +240,11 @@ def _explain_permission(path: str) -> str:
     import grp
     import pwd
 
-    try:
+    owner, group = str(node.st_uid), str(node.st_gid)
+    with contextlib.suppress(KeyError):
         owner = pwd.getpwuid(node.st_uid).pw_name
-    except KeyError:
-        owner = str(node.st_uid)
-    try:
+    with contextlib.suppress(KeyError):
         group = grp.getgrgid(node.st_gid).gr_name
-    except KeyError:
-        group = str(node.st_gid)
     whose = f"{path} belongs to {owner}:{group}, mode {stat.S_IMODE(node.st_mode):04o}"
     if node.st_gid != 0 and node.st_mode & 0o060 == 0o060:
         return f"no permission to open {path}: {whose}: usermod -aG {group} USER, or run as the service's user"
