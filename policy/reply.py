@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.shm import records
 from failstop.shm.records import CAUSE
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.causes import Cause
 
 
 class Reply:

@@ -140,7 +140,7 @@ def test_whatever_bytes_there_are_a_stop_is_one(payload: bytes) -> None:
 
 
 def test_damage_is_told_apart() -> None:
-    with pytest.raises(ValueError, match="a cause of 1 bytes"):
+    with pytest.raises(ValueError, match="no cause has the number 1 of 1 bytes"):
         causes.unpack(b"\1")
     with pytest.raises(ValueError, match="no cause has the number 65535"):
         causes.unpack(b"\xff\xff")
