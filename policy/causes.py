@@ -13,10 +13,7 @@ from __future__ import annotations
 from failstop.shm import records
 from failstop.shm.records import cut, printable
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    Value = str | int | float
-
+Value = str | int | float
 ROOM = 280
 """Bytes that the arguments of a cause take at most, in UTF-8; what is longer is cut."""
 BETWEEN = "\x1f"

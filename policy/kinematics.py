@@ -10,12 +10,10 @@ from __future__ import annotations
 
 from math import pi
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.settings import Settings
+from failstop.policy.settings import Settings
 
-    Four = tuple[float, float, float, float]
-    Whole = tuple[int, int, int, int]
+Four = tuple[float, float, float, float]
+Whole = tuple[int, ...]
 
 # The right-hand motors are mounted the other way round.
 SIGNS = (1, 1, -1, -1)
@@ -69,7 +67,7 @@ def differential(diameter_m: float, track_m: float, signs: Whole = SIGNS, ids: W
 
 def from_settings(settings: Settings) -> Wheels:
     """The kinematics that wheels.layout names, with the sizes, signs and ids of [wheels]. Raises ValueError."""
-    signs, ids = _whole(settings, "sign"), _whole(settings, "id")
+    signs, ids = (tuple(int(settings[f"wheels.{what}_{wheel}"]) for wheel in (1, 2, 3, 4)) for what in ("sign", "id"))
     diameter_m, track_m = settings["wheels.diameter_m"], settings["wheels.track_m"]
     layout = settings.text("wheels.layout")
     if layout == "mecanum":
@@ -79,6 +77,6 @@ def from_settings(settings: Settings) -> Wheels:
     raise ValueError(f"wheels.layout = {layout!r}: it has no kinematics")
 
 
-def _whole(settings: Settings, what: str) -> Whole:
-    first, second, third, fourth = (int(settings[f"wheels.{what}_{wheel}"]) for wheel in (1, 2, 3, 4))
-    return first, second, third, fourth
+def max_wheel_rps(settings: Settings) -> float:
+    """The fastest that any wheel can turn within the settings' limits, in revolutions per second."""
+    return from_settings(settings).worst_rps(*(settings[f"limits.{axis}"] for axis in ("vx_mps", "vy_mps", "wz_radps")))

@@ -355,13 +355,6 @@ class Settings:
         """The ids of the arm's servos, in the order of its joints; empty on a robot without an arm."""
         return tuple(int(table["servo"]) for table in self.named["joints"].values())
 
-    def max_wheel_rps(self) -> float:
-        """The fastest that any wheel can turn within the limits, in revolutions per second."""
-        from failstop.policy import kinematics
-
-        limits = self["limits.vx_mps"], self["limits.vy_mps"], self["limits.wz_radps"]
-        return kinematics.from_settings(self).worst_rps(*limits)
-
     def flat(self) -> dict[str, float | str]:
         """Every value by its whole key, those of the named tables too."""
         found = dict(self.values)
@@ -408,10 +401,10 @@ def declaration(key: str) -> Setting:
     if key in BY_KEY:
         return BY_KEY[key]
     family, _, rest = key.partition(".")
-    for setting in FAMILIES.get(family, ()):
-        if setting.key == rest.partition(".")[2]:
-            return setting
-    raise _unknown(key)
+    found = [setting for setting in FAMILIES.get(family, ()) if setting.key == rest.partition(".")[2]]
+    if not found:
+        raise _unknown(key)
+    return found[0]
 
 
 def _unknown(key: str) -> SettingError:
@@ -419,10 +412,7 @@ def _unknown(key: str) -> SettingError:
     from difflib import get_close_matches
 
     name = key.split(".")[1] if key.count(".") > 1 else "NAME"
-    known = [
-        *BY_KEY,
-        *(f"{family}.{name}.{setting.key}" for family, declared in FAMILIES.items() for setting in declared),
-    ]
-    nearest = get_close_matches(key, known, 1, 0.5)
+    named = [f"{family}.{name}.{setting.key}" for family, declared in FAMILIES.items() for setting in declared]
+    nearest = get_close_matches(key, [*BY_KEY, *named], 1, 0.5)
     advice = f"did you mean {nearest[0]}?" if nearest else "`failstop config` lists them all"
     return SettingError(f"{key}: no such setting; {advice}")

@@ -29,11 +29,12 @@ _HEAD = struct.Struct("<IIQQ")
 _BODY = struct.Struct("<IQQ")
 _CRC = struct.Struct("<I")
 
+Entry = tuple[int, int, bytes]
+"""The sequence number, CLOCK_MONOTONIC and the payload."""
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Protocol
-
-    Entry = tuple[int, int, bytes]
 
     class View(Protocol):
         """What a reader or writer needs of a segment: one slice copy out, one slice assignment in."""

@@ -9,10 +9,8 @@ import msgpack
 from failstop.shm.layout import NOTE_BYTES
 from failstop.shm.records import cut
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    Value = str | int | float
-    Fields = dict[str, Value]
+Value = str | int | float
+Fields = dict[str, Value]
 
 # msgpack.packb allocates 1 MB at every call: a process that is out of memory would die of a remark.
 pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack

@@ -14,8 +14,9 @@ if TYPE_CHECKING:
 
     from typing_extensions import TypeVarTuple, Unpack
 
-    Rows = Sequence[tuple[float, Sequence[float]]]
     Values = TypeVarTuple("Values")
+
+Rows = Sequence[tuple[float, Sequence[float]]]
 
 MOTION = 1
 """Frame kind: a motor frame; the newest wins and it dies with its epoch and the lease."""

@@ -17,7 +17,7 @@ import failstop
 from failstop.api import why
 from failstop.board.decoder import BUTTONS
 from failstop.board.interface import BOARD
-from failstop.policy import causes
+from failstop.policy import causes, kinematics
 from failstop.policy.causes import BY_NAME, BY_NUMBER, Cause, Kind
 from failstop.policy.processes import ROLES
 from failstop.policy.settings import Settings
@@ -232,7 +232,7 @@ def test_names_of_who_did_it() -> None:
 
 
 def test_what_the_board_refuses_is_a_defect() -> None:
-    limit = Settings().max_wheel_rps()
+    limit = kinematics.max_wheel_rps(Settings())
     fast = BOARD.motor_speeds((9.0, 0.0, 0.0, 0.0), 10.0)
     wild = b"\xaa\x55\x03\x16\x01\x04\x07" + fast[7:-1]
     faults = [

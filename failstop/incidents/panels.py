@@ -12,6 +12,7 @@ import numpy as np
 from failstop.incidents import signals
 from failstop.incidents.incident import MOTION, PING, STOP_BURST, ZERO, Incident
 from failstop.incidents.signals import DRIVING, SILENT
+from failstop.policy import kinematics
 from failstop.policy.settings import SettingError, Settings
 from failstop.shm import blocks, layout
 
@@ -143,7 +144,7 @@ def _most_rps(incident: Incident) -> float:
     """What the port owner lets through; 0: not known."""
     try:
         lines = "\n".join(f"{key}={value}" for key, value in incident.settings.items())
-        return Settings.from_lines(lines).max_wheel_rps()
+        return kinematics.max_wheel_rps(Settings.from_lines(lines))
     except (SettingError, ValueError):
         return 0.0
 

@@ -57,7 +57,7 @@ class Gate:
         self._next_tick, self._due = self.loop.timer(), self.loop.timer()
         self._next_tick.set(now_ns)
         self.period_ns = settings.ns("gate.period_s")
-        self._max_rps = settings.max_wheel_rps() * 1.0005
+        self._max_rps = kinematics.max_wheel_rps(settings) * 1.0005
         self._lease_ns = settings.ns("gate.lease_s")
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
         self._budget = Budget(now_ns)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 
 from failstop.board.interface import BOARD
-from failstop.policy import causes
+from failstop.policy import causes, kinematics
 from failstop.procs.handover import Control
 from failstop.procs.loop import EDGE, GONE, NEVER, READ, WRITE, Loop, Timer
 from failstop.procs.peer import Peer
@@ -52,7 +52,7 @@ class PortOwner:
         self._now_ns = context.world.now_ns
         self.heartbeat = context.heartbeat
         self.loop = Loop(context.world)
-        self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
+        self.admission = Admission(settings.ns("gate.lease_s"), kinematics.max_wheel_rps(settings) * 1.001)
         self.bus = ServoBus(settings.servos())
         self.repeats = repeats.Repeats(self.loop.timer(), self._now_ns())
         ping = self.loop.timer() if BOARD.pings else Timer()

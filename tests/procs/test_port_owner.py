@@ -12,7 +12,7 @@ from failstop.board import codec, interface
 from failstop.board.burst import BURST
 from failstop.board.interface import BOARD
 from failstop.lab import encoders
-from failstop.policy import causes
+from failstop.policy import causes, kinematics
 from failstop.procs.port_owner import main
 from failstop.procs.port_owner import wire as wire_module
 from failstop.procs.world import World
@@ -210,7 +210,7 @@ def test_content_that_may_not_be_is_a_stop(scene: Scene, frame: bytes, reason: s
 
 def test_the_fastest_wheel_that_the_settings_allow_passes_and_a_faster_one_does_not(scene: Scene) -> None:
     scene.turn()
-    rps = scene.settings.max_wheel_rps()
+    rps = kinematics.max_wheel_rps(scene.settings)
     fastest, faster = (codec.motor_speeds((factor * rps, 0.0, 0.0, -rps), 60.0) for factor in (1.0, 1.01))
     scene.put(fastest)
     assert scene.turn() == fastest
