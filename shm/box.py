@@ -30,11 +30,8 @@ ARM_CELLS = 640
 BEATS_CELLS = 768
 """10 a second, and one at each stop."""
 
-GATE_BYTES = 104
-WIRE_BYTES = 40
-BOARD_BYTES = 40
-BEATS_BYTES = 48
 ARM_BYTES = 80
+WHO_BYTES = 36
 
 BLOCKS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN)
 """The gate's decision: its index is in the record."""
@@ -67,9 +64,9 @@ OWN_BURST = 2
 """Supervisor: a burst on its own descriptor, written at the entry's time."""
 LONGEST = 0xFFFFFFFF
 
-GATE = Shape("<IBBBxI3f3f4f16s", records.REST)
+GATE = Shape("<IBBBxI3f3f4f16s", records.rest(WHO_BYTES))
 """A tick of the gate, as unpack_gate() has it."""
-WIRE: Payload[int, int, int, bytes] = Payload("<BHH", records.REST)
+WIRE: Payload[int, int, int, bytes] = Payload("<BHH", records.rest(WIRE_HEAD))
 """Bytes for the board: BURST, FRAME or REST; how many; how many of them the kernel took; the first ones of a frame."""
 BOARD: dict[int, Shape] = {
     IMU: Shape("<6f"),
@@ -79,7 +76,8 @@ BOARD: dict[int, Shape] = {
 }
 """What telemetry has decoded, by the kind that is its first byte. An IMU sample is as it is published: corrected, the
 rate less its bias."""
-_BEATS = Shape("<B10I")
+BOARD_BYTES = 1 + max(shape.most for shape in BOARD.values())
+OF_BEATS = Shape("<B10I")
 _ARM = struct.Struct("<BB")
 _AIM = struct.Struct("<Bf")
 
@@ -127,7 +125,7 @@ def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
     """The longest silence of each process of layout.PROCESSES since the record before, and how long before this record
     that was seen."""
-    return _BEATS.pack(BEATS, *(min(max(0, time_us), LONGEST) for time_us in (*silent_us, *before_us)))
+    return OF_BEATS.pack(BEATS, *(min(max(0, time_us), LONGEST) for time_us in (*silent_us, *before_us)))
 
 
 OWN_BURST_RECORD = bytes((OWN_BURST,))
@@ -158,7 +156,7 @@ def unpack_beats(payload: bytes) -> tuple[tuple[int, int], ...]:
     ValueError."""
     if payload == OWN_BURST_RECORD:
         return ()
-    kind, *times = _BEATS.unpack(payload)
+    kind, *times = OF_BEATS.unpack(payload)
     if kind != BEATS:
         raise ValueError(f"a record of beats of the kind {kind}")
     return tuple(zip(times[:5], times[5:], strict=True))

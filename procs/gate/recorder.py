@@ -57,7 +57,7 @@ class GateBox:
         if command is not None:
             age_us = min(max(0, now_ns - command.t_ns) // 1000, box.LONGEST)
             velocity = tuple(map(box.single, command.velocity))
-            source, who = command.source.encode(), command.who.encode("utf-8", "replace")[:36]
+            source, who = command.source.encode(), command.who.encode("utf-8", "replace")[: box.WHO_BYTES]
             flags |= (box.MANUAL if command.manual else 0) | (
                 box.DRIVES if core.sources.driving(now_ns) is command else 0
             )

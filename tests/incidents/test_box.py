@@ -76,7 +76,7 @@ any_float = st.floats(width=64)
 @given(velocity=st.tuples(any_float, any_float, any_float), who=st.text(max_size=80), source=st.text(max_size=20))
 def test_no_command_is_too_strange_to_be_recorded(velocity: tuple[float, float, float], who: str, source: str) -> None:
     made = Recorder()
-    writer, reader = ring(box.GATE_BYTES, 8)
+    writer, reader = ring(box.GATE.most, 8)
     gate = GateBox(writer)
     gate.command(Command(1, who, at(0), velocity, source=source))
     gate.tick(at(5), made.core, 2**70)
@@ -122,10 +122,10 @@ def test_the_wire_is_recorded_after_it_was_written() -> None:
 
 
 def test_the_longest_payloads_fit_their_rings() -> None:
-    assert len(box.pack_wire(box.FRAME, bytes(300), 300)) <= box.WIRE_BYTES
+    assert len(box.pack_wire(box.FRAME, bytes(300), 300)) <= box.WIRE.most
     assert len(box.pack_board(box.IMU, *(1.0,) * 6)) <= box.BOARD_BYTES
     assert len(box.pack_board(box.PAD, 0xFFFF, 255, -128, 127, 0, 0, 1)) <= box.BOARD_BYTES
-    assert len(box.pack_beats([2**40] * len(layout.PROCESSES), [0] * len(layout.PROCESSES))) <= box.BEATS_BYTES
+    assert len(box.pack_beats([2**40] * len(layout.PROCESSES), [0] * len(layout.PROCESSES))) <= box.OF_BEATS.most
     packed = box.pack_beats([2**40, -1, 0, 1, 2], [5, 6, 7, 8, 9])
     assert box.unpack_beats(packed) == ((box.LONGEST, 5), (0, 6), (0, 7), (1, 8), (2, 9))
 
@@ -164,7 +164,7 @@ def told(gate: GateBox, reader: RingReader, core: GateCore, now_ns: int) -> dict
 
 def test_a_tick_tells_whether_the_newest_command_is_the_one_that_drives() -> None:
     core = Recorder().core
-    writer, reader = ring(box.GATE_BYTES, 8)
+    writer, reader = ring(box.GATE.most, 8)
     gate = GateBox(writer)
     none = told(gate, reader, core, at(0))
     assert (none["command"], none["age_us"], none["source"], none["who"]) == ((0, 0, 0), None, "", "")
@@ -183,7 +183,7 @@ def test_a_tick_tells_whether_the_newest_command_is_the_one_that_drives() -> Non
 
 def test_a_decision_of_another_version_is_shown_by_its_number() -> None:
     made = Recorder()
-    writer, reader = ring(box.GATE_BYTES, 8)
+    writer, reader = ring(box.GATE.most, 8)
     GateBox(writer).tick(at(0), made.core, 7)
     entry = reader.next()
     assert entry is not None

@@ -66,7 +66,7 @@ def test_a_torn_entry_is_left_out_and_nothing_else(name: str) -> None:
     writer = gate.ring_writer("box")
     for number in range(10):
         writer.put(b"%d" % number, number)
-    at = gate.spec.offsets["box"] + 5 * cell_bytes(box.GATE_BYTES)
+    at = gate.spec.offsets["box"] + 5 * cell_bytes(box.GATE.most)
     assert gate.mapped is not None
     gate.mapped[at + 24] ^= 0xFF
     ring = copying.segment(layout.GATE, *copies(name)[layout.GATE])["rings"]["box"]
