@@ -11,6 +11,7 @@ Every cause latches.
 from __future__ import annotations
 
 from failstop.shm import records
+from failstop.shm.data import Data
 from failstop.shm.records import cut, printable
 
 Value = str | int | float
@@ -25,44 +26,29 @@ CLIENTS = "gate"
 NUMBER_BYTES = 2
 _TYPES = {"": str, "d": int, "X": int, "f": float}
 
-BY_NUMBER: dict[int, Kind] = {}
-BY_NAME: dict[str, Kind] = {}
-
 _TELL = "report it with its incident (`failstop incident list`), as it is a defect, or memory that somebody damaged"
 _AGAIN = "look at what came before it (`failstop events`) if it is not the first time"
 _BUSY = "look at the machine's load and at real-time rights (`failstop doctor`), since something held it up"
 _POWER = "turn the robot's POWER SWITCH off and on, since a stop may not have reached the wheels"
 
 
-class Kind:
-    """One row."""
+class Kind(Data):
+    """One row. `number`: never given to another row; `template`: what stands in braces are the parameters, none of
+    which is "name"; `noticed_by`: processes."""
 
-    __slots__ = ("cleared_by", "name", "noticed_by", "number", "parameters", "remedy", "template", "what")
+    number: int
+    name: str
+    template: str
+    noticed_by: str
+    what: str
+    remedy: str
+    cleared_by: str = RESET
 
-    def __init__(
-        self,
-        number: int,
-        name: str,
-        template: str,
-        noticed_by: str,
-        what: str,
-        remedy: str,
-        cleared_by: str = RESET,
-    ) -> None:
-        """`number`: never given to another row; `template`: what stands in braces are the parameters, none of which is
-        "name"; `noticed_by`: processes."""
-        self.number = number
-        self.name = name
-        self.template = template
-        fields = [part.partition("}")[0].partition(":") for part in template.split("{")[1:]]
-        self.parameters = tuple((name, _TYPES[form[-1:]]) for name, _, form in fields)
-        self.noticed_by = tuple(noticed_by.split())
-        self.what = what
-        self.remedy = remedy
-        self.cleared_by = cleared_by
-        assert number not in BY_NUMBER
-        assert name not in BY_NAME
-        BY_NUMBER[number] = BY_NAME[name] = self
+    @property
+    def parameters(self) -> tuple[tuple[str, type[Value]], ...]:
+        """Name and type of each."""
+        fields = [part.partition("}")[0].partition(":") for part in self.template.split("{")[1:]]
+        return tuple((name, _TYPES[form[-1:]]) for name, _, form in fields)
 
     def __call__(self, *arguments: Value) -> Cause:
         """A cause of this kind. Raises ValueError for arguments that are not those of the row."""
@@ -71,14 +57,11 @@ class Kind:
         return Cause(self, tuple(of(given) for (_, of), given in zip(self.parameters, arguments, strict=True)))
 
 
-class Cause:
+class Cause(Data):
     """Why the robot was stopped: the row, and what it says of this case. `str` of it is its text."""
 
-    __slots__ = ("arguments", "kind")
-
-    def __init__(self, kind: Kind, arguments: tuple[Value, ...]) -> None:
-        self.kind = kind
-        self.arguments = arguments
+    kind: Kind
+    arguments: tuple[Value, ...]
 
     def named(self) -> dict[str, Value]:
         """The arguments by name."""
@@ -283,3 +266,6 @@ TWO_MOVE_THE_ARM = Kind(
     "{who} and {rival} both moved the arm",
     "end one of them: one program at a time moves the arm",
 )  # fmt: skip
+
+BY_NUMBER = {kind.number: kind for kind in tuple(globals().values()) if isinstance(kind, Kind)}
+BY_NAME = {kind.name: kind for kind in BY_NUMBER.values()}

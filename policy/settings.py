@@ -7,6 +7,8 @@ sources, interlocks and an arm's joints are tables with a name of the user's: [s
 
 from __future__ import annotations
 
+from failstop.shm.data import Data
+
 SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 """The environment variable in which a process finds them."""
 MOST_SHOWN = 160
@@ -31,31 +33,19 @@ def shown(value: object) -> str:
         return f"{type(value).__name__} beyond all bounds"
 
 
-class Setting:
+class Setting(Data):
     """One declaration. A number has a range (inclusive) or a few allowed values; a text may have a few allowed words.
 
     A text whose default is empty may be empty.
     """
 
-    __slots__ = ("allowed", "default", "doc", "high", "key", "low", "unit")
-
-    def __init__(
-        self,
-        key: str,
-        default: float | str,
-        unit: str,
-        low: float | None,
-        high: float | None,
-        doc: str,
-        allowed: tuple[int, ...] | tuple[str, ...] = (),
-    ) -> None:
-        self.key = key
-        self.default = default
-        self.unit = unit
-        self.low = low
-        self.high = high
-        self.doc = doc
-        self.allowed = allowed
+    key: str
+    default: float | str
+    unit: str
+    low: float | None
+    high: float | None
+    doc: str
+    allowed: tuple[int, ...] | tuple[str, ...] = ()
 
     def check(self, value: object, key: str = "") -> float | str:
         """Return the value in its declared type, or raise SettingError, which names `key` (its own, if empty)."""

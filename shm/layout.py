@@ -11,6 +11,7 @@ from zlib import crc32
 
 from failstop.shm import box, records
 from failstop.shm.cell import cell_bytes
+from failstop.shm.data import Data
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.records import Shape
 from failstop.shm.words import LINE_BYTES
@@ -35,17 +36,14 @@ STOPPER = "stopper"
 PROCESSES = (SUPERVISOR, PORT_OWNER, GATE, TELEMETRY, STOPPER)
 
 
-class Record:
+class Record(Data):
     """One record: its kind (word, latest, ring, futexes), payload capacity in bytes, cells (rings), readers."""
 
-    __slots__ = ("capacity", "cells", "kind", "name", "readers")
-
-    def __init__(self, kind: str, name: str, readers: str, capacity: int = 8, cells: int = 1) -> None:
-        self.kind = kind
-        self.name = name
-        self.readers = readers
-        self.capacity = capacity
-        self.cells = cells
+    kind: str
+    name: str
+    readers: str
+    capacity: int = 8
+    cells: int = 1
 
     def size(self) -> int:
         """Bytes the record takes in its segment."""

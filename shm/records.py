@@ -8,6 +8,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 
+from failstop.shm.data import Data
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any, Generic
@@ -79,19 +81,14 @@ PLUGGED = ("unknown", "plugged", "unplugged")
 PAD_MODES = ("locked", "drive", "joint")
 
 
-class Tail:
+class Tail(Data):
     """What follows the numbers: how its values become bytes, and bytes its values (ValueError: not these bytes); how
     many bytes there are, at most and at least."""
 
-    __slots__ = ("least", "most", "pack", "unpack")
-
-    def __init__(
-        self, pack: Callable[..., bytes], unpack: Callable[[bytes], tuple[Any, ...]], most: int, least: int = 0
-    ) -> None:
-        self.pack = pack
-        self.unpack = unpack
-        self.most = most
-        self.least = least
+    pack: Callable[..., bytes]
+    unpack: Callable[[bytes], tuple[Any, ...]]
+    most: int
+    least: int = 0
 
 
 NOTHING = Tail(bytes, lambda data: (), 0)

@@ -65,7 +65,7 @@ def test_a_template_names_the_parameters_of_its_row_and_no_others(kind: Kind) ->
     assert [field for _, field, _, _ in string.Formatter().parse(kind.template) if field] == names
     explained = {field for _, field, _, _ in string.Formatter().parse(kind.what) if field}
     assert explained <= {*names, *(["role"] if "process" in names else []), *(["names"] if "buttons" in names else [])}
-    assert set(kind.noticed_by) <= set(PROCESSES)
+    assert set(kind.noticed_by.split()) <= set(PROCESSES)
     assert "name" not in names, "for programs that is the row's own, beside its arguments"
 
 
