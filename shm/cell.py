@@ -79,26 +79,15 @@ def build(seq: int, t_ns: int, payload: bytes, crc_seed: int, capacity: int) -> 
     return _CRC.pack(crc32(body, crc_seed)) + body
 
 
-def sequence(raw: bytes, at: int = 0) -> int:
-    """The sequence number a cell claims, unchecked: good only for choosing which cell to check first."""
-    if len(raw) < at + HEADER_BYTES:
-        return 0
-    seq: int = _HEAD.unpack_from(raw, at)[2]
-    return seq
-
-
-def check(raw: bytes, crc_seed: int, at: int = 0, size: int | None = None) -> Entry | None:
-    """Return (seq, t_mono_ns, payload) of the private copy `raw[at:at+size]`, or None when it is not whole."""
-    end = len(raw) if size is None else min(len(raw), at + size)
-    if end - at < HEADER_BYTES:
+def check(raw: bytes, crc_seed: int) -> Entry | None:
+    """Return (seq, t_mono_ns, payload) of a cell's private copy, or None when it is not whole."""
+    if len(raw) < HEADER_BYTES:
         return None
-    crc, length, seq, t_ns = _HEAD.unpack_from(raw, at)
-    stop = at + HEADER_BYTES + length
-    if seq == 0 or stop > end:
+    crc, length, seq, t_ns = _HEAD.unpack_from(raw)
+    end = HEADER_BYTES + length
+    if seq == 0 or end > len(raw) or crc32(raw[4:end], crc_seed) != crc:
         return None
-    if crc32(raw[at + 4 : stop], crc_seed) != crc:
-        return None
-    return seq, t_ns, raw[at + HEADER_BYTES : stop]
+    return seq, t_ns, raw[HEADER_BYTES:end]
 
 
 def cell_bytes(capacity: int) -> int:
@@ -167,9 +156,8 @@ class LatestReader(_Cells):
         return entry
 
     def _newest(self, raw: bytes) -> Entry | None:
-        size = self._size
-        first = size if sequence(raw, size) > sequence(raw, 0) else 0
-        return check(raw, self._seed, first, size) or check(raw, self._seed, size - first, size)
+        found = check(raw[: self._size], self._seed), check(raw[self._size :], self._seed)
+        return max(filter(None, found), default=None)
 
 
 class LatestWriter(_Cells):

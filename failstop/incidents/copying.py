@@ -46,7 +46,7 @@ def whole(name: str, record_name: str, incarnation: int, data: bytes) -> list[En
     record = spec.records[record_name]
     size, offset = cell_bytes(record.capacity), spec.offsets[record_name]
     seed = cell.seed(f"{name}.{record_name}", incarnation)
-    found = (cell.check(data, seed, at, size) for at in range(offset, offset + record.size(), size))
+    found = (cell.check(data[at : at + size], seed) for at in range(offset, offset + record.size(), size))
     return sorted(entry for entry in found if entry)
 
 

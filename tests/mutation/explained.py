@@ -111,8 +111,6 @@ SHM: tuple[Reason, ...] = (
     Reason("instances.py", r"monotonic\(\) >= until_s", "two times at exact equality"),
     Reason("shm/cell.py", r"\n\+\s+self\._seen = 1$", "the numbers begin at 1"),
     Reason("shm/cell.py", r"\n\+.*in range\(4\):", "one more try", same=False),
-    Reason("shm/cell.py", r"\n\+.*sequence\(raw, \) else 0", "0 is the default"),
-    Reason("shm/cell.py", r"\n\+.*size\) >= sequence\(raw, 0\)", "only empty ones are alike", same=False),
     Reason("shm/layout.py", r"\n\+.*(capacity: int = 9|cells: int = 2)", "read only by the hash there", same=False),
     Reason(
         "shm/layout.py",

@@ -173,7 +173,7 @@ def test_a_wiped_slot_is_empty_and_as_good_as_new(name: str) -> None:
     new = content(path_of(name, "client.0"))
     own, seen = segment.attach_client_slot(name, 0, RUN), segment.read_client_slot(name, 0, RUN)
     for record in CLIENT_RECORDS:
-        own.latest_writer(record).write(b"left by its holder before", 1)
+        own.latest_writer(record).write(b"before", 1)
     own.wipe()
     assert content(path_of(name, "client.0")) == new
     for record in CLIENT_RECORDS:

@@ -129,7 +129,8 @@ def truncate_all_the_while(name: str, of: str, child: Child) -> None:
         while time.monotonic() < limit and os.waitid(os.P_PIDFD, watch, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
             seq += 1
             for writer in writers:
-                writer.write(payload_of(writer._seq + 1, 40), time_of(writer._seq + 1))
+                payload = payload_of(writer._seq + 1, min(40, writer._capacity))
+                writer.write(payload, time_of(writer._seq + 1))
             if dice.random() < 0.3:
                 os.ftruncate(fd, dice.choice([0, 0, size, dice.randrange(size)]))
             if dice.random() < 0.3:
