@@ -205,39 +205,28 @@ def dead_runs(instance: str) -> list[str]:
 
 
 def attach(memory: str, name: str, incarnation: int | None = None, *, write: bool = False, owner: int = -1) -> Segment:
-    """Map a service segment: read-only, or for writing when this process is its declared writer. Never a client's:
-    what clients may truncate is not mapped.
+    """A segment to read, or to write when this process is its declared writer. Mapped, but for what more than one
+    process writes, clients or the lifelines' holders: reached through its file, one that somebody truncates costs no
+    SIGBUS.
 
     `incarnation` is the run that is expected; None takes the run that is there. `owner`: the uid of the service; -1:
     this process's. Raises AttachError.
     """
     spec = BY_NAME[name]
-    if spec.mode == layout.CLIENTS:
-        raise TypeError(f"{name} is written by clients: use attach_client_slot or read_client_slot")
     fd = _open(memory, name, write, owner)
+    mapped = None
     try:
         found = _check_header(fd, memory, spec, incarnation)
-        prot = mmap.PROT_READ | (mmap.PROT_WRITE if write else 0)
-        mapped = mmap.mmap(fd, spec.size, flags=mmap.MAP_SHARED, prot=prot)
-    finally:
-        os.close(fd)
-    return Segment(spec, found, mapped)
-
-
-def attach_client_slot(memory: str, index: int, incarnation: int, *, owner: int = -1) -> Segment:
-    """A client's own segment, through pread and pwrite: another client that truncates it costs no SIGBUS here."""
-    return attach_unmapped(memory, f"client.{index}", incarnation, owner=owner)
-
-
-def attach_unmapped(memory: str, name: str, incarnation: int, *, owner: int = -1) -> Segment:
-    """A segment for writing, through its file. Raises AttachError."""
-    fd = _open(memory, name, True, owner)
-    try:
-        _check_header(fd, memory, BY_NAME[name], incarnation)
+        if spec.mode == layout.PUBLIC:
+            prot = mmap.PROT_READ | (mmap.PROT_WRITE if write else 0)
+            mapped = mmap.mmap(fd, spec.size, flags=mmap.MAP_SHARED, prot=prot)
     except BaseException:
         os.close(fd)
         raise
-    return Segment(BY_NAME[name], incarnation, fd=fd)
+    if mapped is None:
+        return Segment(spec, found, fd=fd)
+    os.close(fd)
+    return Segment(spec, found, mapped)
 
 
 def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:

@@ -99,7 +99,7 @@ class Supervisor:
         self.teller = Teller(name, self._events, views, advice)
         run = Run(world, resources, settings, own, views, self.loop, self._events)
         self._silence = Silence(run, advice)
-        self.processes = ProcessTable(run, segment.attach_unmapped(memory, "lifelines", incarnation))
+        self.processes = ProcessTable(run, segment.attach(memory, "lifelines", incarnation, write=True))
         self.children = self.processes.children
         self.epochs = Epochs(run)
         self.aftermath = Aftermath(run, self.epochs.latch, port.holds)

@@ -176,7 +176,9 @@ class Client:
         for index in range(layout.CLIENT_SLOTS):
             if claim.take(self._held.claims, index):
                 try:
-                    found = segment.attach_client_slot(self._memory, index, self._gate.incarnation, owner=self._owner)
+                    found = segment.attach(
+                        self._memory, f"client.{index}", self._gate.incarnation, owner=self._owner, write=True
+                    )
                 except segment.AttachError as error:
                     if error.kind not in ("damaged", "absent", "owner"):
                         raise

@@ -61,6 +61,4 @@ def write_header(
 
 
 def attach_any(name: str, of: str, run: int = RUN) -> Segment:
-    if of.startswith("client."):
-        return segment.attach_client_slot(name, int(of[-1]), run)
-    return segment.attach(name, of, run)
+    return segment.attach(name, of, run, write=of.startswith("client."))

@@ -64,7 +64,7 @@ class Written:
         if not self.client:
             return segment.attach(self.instance, self.spec.name, RUN, write=write)
         if write:
-            return segment.attach_client_slot(self.instance, index, RUN)
+            return segment.attach(self.instance, f"client.{index}", RUN, write=True)
         return segment.read_client_slot(self.instance, index, RUN)
 
     def close(self) -> None:
