@@ -21,10 +21,12 @@ BALLAST_MB = 100
 # Every process imports ctypes, so this one in its place gives each of them the memory of a large program.
 BALLAST = f"""
 import sys
-_ballast = b"x" * ({BALLAST_MB} << 20)
-sys.path = [path for path in sys.path if path != __file__.rsplit("/", 1)[0]]
+sys.ballast = b"x" * ({BALLAST_MB} << 20)  # this module is gone with its import of the real one
+_path = sys.path  # which a process hands on to those that it starts
+sys.path = [path for path in _path if path != __file__.rsplit("/", 1)[0]]
 del sys.modules["ctypes"]
 import ctypes
+sys.path = _path
 """
 
 
