@@ -9,19 +9,8 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board.framing import (
-    BUZZER,
-    CRC_TABLE,
-    HEAD,
-    MOTOR_HEAD,
-    PWM_SERVO,
-    WHEELS,
-    FrameError,
-    crc8,
-    frame,
-    integer,
-    number,
-)
+from failstop.board import framing
+from failstop.board.framing import BUZZER, CRC_TABLE, HEAD, MOTOR_HEAD, PWM_SERVO, WHEELS, FrameError, crc8, frame
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -46,12 +35,12 @@ _BUZZER_HEAD = HEAD + bytes((BUZZER, _BUZZER.size))
 
 def speed_limit(max_rps: float) -> float:
     """A limit in rps. Raises FrameError for one that is none."""
-    return number("max_rps", max_rps, 0.0, RPS_CEILING, "rps")
+    return framing.number("max_rps", max_rps, 0.0, RPS_CEILING, "rps")
 
 
 def wheel_speed(wheel: int, rps: float, limit: float) -> float:
     """A wheel's speed in rps. Raises FrameError for one beyond the limit."""
-    return number(f"speed of wheel {wheel}", rps, -limit, limit, "rps")
+    return framing.number(f"speed of wheel {wheel}", rps, -limit, limit, "rps")
 
 
 def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
@@ -131,15 +120,15 @@ STOP = motor_speeds((0.0, 0.0, 0.0, 0.0), 0.0)
 
 def pwm_servo_read(servo: int) -> bytes:
     """Ask for a PWM servo's pulse (id 1 to 4): the ping. The board answers from its memory, with no servo connected."""
-    return frame(PWM_SERVO, bytes((0x05, integer("servo id", servo, 1, PWM_SERVOS))))
+    return frame(PWM_SERVO, bytes((0x05, framing.integer("servo id", servo, 1, PWM_SERVOS))))
 
 
 def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
     """Sound the buzzer `repeat` times. off_ms of 0 is refused: it left a buzzer sounding forever."""
-    integer("freq_hz", freq_hz, 20, 20_000)
-    integer("on_ms", on_ms, 1, 65_535)
-    integer("off_ms", off_ms, 1, 65_535)
-    integer("repeat", repeat, 1, 65_535)
+    framing.integer("freq_hz", freq_hz, 20, 20_000)
+    framing.integer("on_ms", on_ms, 1, 65_535)
+    framing.integer("off_ms", off_ms, 1, 65_535)
+    framing.integer("repeat", repeat, 1, 65_535)
     return frame(BUZZER, _BUZZER.pack(freq_hz, on_ms, off_ms, repeat))
 
 

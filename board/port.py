@@ -69,15 +69,14 @@ def open_port(path: str, *, exclusive: bool) -> int:
     that the chip knows: after a bus reset (a sleep of the machine, for one) the chip has forgotten it. Nothing but a
     character device is ever opened, and nothing is written. Raises PortError.
     """
-    _check_kind(path)
+    descriptor = -1
     try:
+        _check_kind(path)
         descriptor = os.open(path, _FLAGS)
-    except OSError as error:
-        raise _explain(path, error) from None
-    try:
         _prepare(path, descriptor, exclusive)
     except BaseException as error:
-        os.close(descriptor)
+        if descriptor >= 0:
+            os.close(descriptor)
         if isinstance(error, (OSError, termios.error)):
             raise _explain(path, OSError(*error.args)) from None
         raise
@@ -99,8 +98,7 @@ def open_if_there(path: str) -> int:
 def unsent_bytes(descriptor: int) -> int:
     """What was written to the port and the kernel has not passed on yet (TIOCOUTQ), in the driver's unit: bytes, or
     1280 for each write under way (cdc_acm); on a pty always 0. Raises OSError."""
-    answer: tuple[int] = _INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))
-    return answer[0]
+    return int(_INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))[0])
 
 
 def close_port(descriptor: int, within_s: float = CLOSE_S) -> None:
@@ -140,10 +138,7 @@ def release_exclusive(descriptor: int) -> None:
 
 
 def _check_kind(path: str) -> None:
-    try:
-        mode = os.stat(path).st_mode
-    except OSError as error:
-        raise _explain(path, error) from None
+    mode = os.stat(path).st_mode
     if not stat.S_ISCHR(mode):
         what = _FILE_KINDS.get(stat.S_IFMT(mode), "something else")
         raise PortError("not-a-tty", f"{path} is {what}, not a serial port: name the board's device with --device")
