@@ -225,7 +225,7 @@ def lock_everything(name: str) -> None:
     fd = claim.open_claims(instance.claims_path(instance.find(name)))
     whole = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
     try:
-        fcntl.fcntl(fd, claim.F_OFD_SETLK, whole)
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, whole)
     except OSError as error:
         begun(errno.errorcode[error.errno or 0])
     else:

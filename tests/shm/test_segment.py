@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import pytest
 
-from failstop.shm import claim, segment
+from failstop.shm import segment
 from failstop.shm.layout import BY_NAME, CLIENT_SLOTS, PROCESSES
 from failstop.shm.segment import AttachError
 from tests.support.children import NOBODY, Child, call, group, needs_root, umask
@@ -418,7 +418,7 @@ def test_who_may_only_read_it_can_not_make_a_dead_run_look_alive(name: str) -> N
     """Everyone may read the supervisor's segment, and lock what they may read, for reading."""
     create_all(name)
     with open(path_of(name, "supervisor"), "rb") as file:
-        fcntl.fcntl(file.fileno(), claim.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0))
+        fcntl.fcntl(file.fileno(), fcntl.F_OFD_SETLK, struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0))
         assert not segment.living(name)
 
 
