@@ -71,7 +71,10 @@ def open_port(path: str, *, exclusive: bool) -> int:
     """
     descriptor = -1
     try:
-        _check_kind(path)
+        mode = os.stat(path).st_mode
+        if not stat.S_ISCHR(mode):
+            what = _FILE_KINDS.get(stat.S_IFMT(mode), "something else")
+            raise PortError("not-a-tty", f"{path} is {what}, not a serial port: name the board's device with --device")
         descriptor = os.open(path, _FLAGS)
         _prepare(path, descriptor, exclusive)
     except BaseException as error:
@@ -137,23 +140,20 @@ def release_exclusive(descriptor: int) -> None:
     fcntl.flock(descriptor, fcntl.LOCK_UN)
 
 
-def _check_kind(path: str) -> None:
-    mode = os.stat(path).st_mode
-    if not stat.S_ISCHR(mode):
-        what = _FILE_KINDS.get(stat.S_IFMT(mode), "something else")
-        raise PortError("not-a-tty", f"{path} is {what}, not a serial port: name the board's device with --device")
-
-
 def _prepare(path: str, descriptor: int, exclusive: bool) -> None:
     # What stat() saw may have been replaced before open(); only a terminal answers this.
     before = termios.tcgetattr(descriptor)
+    # Root passes TIOCEXCL; another service of root's asks for this lock too. All duplicates share it. First, since
+    # TIOCEXCL would outlive a refusal: it stays until the last descriptor of the terminal is closed.
+    alone = _lock(descriptor)
+    if exclusive and not alone:
+        raise PortError("busy", f"{path} is held by another process (flock): stop it first", errno.EBUSY)
     if exclusive:
-        # Root passes TIOCEXCL; another service of root's asks for this lock too. All duplicates share it. First, since
-        # TIOCEXCL would outlive a refusal: it stays until the last descriptor of the terminal is closed.
-        _lock(path, descriptor)
         # Before all other changes, so that nobody else gets in while the port is being set up.
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
-    if exclusive or _is_alone(descriptor):
+    elif alone:
+        fcntl.flock(descriptor, fcntl.LOCK_UN)
+    if alone:
         # cdc_acm sends the line coding only when it differs from the one that it sent last.
         _set_raw(descriptor, before, _OTHER_SPEED)
     _set_raw(descriptor, before, _SPEED)
@@ -167,20 +167,12 @@ def _prepare(path: str, descriptor: int, exclusive: bool) -> None:
     _set_line(descriptor, termios.TIOCMBIC, _RTS)
 
 
-def _lock(path: str, descriptor: int) -> None:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise PortError("busy", f"{path} is held by another process (flock): stop it first", errno.EBUSY) from None
-
-
-def _is_alone(descriptor: int) -> bool:
-    """True when no service has the port: its frames must not go out at another speed."""
+def _lock(descriptor: int) -> bool:
+    """False while a service has the port: its frames must not go out at another speed."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         return False
-    fcntl.flock(descriptor, fcntl.LOCK_UN)
     return True
 
 
