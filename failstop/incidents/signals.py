@@ -1,79 +1,64 @@
-"""Signals: what is computed from an incident's series, for words, picture and export alike - vibration, verdicts on the
-wheels, silences, what the gate said, where the arm went. Pure."""
+"""Signals: what is computed from an incident's series, for words, picture and export alike - verdicts on the wheels,
+silences, what the gate said, where the arm went. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import groupby, pairwise
 from operator import itemgetter
-from typing import NamedTuple
-
-import numpy as np
-import numpy.typing as npt
+from typing import Any, NamedTuple
 
 from failstop.board import framing, servos
 from failstop.incidents.incident import Incident
 from failstop.policy.processes import BY_NAME
-from failstop.procs.telemetry.still import HOLD_NS, LEAST_SAMPLES, WINDOW_NS, StillJudge
-from failstop.shm import layout
+from failstop.procs.telemetry.still import HOLD_NS, WINDOW_NS, StillJudge
+from failstop.shm import blocks, layout
 
-Array = npt.NDArray[np.float64]
 Points = list[tuple[int, float]]
 """When (CLOCK_MONOTONIC ns), and a value."""
-
 FIRST_NS = WINDOW_NS + HOLD_NS
 """Nothing can be still sooner."""
-BREAK_MS = 100.0
-"""A board that sends 110 samples a second and none for so long was silent: no line is drawn across."""
+LEAST_MS = 1.0
 WHEELS = ("front left", "rear left", "front right", "rear right")
 MOVES_AT = 8
 """Where the first servo of a move stands in its frame."""
 DRIVING = "driving"
 SILENT = "silent"
-
-
-def columns(incident: Incident, points: Sequence[tuple[int, float]]) -> tuple[Array, Array]:
-    """(ms from the cause, values)."""
-    found = np.array([(incident.ms(ns), value) for ns, value in points], dtype=float).reshape(-1, 2)
-    return found[:, 0], found[:, 1]
-
-
-def broken(at_ms: Array, values: Array) -> tuple[Array, Array]:
-    """A curve with no value (NaN) wherever its samples are further apart than BREAK_MS."""
-    gaps = np.nonzero(np.diff(at_ms) > BREAK_MS)[0] + 1
-    return np.insert(at_ms, gaps, at_ms[gaps - 1]), np.insert(values, gaps, np.nan)
-
-
-def still_radps(incident: Incident) -> float:
-    """Wheels that shake the gyro less are still."""
-    return incident.number("still.std_radps", 0.0035)
-
-
-def vibration(incident: Incident) -> tuple[Array, Array]:
-    """(ms from the cause, rad/s): the larger of the standard deviations of gyro x and y over the window of 0.5 s that
-    ends there, as telemetry judges it; no value where the window holds too few samples."""
-    times = np.array([sample.ns - incident.cause_ns for sample in incident.imu], dtype=np.int64)
-    rates = np.array([sample.rate_radps[:2] for sample in incident.imu], dtype=float).reshape(-1, 2)
-    firsts = np.searchsorted(times, times - WINDOW_NS, side="right")
-    windows = [(at, first) for at, first in enumerate(firsts) if at - first >= LEAST_SAMPLES - 1]
-    full = [(at, first) for at, first in windows if times[at] - times[0] >= WINDOW_NS]
-    spread = np.array([rates[first : at + 1].std(axis=0).max() for at, first in full])
-    return times[[at for at, _ in full]] / 1e6, spread
+SAYS = {
+    DRIVING: "the wheels may turn",
+    "estop": "a stop is latched",
+    blocks.DISABLED: "motion is disabled",
+    blocks.NO_COMMAND: "no command",
+    blocks.NO_SCAN: "no obstacle sensor",
+    SILENT: "the gate is silent",
+}
+"""What the gate says, or that it says nothing, for people."""
 
 
 def verdicts(incident: Incident) -> list[tuple[int, bool]]:
     """(when it was found, still or not) at each change of telemetry's judgement on the wheels, judged again."""
-    judge = StillJudge(still_radps(incident))
+    judge = StillJudge(incident.number("still.std_radps"))
     found: list[tuple[int, bool]] = []
     for sample in incident.imu:
         judge.take(sample.rate_radps[0], sample.rate_radps[1], sample.ns)
         still = judge.still_ns > 0
-        if not judge.judged_ns or sample.ns - incident.imu[0].ns < FIRST_NS:
-            continue
-        if not found or found[-1][1] != still:
+        if judge.judged_ns and sample.ns - incident.imu[0].ns >= FIRST_NS and (not found or found[-1][1] != still):
             found.append((sample.ns, still))
     return found
+
+
+def proven(incident: Incident) -> dict[str, Any] | None:
+    """How the stop was proven, as of memory.told_stop. Where the supervisor saw no shaking, since it was held up
+    itself, the samples' word on when the wheels came to rest."""
+    stop: dict[str, Any] | None = incident.head["stop"]
+    if stop is None or stop.get("observed_ms") or stop.get("wheels") == "unstill":
+        return stop
+    found = verdicts(incident)
+    turned = [still for ns, still in found if ns <= incident.cause_ns][-1:] == [False]
+    rested = [ns for ns, still in found if still and ns > incident.cause_ns]
+    # It is found so much later than it was.
+    seen = {"observed_ms": max(LEAST_MS, incident.ms(rested[0] - FIRST_NS))} if turned and rested else {}
+    return stop | seen
 
 
 class Silence(NamedTuple):
@@ -91,7 +76,7 @@ class Silence(NamedTuple):
 def allowed_ns(incident: Incident, process: str) -> int:
     """How long a process may be silent without anybody minding."""
     if process in (layout.GATE, layout.SUPERVISOR):
-        return round(incident.number("gate.lease_s", 0.06) * 1e9)
+        return round(incident.number("gate.lease_s") * 1e9)
     return BY_NAME[process].deadline_ns
 
 
@@ -128,7 +113,7 @@ def gate_spans(incident: Incident) -> list[tuple[str, int, int]]:
     for tick, after in pairwise(incident.ticks):
         silent = after.ns - tick.ns > allowed or any(tick.ns < ns < after.ns for ns in died)
         parts.append((SILENT if silent else tick.block, tick.ns, after.ns))
-    last_ns, end_ns = incident.ticks[-1].ns, incident.span_ns()[1]
+    last_ns, end_ns = incident.ticks[-1].ns, incident.span_ns[1]
     if end_ns - last_ns > allowed:
         parts.append((SILENT, last_ns, end_ns))
     runs = [(what, list(run)) for what, run in groupby(parts, itemgetter(0))]
@@ -145,20 +130,16 @@ class Joint:
     sent: Points = field(default_factory=list)
     """Where it was sent."""
     read: Points = field(default_factory=list)
-    """Where it said that it was. A 0, which a late answer makes of the next, is no place."""
+    """Where it said that it was."""
     goals: Points = field(default_factory=list)
     """Where it was to be, of trajectories (their ends) and follow; a rate is no place."""
 
 
-def joint_names(incident: Incident) -> dict[int, str]:
-    """The arm's joints by their servos; none without an arm."""
-    parts = ((key.split("."), value) for key, value in incident.settings.items())
-    return {int(value): key[1] for key, value in parts if key[0] == "joints" and key[2:] == ["servo"]}
-
-
 def joints(incident: Incident) -> list[Joint]:
     """Each servo that was sent somewhere, read or named, by its number."""
-    found = {servo: Joint(servo, name) for servo, name in joint_names(incident).items()}
+    parts = ((key.split("."), value) for key, value in incident.settings.items())
+    named = ((int(value), key[1]) for key, value in parts if key[0] == "joints" and key[2:] == ["servo"])
+    found = {servo: Joint(servo, name) for servo, name in named}
 
     def of(servo: int) -> Joint:
         return found.setdefault(servo, Joint(servo, ""))
@@ -168,9 +149,8 @@ def joints(incident: Incident) -> list[Joint]:
         if write.taken and len(head) > MOVES_AT and head[2] == framing.BUS_SERVO and head[4] == servos.MOVE:
             for at in range(MOVES_AT, min(MOVES_AT + 3 * head[7], len(head) - 3), 3):
                 of(head[at]).sent.append((write.ns, head[at + 1] | head[at + 2] << 8))
-    for ns, servo, what, value in incident.servo_answers:
-        if what == servos.POSITION and value:
-            of(servo).read.append((ns, value))
+    for ns, servo, pulses in incident.servo_positions:
+        of(servo).read.append((ns, pulses))
     for goal in incident.arm_goals:
         for servo, aim in goal.aims.items() if goal.mode in ("trajectory", "follow") else ():
             of(servo).goals.append((goal.ns, aim))
@@ -179,4 +159,4 @@ def joints(incident: Incident) -> list[Joint]:
 
 def wheel_ids(incident: Incident) -> tuple[int, ...]:
     """The wire id of each of WHEELS."""
-    return tuple(int(incident.number(f"wheels.id_{number}", number - 1)) for number in (1, 2, 3, 4))
+    return tuple(int(incident.number(f"wheels.id_{number}")) for number in (1, 2, 3, 4))

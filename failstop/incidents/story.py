@@ -1,17 +1,18 @@
-"""The story: what happened around a stop, as lines in the order of time, what repeats told once. Pure."""
+"""The story: what happened around a stop, as lines in the order of time, what repeats told once; and of these lines
+those that say at a glance what led to it and what came of it. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from typing import TypeVar
 
-from failstop.incidents import outcome, signals
-from failstop.incidents.incident import ARM, MOTION, PING, REST, STOP_BURST, ZERO, Event, Incident, Tick, Write
+from failstop.incidents import memory, signals
+from failstop.incidents.incident import ARM, MOTION, PING, REST, STOP_BURST, ZERO, Incident, Tick, Write
 from failstop.shm import layout
 
-Entry = TypeVar("Entry")
+Entry = TypeVar("Entry", Tick, Write)
 
 CAUSE = "CAUSE"
 DETAIL_NS = 500_000_000
@@ -24,13 +25,21 @@ NO_NEWS = frozenset(
     ("stop_outcome", "stop_also", "incident", "restarting", "gyro", "charger", "ready", "link", "battery", "stopping")
 )
 """Events that the facts have already, or that are of no use for the question why."""
-BLOCKS = {"estop": "a stop is latched", "cmd timeout": "no command"}
-"""What the gate's words are for people, where they are not the same."""
-MANY = {ZERO: ("zero frame", "zero frames"), ARM: ("frame for the arm", "frames for the arm")}
-"""One frame, and several."""
-STEP = 0.05
-"""Near the cause, a command that differs by more (m/s, rad/s) is told of its own."""
-STEP_RPS = 0.2
+FRAMES = {
+    ZERO: ("zero frame", "zero frames"),
+    ARM: ("frame for the arm", "frames for the arm"),
+    PING: ("ping, which the board answers", "pings, which the board answers"),
+    REST: ("the rest of it", "the rest of it"),
+}
+"""One of a sort, and several."""
+MOST_LINES = 10
+"""Of a summary: with the facts above them they fit a terminal of 24 lines."""
+BEGINNINGS = ("reset", "ready")
+"""What was before the last of these belongs to an earlier stop."""
+LESSER = ("gate", "command")
+"""The first to make room: the facts have the most of it."""
+REPEATED = ("command", "wire")
+"""What is told again in the same words becomes one line, before the cause and after it apart."""
 
 
 @dataclass(frozen=True)
@@ -49,19 +58,8 @@ class Line:
 
 def tell(incident: Incident) -> list[Line]:
     """Every line, in order; what was at the same time in the order of the stop's way."""
-    lines = [
-        *_commands(incident),
-        *_decisions(incident),
-        _cause(incident),
-        *_arm(incident),
-        *_writes(incident),
-        *_board(incident),
-        *_wheels(incident),
-        *_silences(incident),
-        *_events(incident),
-        *_last_beats(incident),
-    ]
-    return sorted(lines, key=lambda line: line.ns)
+    tellers = (_commands, _decisions, _cause, _arm, _writes, _board, _wheels, _silences, _events)
+    return sorted((line for teller in tellers for line in teller(incident)), key=lambda line: line.ns)
 
 
 def within(lines: list[Line], since_ns: int) -> list[Line]:
@@ -70,10 +68,32 @@ def within(lines: list[Line], since_ns: int) -> list[Line]:
     return [line if line.ns >= since_ns else replace(line, ns=since_ns) for line in there]
 
 
+def choose(incident: Incident, lines: list[Line], since_ns: int) -> list[Line]:
+    """The lines that matter, in order and in few words; `since_ns`: nothing older."""
+    begins = [line.ns for line in lines if line.what in BEGINNINGS and since_ns <= line.ns < incident.cause_ns]
+    merged: dict[object, Line] = {}
+    for number, line in enumerate(within(lines, max([since_ns, *begins]))):
+        if not line.short:
+            continue
+        key = (line.what, line.short, line.ns >= incident.cause_ns) if line.what in REPEATED else number
+        if first := merged.get(key):
+            until_ns = max(first.until_ns or first.ns, line.until_ns or line.ns)
+            line = replace(first, until_ns=until_ns, count=first.count + line.count)
+        merged[key] = replace(line, text=line.short)
+
+    def weight(line: Line) -> tuple[bool, bool, int]:
+        early = line.what == "wheels" and line.ns < incident.cause_ns
+        return line.what != CAUSE, early or line.what in LESSER, abs(line.ns - incident.cause_ns)
+
+    found = sorted(merged.values(), key=lambda line: (line.ns, line.what not in BEGINNINGS))
+    kept = sorted(found, key=weight)[:MOST_LINES]
+    return [line for line in found if line in kept]
+
+
 def noticed_by(incident: Incident) -> str:
-    """The process that noticed the cause; empty: not known."""
+    """The process that noticed the cause, for people; empty: not known."""
     noticed = [stop.noticed_by for stop in incident.stops if stop.ns == incident.cause_ns]
-    return (incident.head["stop"] or {}).get("noticed_by") or (noticed[0] if noticed else "")
+    return name((incident.head["stop"] or {}).get("noticed_by") or (noticed[0] if noticed else ""))
 
 
 def name(process: str) -> str:
@@ -81,110 +101,74 @@ def name(process: str) -> str:
     return process.replace("_", " ")
 
 
-def block(tick: Tick) -> str:
-    """What the gate decided, for people."""
-    return BLOCKS.get(tick.block, tick.block)
-
-
 def velocity(values: tuple[float, float, float]) -> str:
     """For people: forward, left and turn, those that are not zero."""
-    if not any(values):
-        return "zero"
     named = zip(("vx", "vy", "wz"), values, ("m/s", "m/s", "rad/s"), strict=True)
-    return ", ".join(f"{axis} {value:+.2f} {unit}" for axis, value, unit in named if value)
+    return ", ".join(f"{axis} {value:+.2f} {unit}" for axis, value, unit in named if value) or "zero"
 
 
-def _plain(ns: int, what: str, text: str, until_ns: int = 0) -> Line:
+def _plain(ns: int, what: str, text: str, until_ns: int = 0, count: int = 1) -> Line:
     """A line that the summary has as it is."""
-    return Line(ns, what, text, until_ns, short=text)
+    return Line(ns, what, text, until_ns, count, short=text)
 
 
-def _cause(incident: Incident) -> Line:
+def _cause(incident: Incident) -> Iterator[Line]:
     by = noticed_by(incident)
-    said = f"{incident.reason}{f'; noticed by the {name(by)}' if by else ''}"
-    return Line(incident.cause_ns, CAUSE, said, short=incident.why)
+    said = f"{incident.reason}{f'; noticed by the {by}' if by else ''}"
+    yield Line(incident.cause_ns, CAUSE, said, short=incident.why)
 
 
-def _runs(
-    entries: list[Entry],
-    key: Callable[[Entry], object],
-    alike: Callable[[Entry, Entry], bool] = lambda first, entry: True,
-) -> Iterator[tuple[Entry, Entry, list[Entry]]]:
-    """Neighbours of one key that are like the first of them: (first, last, all)."""
-    for _, group in groupby(entries, key):
-        run: list[Entry] = []
-        for entry in group:
-            if run and not alike(run[0], entry):
-                yield run[0], run[-1], run
-                run = []
-            run.append(entry)
+def _runs(entries: Iterable[Entry], key: Callable[[Entry], object]) -> Iterator[tuple[Entry, Entry, list[Entry]]]:
+    """Neighbours of one key: (first, last, all)."""
+    for run in (list(group) for _, group in groupby(entries, key)):
         yield run[0], run[-1], run
-
-
-def _gaps(times: list[int], most_ns: int) -> Iterator[tuple[int, str]]:
-    """Where neighbours are further apart: since when, and for how many ms."""
-    for earlier, later in pairwise(times):
-        if later - earlier > most_ns:
-            yield earlier, f"{(later - earlier) / 1e6:.0f}"
-
-
-def _close(one: tuple[float, ...], other: tuple[float, ...], by: float) -> bool:
-    """No value differs by more; what is no number is like itself."""
-    return all(repr(a) == repr(b) or abs(a - b) <= by for a, b in zip(one, other, strict=True))
 
 
 def _near(incident: Incident, ns: int) -> bool:
     return abs(ns - incident.cause_ns) <= DETAIL_NS
 
 
+def _steps(values: tuple[float, ...] | None) -> str:
+    """What is told of its own near the cause: a change of about 0.1 (m/s, rad/s, rps)."""
+    return " ".join(f"{value:.1f}" for value in values or ())
+
+
 def _commands(incident: Incident) -> Iterator[Line]:
     """Who commanded what. Far from the cause only who; near it each change of velocity that matters."""
+    heard = [tick for tick in incident.ticks if tick.commands and tick.age_us is not None]
 
     def key(tick: Tick) -> object:
-        return tick.who, tick.source, tick.manual, _near(incident, tick.ns)
+        return tick.who, tick.source, tick.manual, _near(incident, tick.ns) and _steps(tick.command)
 
-    def alike(first: Tick, tick: Tick) -> bool:
-        return not _near(incident, tick.ns) or _close(first.command, tick.command, STEP)
-
-    heard = [tick for tick in incident.ticks if tick.commands and tick.age_us is not None]
-    for first, last, run in _runs(heard, key, alike):
-        what = {tick.command for tick in run}
+    for first, last, run in _runs(heard, key):
         text = velocity(first.command)
-        if len(what) > 1:
-            lows, highs = (tuple(map(f, zip(*what, strict=True))) for f in (min, max))
-            text = f"between {_triple(lows)} and {_triple(highs)}"
+        if len(what := {tick.command for tick in run}) > 1:
+            lows, highs = (" ".join(f"{f(axis):+.2f}" for axis in zip(*what, strict=True)) for f in (min, max))
+            text = f"between ({lows}) and ({highs})"
         who = f"{first.who} as {first.source}{', manual' if first.manual else ''}"
         count = sum(tick.commands for tick in run)
         yield Line(first.ns, "command", f"{who}: {text}", last.ns, count, f"{first.who} commands")
 
 
-def _triple(values: tuple[float, ...]) -> str:
-    return "(" + " ".join(f"{value:+.2f}" for value in values) + ")"
-
-
 def _decisions(incident: Incident) -> Iterator[Line]:
-    """Each time the gate decided otherwise."""
-    before = ""
-    for first, last, _ in _runs(incident.ticks, lambda tick: (tick.block, tick.enabled)):
-        short, more = f"blocks: {block(first)}", ""
-        if first.block == signals.DRIVING:
-            short, more = "lets the wheels turn", f", {velocity(last.velocity)} at the end"
-        yield Line(first.ns, "gate", f"{short}{more}{f' (before: {before})' if before else ''}", short=short)
-        before = block(first)
-    most_ns = 2 * signals.allowed_ns(incident, layout.GATE)
-    for ns, lasted_ms in _gaps([tick.ns for tick in incident.ticks], most_ns):
-        yield _plain(ns, "gate", f"no tick for {lasted_ms} ms from here")
+    """Each time the gate decided otherwise, or nothing."""
+    for what, begin_ns, end_ns in signals.gate_spans(incident):
+        said = "lets the wheels turn" if what == signals.DRIVING else f"blocks: {signals.SAYS.get(what, what)}"
+        silent = f"no tick for {(end_ns - begin_ns) / 1e6:.0f} ms from here"
+        yield _plain(begin_ns, "gate", silent if what == signals.SILENT else said)
 
 
 def _arm(incident: Incident) -> Iterator[Line]:
     """For whom it moved, and where each joint was read to be for the first time after the cause."""
     joints = signals.joints(incident)
     names = {joint.servo: joint.name or joint.servo for joint in joints}
-    for first, last, run in _runs(incident.arm_goals, lambda goal: (goal.mode, goal.who)):
+    for _, group in groupby(incident.arm_goals, lambda goal: (goal.mode, goal.who)):
+        run = list(group)
+        first, last = run[0], run[-1]
         unit = "/s" if last.mode == "jog" else ""
         aims = ", ".join(f"{names.get(servo, servo)} {aim:.0f}{unit}" for servo, aim in last.aims.items())
         text = f"{last.mode} for {last.who}" + (f", last: {aims}" if aims else "") if last.mode else "moved by nobody"
-        yield Line(first.ns, "arm", text, last.ns, len(run), text)
+        yield _plain(first.ns, "arm", text, last.ns, len(run))
     for joint in joints:
         if after := [(ns, pulses) for ns, pulses in joint.read if ns >= incident.cause_ns]:
             yield _plain(after[0][0], "arm", f"{names[joint.servo]} ({joint.servo}) is read to be at {after[0][1]}")
@@ -194,27 +178,21 @@ def _writes(incident: Incident) -> Iterator[Line]:
     """What went to the board: bursts one by one, frames of one sort together. The summary has those after the cause but
     for routine, and what the port did not take."""
 
+    def lane(write: Write) -> str:
+        # What sets no speed comes between all that does, and would cut every run.
+        return "" if write.speeds_rps else write.sort
+
     def key(write: Write) -> object:
-        near = _near(incident, write.ns)
-        alone = write.ns if write.sort == STOP_BURST and near else 0
-        return write.sort, near, write.ns >= incident.cause_ns, alone, write.by, write.taken < write.length
+        alone = str(write.ns) if write.sort == STOP_BURST else _steps(write.speeds_rps)
+        near = alone if _near(incident, write.ns) and write.speeds_rps else ""
+        return write.sort, write.by, write.ns >= incident.cause_ns, near, write.taken < write.length
 
-    def alike(first: Write, write: Write) -> bool:
-        if first.sort != MOTION or not (_near(incident, write.ns) and first.speeds_rps and write.speeds_rps):
-            return True
-        return _close(first.speeds_rps, write.speeds_rps, STEP_RPS)
-
-    # Pings come between all other frames, and would cut every run.
-    pings = [write for write in incident.writes if write.sort == PING]
-    others = [write for write in incident.writes if write.sort != PING]
-    for first, last, run in _runs(others, key, alike):
+    for first, last, run in _runs(sorted(incident.writes, key=lane), key):
         text = _written(first, last, len(run))
-        short = text if first.ns >= incident.cause_ns and first.sort != ZERO else ""
+        short = text if first.ns >= incident.cause_ns and first.sort not in (ZERO, PING) else ""
         if first.taken < first.length:
             short = text = f"{text}; the port took {first.taken} of {first.length} bytes"
         yield Line(first.ns, "wire", text, last.ns, len(run), short)
-    for first, last, run in _runs(pings, lambda ping: ping.ns >= incident.cause_ns):
-        yield Line(first.ns, "wire", "pings, which the board answers", last.ns, len(run))
 
 
 def _written(first: Write, last: Write, count: int) -> str:
@@ -223,9 +201,9 @@ def _written(first: Write, last: Write, count: int) -> str:
     if first.sort == MOTION:
         speeds = " ".join(f"{speed:+.3f}" for speed in last.speeds_rps or ())
         return f"motion{'' if first.head == last.head else ', last'} [{speeds}] rps"
-    if first.sort in MANY:
-        return MANY[first.sort][count > 1]
-    return "the rest of it" if first.sort == REST else f"frame {first.head[:12].hex(' ')}{' ...' * (first.length > 12)}"
+    if first.sort in FRAMES:
+        return FRAMES[first.sort][count > 1]
+    return f"frame {first.head[:12].hex(' ')}{' ...' * (first.length > 12)}"
 
 
 def _board(incident: Incident) -> Iterator[Line]:
@@ -235,10 +213,11 @@ def _board(incident: Incident) -> Iterator[Line]:
         return
     size = sum(len(data) for _, data in incident.received)
     yield Line(times[0], "board", f"is heard{f', {size} bytes' if size else ''}", times[-1], len(times))
-    for ns, lasted_ms in _gaps(times, QUIET_NS):
-        yield _plain(ns, "board", f"silent for {lasted_ms} ms from here")
-    for ns, lasted_ms in _gaps([times[-1], incident.span_ns()[1]], QUIET_NS):
-        yield _plain(ns, "board", f"its last byte; silent until the end, {lasted_ms} ms")
+    end_ns = incident.span_ns[1]
+    for earlier, later in pairwise([*times, end_ns]):
+        if later - earlier > QUIET_NS:
+            silent = "silent for {} ms from here" if later != end_ns else "its last byte; silent until the end, {} ms"
+            yield _plain(earlier, "board", silent.format(f"{(later - earlier) / 1e6:.0f}"))
 
 
 def _wheels(incident: Incident) -> Iterator[Line]:
@@ -248,32 +227,26 @@ def _wheels(incident: Incident) -> Iterator[Line]:
 
 
 def _silences(incident: Incident) -> Iterator[Line]:
+    """Of each process; of a run that has ended, its last sign of life."""
     for silence in signals.silences(incident):
         lasted = f"{'' if silence.ended else 'at least '}{(silence.until_ns - silence.since_ns) / 1e6:.0f} ms"
         said = f"last beat of the {name(silence.process)} for {lasted}"
         yield _plain(silence.since_ns, "beat", said, silence.until_ns)
-
-
-def _last_beats(incident: Incident) -> Iterator[Line]:
-    """Of a run that has ended: the last sign of life of each process."""
     for process in layout.PROCESSES if incident.head["kind"] == "left" else ():
         if last_ns := incident.words(process).get("beat_ns"):
             yield _plain(last_ns, "beat", f"the last beat of the {name(process)}")
 
 
 def _events(incident: Incident) -> Iterator[Line]:
+    """What was told; causes of which nothing was."""
     for event in incident.events:
         text = f"{'! ' if event.level in ('error', 'critical') else ''}{event.text}"
-        short = text.partition("; next: ")[0].partition(" (was: ")[0]
-        yield Line(event.ns, event.kind, text, short=short if _leads(incident, event) else "")
+        # Of the stop itself the summary has the facts.
+        own = event.text.partition(": ")[2].startswith(incident.reason) and event.ns >= incident.cause_ns
+        news = not own if event.kind == "stop" else event.kind not in NO_NEWS
+        short = text.partition("; next: ")[0].partition(" (was: ")[0] if news else ""
+        yield Line(event.ns, event.kind, text, short=short)
     stops = [event.fields for event in incident.events if event.kind in TELL_OF_STOPS]
     for stop in incident.stops:
-        if stop.ns != incident.cause_ns and not any(outcome.tells_of(fields, stop.cause) for fields in stops):
+        if stop.ns != incident.cause_ns and not any(memory.tells_of(fields, stop.cause) for fields in stops):
             yield _plain(stop.ns, "cause", f"{stop.cause} (noticed by the {name(stop.noticed_by)})")
-
-
-def _leads(incident: Incident, event: Event) -> bool:
-    """Whether the summary has it; of the stop itself it has the facts."""
-    if event.kind != "stop" or event.ns < incident.cause_ns:
-        return event.kind not in NO_NEWS
-    return not event.text.partition(": ")[2].startswith(incident.reason)

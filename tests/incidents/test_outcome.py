@@ -7,8 +7,8 @@ from typing import Any
 import msgpack
 import pytest
 
-from failstop.incidents import outcome
-from failstop.incidents.outcome import asked, known, short
+from failstop.incidents import memory
+from failstop.incidents.memory import asked, short, told_stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 
@@ -30,6 +30,12 @@ def event(kind: str, **fields: Any) -> bytes:
     return packed
 
 
+def known(record: bytes | None, events: list[bytes], epoch: int, cause: Cause) -> dict[str, Any] | None:
+    latest = {} if record is None else {"stop": [1, 1, record]}
+    supervisor = {"latest": latest, "rings": {"events": [[1, 1, event] for event in events]}}
+    return told_stop({"supervisor": supervisor}, epoch, cause)
+
+
 HEAD = {"t": 100.0, "saved": 102.2}
 NAMED = {"reason": str(LOST), "cause": "device_lost"}
 TOLD = event("stop", **NAMED, epoch=7, noticed_by="port_owner", written_by="supervisor")
@@ -38,11 +44,11 @@ OUTCOME = event("stop_outcome", **NAMED, epoch=7, acknowledged_us=None, observed
 
 def test_the_record_of_this_stop() -> None:
     found = known(msgpack.packb(RECORD), [], 7, DIED)
-    assert outcome.proof(found, HEAD) == ("written after 82 us, acknowledged after 4.40 ms, still after about 0.3 s")
+    assert memory.proof(found, HEAD) == ("written after 82 us, acknowledged after 4.40 ms, still after about 0.3 s")
 
 
 def test_a_stop_that_nobody_told_of() -> None:
-    assert outcome.proof(None, HEAD) == "not known whether a stop was written"
+    assert memory.proof(None, HEAD) == "not known whether a stop was written"
 
 
 @pytest.mark.parametrize(("epoch", "cause"), [(8, DIED), (7, LOST), (7, causes.DIED("telemetry"))])
@@ -54,7 +60,7 @@ def test_what_was_told_of_it_outlasts_the_record() -> None:
     found = known(msgpack.packb(RECORD), [TOLD, OUTCOME], 7, LOST)
     assert found is not None
     assert found["written_us"] is None
-    assert outcome.proof(found, HEAD) == "NOT written within 2.2 s, wheels NOT seen still"
+    assert memory.proof(found, HEAD) == "NOT written within 2.2 s, wheels NOT seen still"
 
 
 def test_events_of_an_earlier_stop_for_the_same_reason_do_not_count() -> None:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from failstop.board.servos import POSITION, TORQUE, bus_servo_move
-from failstop.incidents import export, messages, plot, signals, story
-from failstop.incidents.file import IncidentError
+from failstop.incidents import export, plot, signals, story
+from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import Incident
 from failstop.policy import causes
 from failstop.policy.settings import Settings
@@ -87,7 +87,7 @@ def test_an_export_is_read_back_with_the_decoder_of_ros_2(incident: Incident, tm
     found: dict[str, list[tuple[int, object]]] = {}
     for message in reader.read_ros2_messages(path):
         found.setdefault(message.channel.topic, []).append((message.log_time_ns, message.ros_msg))
-        assert message.schema.data.decode() == messages.definition(message.schema.name.replace("/msg/", "/"))
+        assert message.schema.data.decode() == export.definition(message.schema.name.replace("/msg/", "/"))
     assert sum(map(len, found.values())) == count
     assert set(found) == {
         f"/failstop/{topic}" for topic in ("command", "gated", "wheels", "imu", "battery", "events", "processes")
@@ -156,7 +156,7 @@ def test_a_dead_gate_is_silent_however_soon_it_is_back() -> None:
 
 
 def test_a_curve_is_broken_where_the_board_was_silent() -> None:
-    at_ms, values = signals.broken(np.array([0.0, 9.0, 18.0, 900.0, 909.0]), np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
+    at_ms, values = plot.broken(np.array([0.0, 9.0, 18.0, 900.0, 909.0]), np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
     assert list(at_ms) == [0.0, 9.0, 18.0, 18.0, 900.0, 909.0]
     assert repr(values.tolist()) == "[1.0, 2.0, 3.0, nan, 4.0, 5.0]"
 

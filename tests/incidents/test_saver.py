@@ -16,7 +16,7 @@ import pytest
 
 import failstop
 from failstop.board.interface import BOARD
-from failstop.incidents import saver, store
+from failstop.incidents import files, saver
 from failstop.incidents.incident import Incident
 from failstop.lab.trial import wait_for
 from failstop.policy import causes
@@ -26,7 +26,7 @@ from failstop.shm import box, layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
 
 _numbers = itertools.count()
-SCRIPT = Path(failstop.__file__).parent / "incidents" / "start.py"
+SCRIPT = Path(failstop.__file__).parent / "incidents" / "saver.py"
 ROOT = str(Path(failstop.__file__).resolve().parent.parent)
 RUN = 0x77
 SAID = causes.REQUESTED("a = b, and so on", "nav", 7)
@@ -70,7 +70,7 @@ class Saving:
         return {"cause_ns": now_ns, "epoch": 2, "cause": SAID.pack().hex(), "until_ns": now_ns, **words}
 
     def newest(self) -> Incident:
-        return store.load("last", self.name, {"STATE_DIRECTORY": str(self.state)})
+        return Incident.read(files.find("last", self.name, {"STATE_DIRECTORY": str(self.state)}))
 
 
 def asleep(pid: int) -> bool:
