@@ -43,7 +43,7 @@ class Incidents:
         return self._cards
 
     def _heads(self) -> list[dict[str, Any]]:
-        return files.heads(self._name, os.environ)[0]
+        return files.heads(self._name, files.folders(self._name, os.environ))[0]
 
     async def _known(self, identity: str) -> bool:
         return bool(ID.fullmatch(identity)) and identity in {card["id"] for card in await self.cards()}

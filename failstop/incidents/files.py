@@ -140,13 +140,9 @@ def identity(path: str) -> str:
     return os.path.basename(path).removesuffix(SUFFIX)
 
 
-def heads(name: str, environ: Mapping[str, str]) -> tuple[list[dict[str, Any]], list[str]]:
-    """The heads of a service's incidents, the oldest first, each with its `id` and `path`; and what is wrong with files
-    that can't be read."""
-    return _heads(name, folders(name, environ))
-
-
-def _heads(name: str, places: Iterable[str]) -> tuple[list[dict[str, Any]], list[str]]:
+def heads(name: str, places: Iterable[str]) -> tuple[list[dict[str, Any]], list[str]]:
+    """The heads of a service's incidents in these folders, the oldest first, each with its `id` and `path`; and what is
+    wrong with files that can't be read."""
     found: list[dict[str, Any]] = []
     problems = []
     for folder in places:
@@ -170,7 +166,7 @@ def prune(folder: str, name: str, keep: int, most_bytes: int) -> list[str]:
     """Remove the oldest incidents of an instance (several may share a folder) beyond `keep` and `most_bytes` together,
     but the newest; returns the file names that were removed. What is no incident is left alone."""
     # By the time of saving: an old run's incident is saved after newer ones of nobody.
-    newest_first = sorted(_heads(name, [folder])[0], key=lambda head: -float(head.get("saved", 0.0)))
+    newest_first = sorted(heads(name, [folder])[0], key=lambda head: -float(head.get("saved", 0.0)))
     removed, total = [], 0
     for index, path in enumerate(head["path"] for head in newest_first):
         with contextlib.suppress(OSError):
@@ -195,7 +191,8 @@ def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
     """The path of the incident that is meant by a path, `last`, an id or the beginning of one. Raises IncidentError."""
     if os.sep in wanted or wanted.endswith(SUFFIX):
         return wanted
-    found, problems = heads(name, environ)
+    places = folders(name, environ)
+    found, problems = heads(name, places)
     meant = [head for head in found if head["id"] == wanted]
     meant = meant or (found[-1:] if wanted == LAST else [head for head in found if head["id"].startswith(wanted)])
     if len(meant) == 1:
@@ -205,7 +202,6 @@ def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
         more = f" and {len(meant) - MOST_NAMED} older ones" if len(meant) > MOST_NAMED else ""
         raise IncidentError(f"incident {wanted!r} may be {newest}{more}: write more of it")
     # A damaged file is not in the list; whoever names it should be told why.
-    places = folders(name, environ)
     for path in (os.path.join(folder, wanted + SUFFIX) for folder in places):
         if os.path.exists(path):
             return path

@@ -176,11 +176,6 @@ def tells_of(fields: dict[str, Any], cause: Cause) -> bool:
     return fields.get("cause") == cause.kind.name and str(cause).startswith(str(fields.get("reason", "")))
 
 
-def asked(cause: Cause) -> bool:
-    """True when a program or a person asked for it."""
-    return cause.kind in (causes.REQUESTED, causes.FLEET, causes.PIPED)
-
-
 def short(cause: Cause) -> str:
     """Its text without who asked for it."""
     if cause.kind is causes.FLEET:

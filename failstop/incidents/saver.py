@@ -174,7 +174,7 @@ def slug(cause: Cause) -> str:
     """A cause in a few whole words, as part of a file name: without who asked for it, and what the service itself says
     without the details after a colon."""
     text = memory.short(cause)
-    if not memory.asked(cause):
+    if cause.kind not in (causes.REQUESTED, causes.FLEET, causes.PIPED):
         text = text.split(": ")[0]
     plain = normalize("NFKD", text.lower().replace("'", "")).encode("ascii", "ignore").decode()
     words = "".join(c if c.isalnum() else " " for c in plain).split()

@@ -3,7 +3,6 @@ silences, what the gate said, where the arm went. Pure."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from itertools import groupby, pairwise
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -84,18 +83,12 @@ def silences(incident: Incident) -> list[Silence]:
     """Every silence that the supervisor saw, the oldest first; of its own, those that it noticed afterwards."""
     found = []
     for index, process in enumerate(layout.PROCESSES):
+        beats = [(ns, *times[index]) for ns, times in incident.beats]
         allowed = allowed_ns(incident, process)
-        since_ns = until_ns = 0
-        for ns, times in incident.beats:
-            silent_us, before_us = times[index]
-            if silent_us * 1000 > allowed:
-                until_ns = ns - before_us * 1000
-                since_ns = since_ns or until_ns - silent_us * 1000
-            elif since_ns:
-                found.append(Silence(process, since_ns, until_ns, True))
-                since_ns = 0
-        if since_ns:
-            found.append(Silence(process, since_ns, until_ns, False))
+        seen = [(us * 1000 > allowed, ns - before_us * 1000, us * 1000) for ns, us, before_us in beats]
+        for late, run in ((late, list(group)) for late, group in groupby(seen, itemgetter(0))):
+            if late:
+                found.append(Silence(process, run[0][1] - run[0][2], run[-1][1], ended=run[-1] is not seen[-1]))
     return sorted(found, key=lambda silence: silence.since_ns)
 
 
@@ -120,29 +113,28 @@ def gate_spans(incident: Incident) -> list[tuple[str, int, int]]:
     return [(what, run[0][1], run[-1][2]) for what, run in runs]
 
 
-@dataclass(frozen=True)
-class Joint:
+class Joint(NamedTuple):
     """One servo of the arm over time, in pulses."""
 
     servo: int
     name: str
     """Of the settings; empty: they name none."""
-    sent: Points = field(default_factory=list)
+    sent: Points
     """Where it was sent."""
-    read: Points = field(default_factory=list)
+    read: Points
     """Where it said that it was."""
-    goals: Points = field(default_factory=list)
+    goals: Points
     """Where it was to be, of trajectories (their ends) and follow; a rate is no place."""
 
 
 def joints(incident: Incident) -> list[Joint]:
-    """Each servo that was sent somewhere, read or named, by its number."""
+    """Each servo that was sent somewhere or read, by its number."""
     parts = ((key.split("."), value) for key, value in incident.settings.items())
-    named = ((int(value), key[1]) for key, value in parts if key[0] == "joints" and key[2:] == ["servo"])
-    found = {servo: Joint(servo, name) for servo, name in named}
+    names = {int(value): key[1] for key, value in parts if key[0] == "joints" and key[2:] == ["servo"]}
+    found: dict[int, Joint] = {}
 
     def of(servo: int) -> Joint:
-        return found.setdefault(servo, Joint(servo, ""))
+        return found.setdefault(servo, Joint(servo, names.get(servo, ""), [], [], []))
 
     for write in incident.writes:
         head = write.head
@@ -154,7 +146,7 @@ def joints(incident: Incident) -> list[Joint]:
     for goal in incident.arm_goals:
         for servo, aim in goal.aims.items() if goal.mode in ("trajectory", "follow") else ():
             of(servo).goals.append((goal.ns, aim))
-    return [found[servo] for servo in sorted(found)]
+    return sorted(found.values())
 
 
 def wheel_ids(incident: Incident) -> tuple[int, ...]:

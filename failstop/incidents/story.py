@@ -26,12 +26,12 @@ NO_NEWS = frozenset(
 )
 """Events that the facts have already, or that are of no use for the question why."""
 FRAMES = {
-    ZERO: ("zero frame", "zero frames"),
-    ARM: ("frame for the arm", "frames for the arm"),
-    PING: ("ping, which the board answers", "pings, which the board answers"),
-    REST: ("the rest of it", "the rest of it"),
+    ZERO: "zero frame{}",
+    ARM: "frame{} for the arm",
+    PING: "ping{}, which the board answers",
+    REST: "the rest of it",
 }
-"""One of a sort, and several."""
+"""Sorts of which one is like another."""
 MOST_LINES = 10
 """Of a summary: with the facts above them they fit a terminal of 24 lines."""
 BEGINNINGS = ("reset", "ready")
@@ -202,7 +202,7 @@ def _written(first: Write, last: Write, count: int) -> str:
         speeds = " ".join(f"{speed:+.3f}" for speed in last.speeds_rps or ())
         return f"motion{'' if first.head == last.head else ', last'} [{speeds}] rps"
     if first.sort in FRAMES:
-        return FRAMES[first.sort][count > 1]
+        return FRAMES[first.sort].format("s" if count > 1 else "")
     return f"frame {first.head[:12].hex(' ')}{' ...' * (first.length > 12)}"
 
 

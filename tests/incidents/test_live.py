@@ -35,7 +35,7 @@ class Scene:
         self.environ = {"STATE_DIRECTORY": trial.state}
 
     def heads(self) -> list[dict[str, object]]:
-        found, problems = files.heads(self.trial.name, self.environ)
+        found, problems = files.heads(self.trial.name, files.folders(self.trial.name, self.environ))
         assert problems == []
         return found
 

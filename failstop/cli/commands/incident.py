@@ -70,7 +70,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _list(arguments: Namespace) -> int:
-    found, problems = files.heads(arguments.name, os.environ)
+    found, problems = files.heads(arguments.name, files.folders(arguments.name, os.environ))
     if arguments.json:
         print(json.dumps(found, indent=2))
     elif found:
@@ -118,22 +118,17 @@ def _write(arguments: Namespace) -> int:
 
 def _meant(arguments: Namespace) -> str:
     """The incident's path; the last one is waited for, if it is of a moment ago. Raises IncidentError."""
-    reason = wait(arguments.name, os.environ) if arguments.id == files.LAST else ""
-    try:
-        path = files.find(arguments.id, arguments.name, os.environ)
-    except IncidentError:
-        if reason:
-            raise IncidentError(f"the stop ({reason}) is not saved yet: again in a few seconds") from None
-        raise
-    if reason:
-        sys.stderr.write(f"failstop: the newest stop ({reason}) is not saved yet: this is one before it\n")
-    return path
+    if arguments.id == files.LAST and (reason := wait(arguments.name, os.environ)):
+        raise IncidentError(f"the stop ({reason}) is not saved yet: again in a few seconds")
+    return files.find(arguments.id, arguments.name, os.environ)
 
 
 def wait(name: str, environ: Mapping[str, str], patience_s: float = PATIENCE_S) -> str:
     """Until the last stop is saved; returns its reason when it was not within `patience_s`."""
     until_s = time.monotonic() + patience_s
-    while (reason := unsaved(name, files.heads(name, environ)[0], time.time())) and time.monotonic() < until_s:
+    while reason := unsaved(name, files.heads(name, files.folders(name, environ))[0], time.time()):
+        if time.monotonic() >= until_s:
+            break
         time.sleep(LOOK_S)
     return reason
 
