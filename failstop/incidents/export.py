@@ -124,7 +124,7 @@ def _board(incident: Incident) -> Iterator[Message]:
     }
     for sample in incident.imu:
         rate, acceleration = _vector(*sample.rate_radps), _vector(*sample.acceleration_mps2)
-        yield sample.ns, "imu", {"angular_velocity": rate, "linear_acceleration": acceleration, **fixed}
+        yield sample.t_ns, "imu", {"angular_velocity": rate, "linear_acceleration": acceleration, **fixed}
     unknown = dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity", "percentage"), nan)
     for ns, millivolts, plugged in incident.battery:
         # The charger's numbers are those of a power supply's status: unknown, charging, discharging.

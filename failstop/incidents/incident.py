@@ -10,12 +10,12 @@ from typing import Any, NamedTuple, TypeVar
 import msgpack
 
 from failstop.api.events import Event, unpack
+from failstop.api.samples import ImuSample
 from failstop.board import framing, servos
 from failstop.board.interface import BOARD
 from failstop.incidents import files, memory
 from failstop.incidents.files import IncidentError
 from failstop.policy import causes
-from failstop.policy.causes import Cause
 from failstop.policy.settings import BY_KEY
 from failstop.shm import box, layout, records
 
@@ -69,32 +69,6 @@ class Write(NamedTuple):
     """The wheel speeds that it sets, by wire id; None: it sets none."""
 
 
-class Sample(NamedTuple):
-    """One IMU sample, as published: m/s2, and rad/s less the bias."""
-
-    ns: int
-    acceleration_mps2: tuple[float, float, float]
-    rate_radps: tuple[float, float, float]
-
-
-class ArmGoal(NamedTuple):
-    """What the arm was to do at a moment, as box.pack_arm."""
-
-    ns: int
-    mode: str
-    """A word of box.ARM_MODES."""
-    who: str
-    aims: dict[int, float]
-
-
-class Stop(NamedTuple):
-    """A cause, as who noticed it put it into shared memory."""
-
-    ns: int
-    noticed_by: str
-    cause: Cause
-
-
 class Incident:
     """One file, whole. `ms(ns)` is relative to the cause."""
 
@@ -126,24 +100,24 @@ class Incident:
         self.writes = sorted(writes, key=lambda write: write.ns)
         """Everything for the board, in order: the port owner's, the supervisor's bursts, the stopper's last one."""
         board: list[tuple[int, tuple[int, Any]]] = self._entries(layout.TELEMETRY, "box", box.unpack_board)
-        self.imu = [Sample(ns, values[:3], values[3:]) for ns, (kind, values) in board if kind == box.IMU]
+        self.imu = [ImuSample(ns, values[:3], values[3:]) for ns, (kind, values) in board if kind == box.IMU]
         self.battery = [(ns, values[0], values[1]) for ns, (kind, values) in board if kind == box.BATTERY]
         """(when, millivolts, charger: an index of records.PLUGGED)."""
         servo = [(ns, values) for ns, (kind, values) in board if kind == box.SERVO]
         self.servo_positions = [(ns, v[0], v[3]) for ns, v in servo if v[1] == servos.POSITION and v[3]]
         """(when, servo, pulses): where servos said that they were. A 0, which a late answer makes of the next, is no
         place."""
-        self.arm_goals = [ArmGoal(ns, *found) for ns, found in self._entries(layout.GATE, "arm_box", box.unpack_arm)]
-        """What the arm was to do: ten times a second while somebody moved it."""
+        self.arm_goals = self._entries(layout.GATE, "arm_box", box.unpack_arm)
+        """(when, (mode, who, aims)): what the arm was to do, ten times a second while somebody moved it."""
         self.received = self._entries(layout.PORT_OWNER, "received", bytes)
         """Bytes from the board, of the last seconds."""
         noticed = [
-            Stop(cause_ns, segment, causes.read(cause))
+            (cause_ns, segment, causes.read(cause))
             for segment in (layout.PORT_OWNER, layout.GATE)
             for _, (_, cause_ns, _, cause) in self._entries(segment, "stops", records.STOPPED.unpack)
         ]
-        self.stops = sorted(noticed, key=lambda stop: stop.ns)
-        """Every cause that port owner and gate noticed."""
+        self.stops = sorted(noticed, key=lambda stop: stop[0])
+        """(when, by whom, cause): every cause that port owner and gate noticed."""
         told = [event for _, event in self._entries(layout.SUPERVISOR, "events", lambda payload: unpack(0, payload))]
         told += [
             Event(0, self.unix_ns(ns) / 1e9, ns, str(button["kind"]), "info", _pressed(button), {})
@@ -151,8 +125,7 @@ class Incident:
         ]
         self.events = sorted(told, key=lambda event: event.ns)
         """What people were told, and keys and pad buttons that the board sent."""
-        times = [found.ns for series in (self.ticks, self.writes, self.imu) for found in series]
-        times += [ns for ns, _ in self.beats]
+        times = [found[0] for series in (self.ticks, self.writes, self.imu, self.beats) for found in series]
         self.span_ns = min(times, default=self.cause_ns), max(times, default=self.cause_ns)
         """The oldest and the newest moment that is in the file."""
 

@@ -66,19 +66,11 @@ AXES = (
     ("vy", "m/s", "limits.vy_mps", ORANGE),
     ("wz", "rad/s", "limits.wz_radps", GREEN),
 )
-WHEELS: tuple[dict[str, Any], ...] = tuple(
-    {"color": color, **line}
-    for color in (BLUE, ORANGE)
-    for line in ({"linewidth": 4.5, "alpha": 0.3}, {"linewidth": 1.4})
-)
-"""As signals.WHEELS: the wheels of one side often turn alike, and both are to be seen."""
-WRITTEN = (
-    ("motion frames", MOTION, INK, 0.9),
-    ("zero frames", ZERO, FAINT, 0.9),
-    ("stop bursts", STOP_BURST, ALARM, 2.2),
-    ("pings", PING, PURPLE, 0.9),
-)
-"""The lanes of what was written: name, sort, colour and width of a stroke."""
+WHEELS = ((BLUE, 4.5, 0.3), (BLUE, 1.4, 1.0), (ORANGE, 4.5, 0.3), (ORANGE, 1.4, 1.0))
+"""As signals.WHEELS: colour, width, opacity; the wheels of one side often turn alike, and both are to be seen."""
+WRITTEN = {MOTION: ("motion frames", INK), ZERO: ("zero frames", FAINT)}
+WRITTEN |= {STOP_BURST: ("stop bursts", ALARM), PING: ("pings", PURPLE)}
+"""The lanes of what was written, by its sort: name, colour."""
 JOINTS = (BLUE, ORANGE, GREEN, PURPLE, INK, ALARM, FAINT, BLUE)
 SHADES: dict[str, dict[str, Any]] = {
     DRIVING: {"facecolor": PAPER, "edgecolor": GRID},
@@ -168,12 +160,8 @@ def _foot(figure: SubFigure, incident: Incident, events: list[Event]) -> None:
     if patches:
         said = {"title": "Background, what the gate said:", "alignment": "left", "labelcolor": FAINT}
         figure.legend(handles=patches, loc="upper left", bbox_to_anchor=(0.07, 1.0), ncols=len(patches), **said)
-    inch = 1 / (0.6 + EVENT_IN * len(events))
-    for number, event in enumerate(reversed(events)):
-        y = (EVENT_IN * number + 0.1) * inch
-        color = ALARM if event.kind in ("stop", "died", "fenced") or event.level == "critical" else INK
-        figure.text(0.098, y, f"{incident.ms(event.ns):+.1f} ms", color=FAINT, ha="right")
-        figure.text(0.108, y, shorten(event.text.partition("; next: ")[0], 150), color=color)
+    lines = [f"{incident.ms(e.ns):+9.1f} ms  {shorten(e.text.partition('; next: ')[0], 150)}" for e in events]
+    figure.text(0.03, 0.0, "\n".join(lines), family="monospace", linespacing=1.5, va="bottom")
 
 
 def _ms(incident: Incident, times_ns: Iterable[int]) -> list[float]:
@@ -207,8 +195,9 @@ def _wheels(axes: Axes, incident: Incident) -> None:
     # The board keeps the last speed until the next frame.
     frames += [(incident.span_ns[1], frames[-1][1])] if frames else []
     at = _ms(incident, (ns for ns, _ in frames))
-    for name, wire_id, style in zip(signals.WHEELS, signals.wheel_ids(incident), WHEELS, strict=True):
-        axes.step(at, [speeds[wire_id] for _, speeds in frames], where="post", label=name, **style)
+    for name, wire_id, (color, width, alpha) in zip(signals.WHEELS, signals.wheel_ids(incident), WHEELS, strict=True):
+        speeds_rps = [speeds[wire_id] for _, speeds in frames]
+        axes.step(at, speeds_rps, where="post", label=name, color=color, linewidth=width, alpha=alpha)
 
 
 def _joints(axes: Axes, incident: Incident) -> None:
@@ -234,7 +223,7 @@ def broken(at_ms: Array, values: Array) -> tuple[Array, Array]:
 def _vibration(axes: Axes, incident: Incident) -> None:
     """The larger of the standard deviations of gyro x and y over the window of 0.5 s that ends there, as telemetry
     judges it; no value where the window holds too few samples."""
-    times = np.array([sample.ns - incident.cause_ns for sample in incident.imu], dtype=np.int64)
+    times = np.array([sample.t_ns - incident.cause_ns for sample in incident.imu], dtype=np.int64)
     rates = np.array([sample.rate_radps[:2] for sample in incident.imu], dtype=float).reshape(-1, 2)
     firsts = np.searchsorted(times, times - WINDOW_NS, side="right")
     windows = [(at, first) for at, first in enumerate(firsts) if at - first >= LEAST_SAMPLES - 1]
@@ -250,19 +239,20 @@ def _vibration(axes: Axes, incident: Incident) -> None:
 
 def _lanes(axes: Axes, incident: Incident) -> None:
     """One lane each for what came, what went out, and who beat."""
-    strokes = [
-        ("commands", [tick.ns for tick in incident.ticks if tick.commands], BLUE, 0.9),
-        *(
-            (name, [write.ns for write in incident.writes if write.sort == sort], color, width)
-            for name, sort, color, width in WRITTEN
-        ),
-        ("board heard", [sample.ns for sample in incident.imu], GREEN, 0.6),
-    ]
-    for y, (_, times, color, width) in enumerate(strokes):
-        axes.eventplot(_ms(incident, times), lineoffsets=y, linelengths=0.72, linewidths=width, colors=color)
+    lanes = [("commands", BLUE, [tick.ns for tick in incident.ticks if tick.commands])]
+    lanes += [(*lane, [w.ns for w in incident.writes if w.sort == sort]) for sort, lane in WRITTEN.items()]
+    lanes += [("board heard", GREEN, [sample.t_ns for sample in incident.imu])]
+    for y, (_, color, times) in enumerate(lanes):
+        axes.eventplot(
+            _ms(incident, times),
+            lineoffsets=y,
+            linelengths=0.72,
+            linewidths=2.2 if color == ALARM else 0.9,
+            colors=color,
+        )
     silences = signals.silences(incident)
     begin_ns, end_ns = incident.span_ns
-    for y, process in enumerate(layout.PROCESSES, len(strokes)):
+    for y, process in enumerate(layout.PROCESSES, len(lanes)):
         died = signals.deaths(incident, process)
         last_ns = end_ns
         if incident.head["kind"] == "left":
@@ -275,7 +265,7 @@ def _lanes(axes: Axes, incident: Incident) -> None:
         for since_ns, until_ns, height, color in heard:
             axes.barh(y, (until_ns - since_ns) / 1e6, height, incident.ms(since_ns), color=color, linewidth=0)
         axes.plot(_ms(incident, died), [y] * len(died), "x", color=ALARM, markersize=6, markeredgewidth=1.8)
-    names = [name for name, _, _, _ in strokes] + [process.replace("_", " ") for process in layout.PROCESSES]
+    names = [name for name, _, _ in lanes] + [process.replace("_", " ") for process in layout.PROCESSES]
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.grid(axis="y", visible=False)

@@ -39,10 +39,10 @@ def verdicts(incident: Incident) -> list[tuple[int, bool]]:
     judge = StillJudge(incident.number("still.std_radps"))
     found: list[tuple[int, bool]] = []
     for sample in incident.imu:
-        judge.take(sample.rate_radps[0], sample.rate_radps[1], sample.ns)
+        judge.take(sample.rate_radps[0], sample.rate_radps[1], sample.t_ns)
         still = judge.still_ns > 0
-        if judge.judged_ns and sample.ns - incident.imu[0].ns >= FIRST_NS and (not found or found[-1][1] != still):
-            found.append((sample.ns, still))
+        if judge.judged_ns and sample.t_ns - incident.imu[0].t_ns >= FIRST_NS and (not found or found[-1][1] != still):
+            found.append((sample.t_ns, still))
     return found
 
 
@@ -143,9 +143,9 @@ def joints(incident: Incident) -> list[Joint]:
                 of(head[at]).sent.append((write.ns, head[at + 1] | head[at + 2] << 8))
     for ns, servo, pulses in incident.servo_positions:
         of(servo).read.append((ns, pulses))
-    for goal in incident.arm_goals:
-        for servo, aim in goal.aims.items() if goal.mode in ("trajectory", "follow") else ():
-            of(servo).goals.append((goal.ns, aim))
+    for ns, (mode, _, aims) in incident.arm_goals:
+        for servo, aim in aims.items() if mode in ("trajectory", "follow") else ():
+            of(servo).goals.append((ns, aim))
     return sorted(found.values())
 
 

@@ -12,7 +12,7 @@ from failstop.incidents import memory, signals
 from failstop.incidents.incident import ARM, MOTION, PING, REST, STOP_BURST, ZERO, Incident, Tick, Write
 from failstop.shm import layout
 
-Entry = TypeVar("Entry", Tick, Write)
+Entry = TypeVar("Entry")
 
 CAUSE = "CAUSE"
 DETAIL_NS = 500_000_000
@@ -92,7 +92,7 @@ def choose(incident: Incident, lines: list[Line], since_ns: int) -> list[Line]:
 
 def noticed_by(incident: Incident) -> str:
     """The process that noticed the cause, for people; empty: not known."""
-    noticed = [stop.noticed_by for stop in incident.stops if stop.ns == incident.cause_ns]
+    noticed = [by for ns, by, _ in incident.stops if ns == incident.cause_ns]
     return name((incident.head["stop"] or {}).get("noticed_by") or (noticed[0] if noticed else ""))
 
 
@@ -118,10 +118,9 @@ def _cause(incident: Incident) -> Iterator[Line]:
     yield Line(incident.cause_ns, CAUSE, said, short=incident.why)
 
 
-def _runs(entries: Iterable[Entry], key: Callable[[Entry], object]) -> Iterator[tuple[Entry, Entry, list[Entry]]]:
-    """Neighbours of one key: (first, last, all)."""
-    for run in (list(group) for _, group in groupby(entries, key)):
-        yield run[0], run[-1], run
+def _runs(entries: Iterable[Entry], key: Callable[[Entry], object]) -> Iterator[list[Entry]]:
+    """Neighbours of one key."""
+    return (list(group) for _, group in groupby(entries, key))
 
 
 def _near(incident: Incident, ns: int) -> bool:
@@ -140,14 +139,15 @@ def _commands(incident: Incident) -> Iterator[Line]:
     def key(tick: Tick) -> object:
         return tick.who, tick.source, tick.manual, _near(incident, tick.ns) and _steps(tick.command)
 
-    for first, last, run in _runs(heard, key):
+    for run in _runs(heard, key):
+        first = run[0]
         text = velocity(first.command)
         if len(what := {tick.command for tick in run}) > 1:
             lows, highs = (" ".join(f"{f(axis):+.2f}" for axis in zip(*what, strict=True)) for f in (min, max))
             text = f"between ({lows}) and ({highs})"
         who = f"{first.who} as {first.source}{', manual' if first.manual else ''}"
         count = sum(tick.commands for tick in run)
-        yield Line(first.ns, "command", f"{who}: {text}", last.ns, count, f"{first.who} commands")
+        yield Line(first.ns, "command", f"{who}: {text}", run[-1].ns, count, f"{first.who} commands")
 
 
 def _decisions(incident: Incident) -> Iterator[Line]:
@@ -162,13 +162,12 @@ def _arm(incident: Incident) -> Iterator[Line]:
     """For whom it moved, and where each joint was read to be for the first time after the cause."""
     joints = signals.joints(incident)
     names = {joint.servo: joint.name or joint.servo for joint in joints}
-    for _, group in groupby(incident.arm_goals, lambda goal: (goal.mode, goal.who)):
-        run = list(group)
-        first, last = run[0], run[-1]
-        unit = "/s" if last.mode == "jog" else ""
-        aims = ", ".join(f"{names.get(servo, servo)} {aim:.0f}{unit}" for servo, aim in last.aims.items())
-        text = f"{last.mode} for {last.who}" + (f", last: {aims}" if aims else "") if last.mode else "moved by nobody"
-        yield _plain(first.ns, "arm", text, last.ns, len(run))
+    for run in _runs(incident.arm_goals, lambda goal: goal[1][:2]):
+        until_ns, (mode, who, last) = run[-1]
+        unit = "/s" if mode == "jog" else ""
+        aims = ", ".join(f"{names.get(servo, servo)} {aim:.0f}{unit}" for servo, aim in last.items())
+        text = f"{mode} for {who}" + (f", last: {aims}" if aims else "") if mode else "moved by nobody"
+        yield _plain(run[0][0], "arm", text, until_ns, len(run))
     for joint in joints:
         if after := [(ns, pulses) for ns, pulses in joint.read if ns >= incident.cause_ns]:
             yield _plain(after[0][0], "arm", f"{names[joint.servo]} ({joint.servo}) is read to be at {after[0][1]}")
@@ -187,7 +186,8 @@ def _writes(incident: Incident) -> Iterator[Line]:
         near = alone if _near(incident, write.ns) and write.speeds_rps else ""
         return write.sort, write.by, write.ns >= incident.cause_ns, near, write.taken < write.length
 
-    for first, last, run in _runs(sorted(incident.writes, key=lane), key):
+    for run in _runs(sorted(incident.writes, key=lane), key):
+        first, last = run[0], run[-1]
         text = _written(first, last, len(run))
         short = text if first.ns >= incident.cause_ns and first.sort not in (ZERO, PING) else ""
         if first.taken < first.length:
@@ -208,7 +208,7 @@ def _written(first: Write, last: Write, count: int) -> str:
 
 def _board(incident: Incident) -> Iterator[Line]:
     """How long the board was heard; its silences."""
-    times = [ns for ns, _ in incident.received] or [sample.ns for sample in incident.imu]
+    times = [ns for ns, _ in incident.received] or [sample.t_ns for sample in incident.imu]
     if not times:
         return
     size = sum(len(data) for _, data in incident.received)
@@ -247,6 +247,6 @@ def _events(incident: Incident) -> Iterator[Line]:
         short = text.partition("; next: ")[0].partition(" (was: ")[0] if news else ""
         yield Line(event.ns, event.kind, text, short=short)
     stops = [event.fields for event in incident.events if event.kind in TELL_OF_STOPS]
-    for stop in incident.stops:
-        if stop.ns != incident.cause_ns and not any(memory.tells_of(fields, stop.cause) for fields in stops):
-            yield _plain(stop.ns, "cause", f"{stop.cause} (noticed by the {name(stop.noticed_by)})")
+    for ns, by, cause in incident.stops:
+        if ns != incident.cause_ns and not any(memory.tells_of(fields, cause) for fields in stops):
+            yield _plain(ns, "cause", f"{cause} (noticed by the {name(by)})")

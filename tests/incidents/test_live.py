@@ -118,7 +118,7 @@ def test_the_death_of_the_one_who_decodes_loses_nothing_of_before(scene: Scene) 
     trial.recover("telemetry", pid)
     saved = scene.saved()
     assert saved.reason == "telemetry died"
-    before = [sample for sample in saved.imu if saved.cause_ns - 1_000_000_000 < sample.ns < saved.cause_ns]
+    before = [sample for sample in saved.imu if saved.cause_ns - 1_000_000_000 < sample.t_ns < saved.cause_ns]
     assert len(before) > 50, "110 a second"
     assert [tick for tick in saved.ticks if tick.ns < saved.cause_ns][-1].block == "driving"
     assert any(line.what == story.CAUSE for line in story.tell(saved))
@@ -139,7 +139,7 @@ def check_driven(incident: Incident) -> None:
     assert motion_after == []
     end_ns = incident.span_ns[1]
     assert 1900 < incident.ms(end_ns) < 10_000
-    for times in ([ns for ns, _ in incident.received], [sample.ns for sample in incident.imu]):
+    for times in ([ns for ns, _ in incident.received], [sample.t_ns for sample in incident.imu]):
         assert times[0] < incident.cause_ns - 400_000_000, "before"
         assert times[-1] > incident.cause_ns + 1_500_000_000, "and after"
     assert incident.undecoded == 0

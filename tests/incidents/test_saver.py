@@ -145,7 +145,7 @@ def test_a_dead_run_s_file_is_of_what_came_first(saving: Saving) -> None:
     assert (incident.reason, incident.cause_ns, incident.head["kind"]) == ("gate died", 1_000_000_000, "left")
     assert incident.head["stop"]["written_us"] == 300.0
     assert incident.cause == causes.DIED("gate")
-    assert [stop.cause for stop in incident.stops] == [causes.DIED("supervisor")]
+    assert [cause for _, _, cause in incident.stops] == [causes.DIED("supervisor")]
 
 
 def lose_port(saving: Saving, state: int) -> None:
