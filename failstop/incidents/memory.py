@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     Segments = dict[str, dict[str, Any]]
     """Of a run, by their names, each as segment() has it: what a file holds, too."""
 
-LEFT_OUT = "reply."
-"""Answers to clients: of no use to anybody else."""
-SUPERVISOR_DIED = causes.DIED(layout.SUPERVISOR)
 OUTLIVED_NS = 60_000_000
 """Between two beats of whoever lives; who has beaten so long after the supervisor has outlived it."""
 UNSTILL = "wheels NOT seen still"
@@ -57,7 +54,8 @@ def segment(name: str, incarnation: int, data: bytes) -> dict[str, Any]:
     for record in spec.records.values():
         if record.kind == "word":
             found["words"][record.name] = _WORD.unpack_from(data, spec.offsets[record.name])[0]
-        elif record.kind in ("latest", "ring") and not record.name.startswith(LEFT_OUT):
+        # Answers to clients are of no use to anybody else.
+        elif record.kind in ("latest", "ring") and not record.name.startswith("reply."):
             there = [list(entry) for entry in entries(name, record.name, incarnation, data)]
             if record.kind == "ring":
                 found["rings"][record.name] = there
@@ -105,7 +103,7 @@ def left_cause(segments: Segments) -> tuple[int, int, Cause]:
         return min(owed, key=lambda noticed: noticed[:2])
     last_ns = max(found["words"]["beat_ns"] for found in segments.values())
     if last_ns > beat_ns + OUTLIVED_NS:
-        return beat_ns, raised, SUPERVISOR_DIED
+        return beat_ns, raised, causes.DIED(layout.SUPERVISOR)
     return last_ns, raised, causes.ALL_DIED()
 
 

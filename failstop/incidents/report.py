@@ -24,8 +24,6 @@ NARROWEST = 60
 LABEL = 10
 LEAD = 2 + 10 + 2 + LABEL + 2
 """Columns in front of a line's text: indent, time, gap, label, gap."""
-INDENT = 16
-"""Columns in front of a fact."""
 NOT_KNOWN = "not known"
 DRIVER_ENDS = ("driver_silent", "driver_gone", "driver_ended")
 TICK_NS = 100_000_000
@@ -58,10 +56,10 @@ def summary(incident: Incident, columns: int, since_ns: int, now_s: float, again
     """What matters, without scrolling: the facts, and the lines of the story that led to the stop and came of it;
     `again`: the words that name the incident on a command line."""
     columns = max(columns, NARROWEST)
+    lines = story.choose(incident, story.tell(incident), since_ns)
     return [
-        [(f"Incident {incident.id}", STRONG)],
-        *_facts(_head(incident, now_s), columns),
-        *_story(incident, story.choose(incident, story.tell(incident), since_ns), columns, short=True),
+        *_facts(f"Incident {incident.id}", _head(incident, now_s), columns),
+        *_story(incident, lines, columns, short=True),
         *_wrapped("", f"--all tells the rest; a picture: `failstop incident plot{again}`", DIM, columns),
     ]
 
@@ -72,15 +70,13 @@ def text(incident: Incident, columns: int, since_ns: int, now_s: float) -> Lines
     begin_ms, end_ms = map(incident.ms, incident.span_ns)
     recorded = f"from {-begin_ms / 1e3:.1f} s before to {end_ms / 1e3:.1f} s after"
     return [
-        [(f"Incident {incident.id}", STRONG)],
-        *_facts([*_head(incident, now_s), ("recorded", recorded, PLAIN)], columns),
+        *_facts(f"Incident {incident.id}", [*_head(incident, now_s), ("recorded", recorded, PLAIN)], columns),
         *_story(incident, story.within(story.tell(incident), since_ns), columns),
         [],
         [("Processes", STRONG), (", as the file was saved", PLAIN)],
         *([("  ", PLAIN), *row] for row in style.table(_processes(incident))),
         [],
-        [("Around it", STRONG)],
-        *_facts(_around(incident), columns),
+        *_facts("Around it", _around(incident), columns),
     ]
 
 
@@ -89,8 +85,9 @@ def _wrapped(lead: str, text: str, role: str, columns: int) -> Lines:
     return style.wrap([(lead, PLAIN), (printable(text), role)], columns, len(lead))
 
 
-def _facts(rows: list[Fact], columns: int) -> Lines:
-    return [line for name, said, role in rows for line in _wrapped(f"  {name:<{INDENT - 2}}", said, role, columns)]
+def _facts(title: str, rows: list[Fact], columns: int) -> Lines:
+    wrapped = (_wrapped(f"  {name:<14}", said, role, columns) for name, said, role in rows)
+    return [[(title, STRONG)], *(line for lines in wrapped for line in lines)]
 
 
 def _head(incident: Incident, now_s: float) -> list[Fact]:
@@ -164,24 +161,23 @@ def _proofs(incident: Incident) -> list[Fact]:
 
 
 def _story(incident: Incident, lines: list[story.Line], columns: int, *, short: bool = False) -> Lines:
-    rows = (row for line in lines for row in _rows(incident, line, columns, short=short))
-    return [[], [("Story", STRONG), (", milliseconds from the cause", PLAIN)], *rows]
-
-
-def _rows(incident: Incident, line: story.Line, columns: int, *, short: bool) -> Lines:
-    label = SHORT.get(line.what, printable(line.what.replace("_", " "))[:LABEL])
-    label, role = f"{label:<{LABEL}}  ", ROLES.get(line.what, PLAIN)
-    said = printable(line.text)
-    if line.what == CAUSE:
-        return style.wrap([(f">>{'0':>10}  {label}{said}", role)], columns, LEAD)
-    until = f"until {incident.ms(line.until_ns):+.1f}"
-    more = f" ({line.count} x {until})" if line.count > 1 else ""
-    if short:
-        if more and LEAD + len(said + more) > columns:
-            more = f" ({until})"
-        said = style.cut(said, columns - LEAD - len(more))
-    lead = (f"  {incident.ms(line.ns):>+10.1f}  ", PLAIN)
-    return style.wrap([lead, (label, role), (said + more, PLAIN)], columns, LEAD)
+    found: Lines = [[], [("Story", STRONG), (", milliseconds from the cause", PLAIN)]]
+    for line in lines:
+        label = SHORT.get(line.what, printable(line.what.replace("_", " "))[:LABEL])
+        label, role = f"{label:<{LABEL}}  ", ROLES.get(line.what, PLAIN)
+        said = printable(line.text)
+        if line.what == CAUSE:
+            found += style.wrap([(f">>{'0':>10}  {label}{said}", role)], columns, LEAD)
+            continue
+        until = f"until {incident.ms(line.until_ns):+.1f}"
+        more = f" ({line.count} x {until})" if line.count > 1 else ""
+        if short:
+            if more and LEAD + len(said + more) > columns:
+                more = f" ({until})"
+            said = style.cut(said, columns - LEAD - len(more))
+        lead = (f"  {incident.ms(line.ns):>+10.1f}  ", PLAIN)
+        found += style.wrap([lead, (label, role), (said + more, PLAIN)], columns, LEAD)
+    return found
 
 
 def _processes(incident: Incident) -> Lines:
