@@ -7,9 +7,9 @@ from io import BytesIO
 from math import nan, tau
 from typing import Any
 
-from failstop.incidents import files, signals
+from failstop.incidents import files
 from failstop.incidents.files import IncidentError
-from failstop.incidents.incident import Incident
+from failstop.incidents.incident import WHEELS, Incident
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.shm import layout
 
@@ -56,7 +56,6 @@ FIELDS = {
 }
 """The messages' own fields."""
 LOG_LEVELS = {"info": 20, "notice": 20, "warning": 30, "error": 40, "critical": 50}
-WHEELS = [name.replace(" ", "_") for name in signals.WHEELS]
 
 Message = tuple[int, str, dict[str, Any]]
 """When (CLOCK_MONOTONIC ns), topic, and of its value what is not the header, nor zero."""
@@ -100,19 +99,15 @@ def _parts(name: str) -> list[str]:
     return list(dict.fromkeys((name, *within)))
 
 
-def _vector(x: float, y: float, z: float) -> dict[str, float]:
-    return {"x": x, "y": y, "z": z}
-
-
 def _motion(incident: Incident) -> Iterator[Message]:
     for tick in incident.ticks:
         for topic, (vx, vy, wz) in (("command", tick.command), ("gated", tick.velocity)):
             if topic == "gated" or tick.commands:
-                yield tick.ns, topic, {"twist": {"linear": _vector(vx, vy, 0.0), "angular": _vector(0.0, 0.0, wz)}}
-    ids = signals.wheel_ids(incident)
+                yield tick.ns, topic, {"twist": {"linear": {"x": vx, "y": vy}, "angular": {"z": wz}}}
+    names, ids = [name.replace(" ", "_") for name in WHEELS], incident.wheel_ids()
     for write in incident.writes:
         if speeds := write.speeds_rps:
-            yield write.ns, "wheels", {"name": WHEELS, "velocity": [speeds[wire_id] * tau for wire_id in ids]}
+            yield write.ns, "wheels", {"name": names, "velocity": [speeds[wire_id] * tau for wire_id in ids]}
 
 
 def _board(incident: Incident) -> Iterator[Message]:
@@ -123,7 +118,7 @@ def _board(incident: Incident) -> Iterator[Message]:
         "linear_acceleration_covariance": [0.0] * 9,
     }
     for sample in incident.imu:
-        rate, acceleration = _vector(*sample.rate_radps), _vector(*sample.acceleration_mps2)
+        acceleration, rate = (dict(zip("xyz", of, strict=True)) for of in (sample.acceleration_mps2, sample.rate_radps))
         yield sample.t_ns, "imu", {"angular_velocity": rate, "linear_acceleration": acceleration, **fixed}
     unknown = dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity", "percentage"), nan)
     for ns, millivolts, plugged in incident.battery:
@@ -136,7 +131,7 @@ def _told(incident: Incident) -> Iterator[Message]:
     for ns, level, kind, text in (*rows, (incident.cause_ns, "error", "cause", incident.reason)):
         number = LOG_LEVELS.get(level, LOG_LEVELS["info"])
         yield ns, "events", {"level": number, "name": f"failstop.{kind}", "msg": text}
-    allowed_us = [signals.allowed_ns(incident, process) / 1000 for process in layout.PROCESSES]
+    allowed_us = [incident.allowed_ns(process) / 1000 for process in layout.PROCESSES]
     for ns, times in incident.beats:
         status = []
         for process, most_us, (silent_us, _) in zip(layout.PROCESSES, allowed_us, times, strict=True):

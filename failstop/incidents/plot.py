@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from failstop.api.events import Event
-from failstop.incidents import files, memory, report, signals
+from failstop.incidents import files, memory, report
 from failstop.incidents.files import IncidentError
-from failstop.incidents.incident import MOTION, PING, STOP_BURST, ZERO, Incident
-from failstop.incidents.signals import DRIVING, SILENT
+from failstop.incidents.incident import DRIVING, MOTION, PING, SAYS, SILENT, STOP_BURST, WHEELS, ZERO, Incident
 from failstop.procs.telemetry.still import LEAST_SAMPLES, WINDOW_NS
 from failstop.shm import blocks, layout
 
@@ -38,42 +37,29 @@ BREAK_MS = 100.0
 MOST_EVENTS = 12
 EVENT_IN = 0.19
 """Height of a line of the events."""
-INK, FAINT, GRID, PAPER = "#1b1f24", "#6b7480", "#e3e7ec", "#ffffff"
-ALARM, BEATS = "#c62828", "#a9d5c3"
-BLUE, ORANGE, GREEN, PURPLE = "#0b6fb8", "#d9822b", "#1a936f", "#8e5ea2"
+INK, FAINT, ALARM, BEATS = "#1b1f24", "#6b7480", "#c62828", "#a9d5c3"
 STYLE: Any = {
-    "axes.edgecolor": "#b8c0c8",
-    "axes.labelcolor": FAINT,
-    "axes.spines.top": False,
     "axes.spines.right": False,
+    "axes.spines.top": False,
     "axes.titlelocation": "left",
     "axes.titlesize": 10,
     "axes.titleweight": "bold",
     "axes.ymargin": 0.16,
     "figure.constrained_layout.w_pad": 0.15,
     "font.size": 9,
-    "grid.color": GRID,
+    "grid.color": "#e3e7ec",
     "hatch.linewidth": 0.6,
     "legend.fontsize": 8,
-    "lines.linewidth": 1.7,
-    "text.color": INK,
     "text.parse_math": False,
     "xtick.color": FAINT,
     "ytick.color": FAINT,
 }
-AXES = (
-    ("vx", "m/s", "limits.vx_mps", BLUE),
-    ("vy", "m/s", "limits.vy_mps", ORANGE),
-    ("wz", "rad/s", "limits.wz_radps", GREEN),
-)
-WHEELS = ((BLUE, 4.5, 0.3), (BLUE, 1.4, 1.0), (ORANGE, 4.5, 0.3), (ORANGE, 1.4, 1.0))
-"""As signals.WHEELS: colour, width, opacity; the wheels of one side often turn alike, and both are to be seen."""
+AXES = (("vx", "m/s", "limits.vx_mps"), ("vy", "m/s", "limits.vy_mps"), ("wz", "rad/s", "limits.wz_radps"))
 WRITTEN = {MOTION: ("motion frames", INK), ZERO: ("zero frames", FAINT)}
-WRITTEN |= {STOP_BURST: ("stop bursts", ALARM), PING: ("pings", PURPLE)}
+WRITTEN |= {STOP_BURST: ("stop bursts", ALARM), PING: ("pings", "C3")}
 """The lanes of what was written, by its sort: name, colour."""
-JOINTS = (BLUE, ORANGE, GREEN, PURPLE, INK, ALARM, FAINT, BLUE)
 SHADES: dict[str, dict[str, Any]] = {
-    DRIVING: {"facecolor": PAPER, "edgecolor": GRID},
+    DRIVING: {"facecolor": "white", "edgecolor": "#e3e7ec"},
     "estop": {"facecolor": "#fdeaea"},
     blocks.DISABLED: {"facecolor": "#eceff3"},
     blocks.NO_COMMAND: {"facecolor": "#fff3d1"},
@@ -93,8 +79,8 @@ def save(incident: Incident, path: str, seconds: float) -> None:
     except ImportError:
         raise IncidentError(NEEDS) from None
     incident.check_layout()
-    with style.context(["seaborn-v0_8-whitegrid", STYLE]):
-        figure = Figure(dpi=130, facecolor=PAPER, layout="constrained")
+    with style.context(["seaborn-v0_8-whitegrid", "seaborn-v0_8-colorblind", STYLE]):
+        figure = Figure(dpi=130, facecolor="white", layout="constrained")
         _draw(figure, incident, seconds)
         picture = BytesIO()
         figure.savefig(picture, format=path.rpartition(".")[2].lower())
@@ -103,8 +89,8 @@ def save(incident: Incident, path: str, seconds: float) -> None:
 
 def _draw(figure: Figure, incident: Incident, seconds: float) -> None:
     """From the top: what happened, the panels, what their background means, the events."""
-    moved = any(joint.sent for joint in signals.joints(incident))
-    shown = [panel for panel in PANELS if panel is not ARM or moved]
+    moved = any(joint.sent for joint in incident.joints())
+    shown = [panel for panel in PANELS if moved or panel[2] is not _joints]
     found = [e for e in incident.events if incident.ms(e.ns) >= -seconds * 1e3 and e.kind != "incident"]
     nearest = sorted(found, key=lambda event: abs(event.ns - incident.cause_ns))[:MOST_EVENTS]
     events = sorted(nearest, key=lambda event: event.ns)
@@ -121,7 +107,7 @@ def _draw(figure: Figure, incident: Incident, seconds: float) -> None:
     for (title, _, draw), (whole, zoom) in zip(shown, rows, strict=True):
         for axes in (whole, zoom):
             draw(axes, incident)
-            for what, begin_ns, end_ns in signals.gate_spans(incident):
+            for what, begin_ns, end_ns in incident.gate_spans():
                 if what != DRIVING and what in SHADES:
                     axes.axvspan(incident.ms(begin_ns), incident.ms(end_ns), zorder=0, linewidth=0, **SHADES[what])
             axes.axvline(0, color=ALARM, linewidth=1.4, zorder=5)
@@ -141,7 +127,7 @@ def _draw(figure: Figure, incident: Incident, seconds: float) -> None:
 
 def _title(figure: SubFigure, incident: Incident) -> None:
     head = incident.head
-    proof = memory.proof(signals.proven(incident), head)
+    proof = memory.proof(incident.proven(), head)
     reason = shorten(incident.reason, 130) or "?"
     figure.text(0.03, 0.55, reason, fontsize=min(19, 1300 / len(reason)), fontweight="bold", color=ALARM)
     figure.text(0.03, 0.28, proof[0].upper() + proof[1:], fontsize=11)
@@ -155,8 +141,8 @@ def _foot(figure: SubFigure, incident: Incident, events: list[Event]) -> None:
     """What each shade means that is in the picture, and the events, a line each."""
     from matplotlib.patches import Patch
 
-    there = {what for what, _, _ in signals.gate_spans(incident)}
-    patches = [Patch(label=signals.SAYS[what], **SHADES[what]) for what in SHADES if what in there]
+    there = {what for what, _, _ in incident.gate_spans()}
+    patches = [Patch(label=SAYS[what], **SHADES[what]) for what in SHADES if what in there]
     if patches:
         said = {"title": "Background, what the gate said:", "alignment": "left", "labelcolor": FAINT}
         figure.legend(handles=patches, loc="upper left", bbox_to_anchor=(0.07, 1.0), ncols=len(patches), **said)
@@ -164,8 +150,9 @@ def _foot(figure: SubFigure, incident: Incident, events: list[Event]) -> None:
     figure.text(0.03, 0.0, "\n".join(lines), family="monospace", linespacing=1.5, va="bottom")
 
 
-def _ms(incident: Incident, times_ns: Iterable[int]) -> list[float]:
-    return [incident.ms(ns) for ns in times_ns]
+def _at(incident: Incident, entries: Iterable[tuple[Any, ...]]) -> list[float]:
+    """When they were."""
+    return [incident.ms(entry[0]) for entry in entries]
 
 
 def _velocity(axes: Axes, incident: Incident) -> None:
@@ -177,41 +164,37 @@ def _velocity(axes: Axes, incident: Incident) -> None:
         (tick.ns, tick.command if tick.age_us is not None and tick.age_us <= fresh_us else nothing, tick.velocity)
         for tick in incident.ticks
     ]
-    rows += [(ns + 1, nothing, nothing) for what, ns, _ in signals.gate_spans(incident) if what == SILENT]
+    rows += [(ns + 1, nothing, nothing) for what, ns, _ in incident.gate_spans() if what == SILENT]
     rows.sort(key=lambda row: row[0])
-    at = _ms(incident, (ns for ns, _, _ in rows))
-    for index, (name, unit, key, color) in enumerate(AXES):
-        most = incident.number(key) * 1.3
+    for index, (name, unit, limit) in enumerate(AXES):
+        most, color = incident.number(limit) * 1.3, f"C{index}"
         asked = np.clip([command[index] for _, command, _ in rows], -most, most)
         gated = np.clip([velocity[index] for _, _, velocity in rows], -most, most)
         if np.nan_to_num([asked, gated]).any():
-            axes.step(at, asked, where="post", color=color, alpha=0.45, linewidth=1.1, linestyle=(0, (3, 1.5)))
-            axes.step(at, gated, where="post", color=color, label=f"{name} ({unit})")
+            axes.step(_at(incident, rows), asked, where="post", color=color, linewidth=1.1, linestyle="--", alpha=0.5)
+            axes.step(_at(incident, rows), gated, where="post", color=color, label=f"{name} ({unit})")
 
 
 def _wheels(axes: Axes, incident: Incident) -> None:
-    """What was written to the board, not what was decided: the two differ where the port owner refused."""
+    """What was written to the board, not what was decided: the two differ where the port owner refused. The wheels of
+    one side often turn alike, and both are to be seen."""
     frames = [(write.ns, write.speeds_rps) for write in incident.writes if write.speeds_rps]
     # The board keeps the last speed until the next frame.
     frames += [(incident.span_ns[1], frames[-1][1])] if frames else []
-    at = _ms(incident, (ns for ns, _ in frames))
-    for name, wire_id, (color, width, alpha) in zip(signals.WHEELS, signals.wheel_ids(incident), WHEELS, strict=True):
+    for index, (name, wire_id) in enumerate(zip(WHEELS, incident.wheel_ids(), strict=True)):
+        line: dict[str, Any] = {"linewidth": 1.4} if index % 2 else {"linewidth": 4.5, "alpha": 0.3}
         speeds_rps = [speeds[wire_id] for _, speeds in frames]
-        axes.step(at, speeds_rps, where="post", label=name, color=color, linewidth=width, alpha=alpha)
+        axes.step(_at(incident, frames), speeds_rps, where="post", label=name, color=f"C{index // 2}", **line)
 
 
 def _joints(axes: Axes, incident: Incident) -> None:
     """Where each joint was sent, a line: a servo gets there within its move, of some 40 ms, and stands at a stop burst.
     Where it was to be in the end, dots; where it was read to be, crosses: while it moves no servo is asked."""
-    sent = [joint for joint in signals.joints(incident) if joint.sent]
-    for joint, color in zip(sent, JOINTS, strict=False):
-        line, goals, read = (
-            np.array([(incident.ms(ns), pulses) for ns, pulses in points], dtype=float).reshape(-1, 2).T
-            for points in (joint.sent, joint.goals, joint.read)
-        )
-        axes.plot(*broken(*line), color=color, label=f"{joint.name or 'servo'} ({joint.servo})")
-        axes.plot(*goals, color=color, linestyle="none", marker=".", markersize=2)
-        axes.plot(*read, color=color, linestyle="none", marker="x", markersize=4)
+    for index, joint in enumerate(joint for joint in incident.joints() if joint.sent):
+        sent = np.array(_at(incident, joint.sent)), np.array([float(pulses) for _, pulses in joint.sent])
+        axes.plot(*broken(*sent), color=f"C{index}", label=f"{joint.name or 'servo'} ({joint.servo})")
+        for points, marker in ((joint.goals, "."), (joint.read, "x")):
+            axes.plot(_at(incident, points), [pulses for _, pulses in points], f"C{index}{marker}", markersize=4)
 
 
 def broken(at_ms: Array, values: Array) -> tuple[Array, Array]:
@@ -226,58 +209,51 @@ def _vibration(axes: Axes, incident: Incident) -> None:
     times = np.array([sample.t_ns - incident.cause_ns for sample in incident.imu], dtype=np.int64)
     rates = np.array([sample.rate_radps[:2] for sample in incident.imu], dtype=float).reshape(-1, 2)
     firsts = np.searchsorted(times, times - WINDOW_NS, side="right")
-    windows = [(at, first) for at, first in enumerate(firsts) if at - first >= LEAST_SAMPLES - 1]
-    full = [(at, first) for at, first in windows if times[at] - times[0] >= WINDOW_NS]
-    spread = [rates[first : at + 1].std(axis=0).max() * 1e3 for at, first in full]
-    at, values = broken(times[[at for at, _ in full]] / 1e6, np.array(spread))
+    least = np.maximum(firsts + LEAST_SAMPLES - 1, np.searchsorted(times, times[:1] + WINDOW_NS))
+    full = np.nonzero(np.arange(len(times)) >= least)[0]
+    spread = np.array([rates[firsts[at] : at + 1].std(axis=0).max() * 1e3 for at in full])
+    at, values = broken(times[full] / 1e6, spread)
     limit = incident.number("still.std_radps") * 1e3
     axes.plot(at, values, color=INK, linewidth=1.4)
-    axes.fill_between(at, values, limit, where=values > limit, color=ORANGE, alpha=0.3, linewidth=0)
-    axes.axhline(limit, color=GREEN, linewidth=1.2, linestyle="--", label=f"still below {limit:g}")
+    axes.fill_between(at, values, limit, where=values > limit, color="C2", alpha=0.3, linewidth=0)
+    axes.axhline(limit, color="C1", linewidth=1.2, linestyle="--", label=f"still below {limit:g}")
     axes.set_ylim(0, None)
 
 
 def _lanes(axes: Axes, incident: Incident) -> None:
     """One lane each for what came, what went out, and who beat."""
-    lanes = [("commands", BLUE, [tick.ns for tick in incident.ticks if tick.commands])]
-    lanes += [(*lane, [w.ns for w in incident.writes if w.sort == sort]) for sort, lane in WRITTEN.items()]
-    lanes += [("board heard", GREEN, [sample.t_ns for sample in incident.imu])]
-    for y, (_, color, times) in enumerate(lanes):
-        axes.eventplot(
-            _ms(incident, times),
-            lineoffsets=y,
-            linelengths=0.72,
-            linewidths=2.2 if color == ALARM else 0.9,
-            colors=color,
-        )
-    silences = signals.silences(incident)
+    lanes = [("commands", "C0", _at(incident, (tick for tick in incident.ticks if tick.commands)))]
+    for sort, (name, color) in WRITTEN.items():
+        lanes.append((name, color, _at(incident, (write for write in incident.writes if write.sort == sort))))
+    lanes.append(("board heard", "C1", _at(incident, incident.imu)))
+    names, colors, times = zip(*lanes, strict=True)
+    widths = [2.2 if color == ALARM else 1.0 for color in colors]
+    axes.eventplot(times, lineoffsets=range(len(lanes)), linelengths=0.72, linewidths=widths, colors=colors)
     begin_ns, end_ns = incident.span_ns
     for y, process in enumerate(layout.PROCESSES, len(lanes)):
-        died = signals.deaths(incident, process)
+        died = incident.deaths(process)
         last_ns = end_ns
         if incident.head["kind"] == "left":
-            last_ns = max(begin_ns, min(end_ns, incident.words(process).get("beat_ns", end_ns)))
+            last_ns = max(begin_ns, min(end_ns, incident.words(process)["beat_ns"]))
             died.append(last_ns)
-        heard = [(begin_ns, last_ns, 0.44, BEATS)]
-        heard += [
-            (silence.since_ns, silence.until_ns, 0.64, ALARM) for silence in silences if silence.process == process
-        ]
-        for since_ns, until_ns, height, color in heard:
-            axes.barh(y, (until_ns - since_ns) / 1e6, height, incident.ms(since_ns), color=color, linewidth=0)
-        axes.plot(_ms(incident, died), [y] * len(died), "x", color=ALARM, markersize=6, markeredgewidth=1.8)
-    names = [name for name, _, _ in lanes] + [process.replace("_", " ") for process in layout.PROCESSES]
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(len(names) - 0.4, -0.6)
+        silent = [silence[1:3] for silence in incident.silences() if silence.process == process]
+        for spans, height, color in (([(begin_ns, last_ns)], 0.44, BEATS), (silent, 0.64, ALARM)):
+            bars = [(incident.ms(since_ns), (until_ns - since_ns) / 1e6) for since_ns, until_ns in spans]
+            axes.broken_barh(bars, (y - height / 2, height), color=color, linewidth=0)
+        axes.plot(
+            [incident.ms(ns) for ns in died], [y] * len(died), "x", color=ALARM, markersize=6, markeredgewidth=1.8
+        )
+    labels = [*names, *(process.replace("_", " ") for process in layout.PROCESSES)]
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.grid(axis="y", visible=False)
 
 
-ARM: Panel = ("The arm: sent (lines), goals (dots), read (crosses); pulses of 0.24 degrees", 1.6, _joints)
-"""Only where it was moved."""
 PANELS: tuple[Panel, ...] = (
     ("Velocity (dashed: commanded)", 1.85, _velocity),
     ("Wheel speeds written to the board (rps)", 1.6, _wheels),
-    ARM,
+    ("The arm: sent (lines), goals (dots), read (crosses); pulses of 0.24 degrees", 1.6, _joints),
     ("Vibration: gyro std over 0.5 s (mrad/s); orange: the wheels turn", 1.3, _vibration),
     ("Who was heard: a stroke each; green: a process beats, red: silent for too long; cross: it died", 2.4, _lanes),
 )
-"""From the top: title, height in inches, and what draws it."""
+"""From the top: title, height in inches, and what draws it; the arm's only where it was moved."""

@@ -8,8 +8,8 @@ from typing import Any
 from failstop.api.words import span, took
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, PLAIN, STRONG, WARN
-from failstop.incidents import memory, signals, story
-from failstop.incidents.incident import Incident
+from failstop.incidents import memory, story
+from failstop.incidents.incident import DRIVING, SAYS, Incident
 from failstop.incidents.story import CAUSE
 from failstop.policy import causes
 from failstop.policy.settings import Settings
@@ -122,14 +122,14 @@ def _before(incident: Incident) -> str:
     if not ticks:
         return NOT_KNOWN
     last = ticks[-1]
-    if last.block == signals.DRIVING:
+    if last.block == DRIVING:
         age_ms = (last.age_us or 0) / 1e3 + (incident.cause_ns - last.ns) / 1e6
         return f"driving, {story.velocity(last.velocity)}; {last.who} as {last.source}, command {age_ms:.0f} ms old"
-    driven_ns = max((tick.ns for tick in ticks if tick.block == signals.DRIVING), default=0)
+    driven_ns = max((tick.ns for tick in ticks if tick.block == DRIVING), default=0)
     since_ns = next(tick.ns for tick in ticks if tick.ns > driven_ns)
     # What was told before they turned for the last time explains nothing.
     least = "" if driven_ns else "at least "
-    why = signals.SAYS.get(last.block, last.block)
+    why = SAYS.get(last.block, last.block)
     stood = f"the wheels stood ({why}), for {least}{took((incident.cause_ns - since_ns) / 1e9)}"
     ended = [e.text for e in incident.events if e.kind in DRIVER_ENDS and e.ns <= since_ns + TICK_NS]
     return f"{stood}; {ended[-1]}" if driven_ns and ended else stood
@@ -137,7 +137,7 @@ def _before(incident: Incident) -> str:
 
 def _proofs(incident: Incident) -> list[Fact]:
     """Written, acknowledged, observed: by whom, and when after the cause."""
-    stop = signals.proven(incident) or {}
+    stop = incident.proven() or {}
     recorded = took(max(0.0, incident.ms(incident.span_ns[1]) / 1e3))
     written = ("written", f"NOT within the {recorded} that are recorded after the cause", FAIL)
     heard = ("acknowledged", f"{NOT_KNOWN}: no answer of the board to it is recorded", WARN)

@@ -8,8 +8,21 @@ from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from typing import TypeVar
 
-from failstop.incidents import memory, signals
-from failstop.incidents.incident import ARM, MOTION, PING, REST, STOP_BURST, ZERO, Incident, Tick, Write
+from failstop.incidents import memory
+from failstop.incidents.incident import (
+    ARM,
+    DRIVING,
+    MOTION,
+    PING,
+    REST,
+    SAYS,
+    SILENT,
+    STOP_BURST,
+    ZERO,
+    Incident,
+    Tick,
+    Write,
+)
 from failstop.shm import layout
 
 Entry = TypeVar("Entry")
@@ -152,15 +165,15 @@ def _commands(incident: Incident) -> Iterator[Line]:
 
 def _decisions(incident: Incident) -> Iterator[Line]:
     """Each time the gate decided otherwise, or nothing."""
-    for what, begin_ns, end_ns in signals.gate_spans(incident):
-        said = "lets the wheels turn" if what == signals.DRIVING else f"blocks: {signals.SAYS.get(what, what)}"
+    for what, begin_ns, end_ns in incident.gate_spans():
+        said = "lets the wheels turn" if what == DRIVING else f"blocks: {SAYS.get(what, what)}"
         silent = f"no tick for {(end_ns - begin_ns) / 1e6:.0f} ms from here"
-        yield _plain(begin_ns, "gate", silent if what == signals.SILENT else said)
+        yield _plain(begin_ns, "gate", silent if what == SILENT else said)
 
 
 def _arm(incident: Incident) -> Iterator[Line]:
     """For whom it moved, and where each joint was read to be for the first time after the cause."""
-    joints = signals.joints(incident)
+    joints = incident.joints()
     names = {joint.servo: joint.name or joint.servo for joint in joints}
     for run in _runs(incident.arm_goals, lambda goal: goal[1][:2]):
         until_ns, (mode, who, last) = run[-1]
@@ -222,13 +235,13 @@ def _board(incident: Incident) -> Iterator[Line]:
 
 def _wheels(incident: Incident) -> Iterator[Line]:
     """What the IMU says."""
-    for ns, still in signals.verdicts(incident):
+    for ns, still in incident.verdicts():
         yield _plain(ns, "wheels", f"the IMU says: {'still' if still else 'they turn'}")
 
 
 def _silences(incident: Incident) -> Iterator[Line]:
     """Of each process; of a run that has ended, its last sign of life."""
-    for silence in signals.silences(incident):
+    for silence in incident.silences():
         lasted = f"{'' if silence.ended else 'at least '}{(silence.until_ns - silence.since_ns) / 1e6:.0f} ms"
         said = f"last beat of the {name(silence.process)} for {lasted}"
         yield _plain(silence.since_ns, "beat", said, silence.until_ns)
