@@ -3,14 +3,11 @@ out and counted."""
 
 from __future__ import annotations
 
-import contextlib
 import struct
 from collections.abc import Callable
 from itertools import groupby, pairwise
 from operator import itemgetter
 from typing import Any, NamedTuple, TypeVar
-
-import msgpack
 
 from failstop.api.events import Event, unpack
 from failstop.api.samples import ImuSample
@@ -169,10 +166,8 @@ class Incident:
         self.stops = sorted(noticed, key=lambda stop: stop[0])
         """(when, by whom, cause): every cause that port owner and gate noticed."""
         told = [event for _, event in self._entries(layout.SUPERVISOR, "events", lambda payload: unpack(0, payload))]
-        told += [
-            Event(0, self.unix_ns(ns) / 1e9, ns, str(button["kind"]), "info", _pressed(button), {})
-            for ns, button in self._entries(layout.TELEMETRY, "buttons", _map)
-        ]
+        for ns, (kind, text) in self._entries(layout.TELEMETRY, "buttons", _button):
+            told.append(Event(0, self.unix_ns(ns) / 1e9, ns, kind, "info", text, {}))
         self.events = sorted(told, key=lambda event: event.ns)
         """What people were told, and keys and pad buttons that the board sent."""
         times = [found[0] for series in (self.ticks, self.writes, self.imu, self.beats) for found in series]
@@ -194,15 +189,14 @@ class Incident:
         if self.foreign and name not in SELF_NAMED:
             return found
         for _, ns, payload in self._segments.get(segment, {}).get("rings", {}).get(name, []):
-            if (entry := self._decoded(decode, payload)) is not None:
+            try:
+                entry = decode(payload)
+            except (ValueError, KeyError, TypeError, IndexError):
+                entry = None
+            if entry is None:
+                self.undecoded += 1
+            else:
                 found.append((ns, entry))
-        return found
-
-    def _decoded(self, decode: Callable[[bytes], Payload | None], payload: bytes) -> Payload | None:
-        found = None
-        with contextlib.suppress(ValueError, KeyError, TypeError, IndexError, msgpack.UnpackException):
-            found = decode(payload)
-        self.undecoded += found is None
         return found
 
     @property
@@ -240,7 +234,7 @@ class Incident:
     def latest_map(self, segment: str, name: str) -> dict[str, Any]:
         """A record, a msgpack map, as it was when the file was saved; empty when there is none."""
         entry = self._segments.get(segment, {}).get("latest", {}).get(name)
-        return (self._decoded(_map, entry[2]) if entry else None) or {}
+        return memory.as_map(entry[2]) if entry else {}
 
     def processes(self) -> dict[str, dict[str, Any]]:
         """The process table as it was saved, with each one's heartbeat: pid, state, restarts, last_exit, beat_ns,
@@ -360,14 +354,9 @@ def _write(ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: b
     return Write(ns, by, sort, length, taken, head, speeds)
 
 
-def _map(payload: bytes) -> dict[str, Any]:
-    found = msgpack.unpackb(payload)
-    if not isinstance(found, dict):
-        raise ValueError("no map")
-    return found
-
-
-def _pressed(button: dict[str, Any]) -> str:
-    if button["kind"] == "pad":
-        return str(causes.BUTTON(button["buttons"]))
-    return f"key {button['key']}, event 0x{button['event']:02X}"
+def _button(payload: bytes) -> tuple[str, str]:
+    """Its kind and its text: a key, or buttons of the gamepad."""
+    found = memory.as_map(payload)
+    if found["kind"] == "pad":
+        return "pad", str(causes.BUTTON(found["buttons"]))
+    return str(found["kind"]), f"key {found['key']}, event 0x{found['event']:02X}"

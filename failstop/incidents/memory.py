@@ -70,12 +70,6 @@ def copy(fds: dict[str, int], memory: str) -> tuple[int, Segments]:
     return copies[layout.SUPERVISOR][0], {which: segment(which, *copied) for which, copied in copies.items()}
 
 
-def merge(ring: list[list[Any]], earlier: list[Entry]) -> list[list[Any]]:
-    """A ring, with the entries of an earlier copy of it that have been overwritten since."""
-    oldest = ring[0][0] if ring else None
-    return [list(entry) for entry in earlier if oldest is None or entry[0] < oldest] + ring
-
-
 def unsaved_cause(segments: Segments, start_ns: int) -> tuple[int, int, Cause] | None:
     """The stop that was latched when the run ended: (cause_ns, epoch, cause). None when nothing was, or when the
     supervisor lived on for `start_ns`, from a stop to its saver's start."""
@@ -129,10 +123,10 @@ def told_stop(segments: Segments, epoch: int, cause: Cause) -> dict[str, Any] | 
     """
     supervisor = segments[layout.SUPERVISOR]
     found: dict[str, Any] = {}
-    last = _map(supervisor["latest"].get("stop"))
+    last = as_map(supervisor["latest"].get("stop", (0, 0, b""))[2])
     if last.get("epoch", 0) >= epoch and last.get("cause") == cause.pack():
         found = {level: last.get(level) for level in LEVELS}
-    for event in map(_map, supervisor["rings"]["events"]):
+    for event in (as_map(payload) for _, _, payload in supervisor["rings"]["events"]):
         fields = event.get("fields", {})
         if not isinstance(fields, dict) or not tells_of(fields, cause) or fields.get("epoch", 0) < epoch:
             continue
@@ -144,9 +138,10 @@ def told_stop(segments: Segments, epoch: int, cause: Cause) -> dict[str, Any] | 
     return dict.fromkeys(LEVELS) | {"wheels": "unknown"} | found if found else None
 
 
-def _map(entry: list[Any] | None) -> dict[str, Any]:
+def as_map(payload: bytes) -> dict[str, Any]:
+    """What is packed with msgpack as a map; empty for what is none."""
     try:
-        found = msgpack.unpackb(entry[2]) if entry else {}
+        found = msgpack.unpackb(payload)
     except (ValueError, msgpack.UnpackException):
         return {}
     return found if isinstance(found, dict) else {}

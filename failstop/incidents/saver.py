@@ -89,8 +89,9 @@ class Saver:
         if self._live and not hurried:
             self._wait_for_port(int(self._words["cause_ns"]))
         run, segments = memory.copy(self._fds, self._name)
-        rings = segments[layout.PORT_OWNER]["rings"]
-        rings["received"] = memory.merge(rings["received"], earlier)
+        received = segments[layout.PORT_OWNER]["rings"]["received"]
+        oldest = received[0][0] if received else None
+        received[:0] = [list(entry) for entry in earlier if oldest is None or entry[0] < oldest]
         if self._live:
             packed = bytes.fromhex(self._words["cause"])
             cause = int(self._words["cause_ns"]), int(self._words["epoch"]), causes.read(packed)

@@ -119,12 +119,6 @@ def test_nothing_there_is_nothing_found() -> None:
     assert segment.open_all("nobody-is-here") == {}
 
 
-def test_bytes_of_an_earlier_copy_come_before_the_later_ones() -> None:
-    earlier = [(number, number, b"early") for number in range(1, 6)]
-    assert [entry[0] for entry in memory.merge([[4, 4, b"late"], [6, 6, b"late"]], earlier)] == [1, 2, 3, 4, 6]
-    assert [entry[0] for entry in memory.merge([], earlier)] == [1, 2, 3, 4, 5]
-
-
 def dead_run(name: str, beats: dict[str, int], epoch: int = 3) -> None:
     for process, beat_ns in beats.items():
         owned(name, process).word("beat_ns").set(beat_ns)
