@@ -241,7 +241,7 @@ def _lanes(axes: Axes, incident: Incident) -> None:
             bars = [(incident.ms(since_ns), (until_ns - since_ns) / 1e6) for since_ns, until_ns in spans]
             axes.broken_barh(bars, (y - height / 2, height), color=color, linewidth=0)
         axes.plot(
-            [incident.ms(ns) for ns in died], [y] * len(died), "x", color=ALARM, markersize=6, markeredgewidth=1.8
+            [incident.ms(ns) for ns in died], [y] * len(died), "x", color=INK, markersize=6, markeredgewidth=1.8
         )
     labels = [*names, *(process.replace("_", " ") for process in layout.PROCESSES)]
     axes.set_yticks(range(len(labels)), labels)
