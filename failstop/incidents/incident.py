@@ -22,10 +22,6 @@ from failstop.procs.telemetry.still import HOLD_NS, WINDOW_NS, StillJudge
 from failstop.shm import blocks, box, layout, records
 
 Payload = TypeVar("Payload")
-MOTION, ZERO, PING, OTHER, STOP_BURST, REST = "motion", "zero", "ping", "other", "stop burst", "rest"
-ARM = "arm"
-"""What was written: a motor frame that moves a wheel, one of zeros, ..., the rest of what the kernel had not taken; ARM
-is a frame for the arm's servos."""
 SELF_NAMED = ("events", "buttons")
 """Rings whose entries name their parts, whatever the layout."""
 Points = list[tuple[int, float]]
@@ -74,13 +70,20 @@ class Tick(NamedTuple):
     who: str
 
 
+class Sort:
+    """What was written: a motor frame that moves a wheel, one of zeros, a frame for the arm's servos, ..., the rest of
+    what the kernel had not taken."""
+
+    MOTION, ZERO, ARM, PING, OTHER, STOP_BURST, REST = "motion", "zero", "arm", "ping", "other", "stop burst", "rest"
+
+
 class Write(NamedTuple):
     """One write to the port."""
 
     ns: int
     by: str
     sort: str
-    """MOTION, ZERO, PING, ARM, OTHER, STOP_BURST or REST."""
+    """Of Sort."""
     length: int = 0
     taken: int = 0
     """Bytes that the kernel took at once."""
@@ -339,18 +342,18 @@ def _write(ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: b
     """Of a kind of box.pack_wire."""
     speeds: tuple[float, ...] | None = None
     if kind == box.BURST:
-        sort, speeds = STOP_BURST, (0.0,) * framing.WHEELS
+        sort, speeds = Sort.STOP_BURST, (0.0,) * framing.WHEELS
     elif kind == box.REST:
-        sort = REST
+        sort = Sort.REST
     elif head.startswith(framing.MOTOR_HEAD) and len(head) >= _SPEEDS.size:
         found = _SPEEDS.unpack_from(head)
         by_wheel = dict(zip(found[::2], found[1::2], strict=True))
         speeds = tuple(by_wheel.get(wheel, 0.0) for wheel in range(framing.WHEELS))
-        sort = MOTION if any(speeds) else ZERO
+        sort = Sort.MOTION if any(speeds) else Sort.ZERO
     elif head[2:3] == bytes((framing.BUS_SERVO,)):
-        sort = ARM
+        sort = Sort.ARM
     else:
-        sort = PING if head in BOARD.pings else OTHER
+        sort = Sort.PING if head in BOARD.pings else Sort.OTHER
     return Write(ns, by, sort, length, taken, head, speeds)
 
 

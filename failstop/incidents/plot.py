@@ -15,7 +15,7 @@ import numpy.typing as npt
 from failstop.api.events import Event
 from failstop.incidents import files, memory, report
 from failstop.incidents.files import IncidentError
-from failstop.incidents.incident import DRIVING, MOTION, PING, SAYS, SILENT, STOP_BURST, WHEELS, ZERO, Incident
+from failstop.incidents.incident import DRIVING, SAYS, SILENT, WHEELS, Incident, Sort
 from failstop.procs.telemetry.still import LEAST_SAMPLES, WINDOW_NS
 from failstop.shm import blocks, layout
 
@@ -55,8 +55,8 @@ STYLE: Any = {
     "ytick.color": FAINT,
 }
 AXES = (("vx", "m/s", "limits.vx_mps"), ("vy", "m/s", "limits.vy_mps"), ("wz", "rad/s", "limits.wz_radps"))
-WRITTEN = {MOTION: ("motion frames", INK), ZERO: ("zero frames", FAINT)}
-WRITTEN |= {STOP_BURST: ("stop bursts", ALARM), PING: ("pings", "C3")}
+WRITTEN = {Sort.MOTION: ("motion frames", INK), Sort.ZERO: ("zero frames", FAINT)}
+WRITTEN |= {Sort.STOP_BURST: ("stop bursts", ALARM), Sort.PING: ("pings", "C3")}
 """The lanes of what was written, by its sort: name, colour."""
 SHADES: dict[str, dict[str, Any]] = {
     DRIVING: {"facecolor": "white", "edgecolor": "#e3e7ec"},
@@ -240,9 +240,7 @@ def _lanes(axes: Axes, incident: Incident) -> None:
         for spans, height, color in (([(begin_ns, last_ns)], 0.44, BEATS), (silent, 0.64, ALARM)):
             bars = [(incident.ms(since_ns), (until_ns - since_ns) / 1e6) for since_ns, until_ns in spans]
             axes.broken_barh(bars, (y - height / 2, height), color=color, linewidth=0)
-        axes.plot(
-            [incident.ms(ns) for ns in died], [y] * len(died), "x", color=INK, markersize=6, markeredgewidth=1.8
-        )
+        axes.plot([incident.ms(ns) for ns in died], [y] * len(died), "x", color=INK, markersize=6, markeredgewidth=1.8)
     labels = [*names, *(process.replace("_", " ") for process in layout.PROCESSES)]
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.4, -0.6)

@@ -56,10 +56,9 @@ def summary(incident: Incident, columns: int, since_ns: int, now_s: float, again
     """What matters, without scrolling: the facts, and the lines of the story that led to the stop and came of it;
     `again`: the words that name the incident on a command line."""
     columns = max(columns, NARROWEST)
-    lines = story.choose(incident, story.tell(incident), since_ns)
     return [
         *_facts(f"Incident {incident.id}", _head(incident, now_s), columns),
-        *_story(incident, lines, columns, short=True),
+        *_story(incident, story.brief(incident, since_ns), columns, short=True),
         *_wrapped("", f"--all tells the rest; a picture: `failstop incident plot{again}`", DIM, columns),
     ]
 

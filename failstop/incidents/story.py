@@ -9,20 +9,7 @@ from itertools import groupby, pairwise
 from typing import TypeVar
 
 from failstop.incidents import memory
-from failstop.incidents.incident import (
-    ARM,
-    DRIVING,
-    MOTION,
-    PING,
-    REST,
-    SAYS,
-    SILENT,
-    STOP_BURST,
-    ZERO,
-    Incident,
-    Tick,
-    Write,
-)
+from failstop.incidents.incident import DRIVING, SAYS, SILENT, Incident, Sort, Tick, Write
 from failstop.shm import layout
 
 Entry = TypeVar("Entry")
@@ -39,10 +26,10 @@ NO_NEWS = frozenset(
 )
 """Events that the facts have already, or that are of no use for the question why."""
 FRAMES = {
-    ZERO: "zero frame{}",
-    ARM: "frame{} for the arm",
-    PING: "ping{}, which the board answers",
-    REST: "the rest of it",
+    Sort.ZERO: "zero frame{}",
+    Sort.ARM: "frame{} for the arm",
+    Sort.PING: "ping{}, which the board answers",
+    Sort.REST: "the rest of it",
 }
 """Sorts of which one is like another."""
 MOST_LINES = 10
@@ -51,8 +38,6 @@ BEGINNINGS = ("reset", "ready")
 """What was before the last of these belongs to an earlier stop."""
 LESSER = ("gate", "command")
 """The first to make room: the facts have the most of it."""
-REPEATED = ("command", "wire")
-"""What is told again in the same words becomes one line, before the cause and after it apart."""
 
 
 @dataclass(frozen=True)
@@ -65,14 +50,25 @@ class Line:
     until_ns: int = 0
     """The last of several that this line stands for; 0: one."""
     count: int = 1
-    short: str = ""
-    """What the summary has of it, in one row of a terminal if that can be; empty: nothing, it leads nowhere."""
+    routine: bool = False
+    """It leads nowhere, or the facts have it already: the summary goes without."""
 
 
-def tell(incident: Incident) -> list[Line]:
-    """Every line, in order; what was at the same time in the order of the stop's way."""
-    tellers = (_commands, _decisions, _cause, _arm, _writes, _board, _wheels, _silences, _events)
-    return sorted((line for teller in tellers for line in teller(incident)), key=lambda line: line.ns)
+def tell(incident: Incident, detail_ns: int = DETAIL_NS) -> list[Line]:
+    """Every line, in order; what was at the same time in the order of the stop's way. `detail_ns`: this long before the
+    cause and after it every change is told; else in broad strokes."""
+    lines = [
+        *_commands(incident, detail_ns),
+        *_decisions(incident),
+        _cause(incident),
+        *_arm(incident),
+        *_writes(incident, detail_ns),
+        *_board(incident),
+        *_wheels(incident),
+        *_silences(incident),
+        *_events(incident),
+    ]
+    return sorted(lines, key=lambda line: line.ns)
 
 
 def within(lines: list[Line], since_ns: int) -> list[Line]:
@@ -81,26 +77,23 @@ def within(lines: list[Line], since_ns: int) -> list[Line]:
     return [line if line.ns >= since_ns else replace(line, ns=since_ns) for line in there]
 
 
-def choose(incident: Incident, lines: list[Line], since_ns: int) -> list[Line]:
-    """The lines that matter, in order and in few words; `since_ns`: nothing older."""
+def brief(incident: Incident, since_ns: int) -> list[Line]:
+    """The lines that matter, in broad strokes, in order and in few words; `since_ns`: nothing older."""
+    lines = tell(incident, 0)
     begins = [line.ns for line in lines if line.what in BEGINNINGS and since_ns <= line.ns < incident.cause_ns]
-    merged: dict[object, Line] = {}
-    for number, line in enumerate(within(lines, max([since_ns, *begins]))):
-        if not line.short:
-            continue
-        key = (line.what, line.short, line.ns >= incident.cause_ns) if line.what in REPEATED else number
-        if first := merged.get(key):
-            until_ns = max(first.until_ns or first.ns, line.until_ns or line.ns)
-            line = replace(first, until_ns=until_ns, count=first.count + line.count)
-        merged[key] = replace(line, text=line.short)
 
     def weight(line: Line) -> tuple[bool, bool, int]:
         early = line.what == "wheels" and line.ns < incident.cause_ns
         return line.what != CAUSE, early or line.what in LESSER, abs(line.ns - incident.cause_ns)
 
-    found = sorted(merged.values(), key=lambda line: (line.ns, line.what not in BEGINNINGS))
-    kept = sorted(found, key=weight)[:MOST_LINES]
-    return [line for line in found if line in kept]
+    found = [line for line in within(lines, max([since_ns, *begins])) if not line.routine]
+    kept = sorted(sorted(found, key=weight)[:MOST_LINES], key=lambda line: (line.ns, line.what not in BEGINNINGS))
+    return [replace(line, text=incident.why if line.what == CAUSE else _short(line.text)) for line in kept]
+
+
+def _short(text: str) -> str:
+    """Without what to do next, and what was before."""
+    return text.partition("; next: ")[0].partition(" (was: ")[0]
 
 
 def noticed_by(incident: Incident) -> str:
@@ -120,15 +113,9 @@ def velocity(values: tuple[float, float, float]) -> str:
     return ", ".join(f"{axis} {value:+.2f} {unit}" for axis, value, unit in named if value) or "zero"
 
 
-def _plain(ns: int, what: str, text: str, until_ns: int = 0, count: int = 1) -> Line:
-    """A line that the summary has as it is."""
-    return Line(ns, what, text, until_ns, count, short=text)
-
-
-def _cause(incident: Incident) -> Iterator[Line]:
+def _cause(incident: Incident) -> Line:
     by = noticed_by(incident)
-    said = f"{incident.reason}{f'; noticed by the {by}' if by else ''}"
-    yield Line(incident.cause_ns, CAUSE, said, short=incident.why)
+    return Line(incident.cause_ns, CAUSE, f"{incident.reason}{f'; noticed by the {by}' if by else ''}")
 
 
 def _runs(entries: Iterable[Entry], key: Callable[[Entry], object]) -> Iterator[list[Entry]]:
@@ -136,31 +123,30 @@ def _runs(entries: Iterable[Entry], key: Callable[[Entry], object]) -> Iterator[
     return (list(group) for _, group in groupby(entries, key))
 
 
-def _near(incident: Incident, ns: int) -> bool:
-    return abs(ns - incident.cause_ns) <= DETAIL_NS
-
-
 def _steps(values: tuple[float, ...] | None) -> str:
     """What is told of its own near the cause: a change of about 0.1 (m/s, rad/s, rps)."""
     return " ".join(f"{value:.1f}" for value in values or ())
 
 
-def _commands(incident: Incident) -> Iterator[Line]:
-    """Who commanded what. Far from the cause only who; near it each change of velocity that matters."""
-    heard = [tick for tick in incident.ticks if tick.commands and tick.age_us is not None]
+def _commands(incident: Incident, detail_ns: int) -> Iterator[Line]:
+    """Who commanded what."""
+
+    def lane(tick: Tick) -> tuple[str, str, bool]:
+        return tick.who, tick.source, tick.manual
 
     def key(tick: Tick) -> object:
-        return tick.who, tick.source, tick.manual, _near(incident, tick.ns) and _steps(tick.command)
+        return lane(tick), abs(tick.ns - incident.cause_ns) < detail_ns and _steps(tick.command)
 
-    for run in _runs(heard, key):
+    heard = [tick for tick in incident.ticks if tick.commands and tick.age_us is not None]
+    for run in _runs(sorted(heard, key=lane), key):
         first = run[0]
         text = velocity(first.command)
         if len(what := {tick.command for tick in run}) > 1:
             lows, highs = (" ".join(f"{f(axis):+.2f}" for axis in zip(*what, strict=True)) for f in (min, max))
             text = f"between ({lows}) and ({highs})"
         who = f"{first.who} as {first.source}{', manual' if first.manual else ''}"
-        count = sum(tick.commands for tick in run)
-        yield Line(first.ns, "command", f"{who}: {text}", run[-1].ns, count, f"{first.who} commands")
+        said = f"{who}: {text}" if detail_ns else f"{first.who} commands"
+        yield Line(first.ns, "command", said, run[-1].ns, sum(tick.commands for tick in run))
 
 
 def _decisions(incident: Incident) -> Iterator[Line]:
@@ -168,7 +154,7 @@ def _decisions(incident: Incident) -> Iterator[Line]:
     for what, begin_ns, end_ns in incident.gate_spans():
         said = "lets the wheels turn" if what == DRIVING else f"blocks: {SAYS.get(what, what)}"
         silent = f"no tick for {(end_ns - begin_ns) / 1e6:.0f} ms from here"
-        yield _plain(begin_ns, "gate", silent if what == SILENT else said)
+        yield Line(begin_ns, "gate", silent if what == SILENT else said)
 
 
 def _arm(incident: Incident) -> Iterator[Line]:
@@ -180,38 +166,38 @@ def _arm(incident: Incident) -> Iterator[Line]:
         unit = "/s" if mode == "jog" else ""
         aims = ", ".join(f"{names.get(servo, servo)} {aim:.0f}{unit}" for servo, aim in last.items())
         text = f"{mode} for {who}" + (f", last: {aims}" if aims else "") if mode else "moved by nobody"
-        yield _plain(run[0][0], "arm", text, until_ns, len(run))
+        yield Line(run[0][0], "arm", text, until_ns, len(run))
     for joint in joints:
         if after := [(ns, pulses) for ns, pulses in joint.read if ns >= incident.cause_ns]:
-            yield _plain(after[0][0], "arm", f"{names[joint.servo]} ({joint.servo}) is read to be at {after[0][1]}")
+            yield Line(after[0][0], "arm", f"{names[joint.servo]} ({joint.servo}) is read to be at {after[0][1]}")
 
 
-def _writes(incident: Incident) -> Iterator[Line]:
+def _writes(incident: Incident, detail_ns: int) -> Iterator[Line]:
     """What went to the board: bursts one by one, frames of one sort together. The summary has those after the cause but
     for routine, and what the port did not take."""
 
-    def lane(write: Write) -> str:
+    def lane(write: Write) -> tuple[str, str]:
         # What sets no speed comes between all that does, and would cut every run.
-        return "" if write.speeds_rps else write.sort
+        return ("", "") if write.speeds_rps and detail_ns else (write.sort, write.by)
 
     def key(write: Write) -> object:
-        alone = str(write.ns) if write.sort == STOP_BURST else _steps(write.speeds_rps)
-        near = alone if _near(incident, write.ns) and write.speeds_rps else ""
+        alone = str(write.ns) if write.sort == Sort.STOP_BURST else _steps(write.speeds_rps)
+        near = alone if abs(write.ns - incident.cause_ns) < detail_ns and write.speeds_rps else ""
         return write.sort, write.by, write.ns >= incident.cause_ns, near, write.taken < write.length
 
     for run in _runs(sorted(incident.writes, key=lane), key):
         first, last = run[0], run[-1]
         text = _written(first, last, len(run))
-        short = text if first.ns >= incident.cause_ns and first.sort not in (ZERO, PING) else ""
+        routine = first.ns < incident.cause_ns or first.sort in (Sort.ZERO, Sort.PING)
         if first.taken < first.length:
-            short = text = f"{text}; the port took {first.taken} of {first.length} bytes"
-        yield Line(first.ns, "wire", text, last.ns, len(run), short)
+            text, routine = f"{text}; the port took {first.taken} of {first.length} bytes", False
+        yield Line(first.ns, "wire", text, last.ns, len(run), routine)
 
 
 def _written(first: Write, last: Write, count: int) -> str:
-    if first.sort == STOP_BURST:
+    if first.sort == Sort.STOP_BURST:
         return f"STOP BURST by the {name(first.by)}"
-    if first.sort == MOTION:
+    if first.sort == Sort.MOTION:
         speeds = " ".join(f"{speed:+.3f}" for speed in last.speeds_rps or ())
         return f"motion{'' if first.head == last.head else ', last'} [{speeds}] rps"
     if first.sort in FRAMES:
@@ -225,18 +211,18 @@ def _board(incident: Incident) -> Iterator[Line]:
     if not times:
         return
     size = sum(len(data) for _, data in incident.received)
-    yield Line(times[0], "board", f"is heard{f', {size} bytes' if size else ''}", times[-1], len(times))
+    yield Line(times[0], "board", f"is heard{f', {size} bytes' if size else ''}", times[-1], len(times), routine=True)
     end_ns = incident.span_ns[1]
     for earlier, later in pairwise([*times, end_ns]):
         if later - earlier > QUIET_NS:
             silent = "silent for {} ms from here" if later != end_ns else "its last byte; silent until the end, {} ms"
-            yield _plain(earlier, "board", silent.format(f"{(later - earlier) / 1e6:.0f}"))
+            yield Line(earlier, "board", silent.format(f"{(later - earlier) / 1e6:.0f}"))
 
 
 def _wheels(incident: Incident) -> Iterator[Line]:
     """What the IMU says."""
     for ns, still in incident.verdicts():
-        yield _plain(ns, "wheels", f"the IMU says: {'still' if still else 'they turn'}")
+        yield Line(ns, "wheels", f"the IMU says: {'still' if still else 'they turn'}")
 
 
 def _silences(incident: Incident) -> Iterator[Line]:
@@ -244,10 +230,10 @@ def _silences(incident: Incident) -> Iterator[Line]:
     for silence in incident.silences():
         lasted = f"{'' if silence.ended else 'at least '}{(silence.until_ns - silence.since_ns) / 1e6:.0f} ms"
         said = f"last beat of the {name(silence.process)} for {lasted}"
-        yield _plain(silence.since_ns, "beat", said, silence.until_ns)
+        yield Line(silence.since_ns, "beat", said, silence.until_ns)
     for process in layout.PROCESSES if incident.head["kind"] == "left" else ():
         if last_ns := incident.words(process).get("beat_ns"):
-            yield _plain(last_ns, "beat", f"the last beat of the {name(process)}")
+            yield Line(last_ns, "beat", f"the last beat of the {name(process)}")
 
 
 def _events(incident: Incident) -> Iterator[Line]:
@@ -256,10 +242,9 @@ def _events(incident: Incident) -> Iterator[Line]:
         text = f"{'! ' if event.level in ('error', 'critical') else ''}{event.text}"
         # Of the stop itself the summary has the facts.
         own = event.text.partition(": ")[2].startswith(incident.reason) and event.ns >= incident.cause_ns
-        news = not own if event.kind == "stop" else event.kind not in NO_NEWS
-        short = text.partition("; next: ")[0].partition(" (was: ")[0] if news else ""
-        yield Line(event.ns, event.kind, text, short=short)
+        routine = own if event.kind == "stop" else event.kind in NO_NEWS
+        yield Line(event.ns, event.kind, text, routine=routine)
     stops = [event.fields for event in incident.events if event.kind in TELL_OF_STOPS]
     for ns, by, cause in incident.stops:
         if ns != incident.cause_ns and not any(memory.tells_of(fields, cause) for fields in stops):
-            yield _plain(ns, "cause", f"{cause} (noticed by the {name(by)})")
+            yield Line(ns, "cause", f"{cause} (noticed by the {name(by)})")

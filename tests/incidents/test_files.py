@@ -117,7 +117,7 @@ def test_the_incident_of_an_earlier_version_reads_as_it_did() -> None:
     """The file is that of drive_and_die(), as failstop 0.1.0 packs it. It stays as it is: who changes what a record
     holds raises LAYOUT_VERSION, and then reads what was told."""
     found = Incident.read(str(KEPT))
-    told = [(line.what, line.text) for line in story.choose(found, story.tell(found), found.cause_ns - 10**10)]
+    told = [(line.what, line.text) for line in story.brief(found, found.cause_ns - 10**10)]
     by_events = [("enabled", "motion enabled by nav (pid 77)"), ("died", "! gate (pid 102) was killed by SIGKILL")]
     assert set(told) >= {*by_events, (story.CAUSE, "gate died")}
     if not found.foreign:

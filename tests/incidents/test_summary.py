@@ -28,7 +28,7 @@ def fact(made: Recorder, name: str) -> str:
 
 
 def chosen(incident: Incident) -> list[tuple[str, str]]:
-    return [(line.what, line.text) for line in story.choose(incident, story.tell(incident), at(-10_000))]
+    return [(line.what, line.text) for line in story.brief(incident, at(-10_000))]
 
 
 def test_what_matters_is_seen_without_scrolling() -> None:
