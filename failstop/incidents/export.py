@@ -88,15 +88,12 @@ def save(incident: Incident, path: str) -> int:
 def definition(name: str) -> str:
     """The whole definition of a message: its own fields and then, after a line of equals signs, those of every message
     within it (the MCAP specification's `ros2msg` schema encoding)."""
-    own = {part: FIELDS[part].replace("; ", "\n") + "\n" for part in _parts(name)}
-    return f"\n{'=' * 80}\n".join(text if part == name else f"MSG: {part}\n{text}" for part, text in own.items())
-
-
-def _parts(name: str) -> list[str]:
-    """A message, and every one within it, once."""
-    types = [field.split()[0].removesuffix("[]") for field in FIELDS[name].split("; ")]
-    within = (part for kind in types if kind in FIELDS for part in _parts(kind))
-    return list(dict.fromkeys((name, *within)))
+    parts = [name]
+    for part in parts:
+        kinds = (field.split()[0].removesuffix("[]") for field in FIELDS[part].split("; "))
+        parts += [kind for kind in dict.fromkeys(kinds) if kind in FIELDS and kind not in parts]
+    texts = (f"MSG: {part}\n" * (part != name) + FIELDS[part].replace("; ", "\n") + "\n" for part in parts)
+    return f"\n{'=' * 80}\n".join(texts)
 
 
 def _motion(incident: Incident) -> Iterator[Message]:

@@ -193,18 +193,16 @@ def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
         return wanted
     places = folders(name, environ)
     found, problems = heads(name, places)
-    meant = [head for head in found if head["id"] == wanted]
-    meant = meant or (found[-1:] if wanted == LAST else [head for head in found if head["id"].startswith(wanted)])
+    # A damaged file is not in the list; whoever names it should be told why.
+    if whole := [path for folder in places if os.path.exists(path := os.path.join(folder, wanted + SUFFIX))]:
+        return whole[0]
+    meant = found[-1:] if wanted == LAST else [head for head in found if head["id"].startswith(wanted)]
     if len(meant) == 1:
         return str(meant[0]["path"])
     if meant:
         newest = ", ".join(head["id"] for head in meant[-MOST_NAMED:])
         more = f" and {len(meant) - MOST_NAMED} older ones" if len(meant) > MOST_NAMED else ""
         raise IncidentError(f"incident {wanted!r} may be {newest}{more}: write more of it")
-    # A damaged file is not in the list; whoever names it should be told why.
-    for path in (os.path.join(folder, wanted + SUFFIX) for folder in places):
-        if os.path.exists(path):
-            return path
     if not found:
         more = f"; {problems[0]}" if problems else ""
         where = ", ".join(places) or "no folder for them"

@@ -22,13 +22,10 @@ from failstop.procs.telemetry.still import HOLD_NS, WINDOW_NS, StillJudge
 from failstop.shm import blocks, box, layout, records
 
 Payload = TypeVar("Payload")
-SELF_NAMED = ("events", "buttons")
-"""Rings whose entries name their parts, whatever the layout."""
 Points = list[tuple[int, float]]
 """When (CLOCK_MONOTONIC ns), and a value."""
 FIRST_NS = WINDOW_NS + HOLD_NS
 """Nothing can be still sooner."""
-LEAST_MS = 1.0
 WHEELS = ("front left", "rear left", "front right", "rear right")
 MOVES_AT = 8
 """Where the first servo of a move stands in its frame."""
@@ -189,7 +186,8 @@ class Incident:
     def _entries(self, segment: str, name: str, decode: Callable[[bytes], Payload | None]) -> list[tuple[int, Payload]]:
         """A ring's (when, what)."""
         found: list[tuple[int, Payload]] = []
-        if self.foreign and name not in SELF_NAMED:
+        # Their entries name their parts, whatever the layout.
+        if self.foreign and name not in ("events", "buttons"):
             return found
         for _, ns, payload in self._segments.get(segment, {}).get("rings", {}).get(name, []):
             try:
@@ -272,7 +270,7 @@ class Incident:
         turned = [still for ns, still in found if ns <= self.cause_ns][-1:] == [False]
         rested = [ns for ns, still in found if still and ns > self.cause_ns]
         # It is found so much later than it was.
-        seen = {"observed_ms": max(LEAST_MS, self.ms(rested[0] - FIRST_NS))} if turned and rested else {}
+        seen = {"observed_ms": max(1.0, self.ms(rested[0] - FIRST_NS))} if turned and rested else {}
         return stop | seen
 
     def allowed_ns(self, process: str) -> int:
