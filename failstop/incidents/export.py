@@ -89,7 +89,7 @@ def definition(name: str) -> str:
     """The whole definition of a message: its own fields and then, after a line of equals signs, those of every message
     within it (the MCAP specification's `ros2msg` schema encoding)."""
     parts = [name]
-    for part in parts:
+    for part in parts:  # those that are found are looked through, too
         kinds = (field.split()[0].removesuffix("[]") for field in FIELDS[part].split("; "))
         parts += [kind for kind in dict.fromkeys(kinds) if kind in FIELDS and kind not in parts]
     texts = (f"MSG: {part}\n" * (part != name) + FIELDS[part].replace("; ", "\n") + "\n" for part in parts)
@@ -101,10 +101,10 @@ def _motion(incident: Incident) -> Iterator[Message]:
         for topic, (vx, vy, wz) in (("command", tick.command), ("gated", tick.velocity)):
             if topic == "gated" or tick.commands:
                 yield tick.ns, topic, {"twist": {"linear": {"x": vx, "y": vy}, "angular": {"z": wz}}}
-    names, ids = [name.replace(" ", "_") for name in WHEELS], incident.wheel_ids()
+    names = [name.replace(" ", "_") for name in WHEELS]
     for write in incident.writes:
         if speeds := write.speeds_rps:
-            yield write.ns, "wheels", {"name": names, "velocity": [speeds[wire_id] * tau for wire_id in ids]}
+            yield write.ns, "wheels", {"name": names, "velocity": [speed * tau for speed in speeds]}
 
 
 def _board(incident: Incident) -> Iterator[Message]:

@@ -87,7 +87,7 @@ class Write(NamedTuple):
     head: bytes = b""
     """The frame's first bytes."""
     speeds_rps: tuple[float, ...] | None = None
-    """The wheel speeds that it sets, by wire id; None: it sets none."""
+    """The speeds that it sets, as WHEELS; None: it sets none."""
 
 
 class Silence(NamedTuple):
@@ -141,9 +141,10 @@ class Incident:
         before this sample that was seen), as layout.PROCESSES."""
         wire = self._entries(layout.PORT_OWNER, "box", box.unpack_wire)
         last_ns = self.words(layout.STOPPER).get("written_ns", 0)
-        writes = [_write(ns, layout.PORT_OWNER, *written) for ns, written in wire]
-        writes += [_write(ns, layout.SUPERVISOR, box.BURST) for ns, times in supervisor if not times]
-        writes += [_write(last_ns, layout.STOPPER, box.BURST)] * (last_ns > 0)
+        ids = [int(self.number(f"wheels.id_{number}")) for number in (1, 2, 3, 4)]
+        writes = [_write(ids, ns, layout.PORT_OWNER, *written) for ns, written in wire]
+        writes += [_write(ids, ns, layout.SUPERVISOR, box.BURST) for ns, times in supervisor if not times]
+        writes += [_write(ids, last_ns, layout.STOPPER, box.BURST)] * (last_ns > 0)
         self.writes = sorted(writes, key=lambda write: write.ns)
         """Everything for the board, in order: the port owner's, the supervisor's bursts, the stopper's last one."""
         board: list[tuple[int, tuple[int, Any]]] = self._entries(layout.TELEMETRY, "box", box.unpack_board)
@@ -331,13 +332,9 @@ class Incident:
                 of(servo).goals.append((ns, aim))
         return sorted(found.values())
 
-    def wheel_ids(self) -> tuple[int, ...]:
-        """The wire id of each of WHEELS."""
-        return tuple(int(self.number(f"wheels.id_{number}")) for number in (1, 2, 3, 4))
 
-
-def _write(ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b"") -> Write:
-    """Of a kind of box.pack_wire."""
+def _write(ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b"") -> Write:
+    """Of a kind of box.pack_wire; `ids`: on the wire, of WHEELS."""
     speeds: tuple[float, ...] | None = None
     if kind == box.BURST:
         sort, speeds = Sort.STOP_BURST, (0.0,) * framing.WHEELS
@@ -345,8 +342,8 @@ def _write(ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: b
         sort = Sort.REST
     elif head.startswith(framing.MOTOR_HEAD) and len(head) >= _SPEEDS.size:
         found = _SPEEDS.unpack_from(head)
-        by_wheel = dict(zip(found[::2], found[1::2], strict=True))
-        speeds = tuple(by_wheel.get(wheel, 0.0) for wheel in range(framing.WHEELS))
+        by_id = dict(zip(found[::2], found[1::2], strict=True))
+        speeds = tuple(by_id.get(wire_id, 0.0) for wire_id in ids)
         sort = Sort.MOTION if any(speeds) else Sort.ZERO
     elif head[2:3] == bytes((framing.BUS_SERVO,)):
         sort = Sort.ARM

@@ -181,9 +181,9 @@ def _wheels(axes: Axes, incident: Incident) -> None:
     frames = [(write.ns, write.speeds_rps) for write in incident.writes if write.speeds_rps]
     # The board keeps the last speed until the next frame.
     frames += [(incident.span_ns[1], frames[-1][1])] if frames else []
-    for index, (name, wire_id) in enumerate(zip(WHEELS, incident.wheel_ids(), strict=True)):
+    for index, name in enumerate(WHEELS):
         line: dict[str, Any] = {"linewidth": 1.4} if index % 2 else {"linewidth": 4.5, "alpha": 0.3}
-        speeds_rps = [speeds[wire_id] for _, speeds in frames]
+        speeds_rps = [speeds[index] for _, speeds in frames]
         axes.step(_at(incident, frames), speeds_rps, where="post", label=name, color=f"C{index // 2}", **line)
 
 
