@@ -32,8 +32,7 @@ LATE_S = 0.1
 """A stop that is written later than this is worth a look."""
 ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL, "command": ""}
 ROLES |= {"wire": DIM, "board": DIM}
-SHORT = {"stop_outcome": "outcome", "stop_again": "again", "stop_also": "also"}
-SHORT |= dict.fromkeys(("device_lost", "device_back"), "device") | dict.fromkeys(DRIVER_ENDS, "driver")
+SHORT = {"device_lost": "device", "device_back": "device"} | dict.fromkeys(DRIVER_ENDS, "driver")
 
 
 def when(unix_s: float) -> str:
@@ -162,7 +161,7 @@ def _proofs(incident: Incident) -> list[Fact]:
 def _story(incident: Incident, lines: list[story.Line], columns: int, *, short: bool = False) -> Lines:
     found: Lines = [[], [("Story", STRONG), (", milliseconds from the cause", PLAIN)]]
     for line in lines:
-        label = SHORT.get(line.what, printable(line.what.replace("_", " "))[:LABEL])
+        label = SHORT.get(line.what, printable(line.what.removeprefix("stop_").replace("_", " "))[:LABEL])
         label, role = f"{label:<{LABEL}}  ", ROLES.get(line.what, PLAIN)
         said = printable(line.text)
         if line.what == CAUSE:
