@@ -45,6 +45,9 @@ class Scene:
         assert len(self.heads()) == count
         return Incident.read(files.find("last", self.trial.name, self.environ))
 
+    def unsaved(self) -> str:
+        return command.unsaved(self.trial.name, self.heads(), time.time())
+
     def told(self) -> list[str]:
         return [event.text for event in EventLog(self.trial.name).read() if event.kind == "incident"]
 
@@ -86,8 +89,8 @@ def test_a_stop_request_and_then_a_killed_gate(scene: Scene) -> None:
     trial.drive(1.0)
     trial.robot.estop("the test says so")
     trial.drive(0.1)
-    assert command.wait(trial.name, scene.environ, 0.0)
-    assert command.wait(trial.name, scene.environ, SAVED_S) == "", "whoever asks for the last means this one"
+    assert scene.unsaved(), "whoever asks for the last means this one"
+    wait_for("its file", lambda: not scene.unsaved(), SAVED_S)
     first = scene.saved()
     assert first.reason.startswith("stop request: the test says so")
     check_driven(first)

@@ -77,7 +77,7 @@ def test_without_a_service_nobody_waits() -> None:
 def test_show_says_that_it_is_to_come(
     service: Service, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(command.wait, "__defaults__", (0.0,))
+    monkeypatch.setattr(command, "PATIENCE_S", 0.0)
     service.stopped(t=time.time())
     assert main(["incident", "show", "--name", service.name]) == 1
     told = "failstop: the stop (gate died) is not saved yet: again in a few seconds\n"

@@ -8,7 +8,6 @@ import shlex
 import sys
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Mapping
 from contextlib import closing
 from typing import Any
 
@@ -118,19 +117,15 @@ def _write(arguments: Namespace) -> int:
 
 def _meant(arguments: Namespace) -> str:
     """The incident's path; the last one is waited for, if it is of a moment ago. Raises IncidentError."""
-    if arguments.id == files.LAST and (reason := wait(arguments.name, os.environ)):
-        raise IncidentError(f"the stop ({reason}) is not saved yet: again in a few seconds")
-    return files.find(arguments.id, arguments.name, os.environ)
-
-
-def wait(name: str, environ: Mapping[str, str], patience_s: float = PATIENCE_S) -> str:
-    """Until the last stop is saved; returns its reason when it was not within `patience_s`."""
-    until_s = time.monotonic() + patience_s
-    while reason := unsaved(name, files.heads(name, files.folders(name, environ))[0], time.time()):
-        if time.monotonic() >= until_s:
+    until_s = time.monotonic() + PATIENCE_S
+    while arguments.id == files.LAST:
+        heads, _ = files.heads(arguments.name, files.folders(arguments.name, os.environ))
+        if not (reason := unsaved(arguments.name, heads, time.time())):
             break
+        if time.monotonic() > until_s:
+            raise IncidentError(f"the stop ({reason}) is not saved yet: again in a few seconds")
         time.sleep(LOOK_S)
-    return reason
+    return files.find(arguments.id, arguments.name, os.environ)
 
 
 def unsaved(name: str, heads: list[dict[str, Any]], now_s: float) -> str:
