@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from itertools import groupby, pairwise
+from itertools import groupby
 from operator import itemgetter
 from typing import Any, NamedTuple, TypeVar
 
@@ -298,16 +298,11 @@ class Incident:
 
     def gate_spans(self) -> list[tuple[str, int, int]]:
         """(What the gate said, from when, until when), without gaps; where it missed its ticks or was dead, SILENT."""
-        if not self.ticks:
-            return []
         allowed, died = self.allowed_ns(layout.GATE), self.deaths(layout.GATE)
         parts: list[tuple[str, int, int]] = []
-        for tick, after in pairwise(self.ticks):
-            silent = after.ns - tick.ns > allowed or any(tick.ns < ns < after.ns for ns in died)
-            parts.append((SILENT if silent else tick.block, tick.ns, after.ns))
-        last_ns, end_ns = self.ticks[-1].ns, self.span_ns[1]
-        if end_ns - last_ns > allowed:
-            parts.append((SILENT, last_ns, end_ns))
+        for tick, end_ns in zip(self.ticks, [*(tick.ns for tick in self.ticks[1:]), self.span_ns[1]], strict=False):
+            silent = end_ns - tick.ns > allowed or any(tick.ns < ns < end_ns for ns in died)
+            parts.append((SILENT if silent else tick.block, tick.ns, end_ns))
         runs = [(what, list(run)) for what, run in groupby(parts, itemgetter(0))]
         return [(what, run[0][1], run[-1][2]) for what, run in runs]
 
