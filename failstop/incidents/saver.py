@@ -128,15 +128,13 @@ class Saver:
     def _wait_for_port(self, cause_ns: int) -> None:
         """While the port is lost; once it is back, as long again as after any stop."""
         lost = False
-        while (now_ns := time.monotonic_ns()) < cause_ns + RETURN_NS:
-            port = self._entries("port")
-            if not port or records.PORT.unpack(port[-1][2])[2] != records.PORT_LOST:
-                if lost:
-                    self._wait(now_ns + self._until_ns - cause_ns)
+        while (port := self._entries("port")) and records.PORT.unpack(port[-1][2])[2] == records.PORT_LOST:
+            now_ns = time.monotonic_ns()
+            if now_ns > cause_ns + RETURN_NS or self._wait(now_ns + LOOK_NS):
                 return
             lost = True
-            if self._wait(now_ns + LOOK_NS):
-                return
+        if lost:
+            self._wait(time.monotonic_ns() + self._until_ns - cause_ns)
 
     def _head(self, cause: tuple[int, int, Cause], run: int, segments: memory.Segments) -> dict[str, Any]:
         """What a list of incidents shows, and a newer version can always read."""
