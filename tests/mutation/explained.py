@@ -78,7 +78,6 @@ PROCS: tuple[Reason, ...] = (
 
 SHM: tuple[Reason, ...] = (
     Reason("shm/bell.py", r"\n\+.*os\.read\(self\.fd, 9\)", "an eventfd gives 8 bytes"),
-    Reason("shm/box.py", r"\n\+.*payload\[0\] if payload else 1\)", "what is empty is refused by its size"),
     Reason("shm/box.py", r"\n\+.*zip\(times\[:5\], times\[5:\], (strict=False)?\)", "both halves are of five"),
     Reason("shm/box.py", r"\n\+.*3e\+38", "the same number"),
     Reason("shm/box.py", r"\n\+.*min\(max\(1, now_ns", "0 and 1 ns are both 0 us"),
@@ -97,11 +96,6 @@ SHM: tuple[Reason, ...] = (
         r"\n\+.*_WAKE, (None|ctypes\.c_int\((1 >> 30|2 << 30|1 << 31)\))?\)",
         "a word has one watcher, and the kernel wakes one at least",
     ),
-    Reason(
-        "shm/futex.py",
-        r"^-        return False\n\+        return True$",
-        "what is not held is no death either, which proven() asks for next",
-    ),
     Reason("shm/futex.py", r"monotonic_ns\(\) <= until_ns", "two times in ns at exact equality"),
     Reason("shm/heartbeat.py", r"\n\+.*if gap_ns >= self\._worst_ns", "the gap that is written is written again"),
     Reason("shm/instance.py", r"\n\+\s+fd = -2$", "no descriptor is below 0"),
@@ -111,13 +105,7 @@ SHM: tuple[Reason, ...] = (
     Reason("instances.py", r"monotonic\(\) >= until_s", "two times at exact equality"),
     Reason("shm/cell.py", r"\n\+\s+self\._seen = 1$", "the numbers begin at 1"),
     Reason("shm/cell.py", r"\n\+.*in range\(4\):", "one more try", same=False),
-    Reason("shm/layout.py", r"\n\+.*(capacity: int = 9|cells: int = 2)", "read only by the hash there", same=False),
-    Reason(
-        "shm/layout.py",
-        r"\n\+.*_latest\(.sensed., 65, ",
-        "room for a byte more",
-        same=False,
-    ),
+    Reason("shm/layout.py", r"\n\+.*_latest\(.sensed., 65, ", "room for a byte more", same=False),
     Reason("shm/layout.py", r"\n\+.*crc32\(data, 23295\)", "any start of the second sum will do", same=False),
     Reason("shm/lifeline.py", r"\n\+.*os\.eventfd\(0, \)", "EFD_CLOEXEC is the default"),
     Reason("shm/lifeline.py", r"\n\+.*poll\.register\(self\.fd, \)", "a pidfd has no events but this one"),
@@ -129,7 +117,7 @@ SHM: tuple[Reason, ...] = (
     Reason("shm/segment.py", r"\n\+.*mmap\(fd, spec\.size, prot=prot\)", "MAP_SHARED is the default"),
     Reason("shm/segment.py", r"\n\+.*found\.get\(.*, 1\)\)", "no file is of the first nanosecond of 1970"),
     Reason("shm/segment.py", r"\n\+\s+self\.view\.fd = -2", "neither is a descriptor"),
-    Reason("shm/segment.py", r"\n\+.*O_CREX, (mode=385)?\)", "0600 is its default; fchmod follows before it is whole"),
+    Reason("shm/segment.py", r"\n\+.*O_EXCL \| _FLAGS, 385\)", "fchmod follows before it is whole"),
     Reason("shm/segment.py", r"\n\+.*cell\.build\((2, 0|1, 1), header", "nobody reads a header's number and time"),
     Reason("shm/segment.py", r"\n\+.*HEADER_BYTES \+ cell\.HEADER_BYTES\)", "zeros more, where zeros are"),
     Reason("shm/segment.py", r"\n\+.*spec\.mode & 17 and", "no segment is for others to execute"),
