@@ -107,18 +107,17 @@ def clear(runtime_dir: str) -> None:
 
 def run(runtime_dir: str) -> tuple[int, int]:
     """Of the service of this directory: (incarnation, uid of its owner). Raises NoService, InstanceError."""
+    fd = -1
     try:
         fd = place.opened(run_path(runtime_dir), os.O_RDONLY)
+        return int(os.pread(fd, RUN_DIGITS, 0), 16), os.fstat(fd).st_uid
     except place.Untrusted as error:
         raise InstanceError(str(error.strerror)) from None
-    except OSError:
-        raise no_service(os.path.basename(runtime_dir)) from None
-    try:
-        return int(os.pread(fd, RUN_DIGITS, 0), 16), os.fstat(fd).st_uid
-    except ValueError:
+    except (OSError, ValueError):
         raise no_service(os.path.basename(runtime_dir)) from None
     finally:
-        os.close(fd)
+        if fd >= 0:
+            os.close(fd)
 
 
 def already_running(name: str, pid: int | str) -> InstanceError:

@@ -44,7 +44,7 @@ NOBODY = 0
 SOURCE_BYTES = 16
 HELD_BYTES = 200
 PATH_BYTES = 300
-LINE_BYTES = 190
+SAID_BYTES = 190
 WIRE_BYTES = 260
 """The longest frame on the wire."""
 CAUSE_BYTES = 282
@@ -188,7 +188,7 @@ def _text(room: int) -> Tail:
 
 
 def _pack_lines(*texts: str) -> bytes:
-    return b"\n".join(cut(text, LINE_BYTES).replace(b"\n", b" ") for text in texts)
+    return b"\n".join(cut(text, SAID_BYTES).replace(b"\n", b" ") for text in texts)
 
 
 def _unpack_lines(data: bytes) -> tuple[str, str]:
@@ -279,7 +279,7 @@ HELD: Payload[int, list[str]] = Payload(
     "<Q", Tail(lambda names: _whole("\n".join(names), HELD_BYTES), _unpack_names, HELD_BYTES)
 )
 """What a client session asserts now: names of interlocks, never cut, or none for "the sensor delivered"."""
-SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * LINE_BYTES + 1))
+SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * SAID_BYTES + 1))
 """What a client session says in a line: what it sees, and what is wrong, which may be nothing."""
 HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
 """Who holds a client slot: a random session number (NOBODY: a goodbye), the pid it says it has and in which namespace
