@@ -6,11 +6,13 @@ from collections.abc import Callable, Mapping
 
 import msgpack
 
+from failstop.shm.data import Data
 from failstop.shm.layout import NOTE_BYTES
 from failstop.shm.records import cut
 
 Value = str | int | float
 Fields = dict[str, Value]
+NO_FIELDS: Fields = {}
 
 # msgpack.packb allocates 1 MB at every call: a process that is out of memory would die of a remark.
 pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
@@ -40,17 +42,14 @@ def fitting(
     return pack(whole(short, {}))
 
 
-class Note:
+class Note(Data):
     """What gate or telemetry has to tell people, on its way to the supervisor, which makes an event of it. A msgpack
     list: kind (supervisor/kinds.py), level (empty: the kind's own), text, fields."""
 
-    __slots__ = ("fields", "kind", "level", "text")
-
-    def __init__(self, kind: str, text: str, fields: Fields | None = None, *, level: str = "") -> None:
-        self.kind = kind
-        self.text = text
-        self.fields = fields or {}
-        self.level = level
+    kind: str
+    text: str
+    fields: Fields = NO_FIELDS
+    level: str = ""
 
     def pack(self) -> bytes:
         """For a ring of NOTE_BYTES."""

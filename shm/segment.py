@@ -178,10 +178,19 @@ def version(memory: str) -> str:
     """The version of failstop that made a run's segments; empty where that can't be read."""
     try:
         with open(path_of(memory, SUPERVISOR), "rb") as file:
-            entry = cell.check(file.read(HEADER_BYTES), _HEADER_SEED)
+            header = _header(file.read(HEADER_BYTES))
     except OSError:
         return ""
-    return _version(_HEADER.unpack(entry[2])[-1]) if entry and len(entry[2]) == _HEADER.size else ""
+    return _version(header[-1]) if header else ""
+
+
+def _header(raw: bytes) -> tuple[int, int, int, bytes, bytes] | None:
+    """Layout, size, incarnation, name and version, as a segment's first bytes say; None: they are no header."""
+    entry = cell.check(raw, _HEADER_SEED)
+    if entry is None or len(entry[2]) != _HEADER.size or not entry[2].startswith(MAGIC):
+        return None
+    _, fingerprint, size, incarnation, name, version = _HEADER.unpack(entry[2])
+    return fingerprint, size, incarnation, name.rstrip(b"\0"), version
 
 
 def _version(told: bytes) -> str:
@@ -298,19 +307,18 @@ def _told(memory: str, name: str) -> str:
 
 def _check_header(fd: int, memory: str, spec: SegmentSpec, incarnation: int | None) -> int:
     """Return the segment's incarnation, or raise AttachError."""
-    entry = cell.check(os.pread(fd, HEADER_BYTES, 0), _HEADER_SEED)
-    where = _told(memory, spec.name)
-    if entry is None or len(entry[2]) != _HEADER.size or not entry[2].startswith(MAGIC):
+    header, where = _header(os.pread(fd, HEADER_BYTES, 0)), _told(memory, spec.name)
+    if header is None:
         raise AttachError("damaged", f"{where} has no whole header: restart the service")
-    _, fingerprint, size, found, name, version = _HEADER.unpack(entry[2])
+    fingerprint, size, found, name, version = header
     if fingerprint != LAYOUT_HASH:
         raise AttachError(
             "version",
             f"{where} is of failstop {_version(version)}, this program is {VERSION} with another layout: "
             "use the service's own version, or restart the service after the upgrade",
         )
-    if name.rstrip(b"\0") != spec.name.encode() or size != spec.size or os.fstat(fd).st_size < spec.size:
+    if name != spec.name.encode() or size != spec.size or os.fstat(fd).st_size < spec.size:
         raise AttachError("damaged", f"{where} has the wrong size or name: restart the service")
     if incarnation is not None and found != incarnation:
         raise AttachError("damaged", f"{where} is of another run: restart the service")
-    return int(found)
+    return found

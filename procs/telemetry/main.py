@@ -196,7 +196,7 @@ class Telemetry:
 
     def _note(self, kind: str, text: str, fields: Fields | None = None, *, level: str = "") -> None:
         """Tell people something; the supervisor passes it on."""
-        self._notes.put(Note(kind, text, fields, level=level).pack())
+        self._notes.put(Note(kind, text, fields or {}, level=level).pack())
         self.supervisor_bell.ring()
 
     def _note_gyro(self, text: str) -> None:
