@@ -25,7 +25,7 @@ MOTION = 1
 STOP = 2
 """Frame kind: write the stop burst now (latched or not)."""
 OTHER = 3
-"""Frame kind: a frame that is not motion (buzzer, LEDs), in order."""
+"""Frame kind: a frame that is not motion, the buzzer's, in order."""
 ARM = 4
 """Frame kind: a frame for the arm's servos, in order; it dies with its epoch and the lease as motion does."""
 ASKED_BYTES = 180
