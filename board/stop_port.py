@@ -12,10 +12,13 @@ from __future__ import annotations
 import _thread
 import os
 import time
-from collections.abc import Callable
 
 from failstop.board import port
 from failstop.board.interface import BOARD
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 TRIES = 3
 DRAIN_S = 0.1

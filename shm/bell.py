@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-from collections.abc import Iterable
 
 from failstop.shm import place
 
@@ -45,7 +44,7 @@ class EventBell:
             pass
 
 
-def clear_rung(bells: Iterable[EventBell], ready: dict[int, int]) -> None:
+def clear_rung(bells: tuple[EventBell, ...], ready: dict[int, int]) -> None:
     """Clear those of the bells that are among what is ready; call it first in a turn.
 
     News of what was looked at before its bell is cleared waits for another wake-up.

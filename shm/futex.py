@@ -19,7 +19,6 @@ import errno
 import mmap
 import os
 import struct
-from collections.abc import Callable
 from time import monotonic_ns, sleep
 
 from failstop.shm.words import LINE_BYTES
@@ -37,6 +36,10 @@ _PROOF_NS = 1_000_000_000
 _LOOK_S = 0.0001
 _HEAD = struct.Struct("<QqQ")  # struct robust_list_head: the first entry, from an entry to its word, one in the making
 _POINTER = struct.Struct("<Q")
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _libc = ctypes.CDLL(None, use_errno=True)
 _libc.mmap.restype = ctypes.c_void_p

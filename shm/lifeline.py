@@ -13,13 +13,16 @@ import _thread
 import contextlib
 import os
 import select
-from collections.abc import Callable
 from time import sleep
 
 from failstop.shm import futex
 from failstop.shm.bell import EventBell
 from failstop.shm.futex import Futex
 from failstop.shm.segment import Segment
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _SIGKILL = 9
 _ORDINARY = os.sched_param(0)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-
 import msgpack
 
 from failstop.shm.data import Data
 from failstop.shm.layout import NOTE_BYTES
 from failstop.shm.records import cut
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
 
 Value = str | int | float
 Fields = dict[str, Value]

@@ -6,19 +6,18 @@ Payloads of variable shape (state, process table, the stop that people read) are
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
 
 from failstop.shm.data import Data
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
     from typing import Any, Generic
 
     from typing_extensions import TypeVarTuple, Unpack
 
     Values = TypeVarTuple("Values")
-
-Rows = Sequence[tuple[float, Sequence[float]]]
+    Rows = Sequence[tuple[float, Sequence[float]]]
 
 MOTION = 1
 """Frame kind: a motor frame; the newest wins and it dies with its epoch and the lease."""
