@@ -39,11 +39,8 @@ ROOMS = {
         ),
     ),
     "telemetry": Room(
-        tuple(f"procs/telemetry/{name}.py" for name in ("charger", "noticer", "odometry", "pad", "still")),
-        (
-            "tests/procs/test_noticer.py",
-            *(f"tests/telemetry/test_{name}.py" for name in ("charger", "odometry", "pad", "still")),
-        ),
+        tuple(f"procs/telemetry/{name}.py" for name in ("battery", "odometry", "pad", "still")),
+        tuple(f"tests/telemetry/test_{name}.py" for name in ("battery", "odometry", "pad", "still")),
     ),
     "stopper": Room(
         ("procs/stopper/*.py", "failstop/stopping/*.py"),
