@@ -15,14 +15,14 @@ class Room(NamedTuple):
 ROOMS = {
     "gate": Room(
         (
-            *(f"procs/gate/{name}.py" for name in ("attendance", "core", "interlocks", "scan", "sources")),
+            *(f"procs/gate/{name}.py" for name in ("conditions", "core", "requests", "sources")),
             "policy/kinematics.py",
         ),
         ("tests/procs/test_gate_*.py", "tests/procs/test_kinematics.py"),
     ),
     "arm": Room(
         (
-            *(f"procs/gate/arm/{name}.py" for name in ("core", "goals", "joints", "space", "tuck")),
+            *(f"procs/gate/arm/{name}.py" for name in ("core", "goals", "joints")),
             "policy/capsules.py",
         ),
         ("tests/procs/test_gate_arm*.py",),

@@ -8,22 +8,18 @@ moves again.
 
 from __future__ import annotations
 
+from math import inf
+
 from failstop.board.interface import BOARD
 from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, MOVE_NS
+from failstop.policy.capsules import Model, would_hit
+from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
-from failstop.procs.gate.arm.joints import from_settings
+from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.procs.gate.arm.reader import QUIET_NS, Reader
-from failstop.procs.gate.arm.space import Space
+from failstop.procs.gate.core import GateCore
 from failstop.shm.records import CAUSE
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
-
-    from failstop.policy.settings import Settings
-    from failstop.procs.gate.arm.joints import Joint
-    from failstop.procs.gate.core import GateCore
 
 ENABLED = "wheels enabled"
 LATCHED = f"a stop is latched ({CAUSE})"
@@ -40,6 +36,33 @@ LATE_S = 2.0
 """A journey that is not there so long after its time has lost its way."""
 FIND_S = 4.0
 MOVES_NS = LONGEST_MOVE_MS * 1_000_000
+
+
+class Space:
+    """May the joints go on to where they are to be next, or would the arm hit something? What is looked at is where
+    each move ends, before it is sent: a servo that is sent no further move stands where the last one ended, which was
+    looked at before. A touch that is there already, by the model, may become less."""
+
+    def __init__(self, settings: Settings, joints: list[Joint]) -> None:
+        self._joints = joints
+        self._model = Model(settings) if settings.on("arm.collision") else None
+        """None: nothing is looked at."""
+        self._gap_m = inf
+
+    def wanted(self, joints: list[Joint]) -> list[Joint]:
+        """Whose place must be known before these move; silent ones count where they were last."""
+        return [joint for joint in self._joints if not joint.silent or joint in joints] if self._model else joints
+
+    def hit(self, *, begins: bool = False) -> str:
+        """What the arm would hit where its joints are to be now; empty: nothing. Then they go on from there. `begins`:
+        they stand there, whatever they touch."""
+        if self._model is None:
+            return ""
+        gap_m, name, other = self._model.nearest({joint.name: joint.rad(joint.position) for joint in self._joints})
+        if gap_m < min(0.0, self._gap_m) and not begins:
+            return would_hit(name, other)
+        self._gap_m = gap_m
+        return ""
 
 
 class ArmCore:
@@ -85,19 +108,10 @@ class ArmCore:
         """The journey, until it is over."""
         return self._journey if self._journey and not self._journey.done else None
 
-    def _goal(self) -> Goal | None:
-        """The goal of the highest mode, but for a journey."""
-        return self._goals.get(goals.FOLLOW) or self._goals.get(goals.JOG)
-
-    def mode(self) -> str:
-        """Whose goal it follows: trajectory, follow, jog, or nothing."""
-        followed = self.way or self._goal()
-        return followed.mode if followed else ""
-
-    def mover(self) -> str:
-        """For whom it moves, or is about to; empty: for nobody."""
-        followed = self.way or self._goal()
-        return followed.who if followed else ""
+    @property
+    def followed(self) -> Journey | Goal | None:
+        """What of all that it is asked for it follows."""
+        return self.way or self._goals.get(goals.FOLLOW) or self._goals.get(goals.JOG)
 
     def publisher(self, session: int, now_ns: int) -> str:
         """Another client whose goal counts now; empty when there is none."""
@@ -113,25 +127,25 @@ class ArmCore:
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
         return now_ns - goal.t_ns <= self._timeout_ns
 
-    def take(self, goal: Goal, now_ns: int) -> str:
-        """A goal of a stream. Returns why it is not taken; that of another publisher is the gate's to look for."""
+    def take(self, goal: Goal, now_ns: int) -> None:
+        """A goal of a stream; `refused` says why it is not taken. That of another publisher is the gate's to look
+        for."""
         goal.t_ns = min(goal.t_ns, now_ns)
         check = goals.too_far if goal.mode == goals.FOLLOW else goals.too_fast
-        self.refused = self._shut(goal) or check(goal.joints, goal.values)
+        self.refused = self._shut(goal) or check(goal.joints, goal.ends)
         if self.refused:
-            return self.refused
+            return
         if (way := self.way) and way.session == SERVICE:
             self.drop("preempted")
         if goal.mode == goals.FOLLOW:
-            goal.values = tuple(joint.pulses(angle) for joint, angle in zip(goal.joints, goal.values, strict=True))
+            goal.ends = tuple(joint.pulses(angle) for joint, angle in zip(goal.joints, goal.ends, strict=True))
         else:
             scale = [joint.pulses(1.0) - joint.zero for joint in goal.joints]
-            goal.values = tuple(rate * by for rate, by in zip(goal.values, scale, strict=True))
+            goal.ends = tuple(rate * by for rate, by in zip(goal.ends, scale, strict=True))
         if goal.mode not in self._goals:
             self._reader.hurry(now_ns)
         self._goals[goal.mode] = goal
         self.active_ns, self.released = now_ns, False
-        return ""
 
     def _shut(self, goal: Goal) -> str:
         """Why no goal of its stream counts now. One that goes on through a stop and a reset must not move the arm by
@@ -244,10 +258,9 @@ class ArmCore:
 
     def _to_stream(self) -> list[Joint]:
         """The joints that a goal wants to move now."""
-        if way := self.way:
-            return way.joints if way.phase in (goals.LOADING, goals.UNDER_WAY) else []
-        goal = self._goal()
-        return goal.joints if goal else []
+        if (way := self.way) and way.phase not in (goals.LOADING, goals.UNDER_WAY):
+            return []
+        return self.followed.joints if self.followed else []
 
     def due_ns(self) -> int:
         """When to step again."""
@@ -264,7 +277,7 @@ class ArmCore:
             return False
         for mode in stale:
             del self._goals[mode]
-        if self.mode():
+        if self.followed:
             return False
         was = self.streaming()
         self._end_stream()
@@ -350,7 +363,7 @@ class ArmCore:
                 return
             journey.phase = goals.UNDER_WAY
         self._load_ns = 0
-        self._space.begin()
+        self._space.hit(begins=True)
         self._blocked.clear()
         groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]
         step_ns = self._period_ns // len(groups)
@@ -367,15 +380,12 @@ class ArmCore:
         # From when it was due, so that a late wake-up shifts one frame and not all that follow.
         again_ns = due_ns + self._period_ns
         self._schedule = [*self._schedule[1:], (again_ns if again_ns > now_ns else now_ns + self._period_ns, group)]
-        journey = self.way
-        targets = self._targets(journey, now_ns + self._period_ns)
         before = [joint.position for joint in group]
-        for joint in group:
-            self._advance(joint, targets, journey.share if journey else 1.0, now_ns)
+        self._advance(group, now_ns)
         if hit := self._space.hit():
             for joint, position in zip(group, before, strict=True):
                 joint.position, joint.velocity = position, 0.0
-            if journey:
+            if journey := self.way:
                 journey.finish(hit)
                 self._end_stream()
                 return None
@@ -385,22 +395,19 @@ class ArmCore:
         moves = [(joint.servo, round(joint.position)) for joint in group]
         return BOARD.servo_move(moves, self._move_ms, LONGEST_MOVE_MS)
 
-    def _targets(self, journey: Journey | None, then_ns: int) -> dict[int, tuple[str, float]]:
-        """What each joint is to do until the end of its next move: (mode, value)."""
-        if journey:
-            rows = zip(journey.joints, journey.at(then_ns), strict=True)
-            return {joint.index: (goals.FOLLOW, value) for joint, value in rows}
-        goal = self._goal()
-        return {joint.index: (goal.mode, value) for joint, value in goal.rows()} if goal else {}
-
-    def _advance(self, joint: Joint, targets: dict[int, tuple[str, float]], share: float, now_ns: int) -> None:
-        elapsed_ns = min(now_ns - joint.stepped_ns, MOVES_NS) if joint.stepped_ns else self._period_ns
-        joint.stepped_ns = now_ns
-        mode, value = targets.get(joint.index, (goals.JOG, 0.0))
-        if mode == goals.FOLLOW:
-            joint.follow(value, share, elapsed_ns * 1e-9)
-        else:
-            joint.jog(value, elapsed_ns * 1e-9)
+    def _advance(self, group: list[Joint], now_ns: int) -> None:
+        """Each joint on to where it is to be at the end of its next move; one that no goal names slows down."""
+        followed = self.followed
+        mode, values = followed.targets(now_ns + self._period_ns) if followed else (goals.JOG, ())
+        targets = {joint.index: value for joint, value in zip(followed.joints, values, strict=True)} if followed else {}
+        for joint in group:
+            elapsed_ns = min(now_ns - joint.stepped_ns, MOVES_NS) if joint.stepped_ns else self._period_ns
+            joint.stepped_ns = now_ns
+            target = targets.get(joint.index)
+            if mode == goals.FOLLOW and followed and target is not None:
+                joint.follow(target, followed.share, elapsed_ns * 1e-9)
+            else:
+                joint.jog(target or 0.0, elapsed_ns * 1e-9)
 
     # News.
 
@@ -426,39 +433,9 @@ class ArmCore:
         joints = self._judged(purpose)
         return self.off(joints, _ends(joints, purpose))
 
-    def state(self) -> dict[str, Any]:
-        """What people and programs are told."""
-        way = self.way
-        return {
-            "mode": self.mode(),
-            "phase": way.phase if way else "",
-            "moving": self.streaming(),
-            "by": self.mover(),
-            "refused": self.refused or next(filter(None, self._blocked.values()), ""),
-            "released": self.released,
-            "silent": [joint.servo for joint in self.joints if joint.silent],
-            "joints": [
-                (
-                    joint.name,
-                    joint.servo,
-                    round(joint.position, 2) if joint.known else None,
-                    joint.measured,
-                    joint.measured_ns,
-                    joint.loaded,
-                    joint.temperature_c,
-                    joint.supply_mv,
-                )
-                for joint in self.joints
-            ],
-        }
-
-    def aims(self) -> list[tuple[int, float]]:
-        """Of each servo that is to move: where its trajectory ends, where it is to follow to, or its rate."""
-        if way := self.way:
-            ends = way.ends if way.travels else ()
-            return [(joint.servo, end) for joint, end in zip(way.joints, ends, strict=False)]
-        goal = self._goal()
-        return [(joint.servo, value) for joint, value in goal.rows()] if goal else []
+    def why_not(self) -> str:
+        """Why the last goal of a stream was not taken, or is not followed further."""
+        return self.refused or next(filter(None, self._blocked.values()), "")
 
 
 def _ends(joints: list[Joint], purpose: str) -> tuple[float, ...]:

@@ -11,13 +11,11 @@ from itertools import pairwise
 from math import isfinite
 from operator import itemgetter
 
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD
+from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from failstop.procs.gate.arm.joints import Joint
 
 FOLLOW = "follow"
 JOG = "jog"
@@ -39,7 +37,7 @@ Row = tuple[float, tuple[float, ...]]
 class Goal:
     """Follow or jog: a target of each joint, in pulses or pulses/s."""
 
-    __slots__ = ("joints", "mode", "session", "t_ns", "values", "who")
+    share = 1.0
 
     def __init__(
         self, mode: str, session: int, who: str, t_ns: int, joints: list[Joint], values: tuple[float, ...]
@@ -49,11 +47,11 @@ class Goal:
         self.who = who
         self.t_ns = t_ns
         self.joints = joints
-        self.values = values
+        self.ends = values
 
-    def rows(self) -> zip[tuple[Joint, float]]:
-        """Each joint with its target."""
-        return zip(self.joints, self.values, strict=True)
+    def targets(self, _then_ns: int) -> tuple[str, tuple[float, ...]]:
+        """How each joint moves, FOLLOW or JOG, and its target or rate."""
+        return self.mode, self.ends
 
 
 class Journey:
@@ -86,8 +84,8 @@ class Journey:
 
     @property
     def ends(self) -> tuple[float, ...]:
-        """Where each joint is to be at the end."""
-        return self._rows[-1][1]
+        """Where each joint is to be at the end; empty when it leads nowhere."""
+        return self._rows[-1][1] if self._rows else ()
 
     @property
     def length_s(self) -> float:
@@ -108,15 +106,15 @@ class Journey:
             0.1, *(abs(b - a) / (joint.speed * self.share) for joint, a, b in zip(self.joints, start, end, strict=True))
         )
 
-    def at(self, now_ns: int) -> tuple[float, ...]:
-        """Where each joint is to be now."""
-        t_s = (now_ns - self.begun_ns) * 1e-9
+    def targets(self, then_ns: int) -> tuple[str, tuple[float, ...]]:
+        """As a goal's: where each joint is to be then."""
+        t_s = (then_ns - self.begun_ns) * 1e-9
         after = bisect_right(self._rows, t_s, key=itemgetter(0))
         if after == len(self._rows):
-            return self.ends
+            return FOLLOW, self.ends
         (t0, begin), (t1, end) = self._rows[after - 1], self._rows[after]
         share = (t_s - t0) / (t1 - t0)
-        return tuple(a + share * (b - a) for a, b in zip(begin, end, strict=True))
+        return FOLLOW, tuple(a + share * (b - a) for a, b in zip(begin, end, strict=True))
 
     def left_s(self, now_ns: int) -> float:
         """Until its end."""
