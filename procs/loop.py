@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import select
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.world import World
+from failstop.procs.world import World
 
 READ = select.EPOLLIN
 WRITE = select.EPOLLOUT

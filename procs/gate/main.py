@@ -333,8 +333,5 @@ class Gate:
 def run(context: Context) -> int:
     """Run forever: the gate dies with the supervisor."""
     gate = Gate(context)
-    context.runs()
-    ready: dict[int, int] = {}
-    while True:
-        gate.turn(ready)
-        ready = gate.loop.wait(gate.period_ns)
+    context.run(gate.turn, gate.loop, gate.period_ns)
+    return 0

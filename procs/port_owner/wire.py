@@ -6,12 +6,9 @@ import os
 
 from failstop.board.interface import BOARD
 from failstop.board.stop_port import StopPort
+from failstop.procs.world import World
 from failstop.shm import box
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.world import World
-    from failstop.shm.ring import RingWriter
+from failstop.shm.ring import RingWriter
 
 DRAIN_NS = 100_000_000
 """A port that holds bytes back for this long does not drain: a stop cause."""

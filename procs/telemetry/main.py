@@ -27,12 +27,6 @@ from failstop.shm.notes import Note
 from failstop.shm.packing import pack
 from failstop.shm.segment import Segment
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
-
-    from failstop.shm.notes import Fields
-
 TICK_NS = 50_000_000
 ODOMETRY_NS = 20_000_000
 """Odometry goes out at this rate, as the gate decides no more often, at the wake-ups that there are."""
@@ -53,7 +47,7 @@ class GateState:
 
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
-        self._found: dict[str, Any] = {}
+        self._found: object = None
         self._seq = 0
         self._t_ns = 0
         self.enabled = False
@@ -251,7 +245,9 @@ class Telemetry:
             self._bias_flags = flags
             self._latest["bias"].write(records.BIAS.pack(*gyro.bias_radps, *flags), now_ns)
 
-    def _note(self, kind: str, text: str, fields: Fields | None = None, *, level: str = "") -> None:
+    def _note(
+        self, kind: str, text: str, fields: dict[str, str | int | float] | None = None, *, level: str = ""
+    ) -> None:
         """Tell people something; the supervisor passes it on."""
         self._rings["notes"].put(Note(kind, text, fields, level=level).pack())
         self.supervisor_bell.ring()
@@ -353,8 +349,5 @@ class Telemetry:
 def run(context: Context) -> int:
     """Run forever: telemetry dies with the supervisor."""
     telemetry = Telemetry(context)
-    context.runs()
-    ready: dict[int, int] = {}
-    while True:
-        telemetry.turn(ready)
-        ready = telemetry.loop.wait(TICK_NS)
+    context.run(telemetry.turn, telemetry.loop, TICK_NS)
+    return 0

@@ -9,7 +9,7 @@ import pytest
 
 from failstop.board.interface import BOARD
 from failstop.procs.loop import Timer
-from failstop.procs.port_owner.pings import GAP_NS, Pings
+from failstop.procs.port_owner.schedule import GAP_NS, Pings
 from failstop.shm import layout
 from tests.support.port_scene import MOTION, TICK, Scene
 from tests.support.stage import MS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.procs.loop import NEVER, Timer
-from failstop.procs.port_owner.repeats import BURST, ZERO, Repeats
+from failstop.procs.port_owner.schedule import BURST, ZERO, Repeats
 
 MS = 1_000_000
 T0 = 5_000 * MS
