@@ -227,7 +227,7 @@ class Gate:
             self.core.stand_still()
             self.follow_latch()
             if self.arm:
-                self.arm.stopped(LATCHED)
+                self.arm.core.stop(LATCHED)
 
     def _follow_telemetry(self, now_ns: int) -> None:
         """The gamepad's sticks, and what telemetry asks for: a reset, or a frame that is not motion."""
@@ -251,19 +251,20 @@ class Gate:
     def stop(self, cause: Cause, now_ns: int) -> None:
         """Latch a stop: burst at once, then the news to the supervisor, which raises the epoch."""
         if self.core.stop(cause, self.epoch):
-            self.send(records.STOP, b"", now_ns)
-            if self.arm:
-                self.arm.stopped(LATCHED)
+            self._stop_all(LATCHED, now_ns)
             self._stops.put(records.STOPPED.pack(self.epoch, now_ns, 0, cause.pack()))
             self.supervisor_bell.ring()
 
     def disable(self, now_ns: int) -> Reply:
         """Forbid motion; what moves is stopped, and nothing latched."""
         reply = self.core.disable()
+        self._stop_all(reply.text, now_ns)
+        return reply
+
+    def _stop_all(self, why: str, now_ns: int) -> None:
         self.send(records.STOP, b"", now_ns)
         if self.arm:
-            self.arm.stopped("motion disabled")
-        return reply
+            self.arm.core.stop(why)
 
     def client_command(self, command: Command, now_ns: int) -> None:
         """A new command moves the wheels at once, not at the next tick."""

@@ -93,7 +93,7 @@ class ArmCore:
         self.released = False
         self.refused = ""
         """Why the last goal of a stream was not taken."""
-        self._blocked: dict[int, str] = {}
+        self._blocked: dict[Joint, str] = {}
         """Why the joints of a frame, by its first, do not go on toward the goal of a stream."""
 
     @property
@@ -132,16 +132,15 @@ class ArmCore:
         for."""
         goal.t_ns = min(goal.t_ns, now_ns)
         check = goals.too_far if goal.mode == goals.FOLLOW else goals.too_fast
-        self.refused = self._shut(goal) or check(goal.joints, goal.ends)
+        self.refused = self._shut(goal) or check(goal.joints, list(goal.ends.values()))
         if self.refused:
             return
         if (way := self.way) and way.session == SERVICE:
             self.drop("preempted")
         if goal.mode == goals.FOLLOW:
-            goal.ends = tuple(joint.pulses(angle) for joint, angle in zip(goal.joints, goal.ends, strict=True))
+            goal.ends = {joint: joint.pulses(angle) for joint, angle in goal.ends.items()}
         else:
-            scale = [joint.pulses(1.0) - joint.zero for joint in goal.joints]
-            goal.ends = tuple(rate * by for rate, by in zip(goal.ends, scale, strict=True))
+            goal.ends = {joint: rate * (joint.pulses(1.0) - joint.zero) for joint, rate in goal.ends.items()}
         if goal.mode not in self._goals:
             self._reader.hurry(now_ns)
         self._goals[goal.mode] = goal
@@ -173,9 +172,13 @@ class ArmCore:
 
     def pose(self, purpose: str, session: int, who: str) -> Journey | None:
         """The way to a pose of the settings, drive or tuck, which travel() begins; None: no joint is part of it."""
-        joints = [joint for joint in self.joints if getattr(joint, purpose) >= 0]
-        rows = [(0.0, _ends(joints, purpose))]
-        return Journey(purpose, session, who, joints, rows, self._pose_speed) if joints else None
+        ends = self._ends(purpose)
+        rows = [(0.0, tuple(ends.values()))]
+        return Journey(purpose, session, who, list(ends), rows, self._pose_speed) if ends else None
+
+    def _ends(self, purpose: str) -> dict[Joint, float]:
+        """Where the joints are that are part of a pose."""
+        return {joint: float(end) for joint in self.joints if (end := getattr(joint, purpose)) >= 0}
 
     # Ends.
 
@@ -312,7 +315,7 @@ class ArmCore:
         return []
 
     def _watch_end(self, journey: Journey, now_ns: int) -> None:
-        ends = zip(journey.joints, journey.ends, strict=True)
+        ends = journey.ends.items()
         there = all(abs(joint.position - end) <= NEAR and not round(joint.velocity) for joint, end in ends)
         if journey.left_s(now_ns) <= 0.0 and there:
             self._end_stream()
@@ -326,12 +329,12 @@ class ArmCore:
         """Read back: each joint twice since it stands."""
         if unread := [joint for joint in journey.joints if joint.measured_ns < journey.since_ns]:
             return _read_first(journey, unread, now_ns)
-        journey.finish(self.off(journey.joints, journey.ends))
+        journey.finish(self.off(journey.ends))
         return []
 
-    def off(self, joints: list[Joint], ends: tuple[float, ...]) -> str:
+    def off(self, ends: dict[Joint, float]) -> str:
         """Which joint is not where it should be, by how much, of what was read; empty when each is."""
-        for joint, end in zip(joints, ends, strict=True):
+        for joint, end in ends.items():
             if joint.measured is None or abs(joint.measured - end) > self.tolerance:
                 by = "was not read" if joint.measured is None else f"is {abs(joint.measured - end):.0f} pulses off"
                 return f"joint {joint.name} (servo {joint.servo}) {by}"
@@ -389,7 +392,7 @@ class ArmCore:
                 journey.finish(hit)
                 self._end_stream()
                 return None
-        self._blocked[group[0].index] = hit
+        self._blocked[group[0]] = hit
         self.active_ns = now_ns
         self._reader.moved(now_ns)
         moves = [(joint.servo, round(joint.position)) for joint in group]
@@ -398,16 +401,14 @@ class ArmCore:
     def _advance(self, group: list[Joint], now_ns: int) -> None:
         """Each joint on to where it is to be at the end of its next move; one that no goal names slows down."""
         followed = self.followed
-        mode, values = followed.targets(now_ns + self._period_ns) if followed else (goals.JOG, ())
-        targets = {joint.index: value for joint, value in zip(followed.joints, values, strict=True)} if followed else {}
+        targets = followed.targets(now_ns + self._period_ns) if followed else {}
         for joint in group:
             elapsed_ns = min(now_ns - joint.stepped_ns, MOVES_NS) if joint.stepped_ns else self._period_ns
             joint.stepped_ns = now_ns
-            target = targets.get(joint.index)
-            if mode == goals.FOLLOW and followed and target is not None:
-                joint.follow(target, followed.share, elapsed_ns * 1e-9)
+            if followed and followed.mode != goals.JOG and joint in targets:
+                joint.follow(targets[joint], followed.share, elapsed_ns * 1e-9)
             else:
-                joint.jog(target or 0.0, elapsed_ns * 1e-9)
+                joint.jog(targets.get(joint, 0.0), elapsed_ns * 1e-9)
 
     # News.
 
@@ -420,27 +421,21 @@ class ArmCore:
     def pose_name(self) -> str:
         """The pose that it was read to be in, drive or tuck; empty: another, or not known."""
         for purpose in (goals.DRIVE, goals.TUCK):
-            joints = self._judged(purpose)
-            if joints and all(joint.known for joint in joints) and not self.off_pose(purpose):
+            judged = self._judged(purpose)
+            if judged and all(joint.known for joint in judged) and not self.off(judged):
                 return purpose
         return ""
 
-    def _judged(self, purpose: str) -> list[Joint]:
-        return [joint for joint in self.joints if getattr(joint, purpose) >= 0 and joint.judged]
+    def _judged(self, purpose: str) -> dict[Joint, float]:
+        return {joint: end for joint, end in self._ends(purpose).items() if joint.judged}
 
     def off_pose(self, purpose: str) -> str:
-        """The same of a pose of the settings, for the joints that are judged."""
-        joints = self._judged(purpose)
-        return self.off(joints, _ends(joints, purpose))
+        """As off(), of a pose of the settings, for the joints that are judged."""
+        return self.off(self._judged(purpose))
 
     def why_not(self) -> str:
         """Why the last goal of a stream was not taken, or is not followed further."""
         return self.refused or next(filter(None, self._blocked.values()), "")
-
-
-def _ends(joints: list[Joint], purpose: str) -> tuple[float, ...]:
-    """Where they are in a pose of the settings."""
-    return tuple(float(getattr(joint, purpose)) for joint in joints)
 
 
 def _read_first(journey: Journey, joints: list[Joint], now_ns: int) -> list[Joint]:

@@ -39,19 +39,21 @@ class Goal:
 
     share = 1.0
 
-    def __init__(
-        self, mode: str, session: int, who: str, t_ns: int, joints: list[Joint], values: tuple[float, ...]
-    ) -> None:
+    def __init__(self, mode: str, session: int, who: str, t_ns: int, ends: dict[Joint, float]) -> None:
         self.mode = mode
         self.session = session
         self.who = who
         self.t_ns = t_ns
-        self.joints = joints
-        self.ends = values
+        self.ends = ends
 
-    def targets(self, _then_ns: int) -> tuple[str, tuple[float, ...]]:
-        """How each joint moves, FOLLOW or JOG, and its target or rate."""
-        return self.mode, self.ends
+    @property
+    def joints(self) -> list[Joint]:
+        """Those that it names."""
+        return list(self.ends)
+
+    def targets(self, _then_ns: int) -> dict[Joint, float]:
+        """The targets or rates that hold until then."""
+        return self.ends
 
 
 class Journey:
@@ -83,9 +85,9 @@ class Journey:
         return bool(self._rows)
 
     @property
-    def ends(self) -> tuple[float, ...]:
+    def ends(self) -> dict[Joint, float]:
         """Where each joint is to be at the end; empty when it leads nowhere."""
-        return self._rows[-1][1] if self._rows else ()
+        return dict(zip(self.joints, self._rows[-1][1], strict=True)) if self._rows else {}
 
     @property
     def length_s(self) -> float:
@@ -106,15 +108,15 @@ class Journey:
             0.1, *(abs(b - a) / (joint.speed * self.share) for joint, a, b in zip(self.joints, start, end, strict=True))
         )
 
-    def targets(self, then_ns: int) -> tuple[str, tuple[float, ...]]:
-        """As a goal's: where each joint is to be then."""
+    def targets(self, then_ns: int) -> dict[Joint, float]:
+        """Where each joint is to be then."""
         t_s = (then_ns - self.begun_ns) * 1e-9
         after = bisect_right(self._rows, t_s, key=itemgetter(0))
         if after == len(self._rows):
-            return FOLLOW, self.ends
+            return self.ends
         (t0, begin), (t1, end) = self._rows[after - 1], self._rows[after]
         share = (t_s - t0) / (t1 - t0)
-        return FOLLOW, tuple(a + share * (b - a) for a, b in zip(begin, end, strict=True))
+        return {joint: a + share * (b - a) for joint, a, b in zip(self.joints, begin, end, strict=True)}
 
     def left_s(self, now_ns: int) -> float:
         """Until its end."""
@@ -139,7 +141,7 @@ def too_far(joints: list[Joint], angles: Sequence[float]) -> str:
     return ""
 
 
-def too_fast(joints: list[Joint], rates: tuple[float, ...]) -> str:
+def too_fast(joints: list[Joint], rates: Sequence[float]) -> str:
     """Which joint is not to turn at that rate, with its limit; empty when each may."""
     for joint, rate in zip(joints, rates, strict=True):
         most = joint.speed / PULSES_PER_RAD

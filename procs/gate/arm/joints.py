@@ -16,9 +16,8 @@ MOST_MISSES = 4
 class Joint:
     """One joint: its bounds, and what is known of it."""
 
-    def __init__(self, index: int, name: str, table: dict[str, float | str]) -> None:
+    def __init__(self, name: str, table: dict[str, float | str]) -> None:
         number = {key: float(value) for key, value in table.items() if not isinstance(value, str)}
-        self.index = index
         self.name = name
         self.servo = int(number["servo"])
         self.zero = number["zero"]
@@ -99,7 +98,7 @@ class Joint:
 
 def from_settings(settings: Settings) -> list[Joint]:
     """The arm's joints in the order of the settings; none without an arm."""
-    joints = [Joint(index, name, table) for index, (name, table) in enumerate(settings.named["joints"].items())]
+    joints = [Joint(name, table) for name, table in settings.named["joints"].items()]
     for joint in joints:
         if joint.servo == int(settings["arm.base_servo"]):
             pan = int(settings["arm.drive_pan"])

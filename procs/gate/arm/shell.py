@@ -98,8 +98,8 @@ class Arm:
         what = (followed.mode, followed.who) if followed else ("", "")
         if what != self._boxed or (followed and now_ns - self._boxed_ns >= BOX_NS):
             self._boxed, self._boxed_ns = what, now_ns
-            rows = zip(followed.joints, followed.ends, strict=False) if followed else ()
-            self._box.put(box.pack_arm(*what, [(joint.servo, end) for joint, end in rows]), now_ns)
+            ends = followed.ends.items() if followed else ()
+            self._box.put(box.pack_arm(*what, [(joint.servo, end) for joint, end in ends]), now_ns)
 
     def _step(self, now_ns: int) -> None:
         frame, hold = self.core.step(now_ns)
@@ -113,10 +113,6 @@ class Arm:
         self._gate.send(records.STOP, b"", now_ns)
 
     # News.
-
-    def stopped(self, reason: str) -> None:
-        """A stop, whose write has stopped the arm: nobody moves it any more."""
-        self.core.stop(reason)
 
     def client_gone(self, session: int, now_ns: int) -> None:
         """A client has left or died: what it moved is held, what it waited for is given up."""
@@ -141,8 +137,8 @@ class Arm:
             return
         if self._rivals(slot.session, slot.who(), now_ns):
             return
-        joints = [self._by_servo[servo] for servo in values]
-        self.core.take(Goal(MODES[mode], slot.session, slot.who(), t_ns, joints, tuple(values.values())), now_ns)
+        ends = {self._by_servo[servo]: value for servo, value in values.items()}
+        self.core.take(Goal(MODES[mode], slot.session, slot.who(), t_ns, ends), now_ns)
 
     def _follow_pad(self, now_ns: int) -> None:
         """The gamepad in its joint mode is a publisher like any other. A joint that it lets go of is held."""
@@ -157,7 +153,7 @@ class Arm:
         self._pad_joint = joint.name
         if not share:
             self.core.pause(PAD_PUBLISHER)
-        goal = Goal(goals.JOG, PAD_PUBLISHER, PAD, t_ns, [joint], (share * joint.speed / PULSES_PER_RAD,))
+        goal = Goal(goals.JOG, PAD_PUBLISHER, PAD, t_ns, {joint: share * joint.speed / PULSES_PER_RAD})
         if share and not self._rivals(PAD_PUBLISHER, PAD, now_ns):
             self.core.take(goal, now_ns)
         elif not share and self.core.moved_by(PAD_PUBLISHER):
@@ -296,7 +292,7 @@ class Arm:
             self._tuck_announced = False
         elif not (journey := core.pose(goals.TUCK, SERVICE, "auto-tuck")):
             return
-        elif not core.off(journey.joints, journey.ends):
+        elif not core.off(journey.ends):
             core.active_ns = 0  # it is there
         elif not self._tuck_announced:
             self._tuck_announced = True
