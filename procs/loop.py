@@ -56,8 +56,6 @@ class Timer:
 class Loop:
     """One process's set of descriptors, and its timers."""
 
-    __slots__ = ("_epoll", "_now_ns", "_poll", "_select", "_set", "_timers")
-
     def __init__(self, world: World) -> None:
         self._timers: list[Timer] = []
         self._now_ns, self._select = world.now_ns, world.select

@@ -28,8 +28,6 @@ _LINE = 1
 class Parent:
     """The supervisor, and the ports that it hands down. Its death is the end of who watches it too, later."""
 
-    __slots__ = ("_leave", "_loop", "control", "life", "orphaned_ns")
-
     def __init__(self, context: Context, loop: Loop, line: int, stop: Callable[[], None] | None = None) -> None:
         """`line`: of the supervisor's futexes, to wait on; `stop`: as a peer's."""
         self.life = context.world.lifeline(context.parent)
@@ -69,8 +67,6 @@ class Parent:
 
 class Peer:
     """`life` is None while there is none, or none whose death has not been answered."""
-
-    __slots__ = ("_early", "_lifeline", "_loop", "_named", "_priority", "_stop", "_word", "death", "heart", "life")
 
     def __init__(self, name: str, context: Context, loop: Loop, stop: Callable[[], None]) -> None:
         """`stop`: what the thread does that the early news of its death comes to."""

@@ -37,8 +37,6 @@ class SuspendWatch:
     """Notices that the machine slept, after which no frame and no command looks too old: CLOCK_MONOTONIC stood still.
     Remembers how long it had slept when it was asked last."""
 
-    __slots__ = ("_gained_ns", "_read")
-
     def __init__(self, read: Callable[[], int]) -> None:
         """`read`: a World's gained_ns."""
         self._read = read

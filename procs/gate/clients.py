@@ -57,7 +57,7 @@ class Slot:
         """Who left the slot last said goodbye."""
         self._hello = segment.latest_reader("hello")
         self._greeting: Entry | None = None
-        self._greeted = 0
+        self._greeted: int | None = None
         """The hello that was read last, and whose it is."""
         self._readers = {name: segment.latest_reader(name) for name in RECORDS}
         self._seen = {name: seen(self._readers[name]) for name in ONCE}
@@ -71,30 +71,18 @@ class Slot:
         """The client as people see it."""
         return f"{self.name} (pid {self.pid})"
 
-    def greet(self) -> int:
-        """The session that says hello now; 0 when none does."""
+    def greet(self) -> int | None:
+        """The session that says hello now; NOBODY: it has said goodbye; None: there was none yet, or it is damaged."""
         entry = self._hello.read()
         if entry is not self._greeting:
-            self._greeting, self._greeted = entry, self._introduced(entry)
+            self._greeting, self._greeted = entry, None
+            try:
+                if entry:
+                    self._greeted, self.pid, self.pid_namespace, name = records.HELLO.unpack(entry[2])
+                    self.name = _bounded(name, NAME_BYTES)
+            except ValueError:
+                return None
         return self._greeted
-
-    def _introduced(self, entry: Entry | None) -> int:
-        if entry is None:
-            return 0
-        try:
-            session, self.pid, self.pid_namespace, name = records.HELLO.unpack(entry[2])
-        except ValueError:
-            return 0
-        self.name = _bounded(name, NAME_BYTES)
-        return session
-
-    def goodbye(self) -> bool:
-        """True when who held the slot has left it in order; False for a death, and for damage."""
-        entry = self._hello.read()
-        try:
-            return entry is not None and records.HELLO.unpack(entry[2])[0] == records.NOBODY
-        except ValueError:
-            return False
 
     def join(self, session: int) -> None:
         """A session holds the slot now; a new one counts its records again."""
@@ -216,7 +204,7 @@ class ClientTable:
         self._gate.client_holds(slot, now_ns)
         if request := slot.new("request"):
             asked_ns, number, verb = request
-            self._gate.client_request(slot, number, verb, asked_ns, now_ns)
+            self._gate.requests.take(slot, number, verb, asked_ns, now_ns)
         if command := slot.new_command():
             self._gate.client_command(command, now_ns)
 
@@ -227,6 +215,6 @@ class ClientTable:
                 self._loop.forget(slot.life.fd)
                 slot.life.close()
                 slot.life = None
-            slot.parted = slot.goodbye()
+            slot.parted = slot.greet() == records.NOBODY
             self._gate.client_gone(slot, now_ns)
             slot.ended, slot.session = slot.session, 0

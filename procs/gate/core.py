@@ -84,13 +84,15 @@ class GateCore:
     def due_ns(self, now_ns: int) -> int | None:
         """When what moves the wheels now stops counting, so that they stop then and not at a later tick; None: nothing
         moves them."""
-        driving = self.sources.driving(now_ns) if self.enabled else None
-        if driving is None or (not driving.manual and self.scan.silent(now_ns)):
+        driving = self.sources.driving(now_ns)
+        if driving is None or self.blocked(now_ns):
             return None
-        stale_ns = self.sources.stale_ns(driving)
+        ends_ns = [self.sources.stale_ns(driving)]
         if self.attendance.on:
-            stale_ns = min(stale_ns, self.attendance.due_ns())
-        return stale_ns if driving.manual or not self.scan.on else min(stale_ns, self.scan.silent_ns())
+            ends_ns.append(self.attendance.due_ns())
+        if self.scan.on and not driving.manual:
+            ends_ns.append(self.scan.silent_ns())
+        return min(ends_ns)
 
     def take(self, command: Command, now_ns: int) -> Cause | None:
         """A new command. Returns the cause to stop for, None when it is a good one: non-finite values, a second

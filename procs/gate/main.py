@@ -290,10 +290,6 @@ class Gate:
         if self.arm:
             self.arm.goal(slot, now_ns)
 
-    def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
-        """What a client asks for, once."""
-        self.requests.take(slot, number, verb, asked_ns, now_ns)
-
     def client_gone(self, slot: Slot, now_ns: int) -> None:
         """It has left, or its claim is gone: if it was the one that drives, the wheels stand at once."""
         self.core.attendance.leave(slot.session)

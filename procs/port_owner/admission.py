@@ -56,8 +56,6 @@ MOST_WAITING = 16
 class Admission:
     """The port owner's memory of its own stops, and its limits."""
 
-    __slots__ = ("_lease_ns", "_max_rps", "stopped_in", "wheels_move")
-
     def __init__(self, lease_ns: int, max_rps: float) -> None:
         self._lease_ns = lease_ns
         self._max_rps = max_rps
@@ -116,8 +114,6 @@ class Admission:
 
 class ServoBus:
     """When the servos' bus is free, as far as this process has written to it, and what waits for that."""
-
-    __slots__ = ("_free_ns", "_rest_ns", "servos", "waiting")
 
     def __init__(self, servos: tuple[int, ...]) -> None:
         self.servos = servos

@@ -24,8 +24,6 @@ few milliseconds, is long due."""
 class Repeats:
     """What is written again after the last stop, and when; `due`: of what is next."""
 
-    __slots__ = ("_bursts", "_due")
-
     def __init__(self, due: Timer, now_ns: int) -> None:
         self._bursts = 0
         self._due = due
@@ -53,8 +51,6 @@ class Repeats:
 
 class Pings:
     """When to ask; `index` is that of the next ping."""
-
-    __slots__ = ("_count", "_due", "_period_ns", "_sent_ns", "index")
 
     def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int) -> None:
         """`count` different pings; 0: this board has none, and nobody may wait for `due`, when the next is."""

@@ -89,6 +89,7 @@ class Service:
         """A gate starts, or starts again after its death."""
         slots = [segment.read_client_slot(self.name, i, INCARNATION) for i in range(layout.CLIENT_SLOTS)]
         self._read += slots
+        self.requests = self
         self.table = ClientTable(slots, self.claims_fd, self.loop, self.early, self)  # type: ignore[arg-type]
         self.told: list[tuple[object, ...]] = []
 
@@ -111,7 +112,7 @@ class Service:
     def client_holds(self, slot: Slot, now_ns: int) -> None:
         self.held = (slot.latest("sensed"), slot.latest("interlocks"))
 
-    def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
+    def take(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
         self.told.append(("request", slot.session, number, verb))
 
     def client_gone(self, slot: Slot, now_ns: int) -> None:
