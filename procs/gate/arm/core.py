@@ -132,7 +132,7 @@ class ArmCore:
         for."""
         goal.t_ns = min(goal.t_ns, now_ns)
         check = goals.too_far if goal.mode == goals.FOLLOW else goals.too_fast
-        self.refused = self._shut(goal) or check(goal.joints, list(goal.ends.values()))
+        self.refused = self._shut(goal) or check(list(goal.ends), list(goal.ends.values()))
         if self.refused:
             return
         if (way := self.way) and way.session == SERVICE:
@@ -263,7 +263,7 @@ class ArmCore:
         """The joints that a goal wants to move now."""
         if (way := self.way) and way.phase not in (goals.LOADING, goals.UNDER_WAY):
             return []
-        return self.followed.joints if self.followed else []
+        return list(self.followed.ends) if self.followed else []
 
     def due_ns(self) -> int:
         """When to step again."""
@@ -302,7 +302,7 @@ class ArmCore:
         if journey.phase == goals.FINDING:
             if unknown := [joint for joint in journey.joints if not joint.known]:
                 return _read_first(journey, unknown, now_ns)
-            if not journey.travels:
+            if not journey.ends:
                 journey.finish()
                 return []
             journey.phase = goals.LOADING

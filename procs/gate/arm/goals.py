@@ -46,11 +46,6 @@ class Goal:
         self.t_ns = t_ns
         self.ends = ends
 
-    @property
-    def joints(self) -> list[Joint]:
-        """Those that it names."""
-        return list(self.ends)
-
     def targets(self, _then_ns: int) -> dict[Joint, float]:
         """The targets or rates that hold until then."""
         return self.ends
@@ -80,13 +75,8 @@ class Journey:
         self.outcome = ""
 
     @property
-    def travels(self) -> bool:
-        """It leads somewhere, and does not only read where the joints are."""
-        return bool(self._rows)
-
-    @property
     def ends(self) -> dict[Joint, float]:
-        """Where each joint is to be at the end; empty when it leads nowhere."""
+        """Where each joint is to be at the end; empty: it only reads where they are."""
         return dict(zip(self.joints, self._rows[-1][1], strict=True)) if self._rows else {}
 
     @property
