@@ -80,7 +80,8 @@ class ArmCore:
         self._reader = Reader(self.joints, now_ns)
         self._space = Space(settings, self.joints)
         self._journey: Journey | None = None
-        self._goals: dict[str, Goal] = {}
+        self._goal: Goal | None = None
+        """The newest of a stream."""
         self._ended: dict[int, int] = {}
         """The last goal of each session whose stream a stop or an enable has ended, and that goes on all the same."""
         self._schedule: list[tuple[int, list[Joint]]] = []
@@ -111,18 +112,18 @@ class ArmCore:
     @property
     def followed(self) -> Journey | Goal | None:
         """What of all that it is asked for it follows."""
-        return self.way or self._goals.get(goals.FOLLOW) or self._goals.get(goals.JOG)
+        return self.way or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
         """Another client whose goal counts now; empty when there is none."""
         if (way := self.way) and way.session not in (SERVICE, session):
             return way.who
-        rivals = (goal for goal in self._goals.values() if goal.session != session and self._fresh(goal, now_ns))
-        return next((goal.who for goal in rivals), "")
+        goal = self._goal
+        return goal.who if goal and goal.session != session and self._fresh(goal, now_ns) else ""
 
     def moved_by(self, session: int) -> bool:
         """What it has asked for is followed, or would be."""
-        return any(asked and asked.session == session for asked in (self.way, *self._goals.values()))
+        return any(asked and asked.session == session for asked in (self.way, self._goal))
 
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
         return now_ns - goal.t_ns <= self._timeout_ns
@@ -141,9 +142,9 @@ class ArmCore:
             goal.ends = {joint: joint.pulses(angle) for joint, angle in goal.ends.items()}
         else:
             goal.ends = {joint: rate * (joint.pulses(1.0) - joint.zero) for joint, rate in goal.ends.items()}
-        if goal.mode not in self._goals:
+        if self._goal is None:
             self._reader.hurry(now_ns)
-        self._goals[goal.mode] = goal
+        self._goal = goal
         self.active_ns, self.released = now_ns, False
 
     def _shut(self, goal: Goal) -> str:
@@ -187,7 +188,7 @@ class ArmCore:
         was = self.streaming()
         if way := self.way:
             way.finish(why, dropped=True)
-        self._goals.clear()
+        self._goal = None
         self._load_ns = 0
         self._end_stream()
         return was
@@ -200,7 +201,8 @@ class ArmCore:
 
     def end_streams(self, but: int | None = None) -> None:
         """Those of all sessions but one: they count again after a pause."""
-        self._ended |= {goal.session: goal.t_ns for goal in self._goals.values() if goal.session != but}
+        if self._goal and self._goal.session != but:
+            self._ended[self._goal.session] = self._goal.t_ns
 
     def forget(self) -> None:
         """Nobody reads from here on: where the joints are must be read again before they move."""
@@ -274,13 +276,11 @@ class ArmCore:
         return min(self._load_ns, self._reader.due_ns()) if self._load_ns else self._reader.due_ns()
 
     def _end_stale(self, now_ns: int) -> bool:
-        """Goals that were not renewed are forgotten; True when the arm was moved by them."""
-        stale = [mode for mode, goal in self._goals.items() if not self._fresh(goal, now_ns)]
-        if not stale:
+        """A goal that was not renewed is forgotten; True when the arm was moved by it."""
+        if self._goal is None or self._fresh(self._goal, now_ns):
             return False
-        for mode in stale:
-            del self._goals[mode]
-        if self.followed:
+        self._goal = None
+        if self.way:
             return False
         was = self.streaming()
         self._end_stream()

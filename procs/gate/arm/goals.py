@@ -1,7 +1,7 @@
 """Goals: what the arm is asked to do, and for whom. Pure.
 
-Modes, the first that has a goal wins: trajectory (a Journey), follow, jog. A journey is a way with an end, which is
-read back; follow and jog are goals that a client renews, and that count for the settings' arm.goal_timeout_s.
+A journey is a way with an end, which is read back. Follow and jog are goals that a client renews, and that count for
+the settings' arm.goal_timeout_s, the newest of them, while there is no journey.
 """
 
 from __future__ import annotations
