@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 
+from failstop.board.stop_port import StopPort
 from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
 from failstop.procs.context import Context
@@ -12,10 +13,6 @@ from failstop.procs.loop import READ, Loop
 from failstop.shm import layout, records
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 BURST_AFTER_NS = (20_000_000, 100_000_000)
 """After a stop the burst is repeated, in case the board lost the first."""
@@ -28,15 +25,15 @@ _LINE = 1
 class Parent:
     """The supervisor, and the ports that it hands down. Its death is the end of who watches it too, later."""
 
-    def __init__(self, context: Context, loop: Loop, line: int, stop: Callable[[], None] | None = None) -> None:
-        """`line`: of the supervisor's futexes, to wait on; `stop`: as a peer's."""
+    def __init__(self, context: Context, loop: Loop, line: int, port: StopPort | None = None) -> None:
+        """`line`: of the supervisor's futexes, to wait on; `port`: as a peer's."""
         self.life = context.world.lifeline(context.parent)
         self.control = Control(context.fd("control"))
         self.orphaned_ns = 0
         """When its death was noticed; 0: it lives."""
         self._loop = loop
         self._leave = loop.timer()
-        context.early.arm(self.life, layout.SUPERVISOR_BLOCK, line, stop)
+        context.early.arm(self.life, layout.SUPERVISOR_BLOCK, line, port.early_stop if port else None)
         for fd in (self.life.fd, self.control.fd):
             loop.watch(fd, READ)
 
@@ -68,8 +65,8 @@ class Parent:
 class Peer:
     """`life` is None while there is none, or none whose death has not been answered."""
 
-    def __init__(self, name: str, context: Context, loop: Loop, stop: Callable[[], None]) -> None:
-        """`stop`: what the thread does that the early news of its death comes to."""
+    def __init__(self, name: str, context: Context, loop: Loop, port: StopPort) -> None:
+        """`port`: on which the thread stops that the early news of its death comes to."""
         self.death = causes.DIED(name)
         """The cause of a stop for it."""
         self.heart = HeartbeatReader(context.segment(name))
@@ -77,7 +74,7 @@ class Peer:
         self._word = context.segment("supervisor").word(f"{name}_life")
         self._lifeline = context.world.lifeline
         self._early = context.early
-        self._stop = stop
+        self._stop = port.early_stop
         self._priority = BY_NAME[name].priority
         self._loop = loop
         self._named = 0

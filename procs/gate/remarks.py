@@ -8,12 +8,6 @@ from failstop.procs.gate.sources import PAD, Command
 from failstop.shm import records
 from failstop.shm.notes import Note
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from failstop.shm.notes import Fields
-
 Row = tuple[int, int, str, int, str, str]
 """Session, slot, who, when it was said (CLOCK_MONOTONIC ns), what it sees, what is wrong (may be empty)."""
 
@@ -42,7 +36,7 @@ def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) ->
     """What a request has changed, or that it was refused; None when it has changed nothing. `enabled`: as it was before
     it."""
     by = f"{who} (pid {pid})" if pid else who
-    fields: Fields = {"who": who, "pid": pid} if pid else {"who": who}
+    fields: dict[str, str | int | float] = {"who": who, "pid": pid} if pid else {"who": who}
     named = VERBS.get(verb, str(verb))
     if not reply.done:
         return Note("refused", f"refused to {named}, {by}: {reply}", {**fields, "verb": named, "reason": str(reply)})
@@ -119,7 +113,7 @@ class Said:
         self._rows: dict[int, Row] = {}
         self._budget = Budget(now_ns)
 
-    def follow(self, rows: Iterable[Row], now_ns: int) -> list[Note] | None:
+    def follow(self, rows: list[Row], now_ns: int) -> list[Note] | None:
         """The words of all sessions that said something; returns what people are told of, None when nothing has
         changed, not even when it was said."""
         before, self._rows = self._rows, {row[0]: row for row in rows}

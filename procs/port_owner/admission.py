@@ -40,10 +40,6 @@ from failstop.policy.causes import Cause
 from failstop.procs.loop import NEVER
 from failstop.shm import layout
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 MS = 1_000_000
 WRITE, DROP, BURST, REQUEST = range(4)
 Motion = tuple[bytes, int, int]
@@ -71,19 +67,19 @@ class Admission:
         now_ns: int,
         gate_ns: int | None,
         supervisor_ns: int,
-        check: Callable[[bytes], Cause | None],
+        rules: Admission | ServoBus,
         *,
         requested: bool,
     ) -> int | Cause:
         """One of WRITE, DROP, BURST and REQUEST, or the cause of a stop. `gate_ns`, `supervisor_ns`: when they have
-        beaten last (None: no gate is watched); `check`: of the frame's content; `requested`: a stop request waits."""
+        beaten last (None: no gate is watched); `rules`: for the frame's content; `requested`: a stop request waits."""
         if gate_ns is None or not self.current(motion, epoch, now_ns):
             return BURST if self.wheels_move and motion[0] == BOARD.stop else DROP
         if requested:
             return REQUEST
         if lapse := self.lapsed(gate_ns, supervisor_ns, now_ns):
             return lapse
-        return check(motion[0]) or WRITE
+        return rules.check(motion[0]) or WRITE
 
     def check(self, frame: bytes) -> Cause | None:
         """The cause of a stop that a motion frame's content is; None: it may go out."""

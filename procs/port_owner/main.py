@@ -20,10 +20,6 @@ from failstop.shm import bell, layout, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.lifeline import give_way
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 MS = 1_000_000
 TICK_NS = 20 * MS
 EARLY_NS = 10 * MS
@@ -71,7 +67,7 @@ class PortOwner:
         self._watched = (-1, 0)
         self.wire = Wire(context.fd("port"), context.world, self.bus.servos)
         self._attach(context)
-        self._watch_others(context, self.wire.early_stop)
+        self._watch_others(context)
         self.epoch = self._epoch_word.get()
         self._burst()
         self._stopped_word.set(self.epoch)
@@ -92,8 +88,8 @@ class PortOwner:
         self._supervisor_bell = context.bell("supervisor_bell")
         self._telemetry_bell = context.bell("telemetry_bell")
 
-    def _watch_others(self, context: Context, stop: Callable[[], None]) -> None:
-        """What it reads, and what wakes it; `stop`: what its threads do first at the early news of a death."""
+    def _watch_others(self, context: Context) -> None:
+        """What it reads, and what wakes it."""
         supervisor = context.segment("supervisor")
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_beat = supervisor.word("beat_ns")
@@ -101,12 +97,10 @@ class PortOwner:
         self._causes = context.segment("telemetry").ring_reader("causes")
         self._bells = (context.bell("bell"), context.early.bell)
         self._stop_pipe = context.fd("stop")
-        self._parent = Parent(context, self.loop, 0, stop)
-        self._gate = Peer(layout.GATE, context, self.loop, stop)
-        self._peers = (
-            self._gate,
-            *(Peer(name, context, self.loop, stop) for name in (layout.TELEMETRY, layout.STOPPER)),
-        )
+        self._parent = Parent(context, self.loop, 0, self.wire)
+        names = (layout.GATE, layout.TELEMETRY, layout.STOPPER)
+        self._peers = tuple(Peer(name, context, self.loop, self.wire) for name in names)
+        self._gate = self._peers[0]
         for fd in (*(each.fd for each in self._bells), self._stop_pipe):
             self.loop.watch(fd, READ)
 
@@ -292,7 +286,7 @@ class PortOwner:
         due_ns = NEVER
         while self.bus.waiting:
             move, now_ns = self.bus.waiting[0], self._now_ns()
-            verdict = self._decide(move, now_ns, self.bus.check)
+            verdict = self._decide(move, now_ns, self.bus)
             if verdict == admission.WRITE:
                 due_ns = self.bus.due_ns(move[0], now_ns, wheels_move=self.admission.wheels_move)
                 if now_ns < due_ns < NEVER:
@@ -325,13 +319,13 @@ class PortOwner:
         if not (before or self.wire.unsent or self.wire.lost):
             self._moving_word.set(0)
 
-    def _decide(self, motion: Motion, now_ns: int, check: Callable[[bytes], Cause | None]) -> int | Cause:
+    def _decide(self, motion: Motion, now_ns: int, rules: Admission | ServoBus) -> int | Cause:
         """The table of admission.py. The time is that of the write: a process that was held up since it woke must not
         pass what was young then."""
         requested = self._pipe_rests.ns != NEVER and self.loop.readable(self._stop_pipe)
         gate_ns = self._gate.heart.ns.get() if self._gate.life else None
         beat_ns = self._supervisor_beat.get()
-        return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, check, requested=requested)
+        return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, rules, requested=requested)
 
     def _obey(self, verdict: int | Cause, now_ns: int) -> None:
         """What is not written."""
@@ -344,7 +338,7 @@ class PortOwner:
 
     def _forward_motion(self, motion: Motion) -> None:
         now_ns = self._now_ns()
-        verdict = self._decide(motion, now_ns, self.admission.check)
+        verdict = self._decide(motion, now_ns, self.admission)
         if verdict == admission.WRITE:
             self._write_motion(motion)
         else:

@@ -40,7 +40,7 @@ class Stopper:
         self.loop = Loop(context.world)
         self._epoch_word = supervisor.word("epoch")
         self._port = StopPort(context.fd("port"), context.settings.servos(), context.world.unsent_bytes)
-        self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port.early_stop)
+        self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port)
         self._port_owner_written = port_owner.word("written_ns")
         self._port_owner_moving = port_owner.word("moving")
         self._barrier = Barrier()

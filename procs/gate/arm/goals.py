@@ -13,10 +13,6 @@ from operator import itemgetter
 
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 FOLLOW = "follow"
 JOG = "jog"
 TRAJECTORY = "trajectory"
@@ -30,6 +26,7 @@ UNDER_WAY = "on its way"
 SETTLING = "settling"
 CHECKING = "reading back where it is"
 
+Angles = list[float] | tuple[float, ...]
 Row = tuple[float, tuple[float, ...]]
 """When (s from the begin), and the pulses of each joint of the goal."""
 
@@ -122,7 +119,7 @@ class Journey:
         return f"arm, {self.purpose}: {self.phase}" + (f", {left_s:.1f} s left" if left_s > 0.0 else "")
 
 
-def too_far(joints: list[Joint], angles: Sequence[float]) -> str:
+def too_far(joints: list[Joint], angles: Angles) -> str:
     """Which joint is not to be sent there, with its range; empty when each may."""
     for joint, angle in zip(joints, angles, strict=True):
         low, high = joint.range_rad()
@@ -131,7 +128,7 @@ def too_far(joints: list[Joint], angles: Sequence[float]) -> str:
     return ""
 
 
-def too_fast(joints: list[Joint], rates: Sequence[float]) -> str:
+def too_fast(joints: list[Joint], rates: list[float]) -> str:
     """Which joint is not to turn at that rate, with its limit; empty when each may."""
     for joint, rate in zip(joints, rates, strict=True):
         most = joint.speed / PULSES_PER_RAD
