@@ -133,7 +133,7 @@ class ArmCore:
         for."""
         goal.t_ns = min(goal.t_ns, now_ns)
         check = goals.too_far if goal.mode == goals.FOLLOW else goals.too_fast
-        self.refused = self._shut(goal) or check(list(goal.ends), list(goal.ends.values()))
+        self.refused = self._shut(goal) or check(goal.ends)
         if self.refused:
             return
         if (way := self.way) and way.session == SERVICE:
@@ -174,8 +174,7 @@ class ArmCore:
     def pose(self, purpose: str, session: int, who: str) -> Journey | None:
         """The way to a pose of the settings, drive or tuck, which travel() begins; None: no joint is part of it."""
         ends = self._ends(purpose)
-        rows = [(0.0, tuple(ends.values()))]
-        return Journey(purpose, session, who, list(ends), rows, self._pose_speed) if ends else None
+        return Journey(purpose, session, who, list(ends), [(0.0, ends)], self._pose_speed) if ends else None
 
     def _ends(self, purpose: str) -> dict[Joint, float]:
         """Where the joints are that are part of a pose."""

@@ -11,7 +11,7 @@ from failstop.procs.context import Context
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import ENABLED, LATCHED, SERVICE, ArmCore
 from failstop.procs.gate.arm.goals import Goal, Journey
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
+from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.procs.gate.clients import Slot, seen
 from failstop.procs.gate.sources import PAD
 from failstop.procs.loop import Timer
@@ -207,13 +207,13 @@ class Arm:
         if not all(0.0 <= t_s <= LONGEST_S for t_s, _ in rows) or (len(rows) > 1 and not rows[0][0]):
             return f"a trajectory's times go up from more than 0 to {LONGEST_S:g} s"
         joints = [self._by_servo[servo] for servo in servos]
+        way: list[goals.Row] = []
         for t_s, angles in rows:
-            if fault := goals.too_far(joints, angles):
+            aims = dict(zip(joints, angles, strict=True))
+            if fault := goals.too_far(aims):
                 return fault if len(rows) == 1 else f"{fault} (at {t_s:g} s)"
-        pulses = [(t_s, tuple(map(Joint.pulses, joints, angles))) for t_s, angles in rows]
-        if fault := goals.too_fast_between(joints, pulses):
-            return fault
-        return Journey(goals.MOVE, slot.session, slot.who(), joints, pulses, share)
+            way.append((t_s, {joint: joint.pulses(angle) for joint, angle in aims.items()}))
+        return goals.too_fast_between(way) or Journey(goals.MOVE, slot.session, slot.who(), joints, way, share)
 
     def _travel(self, waiter: Waiter, why: str, now_ns: int) -> Reply:
         """Begin a journey for who waits; `why`: what whoever moved the arm before is told."""
