@@ -77,11 +77,6 @@ def reap(pid: int, options: int = os.WNOHANG) -> int | None:
 class World:
     """The real one, but for what is given."""
 
-    __slots__ = (
-        *("early_news", "epoll", "gained_ns", "kill", "lifeline", "now_ns", "reap", "select", "sleep", "spawn"),
-        *("starved", "unix_s", "unsent_bytes"),
-    )
-
     def __init__(
         self,
         *,

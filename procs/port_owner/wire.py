@@ -17,8 +17,6 @@ DRAIN_NS = 100_000_000
 class Wire(StopPort):
     """The port owner's. Nothing is written to it from when it is lost."""
 
-    __slots__ = ("_box", "_early", "_handed", "_held_since_ns", "_refused", "_select")
-
     def __init__(self, fd: int, world: World, servos: tuple[int, ...] = ()) -> None:
         super().__init__(fd, servos, world.unsent_bytes)
         self._select = world.select

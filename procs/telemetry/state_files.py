@@ -70,8 +70,6 @@ def write_whole(path: str, text: str) -> None:
 class StateFiles:
     """Jobs for the thread, and what it has to say of them. Everything but _work runs in the loop's thread."""
 
-    __slots__ = ("_failing", "_jobs", "_notes", "folder", "running")
-
     def __init__(self, folder: str) -> None:
         self.folder = folder
         self._jobs: SimpleQueue[Job | None] = SimpleQueue()
