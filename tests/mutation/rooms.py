@@ -31,16 +31,15 @@ ROOMS = {
         ("procs/peer.py", "procs/port_owner/*.py"),
         (
             "tests/procs/test_admission.py",
-            "tests/procs/test_pings.py",
             "tests/procs/test_port_owner*.py",
-            "tests/procs/test_repeats.py",
+            "tests/procs/test_schedule.py",
             "tests/procs/test_suspend.py",
             "tests/procs/test_wire.py",
         ),
     ),
     "telemetry": Room(
         tuple(f"procs/telemetry/{name}.py" for name in ("battery", "odometry", "pad", "still")),
-        tuple(f"tests/telemetry/test_{name}.py" for name in ("battery", "odometry", "pad", "still")),
+        tuple(f"tests/telemetry/test_{name}.py" for name in ("battery", "odometry", "pad", "still", "tones")),
     ),
     "stopper": Room(
         ("procs/stopper/*.py", "failstop/stopping/*.py"),
