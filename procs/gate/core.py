@@ -30,6 +30,7 @@ Speeds = tuple[float, float, float, float]
 
 STILL = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
+IS_LATCHED = f"a stop is latched ({CAUSE})"
 LEAST_LIMIT = 5
 """Percent: a limit under it would be a stop without a word."""
 MOST_IGNORED = 64
@@ -154,7 +155,7 @@ class GateCore:
     def refusal(self, missing: str, now_ns: int) -> Reply | None:
         """Why motion can't be enabled now; None when it can. `missing` names what is not ready."""
         if self.latch is not None:
-            return Reply(False, f"a stop is latched ({CAUSE})", self.latch)
+            return Reply(False, IS_LATCHED, self.latch)
         if missing:
             return Reply(False, f"not ready: {missing}")
         unmet = self.interlocks.unmet(now_ns) or self.attendance.unmet(now_ns)

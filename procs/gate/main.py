@@ -9,10 +9,9 @@ from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.policy.reply import Reply
 from failstop.procs.context import Context
-from failstop.procs.gate.arm.core import LATCHED
 from failstop.procs.gate.arm.shell import Arm
 from failstop.procs.gate.clients import ClientTable, Slot, seen
-from failstop.procs.gate.core import GateCore
+from failstop.procs.gate.core import IS_LATCHED, GateCore
 from failstop.procs.gate.remarks import Said
 from failstop.procs.gate.requests import Requests
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
@@ -227,7 +226,7 @@ class Gate:
             self.core.stand_still()
             self.follow_latch()
             if self.arm:
-                self.arm.core.stop(LATCHED)
+                self.arm.core.stop(IS_LATCHED)
 
     def _follow_telemetry(self, now_ns: int) -> None:
         """The gamepad's sticks, and what telemetry asks for: a reset, or a frame that is not motion."""
@@ -251,7 +250,7 @@ class Gate:
     def stop(self, cause: Cause, now_ns: int) -> None:
         """Latch a stop: burst at once, then the news to the supervisor, which raises the epoch."""
         if self.core.stop(cause, self.epoch):
-            self._stop_all(LATCHED, now_ns)
+            self._stop_all(IS_LATCHED, now_ns)
             self._stops.put(records.STOPPED.pack(self.epoch, now_ns, 0, cause.pack()))
             self.supervisor_bell.ring()
 

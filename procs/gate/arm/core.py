@@ -18,11 +18,9 @@ from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.procs.gate.arm.reader import QUIET_NS, Reader
-from failstop.procs.gate.core import GateCore
-from failstop.shm.records import CAUSE
+from failstop.procs.gate.core import IS_LATCHED, GateCore
 
 ENABLED = "wheels enabled"
-LATCHED = f"a stop is latched ({CAUSE})"
 ENDED = "the goals before it were ended: pause first"
 SERVICE = 0
 """The session of the service's own journeys: to the drive pose, to the tuck pose."""
@@ -100,7 +98,7 @@ class ArmCore:
     @property
     def closed(self) -> str:
         """Why the arm takes no goal now; empty when it does."""
-        return LATCHED if self._gate.latch is not None else ENABLED if self._gate.enabled else ""
+        return IS_LATCHED if self._gate.latch is not None else ENABLED if self._gate.enabled else ""
 
     # What it is asked for.
 

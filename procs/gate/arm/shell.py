@@ -9,10 +9,11 @@ from failstop.policy import causes
 from failstop.policy.reply import Reply
 from failstop.procs.context import Context
 from failstop.procs.gate.arm import goals
-from failstop.procs.gate.arm.core import ENABLED, LATCHED, SERVICE, ArmCore
+from failstop.procs.gate.arm.core import ENABLED, SERVICE, ArmCore
 from failstop.procs.gate.arm.goals import Goal, Journey
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.procs.gate.clients import Slot, seen
+from failstop.procs.gate.core import IS_LATCHED
 from failstop.procs.gate.sources import PAD
 from failstop.procs.loop import Timer
 from failstop.shm import box, records
@@ -180,7 +181,7 @@ class Arm:
         if closed := self.core.closed:
             return self._said(records.REFUSED, closed)
         if self._rivals(slot.session, slot.who(), now_ns):
-            return self._said(records.REFUSED, LATCHED)
+            return self._said(records.REFUSED, IS_LATCHED)
         if verb == records.ARM_RELEASE:
             self._hold(now_ns)
             self.core.release(now_ns)
