@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterable
 from functools import partial
 
@@ -13,6 +14,8 @@ FAIL = "fail"
 LEVELS = (OK, SKIP, WARN, FAIL)
 """fail: a stop may be missing or late, or the service can't run; warn: it runs, with less certainty than it could;
 skip: nobody has looked, or there is nothing here to look at; ok: looked at, and well."""
+SHOWN = 3
+_OWN = re.compile(r"(?<![\w/.'@-])(sudo )?failstop (?=[a-z-]+)")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,3 +41,16 @@ ok, skip, warn, fail = (partial(_found, level) for level in LEVELS)
 def worst(levels: Iterable[str]) -> str:
     """The most serious of these; ok when there are none."""
     return max(levels, key=LEVELS.index, default=OK)
+
+
+def few(names: list[str]) -> str:
+    """The first of these names, and how many more there are."""
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + more
+
+
+def pasteable(fix: str, shell: str, sudo: str, *, root: bool) -> str:
+    """A command that says `failstop` and `sudo`, with the program named so that this shell finds it, and sudo, and for
+    root without sudo."""
+    given = fix.replace("sudo ", "") if root else fix
+    return _OWN.sub(lambda found: f"sudo {sudo} " if found[1] else f"{shell} ", given)

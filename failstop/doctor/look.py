@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import shlex
+import shutil
+import sys
 from functools import cached_property
 
 from failstop import config, instances
@@ -12,21 +15,19 @@ from failstop.api.client import last_run, runtime_dir
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
-from failstop.doctor import device, leftovers, paste
-from failstop.doctor.device import Holder, Node
-from failstop.doctor.leftovers import Leftover
-from failstop.doctor.stop_test import StopPath
-from failstop.doctor.system import System, User, account, user
-from failstop.doctor.ticks import Ticks, measure
+from failstop.doctor.finding import Finding
+from failstop.doctor.system import SHM, Holder, Node, System, User, user
 from failstop.install.layout import unit_of
 from failstop.policy.settings import SettingError, Settings
 from failstop.shm import layout, segment
-from failstop.shm.instance import DEFAULT_NAME, check_name, option
+from failstop.shm.instance import DEFAULT_NAME, InstanceError, check_name, option
 
 NAMED = "--device"
 """The origin of a device that the user named."""
 ACCOUNT = "failstop"
 PROPERTIES = "LoadState,ActiveState,SubState,UnitFileState,Result,User,NeedDaemonReload,MainPID,NRestarts"
+SUDO_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+"""As sudo has it on Debian and Ubuntu (secure_path), whatever the user's is."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,8 +42,22 @@ class Service:
     """Why there is no state, in one line."""
 
 
+@dataclasses.dataclass(frozen=True)
+class DeadRun:
+    """What a run that has ended left in shared memory."""
+
+    instance: str
+    memory: str
+    """What its segments are named after."""
+    size: int
+    owner: User
+
+
 class Look:
     """One look. A test sets what it likes, and so keeps it from being looked for."""
+
+    stops: list[Finding] | None = None
+    """What a self-test of the stop path has found, where there was one."""
 
     def __init__(
         self,
@@ -62,8 +77,6 @@ class Look:
         self.system = system or System()
         self._config_path = config_path
         self._device = device
-        self.stops: StopPath | None = None
-        """What a self-test of the stop path has found, where there was one."""
 
     @cached_property
     def settings(self) -> tuple[str, Settings, str]:
@@ -83,16 +96,12 @@ class Look:
         except NoService:
             return None
         except FailstopError as error:
-            return Service(self._holder(), version, problem=str(error))
+            holder = ""
+            with contextlib.suppress(FailstopError):
+                holder = instances.holder(runtime_dir(self.name))
+            return Service(int(holder or 0), version, problem=str(error))
         pid = state.processes[layout.SUPERVISOR].pid
         return Service(pid, version, self.system.owner(f"/proc/{pid}"), state)
-
-    def _holder(self) -> int:
-        """The pid of a service whose memory can't be read, where this user may look; else 0."""
-        try:
-            return int(instances.holder(runtime_dir(self.name)) or 0)
-        except FailstopError:
-            return 0
 
     @property
     def state(self) -> State | None:
@@ -111,6 +120,11 @@ class Look:
         said = self.system.said(*words) if self.systemd else None
         return dict(line.split("=", 1) for line in (said or "").splitlines() if "=" in line)
 
+    @property
+    def installed(self) -> bool:
+        """systemd has a unit for it."""
+        return self.unit.get("LoadState") == "loaded"
+
     @cached_property
     def user(self) -> User:
         """Who asks."""
@@ -119,12 +133,10 @@ class Look:
     @cached_property
     def service_user(self) -> User | None:
         """The account of the installed service; None: there is none."""
-        return account(self.unit.get("User") or "root" if self.installed else ACCOUNT)
-
-    @property
-    def installed(self) -> bool:
-        """systemd has a unit for it."""
-        return self.unit.get("LoadState") == "loaded"
+        try:
+            return user(self.unit.get("User") or "root" if self.installed else ACCOUNT)
+        except KeyError:
+            return None
 
     @cached_property
     def device(self) -> tuple[str, str]:
@@ -144,28 +156,26 @@ class Look:
     @cached_property
     def node(self) -> Node | None:
         """The device's file; None: it is not there."""
-        return device.node(self.device[0], self.system)
+        return self.system.node(self.device[0])
 
     @cached_property
     def holders(self) -> tuple[tuple[Holder, ...], int]:
         """Who has the device open, and how many processes could not be looked into."""
-        ours = {row.pid for row in self.state.processes.values()} if self.state else set()
-        return device.holders(self.node.resolved, ours, self.system) if self.node else ((), 0)
+        return self.system.holders(self.node.resolved) if self.node else ((), 0)
 
     @cached_property
-    def runs(self) -> tuple[tuple[Leftover, ...], tuple[str, ...]]:
+    def runs(self) -> tuple[list[DeadRun], list[str]]:
         """What dead runs left in shared memory, and the names of the services that run."""
-        return leftovers.look(self.service_user or self.user, self.system)
+        return runs(self.system)
 
     @cached_property
     def commands(self) -> tuple[str, str]:
         """How this program is called: from this shell, and by way of sudo."""
-        return paste.commands(os.environ)
-
-    @cached_property
-    def ticks(self) -> tuple[Ticks, ...]:
-        """The timing self-test."""
-        return () if self.quick else measure()
+        own = os.path.join(os.path.dirname(sys.executable), "failstop")
+        called = own if os.access(own, os.X_OK) else f"{sys.executable} -m failstop"
+        found = [shutil.which("failstop", path=path) for path in (os.environ.get("PATH", ""), SUDO_PATH)]
+        same = [path and os.path.realpath(path) == os.path.realpath(own) for path in found]
+        return ("failstop" if same[0] else called), ("failstop" if same[1] else called)
 
     def again(self) -> str:
         """The command that asks the same once more."""
@@ -187,3 +197,24 @@ def version_of(name: str) -> str:
         return segment.version(last_run(name)[0])
     except FailstopError:
         return ""
+
+
+def runs(system: System) -> tuple[list[DeadRun], list[str]]:
+    """(what dead runs left in shared memory, names of the services that run)."""
+    segments: dict[str, list[str]] = {}
+    for file in system.names(SHM):
+        words = file.split(".")
+        with contextlib.suppress(InstanceError):
+            if words[0] == "failstop" and len(words) > 2 and check_name(words[1]):
+                segments.setdefault(f"{words[1]}.{words[2]}", []).append(system.path(f"{SHM}/{file}"))
+    dead, living = [], []
+    for memory, paths in segments.items():
+        name = memory.partition(".")[0]
+        if segment.living(memory, system.path(SHM)):
+            living.append(name)
+            continue
+        with contextlib.suppress(OSError):  # gone meanwhile
+            found = [os.stat(path) for path in paths]
+            size = sum(each.st_blocks * 512 for each in found)
+            dead.append(DeadRun(name, memory, size, user(found[0].st_uid)))
+    return dead, living

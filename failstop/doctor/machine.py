@@ -6,16 +6,11 @@ import os
 import resource
 
 from failstop.api import words
-from failstop.doctor.finding import Finding, fail, ok, skip, warn
-from failstop.doctor.leftovers import Leftover
-from failstop.doctor.system import SHM
+from failstop.doctor.finding import SHOWN, Finding, fail, few, ok, skip, warn
+from failstop.doctor.look import Look
+from failstop.doctor.system import SHM, Ticks
 from failstop.shm import layout
 from failstop.supervisor import grant
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.doctor.look import Look
-    from failstop.doctor.ticks import Ticks
 
 CAP_IPC_LOCK = 14
 CAP_SYS_NICE = 23
@@ -27,7 +22,6 @@ LATE_US = 5_000.0
 """A tick later than this shows in the stop times."""
 ENOUGH_BYTES = 1 << 30
 """Of memory that may be locked: far more than the service's processes map."""
-STEP_S = 0.5
 MICRO = 1e6
 CLOCKS = "/sys/devices/system/clocksource/clocksource0"
 PROCESSORS = "/sys/devices/system/cpu"
@@ -38,12 +32,6 @@ REALTIME = ("rtprio 40", "LimitRTPRIO=40")
 LOCKED = ("memlock unlimited", "LimitMEMLOCK=infinity")
 """A limit as /etc/security has it, and as a unit has it."""
 STARVED = "look at what else has real-time priority (`ps -eo pid,rtprio,comm`), and at the host of a virtual machine"
-SHOWN = 3
-SET_CLOCK = {
-    True: ("sudo timedatectl set-ntp true", ""),
-    False: ("", "start an NTP client (chrony, ntpd); in a container the host's clock counts"),
-}
-"""By whether systemd runs."""
 
 
 def realtime(look: Look) -> list[Finding]:
@@ -53,10 +41,9 @@ def realtime(look: Look) -> list[Finding]:
         without = [name for name, row in look.state.processes.items() if not row.realtime]
         starved = words.starved(look.state.starved)
         if without:
-            text = (
-                f"the service runs without real-time priority ({', '.join(without)}): a busy machine delays its stops"
-            )
-            return warn(f"{starved}; {text}" if starved else text, *_limit(look, *REALTIME))
+            told = f"{starved}; " if starved else ""
+            text = f"{told}the service runs without real-time priority ({', '.join(without)})"
+            return warn(f"{text}: a busy machine delays its stops", *_limit(look, *REALTIME))
         if starved:
             return warn(f"{starved}, in spite of real-time priority", "", STARVED)
         return ok("every process of the service has real-time priority")
@@ -65,9 +52,8 @@ def realtime(look: Look) -> list[Finding]:
     if system.realtime():
         return ok("this user gets real-time priority")
     if system.capable(CAP_SYS_NICE) or system.limit(resource.RLIMIT_RTPRIO):
-        return warn(
-            "real-time priority is refused in spite of limit or capability: a container?", "", "run it on the host"
-        )
+        text = "real-time priority is refused in spite of limit or capability: a container?"
+        return warn(text, "", "run it on the host")
     text = "this user gets no real-time priority: a service run by hand delays its stops on a busy machine"
     return warn(text, *_limit(look, *REALTIME))
 
@@ -75,10 +61,8 @@ def realtime(look: Look) -> list[Finding]:
 def _limit(look: Look, limit: str, unit_line: str) -> tuple[str, str]:
     """The command that raises a limit, and what is to be done besides."""
     if look.service and look.unit.get("MainPID") == str(look.service.pid):
-        return (
-            "",
-            f"its unit should say {unit_line}, as the one of failstop install does; in a container the host decides",
-        )
+        text = f"its unit should say {unit_line}, as the one of failstop install does"
+        return "", f"{text}; in a container the host decides"
     if look.system.in_container():
         return "", grant.CONTAINER
     who = (look.service.user if look.service else "") or look.user.name
@@ -112,9 +96,6 @@ def early_news(look: Look) -> list[Finding]:
 def clock(look: Look) -> list[Finding]:
     """The clock that every deadline goes by."""
     source, resolution_ns = look.system.read(f"{CLOCKS}/current_clocksource"), look.system.resolution_ns()
-    if back_ns := look.system.backward_ns():
-        text = f"CLOCK_MONOTONIC went back by {back_ns} ns (clocksource {source})"
-        return fail(text, "", "add clocksource=hpet to the kernel's command line, and report the machine")
     if resolution_ns > 1000:
         text = f"CLOCK_MONOTONIC has steps of {resolution_ns} ns"
         return fail(text, "", "use a kernel with high-resolution timers")
@@ -129,16 +110,14 @@ def clock(look: Look) -> list[Finding]:
 
 def wall_clock(look: Look) -> list[Finding]:
     """Only what people read goes by it."""
-    harmless = "no stop goes by it, but the times in journal and evidence would jump"
-    if (found := look.system.wall_clock()) is None:
-        return skip("the kernel does not say whether the wall clock is synchronized; no stop goes by it")
-    synchronized, offset_s = found
-    if not synchronized:
-        return warn(f"the wall clock is not synchronized and may be stepped: {harmless}", *SET_CLOCK[look.systemd])
-    if abs(offset_s) >= STEP_S:
-        text = f"the wall clock is off by {offset_s:.1f} s and may be stepped: {harmless}"
-        return warn(text, "sudo chronyc makestep", "if chrony keeps it; else have the NTP client step it")
-    return ok("the wall clock is synchronized")
+    said = look.system.said("timedatectl", "show", "--property=NTPSynchronized", "--value")
+    if said is None:
+        return skip("nobody says whether the wall clock is synchronized; no stop goes by it")
+    if said.strip() == "yes":
+        return ok("the wall clock is synchronized")
+    text = "the wall clock is not synchronized and may be stepped: no stop goes by it, but the times in journal and "
+    advice = "or start another NTP client; in a container the host's clock counts"
+    return warn(f"{text}evidence would jump", "sudo timedatectl set-ntp true", advice)
 
 
 def shared_memory(look: Look) -> list[Finding]:
@@ -156,30 +135,32 @@ def shared_memory(look: Look) -> list[Finding]:
 
 def left(look: Look) -> list[Finding]:
     """What dead runs left behind."""
-    found, _ = look.runs
-    own = [run for run in found if run.instance == look.name]
-    if blocking := [run for run in own if not run.ours]:
-        text = f"shared memory of a dead run of {look.name!r} belongs to {blocking[0].owner}: no start until it is gone"
-        return fail(text, "sudo failstop doctor --remove-leftovers")
-    told = []
+    own = [run for run in look.runs[0] if run.instance == look.name]
+    others = [run for run in look.runs[0] if run.instance != look.name]
+    server = look.service_user or look.user
+    # The sticky bit: only the owner or root removes a name.
+    if blocking := [run for run in own if server.uid not in (0, run.owner.uid)]:
+        text = f"shared memory of a dead run of {look.name!r} belongs to {blocking[0].owner.name}"
+        return fail(f"{text}: no start until it is gone", f"sudo {_removal([run.memory for run in blocking])}")
+    found = []
     for run in own:
         text = f"the last run of {run.instance!r} was killed and left {run.size // 1024} KiB of shared memory"
-        told += ok(f"{text}; the next start keeps what it recorded as an incident, and removes it")
-    if others := [run for run in found if run.instance != look.name]:
-        told += _others(others, look)
-    return told or ok("no shared memory of dead runs")
+        found += ok(f"{text}; the next start keeps what it recorded as an incident, and removes it")
+    if others:
+        names = few(sorted({run.instance for run in others}))
+        size = sum(run.size for run in others) // 1024
+        sudo = "sudo " if any(run.owner.uid != look.user.uid for run in others) else ""
+        found += warn(
+            f"shared memory of dead runs of other names: {names} ({size} KiB)",
+            f"{sudo}{_removal(sorted(run.memory for run in others))}",
+            "what they recorded of their end goes with it; a new start of one keeps that",
+        )
+    return found or ok("no shared memory of dead runs")
 
 
-def _others(found: list[Leftover], look: Look) -> list[Finding]:
-    size = sum(run.size for run in found) // 1024
-    names = sorted(run.instance for run in found)
-    shown = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
-    who = "sudo " if any(run.owner != look.user.name for run in found) else ""
-    return warn(
-        f"shared memory of dead runs of other names: {shown} ({size} KiB)",
-        f"{who}failstop doctor --remove-leftovers",
-        "what they recorded of their end goes with it; a new start of one keeps that",
-    )
+def _removal(memories: list[str]) -> str:
+    """Some of them at a time."""
+    return " ".join(["rm", *(f"{SHM}/failstop.{memory}.*" for memory in memories[:SHOWN])])
 
 
 def processor(look: Look) -> list[Finding]:
@@ -217,10 +198,11 @@ def idle(look: Look) -> list[Finding]:
 
 def ticks(look: Look) -> list[Finding]:
     """How late a process is woken: what the lease can bear, and what is good."""
-    if not look.ticks:
+    if look.quick:
         return skip("not measured (--quick)", look.again())
-    found = [finding for row in look.ticks for finding in _ticks(row, look)]
-    if not any(row.realtime for row in look.ticks):
+    rows = look.system.ticks()
+    found = [finding for row in rows for finding in _ticks(row, look)]
+    if not any(row.realtime for row in rows):
         found += skip("real-time priority could not be measured: this user does not get it")
     return found
 

@@ -6,8 +6,8 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from failstop.doctor import machine, paste, port, service, stop_path
-from failstop.doctor.finding import LEVELS, Finding
+from failstop.doctor import machine, port, service, stop_path
+from failstop.doctor.finding import LEVELS, Finding, pasteable
 from failstop.doctor.look import Look
 
 CHECKS: dict[str, Callable[[Look], list[Finding]]] = {
@@ -41,10 +41,9 @@ CHECKS: dict[str, Callable[[Look], list[Finding]]] = {
 def examine(look: Look) -> list[tuple[str, Finding]]:
     """Every finding with its check's name, the most serious first, those of one level in the table's order; commands
     are such as the user who asks can paste. All but the two self-tests takes less than two seconds."""
-    shell, sudo = look.commands
     root = look.user.uid == 0
     found = [
-        (name, dataclasses.replace(finding, fix=paste.ready(finding.fix, shell, sudo, root=root)))
+        (name, dataclasses.replace(finding, fix=pasteable(finding.fix, *look.commands, root=root)))
         for name, check in CHECKS.items()
         for finding in check(look)
     ]

@@ -7,12 +7,10 @@ import resource
 from collections.abc import Iterator
 from typing import Any
 
-from failstop.doctor.device import Node
+from failstop.doctor.finding import ok
 from failstop.doctor.look import Look, Service
 from failstop.doctor.machine import CLOCKS, PROCESSORS, RUNTIME
-from failstop.doctor.stop_test import StopPath, StopTest
-from failstop.doctor.system import System, User
-from failstop.doctor.ticks import Ticks
+from failstop.doctor.system import Node, System, Ticks, User
 from failstop.policy.settings import Settings
 from failstop.shm.layout import PROCESSES
 from failstop.version import VERSION
@@ -64,11 +62,12 @@ KERNEL: dict[str, Any] = {
     "capable": False,
     "in_container": False,
     "early_news": True,
-    "backward_ns": 0,
     "resolution_ns": 1,
-    "wall_clock": (True, 0.0001),
+    "ticks": TICKS,
 }
 """What the functions of System say, whatever they are asked."""
+SAYS: dict[str, str | None] = {"timedatectl": "yes\n", "systemd-analyze": ""}
+"""What a command prints."""
 LIMITS = {resource.RLIMIT_RTPRIO: 40, resource.RLIMIT_MEMLOCK: -1}
 SHARED: dict[str, Any] = {
     "settings": ("", Settings(), ""),
@@ -82,8 +81,7 @@ SHARED: dict[str, Any] = {
     "holders": ((), 0),
     "runs": ((), ()),
     "commands": ("failstop", "failstop"),
-    "ticks": TICKS,
-    "stops": StopPath((StopTest("stop tool", True, 4.5),)),
+    "stops": ok("stop tool: acknowledged"),
 }
 """What checks share (Look)."""
 
@@ -97,6 +95,7 @@ class Made(System):
         owners: dict[str, str] | None = None,
         opens: dict[int, set[str]] | None = None,
         limits: dict[int, int] | None = None,
+        says: dict[str, str | None] | None = None,
         **kernel: Any,
     ) -> None:
         super().__init__("/nowhere")
@@ -104,6 +103,7 @@ class Made(System):
         self._owners = owners or {}
         self._opens = opens or {}
         self._limits = LIMITS | (limits or {})
+        self._says = SAYS | (says or {})
         for name, says in (KERNEL | kernel).items():
             setattr(self, name, lambda *_, says=says: says)
 
@@ -120,14 +120,17 @@ class Made(System):
     def open_files(self) -> Iterator[tuple[int, set[str] | None]]:
         return iter(self._opens.items())
 
+    def said(self, *words: str, timeout_s: float = 1.0) -> str | None:
+        return self._says[words[0]]
+
     def limit(self, which: int) -> int:
         return self._limits[which]
 
 
-def look(name: str = "failstop", *, stop_wanted: bool = False, **changed: Any) -> Look:
+def look(name: str = "failstop", *, quick: bool = False, stop_wanted: bool = False, **changed: Any) -> Look:
     """All is well but for this: what checks share, or what the system says."""
     system = Made(**{key: value for key, value in changed.items() if key not in SHARED})
-    made = Look(name, stop_wanted=stop_wanted, system=system)
+    made = Look(name, quick=quick, stop_wanted=stop_wanted, system=system)
     vars(made).update(SHARED | {key: value for key, value in changed.items() if key in SHARED})
     return made
 

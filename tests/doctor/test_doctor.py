@@ -102,7 +102,7 @@ def test_the_stop_of_a_running_service(name: str) -> None:
         assert found["service"][0]["level"] == "ok"
         assert trial.link in found["port"][0]["text"]
         assert stop_path(found)[0].startswith("skip: not tested: the service runs")
-        assert found["holders"][0]["level"] == "ok"
+        assert found["holders"][0]["level"] == "ok", found["holders"]
         assert trial.robot.state.last_stop is None or "doctor" not in trial.robot.state.last_stop.reason
 
         _, found = doctor("--name", name, "--stop-test")

@@ -10,10 +10,9 @@ from argparse import ArgumentParser, Namespace
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.style import PLAIN
-from failstop.doctor import leftovers, table
+from failstop.doctor import table
 from failstop.doctor.finding import FAIL, OK, SKIP, WARN, Finding, worst
 from failstop.doctor.look import Look
-from failstop.doctor.system import System
 from failstop.machine import facts as machine_facts
 
 TYPE_CHECKING = False
@@ -41,15 +40,12 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--device", metavar="PATH", help="the board's port (default: the running service's, else device.path)")
     add("--quick", action="store_true", help="without the timing self-test, which takes 5 s")
     add("--stop-test", action="store_true", help="consent: a running service may be stopped once and reset")
-    add("--remove-leftovers", action="store_true", help="remove the shared memory of dead runs, and do nothing else")
     add("--json", action="store_true", help="for programs")
     add_name(parser)
 
 
 def main(arguments: Namespace) -> int:
     """Print the findings; exit code 1 when one is a failure."""
-    if arguments.remove_leftovers:
-        return _remove_leftovers()
     look = Look(
         arguments.name,
         arguments.config,
@@ -99,16 +95,3 @@ def _command(fix: str, columns: int | None, indent: int) -> list[Line]:
 
 def _wrapped(line: Line, columns: int | None, indent: int) -> list[Line]:
     return [line] if columns is None else style.wrap(line, columns, indent)
-
-
-def _remove_leftovers() -> int:
-    removed, left = leftovers.remove(System())
-    if not (removed or left):
-        print("no shared memory of dead runs")
-    if removed:
-        size = sum(row.size for row in removed) // 1024
-        print(f"removed the shared memory of {', '.join(row.instance for row in removed)} ({size} KiB)")
-    if left:
-        owners = ", ".join(sorted({row.owner for row in left}))
-        print(f"failstop doctor: that of {len(left)} more stays, it is of {owners}: try sudo", file=sys.stderr)
-    return 1 if left else 0
