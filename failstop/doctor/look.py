@@ -16,11 +16,11 @@ from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.doctor.finding import Finding
-from failstop.doctor.system import SHM, Holder, Node, System, User, user
+from failstop.doctor.system import Holder, Node, System, User, user
 from failstop.install.layout import unit_of
 from failstop.policy.settings import SettingError, Settings
 from failstop.shm import layout, segment
-from failstop.shm.instance import DEFAULT_NAME, InstanceError, check_name, option
+from failstop.shm.instance import DEFAULT_NAME, check_name, option
 
 NAMED = "--device"
 """The origin of a device that the user named."""
@@ -40,17 +40,6 @@ class Service:
     state: State | None = None
     problem: str = ""
     """Why there is no state, in one line."""
-
-
-@dataclasses.dataclass(frozen=True)
-class DeadRun:
-    """What a run that has ended left in shared memory."""
-
-    instance: str
-    memory: str
-    """What its segments are named after."""
-    size: int
-    owner: User
 
 
 class Look:
@@ -90,18 +79,23 @@ class Look:
     @cached_property
     def service(self) -> Service | None:
         """The running service; None: there is none."""
-        version = version_of(self.name)
+        version, holder = "", ""
+        with contextlib.suppress(FailstopError):
+            version = segment.version(last_run(self.name)[0])
+            holder = instances.holder(runtime_dir(self.name))
         try:
             state = StateReader(self.name).read()
         except NoService:
             return None
         except FailstopError as error:
-            holder = ""
-            with contextlib.suppress(FailstopError):
-                holder = instances.holder(runtime_dir(self.name))
             return Service(int(holder or 0), version, problem=str(error))
         pid = state.processes[layout.SUPERVISOR].pid
         return Service(pid, version, self.system.owner(f"/proc/{pid}"), state)
+
+    @cached_property
+    def others(self) -> list[str]:
+        """The names of the other services that run."""
+        return [name for name in instances.listening() if name != self.name]
 
     @property
     def state(self) -> State | None:
@@ -164,11 +158,6 @@ class Look:
         return self.system.holders(self.node.resolved) if self.node else ((), 0)
 
     @cached_property
-    def runs(self) -> tuple[list[DeadRun], list[str]]:
-        """What dead runs left in shared memory, and the names of the services that run."""
-        return runs(self.system)
-
-    @cached_property
     def commands(self) -> tuple[str, str]:
         """How this program is called: from this shell, and by way of sudo."""
         own = os.path.join(os.path.dirname(sys.executable), "failstop")
@@ -189,32 +178,3 @@ def settings_of(name: str, path: str | None, system: System) -> tuple[str | None
     if path is None and os.access(installed, os.R_OK):
         path = installed
     return path, config.load(path)
-
-
-def version_of(name: str) -> str:
-    """The version of failstop that a run's shared memory is of; empty when there is none."""
-    try:
-        return segment.version(last_run(name)[0])
-    except FailstopError:
-        return ""
-
-
-def runs(system: System) -> tuple[list[DeadRun], list[str]]:
-    """(what dead runs left in shared memory, names of the services that run)."""
-    segments: dict[str, list[str]] = {}
-    for file in system.names(SHM):
-        words = file.split(".")
-        with contextlib.suppress(InstanceError):
-            if words[0] == "failstop" and len(words) > 2 and check_name(words[1]):
-                segments.setdefault(f"{words[1]}.{words[2]}", []).append(system.path(f"{SHM}/{file}"))
-    dead, living = [], []
-    for memory, paths in segments.items():
-        name = memory.partition(".")[0]
-        if segment.living(memory, system.path(SHM)):
-            living.append(name)
-            continue
-        with contextlib.suppress(OSError):  # gone meanwhile
-            found = [os.stat(path) for path in paths]
-            size = sum(each.st_blocks * 512 for each in found)
-            dead.append(DeadRun(name, memory, size, user(found[0].st_uid)))
-    return dead, living

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 
 from failstop.api import words
 from failstop.doctor.finding import SHOWN, Finding, fail, few, ok, skip, warn
 from failstop.doctor.look import Look
-from failstop.doctor.system import SHM, Ticks
-from failstop.shm import layout
+from failstop.doctor.system import SHM
+from failstop.shm import layout, segment
 from failstop.supervisor import grant
 
 CAP_IPC_LOCK = 14
 CAP_SYS_NICE = 23
-GOOD_SOURCES = ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page", "xen")
 SLOW_GOVERNORS = ("powersave", "conservative", "ondemand")
 SLOW_WAKE_US = 500
 """A processor that sleeps deeper adds more than half of the millisecond in which a stop is to be written."""
@@ -23,7 +23,6 @@ LATE_US = 5_000.0
 ENOUGH_BYTES = 1 << 30
 """Of memory that may be locked: far more than the service's processes map."""
 MICRO = 1e6
-CLOCKS = "/sys/devices/system/clocksource/clocksource0"
 PROCESSORS = "/sys/devices/system/cpu"
 RUNTIME = "/proc/sys/kernel/sched_rt_runtime_us"
 """Of each second, what real-time processes may use; -1: no limit."""
@@ -31,6 +30,8 @@ LIMITS = "/etc/security/limits.d/failstop.conf"
 REALTIME = ("rtprio 40", "LimitRTPRIO=40")
 LOCKED = ("memlock unlimited", "LimitMEMLOCK=infinity")
 """A limit as /etc/security has it, and as a unit has it."""
+SEGMENT = re.compile(r"failstop\.([a-z0-9_-]+\.[0-9a-f]+)\..+")
+"""A file of a run in shared memory. What it matches can be pasted into a shell, whoever has made the file."""
 STARVED = "look at what else has real-time priority (`ps -eo pid,rtprio,comm`), and at the host of a virtual machine"
 
 
@@ -49,8 +50,9 @@ def realtime(look: Look) -> list[Finding]:
         return ok("every process of the service has real-time priority")
     if system.number(RUNTIME) == 0:
         return fail("real-time processes get no time at all", "sudo sysctl kernel.sched_rt_runtime_us=950000")
-    if system.realtime():
-        return ok("this user gets real-time priority")
+    with system.realtime() as granted:
+        if granted:
+            return ok("this user gets real-time priority")
     if system.capable(CAP_SYS_NICE) or system.limit(resource.RLIMIT_RTPRIO):
         text = "real-time priority is refused in spite of limit or capability: a container?"
         return warn(text, "", "run it on the host")
@@ -93,33 +95,6 @@ def early_news(look: Look) -> list[Finding]:
     return warn(text, "", "run the service on the host's own kernel: gVisor and qemu's user mode are such kernels")
 
 
-def clock(look: Look) -> list[Finding]:
-    """The clock that every deadline goes by."""
-    source, resolution_ns = look.system.read(f"{CLOCKS}/current_clocksource"), look.system.resolution_ns()
-    if resolution_ns > 1000:
-        text = f"CLOCK_MONOTONIC has steps of {resolution_ns} ns"
-        return fail(text, "", "use a kernel with high-resolution timers")
-    if source in GOOD_SOURCES:
-        return ok(f"monotonic, clocksource {source}, {resolution_ns} ns")
-    available = (look.system.read(f"{CLOCKS}/available_clocksource") or "").split()
-    text = f"clocksource {source}: reading it is slow"
-    if better := next((name for name in GOOD_SOURCES if name in available), None):
-        return warn(text, "", f"add clocksource={better} to the kernel's command line")
-    return warn(text, "sudo dmesg | grep -i clocksource", "the kernel's log says why")
-
-
-def wall_clock(look: Look) -> list[Finding]:
-    """Only what people read goes by it."""
-    said = look.system.said("timedatectl", "show", "--property=NTPSynchronized", "--value")
-    if said is None:
-        return skip("nobody says whether the wall clock is synchronized; no stop goes by it")
-    if said.strip() == "yes":
-        return ok("the wall clock is synchronized")
-    text = "the wall clock is not synchronized and may be stepped: no stop goes by it, but the times in journal and "
-    advice = "or start another NTP client; in a container the host's clock counts"
-    return warn(f"{text}evidence would jump", "sudo timedatectl set-ntp true", advice)
-
-
 def shared_memory(look: Look) -> list[Finding]:
     """/dev/shm can hold the segments."""
     needed, free = sum(spec.size for spec in layout.SEGMENTS), look.system.free(SHM)
@@ -135,27 +110,25 @@ def shared_memory(look: Look) -> list[Finding]:
 
 def left(look: Look) -> list[Finding]:
     """What dead runs left behind."""
-    own = [run for run in look.runs[0] if run.instance == look.name]
-    others = [run for run in look.runs[0] if run.instance != look.name]
+    owners = {
+        found[1]: look.system.owner(f"{SHM}/{file}")
+        for file in look.system.names(SHM)
+        if (found := SEGMENT.fullmatch(file)) and not segment.living(found[1], look.system.path(SHM))
+    }
     server = look.service_user or look.user
     # The sticky bit: only the owner or root removes a name.
-    if blocking := [run for run in own if server.uid not in (0, run.owner.uid)]:
-        text = f"shared memory of a dead run of {look.name!r} belongs to {blocking[0].owner.name}"
-        return fail(f"{text}: no start until it is gone", f"sudo {_removal([run.memory for run in blocking])}")
-    found = []
-    for run in own:
-        text = f"the last run of {run.instance!r} was killed and left {run.size // 1024} KiB of shared memory"
-        found += ok(f"{text}; the next start keeps what it recorded as an incident, and removes it")
-    if others:
-        names = few(sorted({run.instance for run in others}))
-        size = sum(run.size for run in others) // 1024
-        sudo = "sudo " if any(run.owner.uid != look.user.uid for run in others) else ""
-        found += warn(
-            f"shared memory of dead runs of other names: {names} ({size} KiB)",
-            f"{sudo}{_removal(sorted(run.memory for run in others))}",
-            "what they recorded of their end goes with it; a new start of one keeps that",
-        )
-    return found or ok("no shared memory of dead runs")
+    own = {memory: owner for memory, owner in owners.items() if memory.startswith(f"{look.name}.")}
+    if blocking := [memory for memory, owner in own.items() if owner != server.name and server.uid]:
+        text = f"shared memory of a dead run of {look.name!r} belongs to {own[blocking[0]]}: no start until it is gone"
+        return fail(text, f"sudo {_removal(blocking)}")
+    if others := sorted(owners.keys() - own.keys()):
+        text = f"shared memory of dead runs of other names: {few([memory.partition('.')[0] for memory in others])}"
+        sudo = "sudo " if any(owners[memory] != look.user.name for memory in others) else ""
+        advice = "what they recorded of their end goes with it; a new start of one keeps that"
+        return warn(text, f"{sudo}{_removal(others)}", advice)
+    if own:
+        return ok("the last run was killed; the next start keeps what it recorded as an incident")
+    return ok("no shared memory of dead runs")
 
 
 def _removal(memories: list[str]) -> str:
@@ -200,25 +173,25 @@ def ticks(look: Look) -> list[Finding]:
     """How late a process is woken: what the lease can bear, and what is good."""
     if look.quick:
         return skip("not measured (--quick)", look.again())
-    rows = look.system.ticks()
-    found = [finding for row in rows for finding in _ticks(row, look)]
-    if not any(row.realtime for row in rows):
-        found += skip("real-time priority could not be measured: this user does not get it")
-    return found
+    found = []
+    for realtime, late_ns in look.system.ticks():
+        found += _judged(realtime, late_ns, look)
+    return found if len(found) > 1 else found + skip("real-time priority could not be measured: this user gets none")
 
 
-def _ticks(row: Ticks, look: Look) -> list[Finding]:
-    what = "with real-time priority" if row.realtime else "at ordinary priority"
-    numbers = f"median {row.median_us:.0f} us, 99 % {row.p99_us:.0f} us, worst {row.worst_us:.0f} us of {row.times}"
-    text = f"woken late {what}: {numbers}"
+def _judged(realtime: bool, late_ns: list[int], look: Look) -> list[Finding]:
+    in_order, last = sorted(late_ns), len(late_ns) - 1
+    median_us, p99_us, worst_us = (in_order[round(last * share)] / 1000 for share in (0.5, 0.99, 1.0))
+    numbers = f"median {median_us:.0f} us, 99 % {p99_us:.0f} us, worst {worst_us:.0f} us of {len(late_ns)}"
+    text = f"woken late {'with real-time priority' if realtime else 'at ordinary priority'}: {numbers}"
     _, found, _ = look.settings
     spare_us = (found["gate.lease_s"] - found["gate.period_s"]) * MICRO
-    if row.worst_us >= spare_us:
+    if worst_us >= spare_us:
         text += f"; {spare_us / 1000:.0f} ms and the lease runs out: stops without a cause"
-        if row.realtime:
+        if realtime:
             advice = "find what holds the cores up: a virtual machine, firmware, a runaway real-time program"
             return fail(text, "top -H", advice)
         return warn(text, "", "give the service real-time priority: see realtime")
-    if row.realtime and row.worst_us >= LATE_US:
+    if realtime and worst_us >= LATE_US:
         return warn(text, look.again(), "once more on a quiet machine; then a kernel with PREEMPT_RT")
     return ok(text)

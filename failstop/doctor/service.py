@@ -54,8 +54,8 @@ def running(look: Look) -> list[Finding]:
 
 def _not_running(look: Look) -> list[Finding]:
     text = f"no service named {look.name!r} runs: nothing drives, and nothing would stop wheels that turn"
-    if others := [name for name in look.runs[1] if name != look.name]:
-        text += f" (there is {few(others)})"
+    if look.others:
+        text += f" (there is {few(look.others)})"
     name = unit_of(look.name)
     if look.installed:
         if (active := look.unit["ActiveState"]) == "inactive":

@@ -19,7 +19,6 @@ import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 from failstop import discovery
 from failstop.policy.processes import BY_NAME
@@ -81,16 +80,6 @@ class Holder:
     """Its systemd service, if it is in one."""
     instance: str = ""
     """Whose service it belongs to, if it is one of failstop's processes."""
-
-
-class Ticks(NamedTuple):
-    """How late a process was woken, against the moments that it asked for."""
-
-    realtime: bool
-    times: int
-    median_us: float
-    p99_us: float
-    worst_us: float
 
 
 class System:
@@ -247,23 +236,29 @@ class System:
         found = re.search(r"^CapEff:\s*(\w+)", self.read("/proc/self/status") or "", re.MULTILINE)
         return bool(found and int(found[1], 16) >> capability & 1)
 
-    def realtime(self) -> bool:
-        """The kernel gives this process real-time priority when it asks: whatever limits and capabilities say, a
-        container or a control group may refuse."""
-        with _realtime(1) as granted:
-            return granted
+    @contextlib.contextmanager
+    def realtime(self, priority: int = 1) -> Iterator[bool]:
+        """Whether the kernel gives this process real-time priority when it asks, and has it meanwhile: whatever limits
+        and capabilities say, a container or a control group may refuse."""
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        except OSError:
+            yield False
+            return
+        try:
+            yield True
+        finally:
+            os.sched_setscheduler(0, *before)
 
-    def ticks(self, seconds: float = TICKS_S) -> tuple[Ticks, ...]:
-        """The timing self-test, at ordinary priority and then at the gate's; without it where that is refused."""
-        found = [summary(late_ns(seconds), realtime=False)]
-        with _realtime(BY_NAME["gate"].priority) as granted:
+    def ticks(self, seconds: float = TICKS_S) -> list[tuple[bool, list[int]]]:
+        """How late this process is woken, ns, each time: at ordinary priority, and at the gate's (True) if it is given
+        that."""
+        found = [(False, late_ns(seconds))]
+        with self.realtime(BY_NAME["gate"].priority) as granted:
             if granted:
-                found.append(summary(late_ns(seconds), realtime=True))
-        return tuple(found)
-
-    def resolution_ns(self) -> int:
-        """Of CLOCK_MONOTONIC."""
-        return round(time.clock_getres(time.CLOCK_MONOTONIC) * 1e9)
+                found.append((True, late_ns(seconds)))
+        return found
 
 
 def user(who: int | str) -> User:
@@ -280,23 +275,8 @@ def user(who: int | str) -> User:
     return User(found.pw_name, found.pw_uid, frozenset(gids))
 
 
-@contextlib.contextmanager
-def _realtime(priority: int) -> Iterator[bool]:
-    """With this priority meanwhile, if it is granted."""
-    before = os.sched_getscheduler(0), os.sched_getparam(0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except OSError:
-        yield False
-        return
-    try:
-        yield True
-    finally:
-        os.sched_setscheduler(0, *before)
-
-
 def late_ns(seconds: float) -> list[int]:
-    """How late this process is woken, ns, each time; those missed altogether are left out, as the gate does."""
+    """Each time; moments that were missed altogether are left out, as the gate does."""
     period_ns = round(PERIOD_S * 1e9)
     due_ns = time.monotonic_ns() + period_ns
     end_ns = due_ns + round(seconds * 1e9)
@@ -308,10 +288,3 @@ def late_ns(seconds: float) -> list[int]:
             late.append(now_ns - due_ns)
             due_ns = max(due_ns, now_ns - period_ns) + period_ns
     return late
-
-
-def summary(late_ns: list[int], *, realtime: bool) -> Ticks:
-    """Of times, at least one."""
-    in_order = sorted(late_ns)
-    median_us, p99_us, worst_us = (in_order[round((len(in_order) - 1) * share)] / 1000 for share in (0.5, 0.99, 1.0))
-    return Ticks(realtime, len(in_order), median_us, p99_us, worst_us)

@@ -25,8 +25,6 @@ CHECKS: dict[str, Callable[[Look], list[Finding]]] = {
     "realtime": machine.realtime,
     "memory lock": machine.memory_lock,
     "deaths": machine.early_news,
-    "clock": machine.clock,
-    "wall clock": machine.wall_clock,
     "shared memory": machine.shared_memory,
     "leftovers": machine.left,
     "RemoveIPC": service.remove_ipc,

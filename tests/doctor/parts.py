@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import resource
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from failstop.doctor.finding import ok
 from failstop.doctor.look import Look, Service
-from failstop.doctor.machine import CLOCKS, PROCESSORS, RUNTIME
-from failstop.doctor.system import Node, System, Ticks, User
+from failstop.doctor.machine import PROCESSORS, RUNTIME
+from failstop.doctor.system import Node, System, User
 from failstop.policy.settings import Settings
 from failstop.shm.layout import PROCESSES
 from failstop.version import VERSION
@@ -45,12 +46,10 @@ UNIT = {
     "MainPID": "100",
     "NRestarts": "0",
 }
-TICKS = (Ticks(False, 500, 60.0, 400.0, 3000.0), Ticks(True, 500, 20.0, 60.0, 300.0))
+TICKS = [(False, [60_000] * 500), (True, [20_000] * 500)]
 MIB = 1 << 20
 FILES = {
     RUNTIME: "950000",
-    f"{CLOCKS}/current_clocksource": "tsc",
-    f"{CLOCKS}/available_clocksource": "tsc hpet",
     f"{PROCESSORS}/cpu0/cpufreq/scaling_governor": "performance",
     f"{PROCESSORS}/cpu0/cpuidle/state1/name": "C1",
     f"{PROCESSORS}/cpu0/cpuidle/state1/latency": "2",
@@ -58,15 +57,13 @@ FILES = {
 KERNEL: dict[str, Any] = {
     "free": 1 << 30,
     "writable": True,
-    "realtime": True,
     "capable": False,
     "in_container": False,
     "early_news": True,
-    "resolution_ns": 1,
     "ticks": TICKS,
 }
 """What the functions of System say, whatever they are asked."""
-SAYS: dict[str, str | None] = {"timedatectl": "yes\n", "systemd-analyze": ""}
+SAYS: dict[str, str | None] = {"systemd-analyze": ""}
 """What a command prints."""
 LIMITS = {resource.RLIMIT_RTPRIO: 40, resource.RLIMIT_MEMLOCK: -1}
 SHARED: dict[str, Any] = {
@@ -79,7 +76,7 @@ SHARED: dict[str, Any] = {
     "device": ("/dev/ttyACM0", "the default of device.path"),
     "node": NODE,
     "holders": ((), 0),
-    "runs": ((), ()),
+    "others": [],
     "commands": ("failstop", "failstop"),
     "stops": ok("stop tool: acknowledged"),
 }
@@ -96,6 +93,7 @@ class Made(System):
         opens: dict[int, set[str]] | None = None,
         limits: dict[int, int] | None = None,
         says: dict[str, str | None] | None = None,
+        realtime: bool = True,
         **kernel: Any,
     ) -> None:
         super().__init__("/nowhere")
@@ -104,6 +102,7 @@ class Made(System):
         self._opens = opens or {}
         self._limits = LIMITS | (limits or {})
         self._says = SAYS | (says or {})
+        self._realtime = realtime
         for name, says in (KERNEL | kernel).items():
             setattr(self, name, lambda *_, says=says: says)
 
@@ -122,6 +121,10 @@ class Made(System):
 
     def said(self, *words: str, timeout_s: float = 1.0) -> str | None:
         return self._says[words[0]]
+
+    @contextmanager
+    def realtime(self, priority: int = 1) -> Iterator[bool]:
+        yield self._realtime
 
     def limit(self, which: int) -> int:
         return self._limits[which]

@@ -13,12 +13,12 @@ from failstop import discovery
 from failstop.api.snapshot import Client, Starved
 from failstop.doctor import port, stop_path
 from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, ok, pasteable, worst
-from failstop.doctor.look import NAMED, DeadRun, Look
-from failstop.doctor.machine import CLOCKS, PROCESSORS, RUNTIME
-from failstop.doctor.system import Holder, Ticks, User
+from failstop.doctor.look import NAMED, Look
+from failstop.doctor.machine import PROCESSORS, RUNTIME
+from failstop.doctor.system import Holder
 from failstop.doctor.table import CHECKS, as_records, examine
 from failstop.policy.settings import Settings
-from tests.doctor.parts import FILES, NODE, PERSON, SERVER, SERVICE, STATE, UNIT, but, look, on, serving
+from tests.doctor.parts import NODE, PERSON, SERVER, SERVICE, STATE, TICKS, UNIT, but, look, on, serving
 from tests.support.states import arm
 
 UNRIGHTED = {name: but(row, realtime=False, memory_locked=False) for name, row in STATE.processes.items()}
@@ -42,8 +42,10 @@ def answered(written: bool, answered_ms: float | None) -> Look:
     return look(stops=stop_path.judged("stop tool", written, answered_ms, "failstop doctor"))
 
 
-def dead(name: str, owner: User = SERVER) -> DeadRun:
-    return DeadRun(name, f"{name}.7", 4096, owner)
+def dead(**owners: str) -> dict[str, Any]:
+    """What is left of a run of each of these names, and whose it is."""
+    found = {f"/dev/shm/failstop.{name}.7.gate": owner for name, owner in owners.items()}
+    return {"files": dict.fromkeys(found, ""), "owners": found}
 
 
 CASES: tuple[tuple[str, Look, str, str], ...] = (
@@ -69,7 +71,7 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("settings", look(settings=("x.toml", Settings(), "gate.lease_s = 9.0: allowed is")), FAIL, "gate.lease_s = 9.0"),
     ("deaths", look(early_news=False), WARN, "tells of a death late"),
     ("service", look(service=None), WARN, "no service named 'failstop' runs"),
-    ("service", look(service=None, unit={}, runs=([], ["left"])), WARN, "there is left"),
+    ("service", look(service=None, unit={}, others=["left"]), WARN, "there is left"),
     ("service", look(service=serving(device=but(PORT, link="deaf"))), FAIL, "does not answer"),
     ("service", look(service=serving(device=but(PORT, link="unproven"))), WARN, "not answered"),
     ("service", look(service=serving(waiting_for="the port")), WARN, "waits for the port"),
@@ -100,24 +102,18 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("memory lock", look(service=serving(processes=UNRIGHTED)), WARN, "swapped out"),
     ("memory lock", look(service=None, limits={resource.RLIMIT_MEMLOCK: (1 << 30) - 1}), WARN, "too little"),
     ("memory lock", look(service=None, **POOR), WARN, "64 KiB"),
-    ("clock", look(resolution_ns=1001), FAIL, "steps of 1001"),
-    ("clock", look(resolution_ns=4_000_000), FAIL, "steps of 4000000"),
-    ("clock", look(files={f"{CLOCKS}/current_clocksource": "hpet"}), WARN, "hpet"),
-    ("clock", look(files=dict.fromkeys(FILES)), WARN, "None"),
-    ("wall clock", look(says={"timedatectl": "no\n"}), WARN, "not synchronized"),
-    ("wall clock", look(says={"timedatectl": None}), SKIP, "nobody says"),
     ("shared memory", look(free=None), FAIL, "no /dev/shm"),
     ("shared memory", look(writable=False), FAIL, "may not write"),
     ("shared memory", look(free=1024, service=None), FAIL, "1 KiB free"),
-    ("leftovers", look(runs=([dead("old")], [])), WARN, "old (4 KiB)"),
-    ("leftovers", look(runs=([dead("failstop", but(PERSON, name="bob"))], [])), FAIL, "bob"),
+    ("leftovers", look(**dead(old="anna")), WARN, "other names: old"),
+    ("leftovers", look(**dead(failstop="bob")), FAIL, "bob"),
     ("RemoveIPC", look(service_user=but(SERVER, uid=1001)), WARN, "logs out"),
     ("processor", look(files={f"{PROCESSORS}/cpu1/cpufreq/scaling_governor": "powersave"}), WARN, "powersave"),
     ("idle", look(files=C10), WARN, "C10 takes 890 us"),
     ("ticks", look(quick=True), SKIP, "not measured"),
-    ("ticks", look(ticks=(Ticks(True, 9, 1.0, 1.0, 41_000.0),)), FAIL, "40 ms and the lease runs out"),
-    ("ticks", look(ticks=(Ticks(True, 9, 1.0, 1.0, 6_000.0),)), WARN, "worst 6000 us"),
-    ("ticks", look(ticks=(Ticks(False, 9, 1.0, 1.0, 41_000.0),)), WARN, "ordinary priority"),
+    ("ticks", look(ticks=[*TICKS, (True, [1000, 41_000_000])]), FAIL, "40 ms and the lease runs out"),
+    ("ticks", look(ticks=[*TICKS, (True, [1000, 6_000_000])]), WARN, "worst 6000 us"),
+    ("ticks", look(ticks=[(False, [1000, 41_000_000])]), WARN, "ordinary priority"),
     ("stop path", answered(True, None), FAIL, "did not answer"),
     ("stop path", answered(False, None), FAIL, "could not be written"),
     ("stop path", answered(True, 180.0), WARN, "late"),
@@ -168,8 +164,7 @@ def test_what_is_said_where_all_is_well(check: str, given: Look, says: str) -> N
         ("holders", look(holders=((Holder(7, "x", "old.service"),), 0)), "sudo systemctl stop old.service", ""),
         ("version", look(service=but(SERVICE, version="0")), "sudo systemctl restart failstop.service", "it stops"),
         ("version", look(service=but(SERVICE, version="0"), unit={}), "sudo kill 100", "then start it again"),
-        ("clock", look(files={f"{CLOCKS}/current_clocksource": "hpet"}), "", "add clocksource=tsc"),
-        ("realtime", look(service=serving(processes=UNRIGHTED)), "", "LimitRTPRIO=40, as the one of failstop install"),
+        ("realtime", look(service=serving(processes=UNRIGHTED)), "", "LimitRTPRIO=40, as"),
     ],
 )
 def test_the_remedy_fits_the_case(check: str, given: Look, fix: str, advice: str) -> None:
@@ -256,7 +251,7 @@ def test_a_service_that_runs_without_rights_is_judged_and_not_the_person_who_ask
         ({"files": on("ModemManager"), "node": but(NODE, pseudo=True, modem_ignored=False)}, ("grabbers",)),
         ({"holders": OPENED}, ("holders",)),
         ({"node": but(NODE, pseudo=True, usb_id="")}, ("identity",)),
-        ({"runs": ([dead("failstop")], [])}, ("leftovers",)),
+        (dead(failstop="failstop"), ("leftovers",)),
         ({"files": {f"{PROCESSORS}/cpu0/cpuidle/state3/disable": "1", **C10}}, ("idle",)),
         ({**nodes("anna", "bob"), "files": {"/dev/shm/fastrtps_anna": ""}, "service": BRIDGED}, ("ROS 2",)),
         ({**nodes("bob"), "service": BRIDGED}, ("ROS 2",)),
@@ -288,8 +283,7 @@ def fixes(given: Look) -> dict[str, str]:
 
 
 def test_the_gravest_comes_first() -> None:
-    slow: dict[str, Any] = {"files": {f"{CLOCKS}/current_clocksource": "hpet"}}
-    given = look(node=None, service=None, quick=True, says={"timedatectl": None}, **slow)
+    given = look(node=None, service=None, quick=True)
     levels = [LEVELS.index(finding.level) for _, finding in examine(given)]
     assert levels == sorted(levels, reverse=True)
     assert set(levels) == set(range(len(LEVELS)))
@@ -329,13 +323,18 @@ def test_commands_are_such_as_the_user_can_paste() -> None:
 
 
 def test_what_removes_what_dead_runs_left() -> None:
-    def fix(*found: DeadRun) -> str:
-        return fixes(look(runs=(list(found), [])))["leftovers"]
+    def fix(**owners: str) -> str:
+        return fixes(look(**dead(**owners)))["leftovers"]
 
-    assert fix(dead("old", PERSON)) == "rm /dev/shm/failstop.old.7.*"
-    assert fix(dead("old", PERSON), dead("bobs")) == "sudo rm /dev/shm/failstop.bobs.7.* /dev/shm/failstop.old.7.*"
-    assert fix(*(dead(name, PERSON) for name in "abcde")).count("failstop.") == 3, "the others the next time"
-    assert fix(dead("failstop", PERSON)) == "sudo rm /dev/shm/failstop.failstop.7.*"
+    assert fix(old="anna") == "rm /dev/shm/failstop.old.7.*"
+    assert fix(old="anna", new="bob") == "sudo rm /dev/shm/failstop.new.7.* /dev/shm/failstop.old.7.*"
+    assert fix(**dict.fromkeys("abcde", "anna")).count("failstop.") == 3, "the others the next time"
+    assert fix(failstop="anna") == "sudo rm /dev/shm/failstop.failstop.7.*"
+
+
+def test_ticks_in_numbers() -> None:
+    [(text, *_), _] = said(look(ticks=[(False, [n * 1000 for n in range(100, -1, -1)]), TICKS[1]]), "ticks")
+    assert text == "woken late at ordinary priority: median 50 us, 99 % 99 us, worst 100 us of 101"
 
 
 def test_how_failstop_is_called(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
 
 from failstop.api.errors import Refused
 from failstop.api.robot import Robot
@@ -64,7 +65,7 @@ def main(arguments: Namespace) -> int:
         print(limited(share) if share < 1 else "no speed limit but the settings'")
         return 0
     with Robot(arguments.name, client=f"failstop {command}", disable_on_exit=command == "drive") as robot:
-        verbs = {
+        verbs: dict[str, Callable[[], str]] = {
             "enable": lambda: robot.enable(say),
             "disable": robot.disable,
             "reset": robot.reset,

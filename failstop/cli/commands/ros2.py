@@ -6,15 +6,12 @@ import argparse
 import glob
 import os
 import sys
+from argparse import ArgumentParser, Namespace
 from importlib import import_module
 
 from failstop.api.errors import FailstopError
 from failstop.cli.commands import add_name
 from failstop.ros2 import transport
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
 
 EXAMPLES = """\
 . /opt/ros/humble/setup.sh; failstop ros2

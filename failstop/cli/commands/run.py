@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentParser, Namespace
+
 from failstop import config, instances
 from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
@@ -11,11 +13,6 @@ from failstop.procs import limits
 from failstop.shm import instance
 from failstop.supervisor import starter
 from failstop.supervisor.port import OwnPort
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-
 
 DEVICE = "device.path"
 REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError, ImportError)

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import os
+from argparse import ArgumentParser, Namespace
 
 from failstop import config
 from failstop.api.errors import FailstopError
 from failstop.cli.commands import add_name
+from failstop.policy.settings import Settings
 from failstop.shm import instance
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-    from typing import Any
-
-    from failstop.policy.settings import Settings
 
 EXAMPLES = """\
 failstop web                          # http://127.0.0.1:8477/
@@ -82,7 +77,7 @@ def _devices(arguments: Namespace) -> int:
 
     from failstop.web import control
 
-    rows: list[dict[str, Any]] = control.ask(arguments.name, os.environ, "GET", "/devices")["devices"]
+    rows = control.ask(arguments.name, os.environ, "GET", "/devices")["devices"]
     for row in rows:
         print(f"{row['id']}  {time.strftime('%Y-%m-%d %H:%M', time.localtime(row['made']))}  {row['name']}")
     if not rows:
