@@ -15,7 +15,7 @@ LEVELS = (OK, SKIP, WARN, FAIL)
 """fail: a stop may be missing or late, or the service can't run; warn: it runs, with less certainty than it could;
 skip: nobody has looked, or there is nothing here to look at; ok: looked at, and well."""
 SHOWN = 3
-_OWN = re.compile(r"(?<![\w/.'@-])(sudo )?failstop (?=[a-z-]+)")
+_OWN = re.compile(r"(?<![\w/.'@-])failstop (?=[a-z-]+)")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,8 +49,7 @@ def few(names: list[str]) -> str:
     return ", ".join(names[:SHOWN]) + more
 
 
-def pasteable(fix: str, shell: str, sudo: str, *, root: bool) -> str:
-    """A command that says `failstop` and `sudo`, with the program named so that this shell finds it, and sudo, and for
-    root without sudo."""
+def pasteable(fix: str, command: str, *, root: bool) -> str:
+    """A command that says `failstop` and `sudo`, with the program called as it is here, and for root without sudo."""
     given = fix.replace("sudo ", "") if root else fix
-    return _OWN.sub(lambda found: f"sudo {sudo} " if found[1] else f"{shell} ", given)
+    return _OWN.sub(f"{command} ", given)

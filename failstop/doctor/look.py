@@ -71,9 +71,9 @@ class Look:
     def settings(self) -> tuple[str, Settings, str]:
         """(the file, empty for none; what is set; what is wrong with it, in one line, and the defaults count)."""
         try:
-            path, found = settings_of(self.name, self._config_path, self.system)
+            path, found = settings_of(self.name, self._config_path)
         except SettingError as error:
-            return self._config_path or self.system.path(config.installed(self.name)), Settings(), str(error)
+            return self._config_path or config.installed(self.name), Settings(), str(error)
         return path or "", found, ""
 
     @cached_property
@@ -158,13 +158,13 @@ class Look:
         return self.system.holders(self.node.resolved) if self.node else ((), 0)
 
     @cached_property
-    def commands(self) -> tuple[str, str]:
-        """How this program is called: from this shell, and by way of sudo."""
+    def command(self) -> str:
+        """How this program is called, from any shell and by way of sudo."""
         own = os.path.join(os.path.dirname(sys.executable), "failstop")
-        called = own if os.access(own, os.X_OK) else f"{sys.executable} -m failstop"
-        found = [shutil.which("failstop", path=path) for path in (os.environ.get("PATH", ""), SUDO_PATH)]
-        same = [path and os.path.realpath(path) == os.path.realpath(own) for path in found]
-        return ("failstop" if same[0] else called), ("failstop" if same[1] else called)
+        found = shutil.which("failstop", path=SUDO_PATH)
+        if found and os.path.realpath(found) == os.path.realpath(own):
+            return "failstop"
+        return own if os.access(own, os.X_OK) else f"{sys.executable} -m failstop"
 
     def again(self) -> str:
         """The command that asks the same once more."""
@@ -172,9 +172,9 @@ class Look:
         return f"failstop doctor{option(self.name)}{device}"
 
 
-def settings_of(name: str, path: str | None, system: System) -> tuple[str | None, Settings]:
+def settings_of(name: str, path: str | None) -> tuple[str | None, Settings]:
     """The file that was named, else the installed one, else the defaults. Raises SettingError."""
-    installed = system.path(config.installed(name))
+    installed = config.installed(name)
     if path is None and os.access(installed, os.R_OK):
         path = installed
     return path, config.load(path)

@@ -48,7 +48,7 @@ def realtime(look: Look) -> list[Finding]:
         if starved:
             return warn(f"{starved}, in spite of real-time priority", "", STARVED)
         return ok("every process of the service has real-time priority")
-    if system.number(RUNTIME) == 0:
+    if system.read(RUNTIME) == "0":
         return fail("real-time processes get no time at all", "sudo sysctl kernel.sched_rt_runtime_us=950000")
     with system.realtime() as granted:
         if granted:
@@ -97,11 +97,10 @@ def early_news(look: Look) -> list[Finding]:
 
 def shared_memory(look: Look) -> list[Finding]:
     """/dev/shm can hold the segments."""
-    needed, free = sum(spec.size for spec in layout.SEGMENTS), look.system.free(SHM)
+    needed, free = sum(spec.size for spec in layout.SEGMENTS), look.system.room(SHM)
     if free is None:
-        return fail("no /dev/shm: there is no shared memory", "sudo mount -t tmpfs -o mode=1777 tmpfs /dev/shm")
-    if not look.system.writable(SHM):
-        return fail("this user may not write /dev/shm", "sudo chmod 1777 /dev/shm")
+        fix = "sudo mount -t tmpfs -o mode=1777 tmpfs /dev/shm"
+        return fail("no /dev/shm that this user may write: there is no shared memory", fix)
     if free < needed and look.service is None:
         text = f"/dev/shm has {free // 1024} KiB free, the service needs {needed // 1024}"
         return fail(text, "ls -lS /dev/shm | head", "remove what fills it; or: sudo mount -o remount,size=75% /dev/shm")
@@ -159,10 +158,10 @@ def idle(look: Look) -> list[Finding]:
     """Sleep states: what waking from the slowest takes that is in use."""
     system = look.system
     states = [f"{core}/cpuidle/{name}" for core in _cores(look)[:1] for name in system.names(f"{core}/cpuidle")]
-    used = [path for path in states if "/state" in path and not system.number(f"{path}/disable")]
+    used = [path for path in states if "/state" in path and system.read(f"{path}/disable") != "1"]
     if not used:
         return ok("no sleep states of the processor are managed here")
-    exit_us, path = max((system.number(f"{path}/latency") or 0, path) for path in used)
+    exit_us, path = max((int(system.read(f"{path}/latency") or 0), path) for path in used)
     name = system.read(f"{path}/name") or os.path.basename(path)
     if exit_us > SLOW_WAKE_US:
         return warn(f"idle state {name} takes {exit_us} us to wake from", f"sudo cpupower idle-set -D {SLOW_WAKE_US}")

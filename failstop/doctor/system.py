@@ -103,13 +103,6 @@ class System:
         except OSError:
             return None
 
-    def number(self, path: str) -> int | None:
-        """A file that holds one whole number."""
-        try:
-            return int(self.read(path) or "")
-        except ValueError:
-            return None
-
     def names(self, path: str) -> list[str]:
         """What is in a directory, sorted."""
         try:
@@ -124,16 +117,12 @@ class System:
         except OSError:
             return ""
 
-    def free(self, path: str) -> int | None:
-        """How many bytes the file system of a path has free."""
+    def room(self, path: str) -> int | None:
+        """How many bytes may be put into a directory; None: none, or this process may not."""
         try:
-            return shutil.disk_usage(self.path(path)).free
+            return shutil.disk_usage(self.path(path)).free if os.access(self.path(path), os.W_OK | os.X_OK) else None
         except OSError:
             return None
-
-    def writable(self, path: str) -> bool:
-        """This process may put files into a directory."""
-        return os.access(self.path(path), os.W_OK | os.X_OK)
 
     def node(self, path: str) -> Node | None:
         """A device's file; None when it is not there."""

@@ -41,7 +41,7 @@ def examine(look: Look) -> list[tuple[str, Finding]]:
     are such as the user who asks can paste. All but the two self-tests takes less than two seconds."""
     root = look.user.uid == 0
     found = [
-        (name, dataclasses.replace(finding, fix=pasteable(finding.fix, *look.commands, root=root)))
+        (name, dataclasses.replace(finding, fix=pasteable(finding.fix, look.command, root=root)))
         for name, check in CHECKS.items()
         for finding in check(look)
     ]

@@ -55,8 +55,7 @@ FILES = {
     f"{PROCESSORS}/cpu0/cpuidle/state1/latency": "2",
 }
 KERNEL: dict[str, Any] = {
-    "free": 1 << 30,
-    "writable": True,
+    "room": 1 << 30,
     "capable": False,
     "in_container": False,
     "early_news": True,
@@ -77,7 +76,7 @@ SHARED: dict[str, Any] = {
     "node": NODE,
     "holders": ((), 0),
     "others": [],
-    "commands": ("failstop", "failstop"),
+    "command": "failstop",
     "stops": ok("stop tool: acknowledged"),
 }
 """What checks share (Look)."""

@@ -11,6 +11,7 @@ import pytest
 
 from failstop import discovery
 from failstop.api.snapshot import Client, Starved
+from failstop.doctor import look as of_look
 from failstop.doctor import port, stop_path
 from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, ok, pasteable, worst
 from failstop.doctor.look import NAMED, Look
@@ -102,9 +103,8 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("memory lock", look(service=serving(processes=UNRIGHTED)), WARN, "swapped out"),
     ("memory lock", look(service=None, limits={resource.RLIMIT_MEMLOCK: (1 << 30) - 1}), WARN, "too little"),
     ("memory lock", look(service=None, **POOR), WARN, "64 KiB"),
-    ("shared memory", look(free=None), FAIL, "no /dev/shm"),
-    ("shared memory", look(writable=False), FAIL, "may not write"),
-    ("shared memory", look(free=1024, service=None), FAIL, "1 KiB free"),
+    ("shared memory", look(room=None), FAIL, "no /dev/shm that this user may write"),
+    ("shared memory", look(room=1024, service=None), FAIL, "1 KiB free"),
     ("leftovers", look(**dead(old="anna")), WARN, "other names: old"),
     ("leftovers", look(**dead(failstop="bob")), FAIL, "bob"),
     ("RemoveIPC", look(service_user=but(SERVER, uid=1001)), WARN, "logs out"),
@@ -244,7 +244,7 @@ def test_a_service_that_runs_without_rights_is_judged_and_not_the_person_who_ask
     ("changed", "ignored"),
     [
         ({"systemd": False, "service_user": but(SERVER, uid=1001)}, ("RemoveIPC",)),
-        ({"free": 0}, ("shared memory",)),
+        ({"room": 0}, ("shared memory",)),
         ({"service": None, "limits": {resource.RLIMIT_MEMLOCK: -1}}, ("memory lock",)),
         ({"says": {"systemd-analyze": "# /x\nRemoveIPC=no\n"}, "service_user": PERSON}, ("RemoveIPC",)),
         ({"files": on("ModemManager")}, ("grabbers",)),
@@ -311,15 +311,15 @@ def test_how_a_service_that_does_not_run_is_started() -> None:
 
 
 def test_commands_are_such_as_the_user_can_paste() -> None:
-    absent: dict[str, Any] = {"unit": but(UNIT, LoadState="not-found"), "commands": ("fs", "/v/fs")}
+    absent: dict[str, Any] = {"unit": but(UNIT, LoadState="not-found"), "command": "/v/fs"}
     assert fixes(look(**absent))["unit"] == "sudo /v/fs install"
-    assert fixes(look(**absent, user=but(PERSON, name="root", uid=0)))["unit"] == "fs install"
-    assert fixes(look(quick=True, commands=("fs", "/v/fs")))["ticks"] == "fs doctor"
+    assert fixes(look(**absent, user=but(PERSON, name="root", uid=0)))["unit"] == "/v/fs install"
+    assert fixes(look(quick=True, command="/v/fs"))["ticks"] == "/v/fs doctor"
     reload = but(UNIT, NeedDaemonReload="yes")
-    unit = look(unit=reload, user=but(PERSON, uid=0), commands=("/v/failstop", "/v/failstop"))
+    unit = look(unit=reload, user=but(PERSON, uid=0), command="/v/failstop")
     assert fixes(unit)["unit"] == "systemctl daemon-reload"
     stop = "sudo systemctl restart failstop.service"
-    assert pasteable(stop, "/v/failstop", "/v/failstop", root=False) == stop, "no command of failstop's"
+    assert pasteable(stop, "/v/failstop", root=False) == stop, "no command of failstop's"
 
 
 def test_what_removes_what_dead_runs_left() -> None:
@@ -342,12 +342,11 @@ def test_how_failstop_is_called(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
     own.parent.mkdir()
     own.touch(0o755)
     monkeypatch.setattr(sys, "executable", str(own.with_name("python3")))
-    monkeypatch.setenv("PATH", str(own.parent))
-    assert Look().commands == ("failstop", str(own)), "sudo does not know this path"
-    monkeypatch.setenv("PATH", "/usr/bin")
-    assert Look().commands[0] == str(own)
+    assert Look().command == str(own), "sudo does not know this path"
+    monkeypatch.setattr(of_look, "SUDO_PATH", f"/usr/bin:{own.parent}")
+    assert Look().command == "failstop"
     own.unlink()
-    assert Look().commands[0] == f"{sys.executable} -m failstop"
+    assert Look().command == f"{sys.executable} -m failstop"
 
 
 def test_the_worst_of_all() -> None:

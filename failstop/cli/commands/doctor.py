@@ -15,10 +15,6 @@ from failstop.doctor.finding import FAIL, OK, SKIP, WARN, Finding, worst
 from failstop.doctor.look import Look
 from failstop.machine import facts as machine_facts
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.cli.style import Line
-
 EXAMPLES = """\
 failstop doctor                         # everything; takes 5 s
 failstop doctor --quick
@@ -29,8 +25,15 @@ failstop doctor --json | jq '.findings[] | select(.level != "ok")'
 LEVEL_COLUMNS = 6
 GAP = 2
 ARROW = "-> "
-ROLES = {OK: style.OK, SKIP: style.DIM, WARN: style.WARN, FAIL: style.FAIL}
-COUNTED = ((FAIL, "failed"), (WARN, "warned"), (SKIP, "not known"), (OK, "fine"))
+SHOWN = {
+    FAIL: (style.FAIL, "failed"),
+    WARN: (style.WARN, "warned"),
+    SKIP: (style.DIM, "not known"),
+    OK: (style.OK, "fine"),
+}
+"""The colour of a level, and what those of it are counted as."""
+UNBROKEN = 1 << 16
+"""As many columns as leave a finding on one line, and each remedy."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -46,52 +49,44 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Print the findings; exit code 1 when one is a failure."""
-    look = Look(
-        arguments.name,
-        arguments.config,
-        arguments.device,
-        quick=arguments.quick,
-        stop_wanted=arguments.stop_test,
-    )
+    asked = arguments.name, arguments.config, arguments.device
+    look = Look(*asked, quick=arguments.quick, stop_wanted=arguments.stop_test)
     found = table.examine(look)
     level = worst(finding.level for _, finding in found)
     if arguments.json:
         print(json.dumps({"worst": level, **machine_facts(), "findings": table.as_records(found)}, indent=2))
     else:
-        style.show(screen(found, style.width() if sys.stdout.isatty() else None))
+        style.show(screen(found, style.width() if sys.stdout.isatty() else UNBROKEN))
     return 1 if level == FAIL else 0
 
 
-def screen(found: list[tuple[str, Finding]], columns: int | None = None) -> list[Line]:
-    """For people, wrapped to so many columns; None: one line for each finding and each remedy."""
+def screen(found: list[tuple[str, Finding]], columns: int = UNBROKEN) -> list[style.Line]:
+    """For people, wrapped to so many columns."""
     width = max(len(name) for name, _ in found)
     indent = LEVEL_COLUMNS + width + GAP
-    lines: list[Line] = []
+    lines: list[style.Line] = []
     shown = ("", "")
     for name, finding in found:
         title = name if (name, finding.level) != shown else ""
-        head: Line = [(f"{finding.level:<{LEVEL_COLUMNS}}", ROLES[finding.level]), (f"{title:<{width + GAP}}", PLAIN)]
-        lines += _wrapped([*head, (finding.text, PLAIN)], columns, indent)
+        role = SHOWN[finding.level][0]
+        head = [(f"{finding.level:<{LEVEL_COLUMNS}}", role), (f"{title:<{width + GAP}}", PLAIN)]
+        lines += style.wrap([*head, (finding.text, PLAIN)], columns, indent)
         if finding.fix:
             lines += _command(finding.fix, columns, indent)
         if finding.advice:
-            lines += _wrapped([(" " * indent, PLAIN), (finding.advice, style.DIM)], columns, indent)
+            lines += style.wrap([(" " * indent, PLAIN), (finding.advice, style.DIM)], columns, indent)
         shown = (name, finding.level)
-    counts = [(sum(finding.level == level for _, finding in found), words) for level, words in COUNTED]
+    counts = [(sum(finding.level == level for _, finding in found), words) for level, (_, words) in SHOWN.items()]
     return [*lines, [], [(", ".join(f"{count} {words}" for count, words in counts if count), PLAIN)]]
 
 
-def _command(fix: str, columns: int | None, indent: int) -> list[Line]:
+def _command(fix: str, columns: int, indent: int) -> list[style.Line]:
     """As it can be pasted: a line may end only where the shell waits for the rest, after a pipe or an `&&`. What is
     longer stands further left, and is then the terminal's to break."""
     room = len(ARROW) + len(fix)
-    if columns is None or indent + room <= columns:
+    if indent + room <= columns:
         return [[(" " * indent + ARROW, PLAIN), (fix, style.STRONG)]]
     parts = [fix] if LEVEL_COLUMNS + room <= columns else re.split(r"(?<=\|) |(?<=&&) ", fix)
     marks = [ARROW] + [" " * len(ARROW)] * (len(parts) - 1)
     left = " " * max(0, min(LEVEL_COLUMNS, columns - len(ARROW) - max(map(len, parts))))
     return [[(left + mark, PLAIN), (part, style.STRONG)] for mark, part in zip(marks, parts, strict=True)]
-
-
-def _wrapped(line: Line, columns: int | None, indent: int) -> list[Line]:
-    return [line] if columns is None else style.wrap(line, columns, indent)

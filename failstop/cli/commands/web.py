@@ -18,16 +18,16 @@ failstop web pair                     # a code, and as a picture to photograph
 failstop web devices                  # which devices are paired
 failstop web revoke 1a2b3c4d          # not that one any more
 """
-ACTIONS = ("serve", "pair", "devices", "revoke")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop web`."""
-    parser.add_argument("action", nargs="?", choices=ACTIONS, default="serve", help="what to do (default: serve)")
-    parser.add_argument("device", nargs="?", metavar="ID", help="the device to revoke, as `failstop web devices` says")
-    parser.add_argument("--listen", metavar="ADDRESS", help="where to listen (default: the setting web.address)")
-    parser.add_argument("--port", type=int, metavar="N", help="on which port, 0: any (default: the setting web.port)")
-    parser.add_argument("--config", metavar="FILE", help="TOML file with settings (default: the installed service's)")
+    add = parser.add_argument
+    add("action", nargs="?", choices=tuple(ACTIONS), default="serve", help="what to do (default: serve)")
+    add("device", nargs="?", metavar="ID", help="the device to revoke, as `failstop web devices` says")
+    add("--listen", metavar="ADDRESS", help="where to listen (default: the setting web.address)")
+    add("--port", type=int, metavar="N", help="on which port, 0: any (default: the setting web.port)")
+    add("--config", metavar="FILE", help="TOML file with settings (default: the installed service's)")
     add_name(parser)
 
 
@@ -38,8 +38,7 @@ def main(arguments: Namespace) -> int:
         import tornado  # noqa: F401  # what every action needs
     except ImportError:
         raise FailstopError("the page needs tornado: pip install 'failstop[web]'") from None
-    actions = {"serve": _serve, "pair": _pair, "devices": _devices, "revoke": _revoke}
-    return actions[arguments.action](arguments)
+    return ACTIONS[arguments.action](arguments)
 
 
 def _serve(arguments: Namespace) -> int:
@@ -95,3 +94,6 @@ def _revoke(arguments: Namespace) -> int:
         raise FailstopError(f"no device {arguments.device!r}: `failstop web devices` lists them")
     print(f"{name} may see and stop, and nothing else any more")
     return 0
+
+
+ACTIONS = {"serve": _serve, "pair": _pair, "devices": _devices, "revoke": _revoke}
