@@ -165,8 +165,6 @@ def _run(name: str, words: list[str]) -> int:
         code: int = module.main(arguments)
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:
-        return 1
     except Exception as error:
         from failstop.descriptors import lack
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable
 from functools import partial
 
 OK = "ok"
@@ -14,7 +13,6 @@ FAIL = "fail"
 LEVELS = (OK, SKIP, WARN, FAIL)
 """fail: a stop may be missing or late, or the service can't run; warn: it runs, with less certainty than it could;
 skip: nobody has looked, or there is nothing here to look at; ok: looked at, and well."""
-SHOWN = 3
 _OWN = re.compile(r"(?<![\w/.'@-])failstop (?=[a-z-]+)")
 
 
@@ -36,17 +34,6 @@ def _found(level: str, text: str, fix: str = "", advice: str = "") -> list[Findi
 
 ok, skip, warn, fail = (partial(_found, level) for level in LEVELS)
 """What a check returns: text, fix, advice."""
-
-
-def worst(levels: Iterable[str]) -> str:
-    """The most serious of these; ok when there are none."""
-    return max(levels, key=LEVELS.index, default=OK)
-
-
-def few(names: list[str]) -> str:
-    """The first of these names, and how many more there are."""
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + more
 
 
 def pasteable(fix: str, command: str, *, root: bool) -> str:

@@ -20,7 +20,7 @@ from failstop.doctor.system import Holder, Node, System, User, user
 from failstop.install.layout import unit_of
 from failstop.policy.settings import SettingError, Settings
 from failstop.shm import layout, segment
-from failstop.shm.instance import DEFAULT_NAME, check_name, option
+from failstop.shm.instance import DEFAULT_NAME, option
 
 NAMED = "--device"
 """The origin of a device that the user named."""
@@ -42,38 +42,28 @@ class Service:
     """Why there is no state, in one line."""
 
 
+@dataclasses.dataclass(eq=False)
 class Look:
     """One look. A test sets what it likes, and so keeps it from being looked for."""
 
+    name: str = DEFAULT_NAME
+    config_path: str | None = None
+    device_path: str | None = None
+    quick: bool = False
+    """Without the timing self-test."""
+    stop_wanted: bool = False
+    """A running service may be told to stop."""
+    system: System = dataclasses.field(default_factory=System)
     stops: list[Finding] | None = None
     """What a self-test of the stop path has found, where there was one."""
-
-    def __init__(
-        self,
-        name: str = DEFAULT_NAME,
-        config_path: str | None = None,
-        device: str | None = None,
-        *,
-        quick: bool = False,
-        stop_wanted: bool = False,
-        system: System | None = None,
-    ) -> None:
-        """`quick`: without the timing self-test; `stop_wanted`: a running service may be told to stop. Raises
-        InstanceError for a name that is none."""
-        self.name = check_name(name)
-        self.quick = quick
-        self.stop_wanted = stop_wanted
-        self.system = system or System()
-        self._config_path = config_path
-        self._device = device
 
     @cached_property
     def settings(self) -> tuple[str, Settings, str]:
         """(the file, empty for none; what is set; what is wrong with it, in one line, and the defaults count)."""
         try:
-            path, found = settings_of(self.name, self._config_path)
+            path, found = settings_of(self.name, self.config_path)
         except SettingError as error:
-            return self._config_path or config.installed(self.name), Settings(), str(error)
+            return self.config_path or config.installed(self.name), Settings(), str(error)
         return path or "", found, ""
 
     @cached_property
@@ -135,8 +125,8 @@ class Look:
     @cached_property
     def device(self) -> tuple[str, str]:
         """The board's port, and who says so."""
-        if self._device:
-            return self._device, NAMED
+        if self.device_path:
+            return self.device_path, NAMED
         if self.state and self.state.device.path:
             return self.state.device.path, "of the running service"
         path, found, _ = self.settings

@@ -7,7 +7,7 @@ import re
 import resource
 
 from failstop.api import words
-from failstop.doctor.finding import SHOWN, Finding, fail, few, ok, skip, warn
+from failstop.doctor.finding import Finding, fail, ok, skip, warn
 from failstop.doctor.look import Look
 from failstop.doctor.system import SHM
 from failstop.shm import layout, segment
@@ -30,8 +30,6 @@ LIMITS = "/etc/security/limits.d/failstop.conf"
 REALTIME = ("rtprio 40", "LimitRTPRIO=40")
 LOCKED = ("memlock unlimited", "LimitMEMLOCK=infinity")
 """A limit as /etc/security has it, and as a unit has it."""
-SEGMENT = re.compile(r"failstop\.([a-z0-9_-]+\.[0-9a-f]+)\..+")
-"""A file of a run in shared memory. What it matches can be pasted into a shell, whoever has made the file."""
 STARVED = "look at what else has real-time priority (`ps -eo pid,rtprio,comm`), and at the host of a virtual machine"
 
 
@@ -108,57 +106,38 @@ def shared_memory(look: Look) -> list[Finding]:
 
 
 def left(look: Look) -> list[Finding]:
-    """What dead runs left behind."""
-    owners = {
-        found[1]: look.system.owner(f"{SHM}/{file}")
-        for file in look.system.names(SHM)
-        if (found := SEGMENT.fullmatch(file)) and not segment.living(found[1], look.system.path(SHM))
-    }
-    server = look.service_user or look.user
-    # The sticky bit: only the owner or root removes a name.
-    own = {memory: owner for memory, owner in owners.items() if memory.startswith(f"{look.name}.")}
-    if blocking := [memory for memory, owner in own.items() if owner != server.name and server.uid]:
-        text = f"shared memory of a dead run of {look.name!r} belongs to {own[blocking[0]]}: no start until it is gone"
-        return fail(text, f"sudo {_removal(blocking)}")
-    if others := sorted(owners.keys() - own.keys()):
-        text = f"shared memory of dead runs of other names: {few([memory.partition('.')[0] for memory in others])}"
-        sudo = "sudo " if any(owners[memory] != look.user.name for memory in others) else ""
-        advice = "what they recorded of their end goes with it; a new start of one keeps that"
-        return warn(text, f"{sudo}{_removal(others)}", advice)
-    if own:
-        return ok("the last run was killed; the next start keeps what it recorded as an incident")
-    return ok("no shared memory of dead runs")
-
-
-def _removal(memories: list[str]) -> str:
-    """Some of them at a time."""
-    return " ".join(["rm", *(f"{SHM}/failstop.{memory}.*" for memory in memories[:SHOWN])])
+    """What a dead run of this name left behind."""
+    segments = re.compile(rf"failstop\.({look.name}\.[0-9a-f]+)\..+")
+    server, found = look.service_user or look.user, []
+    for file in look.system.names(SHM):
+        if (of := segments.fullmatch(file)) and not segment.living(of[1], look.system.path(SHM)):
+            found.append(of[1])
+            owner = look.system.owner(f"{SHM}/{file}")
+            # The sticky bit: only the owner or root removes a name.
+            if server.uid and owner != server.name:
+                text = f"shared memory of a dead run of {look.name!r} belongs to {owner}: no start until it is gone"
+                return fail(text, f"sudo rm {SHM}/failstop.{of[1]}.*")
+    kept = "the last run was killed; the next start keeps what it recorded as an incident"
+    return ok(kept if found else "no shared memory of dead runs")
 
 
 def processor(look: Look) -> list[Finding]:
     """Frequency scaling."""
-    cores = _cores(look)
-    count = f"{len(cores) or os.cpu_count() or 1} cores"
-    governors = sorted({text for core in cores if (text := look.system.read(f"{core}/cpufreq/scaling_governor"))})
+    files = [f"{PROCESSORS}/{core}/cpufreq/scaling_governor" for core in look.system.names(PROCESSORS)]
+    governors = sorted({governor for path in files if (governor := look.system.read(path))})
     if not governors:
-        return ok(f"{count}, frequency is not scaled here")
+        return ok(f"{os.cpu_count()} cores, frequency is not scaled here")
     if slow := [governor for governor in governors if governor in SLOW_GOVERNORS]:
         fix = f"echo performance | sudo tee {PROCESSORS}/cpu*/cpufreq/scaling_governor"
         text = f"CPU governor {', '.join(slow)}: the first milliseconds after a wake-up run slowly"
         return warn(text, fix, "until the next boot; cpupower's service keeps it")
-    return ok(f"{count}, governor {', '.join(governors)}")
-
-
-def _cores(look: Look) -> list[str]:
-    names = look.system.names(PROCESSORS)
-    return [f"{PROCESSORS}/{name}" for name in names if name[:3] == "cpu" and name[3:].isdigit()]
+    return ok(f"{os.cpu_count()} cores, governor {', '.join(governors)}")
 
 
 def idle(look: Look) -> list[Finding]:
     """Sleep states: what waking from the slowest takes that is in use."""
-    system = look.system
-    states = [f"{core}/cpuidle/{name}" for core in _cores(look)[:1] for name in system.names(f"{core}/cpuidle")]
-    used = [path for path in states if "/state" in path and system.read(f"{path}/disable") != "1"]
+    system, folder = look.system, f"{PROCESSORS}/cpu0/cpuidle"
+    used = [f"{folder}/{name}" for name in system.names(folder) if system.read(f"{folder}/{name}/disable") != "1"]
     if not used:
         return ok("no sleep states of the processor are managed here")
     exit_us, path = max((int(system.read(f"{path}/latency") or 0), path) for path in used)

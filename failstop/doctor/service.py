@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 
 from failstop.api import words
-from failstop.doctor.finding import Finding, fail, few, ok, skip, warn
+from failstop.doctor.finding import Finding, fail, ok, skip, warn
 from failstop.doctor.look import Look
 from failstop.doctor.system import SHM, System
 from failstop.install.layout import unit_of
@@ -55,7 +55,7 @@ def running(look: Look) -> list[Finding]:
 def _not_running(look: Look) -> list[Finding]:
     text = f"no service named {look.name!r} runs: nothing drives, and nothing would stop wheels that turn"
     if look.others:
-        text += f" (there is {few(look.others)})"
+        text += f" (there is {', '.join(look.others)})"
     name = unit_of(look.name)
     if look.installed:
         if (active := look.unit["ActiveState"]) == "inactive":

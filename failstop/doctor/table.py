@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 from failstop.doctor import machine, port, service, stop_path
 from failstop.doctor.finding import LEVELS, Finding, pasteable
@@ -46,8 +45,3 @@ def examine(look: Look) -> list[tuple[str, Finding]]:
         for finding in check(look)
     ]
     return sorted(found, key=lambda row: -LEVELS.index(row[1].level))
-
-
-def as_records(found: list[tuple[str, Finding]]) -> list[dict[str, Any]]:
-    """For programs."""
-    return [{"check": name, **dataclasses.asdict(finding)} for name, finding in found]

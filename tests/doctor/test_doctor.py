@@ -13,7 +13,7 @@ import pytest
 from failstop.board.port import open_port
 from failstop.cli import style
 from failstop.cli.commands.doctor import ARROW, screen
-from failstop.doctor.finding import SKIP, WARN, Finding
+from failstop.doctor.finding import LEVELS, SKIP, WARN, Finding
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, wait_for
 from tests.support.commands import failstop
@@ -27,6 +27,9 @@ def doctor(*words: str) -> tuple[int, dict[str, list[dict[str, Any]]]]:
     found: dict[str, list[dict[str, Any]]] = {}
     for finding in result["findings"]:
         found.setdefault(finding["check"], []).append(finding)
+    levels = [finding["level"] for finding in result["findings"]]
+    assert result["worst"] == max(levels, key=LEVELS.index)
+    assert all(finding.keys() == {"check", "level", "text", "fix", "advice"} for finding in result["findings"])
     assert (done.returncode == 1) == (result["worst"] == "fail"), result
     return done.returncode, found
 

@@ -15,7 +15,7 @@ import pytest
 
 from failstop.doctor import machine, port, service, stop_path, table
 from failstop.doctor.look import Look
-from failstop.doctor.system import Holder, System
+from failstop.doctor.system import Holder, System, User
 from failstop.install.layout import unit_of
 from failstop.shm import claim, layout, segment
 
@@ -166,16 +166,17 @@ def test_the_shared_memory_of_a_dead_run(dead_run: str) -> None:
     assert found.text == "the last run was killed; the next start keeps what it recorded as an incident"
 
 
-def test_what_lives_and_what_is_not_ours_counts_as_no_dead_run(tmp_path: Path) -> None:
-    for file in ("$(id).7.gate", "BAD!.x", "some.7.gate", "some.7.supervisor", "some.8.gate", "some.8.supervisor"):
+@pytest.mark.parametrize(("locked", "found"), [(7, 8), (8, 7)])
+def test_what_lives_is_no_dead_run(tmp_path: Path, locked: int, found: int) -> None:
+    for file in ("failstop.$(id).gate", "failstop.7.supervisor", "failstop.8.supervisor", "other.7.supervisor"):
         write(tmp_path, f"/dev/shm/failstop.{file}", "")
-    write(tmp_path, "/dev/shm/other", "")
-    supervisor = os.open(tmp_path / "dev/shm/failstop.some.8.supervisor", os.O_RDWR)
+    supervisor = os.open(tmp_path / f"dev/shm/failstop.failstop.{locked}.supervisor", os.O_RDWR)
     assert claim.take(supervisor, 0)
-    [found] = machine.left(Look(system=System(str(tmp_path))))
+    look = Look(system=System(str(tmp_path)))
+    vars(look)["service_user"] = User("stranger", os.geteuid() + 4711)
+    [told] = machine.left(look)
     os.close(supervisor)
-    assert found.text == "shared memory of dead runs of other names: some"
-    assert found.fix == "rm /dev/shm/failstop.some.7.*"
+    assert told.fix == f"sudo rm /dev/shm/failstop.failstop.{found}.*"
 
 
 def test_who_has_a_device_open_that_an_unplug_has_removed(tmp_path: Path) -> None:
@@ -184,7 +185,7 @@ def test_who_has_a_device_open_that_an_unplug_has_removed(tmp_path: Path) -> Non
     (tmp_path / "proc" / "77" / "comm").write_text("minicom\n")
     (files / "3").symlink_to("/dev/ttyACM0 (deleted)")
     (files / "4").symlink_to("/dev/ttyACM1")
-    [found] = port.held(Look(device="/nowhere", system=System(str(tmp_path))))
+    [found] = port.held(Look(device_path="/nowhere", system=System(str(tmp_path))))
     assert found.text.startswith("minicom (pid 77) has /dev/ttyACM0 open from before an unplug")
 
 
@@ -241,7 +242,7 @@ def test_the_ticks_of_this_machine() -> None:
 
 def test_all_of_it_is_quick() -> None:
     begun_s = time.monotonic()
-    look = Look(f"none-{os.getpid()}", device="/nowhere", quick=True)
+    look = Look(f"none-{os.getpid()}", device_path="/nowhere", quick=True)
     table.examine(look)
     assert time.monotonic() - begun_s < 10.0
     assert look.service is None

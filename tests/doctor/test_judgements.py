@@ -13,11 +13,11 @@ from failstop import discovery
 from failstop.api.snapshot import Client, Starved
 from failstop.doctor import look as of_look
 from failstop.doctor import port, stop_path
-from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, ok, pasteable, worst
+from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, ok, pasteable
 from failstop.doctor.look import NAMED, Look
 from failstop.doctor.machine import PROCESSORS, RUNTIME
 from failstop.doctor.system import Holder
-from failstop.doctor.table import CHECKS, as_records, examine
+from failstop.doctor.table import CHECKS, examine
 from failstop.policy.settings import Settings
 from tests.doctor.parts import NODE, PERSON, SERVER, SERVICE, STATE, TICKS, UNIT, but, look, on, serving
 from tests.support.states import arm
@@ -105,7 +105,6 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("memory lock", look(service=None, **POOR), WARN, "64 KiB"),
     ("shared memory", look(room=None), FAIL, "no /dev/shm that this user may write"),
     ("shared memory", look(room=1024, service=None), FAIL, "1 KiB free"),
-    ("leftovers", look(**dead(old="anna")), WARN, "other names: old"),
     ("leftovers", look(**dead(failstop="bob")), FAIL, "bob"),
     ("RemoveIPC", look(service_user=but(SERVER, uid=1001)), WARN, "logs out"),
     ("processor", look(files={f"{PROCESSORS}/cpu1/cpufreq/scaling_governor": "powersave"}), WARN, "powersave"),
@@ -322,14 +321,9 @@ def test_commands_are_such_as_the_user_can_paste() -> None:
     assert pasteable(stop, "/v/failstop", root=False) == stop, "no command of failstop's"
 
 
-def test_what_removes_what_dead_runs_left() -> None:
-    def fix(**owners: str) -> str:
-        return fixes(look(**dead(**owners)))["leftovers"]
-
-    assert fix(old="anna") == "rm /dev/shm/failstop.old.7.*"
-    assert fix(old="anna", new="bob") == "sudo rm /dev/shm/failstop.new.7.* /dev/shm/failstop.old.7.*"
-    assert fix(**dict.fromkeys("abcde", "anna")).count("failstop.") == 3, "the others the next time"
-    assert fix(failstop="anna") == "sudo rm /dev/shm/failstop.failstop.7.*"
+def test_what_removes_what_a_dead_run_left() -> None:
+    assert fixes(look(**dead(failstop="anna")))["leftovers"] == "sudo rm /dev/shm/failstop.failstop.7.*"
+    assert "leftovers" not in fixes(look(**dead(left="anna"))), "another's"
 
 
 def test_ticks_in_numbers() -> None:
@@ -347,17 +341,6 @@ def test_how_failstop_is_called(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
     assert Look().command == "failstop"
     own.unlink()
     assert Look().command == f"{sys.executable} -m failstop"
-
-
-def test_the_worst_of_all() -> None:
-    assert worst([]) == OK
-    assert worst([OK, WARN]) == WARN
-    assert worst([WARN, FAIL, OK]) == FAIL
-    records = as_records(examine(look(node=None)))
-    assert worst(record["level"] for record in records) == FAIL
-    assert all(
-        set(record) == {"check", "level", "text", "fix", "advice"} and record["level"] in LEVELS for record in records
-    )
 
 
 def test_rights_are_granted_by_who_starts_the_service() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import sys
@@ -11,9 +12,10 @@ from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.style import PLAIN
 from failstop.doctor import table
-from failstop.doctor.finding import FAIL, OK, SKIP, WARN, Finding, worst
+from failstop.doctor.finding import FAIL, OK, SKIP, WARN, Finding
 from failstop.doctor.look import Look
 from failstop.machine import facts as machine_facts
+from failstop.shm.instance import check_name
 
 EXAMPLES = """\
 failstop doctor                         # everything; takes 5 s
@@ -49,15 +51,15 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Print the findings; exit code 1 when one is a failure."""
-    asked = arguments.name, arguments.config, arguments.device
-    look = Look(*asked, quick=arguments.quick, stop_wanted=arguments.stop_test)
-    found = table.examine(look)
-    level = worst(finding.level for _, finding in found)
+    name = check_name(arguments.name)
+    found = table.examine(Look(name, arguments.config, arguments.device, arguments.quick, arguments.stop_test))
+    worst = found[0][1].level
     if arguments.json:
-        print(json.dumps({"worst": level, **machine_facts(), "findings": table.as_records(found)}, indent=2))
+        records = [{"check": check, **dataclasses.asdict(finding)} for check, finding in found]
+        print(json.dumps({"worst": worst, **machine_facts(), "findings": records}, indent=2))
     else:
         style.show(screen(found, style.width() if sys.stdout.isatty() else UNBROKEN))
-    return 1 if level == FAIL else 0
+    return 1 if worst == FAIL else 0
 
 
 def screen(found: list[tuple[str, Finding]], columns: int = UNBROKEN) -> list[style.Line]:
