@@ -146,22 +146,26 @@ def by_hand(path: str, again: str) -> list[Finding]:
         own = OwnPort.open_and_stop(path)
     except PortError as error:
         return _broken(OPENING, error, again)
-
-    def with_tool() -> bool:
-        # It opens the port as ExecStopPost does, when the service has let it go.
-        release_exclusive(own.fd)
-        tool.stop(path, lambda _: 0.0, lambda _: None)
-        return True
-
+    tap = Tap(own.fd)
+    ways: dict[str, Callable[[], bool]] = {
+        OPENING: lambda: True,
+        "stopper's duplicate": lambda: on_duplicate(own),
+        "stop tool": lambda: _with_tool(own, path),
+    }
+    found: list[Finding] = []
     try:
-        tap = Tap(own.fd)
-        found = _asked(OPENING, lambda: True, tap, begun_ns, again)
-        for writer, write in (("stopper's duplicate", lambda: on_duplicate(own)), ("stop tool", with_tool)):
-            if found[-1].level != FAIL:
-                found += _asked(writer, write, tap, time.monotonic_ns(), again)
-        return found
+        for writer, write in ways.items():
+            written = write()
+            answer_ns = tap.answer_ns(tap.ping()[0], ANSWER_S)
+            found += judged(writer, written, None if answer_ns is None else (answer_ns - begun_ns) / 1e6, again)
+            if found[-1].level == FAIL:
+                break
+            begun_ns = time.monotonic_ns()
+    except (OSError, PortError) as error:
+        found += _broken(writer, error, again)
     finally:
         own.close()
+    return found
 
 
 def on_duplicate(own: OwnPort) -> bool:
@@ -173,13 +177,11 @@ def on_duplicate(own: OwnPort) -> bool:
         duplicate.close()
 
 
-def _asked(writer: str, write: Callable[[], bool], tap: Tap, begun_ns: int, again: str) -> list[Finding]:
-    try:
-        written = write()
-        answer_ns = tap.answer_ns(tap.ping()[0], ANSWER_S)
-    except (OSError, PortError) as error:
-        return _broken(writer, error, again)
-    return judged(writer, written, None if answer_ns is None else (answer_ns - begun_ns) / 1e6, again)
+def _with_tool(own: OwnPort, path: str) -> bool:
+    # It opens the port as ExecStopPost does, when the service has let it go.
+    release_exclusive(own.fd)
+    tool.stop(path, lambda _: 0.0, lambda _: None)
+    return True
 
 
 def by_service(name: str, again: str) -> list[Finding]:
