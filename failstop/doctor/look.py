@@ -1,4 +1,5 @@
-"""What was asked of doctor, and what several of its checks look at, found when the first of them asks for it."""
+"""A look of doctor: what was asked, and what several checks look at, found when the first of them asks for it. And the
+finding: what a check has to say, and what helps, a command, or what a person is to do."""
 
 from __future__ import annotations
 
@@ -8,19 +9,26 @@ import os
 import shlex
 import shutil
 import sys
-from functools import cached_property
+from functools import cached_property, partial
 
 from failstop import config, instances
 from failstop.api.client import last_run, runtime_dir
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
-from failstop.doctor.finding import Finding
 from failstop.doctor.system import Holder, Node, System, User, user
 from failstop.install.layout import unit_of
 from failstop.policy.settings import SettingError, Settings
 from failstop.shm import layout, segment
 from failstop.shm.instance import DEFAULT_NAME, option
+
+OK = "ok"
+SKIP = "skip"
+WARN = "warn"
+FAIL = "fail"
+LEVELS = (OK, SKIP, WARN, FAIL)
+"""fail: a stop may be missing or late, or the service can't run; warn: it runs, with less certainty than it could;
+skip: nobody has looked, or there is nothing here to look at; ok: looked at, and well."""
 
 NAMED = "--device"
 """The origin of a device that the user named."""
@@ -28,6 +36,26 @@ ACCOUNT = "failstop"
 PROPERTIES = "LoadState,ActiveState,SubState,UnitFileState,Result,User,NeedDaemonReload,MainPID,NRestarts"
 SUDO_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """As sudo has it on Debian and Ubuntu (secure_path), whatever the user's is."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One line."""
+
+    level: str
+    text: str
+    fix: str = ""
+    """A command that can be pasted into a shell; empty where none helps."""
+    advice: str = ""
+    """What a person is to do, or to know of the command."""
+
+
+def _found(level: str, text: str, fix: str = "", advice: str = "") -> list[Finding]:
+    return [Finding(level, text, fix, advice)]
+
+
+ok, skip, warn, fail = (partial(_found, level) for level in LEVELS)
+"""What a check returns: text, fix, advice."""
 
 
 @dataclasses.dataclass(frozen=True)

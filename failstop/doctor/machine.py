@@ -7,8 +7,7 @@ import re
 import resource
 
 from failstop.api import words
-from failstop.doctor.finding import Finding, fail, ok, skip, warn
-from failstop.doctor.look import Look
+from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import SHM
 from failstop.shm import layout, segment
 from failstop.supervisor import grant

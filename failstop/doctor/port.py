@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 
 from failstop import discovery
-from failstop.doctor.finding import Finding, fail, ok, skip, warn
-from failstop.doctor.look import Look
+from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import Holder, Node, User
 
 BOARD_USB = f"{discovery.BOARD_VID:04x}:{discovery.BOARD_PID:04x}"
@@ -71,8 +70,6 @@ def permission(look: Look) -> list[Finding]:
     whose = f"{node.path} is of the group {node.group}, mode {node.mode:04o}"
     if who and may_open(node, who):
         found = ok(f"the service's user {who.name} may open it")
-    elif who and node.acl:
-        found = warn(f"the mode keeps the service's user {who.name} out; the ACL may not", f"getfacl {node.path}")
     elif who:
         remedy = _let_in(node, who, "restart the service")
         found = fail(f"the service's user {who.name} may not open it: {whose}", *remedy)

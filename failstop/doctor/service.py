@@ -5,8 +5,7 @@ from __future__ import annotations
 import shlex
 
 from failstop.api import words
-from failstop.doctor.finding import Finding, fail, ok, skip, warn
-from failstop.doctor.look import Look
+from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import SHM, System
 from failstop.install.layout import unit_of
 from failstop.ros2 import transport

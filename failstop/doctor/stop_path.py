@@ -18,8 +18,7 @@ from failstop.board.decoder import Decoder
 from failstop.board.interface import BOARD
 from failstop.board.port import PortError, release_exclusive
 from failstop.board.stop_port import StopPort
-from failstop.doctor.finding import FAIL, Finding, fail, ok, skip, warn
-from failstop.doctor.look import Look
+from failstop.doctor.look import FAIL, Finding, Look, fail, ok, skip, warn
 from failstop.doctor.port import BOARD_USB
 from failstop.stopping import tool
 from failstop.supervisor.port import OwnPort

@@ -62,8 +62,6 @@ class Node:
     product: str = ""
     modem_ignored: bool = False
     """udev tells ModemManager to leave it, or the whole USB device, alone."""
-    acl: bool = False
-    """Access is refined by an access control list."""
     accessible: bool = False
     """This process may read and write it."""
     link: str = ""
@@ -130,11 +128,9 @@ class System:
             found = os.stat(path)
         except OSError:
             return None
-        group, acl = str(found.st_gid), False
+        group = str(found.st_gid)
         with contextlib.suppress(KeyError):
             group = grp.getgrgid(found.st_gid).gr_name
-        with contextlib.suppress(OSError):
-            acl = "system.posix_acl_access" in os.listxattr(path)
         resolved, link = os.path.realpath(path), self.path(discovery.LINK)
         character, major, minor = stat.S_ISCHR(found.st_mode), os.major(found.st_rdev), os.minor(found.st_rdev)
         return Node(
@@ -147,7 +143,6 @@ class System:
             found.st_gid,
             group,
             *self.usb(f"/sys/dev/char/{major}:{minor}"),
-            acl,
             os.access(path, os.R_OK | os.W_OK),
             link if path != link and os.path.realpath(link) == resolved else "",
         )

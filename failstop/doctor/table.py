@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable
 
 from failstop.doctor import machine, port, service, stop_path
-from failstop.doctor.finding import LEVELS, Finding, pasteable
-from failstop.doctor.look import Look
+from failstop.doctor.look import LEVELS, Finding, Look
 
 CHECKS: dict[str, Callable[[Look], list[Finding]]] = {
     "port": port.present,
@@ -33,6 +33,7 @@ CHECKS: dict[str, Callable[[Look], list[Finding]]] = {
     "stop path": stop_path.stop_path,
 }
 """A check may find nothing, one thing, or several."""
+_OWN = re.compile(r"(?<![\w/.'@-])failstop (?=[a-z-]+)")
 
 
 def examine(look: Look) -> list[tuple[str, Finding]]:
@@ -45,3 +46,9 @@ def examine(look: Look) -> list[tuple[str, Finding]]:
         for finding in check(look)
     ]
     return sorted(found, key=lambda row: -LEVELS.index(row[1].level))
+
+
+def pasteable(fix: str, command: str, *, root: bool) -> str:
+    """A command that says `failstop` and `sudo`, with the program called as it is here, and for root without sudo."""
+    given = fix.replace("sudo ", "") if root else fix
+    return _OWN.sub(f"{command} ", given)

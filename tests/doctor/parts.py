@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from failstop.doctor.finding import ok
-from failstop.doctor.look import Look, Service
+from failstop.doctor.look import Look, Service, ok
 from failstop.doctor.machine import PROCESSORS, RUNTIME
 from failstop.doctor.system import Node, System, User
 from failstop.policy.settings import Settings

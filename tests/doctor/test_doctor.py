@@ -13,7 +13,7 @@ import pytest
 from failstop.board.port import open_port
 from failstop.cli import style
 from failstop.cli.commands.doctor import ARROW, screen
-from failstop.doctor.finding import LEVELS, SKIP, WARN, Finding
+from failstop.doctor.look import LEVELS, SKIP, WARN, Finding
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, wait_for
 from tests.support.commands import failstop

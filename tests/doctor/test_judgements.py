@@ -13,11 +13,10 @@ from failstop import discovery
 from failstop.api.snapshot import Client, Starved
 from failstop.doctor import look as of_look
 from failstop.doctor import port, stop_path
-from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, ok, pasteable
-from failstop.doctor.look import NAMED, Look
+from failstop.doctor.look import FAIL, LEVELS, NAMED, OK, SKIP, WARN, Look, ok
 from failstop.doctor.machine import PROCESSORS, RUNTIME
 from failstop.doctor.system import Holder
-from failstop.doctor.table import CHECKS, examine
+from failstop.doctor.table import CHECKS, examine, pasteable
 from failstop.policy.settings import Settings
 from tests.doctor.parts import NODE, PERSON, SERVER, SERVICE, STATE, TICKS, UNIT, but, look, on, serving
 from tests.support.states import arm
@@ -56,7 +55,6 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("identity", look(node=but(NODE, usb_id="")), WARN, "no USB device"),
     ("identity", look(node=but(NODE, usb_id=""), device=("/dev/ttyACM0", NAMED)), SKIP, "no USB device"),
     ("permission", look(service_user=but(SERVER, gids=frozenset({998}))), FAIL, "failstop may not open"),
-    ("permission", look(service_user=but(SERVER, gids=frozenset()), node=but(NODE, acl=True)), WARN, "ACL"),
     ("permission", look(node=but(NODE, accessible=False)), SKIP, "need not"),
     ("permission", look(node=but(NODE, accessible=False), service=None), WARN, "anna"),
     ("permission", look(node=but(NODE, accessible=False), service_user=None, service=None), FAIL, "anna"),

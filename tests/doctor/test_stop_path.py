@@ -14,7 +14,7 @@ from failstop.api.robot import Robot
 from failstop.api.state import Stop
 from failstop.board.stop_port import StopPort
 from failstop.doctor import stop_path
-from failstop.doctor.finding import FAIL, OK
+from failstop.doctor.look import FAIL, OK
 from failstop.lab.trial import Trial
 from failstop.policy import causes
 from failstop.supervisor.port import OwnPort

@@ -12,8 +12,7 @@ from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.style import PLAIN
 from failstop.doctor import table
-from failstop.doctor.finding import FAIL, OK, SKIP, WARN, Finding
-from failstop.doctor.look import Look
+from failstop.doctor.look import FAIL, OK, SKIP, WARN, Finding, Look
 from failstop.machine import facts as machine_facts
 from failstop.shm.instance import check_name
 
