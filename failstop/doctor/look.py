@@ -30,8 +30,6 @@ LEVELS = (OK, SKIP, WARN, FAIL)
 """fail: a stop may be missing or late, or the service can't run; warn: it runs, with less certainty than it could;
 skip: nobody has looked, or there is nothing here to look at; ok: looked at, and well."""
 
-NAMED = "--device"
-"""The origin of a device that the user named."""
 ACCOUNT = "failstop"
 PROPERTIES = "LoadState,ActiveState,SubState,UnitFileState,Result,User,NeedDaemonReload,MainPID,NRestarts"
 SUDO_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
@@ -154,20 +152,15 @@ class Look:
     def device(self) -> tuple[str, str]:
         """The board's port, and who says so."""
         if self.device_path:
-            return self.device_path, NAMED
+            return self.device_path, "--device"
         if self.state and self.state.device.path:
             return self.state.device.path, "of the running service"
         path, found, _ = self.settings
         return found.text("device.path"), path or "the default of device.path"
 
-    @property
-    def named(self) -> bool:
-        """The user named the device."""
-        return self.device[1] == NAMED
-
     @cached_property
     def node(self) -> Node | None:
-        """The device's file; None: it is not there."""
+        """The device's file; None: there is no character device."""
         return self.system.node(self.device[0])
 
     @cached_property
@@ -186,7 +179,7 @@ class Look:
 
     def again(self) -> str:
         """The command that asks the same once more."""
-        device = f" --device {shlex.quote(self.device[0])}" if self.named else ""
+        device = f" --device {shlex.quote(self.device_path)}" if self.device_path else ""
         return f"failstop doctor{option(self.name)}{device}"
 
 

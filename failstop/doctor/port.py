@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 
 from failstop import discovery
@@ -20,6 +21,8 @@ GONE = re.compile(r"(/dev/tty(?:ACM|USB)\d+) \(deleted\)")
 def present(look: Look) -> list[Finding]:
     """The device's file is there."""
     node, (device, origin) = look.node, look.device
+    if node is None and os.path.exists(device):
+        return fail(f"{device} is no serial port", *SERIAL_BY_NAME)
     if node is None:
         candidates = [(path, what) for path, what in discovery.candidates() if what != UNKNOWN]
         there = "here there is " + ", ".join(f"{path} ({what})" for path, what in candidates)
@@ -27,9 +30,7 @@ def present(look: Look) -> list[Finding]:
         if board := next((path for path, what in candidates if BOARD_USB in what), None):
             return fail(text, f"failstop doctor --device {board}", f"then set device.path to {board}")
         return fail(text, "sudo dmesg | tail", "plug the board in, and see whether the kernel saw it come")
-    if not node.character:
-        return fail(f"{device} is no serial port", *SERIAL_BY_NAME)
-    if node.link and not look.named:
+    if node.link and not look.device_path:
         text = f"{device} ({origin}) is the board now; after a replug that number may be another's"
         advice = f"set device.path to {node.link}, which is the same board and stays it, and restart the service"
         return warn(text, "", advice)
@@ -40,13 +41,13 @@ def present(look: Look) -> list[Finding]:
 def identity(look: Look) -> list[Finding]:
     """The board is behind it."""
     node = look.node
-    if node is None or not node.character:
+    if node is None:
         return []
     if node.pseudo:
         return ok("a pseudo-terminal: a simulated board, or a program between the board and failstop")
     if not node.usb_id:
         text = f"{node.path} is no USB device; the board's port is one of {BOARD_USB}"
-        if look.named:
+        if look.device_path:
             return skip(text, "", "the stop path says whether the board is behind it")
         return warn(text, f"failstop doctor --device {node.path}", "if it is the board: naming it allows the test")
     if node.usb_id != BOARD_USB:
@@ -64,7 +65,7 @@ def may_open(node: Node, user: User) -> bool:
 def permission(look: Look) -> list[Finding]:
     """This user and the service's may open it."""
     node, who = look.node, look.service_user
-    if node is None or not node.character:
+    if node is None:
         return []
     found = []
     whose = f"{node.path} is of the group {node.group}, mode {node.mode:04o}"

@@ -82,13 +82,13 @@ def stop_path(look: Look) -> list[Finding]:
     node = look.node
     if look.service:
         return _of_service(look)
-    if node is None or not node.character:
+    if node is None:
         return _left_out(look, "there is no port")
     if not node.accessible:
         return _left_out(look, "this user may not open the port")
     if holders := look.holders[0]:
         return _left_out(look, f"{holders[0].name} (pid {holders[0].pid}) has the port open")
-    if not (look.named or node.pseudo or node.usb_id == BOARD_USB):
+    if not (look.device_path or node.pseudo or node.usb_id == BOARD_USB):
         unsure = f"{node.path} may not be the board, and it is not written to"
         return _left_out(look, unsure, f"failstop doctor --device {node.path}")
     return by_hand(node.path, look.again())

@@ -50,7 +50,6 @@ class Node:
     path: str
     resolved: str
     """The path behind all links."""
-    character: bool
     pseudo: bool
     """A pseudo-terminal, as the simulated board's."""
     mode: int
@@ -123,21 +122,22 @@ class System:
             return None
 
     def node(self, path: str) -> Node | None:
-        """A device's file; None when it is not there."""
+        """A device's file; None when there is no character device."""
         try:
             found = os.stat(path)
         except OSError:
+            return None
+        if not stat.S_ISCHR(found.st_mode):
             return None
         group = str(found.st_gid)
         with contextlib.suppress(KeyError):
             group = grp.getgrgid(found.st_gid).gr_name
         resolved, link = os.path.realpath(path), self.path(discovery.LINK)
-        character, major, minor = stat.S_ISCHR(found.st_mode), os.major(found.st_rdev), os.minor(found.st_rdev)
+        major, minor = os.major(found.st_rdev), os.minor(found.st_rdev)
         return Node(
             path,
             resolved,
-            character,
-            character and major in PSEUDO_MAJORS,
+            major in PSEUDO_MAJORS,
             stat.S_IMODE(found.st_mode),
             found.st_uid,
             found.st_gid,

@@ -21,7 +21,6 @@ PERSON = User("anna", 1000, frozenset({1000, 20}))
 NODE = Node(
     path="/dev/ttyACM0",
     resolved="/dev/ttyACM0",
-    character=True,
     pseudo=False,
     mode=0o660,
     uid=0,
@@ -65,6 +64,9 @@ SAYS: dict[str, str | None] = {"systemd-analyze": ""}
 """What a command prints."""
 LIMITS = {resource.RLIMIT_RTPRIO: 40, resource.RLIMIT_MEMLOCK: -1}
 SHARED: dict[str, Any] = {
+    "quick": False,
+    "stop_wanted": False,
+    "device_path": None,
     "settings": ("", Settings(), ""),
     "service": SERVICE,
     "systemd": True,
@@ -78,7 +80,7 @@ SHARED: dict[str, Any] = {
     "command": "failstop",
     "stops": ok("stop tool: acknowledged"),
 }
-"""What checks share (Look)."""
+"""What was asked, and what checks share (Look)."""
 
 
 class Made(System):
@@ -128,10 +130,10 @@ class Made(System):
         return self._limits[which]
 
 
-def look(name: str = "failstop", *, quick: bool = False, stop_wanted: bool = False, **changed: Any) -> Look:
+def look(name: str = "failstop", **changed: Any) -> Look:
     """All is well but for this: what checks share, or what the system says."""
     system = Made(**{key: value for key, value in changed.items() if key not in SHARED})
-    made = Look(name, quick=quick, stop_wanted=stop_wanted, system=system)
+    made = Look(name, system=system)
     vars(made).update(SHARED | {key: value for key, value in changed.items() if key in SHARED})
     return made
 

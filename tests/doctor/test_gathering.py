@@ -210,7 +210,7 @@ def test_a_pseudo_terminal_is_told_from_a_board() -> None:
     master, slave = pty.openpty()
     found = System().node(os.ttyname(slave))
     assert found is not None
-    assert (found.character, found.pseudo, found.accessible) == (True, True, True)
+    assert (found.pseudo, found.accessible) == (True, True)
     assert System().node("/nowhere") is None
     os.close(slave)
     os.close(master)

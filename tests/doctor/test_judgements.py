@@ -13,7 +13,7 @@ from failstop import discovery
 from failstop.api.snapshot import Client, Starved
 from failstop.doctor import look as of_look
 from failstop.doctor import port, stop_path
-from failstop.doctor.look import FAIL, LEVELS, NAMED, OK, SKIP, WARN, Look, ok
+from failstop.doctor.look import FAIL, LEVELS, OK, SKIP, WARN, Look, ok
 from failstop.doctor.machine import PROCESSORS, RUNTIME
 from failstop.doctor.system import Holder
 from failstop.doctor.table import CHECKS, examine, pasteable
@@ -49,11 +49,11 @@ def dead(**owners: str) -> dict[str, Any]:
 
 
 CASES: tuple[tuple[str, Look, str, str], ...] = (
-    ("port", look(node=but(NODE, character=False)), FAIL, "no serial port"),
+    ("port", look(node=None, device=("/", "x")), FAIL, "no serial port"),
     ("port", look(node=but(NODE, link="/dev/failstop")), WARN, "that number may be another"),
     ("identity", look(node=but(NODE, usb_id="0403:6001")), FAIL, "0403:6001"),
     ("identity", look(node=but(NODE, usb_id="")), WARN, "no USB device"),
-    ("identity", look(node=but(NODE, usb_id=""), device=("/dev/ttyACM0", NAMED)), SKIP, "no USB device"),
+    ("identity", look(node=but(NODE, usb_id=""), device_path="/dev/ttyACM0"), SKIP, "no USB device"),
     ("permission", look(service_user=but(SERVER, gids=frozenset({998}))), FAIL, "failstop may not open"),
     ("permission", look(node=but(NODE, accessible=False)), SKIP, "need not"),
     ("permission", look(node=but(NODE, accessible=False), service=None), WARN, "anna"),
@@ -180,7 +180,6 @@ UNTOUCHED = but(NODE, accessible=False)
         ({"service": serving(enabled=True)}, "motion is enabled", "failstop disable --name failstop"),
         ({}, "the service runs, and would be stopped once and reset", "failstop doctor --stop-test --name failstop"),
         ({"service": None, "node": None}, "there is no port", ""),
-        ({"service": None, "node": but(NODE, character=False)}, "there is no port", ""),
         ({"service": None, "node": UNTOUCHED}, "this user may not open the port", ""),
         ({"service": None, "holders": ((Holder(7, "x"),), 0)}, "x (pid 7) has the port open", ""),
         (
@@ -197,7 +196,7 @@ def test_where_the_stop_path_is_left_alone(changed: dict[str, Any], why: str, fi
 
 @pytest.mark.parametrize(
     "changed",
-    [{}, {"node": but(NODE, usb_id="", pseudo=True)}, {"node": but(NODE, usb_id=""), "device": ("/dev/x", NAMED)}],
+    [{}, {"node": but(NODE, usb_id="", pseudo=True)}, {"node": but(NODE, usb_id=""), "device_path": "/dev/x"}],
 )
 def test_where_it_is_tried(monkeypatch: pytest.MonkeyPatch, changed: dict[str, Any]) -> None:
     monkeypatch.setattr(stop_path, "by_hand", lambda path, _: ok(path))
