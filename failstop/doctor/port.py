@@ -7,7 +7,7 @@ import re
 
 from failstop import discovery
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
-from failstop.doctor.system import Holder, Node, User
+from failstop.doctor.system import Node, User
 
 BOARD_USB = f"{discovery.BOARD_VID:04x}:{discovery.BOARD_PID:04x}"
 RULE = ("sudo failstop install", "it brings a rule for udev that sees to it")
@@ -98,7 +98,7 @@ def held(look: Look) -> list[Finding]:
         for gone in filter(None, map(GONE.fullmatch, sorted(paths or ()))):
             holder = look.system.holder(pid)
             what = "open from before an unplug: the board comes back by another number"
-            found += warn(f"{_who(holder)} has {gone[1]} {what}", _end(holder))
+            found += warn(f"{holder} has {gone[1]} {what}", holder.end())
     if look.node is None:
         return found
     holders, unseen = look.holders
@@ -109,22 +109,14 @@ def held(look: Look) -> list[Finding]:
         found += fail(text, f"failstop doctor --name {name}", "this one may be meant; or end it")
     for holder in others:
         if not holder.instance:
-            text = f"{_who(holder)} has the port open: what it writes goes past every check of failstop"
-            found += fail(text, _end(holder))
+            text = f"{holder} has the port open: what it writes goes past every check of failstop"
+            found += fail(text, holder.end())
     if found:
         return found
     if unseen:
         text = f"nobody else is seen with it, but {unseen} processes hide their files from this user"
         return warn(text, f"sudo {look.again()}", "root sees them")
     return ok(f"only the service has it open ({len(holders)} processes)" if holders else "nobody has it open")
-
-
-def _who(holder: Holder) -> str:
-    return f"{holder.name} (pid {holder.pid}{f', {holder.unit}' if holder.unit else ''})"
-
-
-def _end(holder: Holder) -> str:
-    return f"sudo systemctl stop {holder.unit}" if holder.unit else f"sudo kill {holder.pid}"
 
 
 def grabbers(look: Look) -> list[Finding]:

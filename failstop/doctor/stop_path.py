@@ -87,7 +87,7 @@ def stop_path(look: Look) -> list[Finding]:
     if not node.accessible:
         return _left_out(look, "this user may not open the port")
     if holders := look.holders[0]:
-        return _left_out(look, f"{holders[0].name} (pid {holders[0].pid}) has the port open")
+        return _left_out(look, f"{holders[0]} has the port open")
     if not (look.device_path or node.pseudo or node.usb_id == BOARD_USB):
         unsure = f"{node.path} may not be the board, and it is not written to"
         return _left_out(look, unsure, f"failstop doctor --device {node.path}")

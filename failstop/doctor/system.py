@@ -78,6 +78,13 @@ class Holder:
     instance: str = ""
     """Whose service it belongs to, if it is one of failstop's processes."""
 
+    def __str__(self) -> str:
+        return f"{self.name} (pid {self.pid}{f', {self.unit}' if self.unit else ''})"
+
+    def end(self) -> str:
+        """The command that ends it."""
+        return f"sudo systemctl stop {self.unit}" if self.unit else f"sudo kill {self.pid}"
+
 
 class System:
     """Reads below `root`."""

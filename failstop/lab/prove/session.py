@@ -114,8 +114,7 @@ def check_free(device: str, *names: str) -> None:
         return  # the run says it, with the devices that are there
     holders, _ = System().holders(node.resolved)
     for holder in holders:
-        end = f"sudo systemctl stop {holder.unit}" if holder.unit else f"kill {holder.pid}"
-        raise Refused(f"{holder.name} (pid {holder.pid}) has {device} open: {end}")
+        raise Refused(f"{holder} has {device} open: {holder.end()}")
 
 
 @contextlib.contextmanager
