@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 
 from failstop.cli import standard
@@ -77,17 +78,16 @@ def main(argv: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     standard.fill()
     standard.watch()
+    code = 0
     try:
         code = _main(sys.argv[1:] if argv is None else argv)
-    except OSError:
-        if (lost := standard.lost()) is None:
-            raise
-        code = 1
-    else:
-        lost = standard.lost()
-    if lost and not isinstance(lost, BrokenPipeError):
-        standard.say(f"standard output takes no more ({lost.strerror}): what is missing there was not written")
-    return code or int(lost is not None)
+        sys.stdout.flush()
+    except standard.Lost as lost:
+        standard.let_go()
+        code = code or 1
+        if lost.errno != errno.EPIPE:
+            standard.say(f"standard output takes no more ({lost.strerror}): what is missing there was not written")
+    return code
 
 
 def _main(words: list[str]) -> int:
@@ -166,7 +166,7 @@ def _run(name: str, words: list[str]) -> int:
     except KeyboardInterrupt:
         return 130
     except Exception as error:
-        if lacking := _lacking(error):
+        if lacking := _lack(error):
             standard.say(lacking)
             return 1
         if not _expected(error):
@@ -174,6 +174,20 @@ def _run(name: str, words: list[str]) -> int:
         standard.say(str(error))
         return getattr(error, "exit_code", 1)
     return code
+
+
+def _lack(error: BaseException | None) -> str:
+    """What people are told of an error that came of too many open files, whatever was made of it on its way; of another
+    one an empty text."""
+    import resource
+
+    from failstop.procs.limits import no_descriptors
+
+    while error is not None:
+        if isinstance(error, OSError) and error.errno == errno.EMFILE:
+            return no_descriptors(resource.getrlimit(resource.RLIMIT_NOFILE)[0])
+        error = error.__cause__ or error.__context__
+    return ""
 
 
 def _expected(error: Exception) -> bool:
@@ -185,18 +199,3 @@ def _expected(error: Exception) -> bool:
     from failstop.shm.segment import AttachError
 
     return isinstance(error, (FailstopError, PortError, InstanceError, AttachError, SettingError))
-
-
-def _lacking(error: BaseException | None) -> str:
-    """What people are told of an error that came of too many open files, whatever was made of it on its way; of another
-    one an empty text."""
-    import errno
-    import resource
-
-    from failstop.procs.limits import no_descriptors
-
-    while error is not None:
-        if isinstance(error, OSError) and error.errno == errno.EMFILE:
-            return no_descriptors(resource.getrlimit(resource.RLIMIT_NOFILE)[0])
-        error = error.__cause__ or error.__context__
-    return ""

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
+import pwd
 import shlex
 import shutil
 import sys
@@ -144,7 +145,7 @@ class Look:
     def service_user(self) -> User | None:
         """The account of the installed service; None: there is none."""
         try:
-            return user(self.unit.get("User") or "root" if self.installed else ACCOUNT)
+            return user(pwd.getpwnam(self.unit.get("User") or "root" if self.installed else ACCOUNT).pw_uid)
         except KeyError:
             return None
 

@@ -176,10 +176,6 @@ class System:
         """Every process."""
         return (int(name) for name in self.names("/proc") if name.isdigit())
 
-    def comm(self, pid: int) -> str:
-        """A process's name."""
-        return self.read(f"/proc/{pid}/comm") or "?"
-
     def open_files(self) -> Iterator[tuple[int, set[str] | None]]:
         """The paths of what each other process has open; None where that is hidden from this user."""
         for pid in self.pids():
@@ -202,7 +198,7 @@ class System:
         words = (self.read(f"/proc/{pid}/cmdline") or "").split("\0")
         ours = any(word.endswith("/supervisor/child.py") for word in words)
         names = [word.removeprefix("name=") for word in words if ours and word.startswith("name=")]
-        return Holder(pid, self.comm(pid), unit, *names[:1])
+        return Holder(pid, self.read(f"/proc/{pid}/comm") or "?", unit, *names[:1])
 
     def holders(self, path: str) -> tuple[tuple[Holder, ...], int]:
         """The processes that have a device open, and how many could not be looked into."""
@@ -252,18 +248,16 @@ class System:
         return found
 
 
-def user(who: int | str) -> User:
-    """Somebody by number, or by name, with all groups. Raises KeyError for a name that is none."""
+def user(uid: int) -> User:
+    """Somebody with all groups."""
     try:
-        found = pwd.getpwnam(who) if isinstance(who, str) else pwd.getpwuid(who)
+        found = pwd.getpwuid(uid)
     except KeyError:
-        if isinstance(who, str):
-            raise
-        return User(str(who), who)
+        return User(str(uid), uid)
     gids = set(os.getgrouplist(found.pw_name, found.pw_gid))
-    if found.pw_uid == os.geteuid():
+    if uid == os.geteuid():
         gids |= {os.getegid(), *os.getgroups()}
-    return User(found.pw_name, found.pw_uid, frozenset(gids))
+    return User(found.pw_name, uid, frozenset(gids))
 
 
 def late_ns(seconds: float) -> list[int]:
