@@ -15,8 +15,8 @@ from failstop.supervisor import starter
 from failstop.supervisor.port import OwnPort
 
 DEVICE = "device.path"
-REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError, ImportError)
-"""What can keep the service from starting; ImportError where no file can be opened any more."""
+REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError)
+"""What can keep the service from starting."""
 
 EXAMPLES = """\
 failstop run                             # /dev/ttyACM0, default settings
@@ -79,12 +79,6 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
 
 
 def _why(error: Exception) -> str:
-    """The reason of a refusal. Its port is closed, so that there is a descriptor again for what was missing."""
-    if isinstance(error, (OSError, ImportError)):
-        try:
-            limits.take_descriptors()
-        except OSError as short:
-            return str(short)
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)
