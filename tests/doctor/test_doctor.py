@@ -16,6 +16,7 @@ from failstop.cli.commands.doctor import ARROW, screen
 from failstop.doctor.look import LEVELS, SKIP, WARN, Finding
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, wait_for
+from failstop.version import VERSION
 from tests.support.commands import failstop
 
 
@@ -103,6 +104,7 @@ def test_the_stop_of_a_running_service(name: str) -> None:
         wait_for("the board's answer", lambda: trial.robot.state.device.link == "alive")
         _, found = doctor("--name", name)
         assert found["service"][0]["level"] == "ok"
+        assert found["version"][0]["text"] == f"service and command are failstop {VERSION}"
         assert trial.link in found["port"][0]["text"]
         assert stop_path(found)[0].startswith("skip: not tested: the service runs")
         assert found["holders"][0]["level"] == "ok", found["holders"]

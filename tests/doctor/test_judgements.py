@@ -131,6 +131,7 @@ def said(given: Look, check: str) -> list[tuple[str, str, str]]:
 
 
 RUNS = "'failstop' runs (pid 100, user failstop), device open, the board answers"
+UNIT_LINE = "LimitRTPRIO=40, as the one of failstop install"
 OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
 
 
@@ -161,7 +162,7 @@ def test_what_is_said_where_all_is_well(check: str, given: Look, says: str) -> N
         ("holders", look(holders=((Holder(7, "x", "old.service"),), 0)), "sudo systemctl stop old.service", ""),
         ("version", look(service=but(SERVICE, version="0")), "sudo systemctl restart failstop.service", "it stops"),
         ("version", look(service=but(SERVICE, version="0"), unit={}), "sudo kill 100", "then start it again"),
-        ("realtime", look(service=serving(processes=UNRIGHTED)), "", "LimitRTPRIO=40, as"),
+        ("realtime", look(service=serving(processes=UNRIGHTED)), "", UNIT_LINE),
     ],
 )
 def test_the_remedy_fits_the_case(check: str, given: Look, fix: str, advice: str) -> None:

@@ -21,6 +21,7 @@ COLUMNS = 80
 def test_the_help_shows_every_command_by_purpose(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
     text = capsys.readouterr().out
+    assert sum(map(len, cli.GROUPS.values())) == len(cli.COMMANDS), "each command once"
     for title, names in cli.GROUPS.items():
         assert f"\n{title}:\n" in text
         for name in names:
