@@ -79,45 +79,49 @@ def stop_path(look: Look) -> list[Finding]:
     """The self-test where it is safe, else why it was left out."""
     if look.stops is not None:
         return look.stops
-    node = look.node
-    if look.service:
-        return _of_service(look)
-    if node is None:
-        return _left_out(look, "there is no port")
-    if not node.accessible:
-        return _left_out(look, "this user may not open the port")
-    if holders := look.holders[0]:
-        return _left_out(look, f"{holders[0]} has the port open")
-    if not (look.device_path or node.pseudo or node.usb_id == BOARD_USB):
-        unsure = f"{node.path} may not be the board, and it is not written to"
-        return _left_out(look, unsure, f"failstop doctor --device {node.path}")
-    return by_hand(node.path, look.again())
-
-
-def _of_service(look: Look) -> list[Finding]:
-    test = f"failstop doctor --stop-test --name {look.name}"
-    if not (state := look.state):
-        return _left_out(look, "the running service can't be asked")
-    if state.enabled:
-        return _left_out(look, "motion is enabled", f"failstop disable --name {look.name}")
-    if state.cause:
-        return _left_out(look, f"a stop is latched already ({state.cause})", f"failstop reset --name {look.name}")
-    if not look.stop_wanted:
-        return _left_out(look, "the service runs, and would be stopped once and reset", test)
-    try:
-        # It takes the right to clear the latch that the test leaves. Motion is disabled already: this changes nothing.
-        with Robot(look.name, client="doctor") as robot:
-            robot.disable()
-    except FailstopError as error:
-        return _left_out(look, str(error), f"sudo {test}")
+    if obstacle := _of_service(look) if look.service else _of_port(look):
+        why, fix = obstacle
+        return (warn if look.stop_wanted else skip)(f"not tested: {why}", fix, "" if fix else "see to that first")
+    if not look.service:
+        return by_hand(look.device[0], look.again())
     try:
         return by_service(look.name, look.again())
     except FailstopError as error:
         return _broken(REQUEST, error, look.again())
 
 
-def _left_out(look: Look, why: str, fix: str = "") -> list[Finding]:
-    return (warn if look.stop_wanted else skip)(f"not tested: {why}", fix, "" if fix else "see to that first")
+def _of_port(look: Look) -> tuple[str, str] | None:
+    """Why nothing is written to the port, and the command that changes it."""
+    node, (holders, _) = look.node, look.holders
+    if node is None:
+        return "there is no port", ""
+    if not node.accessible:
+        return "this user may not open the port", ""
+    if holders:
+        return f"{holders[0]} has the port open", ""
+    if not (look.device_path or node.pseudo or node.usb_id == BOARD_USB):
+        return f"{node.path} may not be the board, and it is not written to", f"failstop doctor --device {node.path}"
+    return None
+
+
+def _of_service(look: Look) -> tuple[str, str] | None:
+    """Why the running service is not told to stop, and the command that changes it."""
+    test = f"failstop doctor --stop-test --name {look.name}"
+    if not (state := look.state):
+        return "the running service can't be asked", ""
+    if state.enabled:
+        return "motion is enabled", f"failstop disable --name {look.name}"
+    if state.cause:
+        return f"a stop is latched already ({state.cause})", f"failstop reset --name {look.name}"
+    if not look.stop_wanted:
+        return "the service runs, and would be stopped once and reset", test
+    try:
+        # It takes the right to clear the latch that the test leaves. Motion is disabled already: this changes nothing.
+        with Robot(look.name, client="doctor") as robot:
+            robot.disable()
+    except FailstopError as error:
+        return str(error), f"sudo {test}"
+    return None
 
 
 def _broken(writer: str, problem: object, again: str) -> list[Finding]:
