@@ -104,8 +104,8 @@ def test_a_planted_link_gets_no_line(tmp_path: Path) -> None:
 
 def test_replaced_whole(tmp_path: Path) -> None:
     path = tmp_path / "new" / "charger"
-    write_whole(str(path), "", "plugged\n")
-    write_whole(str(path), "", "unplugged\n")
+    write_whole(str(path), "plugged\n")
+    write_whole(str(path), "unplugged\n")
     assert path.read_text() == "unplugged\n"
     assert os.listdir(path.parent) == ["charger"]
 
@@ -120,7 +120,7 @@ def test_whatever_fails_the_old_content_is_there(tmp_path: Path, monkeypatch: py
 
     monkeypatch.setattr(os, step, fail)
     with pytest.raises(OSError, match="Input/output error"):
-        write_whole(str(path), "", "unplugged\n")
+        write_whole(str(path), "unplugged\n")
     monkeypatch.undo()
     assert path.read_text() == "plugged\n"
     assert os.listdir(tmp_path) == ["charger"]
@@ -133,7 +133,7 @@ def test_a_disk_that_is_full_within_a_file_leaves_the_old_one(tmp_path: Path) ->
     resource.setrlimit(resource.RLIMIT_FSIZE, (4, before[1]))
     try:
         with pytest.raises(OSError, match="File too large"):
-            write_whole(str(path), "", "unplugged\n")
+            write_whole(str(path), "unplugged\n")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert path.read_text() == "plugged\n"
@@ -154,7 +154,7 @@ def test_it_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(os, "fsync", fsync)
     monkeypatch.setattr(os, "rename", rename)
-    write_whole(str(tmp_path / "charger"), "", "plugged\n")
+    write_whole(str(tmp_path / "charger"), "plugged\n")
     assert done == [str(tmp_path / "charger.new"), "rename", str(tmp_path)]
 
 
