@@ -1,28 +1,21 @@
 """Aftermath: what is to be seen after a stop was written - the board's answers, the IMU's verdict - and the link.
 
-The decisions are in stops.py and link.py; here are the words of shared memory that they are made of.
+What counts for the stop is decided in stops.py; here are the words of shared memory that it is made of.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable
 
 from failstop.policy import causes
 from failstop.shm import layout, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.packing import pack
-from failstop.supervisor.link import ALIVE, DEAF, Link
-from failstop.supervisor.stops import UNSTILL, Stop
-from failstop.supervisor.written import BY_SUPERVISOR
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from failstop.policy.causes import Cause
-    from failstop.supervisor.latch import Latch
-    from failstop.supervisor.run import Run
+from failstop.supervisor.latch import Latch
+from failstop.supervisor.run import Run
+from failstop.supervisor.stops import ALIVE, BY_SUPERVISOR, DEAF, Link, Stop
 
 
 class Aftermath:
@@ -54,16 +47,17 @@ class Aftermath:
         self._published = ""
         self._last: Stop | None = None
 
-    def written(self, stop: Stop, written_ns: int, by: str, latched: Cause, epoch: int) -> None:
-        """A stop was written (`written_ns` 0: it could not be): follow it from now on. What comes while one is latched
-        belongs to that: the first is the one that people look for."""
+    def written(self, stop: Stop) -> None:
+        """A stop was answered, written or not: follow it from now on. What comes while one is latched belongs to that:
+        the first is the one that people look for."""
         last = self._last
         if last and last.written_ns and self._latch.reset_epoch < last.epoch:
             return
-        self._tell()
-        stop.answered_by(by, written_ns, latched, epoch, self._after_ns, self._world.unix_s())
+        if last and not last.told:
+            self._tell_outcome(last)  # with what is known
+        stop.follow(self._after_ns, self._world.unix_s())
         self._last = stop
-        self._publish()
+        self._publish(stop)
 
     def follow(self, now_ns: int, *, listening: bool) -> list[Stop]:
         """Look at everything once; returns the stops that this brings. `listening`: telemetry runs, which decodes the
@@ -93,9 +87,10 @@ class Aftermath:
     def opened(self, written_ns: int) -> None:
         """A port was opened again, perhaps another board's; the supervisor's burst on it was at `written_ns`."""
         self.link.opened()
-        if self._last and not self._last.written_ns and written_ns > self._last.t_ns:
-            self._last.written_at_last(written_ns, BY_SUPERVISOR)
-            self._publish()
+        last = self._last
+        if last and not last.written_ns and written_ns > last.t_ns:
+            last.written_at_last(written_ns, BY_SUPERVISOR)
+            self._publish(last)
 
     def _take_answer(self) -> None:
         word = self._pong.get()
@@ -109,7 +104,7 @@ class Aftermath:
         self.link.answered(sent_ns)
         self._heard = max(self._heard, (sent_ns, arrival_ns))
         if self._last and self._last.ponged(sent_ns, arrival_ns):
-            self._publish()
+            self._publish(self._last)
 
     def _follow_wheels(self, now_ns: int) -> bool:
         """True when the wheels should be still and are not. A reset ends the question: people see to it then."""
@@ -130,7 +125,7 @@ class Aftermath:
         unstill = last.judged(still_ns, judged_ns, now_ns)
         if last.observed_ns is not None and not known:
             self._command_ran = False
-            self._publish()
+            self._publish(last)
         if unstill:
             text = f"CRITICAL: {causes.UNSTILL()} ({last.cause}; {(now_ns - last.t_ns) / 1e9:.1f} s ago)"
             self._events.tell("unstill", text, {"reason": str(last.cause), "epoch": last.epoch})
@@ -172,17 +167,12 @@ class Aftermath:
                 text = f"still.command (pid {pid}) ended with code {code}"
                 self._events.tell("command", text, {"state": "ended", "pid": pid, "code": code})
 
-    def _tell(self) -> None:
-        """A stop that another one follows is told of with what is known."""
-        if self._last and not self._last.told:
-            self._tell_outcome(self._last)
-
     def _tell_outcome(self, stop: Stop) -> None:
         link = self.link.state
         stop.held = stop.written_ns > 0 and stop.acknowledged_ns is None and self._holds()
         if stop.held and stop is self._last:
-            self._publish()
-        level = "error" if stop.held or stop.state == UNSTILL else ""
+            self._publish(stop)
+        level = "error" if stop.held or stop.unstill else ""
         self._events.tell("stop_outcome", stop.outcome(link), stop.fields(link), level=level)
 
     def _tell_link(self, before: str, state: str) -> None:
@@ -195,6 +185,5 @@ class Aftermath:
             text = "whether the board hears is not known until it answers"
             self._events.tell("link", text, {"state": state}, level="info")
 
-    def _publish(self) -> None:
-        if self._last:
-            self._record.write(pack(self._last.as_record()))
+    def _publish(self, stop: Stop) -> None:
+        self._record.write(pack(stop.as_record()))

@@ -7,19 +7,18 @@ waits for it but the end of the service, and that no longer than FINISH_S.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 
 import msgpack
 
 from failstop.shm import box, layout, records
+from failstop.supervisor.run import Run
 from failstop.supervisor.starter import environment, script_command
+from failstop.supervisor.stops import Stop
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Iterable
     from typing import Any
-
-    from failstop.supervisor.run import Run
-    from failstop.supervisor.stops import Stop
 
 SAMPLE_NS = 100_000_000
 START_NS = 150_000_000
@@ -69,13 +68,13 @@ class BlackBox:
     """One turn: follow(). begin() once, when the other processes are started."""
 
     def __init__(self, run: Run) -> None:
-        resources, settings = run.resources, run.settings
+        settings = run.settings
         self._now_ns, self._world = run.world.now_ns, run.world
         self._events = run.events
-        self._readable = resources.readable
+        self._readable = run.readable
         self._on = settings.on("incidents.save")
         self._words = {
-            "name": resources.name,
+            "name": run.name,
             "keep": str(int(settings["incidents.keep"])),
             "max_mb": str(int(settings["incidents.max_mb"])),
         }
@@ -86,7 +85,7 @@ class BlackBox:
         """The longest silence of each process since the last sample."""
         self._seen_ns = [0] * len(self._beats)
         """And when that was seen."""
-        self._left = resources.left
+        self._left = run.left
         self._waiting: list[tuple[int, dict[str, str]]] = []
         """When to start a saver, and with what."""
         self._savers: list[Saver] = []

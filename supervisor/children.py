@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import signal
 
+from failstop.policy.processes import Process
 from failstop.procs.loop import NEVER, Timer
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.processes import Process
-    from failstop.procs.world import World
-    from failstop.shm.heartbeat import HeartbeatReader
-    from failstop.shm.lifeline import Lifeline
-    from failstop.supervisor.fence import Fence
-    from failstop.supervisor.restarts import Restarts
+from failstop.procs.world import World
+from failstop.shm.heartbeat import HeartbeatReader
+from failstop.shm.lifeline import Lifeline
 
 _SIGNALS = {found.value: found.name for found in signal.Signals}
 _SIGNALS[signal.SIGXCPU] += " (it ran on and on at real-time priority)"
 STARTING_NS = 5_000_000_000
 """A process that does not say that it runs within this time is killed."""
+LONGEST_WAIT_NS = 2_000_000_000
 
 # The states of a process, in the words that people read.
 WAITING = "waiting"  # to be started
@@ -44,6 +40,66 @@ NEXT = {
 }
 """What each state becomes. What is not here cannot happen, and would leave the state as it is: the supervisor must not
 die of it."""
+
+
+class Restarts:
+    """Counts one process's deaths: the first in the window is restarted at once, the next after a doubling wait, and
+    after the limit it is down (and the service stopped) until people reset, rather than loop. Pure."""
+
+    def __init__(self, limit: int, window_ns: int, backoff_ns: int) -> None:
+        self._limit = limit
+        self._window_ns = window_ns
+        self._backoff_ns = backoff_ns
+        self._deaths: list[int] = []
+
+    def died(self, now_ns: int) -> int | None:
+        """Return the wait before the restart in ns, or None: leave it down."""
+        self._deaths = [t for t in self._deaths if now_ns - t < self._window_ns]
+        self._deaths.append(now_ns)
+        count = len(self._deaths)
+        if count >= self._limit:
+            return None
+        return 0 if count == 1 else min(self._backoff_ns << min(count - 2, 16), LONGEST_WAIT_NS)
+
+    def forget(self) -> None:
+        """People have seen to it."""
+        self._deaths.clear()
+
+
+class Fence:
+    """The record of a hung process that was killed, so that nothing that it still wanted to do can happen: when the
+    hang was noticed, the process killed, the stop written on the supervisor's own descriptor (0: by the port owner, or
+    not at all), its end noticed, and the stop written again for that (0: as before), CLOCK_MONOTONIC; and how long it
+    had been silent. All in ns."""
+
+    STEPS = (("kill", "killed"), ("burst", "stop written"), ("gone", "gone"), ("again", "stop again"))
+
+    def __init__(
+        self, noticed_ns: int, kill_ns: int, burst_ns: int, silent_ns: int = 0, *, was_starved: bool = False
+    ) -> None:
+        self.was_starved = was_starved
+        """The machine did not run it: no fault of its own."""
+        self.kill_ns = kill_ns
+        self._noticed_ns = noticed_ns
+        self._silent_ns = silent_ns
+        self._times_ns = {"kill": kill_ns, "burst": burst_ns, "gone": 0, "again": 0}
+
+    def gone(self, gone_ns: int, again_ns: int) -> None:
+        """It is gone; `again_ns`: when the burst for that was written."""
+        self._times_ns |= {"gone": gone_ns, "again": again_ns}
+
+    def _us(self, step: str) -> float:
+        return (self._times_ns[step] - self._noticed_ns) / 1e3
+
+    def story(self, name: str) -> str:
+        """In words, in ms from the notice."""
+        steps = [f"{told} after {self._us(step) / 1e3:.1f} ms" for step, told in self.STEPS if self._times_ns[step]]
+        return f"{name} was fenced: {', '.join(steps)}"
+
+    def fields(self) -> dict[str, float]:
+        """The same for programs: us from the notice."""
+        times = {f"{step}_us": self._us(step) for step, _ in self.STEPS if self._times_ns[step]}
+        return {"silent_ms": round(self._silent_ns / 1e6, 1), **times}
 
 
 class Child:

@@ -12,13 +12,11 @@ from failstop.procs import limits, rights
 from failstop.procs.world import World
 from failstop.shm.instance import InstanceError
 from failstop.shm.segment import AttachError
-from failstop.supervisor import main
-from failstop.supervisor.datagram import Outbox
-from failstop.supervisor.events import Events
-from failstop.supervisor.journal import SOCKET, is_stderr
+from failstop.supervisor.events import JOURNAL, Events, Outbox, is_journal
+from failstop.supervisor.main import Supervisor
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
-from failstop.supervisor.resources import Resources
+from failstop.supervisor.run import Run
 
 SUPERVISOR_COMM = "fs:supervisor"
 """What the kernel shows as the supervisor's name."""
@@ -33,10 +31,10 @@ def start(words: dict[str, str]) -> int:
     fd = _take_descriptors(int(words["lock"]), int(words["port"]))
     port = OwnPort(fd, settings.servos(), world.unsent_bytes)
     notify = Notify.taken_from(os.environ, os.getpid())
-    journal = Outbox(SOCKET) if is_stderr(os.environ.pop("JOURNAL_STREAM", "")) else None
+    journal = Outbox(JOURNAL) if is_journal(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:
         limits.take_descriptors()
-        resources = Resources(words["name"], words["dir"])
+        run = Run(world, settings, words["name"], words["dir"], journal)
     except (AttachError, InstanceError, OSError) as error:
         events = Events(world, words["name"], journal=journal)
         events.tell("not_started", str(error), {"reason": str(error)})
@@ -45,10 +43,27 @@ def start(words: dict[str, str]) -> int:
         port.close()
         return 1
     # Not where it fails: then every moment counts, and the next run saves what is left behind.
-    code = main.run(world, resources, port, settings, notify, journal)
-    resources.remove()
+    code = _serve(Supervisor(run, port, notify), port)
+    run.remove()
     port.close()  # an exit would wait for a port that does not drain
     return code
+
+
+def _serve(supervisor: Supervisor, port: OwnPort) -> int:
+    """Serve until SIGTERM or SIGINT, or until it can't go on; returns the exit code."""
+    supervisor.handover.opener.begin()
+    signal.signal(signal.SIGTERM, supervisor.end)
+    signal.signal(signal.SIGINT, supervisor.end)
+    for child in supervisor.children:
+        supervisor.processes.start(child, port)
+    supervisor.blackbox.begin()
+    rights.settle()
+    ready: dict[int, int] = {}
+    while not supervisor.ending:
+        supervisor.turn(ready)
+        ready = supervisor.rest()
+    well = supervisor.finish()
+    return int(supervisor.broken or not well)
 
 
 def _take_signals() -> None:

@@ -5,48 +5,125 @@ Told is not yet sent: events wait for flush(), which comes at the end of a turn,
 
 from __future__ import annotations
 
+import _socket
 import os
 import select
+from collections.abc import Iterable, Mapping
 
 from failstop.policy import causes
+from failstop.procs.world import World
 from failstop.shm import instance, layout
 from failstop.shm.notes import fitting
-from failstop.supervisor.allowance import ASKED_BYTES, OWN_BYTES, Allowance
+from failstop.shm.ring import RingWriter
 from failstop.supervisor.fold import PREFIX, fitted
-from failstop.supervisor.journal import encode
 from failstop.supervisor.kinds import BY_NAME, LEVELS
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from failstop.procs.world import World
-    from failstop.shm.ring import RingWriter
-    from failstop.supervisor.datagram import Outbox
-    from failstop.supervisor.journal import Value
-
+    Value = str | int | float
     Told = tuple[int, float, str, str, str, dict[str, Value]]
     Sort = tuple[str, str, bool]
 
+JOURNAL = "/run/systemd/journal/socket"
+STDERR = 2
 LONGEST_HOLD_NS = 50_000_000
 """Events wait at most this long for a stop's bytes, which are out within 5 ms where they can be written at all."""
 MOST_WAITING = 256
 CUTS = ((280, 280), (200, 60), (120, 24))
 """As notes.CUTS."""
+ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name, causes.FLEET.name))
 AGAIN = frozenset(("stop_again", "stop_also"))
 """What anybody can bring about without end; a stop that is latched again takes somebody who resets."""
-ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
+MINUTE_NS = 60_000_000_000
+OWN_BYTES = 65536
+"""What is told in a minute of each kind and level: a dozen stops a second for half of it, and then one every three
+seconds."""
+ASKED_BYTES = 8192
+"""Of requests that repeat what is latched: everybody may make them, without end, and they change nothing."""
+REOPENS_AT = 4
+"""Once this part of an allowance is there again."""
 
 
 def say(text: str) -> None:
     """Write one line to stderr, broken at words on a terminal. A log that can't be written is no reason to stop
     working, nor one that nobody reads (a full pipe, a terminal held by Ctrl-S): the line is dropped then."""
     try:
-        if select.select((), (2,), (), 0)[1]:
-            os.write(2, f"{fitted(PREFIX + text, 2)}\n".encode("utf-8", "replace"))
+        if select.select((), (STDERR,), (), 0)[1]:
+            os.write(STDERR, f"{fitted(PREFIX + text, STDERR)}\n".encode("utf-8", "replace"))
     except OSError:
         return
+
+
+class Outbox:
+    """Datagrams for a Unix socket that somebody else keeps, never waited for."""
+
+    __slots__ = ("_address", "_socket")
+
+    def __init__(self, address: str | bytes) -> None:
+        self._address = address
+        self._socket: _socket.socket | None = None
+
+    def send(self, data: bytes) -> bool:
+        """Send one datagram; False when it could not be handed over at once: nobody is there, or the queue is full."""
+        try:
+            if self._socket is None:
+                kind = _socket.SOCK_DGRAM | _socket.SOCK_CLOEXEC | _socket.SOCK_NONBLOCK
+                self._socket = _socket.socket(_socket.AF_UNIX, kind)
+            # By its address each time: whoever was restarted may have another socket there.
+            self._socket.sendto(data, self._address)
+        except (OSError, ValueError):
+            return False
+        return True
+
+    def close(self) -> None:
+        """Let the socket go."""
+        if self._socket:
+            self._socket.close()
+            self._socket = None
+
+
+class Allowance:
+    """How many bytes of one sort of event people are told in a minute, whoever brings them about.
+
+    A bucket that fills up within a minute. Once it is empty nothing more is told until a part of it is there again, and
+    then first how much was left out: a flood is a few lines and a number, not every other line of it. Pure.
+    """
+
+    __slots__ = ("_left", "_most", "_ns", "_shut", "left_out")
+
+    def __init__(self, most: int, now_ns: int) -> None:
+        self._most = most
+        self._left: float = most
+        self._ns = now_ns
+        self._shut = False
+        self.left_out = 0
+        """Events that were not told since the last that was."""
+
+    def _fill(self, now_ns: int) -> None:
+        earned = max(0, now_ns - self._ns) * self._most / MINUTE_NS
+        self._left = min(self._most, self._left + earned)
+        self._ns = max(self._ns, now_ns)
+
+    def spend(self, size: int, now_ns: int) -> bool:
+        """True when an event of `size` bytes may be told now."""
+        self._fill(now_ns)
+        if self._shut or size > self._left:
+            self._shut = True
+            self.left_out += 1
+            return False
+        self._left -= size
+        return True
+
+    def reopens(self, now_ns: int) -> bool:
+        """True when there is room for more again."""
+        self._fill(now_ns)
+        return self._left * REOPENS_AT >= self._most
+
+    def reopen(self) -> int:
+        """Go on telling; returns how many were left out."""
+        count, self.left_out, self._shut = self.left_out, 0, False
+        return count
 
 
 class Events:
@@ -108,7 +185,7 @@ class Events:
 
     def _send(self, t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value]) -> None:
         """To everybody, unless there was too much of its sort."""
-        datagram = encode(entry(self._name, t_ns, kind, level, text, fields)) if self._journal else b""
+        datagram = journal_entry(self._name, t_ns, kind, level, text, fields) if self._journal else b""
         size = len(datagram) or len(f"{PREFIX}{text}\n".encode("utf-8", "replace"))
         sort = kind, level, _asked(kind, fields)
         if not self._allowance(sort, t_ns).spend(size, t_ns):
@@ -138,21 +215,44 @@ def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
     return kind in AGAIN and fields.get("cause") in ASKED
 
 
-def entry(name: str, t_ns: int, kind: str, level: str, text: str, fields: dict[str, Value]) -> list[tuple[str, Value]]:
-    """The journal's fields of one event of the instance `name`."""
-    return [
-        ("MESSAGE", text),
-        ("PRIORITY", LEVELS[level]),
-        ("MESSAGE_ID", BY_NAME[kind].message_id),
-        ("SYSLOG_IDENTIFIER", "failstop"),
-        ("FAILSTOP_EVENT", kind),
-        ("FAILSTOP_NAME", name),
-        ("FAILSTOP_MONOTONIC_NS", t_ns),
-        *((f"FAILSTOP_{key.upper()}", value) for key, value in fields.items()),
-    ]
-
-
 def pack(t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value]) -> bytes:
     """One event for the ring, as a msgpack map."""
     told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level}
     return fitting(ROOM, CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
+
+
+def journal_entry(name: str, t_ns: int, kind: str, level: str, text: str, fields: dict[str, Value]) -> bytes:
+    """One event of the instance `name` for systemd's journal, in its native protocol."""
+    told: dict[str, Value] = {
+        "MESSAGE": text,
+        "PRIORITY": LEVELS[level],
+        "MESSAGE_ID": BY_NAME[kind].message_id,
+        "SYSLOG_IDENTIFIER": "failstop",
+        "FAILSTOP_EVENT": kind,
+        "FAILSTOP_NAME": name,
+        "FAILSTOP_MONOTONIC_NS": t_ns,
+    }
+    return encode((*told.items(), *((f"FAILSTOP_{key.upper()}", value) for key, value in fields.items())))
+
+
+def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
+    """The datagram of a journal entry. `NAME=value` and a line break; a value with a line break in it goes as the name,
+    a line break, its length as a little-endian u64, the value, a line break."""
+    parts = []
+    for name, value in fields:
+        data = str(value).encode("utf-8", "replace")
+        if b"\n" in data:
+            parts.append(b"%s\n%s%s\n" % (name.encode("ascii"), len(data).to_bytes(8, "little"), data))
+        else:
+            parts.append(b"%s=%s\n" % (name.encode("ascii"), data))
+    return b"".join(parts)
+
+
+def is_journal(stream: str) -> bool:
+    """True when `stream`, the DEVICE:INODE of $JOURNAL_STREAM, is this process's stderr: then the journal is where its
+    lines go. A stderr that was redirected since has another device or inode."""
+    try:
+        found = os.fstat(STDERR)
+    except OSError:
+        return False
+    return stream == f"{found.st_dev}:{found.st_ino}"

@@ -11,6 +11,8 @@ LEAST_COLUMNS = 40
 """Below this a hanging indent leaves too little."""
 PREFIX = "failstop: "
 """What the lines of the service and the errors of the commands begin with."""
+JOINED = "\0"
+"""In the place of a space that is no place to break at."""
 
 
 def columns(fd: int) -> int:
@@ -27,8 +29,7 @@ def fold(text: str, width: int, indent: int) -> str:
     if len(text) <= width or width < LEAST_COLUMNS:
         return text
     rows, row = [], ""
-    room = width - indent
-    for word in _words(text, room):
+    for word in _words(text, width - indent):
         if row and len(row) + 1 + len(word) > width:
             rows.append(row)
             row = " " * indent + word
@@ -39,15 +40,12 @@ def fold(text: str, width: int, indent: int) -> str:
 
 def _words(text: str, room: int) -> list[str]:
     """What may not be broken: words, and commands in backquotes with what is written against them."""
+    parts = text.split("`")
+    parts[1:-1:2] = [command.replace(" ", JOINED) for command in parts[1:-1:2]]
     found: list[str] = []
-    quoted: list[str] = []
-    for word in text.split(" "):
-        quoted.append(word)
-        if sum(part.count("`") for part in quoted) % 2 == 0:
-            whole = " ".join(quoted)
-            found += [whole] if len(whole) <= room else quoted
-            quoted = []
-    return found + quoted
+    for word in "`".join(parts).split(" "):
+        found += [word.replace(JOINED, " ")] if len(word) <= room else word.split(JOINED)
+    return found
 
 
 def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:

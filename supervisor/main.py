@@ -9,44 +9,26 @@ from __future__ import annotations
 import os
 import signal
 
-from failstop.board.finder import Finder
 from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.procs import rights, starved
-from failstop.procs.loop import NEVER, READ, Loop
-from failstop.shm import bell, heartbeat, layout, records, segment
+from failstop.procs.loop import NEVER, READ
+from failstop.shm import bell, heartbeat, layout, records
 from failstop.shm.heartbeat import Heartbeat
-from failstop.shm.lifeline import pid_namespace
-from failstop.shm.packing import pack
-from failstop.supervisor import grant, written
+from failstop.supervisor import grant
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
-from failstop.supervisor.children import ALIVE, DIED, RUNNING
-from failstop.supervisor.epochs import Epochs
-from failstop.supervisor.events import Events
-from failstop.supervisor.fence import Fence
-from failstop.supervisor.herald import Herald
-from failstop.supervisor.link import UNPROVEN
-from failstop.supervisor.names import Names
+from failstop.supervisor.children import ALIVE, DIED, RUNNING, Child, Fence
+from failstop.supervisor.latch import Epochs
 from failstop.supervisor.notify import Notify
-from failstop.supervisor.opener import Opener
+from failstop.supervisor.port import OwnPort
 from failstop.supervisor.port_handover import PortHandover
 from failstop.supervisor.process_table import ProcessTable
-from failstop.supervisor.readiness import Readiness
 from failstop.supervisor.run import Run
 from failstop.supervisor.silence import Silence
-from failstop.supervisor.stops import Stop
+from failstop.supervisor.status import Status
+from failstop.supervisor.stops import UNPROVEN, Stop
 from failstop.supervisor.teller import Teller
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.settings import Settings
-    from failstop.procs.world import World
-    from failstop.shm.bell import EventBell
-    from failstop.supervisor.children import Child
-    from failstop.supervisor.datagram import Outbox
-    from failstop.supervisor.port import OwnPort
-    from failstop.supervisor.resources import Resources
 
 MS = 1_000_000
 TICK_NS = 20 * MS
@@ -75,50 +57,30 @@ END_S = 2.0
 class Supervisor:
     """The parent's state; one turn() a wake-up."""
 
-    def __init__(
-        self,
-        world: World,
-        resources: Resources,
-        port: OwnPort,
-        settings: Settings,
-        notify: Notify | None = None,
-        journal: Outbox | None = None,
-    ) -> None:
-        name, memory, incarnation = resources.name, resources.memory, resources.incarnation
-        own = segment.attach(memory, layout.SUPERVISOR, incarnation, write=True)
-        views = {process: segment.attach(memory, process, incarnation) for process in layout.PROCESSES}
-        own.latest_writer("rules").write(pack(_rules(settings)))
-        own.latest_writer("settings").write(pack(settings.flat()))
-        self._now_ns, self._sleep, self._kill = world.now_ns, world.sleep, world.kill
-        self._port = port
-        self.loop = Loop(world)
+    def __init__(self, run: Run, port: OwnPort, notify: Notify) -> None:
+        self._run, self._port = run, port
+        self._now_ns, self._sleep, self._kill = run.world.now_ns, run.world.sleep, run.world.kill
+        self.loop, self._events = run.loop, run.events
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
-        self.heartbeat = Heartbeat(own, os.getpid(), self._granted, self._now_ns())
-        self._events = Events(world, name, own.ring_writer("events"), journal, resources.published)
-        advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=bool(notify and notify.active))
-        self.teller = Teller(name, self._events, views, advice)
-        run = Run(world, resources, settings, own, views, self.loop, self._events)
+        self.heartbeat = Heartbeat(run.own, os.getpid(), self._granted, self._now_ns())
+        advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
+        self.teller = Teller(run.name, run.events, run.views, advice)
         self._silence = Silence(run, advice)
-        self.processes = ProcessTable(run, segment.attach_unmapped(memory, "lifelines", incarnation))
+        self.processes = ProcessTable(run)
         self.children = self.processes.children
         self.epochs = Epochs(run)
         self.aftermath = Aftermath(run, self.epochs.latch, port.holds)
         self.blackbox = BlackBox(run)
-        opener = Opener(world, Finder(settings.text("device.path")), resources.bells[layout.SUPERVISOR])
-        self.handover = PortHandover(run, port, opener, self.processes)
-        self.readiness = Readiness(own.latest_writer("processes"), self.epochs, self.handover, self._silence)
-        self.herald = Herald(notify or Notify(), self.processes, self.epochs.latch, views)
-        self._names = Names(resources.named, self._events)
-        self._written_word = own.word("written_ns")
-        self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
-        self._stops = views[layout.PORT_OWNER].ring_reader("stops")
-        self._gate_stops = views[layout.GATE].ring_reader("stops")
-        self._begin(resources.bells[layout.SUPERVISOR])
+        self.handover = PortHandover(run, port, self.processes)
+        self.status = Status(run, notify, self.processes, self.epochs, self.handover, self._silence)
+        self._written_word = run.own.word("written_ns")
+        self._port_owner_written = run.views[layout.PORT_OWNER].word("written_ns")
+        self._stops = run.views[layout.PORT_OWNER].ring_reader("stops")
+        self._gate_stops = run.views[layout.GATE].ring_reader("stops")
+        self._begin()
 
-    def _begin(self, own_bell: EventBell) -> None:
+    def _begin(self) -> None:
         """Nothing has happened yet."""
-        self._told: Stop | None = None
-        """The last that was latched, and told of: a reset may have ended it."""
         self._unanswered: Stop | None = None
         self._answer_by = self.loop.timer()
         self._overdue = self.loop.timer()
@@ -133,7 +95,7 @@ class Supervisor:
         self.ending = False
         self.broken = False
         """It can't go on, and ends by itself, when its stop is answered."""
-        self._bells = (own_bell, self.processes.early.bell)
+        self._bells = (self._run.bells[layout.SUPERVISOR], self.processes.early.bell)
         for each in self._bells:
             self.loop.watch(each.fd, READ)
 
@@ -165,7 +127,7 @@ class Supervisor:
         self.processes.restart_due(self._port, now_ns)
         self.teller.pass_notes()
         self._publish(now_ns)
-        self.blackbox.follow(now_ns, ready=self.readiness.ever)
+        self.blackbox.follow(now_ns, ready=self.status.ever)
         self.heartbeat.beat(now_ns, self.epoch)
         self._events.flush(now_ns, hold=self._unanswered is not None)
 
@@ -234,7 +196,7 @@ class Supervisor:
         if gap_ns >= EXCUSE_NS:
             for child in self.children:
                 child.excused_ns = now_ns
-        if gap_ns < HELD_UP_NS or not self.readiness.ever:
+        if gap_ns < HELD_UP_NS or not self.status.ever:
             return []
         if not self._silence.motion(self.epoch):
             self._silence.over(layout.SUPERVISOR, gap_ns, now_ns)
@@ -243,7 +205,7 @@ class Supervisor:
 
     def _follow_names(self, now_ns: int) -> None:
         """A stop, and the end, for a service that others can't find any more."""
-        if cause := self._names.lost(now_ns):
+        if cause := self._run.lost(now_ns):
             self.broken = True
             self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, cause)])
         self.ending |= self.broken and self._unanswered is None
@@ -279,20 +241,14 @@ class Supervisor:
         if self._unanswered is None:
             self._unanswered = min(stops, key=lambda stop: stop.t_ns)
             self._answer_by.set(self._now_ns() + ANSWER_NS)
-        self._tell_latch()
+        latch = self.epochs.latch
+        if latch.stop and latch.since == self.epoch:
+            self.teller.latched(latch.stop)
+            if not self.ending:
+                self.blackbox.latched(latch.stop, self.epoch)
         for stop in stops:
             if stop is not self._unanswered:
                 self.teller.also(stop)
-
-    def _tell_latch(self) -> None:
-        """Once for each stop that is latched."""
-        latched = self.epochs.latch.stop
-        if latched is None or latched is self._told:
-            return
-        self._told = latched
-        self.teller.latched(latched)
-        if not self.ending:
-            self.blackbox.latched(latched, self.epochs.latch.since)
 
     def _follow_reset(self, now_ns: int) -> None:
         """Once the last stop is carried out."""
@@ -306,8 +262,7 @@ class Supervisor:
         if stop is None:
             return
         port_owner = self.processes[layout.PORT_OWNER]
-        found = written.who_wrote(
-            stop,
+        found = stop.who_wrote(
             answered=self.epochs.answered(),
             may_answer=port_owner.state in ALIVE and not self._answer_by.due(now_ns),
             port_owner_ns=self._port_owner_written.get(),
@@ -318,15 +273,12 @@ class Supervisor:
         by, written_ns = found
         self._unanswered = None
         self._stop_ns = written_ns or self._burst()
-        self._tell_stop(stop, self._stop_ns, by)
-
-    def _tell_stop(self, stop: Stop, written_ns: int, by: str) -> None:
-        """Publish the stop for people, and log it."""
         latched = self.epochs.latch.stop or stop
-        self.aftermath.written(stop, written_ns, by, latched.cause, self.epoch)
+        stop.answered_by(by, self._stop_ns, latched, self.epoch)
+        self.aftermath.written(stop)
         # Held for a moment is any burst; behind one that the board has not taken for long it goes nowhere.
         held = causes.STUCK in (stop.cause.kind, latched.cause.kind) and self._port.holds()
-        self.teller.stopped(stop, written_ns, by, latched, self.epoch, ending=self.ending, held=held)
+        self.teller.stopped(stop, ending=self.ending, held=held)
 
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline: at that moment, not at a tick after it."""
@@ -359,15 +311,14 @@ class Supervisor:
 
     def _publish(self, now_ns: int) -> None:
         """What motion waits for, and the service manager's part."""
-        missing = self.readiness.missing(self.children, stopping=self._unanswered is not None)
-        if self.readiness.publish(missing, self.children):
+        missing = self.status.missing(stopping=self._unanswered is not None)
+        if self.status.publish(missing):
             self.heartbeat.state(heartbeat.RUNNING, now_ns)
             self.teller.ready(self._granted)
-            self.herald.notify.ready()
         self.teller.missing(missing, now_ns)
         if self.epochs.answered():
             self._owed_ns = 0
-        self.herald.follow(now_ns, missing, self._owed_ns, port_open=self._port.fd >= 0)
+        self.status.tell_manager(now_ns, missing, self._owed_ns if self._port.fd >= 0 else 0)
 
     def finish(self) -> bool:
         """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
@@ -378,7 +329,7 @@ class Supervisor:
             self._follow_answer(self._now_ns())
         heard_ns = self._hear()
         link = self.aftermath.link.state
-        self.herald.notify.stopping("the stop is written; ending every process")
+        self.status.notify.stopping("the stop is written; ending every process")
         self.heartbeat.state(heartbeat.STOPPING, self._now_ns())
         for child in reversed(self.children):
             child.kill(END_S)
@@ -402,33 +353,3 @@ class Supervisor:
             self.heartbeat.beat(now_ns, self.epoch)
             self._sleep(HURRY_NS / 1e9)
         return 0
-
-
-def _rules(settings: Settings) -> dict[str, object]:
-    """What clients need of the settings, and where the supervisor's pid is its own."""
-    return {
-        "sources": list(settings.sources()),
-        "interlocks": list(settings.interlocks()),
-        "lease_ns": settings.ns("gate.lease_s"),
-        "pid_namespace": pid_namespace(),
-    }
-
-
-def run(
-    world: World, resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Outbox | None
-) -> int:
-    """Run the service until SIGTERM or SIGINT, or until it can't go on; returns the exit code."""
-    supervisor = Supervisor(world, resources, port, settings, notify, journal)
-    supervisor.handover.opener.begin()
-    signal.signal(signal.SIGTERM, supervisor.end)
-    signal.signal(signal.SIGINT, supervisor.end)
-    for child in supervisor.children:
-        supervisor.processes.start(child, port)
-    supervisor.blackbox.begin()
-    rights.settle()
-    ready: dict[int, int] = {}
-    while not supervisor.ending:
-        supervisor.turn(ready)
-        ready = supervisor.rest()
-    well = supervisor.finish()
-    return int(supervisor.broken or not well)

@@ -6,11 +6,9 @@ reason to do anything else.
 
 from __future__ import annotations
 
-from failstop.supervisor.datagram import Outbox
+from collections.abc import MutableMapping
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import MutableMapping
+from failstop.supervisor.events import Outbox
 
 VARIABLES = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
 """What the service manager hands over; for the supervisor alone."""
@@ -20,7 +18,7 @@ STATUS_CHARACTERS = 200
 class Notify:
     """The socket of the service manager; without one, nothing is sent."""
 
-    __slots__ = ("_beat_ns", "_outbox", "_said", "_told_ready", "_want_ready", "active", "every_ns")
+    __slots__ = ("_beat_ns", "_outbox", "_said", "_told_ready", "active", "every_ns")
 
     def __init__(self, address: str = "", watchdog_us: int = 0) -> None:
         """`address`: a path, or @name for the abstract namespace; `watchdog_us`: the watchdog's timeout, 0 for none."""
@@ -32,7 +30,6 @@ class Notify:
         """Half of the timeout: one datagram may get lost."""
         self._beat_ns = 0
         self._said = ""
-        self._want_ready = False
         self._told_ready = False
 
     @classmethod
@@ -45,24 +42,17 @@ class Notify:
         for_us = not wanted or wanted == str(pid)
         return cls(address, int(timeout) if for_us and timeout.isdecimal() else 0)
 
-    def ready(self) -> None:
-        """The service is ready; goes out with the next follow()."""
-        self._want_ready = True
-
-    def follow(self, now_ns: int, status: str, *, healthy: bool) -> None:
-        """Once a turn: what is new, and the watchdog's beat when it is due and the supervisor does its job."""
-        if not self.active:
-            return
-        lines = []
-        if self._want_ready and not self._told_ready:
-            lines.append("READY=1")
+    def follow(self, now_ns: int, status: str, *, ready: bool, healthy: bool) -> None:
+        """Once a turn: what is new, and the watchdog's beat when it is due and the supervisor does its job. `ready`:
+        the service has been, once."""
+        lines = ["READY=1"] if ready and not self._told_ready else []
         if status != self._said:
             lines.append(f"STATUS={_one_line(status)}")
         beats = healthy and self.every_ns > 0 and now_ns - self._beat_ns >= self.every_ns
         if beats:
             lines.append("WATCHDOG=1")
         if lines and self.send("\n".join(lines)):
-            self._told_ready = self._want_ready
+            self._told_ready = ready
             self._said = status
             if beats:
                 self._beat_ns = now_ns
@@ -71,13 +61,13 @@ class Notify:
         """The service ends now."""
         self.send(f"STOPPING=1\nSTATUS={_one_line(status)}")
 
-    def close(self) -> None:
-        """Let the socket go."""
-        self._outbox.close()
-
     def send(self, lines: str) -> bool:
         """Send one datagram; False when it could not be handed over at once."""
         return self.active and self._outbox.send(lines.encode("utf-8", "replace"))
+
+    def close(self) -> None:
+        """Let the socket go."""
+        self._outbox.close()
 
 
 def _one_line(text: str) -> str:

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import signal
 
 from failstop.policy.processes import PROCESSES
 from failstop.procs.loop import READ
-from failstop.shm import layout, records
+from failstop.shm import layout, records, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
-from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RECALLED, RUNS, STARTING, Child
-from failstop.supervisor.restarts import Restarts
-from failstop.supervisor.starter import Starter
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.shm.segment import Segment
-    from failstop.supervisor.port import OwnPort
-    from failstop.supervisor.run import Run
+from failstop.supervisor import starter
+from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RECALLED, RUNS, STARTING, Child, Restarts
+from failstop.supervisor.port import OwnPort
+from failstop.supervisor.run import Run
 
 TRY_AGAIN_NS = 500_000_000
 GATE_AGAIN_NS = 60_000_000_000
@@ -27,32 +23,25 @@ GATE_AGAIN_NS = 60_000_000_000
 class ProcessTable:
     """Every process of the table as it is now. The early news of their deaths ring `early.bell`."""
 
-    def __init__(self, run: Run, lifelines: Segment) -> None:
+    def __init__(self, run: Run) -> None:
         """Holds the supervisor's own block from here on."""
-        resources, settings = run.resources, run.settings
-        self._world = run.world
-        self._now_ns = run.world.now_ns
-        self._resources = resources
-        self._events = run.events
-        self._loop = run.loop
-        self._bells = resources.bells
+        self._run, self._world, self._now_ns = run, run.world, run.world.now_ns
+        self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
+        lifelines = segment.attach_unmapped(run.memory, "lifelines", run.incarnation)
         self._held = lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK, write=True).hold(PER_BLOCK)
         self._block = layout.SUPERVISOR_BLOCK
         self.early = run.world.early_news(lifelines)
-        self._starter = Starter(run.world, resources.name, resources.incarnation, resources.runtime_dir, settings)
-        deaths, window_ns = int(settings["restart.deaths"]), settings.ns("restart.window_s")
-        backoff_ns = settings.ns("restart.backoff_s")
-        self.children = [
-            Child(
-                run.world,
-                row,
-                HeartbeatReader(run.views[row.name]),
-                Restarts(deaths, window_ns, backoff_ns),
-                run.loop.timer(),
+        self._words = {"name": run.name, "run": f"{run.incarnation:x}", "dir": run.runtime_dir}
+        self._environment = starter.environment(run.settings)
+        deaths, window_ns = int(run.settings["restart.deaths"]), run.settings.ns("restart.window_s")
+        backoff_ns = run.settings.ns("restart.backoff_s")
+        self.children = []
+        for row in PROCESSES:
+            restarts = Restarts(deaths, window_ns, backoff_ns)
+            self.children.append(
+                Child(run.world, row, HeartbeatReader(run.views[row.name]), restarts, run.loop.timer())
             )
-            for row in PROCESSES
-        ]
         self._by_name = {child.row.name: child for child in self.children}
 
     def __getitem__(self, name: str) -> Child:
@@ -148,9 +137,13 @@ class ProcessTable:
         self._tell_watchers()
 
     def _spawn(self, child: Child, block: int, port: OwnPort) -> int:
-        """Start a process and take it under watch; returns its pid. Raises OSError, and then there is none."""
-        descriptors = self._resources.descriptors(child.row.name, port.fd)
-        pid = self._starter.start(child.row, block, port.number, descriptors)
+        """Start a process with its block of futexes, its descriptors (-1: none) and the number in this run of the port
+        that is among them, and take it under watch; returns its pid. Raises OSError, and then there is none."""
+        row, known = child.row, self._run.descriptors(child.row.name, port.fd)
+        given = {key: known[key] for key in row.descriptors}
+        numbers = {"parent": os.getpid(), "block": block, "number": port.number, **given}
+        arguments = starter.command(row.name, self._words | {key: str(value) for key, value in numbers.items()})
+        pid = self._world.spawn(arguments, self._environment, [fd for fd in given.values() if fd >= 0])
         try:
             child.started(pid, block, self._now_ns())
         except OSError:

@@ -16,11 +16,8 @@ import msgpack
 
 from failstop.shm import layout
 from failstop.shm.barrier import Barrier
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.supervisor.children import Child
-    from failstop.supervisor.run import Run
+from failstop.supervisor.children import Child
+from failstop.supervisor.run import Run
 
 TELL_EVERY_NS = 10_000_000_000
 
@@ -34,7 +31,7 @@ class Silence:
         self._moving_word = run.views[layout.PORT_OWNER].word("moving")
         self._barrier = Barrier()
         self._starved = run.world.starved
-        self._bells = run.resources.bells
+        self._bells = run.bells
         self._events = run.events
         self._advice = advice
         self._told_ns = 0

@@ -9,15 +9,9 @@ from __future__ import annotations
 import os
 import sys
 
-from failstop.policy.settings import SETTINGS_VARIABLE
+from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.shm import root
 from failstop.supervisor.child import PATH_VARIABLE
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.processes import Process
-    from failstop.policy.settings import Settings
-    from failstop.procs.world import World
 
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
@@ -55,23 +49,3 @@ def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int
     arguments = command("supervisor", words)
     handed = {name: os.environ[name] for name in TO_THE_SUPERVISOR if name in os.environ}
     os.execve(arguments[0], arguments, environment(settings) | handed)
-
-
-class Starter:
-    """Starts children; knows what every start has in common."""
-
-    __slots__ = ("_common", "_environment", "_spawn")
-
-    def __init__(self, world: World, name: str, incarnation: int, runtime_dir: str, settings: Settings) -> None:
-        self._spawn = world.spawn
-        self._common = {"name": name, "run": f"{incarnation:x}", "dir": runtime_dir, "parent": str(os.getpid())}
-        self._environment = environment(settings)
-
-    def start(self, row: Process, block: int, port_number: int, descriptors: dict[str, int]) -> int:
-        """Start a process with its block of futexes and descriptors (-1: none), and the number in this run of the port
-        that is among them; returns its pid. Raises OSError."""
-        given = {key: descriptors[key] for key in row.descriptors}
-        passed = [fd for fd in given.values() if fd >= 0]
-        numbers = {"block": block, "number": port_number, **given}
-        arguments = command(row.name, {**self._common, **{key: str(value) for key, value in numbers.items()}})
-        return self._spawn(arguments, self._environment, passed)

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
+from failstop.policy.causes import Cause
 from failstop.shm import heartbeat, layout
 from failstop.shm.notes import Note
-from failstop.supervisor.link import UNPROVEN
-from failstop.supervisor.stops import NOT_SENT
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.causes import Cause
-    from failstop.shm.segment import Segment
-    from failstop.supervisor.events import Events
-    from failstop.supervisor.stops import Stop
+from failstop.shm.segment import Segment
+from failstop.supervisor.events import Events
+from failstop.supervisor.stops import NOT_SENT, UNPROVEN, Stop
 
 MOST_SAID = 64
 WAITED_NS = 2_000_000_000
 """What motion waits for is told of after this long: a restart takes a fraction of it."""
 NO_REALTIME = "no real-time rights (SCHED_FIFO): on a busy machine stops come later, and some for no cause"
-
-
 NO_EARLY_NEWS = (
     "this kernel tells of a death only once the memory is taken down (no robust futexes): a stop after one comes "
     "later, 1 ms for each 10 MB; run the service on the host's own kernel"
@@ -61,33 +54,32 @@ class Teller:
             fields = {**stop.cause.fields(), "noticed_by": stop.noticed_by}
             self.events.tell("stop_also", f"also: {stop.cause}", fields)
 
-    def stopped(
-        self, stop: Stop, written_ns: int, by: str, latched: Stop, epoch: int, *, ending: bool, held: bool = False
-    ) -> None:
-        """A stop was answered; `written_ns` 0: it could not be written; `held`: the kernel has its bytes, and the board
-        takes none. `latched`: the one that is latched."""
-        written_us = max(0, written_ns - stop.t_ns) / 1000
-        done = "handed over" if held else "written"
-        wrote = f"stop frame {done} by the {by} after {written_us:.0f} us" if written_ns else "stop frame NOT written"
-        held = held and written_ns > 0
-        wrote += f", {NOT_SENT}" if held else ""
+    def stopped(self, stop: Stop, *, ending: bool, held: bool = False) -> None:
+        """A stop was answered. `held`: the kernel has its bytes, and the board takes none."""
+        written_us = max(0, stop.written_ns - stop.t_ns) / 1000
+        how = f"by the {stop.by} after {written_us:.0f} us"
+        if not stop.written_ns:
+            wrote, level = "stop frame NOT written", "critical"
+        elif held:
+            wrote, level = f"stop frame handed over {how}, {NOT_SENT}", "critical"
+        else:
+            wrote, level = f"stop frame written {how}", ""
         fields = {
             **stop.cause.fields(),
             "noticed_by": stop.noticed_by,
-            "written_by": by if written_ns else "nobody",
-            "latency_us": round(written_us, 1) if written_ns else None,
-            "epoch": epoch,
+            "written_by": stop.by if stop.written_ns else "nobody",
+            "latency_us": round(written_us, 1) if stop.written_ns else None,
+            "epoch": stop.epoch,
         }
-        level = "" if written_ns and not held else "critical"
         if ending:
             self.events.tell("stopping", f"{stop.cause}; {wrote}", fields, level=level)
-        elif latched is stop:
+        elif stop.behind is None:
             todo = f"{self.events.command('reset')}, then {self.events.command('enable')}"
             text = f"STOP latched: {stop.cause}; {wrote}; next: {todo}"
             self.events.tell("stop", text, fields, level=level)
         elif self._news_of(stop.cause):
-            text = f"stopped again: {stop.cause}; {wrote}; latched is still: {latched.cause}"
-            self.events.tell("stop_again", text, {**fields, "latched": str(latched.cause)}, level=level)
+            text = f"stopped again: {stop.cause}; {wrote}; latched is still: {stop.behind.cause}"
+            self.events.tell("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
 
     def ready(self, granted: int) -> None:
         """Motion could be enabled, for the first time; `granted`: heartbeat bits, of what the supervisor has."""
@@ -125,7 +117,7 @@ class Teller:
 
     def ended(self, heard_ns: int, link: str, *, written: bool, sent: bool) -> None:
         """The service has ended. `heard_ns`: how long after the first stop the board acknowledged it, 0 for not; `link`
-        as of link.py; `written`: the kernel took the second stop; `sent`: it has passed it on."""
+        as of stops.py; `written`: the kernel took the second stop; `sent`: it has passed it on."""
         told = "the stop was written twice" if sent else "the second stop could NOT be written"
         if written and not sent:
             told = f"the second stop was handed over, {NOT_SENT}"

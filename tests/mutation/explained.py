@@ -163,7 +163,7 @@ SUPERVISOR = (
     Reason(
         "supervisor/aftermath.py", r"_seen_pong = 1$|_heard = \(0, 1\)|_heard = \(1, 0\)", "nothing is asked so early"
     ),
-    Reason("supervisor/allowance.py", r"max\(1, now_ns", "a nanosecond's worth more", same=False),
+    Reason("supervisor/events.py", r"max\(1, now_ns", "a nanosecond's worth more", same=False),
     Reason(
         "supervisor/blackbox.py",
         r"result, 4097\)|max\(1, until_ns|FINISH_S \* 1000000001",
@@ -185,13 +185,13 @@ SUPERVISOR = (
     Reason("supervisor/events.py", r'get\("reason", (None)?\)', "no request begins with None"),
     Reason("shm/notes.py", r"len\(data\) < room", "an event that fills its cell to the byte", same=False),
     Reason("supervisor/process_table.py", r'futex\("held", write=True\)', "the supervisor's block is the first"),
-    Reason("supervisor/fence.py", r"silent_ns: int = 1,", "a nanosecond, of what is told in ms", same=False),
+    Reason("supervisor/children.py", r"silent_ns: int = 1,", "a nanosecond, of what is told in ms", same=False),
     Reason("supervisor/grant.py", r"open\(CONTROL_GROUP, (encoding=None)?\)", "the service runs in C.UTF-8"),
-    Reason("supervisor/link.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
-    Reason("supervisor/link.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
+    Reason("supervisor/stops.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
+    Reason("supervisor/stops.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
     Reason(
-        "supervisor/main.py",
-        r"segment\.attach\(memory, (layout\.SUPERVISOR|process), (None)?(, )?(write=True)?\)",
+        "supervisor/run.py",
+        r"segment\.attach\(self\.memory, (layout\.SUPERVISOR|each), (None)?(, )?(write=True)?\)",
         "the names are of the run: under them there is no other one's",
     ),
     Reason("supervisor/main.py", r"self\._(answer_by|stop)_ns = 1$", "the stop that it is read for sets it"),
@@ -203,8 +203,8 @@ SUPERVISOR = (
     ),
     Reason("supervisor/notify.py", r"every_ns > 1 ", "it is 0, or half a microsecond at least"),
     Reason("supervisor/port.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
-    Reason("supervisor/resources.py", r"create=True, gid=gid", "the mode is what it would be without"),
-    Reason("supervisor/restarts.py", r"count - 2, 17", "the shortest wait doubled 16 times is beyond the longest"),
+    Reason("supervisor/run.py", r"create=True, gid=gid", "the mode is what it would be without"),
+    Reason("supervisor/children.py", r"count - 2, 17", "the shortest wait doubled 16 times is beyond the longest"),
     Reason("policy/settings.py", r"known, 2, 0\.5", "the first of them is taken"),
     Reason(
         "supervisor/port_handover.py", r"opened_ns(\(\))? > 1", "no port is opened in the machine's first nanosecond"

@@ -27,8 +27,8 @@ class Watched(Scene):
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)
-        self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
-        self.link = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("link")
+        self.telemetry = segment.attach(self.run.memory, layout.TELEMETRY, write=True)
+        self.link = segment.attach(self.run.memory, layout.SUPERVISOR).latest_reader("link")
 
     def stop(self, reason: str) -> None:
         """The gate stops, and the port owner answers."""
@@ -238,7 +238,8 @@ def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Watched)
     opened = scene.supervisor.aftermath.opened
     noticed_ns = scene.now_ns
     stop = Stop(noticed_ns, layout.GATE, why("the first"))
-    scene.supervisor.aftermath.written(stop, 0, "supervisor", stop.cause, 1)
+    stop.answered_by("supervisor", 0, stop, 1)
+    scene.supervisor.aftermath.written(stop)
     assert scene.told() == {"reason": "the first", "written_by": "supervisor", "written_us": None}
     for burst_ns in (0, noticed_ns):
         opened(burst_ns)

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.procs.world import World
-from failstop.supervisor.allowance import ASKED_BYTES, MINUTE_NS, OWN_BYTES, REOPENS_AT, Allowance
-from failstop.supervisor.events import MOST_WAITING, Events
+from failstop.supervisor.events import ASKED_BYTES, MINUTE_NS, MOST_WAITING, OWN_BYTES, REOPENS_AT, Allowance, Events
 from tests.supervisor.streams import stderr_is
 
 T0 = 10**15

@@ -12,7 +12,6 @@ import msgpack
 import pytest
 
 from failstop.policy.settings import Settings
-from failstop.procs.loop import Loop
 from failstop.procs.world import World, spawn
 from failstop.shm import box, layout, segment
 from failstop.supervisor import blackbox, starter
@@ -26,7 +25,6 @@ from failstop.supervisor.blackbox import (
     BlackBox,
 )
 from failstop.supervisor.events import Events
-from failstop.supervisor.resources import Resources
 from failstop.supervisor.run import Run
 from failstop.supervisor.stops import Stop
 from tests.support.played import PlayedWorld
@@ -67,24 +65,22 @@ class Scene:
     def __init__(self, directory: Path) -> None:
         self.world = PlayedWorld(now_ns=lambda: T0)
         self.world.play("spawn", self.spawn)
-        self.resources = Resources(f"box{os.getpid()}x{next(_numbers)}", str(directory))
-        memory = self.resources.memory
-        self.own = segment.attach(memory, layout.SUPERVISOR, write=True)
-        self.views = {process: segment.attach(memory, process) for process in layout.PROCESSES}
-        self.beat = {process: segment.attach(memory, process, write=True).word("beat_ns") for process in self.views}
+        self.settings = Settings({"incidents.keep": 7, "incidents.max_mb": 8})
+        self.run = Run(self.world, self.settings, f"box{os.getpid()}x{next(_numbers)}", str(directory))
+        memory, processes = self.run.memory, layout.PROCESSES
+        self.beat = {process: segment.attach(memory, process, write=True).word("beat_ns") for process in processes}
         self._ring = segment.attach(memory, layout.SUPERVISOR).ring_reader("box")
-        self.events = Told()
+        self.run.events = self.events = Told()
         self.now_ns = T0
         """When what is read next was written."""
         self.word, self.code = SAID, 0
         self.started: list[dict[str, str]] = []
-        self.settings = Settings({"incidents.keep": 7, "incidents.max_mb": 8})
         self.box = self.new()
 
     def new(self, **changed: object) -> BlackBox:
-        settings = Settings({**self.settings.flat(), **{f"incidents.{key}": value for key, value in changed.items()}})
-        run = Run(self.world, self.resources, settings, self.own, self.views, Loop(self.world), self.events)
-        return BlackBox(run)
+        changes = {f"incidents.{key}": value for key, value in changed.items()}
+        self.run.settings = Settings({**self.settings.flat(), **changes})
+        return BlackBox(self.run)
 
     def spawn(self, arguments: list[str], environ: dict[str, str], passed: list[int]) -> int:
         """In the place of the saver's own program."""
@@ -120,10 +116,10 @@ class Scene:
     def close(self) -> None:
         while self.box._savers:
             self.ends()
-        self.resources.remove()
-        pipes = (self.resources.stop_pipe, self.resources.client_bell, self.resources.published)
-        bells = (bell.fd for bell in self.resources.bells.values())
-        for fd in (*pipes, *bells, *itertools.chain(*self.resources.controls.values())):
+        self.run.remove()
+        pipes = (self.run.stop_pipe, self.run.client_bell, self.run.published)
+        bells = (bell.fd for bell in self.run.bells.values())
+        for fd in (*pipes, *bells, *itertools.chain(*self.run.controls.values())):
             os.close(fd)
 
 
@@ -172,8 +168,8 @@ def test_a_saver_is_started_a_while_after_a_latched_stop(scene: Scene) -> None:
     scene.box.follow(T0 + START_NS, ready=True)
     scene.box.follow(T0 + 2 * START_NS, ready=True)
     (words,) = scene.started
-    fds = ",".join(f"{process}:{fd}" for process, fd in scene.resources.readable.items())
-    expected = {"name": scene.resources.name, "keep": "7", "max_mb": "8", "fds": fds, "cause": CAUSE.cause.pack().hex()}
+    fds = ",".join(f"{process}:{fd}" for process, fd in scene.run.readable.items())
+    expected = {"name": scene.run.name, "keep": "7", "max_mb": "8", "fds": fds, "cause": CAUSE.cause.pack().hex()}
     assert words.items() >= {**expected, "cause_ns": str(T0), "epoch": "7", "until_ns": str(T0 + COPY_NS)}.items()
 
 

@@ -8,8 +8,19 @@ from failstop.policy.processes import PROCESSES
 from failstop.procs.loop import Loop
 from failstop.procs.world import World
 from failstop.supervisor import children
-from failstop.supervisor.children import DEAD, DOWN, EVENTS, FENCED, HUNG, NEXT, RUNNING, STARTING, WAITING, Child
-from failstop.supervisor.restarts import Restarts
+from failstop.supervisor.children import (
+    DEAD,
+    DOWN,
+    EVENTS,
+    FENCED,
+    HUNG,
+    NEXT,
+    RUNNING,
+    STARTING,
+    WAITING,
+    Child,
+    Restarts,
+)
 
 STATES = (WAITING, DOWN, STARTING, RUNNING, HUNG, FENCED, DEAD)
 SHORT = {"WA": WAITING, "DO": DOWN, "ST": STARTING, "RU": RUNNING, "HU": HUNG, "FE": FENCED, "DE": DEAD}

@@ -6,29 +6,25 @@ from typing import Any
 
 import pytest
 
-from failstop.supervisor.health import OWED_NS, UNDYING_NS, fault, status_line
+from failstop.supervisor.status import OWED_NS, UNDYING_NS, fault, status_line
 
 NOW = 10**12
 S = 10**9
 
 
 def test_a_service_in_order_is_healthy() -> None:
-    assert fault(NOW, {}, 0, port_open=True) == ""
+    assert fault(NOW, {}, 0) == ""
 
 
 def test_a_killed_process_has_some_time_to_die() -> None:
     killed = {"gate": NOW - UNDYING_NS}
-    assert fault(NOW - 1, killed, 0, port_open=True) == ""
-    assert fault(NOW, killed, 0, port_open=False) == "gate was killed 10 s ago and is not gone"
+    assert fault(NOW - 1, killed, 0) == ""
+    assert fault(NOW, killed, 0) == "gate was killed 10 s ago and is not gone"
 
 
 def test_a_stop_that_nobody_could_write_is_no_job_done() -> None:
-    assert fault(NOW - 1, {}, NOW - OWED_NS, port_open=True) == ""
-    assert fault(NOW, {}, NOW - OWED_NS, port_open=True) == "a stop could not be written for 2 s"
-
-
-def test_a_port_that_is_gone_is_nobody_s_fault() -> None:
-    assert fault(NOW, {}, NOW - 100 * OWED_NS, port_open=False) == ""
+    assert fault(NOW - 1, {}, NOW - OWED_NS) == ""
+    assert fault(NOW, {}, NOW - OWED_NS) == "a stop could not be written for 2 s"
 
 
 DRIVES = {"source": "cmd_vel", "who": "nav (pid 7)", "state": "drives"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.supervisor.link import ALIVE, DEAF, UNPROVEN, Link
+from failstop.supervisor.stops import ALIVE, DEAF, UNPROVEN, Link
 
 MS = 1_000_000
 DEAF_NS = 1_000 * MS

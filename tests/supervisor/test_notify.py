@@ -59,14 +59,13 @@ def test_ready_and_status_are_told_once_and_the_watchdog_at_half_its_time(
     manager: Manager, end: contextlib.ExitStack
 ) -> None:
     notify = speaker(end, manager.address, 400_000)
-    notify.follow(T0, "waiting for the port", healthy=True)
+    notify.follow(T0, "waiting for the port", ready=False, healthy=True)
     assert manager.heard() == ["STATUS=waiting for the port", "WATCHDOG=1"]
-    notify.ready()
-    notify.follow(T0 + 199 * MS, "ready, motion disabled", healthy=True)
+    notify.follow(T0 + 199 * MS, "ready, motion disabled", ready=True, healthy=True)
     assert manager.heard() == ["READY=1", "STATUS=ready, motion disabled"]
-    notify.follow(T0 + 200 * MS, "ready, motion disabled", healthy=True)
+    notify.follow(T0 + 200 * MS, "ready, motion disabled", ready=True, healthy=True)
     assert manager.heard() == ["WATCHDOG=1"]
-    notify.follow(T0 + 399 * MS, "ready, motion disabled", healthy=True)
+    notify.follow(T0 + 399 * MS, "ready, motion disabled", ready=True, healthy=True)
     assert manager.heard() == []
     notify.stopping("wheels stopped")
     assert manager.heard() == ["STOPPING=1", "STATUS=wheels stopped"]
@@ -74,12 +73,12 @@ def test_ready_and_status_are_told_once_and_the_watchdog_at_half_its_time(
 
 def test_who_does_not_do_its_job_does_not_beat(manager: Manager, end: contextlib.ExitStack) -> None:
     notify = speaker(end, manager.address, 400_000)
-    notify.follow(T0, "gate was killed 11 s ago and is not gone", healthy=False)
+    notify.follow(T0, "gate was killed 11 s ago and is not gone", ready=False, healthy=False)
     assert manager.heard() == ["STATUS=gate was killed 11 s ago and is not gone"]
 
 
 def test_without_a_watchdog_there_is_no_beat(manager: Manager, end: contextlib.ExitStack) -> None:
-    speaker(end, manager.address).follow(T0, "ready", healthy=True)
+    speaker(end, manager.address).follow(T0, "ready", ready=False, healthy=True)
     assert manager.heard() == ["STATUS=ready"]
 
 
@@ -95,7 +94,7 @@ def test_an_address_need_be_no_text(tmp_path: Path, end: contextlib.ExitStack) -
 
 
 def test_a_reason_can_not_speak_for_the_service(manager: Manager, end: contextlib.ExitStack) -> None:
-    speaker(end, manager.address).follow(T0, "stop latched: x\nREADY=1\nWATCHDOG=1", healthy=True)
+    speaker(end, manager.address).follow(T0, "stop latched: x\nREADY=1\nWATCHDOG=1", ready=False, healthy=True)
     assert manager.heard() == ["STATUS=stop latched: x?READY=1?WATCHDOG=1"]
 
 
@@ -106,10 +105,9 @@ def test_what_is_no_text_is_sent_all_the_same(manager: Manager, end: contextlib.
 
 def test_what_could_not_be_sent_is_sent_later(tmp_path: Path, end: contextlib.ExitStack) -> None:
     notify = speaker(end, str(tmp_path / "notify"), 400_000)
-    notify.ready()
-    notify.follow(T0, "ready", healthy=True)
+    notify.follow(T0, "ready", ready=True, healthy=True)
     manager = Manager(str(tmp_path / "notify"))
-    notify.follow(T0 + MS, "ready", healthy=True)
+    notify.follow(T0 + MS, "ready", ready=True, healthy=True)
     assert manager.heard() == ["READY=1", "STATUS=ready", "WATCHDOG=1"]
     manager.close()
 
@@ -121,15 +119,14 @@ def test_a_manager_that_does_not_listen_holds_nobody_up(manager: Manager, end: c
     while notify.send("STATUS=again"):
         sent += 1
         assert sent < 100_000, "a queue without an end?"
-    notify.follow(T0, "ready", healthy=True)
+    notify.follow(T0, "ready", ready=True, healthy=True)
     assert set(manager.heard()) == {"STATUS=again"}
 
 
 @pytest.mark.parametrize("address", ["", "vsock:2:1234", "relative/path", "/no/such/socket", "/" + "x" * 300])
 def test_an_address_that_is_none_is_no_error(address: str) -> None:
     notify = Notify.taken_from({"NOTIFY_SOCKET": address}, 1)
-    notify.ready()
-    notify.follow(T0, "ready", healthy=True)
+    notify.follow(T0, "ready", ready=True, healthy=True)
     notify.stopping("bye")
     assert notify.send("READY=1") is False
     notify.close()

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.supervisor.restarts import LONGEST_WAIT_NS, Restarts
+from failstop.supervisor.children import LONGEST_WAIT_NS, Restarts
 
 MS = 1_000_000
 S = 1_000 * MS

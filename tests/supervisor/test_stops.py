@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.supervisor.fence import Fence
+from failstop.supervisor.children import Fence
 from failstop.supervisor.stops import ACKNOWLEDGE_NS, JUDGED_AFTER_NS, JUDGED_WITHIN_NS, Stop, still_after
 from tests.support.why import why
 
@@ -16,7 +16,8 @@ AFTER = 1_500 * MS
 def stop(written_ms: float = 0.5) -> Stop:
     written_ns = T0 + round(written_ms * MS) if written_ms else 0
     found = Stop(T0, "gate", why("gate died"))
-    found.answered_by("port owner", written_ns, found.cause, 2, AFTER, 1.0)
+    found.answered_by("port owner", written_ns, found, 2)
+    found.follow(AFTER, 1.0)
     return found
 
 

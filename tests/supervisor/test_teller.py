@@ -34,7 +34,7 @@ class Told(Events):
 
 
 @pytest.fixture
-def name() -> Iterator[str]:
+def memory() -> Iterator[str]:
     made = f"w{os.getpid()}x{time.monotonic_ns()}"
     for process in (layout.GATE, layout.TELEMETRY):
         segment.create(made, process, 7).close()
@@ -48,9 +48,16 @@ def events() -> Told:
 
 
 @pytest.fixture
-def teller(name: str, events: Told) -> Teller:
-    views = {process: segment.attach(name, process) for process in (layout.GATE, layout.TELEMETRY)}
-    return Teller(name, events, views, "give it rights")
+def teller(memory: str, events: Told) -> Teller:
+    views = {process: segment.attach(memory, process) for process in (layout.GATE, layout.TELEMETRY)}
+    return Teller("x", events, views, "give it rights")
+
+
+def answered(stop: Stop, written_ns: int, by: str = "port owner", latched: Stop | None = None, epoch: int = 7) -> Stop:
+    """A stop of this cause that somebody has written, while another was latched."""
+    found = Stop(stop.t_ns, stop.noticed_by, stop.cause)
+    found.answered_by(by, written_ns, latched or found, epoch)
+    return found
 
 
 def test_a_thousand_reasons_of_somebody_s_are_not_all_remembered_and_hide_no_death(
@@ -118,7 +125,7 @@ def test_a_stop_is_told_with_who_wrote_it_and_when(
 ) -> None:
     written_ns = 0 if after_ns is None else stop.t_ns + after_ns
     teller.latched(KEY)
-    teller.stopped(stop, written_ns, "stopper", KEY, 7, ending=ending)
+    teller.stopped(answered(stop, written_ns, "stopper", None if stop is KEY else KEY), ending=ending)
     fields = {
         "reason": str(stop.cause),
         "cause": stop.cause.kind.name,
@@ -143,14 +150,14 @@ def test_what_came_together_is_told_once_until_the_next_latch(teller: Teller, ev
         teller.latched(KEY)
         for cause in (KEY, DEATH, DEATH):
             teller.also(cause)
-        teller.stopped(DEATH, DEATH.t_ns, "port owner", KEY, 8, ending=False)
+        teller.stopped(answered(DEATH, DEATH.t_ns, latched=KEY), ending=False)
         assert events.whole == [also] * count
 
 
 def test_the_processes_remarks_are_passed_on_and_a_damaged_one_is_left_out(
-    teller: Teller, events: Told, name: str
+    teller: Teller, events: Told, memory: str
 ) -> None:
-    ring = segment.attach(name, layout.GATE, write=True).ring_writer("notes")
+    ring = segment.attach(memory, layout.GATE, write=True).ring_writer("notes")
     ring.put(b"damaged")
     ring.put(Note("refused", "no reset yet", {"who": "nav"}, level="notice").pack())
     teller.pass_notes()
@@ -164,14 +171,14 @@ def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(teller: Teller, 
 
 
 def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(teller: Teller, events: Told) -> None:
-    teller.stopped(KEY, KEY.t_ns + 80_000, "port owner", KEY, 7, ending=False, held=True)
+    teller.stopped(answered(KEY, KEY.t_ns + 80_000), ending=False, held=True)
     [(kind, text, _, level)] = events.whole
     handed = "stop frame handed over by the port owner after 80 us, NOT sent: the board takes no bytes"
     assert (kind, text, level) == ("stop", f"STOP latched: key1; {handed}; {NEXT}", "critical")
 
 
 def test_what_was_not_handed_over_is_held_by_nobody(teller: Teller, events: Told) -> None:
-    teller.stopped(KEY, 0, "port owner", KEY, 7, ending=True, held=True)
+    teller.stopped(answered(KEY, 0), ending=True, held=True)
     [(_, text, _, level)] = events.whole
     assert (text, level) == ("key1; stop frame NOT written", "critical")
 

@@ -24,8 +24,7 @@ from failstop.shm.heartbeat import STARTING
 from failstop.shm.packing import pack
 from failstop.supervisor import main
 from failstop.supervisor import process_table as table_module
-from failstop.supervisor.children import DEAD, DIED, RUNNING, STARTING_NS
-from failstop.supervisor.fence import Fence
+from failstop.supervisor.children import DEAD, DIED, RUNNING, STARTING_NS, Fence
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS, Supervisor
 from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
@@ -37,7 +36,7 @@ from tests.support.watching_scene import Watching
 
 def missing(supervisor: Supervisor) -> str:
     """What motion waits for."""
-    return supervisor.readiness.missing(supervisor.children, stopping=supervisor._unanswered is not None)
+    return supervisor.status.missing(stopping=supervisor._unanswered is not None)
 
 
 @pytest.fixture
@@ -181,7 +180,7 @@ def test_the_death_of_another_is_no_stop_that_was_written(watching: Watching) ->
 
 
 def test_a_ring_wakes_it_once(watching: Watching) -> None:
-    for bell in (watching.resources.bells[layout.SUPERVISOR], watching.supervisor.processes.early.bell):
+    for bell in (watching.run.bells[layout.SUPERVISOR], watching.supervisor.processes.early.bell):
         bell.ring()
         assert bell.fd in watching.supervisor.loop.wait(0)
         watching.pass_time(0)
@@ -200,12 +199,12 @@ def test_while_no_port_owner_runs_the_stop_is_written_five_times_a_second(watchi
 def test_one_that_was_held_up_stops_motion_and_kills_nobody(watching: Watching) -> None:
     for name in BY_NAME:
         watching.employ(name)
-    watching.supervisor.readiness.ever = True
+    watching.supervisor.status.ever = True
     watching.enabled()
     watching.pass_time(HELD_UP_NS)
     assert watching.supervisor.epoch == 2
     cause = watching.supervisor.epochs._latch_record
-    entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader("latch").read()
+    entry = segment.attach(watching.run.memory, layout.SUPERVISOR).latest_reader("latch").read()
     assert cause is not None
     assert entry is not None
     assert str(causes.read(records.LATCH.unpack(entry[2])[3])) == "supervisor was held up for 250 ms"
@@ -226,7 +225,7 @@ def test_from_when_on_it_was_held_up(
     watching: Watching, gap_ns: int, was_ready: bool, excused: bool, epoch: int
 ) -> None:
     watching.employ(layout.TELEMETRY)
-    watching.supervisor.readiness.ever = was_ready
+    watching.supervisor.status.ever = was_ready
     watching.enabled()
     watching.pass_time(0)
     watching.pass_time(gap_ns)
@@ -255,7 +254,7 @@ def test_its_own_beat_tells_the_epoch_that_it_has_raised(watching: Watching) -> 
 def test_one_that_was_held_up_while_nothing_could_move_only_tells(watching: Watching) -> None:
     for name in BY_NAME:
         watching.employ(name)
-    watching.supervisor.readiness.ever = True
+    watching.supervisor.status.ever = True
     watching.enabled(epoch=7)  # long ago: another stop has ended it
     watching.pass_time(HELD_UP_NS)
     assert watching.supervisor.epoch == 1
@@ -271,7 +270,7 @@ def starving(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> Watching:
     """Every process runs, and whoever is silent is starved."""
     for name in BY_NAME:
         watching.employ(name)
-    watching.supervisor.readiness.ever = True
+    watching.supervisor.status.ever = True
     watching.world.play("starved", lambda *_: True)
     return watching
 
@@ -279,7 +278,7 @@ def starving(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> Watching:
 def test_who_is_starved_while_motion_is_disabled_is_left_alone_until_it_beats(starving: Watching) -> None:
     supervisor = starving.supervisor
     starving.port_open()
-    segment.attach(starving.resources.memory, layout.STOPPER, write=True).word("port_number").set(1)
+    segment.attach(starving.run.memory, layout.STOPPER, write=True).word("port_number").set(1)
     starving.answers()
     for _ in range(40):
         starving.pass_time(20 * MS)
@@ -404,7 +403,7 @@ def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open(watching
     for name in BY_NAME:
         watching.employ(name)
     watching.port_open()
-    stopper = segment.attach(watching.resources.memory, layout.STOPPER, write=True)
+    stopper = segment.attach(watching.run.memory, layout.STOPPER, write=True)
     stopper.word("port_number").set(1)
     watching.answers()
     watching.turn()
@@ -479,7 +478,7 @@ def test_who_was_held_up_did_not_listen_unless_something_may_move(watching: Watc
 
 def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) -> None:
     watching.employ(layout.TELEMETRY)
-    segment.attach(watching.resources.memory, layout.TELEMETRY, write=True).word("beat_state").set(STARTING)
+    segment.attach(watching.run.memory, layout.TELEMETRY, write=True).word("beat_state").set(STARTING)
     child = watching.supervisor.processes[layout.TELEMETRY]
     child.state = "starting"
     assert child.overdue_ns() == watching.now_ns + STARTING_NS
@@ -529,7 +528,7 @@ def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(watching: Watch
 
 def read(watching: Watching, record: str) -> tuple[int, Any]:
     """A record of the supervisor's: its number, and what is in it."""
-    entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader(record).read()
+    entry = segment.attach(watching.run.memory, layout.SUPERVISOR).latest_reader(record).read()
     assert entry is not None
     return entry[0], msgpack.unpackb(entry[2])
 
@@ -578,16 +577,16 @@ class Heard(Notify):
 
 def test_what_the_service_manager_is_told(watching: Watching) -> None:
     heard = Heard()
-    watching.supervisor.herald.notify = heard
+    watching.supervisor.status.notify = heard
     watching.pass_time(0)
     assert heard.said == ["STATUS=motion disabled, waiting for port_owner, stopper, gate, telemetry"]
     for name in BY_NAME:
         watching.employ(name)
     watching.port_open()
-    segment.attach(watching.resources.memory, layout.STOPPER, write=True).word("port_number").set(1)
+    segment.attach(watching.run.memory, layout.STOPPER, write=True).word("port_number").set(1)
     watching.answers()
     watching.pass_time(MS)
-    assert watching.supervisor.readiness.ever
+    assert watching.supervisor.status.ever
     watching.pass_time(MS)
     assert heard.said[1:] == ["READY=1", "STATUS=ready, motion disabled"]
     state = {"enabled": True, "epoch": 1, "blocked": "no scan", "sources": []}
@@ -609,7 +608,7 @@ def test_what_the_service_manager_is_told(watching: Watching) -> None:
 def test_who_is_down_is_in_the_status(watching: Watching) -> None:
     heard = Heard()
     die_too_often(watching, layout.TELEMETRY)
-    watching.supervisor.herald.notify = heard
+    watching.supervisor.status.notify = heard
     watching.pass_time(MS)
     (said,) = heard.said
     assert said.startswith("STATUS=stop latched: telemetry died; telemetry died too often and is down until a reset")
@@ -622,7 +621,7 @@ class Ending(Watching):
         super().__init__(directory, monkeypatch)
         for name in BY_NAME:
             self.employ(name)
-        self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
+        self.telemetry = segment.attach(self.run.memory, layout.TELEMETRY, write=True)
         self.pass_time(0)
         self.port_owner.word("written_ns").set(self.now_ns)
         self.port_owner.word("stopped_epoch").set(2)

@@ -1,4 +1,4 @@
-"""Who wrote the stop: each row of the table of answer.py, and what holds in all of them."""
+"""Who wrote the stop: each row of the table of `Stop.who_wrote`, and what holds in all of them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import itertools
 import pytest
 
 from failstop.shm import layout
-from failstop.supervisor.stops import Stop
-from failstop.supervisor.written import SOONER_NS, who_wrote
+from failstop.supervisor.stops import SOONER_NS, Stop
 from tests.support.why import why
 
 T = 10**12
@@ -53,7 +52,7 @@ def test_table(
     told: tuple[str, int] | None,
 ) -> None:
     cause = Stop(T, noticed_by, why("x"), written_ns)
-    assert who_wrote(cause, answered=answered, may_answer=may_answer, port_owner_ns=port_owner_ns) == told
+    assert cause.who_wrote(answered=answered, may_answer=may_answer, port_owner_ns=port_owner_ns) == told
 
 
 def test_a_time_is_told_with_who_wrote_then() -> None:
@@ -61,9 +60,8 @@ def test_a_time_is_told_with_who_wrote_then() -> None:
     times = (0, T - SOONER_NS - 1, T + 1)
     for by, answered, may, port_owner_ns in itertools.product((OWN, OTHER), (True, False), (True, False), times):
         for written_ns in (0, WRITTEN):
-            told = who_wrote(
-                Stop(T, by, why("x"), written_ns), answered=answered, may_answer=may, port_owner_ns=port_owner_ns
-            )
+            stop = Stop(T, by, why("x"), written_ns)
+            told = stop.who_wrote(answered=answered, may_answer=may, port_owner_ns=port_owner_ns)
             if told and told[1]:
                 of_port_owner = (by == OWN) if told[1] == WRITTEN else True
                 assert told[0] == ("port owner" if of_port_owner else "supervisor")

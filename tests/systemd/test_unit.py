@@ -18,7 +18,7 @@ from failstop.policy.processes import PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs.port_owner.repeats import LEAVE_AFTER_NS
 from failstop.procs.telemetry.state_files import SYSTEM_BASE
-from failstop.supervisor.resources import GROUP
+from failstop.supervisor.run import GROUP
 from tests.systemd.units import OLDEST, SINCE, SYSTEMD, analyze, needs_analyze, settings
 
 ONE, MANY = "failstop.service", "failstop@.service"

@@ -1,0 +1,138 @@
+"""Status: what motion waits for, and whether the supervisor does its job. The gate is told by a word, clients by the
+process table, the service manager by a line and the watchdog.
+
+The watchdog is for a supervisor that no longer does its job, and for nothing else:
+
+    hung                                    it sends no beat by itself
+    a process that was killed and stays     whatever holds it in the kernel, a restart in here can't replace it
+    a stop owed                             nobody answered it and nobody could write it, though the port is open
+
+Everything else is healthy, however bad it looks: a process that is down until a reset, a port that is gone, a board
+that is deaf. The wheels are told to stop then, the status is served, and a restart would only take both away.
+"""
+
+from __future__ import annotations
+
+import msgpack
+
+from failstop.shm import layout
+from failstop.shm.packing import pack
+from failstop.supervisor.children import DOWN, RUNNING
+from failstop.supervisor.latch import Epochs
+from failstop.supervisor.notify import Notify
+from failstop.supervisor.port_handover import PortHandover
+from failstop.supervisor.process_table import ProcessTable
+from failstop.supervisor.run import Run
+from failstop.supervisor.silence import Silence
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+UNDYING_NS = 10_000_000_000
+"""SIGKILL to gone takes milliseconds; a process that closes a port which does not drain, seconds."""
+OWED_NS = 2_000_000_000
+"""The supervisor's own burst goes out 5 ms after the cause and every 200 ms from then on."""
+GATE_EVERY_NS = 100_000_000
+"""The gate's state is decoded this often at most: it is new at every tick while something drives."""
+
+
+class Status:
+    """One publish() and one tell_manager() a turn. `ever`: the service has been ready."""
+
+    def __init__(
+        self,
+        run: Run,
+        notify: Notify,
+        processes: ProcessTable,
+        epochs: Epochs,
+        handover: PortHandover,
+        silence: Silence,
+    ) -> None:
+        self.notify = notify
+        self._processes = processes
+        self._epochs = epochs
+        self._handover = handover
+        self._silence = silence
+        self._record = run.own.latest_writer("processes")
+        self._table = b""
+        self._gate_record = run.views[layout.GATE].latest_reader("state")
+        self._gate: dict[str, Any] = {}
+        self._gate_ns = 0
+        self.ever = False
+        self.fault = ""
+        """Why the supervisor does not do its job: the watchdog is left to bite."""
+
+    def missing(self, *, stopping: bool) -> str:
+        """What motion is still waiting for; empty when nothing. `stopping`: a stop is not answered yet."""
+        absent = [child.row.name for child in self._processes.children if child.state != RUNNING]
+        if not absent and not self._handover.complete():
+            return "the port"
+        # A stop that the supervisor wrote itself is still to be answered: a port owner that was held up would cut into
+        # motion of a later enable, with frames of an older one perhaps before that.
+        carried_out = self._epochs.answered() and not stopping
+        return ", ".join(absent) or ("" if carried_out else "a stop being carried out")
+
+    def publish(self, missing: str) -> bool:
+        """The process table and the ready word, when they change. True once: it is ready for the first time."""
+        processes = {
+            child.row.name: {
+                "pid": child.pid,
+                "state": child.state,
+                "restarts": child.times_restarted,
+                "last_exit": child.last_exit or None,
+            }
+            for child in self._processes.children
+        }
+        table = pack({"waiting_for": missing or None, "starved": self._silence.as_record(), "processes": processes})
+        self._epochs.ready_word.set(not missing)
+        if table != self._table:
+            self._table = table
+            self._record.write(table)
+        first = not missing and not self.ever
+        self.ever |= first
+        return first
+
+    def tell_manager(self, now_ns: int, missing: str, owed_since_ns: int) -> None:
+        """Status, watchdog. `missing`: what motion waits for; `owed_since_ns`: as in fault()."""
+        if not self.notify.active:
+            return
+        children = self._processes.children
+        killed_ns = {child.row.name: child.fence.kill_ns for child in children if child.fence and child.pid}
+        self.fault = fault(now_ns, killed_ns, owed_since_ns)
+        down = ", ".join(child.row.name for child in children if child.state == DOWN)
+        if now_ns - self._gate_ns >= GATE_EVERY_NS:
+            self._gate_ns = now_ns
+            if entry := self._gate_record.read():
+                self._gate = msgpack.unpackb(entry[2])
+        latched = self._epochs.latch.stop
+        line = status_line(missing, down, str(latched.cause) if latched else "", self._gate)
+        self.notify.follow(now_ns, self.fault or line, ready=self.ever, healthy=not self.fault)
+
+
+def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
+    """Why the supervisor does not do its job, in words; empty while it does. `killed_ns`: when the processes that were
+    killed and are not gone were killed; `owed_since_ns`: since when a stop is neither answered nor written though there
+    is a descriptor to write to, 0 for no such stop. Pure."""
+    for name, since_ns in killed_ns.items():
+        if now_ns - since_ns >= UNDYING_NS:
+            return f"{name} was killed {(now_ns - since_ns) / 1e9:.0f} s ago and is not gone"
+    if owed_since_ns and now_ns - owed_since_ns >= OWED_NS:
+        return f"a stop could not be written for {(now_ns - owed_since_ns) / 1e9:.0f} s"
+    return ""
+
+
+def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> str:
+    """The service in one line. `missing`: what motion waits for; `down`: the processes that died too often; `latched`:
+    the reason of the latch; `gate`: its published state; each empty where there is none. Pure."""
+    stays = f"; {down} died too often and is down until a reset" if down else ""
+    if latched:
+        waits = f"; waiting for {missing}" if missing else ""
+        return f"stop latched: {latched}{stays or waits}"
+    if missing:
+        return f"motion disabled, waiting for {missing}{stays}"
+    if not gate.get("enabled"):
+        return "ready, motion disabled"
+    who = [f"{row['source']} drives: {row['who']}" for row in gate["sources"] if row["state"] == "drives"]
+    blocked = f"blocked: {gate['blocked']}" if gate["blocked"] else ""
+    return f"motion enabled; {blocked or ', '.join(who) or 'nobody drives'}"
