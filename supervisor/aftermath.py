@@ -19,14 +19,14 @@ from failstop.supervisor.stops import ALIVE, BY_SUPERVISOR, DEAF, Link, Stop
 
 
 class Aftermath:
-    """Follows the last stop, and the link. One follow() a turn."""
+    """Follows the last stop, and the link. One follow() a turn. `heard`: of the newest ping that was answered, when it
+    was sent, and when the answer came."""
 
     def __init__(self, run: Run, latch: Latch, holds: Callable[[], bool]) -> None:
         """`holds`: whether the kernel holds bytes for the board."""
-        self._world = run.world
-        self._events = run.events
+        self._run = run
         self._holds = holds
-        port_owner, telemetry, settings = run.views[layout.PORT_OWNER], run.views[layout.TELEMETRY], run.settings
+        port_owner, telemetry = run.views[layout.PORT_OWNER], run.views[layout.TELEMETRY]
         self._record = run.own.latest_writer("stop")
         self._link_record = run.own.latest_writer("link")
         self._pings = [port_owner.word(f"ping_{index}") for index in range(layout.PINGS)]
@@ -35,15 +35,14 @@ class Aftermath:
         self._judged = telemetry.word("judged_ns")
         self._barrier = Barrier()
         self._latch = latch
-        self._after_ns = settings.ns("still.after_s")
-        self._command = settings.text("still.command")
+        self._after_ns = run.settings.ns("still.after_s")
+        self._command = run.settings.text("still.command")
         self._command_pids: list[int] = []
         """Those that have not ended, the newest last."""
         self._command_ran = False
         self._seen_pong = 0
-        self._heard = (0, 0)
-        """The newest ping that was answered: when it was sent, and when the answer came."""
-        self.link = Link(settings.ns("link.deaf_s"))
+        self.heard = (0, 0)
+        self.link = Link(run.settings.ns("link.deaf_s"))
         self._published = ""
         self._last: Stop | None = None
 
@@ -55,7 +54,7 @@ class Aftermath:
             return
         if last and not last.told:
             self._tell_outcome(last)  # with what is known
-        stop.follow(self._after_ns, self._world.unix_s())
+        stop.follow(self._after_ns, self._run.world.unix_s())
         self._last = stop
         self._publish(stop)
 
@@ -69,7 +68,8 @@ class Aftermath:
             self.link.listen(newest_ns)
         elif self.link.silent(newest_ns, now_ns):
             stops.append(Stop(now_ns, layout.SUPERVISOR, causes.DEAF()))
-        if self._follow_wheels(now_ns):
+        self._reap_command()
+        if self._last and self._unstill(self._last, now_ns):
             stops.append(Stop(now_ns, layout.SUPERVISOR, causes.UNSTILL()))
         if self._last and self._last.complete(now_ns):
             self._tell_outcome(self._last)
@@ -78,11 +78,6 @@ class Aftermath:
             self._published = self.link.state
             self._link_record.write(self._published.encode())
         return stops
-
-    def heard_ns(self, since_ns: int) -> int:
-        """When the board answered a ping that was sent at `since_ns` or later; 0: it has not."""
-        sent_ns, arrival_ns = self._heard
-        return arrival_ns if sent_ns >= since_ns else 0
 
     def opened(self, written_ns: int) -> None:
         """A port was opened again, perhaps another board's; the supervisor's burst on it was at `written_ns`."""
@@ -102,16 +97,12 @@ class Aftermath:
         if not sent_ns or sent_ns > arrival_ns:
             return  # an answer to a question that nobody has asked, or that was asked again meanwhile
         self.link.answered(sent_ns)
-        self._heard = max(self._heard, (sent_ns, arrival_ns))
+        self.heard = max(self.heard, (sent_ns, arrival_ns))
         if self._last and self._last.ponged(sent_ns, arrival_ns):
             self._publish(self._last)
 
-    def _follow_wheels(self, now_ns: int) -> bool:
+    def _unstill(self, last: Stop, now_ns: int) -> bool:
         """True when the wheels should be still and are not. A reset ends the question: people see to it then."""
-        last = self._last
-        self._reap()
-        if last is None:
-            return False
         if self._latch.reset_epoch >= last.epoch:
             self._command_ran = False
             return False
@@ -128,44 +119,40 @@ class Aftermath:
             self._publish(last)
         if unstill:
             text = f"CRITICAL: {causes.UNSTILL()} ({last.cause}; {(now_ns - last.t_ns) / 1e9:.1f} s ago)"
-            self._events.tell("unstill", text, {"reason": str(last.cause), "epoch": last.epoch})
-            self._run_command()
+            self._run.events.tell("unstill", text, {"reason": str(last.cause), "epoch": last.epoch})
+            if self._command and not self._command_ran:
+                self._run_command()
         return unstill
 
     def _run_command(self) -> None:
-        """Once, until the wheels have been seen still or people have reset."""
-        if not self._command or self._command_ran:
-            return
-        self._end_command()
-        self._command_ran = True
-        try:
-            words = ["/bin/sh", "-c", self._command]
-            self._command_pids.append(self._world.spawn(words, os.environ))
-        except OSError as error:
-            text = f"cannot run still.command ({self._command}): {error}"
-            self._events.tell("command", text, {"state": "failed", "reason": str(error)}, level="error")
-        else:
-            pid = self._command_pids[-1]
-            text = f"still.command runs (pid {pid}): {self._command}"
-            self._events.tell("command", text, {"state": "runs", "pid": pid})
-
-    def _end_command(self) -> None:
-        """What an earlier stop has run, and has not ended: it hangs, and must not keep this stop from its own."""
+        """Once, until the wheels have been seen still or people have reset. What an earlier stop has run and has not
+        ended hangs, and must not keep this stop from its own."""
         for pid in self._command_pids:
             try:
-                self._world.kill(-pid, signal.SIGKILL)
+                self._run.world.kill(-pid, signal.SIGKILL)
                 how = "killed"
             except OSError as error:  # of another user's rights, by sudo
                 how = f"cannot be killed ({error.strerror})"
             text = f"still.command (pid {pid}) has not ended since an earlier stop: {how}, and run again"
-            self._events.tell("command", text, {"state": "hangs", "pid": pid}, level="error")
+            self._tell_command(text, "hangs", pid=pid)
+        self._command_ran = True
+        try:
+            pid = self._run.world.spawn(["/bin/sh", "-c", self._command], os.environ)
+        except OSError as error:
+            self._tell_command(f"cannot run still.command ({self._command}): {error}", "failed", reason=str(error))
+        else:
+            self._command_pids.append(pid)
+            self._tell_command(f"still.command runs (pid {pid}): {self._command}", "runs", pid=pid)
 
-    def _reap(self) -> None:
+    def _reap_command(self) -> None:
         for pid in tuple(self._command_pids):
-            if (code := self._world.reap(pid)) is not None:
+            if (code := self._run.world.reap(pid)) is not None:
                 self._command_pids.remove(pid)
-                text = f"still.command (pid {pid}) ended with code {code}"
-                self._events.tell("command", text, {"state": "ended", "pid": pid, "code": code})
+                self._tell_command(f"still.command (pid {pid}) ended with code {code}", "ended", pid=pid, code=code)
+
+    def _tell_command(self, text: str, state: str, **fields: str | int) -> None:
+        level = "error" if state in ("hangs", "failed") else ""
+        self._run.events.tell("command", text, {"state": state, **fields}, level=level)
 
     def _tell_outcome(self, stop: Stop) -> None:
         link = self.link.state
@@ -173,17 +160,17 @@ class Aftermath:
         if stop.held and stop is self._last:
             self._publish(stop)
         level = "error" if stop.held or stop.unstill else ""
-        self._events.tell("stop_outcome", stop.outcome(link), stop.fields(link), level=level)
+        self._run.events.tell("stop_outcome", stop.outcome(link), stop.fields(link), level=level)
 
     def _tell_link(self, before: str, state: str) -> None:
         if state == DEAF:
-            self._events.tell("link", "the board answers no more", {"state": state}, level="critical")
+            self._run.events.tell("link", "the board answers no more", {"state": state}, level="critical")
         elif state == ALIVE:
             again = " again" if before == DEAF else ""
-            self._events.tell("link", f"the board answers{again}", {"state": state})
+            self._run.events.tell("link", f"the board answers{again}", {"state": state})
         elif before:
             text = "whether the board hears is not known until it answers"
-            self._events.tell("link", text, {"state": state}, level="info")
+            self._run.events.tell("link", text, {"state": state}, level="info")
 
     def _publish(self, stop: Stop) -> None:
         self._record.write(pack(stop.as_record()))

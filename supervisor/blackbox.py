@@ -6,19 +6,16 @@ waits for it but the end of the service, and that no longer than FINISH_S.
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Iterable
 
 import msgpack
 
+from failstop.procs import handover
 from failstop.shm import box, layout, records
 from failstop.supervisor.run import Run
 from failstop.supervisor.starter import environment, script_command
 from failstop.supervisor.stops import Stop
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
 
 SAMPLE_NS = 100_000_000
 START_NS = 150_000_000
@@ -35,32 +32,29 @@ NEXT = "next: look at the disk and at the state directory"
 
 
 class Saver:
-    """A saver that runs."""
+    """A saver that runs. `fd`: the socket to it: whatever is sent has it copy now; what it has to say comes back."""
 
-    __slots__ = ("_hurry", "_result", "of_dead_run", "pid")
+    __slots__ = ("_fd", "pid", "until_ready")
 
-    def __init__(self, pid: int, hurry: int, result: int, *, of_dead_run: bool) -> None:
-        """`hurry`: closed to have it copy now; `result`: what it has to say."""
+    def __init__(self, pid: int, fd: int, *, until_ready: bool) -> None:
+        """`until_ready`: its run is dead, and it waits for this one to be ready."""
         self.pid = pid
-        self._hurry = hurry
-        self._result = result
-        self.of_dead_run = of_dead_run
+        self._fd = fd
+        self.until_ready = until_ready
 
     def hasten(self) -> None:
         """Have it copy now."""
-        if self._hurry >= 0:
-            os.close(self._hurry)
-            self._hurry = -1
+        with contextlib.suppress(OSError):
+            os.write(self._fd, b"now")
 
-    def last_word(self) -> dict[str, Any] | None:
+    def last_word(self) -> dict[str, str | float] | None:
         """Of one that has ended: what it has saved, if anything, or what is `wrong`; None: it said nothing. Its
-        descriptors are given back."""
+        descriptor is given back."""
         try:
-            told = msgpack.unpackb(os.read(self._result, 4096))
+            told = msgpack.unpackb(os.read(self._fd, 4096))
         except (OSError, ValueError):
             told = None
-        self.hasten()
-        os.close(self._result)
+        os.close(self._fd)
         return told if isinstance(told, dict) else None
 
 
@@ -68,24 +62,21 @@ class BlackBox:
     """One turn: follow(). begin() once, when the other processes are started."""
 
     def __init__(self, run: Run) -> None:
-        settings = run.settings
-        self._now_ns, self._world = run.world.now_ns, run.world
-        self._events = run.events
-        self._readable = run.readable
-        self._on = settings.on("incidents.save")
+        self._run = run
+        self._now_ns, self._world, self._events = run.world.now_ns, run.world, run.events
+        self._on = run.settings.on("incidents.save")
         self._words = {
             "name": run.name,
-            "keep": str(int(settings["incidents.keep"])),
-            "max_mb": str(int(settings["incidents.max_mb"])),
+            "keep": str(int(run.settings["incidents.keep"])),
+            "max_mb": str(int(run.settings["incidents.max_mb"])),
         }
-        self._environment = environment(settings)
+        self._environment = environment(run.settings)
         self._ring = run.own.ring_writer("box")
         self._beats = [run.views[which].word("beat_ns") for which in layout.PROCESSES]
         self._ages_ns = [0] * len(self._beats)
         """The longest silence of each process since the last sample."""
         self._seen_ns = [0] * len(self._beats)
         """And when that was seen."""
-        self._left = run.left
         self._waiting: list[tuple[int, dict[str, str]]] = []
         """When to start a saver, and with what."""
         self._savers: list[Saver] = []
@@ -112,7 +103,8 @@ class BlackBox:
             self._sample(now_ns)
         if self._savers:
             for saver in self._savers:
-                if ready and saver.of_dead_run:
+                if ready and saver.until_ready:
+                    saver.until_ready = False
                     saver.hasten()
             self._reap()
         if self._waiting and now_ns >= self._waiting[0][0]:
@@ -127,37 +119,34 @@ class BlackBox:
     def begin(self) -> None:
         """Start the saver for a run before this one that was not ended in order. It copies nothing, and takes no
         processor time from anybody, before this run is ready: but by then nobody wants to be held up for its start."""
-        left, self._left = self._left, {}
-        try:
-            if self._on and len(left) == len(layout.PROCESSES):
-                self._start({"until_ns": str(self._now_ns() + PATIENCE_NS)}, left, of_dead_run=True)
-        finally:
-            self._close(left.values())
+        left = self._run.left
+        if self._on and len(left) == len(layout.PROCESSES):
+            self._start({"until_ns": str(self._now_ns() + PATIENCE_NS)}, left, until_ready=True)
+        while left:
+            os.close(left.popitem()[1])
 
     def _save_live(self) -> None:
         _, words = self._waiting.pop(0)
-        self._start(words, self._readable, of_dead_run=False)
+        self._start(words, self._run.readable, until_ready=False)
 
-    def _start(self, words: dict[str, str], fds: dict[str, int], *, of_dead_run: bool) -> None:
+    def _start(self, words: dict[str, str], fds: dict[str, int], *, until_ready: bool) -> None:
         """Start a saver. A machine that is out of descriptors or processes has none, and that is all."""
-        pipes: list[int] = []
+        ours = theirs = -1
         try:
-            pipes += os.pipe()
-            pipes += os.pipe()
-            hurry, hasten, told, result = pipes
-            os.set_blocking(told, False)
-            pid = self._spawn(words | {"hurry": str(hurry), "result": str(result)}, fds, (hurry, result))
+            ours, theirs = handover.pair()
+            os.set_blocking(ours, False)
+            listed = ",".join(f"{which}:{fd}" for which, fd in fds.items())
+            words = self._words | words | {"fds": listed, "hurry": str(theirs), "result": str(theirs)}
+            arguments = script_command(("incidents", "start.py"), words=words)
+            pid = self._world.spawn(arguments, self._environment, [theirs, *fds.values()])
+            self._savers.append(Saver(pid, ours, until_ready=until_ready))
         except OSError as error:
-            self._close(pipes)
+            if ours >= 0:
+                os.close(ours)
             self._not_saved(f"cannot start the saver: {error}; {NEXT}")
-        else:
-            self._close((hurry, result))
-            self._savers.append(Saver(pid, hasten, told, of_dead_run=of_dead_run))
-
-    def _spawn(self, words: dict[str, str], fds: dict[str, int], pipes: tuple[int, int]) -> int:
-        words = self._words | words | {"fds": ",".join(f"{which}:{fd}" for which, fd in fds.items())}
-        arguments = script_command(("incidents", "start.py"), words=words)
-        return self._world.spawn(arguments, self._environment, [*pipes, *fds.values()])
+        finally:
+            if theirs >= 0:
+                os.close(theirs)
 
     def _reap(self) -> None:
         for saver in tuple(self._savers):
@@ -165,7 +154,7 @@ class BlackBox:
                 self._savers.remove(saver)
                 self._tell(code, saver.last_word())
 
-    def _tell(self, code: int, told: dict[str, Any] | None) -> None:
+    def _tell(self, code: int, told: dict[str, str | float] | None) -> None:
         if not code and told == {}:
             return
         told = told or {}
@@ -179,11 +168,6 @@ class BlackBox:
 
     def _not_saved(self, why: str) -> None:
         self._events.tell("incident", f"incident not saved: {why}", {"reason": why}, level="warning")
-
-    @staticmethod
-    def _close(fds: Iterable[int]) -> None:
-        for fd in fds:
-            os.close(fd)
 
     def finish(self) -> None:
         """The end of the service, its stops written: what is being saved is saved now."""

@@ -14,9 +14,9 @@ from failstop.shm.instance import InstanceError
 from failstop.shm.segment import AttachError
 from failstop.supervisor.events import JOURNAL, Events, Outbox, is_journal
 from failstop.supervisor.main import Supervisor
-from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.run import Run
+from failstop.supervisor.status import Notify
 
 SUPERVISOR_COMM = "fs:supervisor"
 """What the kernel shows as the supervisor's name."""

@@ -18,12 +18,9 @@ from failstop.shm.ring import RingWriter
 from failstop.supervisor.fold import PREFIX, fitted
 from failstop.supervisor.kinds import BY_NAME, LEVELS
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    Value = str | int | float
-    Told = tuple[int, float, str, str, str, dict[str, Value]]
-    Sort = tuple[str, str, bool]
-
+Value = str | int | float
+Told = tuple[int, float, str, str, str, dict[str, Value]]
+Sort = tuple[str, str, bool]
 JOURNAL = "/run/systemd/journal/socket"
 STDERR = 2
 LONGEST_HOLD_NS = 50_000_000

@@ -14,19 +14,13 @@ CONTAINER_VARIABLE = "container"
 """Set for the first process of a container by podman, lxc and systemd-nspawn, and inherited where nobody clears it."""
 
 
-def command(unit: str, *, container: bool) -> str:
-    """What to do, the command in backquotes. `unit`: the systemd unit that starts the service, empty for none. Pure."""
-    if unit:
-        return UNIT.format(unit=unit)
-    return CONTAINER if container else SHELL
-
-
 def advice(*, realtime: bool, managed: bool) -> str:
-    """What people are told to do when this process is late; `realtime`: it has the rights; `managed`: a service manager
-    has started it."""
+    """What people are told to do when this process is late, the command in backquotes; `realtime`: it has the rights;
+    `managed`: a service manager has started it."""
     if realtime:
         return GRANTED
-    return f"give it real-time rights: {command(own_unit() if managed else '', container=in_container())}"
+    command = UNIT.format(unit=own_unit()) if managed else CONTAINER if in_container() else SHELL
+    return f"give it real-time rights: {command}"
 
 
 def own_unit() -> str:

@@ -20,13 +20,12 @@ from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
 from failstop.supervisor.children import ALIVE, DIED, RUNNING, Child, Fence
 from failstop.supervisor.latch import Epochs
-from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.port_handover import PortHandover
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.run import Run
 from failstop.supervisor.silence import Silence
-from failstop.supervisor.status import Status
+from failstop.supervisor.status import Notify, Status
 from failstop.supervisor.stops import UNPROVEN, Stop
 from failstop.supervisor.teller import Teller
 
@@ -347,8 +346,9 @@ class Supervisor:
         until_ns = self._now_ns() + HEAR_NS
         while self._stop_ns and (now_ns := self._now_ns()) < until_ns and self._listening(now_ns):
             self.aftermath.follow(now_ns, listening=True)
-            if heard_ns := self.aftermath.heard_ns(self._stop_ns):
-                return heard_ns - self._stop_ns
+            sent_ns, arrival_ns = self.aftermath.heard
+            if sent_ns >= self._stop_ns:
+                return arrival_ns - self._stop_ns
             self._watched_ns = now_ns
             self.heartbeat.beat(now_ns, self.epoch)
             self._sleep(HURRY_NS / 1e9)

@@ -1,5 +1,6 @@
 """Status: what motion waits for, and whether the supervisor does its job. The gate is told by a word, clients by the
-process table, the service manager by a line and the watchdog.
+process table, the service manager by datagrams (the sd_notify protocol), never waited for: ready, a status line, the
+watchdog, the end. What could not be sent is sent again later, and is no reason to do anything else.
 
 The watchdog is for a supervisor that no longer does its job, and for nothing else:
 
@@ -13,13 +14,15 @@ that is deaf. The wheels are told to stop then, the status is served, and a rest
 
 from __future__ import annotations
 
+from collections.abc import MutableMapping
+
 import msgpack
 
 from failstop.shm import layout
 from failstop.shm.packing import pack
 from failstop.supervisor.children import DOWN, RUNNING
+from failstop.supervisor.events import Outbox
 from failstop.supervisor.latch import Epochs
-from failstop.supervisor.notify import Notify
 from failstop.supervisor.port_handover import PortHandover
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.run import Run
@@ -33,8 +36,66 @@ UNDYING_NS = 10_000_000_000
 """SIGKILL to gone takes milliseconds; a process that closes a port which does not drain, seconds."""
 OWED_NS = 2_000_000_000
 """The supervisor's own burst goes out 5 ms after the cause and every 200 ms from then on."""
-GATE_EVERY_NS = 100_000_000
-"""The gate's state is decoded this often at most: it is new at every tick while something drives."""
+TELL_EVERY_NS = 100_000_000
+"""Its line is made this often: what is in it of the gate is new at every tick while something drives."""
+VARIABLES = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
+"""What the service manager hands over; for the supervisor alone."""
+STATUS_CHARACTERS = 200
+
+
+class Notify:
+    """The socket of the service manager; without one, nothing is sent."""
+
+    __slots__ = ("_beat_ns", "_outbox", "_said", "_told_ready", "active", "every_ns")
+
+    def __init__(self, address: str = "", watchdog_us: int = 0) -> None:
+        """`address`: a path, or @name for the abstract namespace; `watchdog_us`: the watchdog's timeout, 0 for none."""
+        self.active = bool(address)
+        """True when somebody listens."""
+        abstract = address.startswith("@")
+        self._outbox = Outbox(b"\0" * abstract + address[abstract:].encode("utf-8", "surrogateescape"))
+        self.every_ns = watchdog_us * 1000 // 2
+        """Half of the timeout: one datagram may get lost."""
+        self._beat_ns = 0
+        self._said = ""
+        self._told_ready = False
+
+    @classmethod
+    def taken_from(cls, environ: MutableMapping[str, str], pid: int) -> Notify:
+        """As `environ` says, from which the variables are taken away: nothing that this process starts may speak for
+        it. A watchdog for another pid is none."""
+        address, timeout, wanted = (environ.pop(name, "") for name in VARIABLES)
+        if address[:1] not in ("/", "@"):
+            return cls()
+        for_us = not wanted or wanted == str(pid)
+        return cls(address, int(timeout) if for_us and timeout.isdecimal() else 0)
+
+    def follow(self, now_ns: int, status: str, *, ready: bool, healthy: bool) -> None:
+        """What is new, and the watchdog's beat when it is due and the supervisor does its job. `ready`:
+        the service has been, once."""
+        lines = ["READY=1"] if ready and not self._told_ready else []
+        if status != self._said:
+            lines.append(f"STATUS={_one_line(status)}")
+        beats = healthy and self.every_ns > 0 and now_ns - self._beat_ns >= self.every_ns
+        if beats:
+            lines.append("WATCHDOG=1")
+        if lines and self.send("\n".join(lines)):
+            self._told_ready = ready
+            self._said = status
+            if beats:
+                self._beat_ns = now_ns
+
+    def stopping(self, status: str) -> None:
+        """The service ends now."""
+        self.send(f"STOPPING=1\nSTATUS={_one_line(status)}")
+
+    def send(self, lines: str) -> bool:
+        """Send one datagram; False when it could not be handed over at once."""
+        return self.active and self._outbox.send(lines.encode("utf-8", "replace"))
+
+    def close(self) -> None:
+        """Let the socket go."""
+        self._outbox.close()
 
 
 class Status:
@@ -57,8 +118,7 @@ class Status:
         self._record = run.own.latest_writer("processes")
         self._table = b""
         self._gate_record = run.views[layout.GATE].latest_reader("state")
-        self._gate: dict[str, Any] = {}
-        self._gate_ns = 0
+        self._told_ns = 0
         self.ever = False
         self.fault = ""
         """Why the supervisor does not do its job: the watchdog is left to bite."""
@@ -95,19 +155,16 @@ class Status:
 
     def tell_manager(self, now_ns: int, missing: str, owed_since_ns: int) -> None:
         """Status, watchdog. `missing`: what motion waits for; `owed_since_ns`: as in fault()."""
-        if not self.notify.active:
+        if not self.notify.active or now_ns - self._told_ns < TELL_EVERY_NS:
             return
-        children = self._processes.children
+        self._told_ns = now_ns
+        children, latched, state = self._processes.children, self._epochs.latch.stop, self._gate_record.read()
         killed_ns = {child.row.name: child.fence.kill_ns for child in children if child.fence and child.pid}
         self.fault = fault(now_ns, killed_ns, owed_since_ns)
         down = ", ".join(child.row.name for child in children if child.state == DOWN)
-        if now_ns - self._gate_ns >= GATE_EVERY_NS:
-            self._gate_ns = now_ns
-            if entry := self._gate_record.read():
-                self._gate = msgpack.unpackb(entry[2])
-        latched = self._epochs.latch.stop
-        line = status_line(missing, down, str(latched.cause) if latched else "", self._gate)
-        self.notify.follow(now_ns, self.fault or line, ready=self.ever, healthy=not self.fault)
+        gate = msgpack.unpackb(state[2]) if state else {}
+        line = self.fault or status_line(missing, down, str(latched.cause) if latched else "", gate)
+        self.notify.follow(now_ns, line, ready=self.ever, healthy=not self.fault)
 
 
 def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
@@ -136,3 +193,8 @@ def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> 
     who = [f"{row['source']} drives: {row['who']}" for row in gate["sources"] if row["state"] == "drives"]
     blocked = f"blocked: {gate['blocked']}" if gate["blocked"] else ""
     return f"motion enabled; {blocked or ', '.join(who) or 'nobody drives'}"
+
+
+def _one_line(text: str) -> str:
+    """A line break would begin another assignment: a reason is not to say that a service is ready."""
+    return "".join(c if c.isprintable() else "?" for c in text)[:STATUS_CHARACTERS]

@@ -15,10 +15,6 @@ from __future__ import annotations
 from failstop.policy.causes import Cause
 from failstop.shm import layout
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
-
 UNPROVEN = "unproven"
 ALIVE = "alive"
 DEAF = "deaf"
@@ -197,7 +193,7 @@ class Stop:
             "wheels": "unstill" if self.unstill else seen,
         }
 
-    def as_record(self) -> dict[str, Any]:
+    def as_record(self) -> dict[str, object]:
         """What clients see."""
         return {
             "cause": self.cause.pack(),

@@ -201,7 +201,7 @@ SUPERVISOR = (
         r"self\.(_(looked|beat|absent|answered|next|gate|shared|tried|sampled|missing)|started|excused)_ns = 1$",
         "the first nanosecond of the machine, which nobody looks at",
     ),
-    Reason("supervisor/notify.py", r"every_ns > 1 ", "it is 0, or half a microsecond at least"),
+    Reason("supervisor/status.py", r"every_ns > 1 ", "it is 0, or half a microsecond at least"),
     Reason("supervisor/port.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
     Reason("supervisor/run.py", r"create=True, gid=gid", "the mode is what it would be without"),
     Reason("supervisor/children.py", r"count - 2, 17", "the shortest wait doubled 16 times is beyond the longest"),

@@ -21,9 +21,8 @@ from failstop.supervisor import grant
 from failstop.supervisor.children import WAITING, Fence
 from failstop.supervisor.events import Outbox
 from failstop.supervisor.main import ALONE_EVERY_NS, ANSWER_NS
-from failstop.supervisor.notify import Notify
 from failstop.supervisor.run import LOOK_EVERY_NS
-from failstop.supervisor.status import OWED_NS, UNDYING_NS
+from failstop.supervisor.status import OWED_NS, TELL_EVERY_NS, UNDYING_NS, Notify
 from failstop.supervisor.stops import Stop
 from tests.support.supervisor_scene import MS, Scene, fill
 from tests.support.waiting import until
@@ -340,13 +339,14 @@ def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, t
     fill(scene.port.fd)
     scene.gate_stops()
     scene.supervisor.turn({})
-    scene.now_ns += OWED_NS - MS
+    scene.now_ns += OWED_NS - TELL_EVERY_NS
     scene.supervisor.turn({})
     assert scene.supervisor.status.fault == ""
-    scene.now_ns += MS
+    scene.now_ns += TELL_EVERY_NS
     scene.supervisor.turn({})
     assert scene.supervisor.status.fault == "a stop could not be written for 2 s"
     fd, scene.port.fd = scene.port.fd, -1
+    scene.now_ns += TELL_EVERY_NS
     scene.supervisor.turn({})
     assert scene.supervisor.status.fault == "", "a port that is gone is nobody's fault"
     scene.port.fd = fd
@@ -379,6 +379,6 @@ def test_a_killed_process_that_does_not_go_is_what_the_watchdog_is_for(scene: Sc
     scene.turn(UNDYING_NS)
     assert scene.supervisor.status.fault == "telemetry was killed 10 s ago and is not gone"
     telemetry.pid = 0
-    scene.turn()
+    scene.turn(TELL_EVERY_NS)
     assert scene.supervisor.status.fault == ""
     notify.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import msgpack
 import pytest
 
 from failstop.policy.settings import Settings
-from failstop.procs.world import World, spawn
+from failstop.procs.world import World, reap, spawn
 from failstop.shm import box, layout, segment
 from failstop.supervisor import blackbox, starter
 from failstop.supervisor.blackbox import (
@@ -23,6 +24,7 @@ from failstop.supervisor.blackbox import (
     SAMPLE_NS,
     START_NS,
     BlackBox,
+    Saver,
 )
 from failstop.supervisor.events import Events
 from failstop.supervisor.run import Run
@@ -88,11 +90,12 @@ class Scene:
         assert environ == starter.environment(self.settings)
         words = dict(word.split("=", 1) for word in arguments[4:])
         fds = [int(part.partition(":")[2]) for part in words["fds"].split(",")]
-        assert passed == [int(words["hurry"]), int(words["result"]), *fds]
+        assert passed == [int(words["hurry"]), *fds]
+        assert words["hurry"] == words["result"]
         self.started.append(words)
-        hurry, result = (f"/proc/self/fd/{words[key]}" for key in ("hurry", "result"))
-        script = f'read x <{hurry}; printf "{self.word}" >{result}; exit {self.code}'
-        return spawn(["/bin/sh", "-c", script], dict(os.environ), passed)
+        script = f'head -c 1 <&3 >/dev/null; printf "{self.word}" >&3; exit {self.code}'
+        shell = f"import os; os.dup2({words['hurry']}, 3); os.execv('/bin/sh', ['sh', '-c', {script!r}])"
+        return spawn([sys.executable, "-I", "-S", "-c", shell], dict(os.environ), passed)
 
     def records(self) -> list[bytes]:
         found = []
@@ -191,7 +194,7 @@ def test_no_more_than_a_few_at_one_time(scene: Scene) -> None:
 def test_nothing_is_saved_where_that_is_off(scene: Scene) -> None:
     off = scene.new(save="off")
     off.latched(CAUSE, 7)
-    off._left = {process: os.dup(0) for process in layout.PROCESSES}
+    scene.run.left = {process: os.dup(0) for process in layout.PROCESSES}
     off.begin()
     off.follow(T0 + START_NS, ready=True)
     assert scene.started == []
@@ -244,8 +247,8 @@ def test_what_a_saver_had_is_closed_after_its_end(scene: Scene) -> None:
     before = os.listdir("/proc/self/fd")
     scene.box.latched(CAUSE, 7)
     scene.box.follow(T0 + START_NS, ready=True)
-    assert len(os.listdir("/proc/self/fd")) == len(before) + 2
-    assert not os.get_blocking(scene.box._savers[0]._result), "nor is it waited for"
+    assert len(os.listdir("/proc/self/fd")) == len(before) + 1
+    assert not os.get_blocking(scene.box._savers[0]._fd), "nor is it waited for"
     scene.ends()
     assert os.listdir("/proc/self/fd") == before
 
@@ -253,8 +256,13 @@ def test_what_a_saver_had_is_closed_after_its_end(scene: Scene) -> None:
 def left_behind(scene: Scene, count: int) -> list[int]:
     """Segments of a dead run."""
     fds = [os.open("/dev/null", os.O_RDONLY) for _ in range(count)]
-    scene.box._left = dict(zip(layout.PROCESSES, fds, strict=False))
+    scene.run.left = dict(zip(layout.PROCESSES, fds, strict=False))
     return fds
+
+
+def ended(saver: Saver, options: int = os.WNOHANG) -> bool:
+    """Whether it has been hastened: it waits for that, and ends then."""
+    return os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT | options) is not None
 
 
 def closed(fd: int) -> bool:
@@ -270,10 +278,12 @@ def test_a_dead_run_s_saver_copies_when_this_run_is_ready(scene: Scene) -> None:
     assert all(map(closed, fds)), "they are the saver's now"
     scene.box.latched(CAUSE, 7)
     scene.box.follow(T0 + START_NS, ready=False)
-    hurries = [saver._hurry for saver in scene.box._savers]
-    assert [closed(fd) for fd in hurries] == [False, False]
+    dead, live = scene.box._savers
+    assert not ended(dead)
     scene.box.follow(T0 + START_NS, ready=True)
-    assert [closed(fd) for fd in hurries] == [True, False]
+    assert ended(dead, 0)
+    assert not ended(live)
+    scene.box.follow(T0 + START_NS, ready=True)
 
 
 def test_of_a_dead_run_that_is_not_whole_nothing_is_saved(scene: Scene) -> None:
@@ -305,8 +315,10 @@ def test_without_a_descriptor_to_wait_with_each_is_hastened_all_the_same(
     for _ in range(2):
         scene.box.follow(T0 + START_NS, ready=True)
     savers = tuple(scene.box._savers)
+    scene.world.play("reap", lambda _pid: None)
     scene.box.finish()
-    assert [saver._hurry for saver in savers] == [-1, -1]
+    assert all(ended(saver, 0) for saver in savers)
+    scene.world.play("reap", reap)
 
 
 def test_the_end_of_the_service_does_not_wait_for_a_saver_that_hangs(

@@ -19,8 +19,15 @@ from failstop.supervisor import grant
         ("failstop@left.service", True, "`sudo systemctl edit failstop@left.service`"),
     ],
 )
-def test_the_command_fits_the_case(unit: str, container: bool, told: str) -> None:
-    assert told in grant.command(unit, container=container)
+def test_the_command_fits_the_case(unit: str, container: bool, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grant, "own_unit", lambda: unit)
+    monkeypatch.setattr(grant, "in_container", lambda: container)
+    assert told in grant.advice(realtime=False, managed=bool(unit))
+    assert "give it" not in grant.advice(realtime=True, managed=bool(unit))
+
+
+def test_each_is_one_line() -> None:
+    assert "\n" not in "".join((grant.UNIT, grant.CONTAINER, grant.SHELL, grant.GRANTED))
 
 
 @pytest.mark.parametrize("sign", ["/.dockerenv", "/run/.containerenv", "variable", ""])
@@ -30,15 +37,6 @@ def test_a_container_is_known_by_its_signs(sign: str, monkeypatch: pytest.Monkey
     if sign == "variable":
         monkeypatch.setenv(grant.CONTAINER_VARIABLE, "podman")
     assert grant.in_container() is bool(sign)
-
-
-def test_it_is_one_line_and_only_for_those_who_lack_the_rights(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grant, "own_unit", lambda: "robot.service")
-    monkeypatch.setattr(grant, "in_container", lambda: False)
-    assert "edit robot.service" in grant.advice(realtime=False, managed=True)
-    assert grant.SHELL in grant.advice(realtime=False, managed=False)
-    assert "give it" not in grant.advice(realtime=True, managed=False)
-    assert "\n" not in "".join((grant.UNIT, grant.CONTAINER, grant.SHELL, grant.GRANTED))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.supervisor.notify import VARIABLES, Notify
+from failstop.supervisor.status import VARIABLES, Notify
 
 MS = 1_000_000
 T0 = 5_000 * MS

@@ -26,9 +26,9 @@ from failstop.supervisor import main
 from failstop.supervisor import process_table as table_module
 from failstop.supervisor.children import DEAD, DIED, RUNNING, STARTING_NS, Fence
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS, Supervisor
-from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.process_table import GATE_AGAIN_NS
+from failstop.supervisor.status import TELL_EVERY_NS, Notify
 from tests.support.supervisor_scene import MS, fill
 from tests.support.waiting import until
 from tests.support.watching_scene import Watching
@@ -585,20 +585,19 @@ def test_what_the_service_manager_is_told(watching: Watching) -> None:
     watching.port_open()
     segment.attach(watching.run.memory, layout.STOPPER, write=True).word("port_number").set(1)
     watching.answers()
-    watching.pass_time(MS)
+    watching.pass_time(TELL_EVERY_NS - MS)
     assert watching.supervisor.status.ever
+    assert len(heard.said) == 1, "it is told ten times a second"
     watching.pass_time(MS)
     assert heard.said[1:] == ["READY=1", "STATUS=ready, motion disabled"]
     state = {"enabled": True, "epoch": 1, "blocked": "no scan", "sources": []}
     watching.gate.latest_writer("state").write(pack(state))
-    watching.pass_time(97 * MS)
-    assert len(heard.said) == 3, "the gate's state is looked at ten times a second"
-    watching.pass_time(MS)
+    watching.pass_time(TELL_EVERY_NS)
     assert heard.said[3:] == ["STATUS=motion enabled; blocked: no scan"]
     watching.gate_stops("bumper")
-    watching.pass_time(MS)
+    watching.pass_time(TELL_EVERY_NS)
     watching.answers(written_ns=watching.now_ns)
-    watching.pass_time(MS)
+    watching.pass_time(TELL_EVERY_NS)
     assert heard.said[4:] == [
         "STATUS=stop latched: stop request: bumper; waiting for a stop being carried out",
         "STATUS=stop latched: stop request: bumper",

@@ -22,9 +22,9 @@ from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import children, main
 from failstop.supervisor.events import Outbox
 from failstop.supervisor.main import Supervisor
-from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.run import Run
+from failstop.supervisor.status import Notify
 from tests.support.played import PlayedWorld
 from tests.support.stage import MOST_LATE
 from tests.support.why import said, told, why
