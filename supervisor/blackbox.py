@@ -65,11 +65,8 @@ class BlackBox:
         self._run = run
         self._now_ns, self._world, self._events = run.world.now_ns, run.world, run.events
         self._on = run.settings.on("incidents.save")
-        self._words = {
-            "name": run.name,
-            "keep": str(int(run.settings["incidents.keep"])),
-            "max_mb": str(int(run.settings["incidents.max_mb"])),
-        }
+        keep, max_mb = int(run.settings["incidents.keep"]), int(run.settings["incidents.max_mb"])
+        self._words = {"name": run.name, "keep": keep, "max_mb": max_mb}
         self._environment = environment(run.settings)
         self._ring = run.own.ring_writer("box")
         self._beats = [run.views[which].word("beat_ns") for which in layout.PROCESSES]
@@ -77,7 +74,7 @@ class BlackBox:
         """The longest silence of each process since the last sample."""
         self._seen_ns = [0] * len(self._beats)
         """And when that was seen."""
-        self._waiting: list[tuple[int, dict[str, str]]] = []
+        self._waiting: list[tuple[int, dict[str, object]]] = []
         """When to start a saver, and with what."""
         self._savers: list[Saver] = []
         self._sampled_ns = 0
@@ -90,8 +87,8 @@ class BlackBox:
         """A stop is latched, the news is out: save what led to it, and what follows."""
         self._sample(self._now_ns())
         if self._on and len(self._waiting) + len(self._savers) < MOST_SAVERS:
-            words = {"cause_ns": str(stop.t_ns), "epoch": str(epoch), "cause": stop.cause.pack().hex()}
-            self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": str(stop.t_ns + COPY_NS)}))
+            words = {"cause_ns": stop.t_ns, "epoch": epoch, "cause": stop.cause.pack().hex()}
+            self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": stop.t_ns + COPY_NS}))
 
     def follow(self, now_ns: int, *, ready: bool) -> None:
         """Once a turn, at its end, and before the supervisor's own beat."""
@@ -121,7 +118,7 @@ class BlackBox:
         processor time from anybody, before this run is ready: but by then nobody wants to be held up for its start."""
         left = self._run.left
         if self._on and len(left) == len(layout.PROCESSES):
-            self._start({"until_ns": str(self._now_ns() + PATIENCE_NS)}, left, until_ready=True)
+            self._start({"until_ns": self._now_ns() + PATIENCE_NS}, left, until_ready=True)
         while left:
             os.close(left.popitem()[1])
 
@@ -129,14 +126,14 @@ class BlackBox:
         _, words = self._waiting.pop(0)
         self._start(words, self._run.readable, until_ready=False)
 
-    def _start(self, words: dict[str, str], fds: dict[str, int], *, until_ready: bool) -> None:
+    def _start(self, words: dict[str, object], fds: dict[str, int], *, until_ready: bool) -> None:
         """Start a saver. A machine that is out of descriptors or processes has none, and that is all."""
         ours = theirs = -1
         try:
             ours, theirs = handover.pair()
             os.set_blocking(ours, False)
             listed = ",".join(f"{which}:{fd}" for which, fd in fds.items())
-            words = self._words | words | {"fds": listed, "hurry": str(theirs), "result": str(theirs)}
+            words = {**self._words, **words, "fds": listed, "hurry": theirs, "result": theirs}
             arguments = script_command(("incidents", "start.py"), words=words)
             pid = self._world.spawn(arguments, self._environment, [theirs, *fds.values()])
             self._savers.append(Saver(pid, ours, until_ready=until_ready))

@@ -34,12 +34,9 @@ AGAIN = frozenset(("stop_again", "stop_also"))
 """What anybody can bring about without end; a stop that is latched again takes somebody who resets."""
 MINUTE_NS = 60_000_000_000
 OWN_BYTES = 65536
-"""What is told in a minute of each kind and level: a dozen stops a second for half of it, and then one every three
-seconds."""
+"""What is told in a minute of each kind and level, whoever brings it about: a dozen stops a second for half of it."""
 ASKED_BYTES = 8192
 """Of requests that repeat what is latched: everybody may make them, without end, and they change nothing."""
-REOPENS_AT = 4
-"""Once this part of an allowance is there again."""
 
 
 def say(text: str) -> None:
@@ -80,49 +77,6 @@ class Outbox:
             self._socket = None
 
 
-class Allowance:
-    """How many bytes of one sort of event people are told in a minute, whoever brings them about.
-
-    A bucket that fills up within a minute. Once it is empty nothing more is told until a part of it is there again, and
-    then first how much was left out: a flood is a few lines and a number, not every other line of it. Pure.
-    """
-
-    __slots__ = ("_left", "_most", "_ns", "_shut", "left_out")
-
-    def __init__(self, most: int, now_ns: int) -> None:
-        self._most = most
-        self._left: float = most
-        self._ns = now_ns
-        self._shut = False
-        self.left_out = 0
-        """Events that were not told since the last that was."""
-
-    def _fill(self, now_ns: int) -> None:
-        earned = max(0, now_ns - self._ns) * self._most / MINUTE_NS
-        self._left = min(self._most, self._left + earned)
-        self._ns = max(self._ns, now_ns)
-
-    def spend(self, size: int, now_ns: int) -> bool:
-        """True when an event of `size` bytes may be told now."""
-        self._fill(now_ns)
-        if self._shut or size > self._left:
-            self._shut = True
-            self.left_out += 1
-            return False
-        self._left -= size
-        return True
-
-    def reopens(self, now_ns: int) -> bool:
-        """True when there is room for more again."""
-        self._fill(now_ns)
-        return self._left * REOPENS_AT >= self._most
-
-    def reopen(self) -> int:
-        """Go on telling; returns how many were left out."""
-        count, self.left_out, self._shut = self.left_out, 0, False
-        return count
-
-
 class Events:
     """The one place where events leave the service. Without a journal they are lines on stderr."""
 
@@ -141,9 +95,12 @@ class Events:
         self._journal = journal
         self._published = published
         self._waiting: list[Told] = []
-        self._allowances: dict[Sort, Allowance] = {}
-        self._short: set[Sort] = set()
-        """Sorts of which events were left out, and that was not told yet."""
+        self._minute_ns = 0
+        """When the minute began of which the allowances are."""
+        self._spent: dict[Sort, int] = {}
+        """Bytes of each sort in it."""
+        self._left_out: dict[Sort, int] = {}
+        """How many events of a sort were left out, where that was not told yet."""
 
     def tell(self, kind: str, text: str, fields: Mapping[str, Value | None] | None = None, *, level: str = "") -> None:
         """An event of a kind of kinds.py (any other becomes a note), at its kind's level or another; a field that is
@@ -154,9 +111,7 @@ class Events:
         if len(self._waiting) < MOST_WAITING:
             self._waiting.append((now_ns, self._unix_s(), known.name, level, text, given))
         else:
-            sort = known.name, level, _asked(known.name, given)
-            self._allowance(sort, now_ns).left_out += 1
-            self._short.add(sort)
+            self._leave_out((known.name, level, _asked(known.name, given)))
 
     def command(self, words: str) -> str:
         """A command to type next, in backquotes, for this instance."""
@@ -164,12 +119,12 @@ class Events:
 
     def flush(self, now_ns: int = 0, *, hold: bool = False) -> None:
         """Send what was told. `hold`: a stop's bytes are not out yet; then only what has waited for long. `now_ns` 0:
-        the end, and what was left out is told of now."""
+        the end. What was left out is told of when the minute is over, or now."""
+        over = bool(self._left_out) and now_ns - self._minute_ns >= MINUTE_NS
         if self._waiting and not (hold and now_ns - self._waiting[0][0] < LONGEST_HOLD_NS):
             self._send_waiting()
-        for sort in tuple(self._short):
-            if not now_ns or self._allowances[sort].reopens(self._now_ns()):
-                self._tell_left_out(sort)
+        if (over and not self._waiting) or not now_ns:
+            self._tell_left_out()
         if not now_ns:
             self._send_waiting()
 
@@ -185,26 +140,31 @@ class Events:
         datagram = journal_entry(self._name, t_ns, kind, level, text, fields) if self._journal else b""
         size = len(datagram) or len(f"{PREFIX}{text}\n".encode("utf-8", "replace"))
         sort = kind, level, _asked(kind, fields)
-        if not self._allowance(sort, t_ns).spend(size, t_ns):
-            self._short.add(sort)
+        if not self._may_spend(sort, size, t_ns):
+            self._leave_out(sort)
             return
         if self._ring:
             self._ring.put(pack(t_ns, unix_s, kind, level, text, fields), t_ns)
         if not self._journal or not self._journal.send(datagram):
             say(text)
 
-    def _allowance(self, sort: Sort, now_ns: int) -> Allowance:
-        if sort not in self._allowances:
-            self._allowances[sort] = Allowance(ASKED_BYTES if sort[2] else OWN_BYTES, now_ns)
-        return self._allowances[sort]
+    def _may_spend(self, sort: Sort, size: int, t_ns: int) -> bool:
+        """True while there is room. Once there is none nothing more of this sort is told in this minute: a flood is a
+        few lines and a number, not every other line of it."""
+        if t_ns - self._minute_ns >= MINUTE_NS:
+            self._minute_ns, self._spent = t_ns, {}
+        self._spent[sort] = self._spent.get(sort, 0) + size
+        return self._spent[sort] <= (ASKED_BYTES if sort[2] else OWN_BYTES)
 
-    def _tell_left_out(self, sort: Sort) -> None:
-        self._short.discard(sort)
-        kind, level, asked = sort
-        count = self._allowances[sort].reopen()
-        what = "stop requests while a stop was latched" if asked else f"events of the kind {kind}"
-        text = f"{count} {what} were left out: too many to tell of each"
-        self.tell("left_out", text, {"of": kind, "count": count}, level=level)
+    def _leave_out(self, sort: Sort) -> None:
+        self._left_out[sort] = self._left_out.get(sort, 0) + 1
+
+    def _tell_left_out(self) -> None:
+        left_out, self._left_out = self._left_out, {}
+        for (kind, level, asked), count in left_out.items():
+            what = "stop requests while a stop was latched" if asked else f"events of the kind {kind}"
+            text = f"{count} {what} were left out: too many to tell of each"
+            self.tell("left_out", text, {"of": kind, "count": count}, level=level)
 
 
 def _asked(kind: str, fields: Mapping[str, Value]) -> bool:

@@ -18,13 +18,12 @@ from failstop.shm.heartbeat import Heartbeat
 from failstop.supervisor import grant
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
-from failstop.supervisor.children import ALIVE, DIED, RUNNING, Child, Fence
+from failstop.supervisor.children import ALIVE, DIED, RUNNING, Child, Fence, Silence
 from failstop.supervisor.latch import Epochs
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.port_handover import PortHandover
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.run import Run
-from failstop.supervisor.silence import Silence
 from failstop.supervisor.status import Notify, Status
 from failstop.supervisor.stops import UNPROVEN, Stop
 from failstop.supervisor.teller import Teller
@@ -150,13 +149,10 @@ class Supervisor:
         for child in dead:
             if child.fence:
                 child.fence.gone(now_ns, written_ns if child is port_owner else 0)
-        stops = self._collect(dead, now_ns, written_ns) + self._held_up(now_ns)
-        if stops:
-            self._raise_epoch(stops)
+        self._raise_epoch(self._collect(dead, now_ns, written_ns) + self._held_up(now_ns))
 
     def _follow_aftermath(self, now_ns: int) -> None:
-        if stops := self.aftermath.follow(now_ns, listening=self._listening(now_ns)):
-            self._raise_epoch(stops)
+        self._raise_epoch(self.aftermath.follow(now_ns, listening=self._listening(now_ns)))
 
     def _burst(self) -> int:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
@@ -234,7 +230,9 @@ class Supervisor:
         return stops
 
     def _raise_epoch(self, stops: list[Stop]) -> None:
-        """A stop, for which the port owner is given a moment to answer."""
+        """Stops that came together, if any, for which the port owner is given a moment to answer."""
+        if not stops:
+            return
         self.epochs.raise_for(stops, self._now_ns())
         self._owed_ns = self._owed_ns or self._now_ns()
         if self._unanswered is None:
@@ -290,7 +288,7 @@ class Supervisor:
         self._overdue.set(min(child.overdue_ns() for child in self.children))
 
     def _answer_silence(self, child: Child, now_ns: int, silent_ns: int, *, is_starved: bool) -> None:
-        """The table of silence.py. Who hangs is stopped for and killed; its death does the rest."""
+        """The table of `Silence`. Who hangs is stopped for and killed; its death does the rest."""
         name = child.row.name
         kind = causes.STARVED if is_starved else causes.HANGS
         stop = Stop(now_ns, layout.SUPERVISOR, kind(name, silent_ns // MS))

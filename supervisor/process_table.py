@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 
-from failstop.policy.processes import PROCESSES
+from failstop.policy.processes import PROCESSES, Process
 from failstop.procs.loop import READ
 from failstop.shm import layout, records, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK
@@ -32,7 +32,7 @@ class ProcessTable:
         self._held = lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK, write=True).hold(PER_BLOCK)
         self._block = layout.SUPERVISOR_BLOCK
         self.early = run.world.early_news(lifelines)
-        self._words = {"name": run.name, "run": f"{run.incarnation:x}", "dir": run.runtime_dir}
+        self._words = {"name": run.name, "run": f"{run.incarnation:x}", "dir": run.runtime_dir, "parent": os.getpid()}
         self._environment = starter.environment(run.settings)
         deaths, window_ns = int(run.settings["restart.deaths"]), run.settings.ns("restart.window_s")
         backoff_ns = run.settings.ns("restart.backoff_s")
@@ -122,36 +122,29 @@ class ProcessTable:
 
     def start(self, child: Child, port: OwnPort) -> None:
         """Start a process and name it to those who watch it."""
-        name = child.row.name
-        block = self._free_block()
+        name, block, pid = child.row.name, self._free_block(), 0
         try:
-            pid = self._spawn(child, block, port)
+            pid = self._spawn(child.row, block, port)
+            self._loop.watch(child.started(pid, block, self._now_ns()).fd, READ)
         except OSError as error:
+            if pid:  # out of descriptors: without its pidfd nobody would know of its death
+                self._world.kill(pid, signal.SIGKILL)
+                self._world.reap(pid, 0)
             text = f"cannot start {name}: {error}; trying again"
             self._events.tell("start_failed", text, {"process": name, "reason": str(error)})
             child.restart.set(self._now_ns() + TRY_AGAIN_NS)
-            return
-        if child.life:
-            self._loop.watch(child.life.fd, READ)
-        self._life_words[name].set(records.life(pid, block))
-        self._tell_watchers()
+        else:
+            self._life_words[name].set(records.life(pid, block))
+            self._tell_watchers()
 
-    def _spawn(self, child: Child, block: int, port: OwnPort) -> int:
+    def _spawn(self, row: Process, block: int, port: OwnPort) -> int:
         """Start a process with its block of futexes, its descriptors (-1: none) and the number in this run of the port
-        that is among them, and take it under watch; returns its pid. Raises OSError, and then there is none."""
-        row, known = child.row, self._run.descriptors(child.row.name, port.fd)
+        that is among them; returns its pid. Raises OSError."""
+        known = self._run.descriptors(row.name, port.fd)
         given = {key: known[key] for key in row.descriptors}
-        numbers = {"parent": os.getpid(), "block": block, "number": port.number, **given}
-        arguments = starter.command(row.name, self._words | {key: str(value) for key, value in numbers.items()})
-        pid = self._world.spawn(arguments, self._environment, [fd for fd in given.values() if fd >= 0])
-        try:
-            child.started(pid, block, self._now_ns())
-        except OSError:
-            # Out of descriptors: without its pidfd nobody would know of its death.
-            self._world.kill(pid, signal.SIGKILL)
-            self._world.reap(pid, 0)
-            raise
-        return pid
+        words = {**self._words, "block": block, "number": port.number, **given}
+        arguments = starter.script_command(starter.CHILD, row.name, words=words)
+        return self._world.spawn(arguments, self._environment, [fd for fd in given.values() if fd >= 0])
 
     def _free_block(self) -> int:
         """The next block that no living process holds."""

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Mapping
 
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.shm import root
 from failstop.supervisor.child import PATH_VARIABLE
 
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+CHILD = ("supervisor", "child.py")
+"""Where a process of the service starts."""
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
 """One heap for all threads: a second one costs 200 kB at the first job of a thread, minutes after the start."""
 PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
@@ -22,12 +25,7 @@ TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_
 """What the service manager hands over: it speaks with the supervisor alone, which takes them out of its environment."""
 
 
-def command(process: str, words: dict[str, str]) -> list[str]:
-    """The command line of a process."""
-    return script_command(("supervisor", "child.py"), process, words=words)
-
-
-def script_command(script: tuple[str, ...], *arguments: str, words: dict[str, str]) -> list[str]:
+def script_command(script: tuple[str, ...], *arguments: str, words: Mapping[str, object]) -> list[str]:
     """The command line of a script of this package, by its path from there."""
     path = os.path.join(_PACKAGE, *script)
     return [sys.executable, "-I", "-S", path, *arguments, *(f"{key}={value}" for key, value in words.items())]
@@ -45,7 +43,7 @@ def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int
     line's own imports would double its size. Raises OSError."""
     for fd in (lock, port):
         os.set_inheritable(fd, True)
-    words = {"name": name, "dir": runtime_dir, "lock": str(lock), "port": str(port)}
-    arguments = command("supervisor", words)
+    words = {"name": name, "dir": runtime_dir, "lock": lock, "port": port}
+    arguments = script_command(CHILD, "supervisor", words=words)
     handed = {name: os.environ[name] for name in TO_THE_SUPERVISOR if name in os.environ}
     os.execve(arguments[0], arguments, environment(settings) | handed)

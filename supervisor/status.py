@@ -20,13 +20,12 @@ import msgpack
 
 from failstop.shm import layout
 from failstop.shm.packing import pack
-from failstop.supervisor.children import DOWN, RUNNING
+from failstop.supervisor.children import DOWN, RUNNING, Silence
 from failstop.supervisor.events import Outbox
 from failstop.supervisor.latch import Epochs
 from failstop.supervisor.port_handover import PortHandover
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.run import Run
-from failstop.supervisor.silence import Silence
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

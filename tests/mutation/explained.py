@@ -163,7 +163,6 @@ SUPERVISOR = (
     Reason(
         "supervisor/aftermath.py", r"_seen_pong = 1$|_heard = \(0, 1\)|_heard = \(1, 0\)", "nothing is asked so early"
     ),
-    Reason("supervisor/events.py", r"max\(1, now_ns", "a nanosecond's worth more", same=False),
     Reason(
         "supervisor/blackbox.py",
         r"result, 4097\)|max\(1, until_ns|FINISH_S \* 1000000001",
@@ -214,8 +213,8 @@ SUPERVISOR = (
         r"else \([01], [01], records\.PORT_CLOSED",
         "of a port that is closed nothing else is looked at",
     ),
-    Reason("supervisor/silence.py", r"_told_ns = 1$", "the machine's first ten seconds", same=False),
-    Reason("supervisor/silence.py", r"longest_ms = 1$", "a silence is told of from a deadline on"),
+    Reason("supervisor/children.py", r"_told_ns = 1$", "the machine's first ten seconds", same=False),
+    Reason("supervisor/children.py", r"longest_ms = 1$", "a silence is told of from a deadline on"),
     Reason(
         "supervisor/stops.py",
         r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.cause\.t_ns",

@@ -276,7 +276,7 @@ def test_a_stop_and_a_reset_that_did_not_know_of_it(scene: Scene) -> None:
     scene.answers()
     scene.turn(MS)
     assert scene.cause() == (4, "the third")
-    waiting = [bytes.fromhex(words["cause"]) for _, words in scene.supervisor.blackbox._waiting]
+    waiting = [bytes.fromhex(str(words["cause"])) for _, words in scene.supervisor.blackbox._waiting]
     assert [said(causes.read(cause)) for cause in waiting] == ["the first", "the third"]
 
 
