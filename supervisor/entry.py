@@ -43,19 +43,19 @@ def start(words: dict[str, str]) -> int:
         port.close()
         return 1
     # Not where it fails: then every moment counts, and the next run saves what is left behind.
-    code = _serve(Supervisor(run, port, notify), port)
+    code = _serve(Supervisor(run, port, notify))
     run.remove()
     port.close()  # an exit would wait for a port that does not drain
     return code
 
 
-def _serve(supervisor: Supervisor, port: OwnPort) -> int:
+def _serve(supervisor: Supervisor) -> int:
     """Serve until SIGTERM or SIGINT, or until it can't go on; returns the exit code."""
     supervisor.handover.opener.begin()
     signal.signal(signal.SIGTERM, supervisor.end)
     signal.signal(signal.SIGINT, supervisor.end)
     for child in supervisor.children:
-        supervisor.processes.start(child, port)
+        supervisor.processes.start(child)
     supervisor.blackbox.begin()
     rights.settle()
     ready: dict[int, int] = {}

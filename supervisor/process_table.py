@@ -23,9 +23,10 @@ GATE_AGAIN_NS = 60_000_000_000
 class ProcessTable:
     """Every process of the table as it is now. The early news of their deaths ring `early.bell`."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, port: OwnPort) -> None:
         """Holds the supervisor's own block from here on."""
-        self._run, self._world, self._now_ns = run, run.world, run.world.now_ns
+        self._run, self._port = run, port
+        self._world, self._now_ns = run.world, run.world.now_ns
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
         lifelines = segment.attach_unmapped(run.memory, "lifelines", run.incarnation)
@@ -97,7 +98,7 @@ class ProcessTable:
                 child.restarts.forget()
                 self._restart_in(child, 0, now_ns)
 
-    def arm(self, port: OwnPort) -> None:
+    def arm(self) -> None:
         """A process that runs holds its block: wait for the early news of its death, which stops at once on the port
         when it is the port owner's."""
         for child in self.children:
@@ -105,7 +106,7 @@ class ProcessTable:
                 child.on(RUNS)
                 self._tell_watchers()
                 if child.life:
-                    stop = port.early_stop if child.row.name == layout.PORT_OWNER else None
+                    stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None
                     self.early.arm(child.life, child.block, 0, stop, child.row.priority)
 
     def _tell_watchers(self) -> None:
@@ -113,18 +114,18 @@ class ProcessTable:
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.STOPPER].ring()
 
-    def restart_due(self, port: OwnPort, now_ns: int) -> None:
-        """Start those whose time has come, with the port to inherit."""
+    def restart_due(self, now_ns: int) -> None:
+        """Start those whose time has come."""
         for child in self.children:
             if child.restart.due(now_ns):
                 child.times_restarted += 1
-                self.start(child, port)
+                self.start(child)
 
-    def start(self, child: Child, port: OwnPort) -> None:
-        """Start a process and name it to those who watch it."""
+    def start(self, child: Child) -> None:
+        """Start a process, which inherits the port, and name it to those who watch it."""
         name, block, pid = child.row.name, self._free_block(), 0
         try:
-            pid = self._spawn(child.row, block, port)
+            pid = self._spawn(child.row, block)
             self._loop.watch(child.started(pid, block, self._now_ns()).fd, READ)
         except OSError as error:
             if pid:  # out of descriptors: without its pidfd nobody would know of its death
@@ -137,12 +138,12 @@ class ProcessTable:
             self._life_words[name].set(records.life(pid, block))
             self._tell_watchers()
 
-    def _spawn(self, row: Process, block: int, port: OwnPort) -> int:
+    def _spawn(self, row: Process, block: int) -> int:
         """Start a process with its block of futexes, its descriptors (-1: none) and the number in this run of the port
         that is among them; returns its pid. Raises OSError."""
-        known = self._run.descriptors(row.name, port.fd)
+        known = self._run.descriptors(row.name, self._port.fd)
         given = {key: known[key] for key in row.descriptors}
-        words = {**self._words, "block": block, "number": port.number, **given}
+        words = {**self._words, "block": block, "number": self._port.number, **given}
         arguments = starter.script_command(starter.CHILD, row.name, words=words)
         return self._world.spawn(arguments, self._environment, [fd for fd in given.values() if fd >= 0])
 

@@ -42,17 +42,17 @@ VARIABLES = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
 STATUS_CHARACTERS = 200
 
 
-class Notify:
+class Notify(Outbox):
     """The socket of the service manager; without one, nothing is sent."""
 
-    __slots__ = ("_beat_ns", "_outbox", "_said", "_told_ready", "active", "every_ns")
+    __slots__ = ("_beat_ns", "_said", "_told_ready", "active", "every_ns")
 
     def __init__(self, address: str = "", watchdog_us: int = 0) -> None:
         """`address`: a path, or @name for the abstract namespace; `watchdog_us`: the watchdog's timeout, 0 for none."""
         self.active = bool(address)
         """True when somebody listens."""
         abstract = address.startswith("@")
-        self._outbox = Outbox(b"\0" * abstract + address[abstract:].encode("utf-8", "surrogateescape"))
+        super().__init__(b"\0" * abstract + address[abstract:].encode("utf-8", "surrogateescape"))
         self.every_ns = watchdog_us * 1000 // 2
         """Half of the timeout: one datagram may get lost."""
         self._beat_ns = 0
@@ -78,7 +78,7 @@ class Notify:
         beats = healthy and self.every_ns > 0 and now_ns - self._beat_ns >= self.every_ns
         if beats:
             lines.append("WATCHDOG=1")
-        if lines and self.send("\n".join(lines)):
+        if lines and self.say("\n".join(lines)):
             self._told_ready = ready
             self._said = status
             if beats:
@@ -86,15 +86,11 @@ class Notify:
 
     def stopping(self, status: str) -> None:
         """The service ends now."""
-        self.send(f"STOPPING=1\nSTATUS={_one_line(status)}")
+        self.say(f"STOPPING=1\nSTATUS={_one_line(status)}")
 
-    def send(self, lines: str) -> bool:
+    def say(self, lines: str) -> bool:
         """Send one datagram; False when it could not be handed over at once."""
-        return self.active and self._outbox.send(lines.encode("utf-8", "replace"))
-
-    def close(self) -> None:
-        """Let the socket go."""
-        self._outbox.close()
+        return self.active and self.send(lines.encode("utf-8", "replace"))
 
 
 class Status:

@@ -88,7 +88,7 @@ def test_without_being_told_of_one_there_is_none() -> None:
 
 def test_an_address_need_be_no_text(tmp_path: Path, end: contextlib.ExitStack) -> None:
     manager = Manager(str(tmp_path / "n\udcff"))
-    assert speaker(end, manager.address).send("READY=1")
+    assert speaker(end, manager.address).say("READY=1")
     assert manager.heard() == ["READY=1"]
     manager.close()
 
@@ -99,7 +99,7 @@ def test_a_reason_can_not_speak_for_the_service(manager: Manager, end: contextli
 
 
 def test_what_is_no_text_is_sent_all_the_same(manager: Manager, end: contextlib.ExitStack) -> None:
-    assert speaker(end, manager.address).send("STATUS=\udcff")
+    assert speaker(end, manager.address).say("STATUS=\udcff")
     assert manager.heard() == ["STATUS=?"]
 
 
@@ -116,7 +116,7 @@ def test_a_manager_that_does_not_listen_holds_nobody_up(manager: Manager, end: c
     """Its queue is full: a blocking send would wait forever."""
     notify = speaker(end, manager.address, 2)
     sent = 0
-    while notify.send("STATUS=again"):
+    while notify.say("STATUS=again"):
         sent += 1
         assert sent < 100_000, "a queue without an end?"
     notify.follow(T0, "ready", ready=True, healthy=True)
@@ -128,7 +128,7 @@ def test_an_address_that_is_none_is_no_error(address: str) -> None:
     notify = Notify.taken_from({"NOTIFY_SOCKET": address}, 1)
     notify.follow(T0, "ready", ready=True, healthy=True)
     notify.stopping("bye")
-    assert notify.send("READY=1") is False
+    assert notify.say("READY=1") is False
     notify.close()
 
 

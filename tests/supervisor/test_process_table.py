@@ -44,7 +44,7 @@ def test_a_process_that_can_not_be_watched_is_not_left_running(scene: Scene) -> 
     scene.world.play("spawn", start)
     scene.world.play("lifeline", no_descriptor)
     gate = processes[layout.GATE]
-    processes.start(gate, scene.port)
+    processes.start(gate)
     (pid,) = started
     assert not os.path.exists(f"/proc/{pid}")
     assert (gate.pid, gate.life, gate.state) == (0, None, "waiting")
@@ -116,7 +116,7 @@ def test_what_a_process_is_told_on_its_command_line(scene: Scene) -> None:
     scene.port.fd, fd = -1, scene.port.fd
     for child in scene.supervisor.children:
         child.state, child.pid = WAITING, 0
-        scene.supervisor.processes.start(child, scene.port)
+        scene.supervisor.processes.start(child)
         row, (arguments, passed) = child.row, told.pop()
         assert arguments[:3] == [sys.executable, "-I", "-S"]
         assert arguments[3].endswith("/supervisor/child.py")
@@ -134,7 +134,7 @@ def test_what_a_process_is_told_on_its_command_line(scene: Scene) -> None:
 def test_a_process_that_starts_is_named_to_those_who_watch_it(scene: Scene) -> None:
     processes, gate = scene.supervisor.processes, scene.supervisor.processes[layout.GATE]
     scene.world.play("spawn", lambda *_: os.posix_spawnp("sleep", ["sleep", "120"], os.environ))
-    processes.start(gate, scene.port)
+    processes.start(gate)
     assert (gate.block, gate.state, gate.restart.ns) == (1, "starting", NEVER)
     assert gate.started_ns == scene.now_ns
     assert scene.word("gate_life").get() == records.life(gate.pid, 1)
@@ -192,8 +192,8 @@ def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
         child.started(os.posix_spawnp("sleep", ["sleep", "120"], os.environ), block, scene.now_ns)
     scene.gate.word("beat_pid").set(gate.pid)
     scene.gate.word("beat_state").set(RUNNING)
-    processes.arm(scene.port)
-    processes.arm(scene.port)
+    processes.arm()
+    processes.arm()
     assert asked == [(gate.pid, 5, 0)], "one that starts holds nothing yet"
     for child in (gate, stopper):
         child.kill(20.0)
@@ -201,8 +201,8 @@ def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
 
 def test_every_restart_is_counted(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     processes, gate = scene.supervisor.processes, scene.supervisor.processes[layout.GATE]
-    monkeypatch.setattr(type(processes), "start", lambda _processes, child, _port: child.restart.set(NEVER))
+    monkeypatch.setattr(type(processes), "start", lambda _processes, child: child.restart.set(NEVER))
     for _ in range(3):
         gate.restart.set(scene.now_ns)
-        processes.restart_due(-1, scene.now_ns)  # type: ignore[arg-type]
+        processes.restart_due(scene.now_ns)
     assert gate.times_restarted == 3

@@ -364,7 +364,7 @@ def test_a_reset_starts_one_anew_that_is_down(watching: Watching, name: str, mon
     die_too_often(watching, name)
     child = watching.supervisor.processes[name]
     monkeypatch.setattr(
-        table_module.ProcessTable, "start", lambda _, found, fd: (started.append(name), found.restart.set(NEVER))
+        table_module.ProcessTable, "start", lambda _, found: (started.append(name), found.restart.set(NEVER))
     )
     watching.answers(written_ns=watching.now_ns)
     watching.ask_reset(1)
@@ -391,7 +391,7 @@ def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(
     monkeypatch.setattr(
         table_module.ProcessTable,
         "start",
-        lambda _, child, fd: (started.append(watching.now_ns), child.restart.set(NEVER)),
+        lambda _, child: (started.append(watching.now_ns), child.restart.set(NEVER)),
     )
     while not started and watching.now_ns < down_ns + 2 * GATE_AGAIN_NS:
         assert watching.supervisor.processes[layout.GATE].state == "down"
@@ -439,7 +439,7 @@ def test_the_wait_before_a_restart_is_kept(watching: Watching, monkeypatch: pyte
     monkeypatch.setattr(
         table_module.ProcessTable,
         "start",
-        lambda _, child, fd: (started.append(watching.now_ns), child.restart.set(NEVER)),
+        lambda _, child: (started.append(watching.now_ns), child.restart.set(NEVER)),
     )
     for _ in range(2):
         watching.employ(layout.TELEMETRY).kill()
@@ -570,7 +570,7 @@ class Heard(Notify):
         super().__init__("/nowhere")
         self.said: list[str] = []
 
-    def send(self, message: str) -> bool:
+    def say(self, message: str) -> bool:
         self.said += message.split("\n")
         return True
 

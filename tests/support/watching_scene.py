@@ -25,7 +25,7 @@ class Watching(Scene):
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)
-        monkeypatch.setattr(table_module.ProcessTable, "start", lambda _, child, port: child.restart.set(NEVER))
+        monkeypatch.setattr(table_module.ProcessTable, "start", lambda _, child: child.restart.set(NEVER))
         self.supervisor.processes[layout.PORT_OWNER].state = WAITING
         self.dummies: list[Dummy] = []
         self.beats = {name: segment.attach(self.run.memory, name, write=True).word("beat_ns") for name in BY_NAME}
