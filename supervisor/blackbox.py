@@ -13,9 +13,12 @@ import msgpack
 
 from failstop.procs import handover
 from failstop.shm import box, layout, records
-from failstop.supervisor.run import Run
 from failstop.supervisor.starter import environment, script_command
-from failstop.supervisor.stops import Stop
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:  # for the saver, which has a constant of here and needs no more
+    from failstop.supervisor.run import Run
+    from failstop.supervisor.stops import Stop
 
 SAMPLE_NS = 100_000_000
 START_NS = 150_000_000
@@ -29,33 +32,6 @@ MOST_SAVERS = 4
 """Stops that are being saved, or wait for it, at one time."""
 FINISH_S = 1.0
 NEXT = "next: look at the disk and at the state directory"
-
-
-class Saver:
-    """A saver that runs. `fd`: the socket to it: whatever is sent has it copy now; what it has to say comes back."""
-
-    __slots__ = ("_fd", "pid", "until_ready")
-
-    def __init__(self, pid: int, fd: int, *, until_ready: bool) -> None:
-        """`until_ready`: its run is dead, and it waits for this one to be ready."""
-        self.pid = pid
-        self._fd = fd
-        self.until_ready = until_ready
-
-    def hasten(self) -> None:
-        """Have it copy now."""
-        with contextlib.suppress(OSError):
-            os.write(self._fd, b"now")
-
-    def last_word(self) -> dict[str, str | float] | None:
-        """Of one that has ended: what it has saved, if anything, or what is `wrong`; None: it said nothing. Its
-        descriptor is given back."""
-        try:
-            told = msgpack.unpackb(os.read(self._fd, 4096))
-        except (OSError, ValueError):
-            told = None
-        os.close(self._fd)
-        return told if isinstance(told, dict) else None
 
 
 class BlackBox:
@@ -76,7 +52,10 @@ class BlackBox:
         """And when that was seen."""
         self._waiting: list[tuple[int, dict[str, object]]] = []
         """When to start a saver, and with what."""
-        self._savers: list[Saver] = []
+        self._savers: dict[int, int] = {}
+        """The socket to each that runs, by its pid: whatever is sent has it copy now; what it has to say comes back."""
+        self._for_dead_run = 0
+        """The pid of the one that waits for this run to be ready; 0: none does."""
         self._sampled_ns = 0
 
     def wrote(self, now_ns: int) -> None:
@@ -98,11 +77,10 @@ class BlackBox:
                 self._ages_ns[index], self._seen_ns[index] = age_ns, now_ns
         if now_ns - self._sampled_ns >= SAMPLE_NS:
             self._sample(now_ns)
+        if ready and self._for_dead_run:
+            self._hasten(self._for_dead_run)
+            self._for_dead_run = 0
         if self._savers:
-            for saver in self._savers:
-                if ready and saver.until_ready:
-                    saver.until_ready = False
-                    saver.hasten()
             self._reap()
         if self._waiting and now_ns >= self._waiting[0][0]:
             self._save_live()
@@ -118,16 +96,17 @@ class BlackBox:
         processor time from anybody, before this run is ready: but by then nobody wants to be held up for its start."""
         left = self._run.left
         if self._on and len(left) == len(layout.PROCESSES):
-            self._start({"until_ns": self._now_ns() + PATIENCE_NS}, left, until_ready=True)
-        while left:
-            os.close(left.popitem()[1])
+            self._for_dead_run = self._start({"until_ns": self._now_ns() + PATIENCE_NS}, left)
+        self._close(*left.values())
+        left.clear()
 
     def _save_live(self) -> None:
         _, words = self._waiting.pop(0)
-        self._start(words, self._run.readable, until_ready=False)
+        self._start(words, self._run.readable)
 
-    def _start(self, words: dict[str, object], fds: dict[str, int], *, until_ready: bool) -> None:
-        """Start a saver. A machine that is out of descriptors or processes has none, and that is all."""
+    def _start(self, words: dict[str, object], fds: dict[str, int]) -> int:
+        """Start a saver and return its pid. A machine that is out of descriptors or processes has none (0), and that is
+        all."""
         ours = theirs = -1
         try:
             ours, theirs = handover.pair()
@@ -136,22 +115,31 @@ class BlackBox:
             words = {**self._words, **words, "fds": listed, "hurry": theirs, "result": theirs}
             arguments = script_command(("incidents", "start.py"), words=words)
             pid = self._world.spawn(arguments, self._environment, [theirs, *fds.values()])
-            self._savers.append(Saver(pid, ours, until_ready=until_ready))
         except OSError as error:
-            if ours >= 0:
-                os.close(ours)
+            self._close(ours, theirs)
             self._not_saved(f"cannot start the saver: {error}; {NEXT}")
-        finally:
-            if theirs >= 0:
-                os.close(theirs)
+            return 0
+        self._close(theirs)
+        self._savers[pid] = ours
+        return pid
+
+    def _hasten(self, pid: int) -> None:
+        """Have a saver copy now, if it still runs."""
+        with contextlib.suppress(OSError, KeyError):
+            os.write(self._savers[pid], b"now")
 
     def _reap(self) -> None:
-        for saver in tuple(self._savers):
-            if (code := self._world.reap(saver.pid)) is not None:
-                self._savers.remove(saver)
-                self._tell(code, saver.last_word())
+        for pid, fd in tuple(self._savers.items()):
+            if (code := self._world.reap(pid)) is not None:
+                try:
+                    told = msgpack.unpackb(os.read(fd, 4096))
+                except (OSError, ValueError):
+                    told = None
+                self._close(self._savers.pop(pid))
+                self._tell(code, told if isinstance(told, dict) else None)
 
     def _tell(self, code: int, told: dict[str, str | float] | None) -> None:
+        """Of one that has ended: what it has saved, if anything, or what is `wrong`; None: it said nothing."""
         if not code and told == {}:
             return
         told = told or {}
@@ -171,13 +159,19 @@ class BlackBox:
         while self._waiting:
             self._save_live()
         until_ns = self._now_ns() + round(FINISH_S * 1e9)
-        for saver in self._savers:
-            saver.hasten()
+        for pid in self._savers:
+            self._hasten(pid)
             try:
-                life = self._world.lifeline(saver.pid)
+                life = self._world.lifeline(pid)
             except OSError:
                 continue
             life.wait(max(0, until_ns - self._now_ns()) * 1e-9)
             life.close()
         self._reap()
         self._events.flush()
+
+    @staticmethod
+    def _close(*fds: int) -> None:
+        for fd in fds:
+            if fd >= 0:
+                os.close(fd)

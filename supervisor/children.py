@@ -177,11 +177,6 @@ class Child:
             self.on(BEATS)
         return silent_ns
 
-    def fenced(self, fence: Fence) -> None:
-        """It hung, and was killed for that."""
-        self.fence = fence
-        self.on(KILLED)
-
     def overdue_ns(self) -> int:
         """When it counts as hanging unless it beats before; NEVER: there is nothing to wait for."""
         if self.state not in (STARTING, RUNNING, HUNG):

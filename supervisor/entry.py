@@ -25,7 +25,10 @@ SUPERVISOR_COMM = "fs:supervisor"
 def start(words: dict[str, str]) -> int:
     """Run the service; returns the exit code."""
     rights.name_process(SUPERVISOR_COMM)
-    _take_signals()
+    # What a parent may have left, and exec hands on: without SIGCHLD no child can be collected, and what is blocked
+    # can't end the service. SIGHUP stays ignored where it is: whoever uses nohup wants that.
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
     world = World()
     fd = _take_descriptors(int(words["lock"]), int(words["port"]))
@@ -64,13 +67,6 @@ def _serve(supervisor: Supervisor) -> int:
         ready = supervisor.rest()
     well = supervisor.finish()
     return int(supervisor.broken or not well)
-
-
-def _take_signals() -> None:
-    """Undo what a parent may have left, which exec hands on: without SIGCHLD no child can be collected, and what is
-    blocked can't end the service. SIGHUP stays ignored where it is: whoever uses nohup wants that."""
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_SETMASK, ())
 
 
 def _take_descriptors(lock: int, port: int) -> int:

@@ -52,8 +52,6 @@ def say(text: str) -> None:
 class Outbox:
     """Datagrams for a Unix socket that somebody else keeps, never waited for."""
 
-    __slots__ = ("_address", "_socket")
-
     def __init__(self, address: str | bytes) -> None:
         self._address = address
         self._socket: _socket.socket | None = None

@@ -17,8 +17,6 @@ from failstop.supervisor.stops import Stop
 class Latch:
     """What is latched, since which epoch; the newest stop, latched or not. Pure."""
 
-    __slots__ = ("_raised_ns", "newest", "reset_epoch", "since", "stop")
-
     def __init__(self) -> None:
         self.stop: Stop | None = None
         """The one that is latched; None: nothing is."""

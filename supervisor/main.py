@@ -18,7 +18,7 @@ from failstop.shm.heartbeat import Heartbeat
 from failstop.supervisor import grant
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
-from failstop.supervisor.children import ALIVE, DIED, RUNNING, Child, Fence, Silence
+from failstop.supervisor.children import ALIVE, DIED, KILLED, RUNNING, Child, Fence, Silence
 from failstop.supervisor.latch import Epochs
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.port_handover import PortHandover
@@ -304,7 +304,8 @@ class Supervisor:
         kill_ns = self._now_ns()
         stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0
         self._raise_epoch([stop])
-        child.fenced(Fence(now_ns, kill_ns, stop.written_ns, silent_ns, was_starved=is_starved))
+        child.fence = Fence(now_ns, kill_ns, stop.written_ns, silent_ns, was_starved=is_starved)
+        child.on(KILLED)
 
     def _publish(self, now_ns: int) -> None:
         """What motion waits for, and the service manager's part."""

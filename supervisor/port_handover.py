@@ -35,8 +35,6 @@ class Opener:
     returned something, and the loop's else.
     """
 
-    __slots__ = ("_asked", "_bell", "_found", "_now_ns", "_sleep", "_spare", "finder")
-
     def __init__(self, world: World, finder: Finder, bell: EventBell) -> None:
         """`bell` rings when the port is open."""
         self._now_ns, self._sleep = world.now_ns, world.sleep

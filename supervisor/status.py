@@ -45,8 +45,6 @@ STATUS_CHARACTERS = 200
 class Notify(Outbox):
     """The socket of the service manager; without one, nothing is sent."""
 
-    __slots__ = ("_beat_ns", "_said", "_told_ready", "active", "every_ns")
-
     def __init__(self, address: str = "", watchdog_us: int = 0) -> None:
         """`address`: a path, or @name for the abstract namespace; `watchdog_us`: the watchdog's timeout, 0 for none."""
         self.active = bool(address)

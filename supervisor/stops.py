@@ -224,8 +224,6 @@ class Link:
     A board can go deaf while its telemetry goes on, so only answers count.
     """
 
-    __slots__ = ("_answered_ns", "_asked_ns", "_deaf_ns", "state")
-
     def __init__(self, deaf_ns: int) -> None:
         self._deaf_ns = deaf_ns
         self.state = UNPROVEN

@@ -24,7 +24,6 @@ from failstop.supervisor.blackbox import (
     SAMPLE_NS,
     START_NS,
     BlackBox,
-    Saver,
 )
 from failstop.supervisor.events import Events
 from failstop.supervisor.run import Run
@@ -110,11 +109,11 @@ class Scene:
 
     def ends(self) -> None:
         """The oldest saver ends, and a turn later that is known."""
-        saver = self.box._savers[0]
-        saver.hasten()
-        os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT)
+        pid = next(iter(self.box._savers))
+        self.box._hasten(pid)
+        os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
         self.box.follow(T0, ready=True)
-        assert saver not in self.box._savers
+        assert pid not in self.box._savers
 
     def close(self) -> None:
         while self.box._savers:
@@ -248,7 +247,7 @@ def test_what_a_saver_had_is_closed_after_its_end(scene: Scene) -> None:
     scene.box.latched(CAUSE, 7)
     scene.box.follow(T0 + START_NS, ready=True)
     assert len(os.listdir("/proc/self/fd")) == len(before) + 1
-    assert not os.get_blocking(scene.box._savers[0]._fd), "nor is it waited for"
+    assert not any(map(os.get_blocking, scene.box._savers.values())), "nor is it waited for"
     scene.ends()
     assert os.listdir("/proc/self/fd") == before
 
@@ -260,9 +259,9 @@ def left_behind(scene: Scene, count: int) -> list[int]:
     return fds
 
 
-def ended(saver: Saver, options: int = os.WNOHANG) -> bool:
-    """Whether it has been hastened: it waits for that, and ends then."""
-    return os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT | options) is not None
+def ended(pid: int, options: int = os.WNOHANG) -> bool:
+    """Whether a saver has been hastened: it waits for that, and ends then."""
+    return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT | options) is not None
 
 
 def closed(fd: int) -> bool:
@@ -298,7 +297,7 @@ def test_at_the_end_of_the_service_what_waits_is_saved_at_once(scene: Scene) -> 
     scene.box.latched(CAUSE, 8)
     scene.box.finish()
     assert [words["epoch"] for words in scene.started] == ["7", "8"]
-    assert scene.box._savers == []
+    assert scene.box._savers == {}
     assert [text for _, text, _, _ in scene.events.told] == [SAVED, SAVED]
     assert scene.events.flushed == 1
 
@@ -314,10 +313,10 @@ def test_without_a_descriptor_to_wait_with_each_is_hastened_all_the_same(
     scene.box.latched(CAUSE, 8)
     for _ in range(2):
         scene.box.follow(T0 + START_NS, ready=True)
-    savers = tuple(scene.box._savers)
+    pids = tuple(scene.box._savers)
     scene.world.play("reap", lambda _pid: None)
     scene.box.finish()
-    assert all(ended(saver, 0) for saver in savers)
+    assert all(ended(pid, 0) for pid in pids)
     scene.world.play("reap", reap)
 
 

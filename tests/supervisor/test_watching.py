@@ -24,7 +24,7 @@ from failstop.shm.heartbeat import STARTING
 from failstop.shm.packing import pack
 from failstop.supervisor import main
 from failstop.supervisor import process_table as table_module
-from failstop.supervisor.children import DEAD, DIED, RUNNING, STARTING_NS, Fence
+from failstop.supervisor.children import DEAD, DIED, KILLED, RUNNING, STARTING_NS, Fence
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS, Supervisor
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.process_table import GATE_AGAIN_NS
@@ -160,7 +160,8 @@ def test_of_two_that_were_fenced_together_the_stop_is_the_port_owner_s(watching:
     watching.employ(layout.GATE)
     fence(watching, layout.PORT_OWNER)
     gate = watching.supervisor.processes[layout.GATE]
-    gate.fenced(Fence(watching.now_ns, watching.now_ns, 0))
+    gate.fence = Fence(watching.now_ns, watching.now_ns, 0)
+    gate.on(KILLED)
     os.kill(gate.pid, signal.SIGKILL)
     assert gate.life
     assert gate.life.wait(20.0)
@@ -677,7 +678,7 @@ def test_the_end_is_a_stop_that_is_heard_then_every_process_ended_then_another_s
     assert ending.now_ns == began_ns, "it waits for nothing that is known"
     assert [child.state for child in ending.supervisor.children] == ["waiting"] * len(BY_NAME)
     assert ending.word("beat_state").get() == heartbeat.STOPPING
-    assert ending.supervisor.blackbox._savers == [], "an end in order is no incident"
+    assert ending.supervisor.blackbox._savers == {}, "an end in order is no incident"
 
 
 def test_a_board_that_has_never_answered_is_waited_for_a_while_and_is_no_failure(ending: Ending) -> None:

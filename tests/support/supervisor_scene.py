@@ -152,11 +152,11 @@ class Scene:
             os.close(fd)
         for bell in (*self.run.bells.values(), self.supervisor.processes.early.bell):
             os.close(bell.fd)
-        for saver in self.supervisor.blackbox._savers:
-            os.killpg(saver.pid, signal.SIGKILL)
-            os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT)
-            self.world.reap(saver.pid)
-            saver.last_word()
+        for pid, fd in self.supervisor.blackbox._savers.items():
+            os.killpg(pid, signal.SIGKILL)
+            os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
+            self.world.reap(pid)
+            os.close(fd)
         self.port.close()
 
 
