@@ -49,30 +49,6 @@ NEXT = {
 die of it."""
 
 
-class Restarts:
-    """Counts one process's deaths: the first in the window is restarted at once, the next after a doubling wait, and
-    after the limit it is down (and the service stopped) until people reset, rather than loop. Pure."""
-
-    def __init__(self, limit: int, window_ns: int, backoff_ns: int) -> None:
-        self._limit = limit
-        self._window_ns = window_ns
-        self._backoff_ns = backoff_ns
-        self._deaths: list[int] = []
-
-    def died(self, now_ns: int) -> int | None:
-        """Return the wait before the restart in ns, or None: leave it down."""
-        self._deaths = [t for t in self._deaths if now_ns - t < self._window_ns]
-        self._deaths.append(now_ns)
-        count = len(self._deaths)
-        if count >= self._limit:
-            return None
-        return 0 if count == 1 else min(self._backoff_ns << min(count - 2, 16), LONGEST_WAIT_NS)
-
-    def forget(self) -> None:
-        """People have seen to it."""
-        self._deaths.clear()
-
-
 class Fence:
     """The record of a hung process that was killed, so that nothing that it still wanted to do can happen: when the
     hang was noticed, the process killed, the stop written on the supervisor's own descriptor (0: by the port owner, or
@@ -112,11 +88,16 @@ class Fence:
 class Child:
     """One row of the process table as it is now."""
 
-    def __init__(self, world: World, row: Process, beat: HeartbeatReader, restarts: Restarts, restart: Timer) -> None:
+    def __init__(
+        self, world: World, row: Process, beat: HeartbeatReader, restart: Timer, limits: tuple[int, int, int]
+    ) -> None:
+        """`limits`: the settings restart.deaths, window_s and backoff_s, the latter in ns."""
         self._world = world
         self.row = row
         self.beat = beat
-        self.restarts = restarts
+        self._limits = limits
+        self._deaths: list[int] = []
+        """When it died, as long as that counts."""
         self.state = WAITING
         self.pid = 0
         """0: there is none, since it waits or is down."""
@@ -150,6 +131,21 @@ class Child:
         self._spared_ns = 0
         self.on(STARTED)
         return self.life
+
+    def restart_wait_ns(self, now_ns: int) -> int | None:
+        """It has died: the first time in the window it is restarted at once, the next after a doubling wait, and after
+        the limit (None) it is down, and the service stopped, until people reset, rather than loop."""
+        most, window_ns, backoff_ns = self._limits
+        self._deaths = [t for t in self._deaths if now_ns - t < window_ns] + [now_ns]
+        count = len(self._deaths)
+        if count >= most:
+            return None
+        return 0 if count == 1 else min(backoff_ns << min(count - 2, 16), LONGEST_WAIT_NS)
+
+    def recalled(self) -> None:
+        """People have seen to it."""
+        self._deaths.clear()
+        self.on(RECALLED)
 
     def running(self) -> bool:
         """True when it has said that it runs, whether or not the machine lets it."""

@@ -11,7 +11,7 @@ from failstop.shm import layout, records, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.supervisor import starter
-from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RECALLED, RUNS, STARTING, Child, Restarts
+from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.run import Run
 
@@ -35,14 +35,11 @@ class ProcessTable:
         self.early = run.world.early_news(lifelines)
         self._words = {"name": run.name, "run": f"{run.incarnation:x}", "dir": run.runtime_dir, "parent": os.getpid()}
         self._environment = starter.environment(run.settings)
-        deaths, window_ns = int(run.settings["restart.deaths"]), run.settings.ns("restart.window_s")
-        backoff_ns = run.settings.ns("restart.backoff_s")
-        self.children = []
-        for row in PROCESSES:
-            restarts = Restarts(deaths, window_ns, backoff_ns)
-            self.children.append(
-                Child(run.world, row, HeartbeatReader(run.views[row.name]), restarts, run.loop.timer())
-            )
+        restart = run.settings.ns("restart.window_s"), run.settings.ns("restart.backoff_s")
+        limits = int(run.settings["restart.deaths"]), *restart
+        self.children = [
+            Child(run.world, row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits) for row in PROCESSES
+        ]
         self._by_name = {child.row.name: child for child in self.children}
 
     def __getitem__(self, name: str) -> Child:
@@ -73,7 +70,7 @@ class ProcessTable:
     def _plan_restart(self, child: Child, now_ns: int) -> None:
         name = child.row.name
         starved = child.fence is not None and child.fence.was_starved
-        wait_ns = TRY_AGAIN_NS if starved else child.restarts.died(now_ns)
+        wait_ns = TRY_AGAIN_NS if starved else child.restart_wait_ns(now_ns)
         if wait_ns is not None:
             self._restart_in(child, wait_ns, now_ns)
             return
@@ -94,8 +91,7 @@ class ProcessTable:
         """Restart those that are down, after a reset by people who know of it."""
         for child in self.children:
             if child.state == DOWN:
-                child.on(RECALLED)
-                child.restarts.forget()
+                child.recalled()
                 self._restart_in(child, 0, now_ns)
 
     def arm(self) -> None:

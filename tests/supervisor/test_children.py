@@ -23,7 +23,6 @@ from failstop.supervisor.children import (
     WAITING,
     Child,
     Fence,
-    Restarts,
 )
 
 STATES = (WAITING, DOWN, STARTING, RUNNING, HUNG, FENCED, DEAD)
@@ -41,9 +40,9 @@ CELLS = """
 process, nobody runs or beats who has none, nobody dies twice, and only the dead are reaped, and later given up."""
 
 
-def child(state: str) -> Child:
+def child(state: str, limits: tuple[int, int, int] = (5, 10**10, 10**8)) -> Child:
     world = World()
-    made = Child(world, PROCESSES[0], None, Restarts(5, 10**10, 10**8), Loop(world).timer())  # type: ignore[arg-type]
+    made = Child(world, PROCESSES[0], None, Loop(world).timer(), limits)  # type: ignore[arg-type]
     made.state = state
     return made
 
@@ -87,60 +86,60 @@ T0 = 777 * S
 BACKOFF = 100 * MS
 
 
-def waits(restarts: Restarts, *times_s: float) -> list[int | None]:
-    return [restarts.died(T0 + round(t * S)) for t in times_s]
+def waits(restarts: Child, *times_s: float) -> list[int | None]:
+    return [restarts.restart_wait_ns(T0 + round(t * S)) for t in times_s]
 
 
 @pytest.fixture
-def restarts() -> Restarts:
-    return Restarts(5, 60 * S, BACKOFF)
+def restarts() -> Child:
+    return child(WAITING, (5, 60 * S, BACKOFF))
 
 
-def test_the_first_at_once_then_doubling_then_not_at_all(restarts: Restarts) -> None:
+def test_the_first_at_once_then_doubling_then_not_at_all(restarts: Child) -> None:
     assert waits(restarts, 0, 1, 2, 3, 4) == [0, BACKOFF, 2 * BACKOFF, 4 * BACKOFF, None]
 
 
-def test_it_stays_down(restarts: Restarts) -> None:
+def test_it_stays_down(restarts: Child) -> None:
     waits(restarts, 0, 1, 2, 3, 4)
     assert waits(restarts, 5, 59) == [None, None]
 
 
-def test_deaths_beyond_the_window_are_forgotten(restarts: Restarts) -> None:
+def test_deaths_beyond_the_window_are_forgotten(restarts: Child) -> None:
     assert waits(restarts, 0, 1, 2, 3) == [0, BACKOFF, 2 * BACKOFF, 4 * BACKOFF]
     assert waits(restarts, 61.5) == [2 * BACKOFF], "with two of the four"
     assert waits(restarts, 200) == [0]
 
 
-def test_the_window_ends_exactly_then(restarts: Restarts) -> None:
-    assert restarts.died(T0) == 0
-    assert restarts.died(T0 + 60 * S - 1) == BACKOFF
-    restarts = Restarts(5, 60 * S, BACKOFF)
-    assert restarts.died(T0) == 0
-    assert restarts.died(T0 + 60 * S) == 0
+def test_the_window_ends_exactly_then(restarts: Child) -> None:
+    assert restarts.restart_wait_ns(T0) == 0
+    assert restarts.restart_wait_ns(T0 + 60 * S - 1) == BACKOFF
+    restarts = child(WAITING, (5, 60 * S, BACKOFF))
+    assert restarts.restart_wait_ns(T0) == 0
+    assert restarts.restart_wait_ns(T0 + 60 * S) == 0
 
 
-def test_one_death_now_and_then_never_counts_up(restarts: Restarts) -> None:
+def test_one_death_now_and_then_never_counts_up(restarts: Child) -> None:
     assert waits(restarts, *range(0, 6_000, 61)) == [0] * 99
 
 
-def test_five_in_sixty_seconds_but_not_five_in_sixty_one(restarts: Restarts) -> None:
+def test_five_in_sixty_seconds_but_not_five_in_sixty_one(restarts: Child) -> None:
     assert waits(restarts, 0, 15, 30, 45, 60)[-1] is not None
     assert waits(restarts, 60.5)[-1] is None
 
 
 def test_waits_have_a_longest() -> None:
-    restarts = Restarts(100, 60 * S, BACKOFF)
+    restarts = child(WAITING, (100, 60 * S, BACKOFF))
     found = waits(restarts, *(n / 100 for n in range(99)))
     assert max(wait for wait in found if wait is not None) == LONGEST_WAIT_NS
     assert found[-1] == LONGEST_WAIT_NS
 
 
 def test_a_limit_of_one_never_restarts() -> None:
-    assert waits(Restarts(1, 60 * S, BACKOFF), 0, 1000) == [None, None]
+    assert waits(child(WAITING, (1, 60 * S, BACKOFF)), 0, 1000) == [None, None]
 
 
 def test_processes_are_counted_each_for_itself() -> None:
-    one, other = Restarts(2, 60 * S, BACKOFF), Restarts(2, 60 * S, BACKOFF)
+    one, other = child(WAITING, (2, 60 * S, BACKOFF)), child(WAITING, (2, 60 * S, BACKOFF))
     assert waits(one, 0, 1) == [0, None]
     assert waits(other, 2) == [0]
 
@@ -151,14 +150,14 @@ def test_processes_are_counted_each_for_itself() -> None:
     gaps=st.lists(st.integers(0, 90 * S), max_size=40),
 )
 def test_a_restart_is_refused_when_and_only_when_the_window_is_full(limit: int, backoff: int, gaps: list[int]) -> None:
-    restarts = Restarts(limit, 60 * S, backoff)
+    restarts = child(WAITING, (limit, 60 * S, backoff))
     deaths: list[int] = []
     now = T0
     for gap in gaps:
         now += gap
         deaths.append(now)
         within = sum(now - death < 60 * S for death in deaths)
-        wait = restarts.died(now)
+        wait = restarts.restart_wait_ns(now)
         assert (wait is None) == (within >= limit)
         if wait is not None:
             assert 0 <= wait <= LONGEST_WAIT_NS

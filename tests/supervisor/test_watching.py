@@ -450,7 +450,7 @@ def test_the_wait_before_a_restart_is_kept(watching: Watching, monkeypatch: pyte
     assert len(started) == 1, "the first at once, the second not yet"
     for _ in range(20):
         watching.pass_time(20 * MS)
-    backoff_ns = watching.supervisor.processes.children[0].restarts._backoff_ns
+    backoff_ns = Settings().ns("restart.backoff_s")
     assert len(started) == 2
     assert backoff_ns <= started[1] - second_ns <= backoff_ns + 20 * MS
 
