@@ -8,6 +8,7 @@ from __future__ import annotations
 import _socket
 import os
 import select
+from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from failstop.policy import causes
@@ -95,9 +96,9 @@ class Events:
         self._waiting: list[Told] = []
         self._minute_ns = 0
         """When the minute began of which the allowances are."""
-        self._spent: dict[Sort, int] = {}
+        self._spent: Counter[Sort] = Counter()
         """Bytes of each sort in it."""
-        self._left_out: dict[Sort, int] = {}
+        self._left_out: Counter[Sort] = Counter()
         """How many events of a sort were left out, where that was not told yet."""
 
     def tell(self, kind: str, text: str, fields: Mapping[str, Value | None] | None = None, *, level: str = "") -> None:
@@ -109,7 +110,7 @@ class Events:
         if len(self._waiting) < MOST_WAITING:
             self._waiting.append((now_ns, self._unix_s(), known.name, level, text, given))
         else:
-            self._leave_out((known.name, level, _asked(known.name, given)))
+            self._left_out[known.name, level, _asked(known.name, given)] += 1
 
     def command(self, words: str) -> str:
         """A command to type next, in backquotes, for this instance."""
@@ -139,7 +140,7 @@ class Events:
         size = len(datagram) or len(f"{PREFIX}{text}\n".encode("utf-8", "replace"))
         sort = kind, level, _asked(kind, fields)
         if not self._may_spend(sort, size, t_ns):
-            self._leave_out(sort)
+            self._left_out[sort] += 1
             return
         if self._ring:
             self._ring.put(pack(t_ns, unix_s, kind, level, text, fields), t_ns)
@@ -150,15 +151,12 @@ class Events:
         """True while there is room. Once there is none nothing more of this sort is told in this minute: a flood is a
         few lines and a number, not every other line of it."""
         if t_ns - self._minute_ns >= MINUTE_NS:
-            self._minute_ns, self._spent = t_ns, {}
-        self._spent[sort] = self._spent.get(sort, 0) + size
+            self._minute_ns, self._spent = t_ns, Counter()
+        self._spent[sort] += size
         return self._spent[sort] <= (ASKED_BYTES if sort[2] else OWN_BYTES)
 
-    def _leave_out(self, sort: Sort) -> None:
-        self._left_out[sort] = self._left_out.get(sort, 0) + 1
-
     def _tell_left_out(self) -> None:
-        left_out, self._left_out = self._left_out, {}
+        left_out, self._left_out = self._left_out, Counter()
         for (kind, level, asked), count in left_out.items():
             what = "stop requests while a stop was latched" if asked else f"events of the kind {kind}"
             text = f"{count} {what} were left out: too many to tell of each"

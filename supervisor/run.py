@@ -32,11 +32,13 @@ LOOK_EVERY_NS = 1_000_000_000
 
 
 def client_gid() -> int:
-    """The group whose members may drive; -1 (the service's own) where it does not exist."""
+    """The group whose members may drive; -1 (the service's own) where it does not exist, or this user may give nothing
+    to it."""
     try:
-        return grp.getgrnam(GROUP).gr_gid
+        gid = grp.getgrnam(GROUP).gr_gid
     except KeyError:
         return -1
+    return gid if os.geteuid() == 0 or gid in os.getgroups() else -1
 
 
 class Run:
@@ -52,8 +54,6 @@ class Run:
         self.name = name
         self.runtime_dir = runtime_dir
         self.incarnation = int.from_bytes(os.urandom(8), "little")
-        gid = client_gid()
-        may_change_group = gid >= 0 and (os.geteuid() == 0 or gid in os.getgroups())
         self.memory = segment.memory(name, self.incarnation)
         """What the segments are named after."""
         self._refuse_living()
@@ -64,7 +64,7 @@ class Run:
         self.readable: dict[str, int] = {}
         """Of the processes' segments, for the black box: they can be copied whatever becomes of their names."""
         try:
-            self._make(gid if may_change_group else -1)
+            self._make(client_gid())
             self.own = segment.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
             self.views = {each: segment.attach(self.memory, each, self.incarnation) for each in layout.PROCESSES}
             self._tell_settings()

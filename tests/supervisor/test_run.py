@@ -113,31 +113,19 @@ def test_the_group_is_the_client_s_where_it_exists(name: str, tmp_path: Path, mo
     [(0, 0, [], 0), (4321, 0, [], 4321), (4321, 7, [4321], 4321), (4321, 7, [4322], -1), (-1, 0, [], -1)],
 )
 def test_only_who_may_gives_files_to_the_group(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gid: int, user: int, groups: list[int], given: int
+    monkeypatch: pytest.MonkeyPatch, gid: int, user: int, groups: list[int], given: int
 ) -> None:
-    """Root, and a member; anybody else's service has the clients of its own group."""
-    found: list[int] = []
-    monkeypatch.setattr(module, "client_gid", lambda: gid)
+    """Root, and a member; anybody else's service has the clients of its own group, and so where there is none."""
+
+    def group(name: str) -> grp.struct_group:
+        if gid < 0:
+            raise KeyError(name)
+        return grp.struct_group((name, "x", gid, []))
+
+    monkeypatch.setattr(grp, "getgrnam", group)
     monkeypatch.setattr(os, "geteuid", lambda: user)
     monkeypatch.setattr(os, "getgroups", lambda: groups)
-    monkeypatch.setattr(Run, "_refuse_living", lambda _: None)
-
-    def make(_run: Run, gid: int) -> None:
-        found.append(gid)
-        raise OSError("no further")
-
-    monkeypatch.setattr(Run, "_make", make)
-    with pytest.raises(OSError, match="no further"):
-        new(name, tmp_path)
-    assert found == [given]
-
-
-def test_a_group_that_does_not_exist_is_the_service_s_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> grp.struct_group:
-        raise KeyError(name)
-
-    monkeypatch.setattr(grp, "getgrnam", missing)
-    assert client_gid() == -1
+    assert client_gid() == given
 
 
 def test_what_a_dead_run_left_is_replaced(made: Run, tmp_path: Path) -> None:
