@@ -6,12 +6,12 @@ waits for it but the end of the service, and that no longer than FINISH_S.
 
 from __future__ import annotations
 
+import _socket
 import contextlib
 import os
 
 import msgpack
 
-from failstop.procs import handover
 from failstop.shm import box, layout, records
 from failstop.supervisor.starter import environment, script_command
 
@@ -52,8 +52,8 @@ class BlackBox:
         """And when that was seen."""
         self._waiting: list[tuple[int, dict[str, object]]] = []
         """When to start a saver, and with what."""
-        self._savers: dict[int, int] = {}
-        """The socket to each that runs, by its pid: whatever is sent has it copy now; what it has to say comes back."""
+        self._savers: dict[int, _socket.socket] = {}
+        """The socket to each that runs, by its pid: its end has it copy now, and what it has to say comes back."""
         self._for_dead_run = 0
         """The pid of the one that waits for this run to be ready; 0: none does."""
         self._sampled_ns = 0
@@ -97,8 +97,8 @@ class BlackBox:
         left = self._run.left
         if self._on and len(left) == len(layout.PROCESSES):
             self._for_dead_run = self._start({"until_ns": self._now_ns() + PATIENCE_NS}, left)
-        self._close(*left.values())
-        left.clear()
+        while left:
+            os.close(left.popitem()[1])
 
     def _save_live(self) -> None:
         _, words = self._waiting.pop(0)
@@ -107,35 +107,36 @@ class BlackBox:
     def _start(self, words: dict[str, object], fds: dict[str, int]) -> int:
         """Start a saver and return its pid. A machine that is out of descriptors or processes has none (0), and that is
         all."""
-        ours = theirs = -1
+        ends: list[_socket.socket] = []
         try:
-            ours, theirs = handover.pair()
-            os.set_blocking(ours, False)
+            ends += _socket.socketpair()
+            ends[0].setblocking(False)
+            theirs = ends[1].fileno()
             listed = ",".join(f"{which}:{fd}" for which, fd in fds.items())
             words = {**self._words, **words, "fds": listed, "hurry": theirs, "result": theirs}
             arguments = script_command(("incidents", "start.py"), words=words)
             pid = self._world.spawn(arguments, self._environment, [theirs, *fds.values()])
+            self._savers[pid] = ends.pop(0)
         except OSError as error:
-            self._close(ours, theirs)
+            pid = 0
             self._not_saved(f"cannot start the saver: {error}; {NEXT}")
-            return 0
-        self._close(theirs)
-        self._savers[pid] = ours
+        for end in ends:
+            end.close()
         return pid
 
     def _hasten(self, pid: int) -> None:
         """Have a saver copy now, if it still runs."""
         with contextlib.suppress(OSError, KeyError):
-            os.write(self._savers[pid], b"now")
+            self._savers[pid].shutdown(_socket.SHUT_WR)
 
     def _reap(self) -> None:
-        for pid, fd in tuple(self._savers.items()):
+        for pid, saver in tuple(self._savers.items()):
             if (code := self._world.reap(pid)) is not None:
                 try:
-                    told = msgpack.unpackb(os.read(fd, 4096))
+                    told = msgpack.unpackb(saver.recv(4096))
                 except (OSError, ValueError):
                     told = None
-                self._close(self._savers.pop(pid))
+                self._savers.pop(pid).close()
                 self._tell(code, told if isinstance(told, dict) else None)
 
     def _tell(self, code: int, told: dict[str, str | float] | None) -> None:
@@ -169,9 +170,3 @@ class BlackBox:
             life.close()
         self._reap()
         self._events.flush()
-
-    @staticmethod
-    def _close(*fds: int) -> None:
-        for fd in fds:
-            if fd >= 0:
-                os.close(fd)

@@ -152,11 +152,11 @@ class Scene:
             os.close(fd)
         for bell in (*self.run.bells.values(), self.supervisor.processes.early.bell):
             os.close(bell.fd)
-        for pid, fd in self.supervisor.blackbox._savers.items():
+        for pid, saver in self.supervisor.blackbox._savers.items():
             os.killpg(pid, signal.SIGKILL)
             os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
             self.world.reap(pid)
-            os.close(fd)
+            saver.close()
         self.port.close()
 
 
