@@ -68,12 +68,12 @@ class Run:
             self.own = segment.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
             self.views = {each: segment.attach(self.memory, each, self.incarnation) for each in layout.PROCESSES}
             self._tell_settings()
+            self.loop = Loop(world)
         except BaseException:
             self.remove()
             raise
         for run in dead:
             segment.unlink_all(run)
-        self.loop = Loop(world)
         self.events = Events(world, name, self.own.ring_writer("events"), journal, self.published)
         self._looked_ns = 0
 
