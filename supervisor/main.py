@@ -18,7 +18,7 @@ from failstop.shm.heartbeat import Heartbeat
 from failstop.supervisor import grant
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
-from failstop.supervisor.children import ALIVE, DIED, KILLED, RUNNING, Child, Fence, Silence
+from failstop.supervisor.children import ALIVE, DIED, KILLED, RUNNING, Child, Fence
 from failstop.supervisor.latch import Epochs
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.port_handover import PortHandover
@@ -63,14 +63,13 @@ class Supervisor:
         self.heartbeat = Heartbeat(run.own, os.getpid(), self._granted, self._now_ns())
         advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
         self.teller = Teller(run.name, run.events, run.views, advice)
-        self._silence = Silence(run, advice)
-        self.processes = ProcessTable(run, port)
-        self.children = self.processes.children
+        self.processes = ProcessTable(run, port, advice)
+        self.children, self._silence = self.processes.children, self.processes.silence
         self.epochs = Epochs(run)
         self.aftermath = Aftermath(run, self.epochs.latch, port.holds)
         self.blackbox = BlackBox(run)
         self.handover = PortHandover(run, port, self.processes)
-        self.status = Status(run, notify, self.processes, self.epochs, self.handover, self._silence)
+        self.status = Status(run, notify, self.processes, self.epochs, self.handover)
         self._written_word = run.own.word("written_ns")
         self._port_owner_written = run.views[layout.PORT_OWNER].word("written_ns")
         self._stops = run.views[layout.PORT_OWNER].ring_reader("stops")

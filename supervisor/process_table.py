@@ -11,7 +11,7 @@ from failstop.shm import layout, records, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.supervisor import starter
-from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child
+from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child, Silence
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.run import Run
 
@@ -23,8 +23,8 @@ GATE_AGAIN_NS = 60_000_000_000
 class ProcessTable:
     """Every process of the table as it is now. The early news of their deaths ring `early.bell`."""
 
-    def __init__(self, run: Run, port: OwnPort) -> None:
-        """Holds the supervisor's own block from here on."""
+    def __init__(self, run: Run, port: OwnPort, advice: str) -> None:
+        """Holds the supervisor's own block from here on. `advice`: as of Silence."""
         self._run, self._port = run, port
         self._world, self._now_ns = run.world, run.world.now_ns
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
@@ -40,6 +40,7 @@ class ProcessTable:
         self.children = [
             Child(run.world, row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits) for row in PROCESSES
         ]
+        self.silence = Silence(run, advice)
         self._by_name = {child.row.name: child for child in self.children}
 
     def __getitem__(self, name: str) -> Child:

@@ -20,7 +20,7 @@ import msgpack
 
 from failstop.shm import layout
 from failstop.shm.packing import pack
-from failstop.supervisor.children import DOWN, RUNNING, Silence
+from failstop.supervisor.children import DOWN, RUNNING
 from failstop.supervisor.events import Outbox
 from failstop.supervisor.latch import Epochs
 from failstop.supervisor.port_handover import PortHandover
@@ -95,19 +95,12 @@ class Status:
     """One publish() and one tell_manager() a turn. `ever`: the service has been ready."""
 
     def __init__(
-        self,
-        run: Run,
-        notify: Notify,
-        processes: ProcessTable,
-        epochs: Epochs,
-        handover: PortHandover,
-        silence: Silence,
+        self, run: Run, notify: Notify, processes: ProcessTable, epochs: Epochs, handover: PortHandover
     ) -> None:
         self.notify = notify
         self._processes = processes
         self._epochs = epochs
         self._handover = handover
-        self._silence = silence
         self._record = run.own.latest_writer("processes")
         self._table = b""
         self._gate_record = run.views[layout.GATE].latest_reader("state")
@@ -137,7 +130,9 @@ class Status:
             }
             for child in self._processes.children
         }
-        table = pack({"waiting_for": missing or None, "starved": self._silence.as_record(), "processes": processes})
+        table = pack(
+            {"waiting_for": missing or None, "starved": self._processes.silence.as_record(), "processes": processes}
+        )
         self._epochs.ready_word.set(not missing)
         if table != self._table:
             self._table = table
