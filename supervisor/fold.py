@@ -15,14 +15,6 @@ JOINED = "\0"
 """In the place of a space that is no place to break at."""
 
 
-def columns(fd: int) -> int:
-    """Columns of the terminal that a descriptor is; 0 when it is none."""
-    try:
-        return os.get_terminal_size(fd).columns
-    except (OSError, ValueError):
-        return 0
-
-
 def fold(text: str, width: int, indent: int) -> str:
     """The text with line breaks, no line longer than `width` columns, those after the first indented. A command in
     backquotes stays whole where it fits; a single word that is longer than a line is left to the terminal."""
@@ -49,6 +41,8 @@ def _words(text: str, room: int) -> list[str]:
 
 
 def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:
-    """The text as it is to be written to this descriptor."""
-    width = columns(fd)
-    return fold(text, width, indent) if width else text
+    """The text as it is to be written to this descriptor, a terminal or not."""
+    try:
+        return fold(text, os.get_terminal_size(fd).columns, indent)
+    except (OSError, ValueError):
+        return text
