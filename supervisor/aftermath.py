@@ -1,4 +1,5 @@
-"""Aftermath: what is to be seen after a stop was written - the board's answers, the IMU's verdict - and the link.
+"""Aftermath: what people are told of a stop, and what is to be seen after it was written - the board's answers, the
+IMU's verdict - and the link.
 
 What counts for the stop is decided in stops.py; here are the words of shared memory that it is made of.
 """
@@ -10,17 +11,20 @@ import signal
 from collections.abc import Callable
 
 from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.shm import layout, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.packing import pack
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.run import Run
-from failstop.supervisor.stops import ALIVE, BY_SUPERVISOR, DEAF, Link, Stop
+from failstop.supervisor.stops import ALIVE, BY_SUPERVISOR, DEAF, NOT_SENT, UNPROVEN, Link, Stop
+
+MOST_SAID = 64
 
 
 class Aftermath:
-    """Follows the last stop, and the link. One follow() a turn. `heard`: of the newest ping that was answered, when it
-    was sent, and when the answer came."""
+    """Tells of stops, follows the last one, and the link. One follow() a turn. `heard`: of the newest ping that was
+    answered, when it was sent, and when the answer came."""
 
     def __init__(self, run: Run, latch: Latch, holds: Callable[[], bool]) -> None:
         """`holds`: whether the kernel holds bytes for the board."""
@@ -45,10 +49,61 @@ class Aftermath:
         self.link = Link(run.settings.ns("link.deaf_s"))
         self._published = ""
         self._last: Stop | None = None
+        self._said: set[Cause] = set()
+        """Those that were told of since the latch."""
 
-    def written(self, stop: Stop) -> None:
-        """A stop was answered, written or not: follow it from now on. What comes while one is latched belongs to that:
-        the first is the one that people look for."""
+    def latched(self, stop: Stop) -> None:
+        """A cause is the first since a reset: everything that follows may be news again."""
+        self._said = {stop.cause}
+
+    def _news_of(self, cause: Cause) -> bool:
+        """True when this cause was not told of since the latch; several processes notice the same. Of more causes
+        than are remembered the older may be told of again."""
+        if cause in self._said:
+            return False
+        if len(self._said) >= MOST_SAID:
+            self._said.clear()
+        self._said.add(cause)
+        return True
+
+    def also(self, stop: Stop) -> None:
+        """A cause that came together with others, or before their stop was answered."""
+        if self._news_of(stop.cause):
+            fields = {**stop.cause.fields(), "noticed_by": stop.noticed_by}
+            self._run.events.tell("stop_also", f"also: {stop.cause}", fields)
+
+    def answered(self, stop: Stop, *, ending: bool) -> None:
+        """A stop was answered, written or not. `ending`: it is that of the service's end."""
+        self._follow_next(stop)
+        # Held for a moment is any burst; behind one that the board has not taken for long it goes nowhere.
+        held = causes.STUCK in (stop.cause.kind, (stop.behind or stop).cause.kind) and self._holds()
+        written_us = max(0, stop.written_ns - stop.t_ns) / 1000
+        how = f"by the {stop.by} after {written_us:.0f} us"
+        if not stop.written_ns:
+            wrote, level = "stop frame NOT written", "critical"
+        elif held:
+            wrote, level = f"stop frame handed over {how}, {NOT_SENT}", "critical"
+        else:
+            wrote, level = f"stop frame written {how}", ""
+        fields = {
+            **stop.cause.fields(),
+            "noticed_by": stop.noticed_by,
+            "written_by": stop.by if stop.written_ns else "nobody",
+            "latency_us": round(written_us, 1) if stop.written_ns else None,
+            "epoch": stop.epoch,
+        }
+        if ending:
+            self._run.events.tell("stopping", f"{stop.cause}; {wrote}", fields, level=level)
+        elif stop.behind is None:
+            todo = f"{self._run.events.command('reset')}, then {self._run.events.command('enable')}"
+            text = f"STOP latched: {stop.cause}; {wrote}; next: {todo}"
+            self._run.events.tell("stop", text, fields, level=level)
+        elif self._news_of(stop.cause):
+            text = f"stopped again: {stop.cause}; {wrote}; latched is still: {stop.behind.cause}"
+            self._run.events.tell("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
+
+    def _follow_next(self, stop: Stop) -> None:
+        """From now on, unless one is latched: what comes then belongs to that, the one that people look for."""
         last = self._last
         if last and last.written_ns and self._latch.reset_epoch < last.epoch:
             return
@@ -161,6 +216,21 @@ class Aftermath:
             self._publish(stop)
         level = "error" if stop.held or stop.unstill else ""
         self._run.events.tell("stop_outcome", stop.outcome(link), stop.fields(link), level=level)
+
+    def ended(self, heard_ns: int, link: str, *, written: bool, sent: bool) -> None:
+        """The service has ended. `heard_ns`: how long after the first stop the board acknowledged it, 0 for not; `link`
+        as of stops.py; `written`: the kernel took the second stop; `sent`: it has passed it on."""
+        told = "the stop was written twice" if sent else "the second stop could NOT be written"
+        if written and not sent:
+            told = f"the second stop was handed over, {NOT_SENT}"
+        fields = {"link": link, "acknowledged_us": round(heard_ns / 1e3, 1) if heard_ns else None}
+        if heard_ns:
+            heard, level = f"acknowledged by the board after {heard_ns / 1e6:.1f} ms", ""
+        elif link == UNPROVEN:
+            heard, level = "whether the board hears is not known (link unproven)", "warning"
+        else:
+            heard, level = f"NOT acknowledged by the board (link {link}); wheels that turn: POWER SWITCH", "critical"
+        self._run.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if sent else "critical")
 
     def _tell_link(self, before: str, state: str) -> None:
         if state == DEAF:

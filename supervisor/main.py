@@ -26,7 +26,6 @@ from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.run import Run
 from failstop.supervisor.status import Notify, Status
 from failstop.supervisor.stops import UNPROVEN, Stop
-from failstop.supervisor.teller import Teller
 
 MS = 1_000_000
 TICK_NS = 20 * MS
@@ -61,9 +60,8 @@ class Supervisor:
         self.loop, self._events = run.loop, run.events
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
         self.heartbeat = Heartbeat(run.own, os.getpid(), self._granted, self._now_ns())
-        advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
-        self.teller = Teller(run.name, run.events, run.views, advice)
-        self.processes = ProcessTable(run, port, advice)
+        self._advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
+        self.processes = ProcessTable(run, port, self._advice)
         self.children, self._silence = self.processes.children, self.processes.silence
         self.epochs = Epochs(run)
         self.aftermath = Aftermath(run, self.epochs.latch, port.holds)
@@ -122,7 +120,7 @@ class Supervisor:
         self._stop_alone(now_ns)
         self._follow_names(now_ns)
         self.processes.restart_due(now_ns)
-        self.teller.pass_notes()
+        self.processes.pass_notes()
         self._publish(now_ns)
         self.blackbox.follow(now_ns, ready=self.status.ever)
         self.heartbeat.beat(now_ns, self.epoch)
@@ -239,12 +237,12 @@ class Supervisor:
             self._answer_by.set(self._now_ns() + ANSWER_NS)
         latch = self.epochs.latch
         if latch.stop and latch.since == self.epoch:
-            self.teller.latched(latch.stop)
+            self.aftermath.latched(latch.stop)
             if not self.ending:
                 self.blackbox.latched(latch.stop, self.epoch)
         for stop in stops:
             if stop is not self._unanswered:
-                self.teller.also(stop)
+                self.aftermath.also(stop)
 
     def _follow_reset(self, now_ns: int) -> None:
         """Once the last stop is carried out."""
@@ -269,12 +267,8 @@ class Supervisor:
         by, written_ns = found
         self._unanswered = None
         self._stop_ns = written_ns or self._burst()
-        latched = self.epochs.latch.stop or stop
-        stop.answered_by(by, self._stop_ns, latched, self.epoch)
-        self.aftermath.written(stop)
-        # Held for a moment is any burst; behind one that the board has not taken for long it goes nowhere.
-        held = causes.STUCK in (stop.cause.kind, latched.cause.kind) and self._port.holds()
-        self.teller.stopped(stop, ending=self.ending, held=held)
+        stop.answered_by(by, self._stop_ns, self.epochs.latch.stop or stop, self.epoch)
+        self.aftermath.answered(stop, ending=self.ending)
 
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline: at that moment, not at a tick after it."""
@@ -311,8 +305,9 @@ class Supervisor:
         missing = self.status.missing(stopping=self._unanswered is not None)
         if self.status.publish(missing):
             self.heartbeat.state(heartbeat.RUNNING, now_ns)
-            self.teller.ready(self._granted)
-        self.teller.missing(missing, now_ns)
+            for what, text in grant.lacking(self._granted, self._advice):
+                self._events.tell("rights", text, {"what": what})
+        self.status.tell_people(missing, now_ns)
         if self.epochs.answered():
             self._owed_ns = 0
         self.status.tell_manager(now_ns, missing, self._owed_ns if self._port.fd >= 0 else 0)
@@ -333,7 +328,7 @@ class Supervisor:
         self._follow_port({}, self._now_ns())  # it may have come back meanwhile
         written = self._burst() > 0
         sent = written and self._port.drain()
-        self.teller.ended(heard_ns, link, written=written, sent=sent)
+        self.aftermath.ended(heard_ns, link, written=written, sent=sent)
         self._events.flush()
         self.blackbox.finish()
         return sent and (heard_ns > 0 or link == UNPROVEN)

@@ -10,6 +10,7 @@ from failstop.procs.loop import READ
 from failstop.shm import layout, records, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
+from failstop.shm.notes import Note
 from failstop.supervisor import starter
 from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child, Silence
 from failstop.supervisor.port import OwnPort
@@ -41,6 +42,7 @@ class ProcessTable:
             Child(run.world, row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits) for row in PROCESSES
         ]
         self.silence = Silence(run, advice)
+        self._notes = {name: run.views[name].ring_reader("notes") for name in (layout.GATE, layout.TELEMETRY)}
         self._by_name = {child.row.name: child for child in self.children}
 
     def __getitem__(self, name: str) -> Child:
@@ -143,6 +145,16 @@ class ProcessTable:
         words = {**self._words, "block": block, "number": self._port.number, **given}
         arguments = starter.script_command(starter.CHILD, row.name, words=words)
         return self._world.spawn(arguments, self._environment, [fd for fd in given.values() if fd >= 0])
+
+    def pass_notes(self) -> None:
+        """Remarks that the processes have for people."""
+        for process, ring in self._notes.items():
+            while entry := ring.next():
+                try:
+                    note = Note.unpack(entry[2])
+                except ValueError:
+                    continue  # a damaged one: nothing depends on it
+                self._events.tell(note.kind, note.text, {"process": process, **note.fields}, level=note.level)
 
     def _free_block(self) -> int:
         """The next block that no living process holds."""

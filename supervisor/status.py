@@ -35,6 +35,8 @@ UNDYING_NS = 10_000_000_000
 """SIGKILL to gone takes milliseconds; a process that closes a port which does not drain, seconds."""
 OWED_NS = 2_000_000_000
 """The supervisor's own burst goes out 5 ms after the cause and every 200 ms from then on."""
+WAITED_NS = 2_000_000_000
+"""What motion waits for is told of after this long: a restart takes a fraction of it."""
 TELL_EVERY_NS = 100_000_000
 """Its line is made this often: what is in it of the gate is new at every tick while something drives."""
 VARIABLES = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
@@ -92,11 +94,12 @@ class Notify(Outbox):
 
 
 class Status:
-    """One publish() and one tell_manager() a turn. `ever`: the service has been ready."""
+    """One publish(), tell_people() and tell_manager() a turn. `ever`: the service has been ready."""
 
     def __init__(
         self, run: Run, notify: Notify, processes: ProcessTable, epochs: Epochs, handover: PortHandover
     ) -> None:
+        self._run = run
         self.notify = notify
         self._processes = processes
         self._epochs = epochs
@@ -105,6 +108,9 @@ class Status:
         self._table = b""
         self._gate_record = run.views[layout.GATE].latest_reader("state")
         self._told_ns = 0
+        self._missing = ""
+        self._missing_ns = 0
+        self._told_missing = ""
         self.ever = False
         self.fault = ""
         """Why the supervisor does not do its job: the watchdog is left to bite."""
@@ -137,9 +143,28 @@ class Status:
         if table != self._table:
             self._table = table
             self._record.write(table)
-        first = not missing and not self.ever
-        self.ever |= first
-        return first
+        if missing or self.ever:
+            return False
+        self.ever, self._told_missing = True, ""
+        text = (
+            f"{self._run.name!r} is ready: wheels stopped, motion disabled; next: {self._run.events.command('enable')}"
+        )
+        self._run.events.tell("ready", text)
+        return True
+
+    def tell_people(self, missing: str, now_ns: int) -> None:
+        """Once a turn: what motion waits for; told of when it stays away, and when it has come after all."""
+        if missing != self._missing:
+            self._missing, self._missing_ns = missing, now_ns
+        if self._told_missing == missing:
+            return
+        if missing and now_ns - self._missing_ns >= WAITED_NS:
+            self._told_missing = missing
+            text = f"waiting for {missing}: motion can't be enabled; next: {self._run.events.command('status')}"
+            self._run.events.tell("waiting", text, {"for": missing})
+        elif not missing:
+            self._run.events.tell("ready", f"{self._told_missing} is there now: motion can be enabled again")
+            self._told_missing = ""
 
     def tell_manager(self, now_ns: int, missing: str, owed_since_ns: int) -> None:
         """Status, watchdog. `missing`: what motion waits for; `owed_since_ns`: as in fault()."""

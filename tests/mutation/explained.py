@@ -220,7 +220,7 @@ SUPERVISOR = (
         r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.cause\.t_ns",
         "two times in ns at exact equality",
     ),
-    Reason("supervisor/teller.py", r"max\(1, written_ns", "a nanosecond, of a time in microseconds", same=False),
+    Reason("supervisor/aftermath.py", r"max\(1, written_ns", "a nanosecond, of a time in microseconds", same=False),
 )
 
 REASONS = (*EVERYWHERE, *PROCS, *SHM, *SUPERVISOR)

@@ -237,7 +237,7 @@ def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Watched)
     noticed_ns = scene.now_ns
     stop = Stop(noticed_ns, layout.GATE, why("the first"))
     stop.answered_by("supervisor", 0, stop, 1)
-    scene.supervisor.aftermath.written(stop)
+    scene.supervisor.aftermath.answered(stop, ending=False)
     assert scene.told() == {"reason": "the first", "written_by": "supervisor", "written_us": None}
     for burst_ns in (0, noticed_ns):
         opened(burst_ns)

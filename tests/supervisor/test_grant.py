@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
 from failstop.supervisor import grant
 
 
@@ -55,3 +56,12 @@ def test_the_unit_is_that_of_the_control_group(
     assert grant.own_unit() == unit
     monkeypatch.setattr(grant, "CONTROL_GROUP", str(tmp_path / "absent"))
     assert grant.own_unit() == "UNIT"
+
+
+def test_what_is_lacking_is_told_of() -> None:
+    realtime = ("SCHED_FIFO", f"{grant.NO_REALTIME}; give it rights")
+    early_news = ("robust futexes", grant.NO_EARLY_NEWS)
+    assert grant.lacking(0, "give it rights") == [realtime, early_news]
+    assert grant.lacking(REALTIME, "give it rights") == [early_news]
+    assert grant.lacking(EARLY_NEWS, "give it rights") == [realtime]
+    assert grant.lacking(REALTIME | EARLY_NEWS, "give it rights") == []

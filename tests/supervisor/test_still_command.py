@@ -68,7 +68,7 @@ class Scene:
         self.epoch += 1
         stop = Stop(self.now_ns, layout.GATE, why(f"stop {self.epoch}"))
         stop.answered_by("port owner", self.now_ns, stop, self.epoch)
-        self.aftermath.written(stop)
+        self.aftermath.answered(stop, ending=False)
         self.follow(MS)
 
     def last_stop(self) -> dict[str, object]:

@@ -588,6 +588,8 @@ def test_what_the_service_manager_is_told(watching: Watching) -> None:
     watching.answers()
     watching.pass_time(TELL_EVERY_NS - MS)
     assert watching.supervisor.status.ever
+    told = [(event["kind"], event["fields"].get("what")) for event in watching.events()]
+    assert told[:3] == [("ready", None), ("rights", "SCHED_FIFO"), ("rights", "robust futexes")]
     assert len(heard.said) == 1, "it is told ten times a second"
     watching.pass_time(MS)
     assert heard.said[1:] == ["READY=1", "STATUS=ready, motion disabled"]
