@@ -114,7 +114,7 @@ class BlackBox:
             theirs = ends[1].fileno()
             listed = ",".join(f"{which}:{fd}" for which, fd in fds.items())
             words = {**self._words, **words, "fds": listed, "hurry": theirs, "result": theirs}
-            arguments = script_command(("incidents", "start.py"), words=words)
+            arguments = script_command(("incidents", "saver.py"), words=words)
             pid = self._world.spawn(arguments, self._environment, [theirs, *fds.values()])
             self._savers[pid] = ends.pop(0)
         except OSError as error:

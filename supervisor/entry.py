@@ -8,7 +8,7 @@ import os
 import signal
 
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
-from failstop.procs import limits, rights
+from failstop.procs import rights
 from failstop.procs.world import World
 from failstop.shm.instance import InstanceError
 from failstop.shm.segment import AttachError
@@ -36,7 +36,7 @@ def start(words: dict[str, str]) -> int:
     notify = Notify.taken_from(os.environ, os.getpid())
     journal = Outbox(JOURNAL) if is_journal(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:
-        limits.take_descriptors()
+        rights.take_descriptors()
         run = Run(world, settings, words["name"], words["dir"], journal)
     except (AttachError, InstanceError, OSError) as error:
         events = Events(world, words["name"], journal=journal)

@@ -9,14 +9,14 @@ import msgpack
 
 from failstop.board.interface import BOARD
 from failstop.cli import style
-from failstop.incidents import file
+from failstop.incidents import files
 from failstop.incidents.incident import Incident
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.kinematics import from_settings
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
-from failstop.procs.gate.recorder import GateBox
+from failstop.procs.gate.main import GateBox
 from failstop.procs.gate.sources import Command
 from failstop.shm import box, layout, records
 
@@ -136,7 +136,7 @@ class Recorder:
         return Incident(identity, self.head(), self.body())
 
     def save(self, folder: Path, identity: str, name: str = "failstop", unix_ns: int = UNIX_NS) -> Path:
-        return Path(file.write(str(folder), identity, file.build(self.head(name, unix_ns), self.body())))
+        return Path(files.write(str(folder), identity, files.build(self.head(name, unix_ns), self.body())))
 
 
 def drive_and_die() -> Recorder:
