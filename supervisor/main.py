@@ -9,11 +9,14 @@ from __future__ import annotations
 import os
 import signal
 
+import msgpack
+
 from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.procs import rights, starved
 from failstop.procs.loop import NEVER, READ
 from failstop.shm import bell, heartbeat, layout, records
+from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import Heartbeat
 from failstop.supervisor import grant
 from failstop.supervisor.aftermath import Aftermath
@@ -57,17 +60,21 @@ class Supervisor:
     def __init__(self, run: Run, port: OwnPort, notify: Notify) -> None:
         self._run, self._port = run, port
         self._now_ns, self._sleep, self._kill = run.world.now_ns, run.world.sleep, run.world.kill
+        self._starved = run.world.starved
         self.loop, self._events = run.loop, run.events
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
         self.heartbeat = Heartbeat(run.own, os.getpid(), self._granted, self._now_ns())
         self._advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
         self.processes = ProcessTable(run, port, self._advice)
-        self.children, self._silence = self.processes.children, self.processes.silence
+        self.children = self.processes.children
         self.epochs = Epochs(run)
         self.aftermath = Aftermath(run, self.epochs.latch, port.holds)
         self.blackbox = BlackBox(run)
         self.handover = PortHandover(run, port, self.processes)
         self.status = Status(run, notify, self.processes, self.epochs, self.handover)
+        self._gate_record = run.views[layout.GATE].latest_reader("state")
+        self._moving_word = run.views[layout.PORT_OWNER].word("moving")
+        self._barrier = Barrier()
         self._written_word = run.own.word("written_ns")
         self._port_owner_written = run.views[layout.PORT_OWNER].word("written_ns")
         self._stops = run.views[layout.PORT_OWNER].ring_reader("stops")
@@ -115,7 +122,7 @@ class Supervisor:
         self._follow_port(ready, now_ns)
         self._follow_answer(now_ns)
         self._follow_reset(now_ns)
-        self._silence.follow(self.children, now_ns)
+        self.processes.follow_spared(now_ns)
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
         self._follow_names(now_ns)
@@ -190,8 +197,8 @@ class Supervisor:
                 child.excused_ns = now_ns
         if gap_ns < HELD_UP_NS or not self.status.ever:
             return []
-        if not self._silence.motion(self.epoch):
-            self._silence.over(layout.SUPERVISOR, gap_ns, now_ns)
+        if not self._motion():
+            self.processes.tell_starved(layout.SUPERVISOR, gap_ns, now_ns)
             return []
         return [Stop(now_ns, layout.SUPERVISOR, causes.HELD_UP(gap_ns // MS))]
 
@@ -209,7 +216,7 @@ class Supervisor:
             return False
         # Who was held up comes late to an answer. While motion is enabled that is no excuse.
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
-        return now_ns - heard_ns < LATE_NS or self._silence.motion(self.epoch)
+        return now_ns - heard_ns < LATE_NS or self._motion()
 
     def _collect(self, dead: list[Child], now_ns: int, burst_ns: int) -> list[Stop]:
         """Every stop that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
@@ -270,22 +277,41 @@ class Supervisor:
         stop.answered_by(by, self._stop_ns, self.epochs.latch.stop or stop, self.epoch)
         self.aftermath.answered(stop, ending=self.ending)
 
+    def _motion(self) -> bool:
+        """True while motion is enabled in this epoch, or the wheels were last told to turn. Read after whatever it is
+        to be compared with: the port owner says that it moves before it looks at the epoch for the last time."""
+        self._barrier()
+        if self._moving_word.get():
+            return True
+        entry = self._gate_record.read()
+        gate = msgpack.unpackb(entry[2]) if entry else {}
+        return bool(gate.get("enabled")) and gate["epoch"] == self.epoch
+
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline: at that moment, not at a tick after it."""
         for child in self.children:
             if now_ns >= child.overdue_ns():
-                is_starved = self._silence.starved(child)
+                is_starved = self._starved(child.pid, child.beat, child.allowed_ns(), self._run.bells[child.row.name])
                 silent_ns = now_ns - child.heard_ns()
                 if now_ns >= child.overdue_ns():  # else it has just beaten
                     self._answer_silence(child, now_ns, silent_ns, is_starved=is_starved)
         self._overdue.set(min(child.overdue_ns() for child in self.children))
 
     def _answer_silence(self, child: Child, now_ns: int, silent_ns: int, *, is_starved: bool) -> None:
-        """The table of `Silence`. Who hangs is stopped for and killed; its death does the rest."""
+        """A stop is right whatever the reason, a kill is not: what the machine did not run is run again, and a process
+        that is restarted on a machine that starves it is silent again. While motion is disabled there is nothing to
+        stop. Who hangs is stopped for and killed; its death does the rest.
+
+            motion    starved: port owner    starved: another             hangs
+            enabled   stopped, killed        stopped, latched             stopped, killed, latched
+            disabled  told                   told                         stopped, killed, latched
+
+        Whoever is starved beyond starved.LONGEST_NS is killed too, but its death counts for no crash loop.
+        """
         name = child.row.name
         kind = causes.STARVED if is_starved else causes.HANGS
         stop = Stop(now_ns, layout.SUPERVISOR, kind(name, silent_ns // MS))
-        motion = self._silence.motion(self.epoch)
+        motion = self._motion()
         spared = is_starved and silent_ns < child.allowed_ns() + starved.LONGEST_NS
         if spared and not (motion and name == layout.PORT_OWNER):
             child.spare(now_ns, silent_ns)

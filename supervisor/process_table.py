@@ -12,11 +12,12 @@ from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.notes import Note
 from failstop.supervisor import starter
-from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child, Silence
+from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.run import Run
 
 TRY_AGAIN_NS = 500_000_000
+STARVED_EVERY_NS = 10_000_000_000
 GATE_AGAIN_NS = 60_000_000_000
 """A gate that died too often is tried again: it is the one that hears a reset."""
 
@@ -25,7 +26,7 @@ class ProcessTable:
     """Every process of the table as it is now. The early news of their deaths ring `early.bell`."""
 
     def __init__(self, run: Run, port: OwnPort, advice: str) -> None:
-        """Holds the supervisor's own block from here on. `advice`: as of Silence."""
+        """Holds the supervisor's own block from here on. `advice`: what to do against starving, for people."""
         self._run, self._port = run, port
         self._world, self._now_ns = run.world, run.world.now_ns
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
@@ -41,7 +42,10 @@ class ProcessTable:
         self.children = [
             Child(run.world, row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits) for row in PROCESSES
         ]
-        self.silence = Silence(run, advice)
+        self._advice = advice
+        self._starved_told_ns = self._starved_times = self._starved_ms = 0
+        self._starved = ""
+        """The one that the machine did not run for longest, for so many ms."""
         self._notes = {name: run.views[name].ring_reader("notes") for name in (layout.GATE, layout.TELEMETRY)}
         self._by_name = {child.row.name: child for child in self.children}
 
@@ -155,6 +159,30 @@ class ProcessTable:
                 except ValueError:
                     continue  # a damaged one: nothing depends on it
                 self._events.tell(note.kind, note.text, {"process": process, **note.fields}, level=note.level)
+
+    def follow_spared(self, now_ns: int) -> None:
+        """Once a turn: who was spared and has beaten again is told of."""
+        for child in self.children:
+            if silent_ns := child.beaten():
+                self.tell_starved(child.row.name, silent_ns, now_ns)
+
+    def tell_starved(self, name: str, silent_ns: int, now_ns: int) -> None:
+        """The machine did not run a process for so long; told at once, then at most every ten seconds."""
+        self._starved_times += 1
+        silent_ms = round(silent_ns / 1e6)
+        if silent_ms > self._starved_ms:
+            self._starved_ms, self._starved = silent_ms, name
+        if self._starved_told_ns and now_ns - self._starved_told_ns < STARVED_EVERY_NS:
+            return
+        self._starved_told_ns = now_ns
+        text = f"the machine starves the service: {name} was not run for {silent_ms} ms; {self._advice}"
+        self._events.tell("starved", text, {"process": name, "silent_ms": silent_ms, "times": self._starved_times})
+
+    def starved_record(self) -> dict[str, int | str] | None:
+        """For clients; None: the machine has run everybody in this run."""
+        if not self._starved_times:
+            return None
+        return {"times": self._starved_times, "longest_ms": self._starved_ms, "process": self._starved}
 
     def _free_block(self) -> int:
         """The next block that no living process holds."""

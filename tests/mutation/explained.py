@@ -213,8 +213,8 @@ SUPERVISOR = (
         r"else \([01], [01], records\.PORT_CLOSED",
         "of a port that is closed nothing else is looked at",
     ),
-    Reason("supervisor/children.py", r"_told_ns = 1$", "the machine's first ten seconds", same=False),
-    Reason("supervisor/children.py", r"longest_ms = 1$", "a silence is told of from a deadline on"),
+    Reason("supervisor/process_table.py", r"_told_ns = 1$", "the machine's first ten seconds", same=False),
+    Reason("supervisor/process_table.py", r"_starved_ms = 1$", "a silence is told of from a deadline on"),
     Reason(
         "supervisor/stops.py",
         r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.cause\.t_ns",

@@ -63,7 +63,7 @@ def test_what_helps_a_starved_service_depends_on_its_rights(
 ) -> None:
     scene = Scene(tmp_path, monkeypatch, granted=granted)
     expected = grant.advice(realtime=bool(granted), managed=False)
-    assert scene.supervisor._silence._advice == expected != grant.advice(realtime=not granted, managed=False)
+    assert scene.supervisor.processes._advice == expected != grant.advice(realtime=not granted, managed=False)
     scene.close()
 
 

@@ -292,7 +292,7 @@ def test_who_is_starved_while_motion_is_disabled_is_left_alone_until_it_beats(st
     starving.pass_time(0)
     assert missing(supervisor) == ""
     assert starving.starved() == [("port_owner", 800, 1)], "one for all of ten seconds"
-    assert supervisor._silence.as_record() == {"times": 4, "longest_ms": 800, "process": "port_owner"}
+    assert supervisor.processes.starved_record() == {"times": 4, "longest_ms": 800, "process": "port_owner"}
 
 
 @pytest.mark.parametrize("name", SPARED)
@@ -347,7 +347,7 @@ def test_who_has_just_beaten_after_all_is_left_alone(watching: Watching, monkeyp
     watching.world.play("starved", lambda *_: watching.gate.word("beat_ns").set(watching.now_ns))
     for _ in range(30):
         watching.pass_time(20 * MS)
-    assert (watching.supervisor.epoch, watching.supervisor._silence.times) == (1, 0)
+    assert (watching.supervisor.epoch, watching.supervisor.processes.starved_record()) == (1, None)
 
 
 def die_too_often(watching: Watching, name: str) -> None:
@@ -514,17 +514,17 @@ def test_it_sleeps_until_what_is_due_next(watching: Watching) -> None:
 
 
 def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(watching: Watching) -> None:
-    found = watching.supervisor._silence
-    assert found.as_record() is None
+    found = watching.supervisor.processes
+    assert found.starved_record() is None
     for at_s, name, silent_ns in ((0, "gate", 300 * MS), (9.999, "stopper", 900_400_000), (10, "gate", 300 * MS)):
-        found.over(name, silent_ns, watching.now_ns + round(at_s * 1e9))
+        found.tell_starved(name, silent_ns, watching.now_ns + round(at_s * 1e9))
     watching.supervisor._events.flush()
     first, second = watching.events()
     text = f"the machine starves the service: gate was not run for 300 ms; {found._advice}"
     assert (first["kind"], first["text"]) == ("starved", text)
     assert first["fields"] == {"process": "gate", "silent_ms": 300, "times": 1}
     assert second["fields"] == {"process": "gate", "silent_ms": 300, "times": 3}
-    assert found.as_record() == {"times": 3, "longest_ms": 900, "process": "stopper"}
+    assert found.starved_record() == {"times": 3, "longest_ms": 900, "process": "stopper"}
 
 
 def read(watching: Watching, record: str) -> tuple[int, Any]:
