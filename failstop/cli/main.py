@@ -35,7 +35,7 @@ COMMANDS = {
     "prove": ("lab.commands.prove", "the stand test: every stop path timed on a real robot"),
     "chaos": ("lab.commands.chaos", "random faults on a simulated board, judged by it"),
     "install": ("cli.commands.install", "make it a service of this machine, whole or not at all"),
-    "uninstall": ("cli.commands.uninstall", "stop the service and take away what install put there"),
+    "uninstall": ("cli.commands.install", "stop the service and take away what install put there"),
     "ros2": ("cli.commands.ros2", "the bridge to ROS 2: its nodes drive through the service"),
     "metrics": ("cli.commands.metrics", "the state as Prometheus reads it, once or over HTTP"),
     "fleet": ("cli.commands.fleet", "all robots of a broker: see them, stop them, publish this one"),

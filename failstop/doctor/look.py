@@ -18,7 +18,7 @@ from failstop.doctor.leftovers import Leftover
 from failstop.doctor.stop_test import StopPath
 from failstop.doctor.system import System, User, account, user
 from failstop.doctor.ticks import Ticks, measure
-from failstop.install.layout import unit_of
+from failstop.instances import unit_of
 from failstop.policy.settings import SettingError, Settings
 from failstop.shm import layout, segment
 from failstop.shm.instance import DEFAULT_NAME, check_name, option

@@ -20,16 +20,17 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from failstop.install import InstallError, layout, rows, tree
-from failstop.install.layout import PREFIX
-from failstop.install.rows import EXTRAS, LATE, OWN, ROWS, SETTINGS, SYSUSERS
+from failstop import config
+from failstop.install import InstallError, rows, system, tree
+from failstop.install.rows import EXTRAS, LATE, OWN, ROWS, SETTINGS
+from failstop.install.system import PREFIX
 from failstop.shm.instance import DEFAULT_NAME
 from failstop.version import VERSION
 
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent.parent
 SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
-CONFIGURATION = layout.configuration_of(DEFAULT_NAME).lstrip("/")
+CONFIGURATION = config.file_of(DEFAULT_NAME).lstrip("/")
 LABORATORY = "failstop-lab"
 LAB = f"{tree.SITE}/failstop/lab/"
 NOBODY = "failstop developers <root@localhost>"
@@ -38,11 +39,11 @@ WORDS = {
     "@BOOT@": " ".join(row.source for row in OWN if row.boot),
     "@EXTRAS@": " ".join(extra.source for extra in EXTRAS),
     "@LATE@": LATE.replace("@", "@*"),
-    "@SYSUSERS@": next(row.package for row in ROWS if row.source == SYSUSERS),
-    "@CONFIGURATION@": layout.CONFIGURATION,
-    "@STATE@": layout.STATE,
-    "@RUNTIME@": layout.RUNTIME,
-    "@MANIFEST@": layout.MANIFEST,
+    "@SYSUSERS@": next(row.package for row in ROWS if row.place == rows.SYSUSERS),
+    "@CONFIGURATION@": config.FOLDER,
+    "@STATE@": system.STATE,
+    "@RUNTIME@": system.RUNTIME,
+    "@MANIFEST@": system.MANIFEST,
 }
 """What the scripts of the package say of the installation's rows and places."""
 

@@ -15,7 +15,7 @@ import pytest
 from failstop.doctor import device, leftovers, machine, port, service, stop_path, table, ticks
 from failstop.doctor.look import Look, version_of
 from failstop.doctor.system import System, User, user
-from failstop.install.layout import unit_of
+from failstop.instances import unit_of
 from failstop.lab.trial import Trial
 from failstop.shm import claim, layout, segment
 from failstop.version import VERSION

@@ -17,7 +17,7 @@ from failstop.cli import style
 from failstop.doctor.device import holders as holders_of
 from failstop.doctor.device import node as node_of
 from failstop.doctor.system import System
-from failstop.install.layout import unit_of
+from failstop.instances import unit_of
 from failstop.lab.prove import report
 from failstop.lab.prove.arm_run import ArmRun
 from failstop.lab.prove.character import Unfit, characterize
