@@ -13,12 +13,12 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
+from failstop import stopping
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
 from failstop.board.port import PortError, release_exclusive
 from failstop.board.stop_port import StopPort
 from failstop.doctor.tap import Tap
-from failstop.stopping import tool
 from failstop.supervisor.port import OwnPort
 
 ANSWER_S = 0.5
@@ -86,7 +86,7 @@ def _on_duplicate(own: OwnPort, _path: str) -> bool:
 def _with_tool(own: OwnPort, path: str) -> bool:
     # It opens the port as ExecStopPost does, when the service has let it go.
     release_exclusive(own.fd)
-    tool.stop(path, lambda _: 0.0, lambda _: None)
+    stopping.stop(path, lambda _: 0.0, lambda _: None)
     return True
 
 

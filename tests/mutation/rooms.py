@@ -46,7 +46,7 @@ ROOMS = {
         ),
     ),
     "stopper": Room(
-        ("procs/stopper/*.py", "failstop/stopping/*.py"),
+        ("procs/stopper/*.py", "failstop/stopping.py"),
         ("tests/procs/test_rest.py", "tests/procs/test_stop_tool.py", "tests/procs/test_stopper.py"),
     ),
     "shm": Room(
