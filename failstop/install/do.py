@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
 from failstop.install import InstallError
-from failstop.install.system import MANIFEST_NAME, Content, System, content
+from failstop.install.system import Content, System, content
 from failstop.install.tree import Environment
 
 NEW = ".new-by-install"
@@ -38,17 +38,10 @@ class Step:
 
 @dataclasses.dataclass(frozen=True)
 class Put(Step):
-    """Have a file, mode 0644, a link, or none of them at a path. Directories on the way are made, mode 0755."""
+    """Have a file, mode 0644, a link, the Python environment, or none of them at a path. Directories on the way are
+    made, mode 0755."""
 
-    content: Content = None
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Tree(Step):
-    """Put the Python environment in the place of what is there, with the list of what is installed in it."""
-
-    environment: Environment
-    manifest: bytes
+    content: Content | Environment = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,11 +104,7 @@ class Doer:
             case Put():
                 self._keep([path])
                 put(path, step.content)
-            case Tree():
-                self._keep([path])
-                self._undos.append(partial(put_tree_back, path))
                 self._last.append(partial(remove, path + OLD))
-                put_tree(path, step.environment, step.manifest)
             case Discard():
                 self._last.append(partial(remove_empty if step.only_empty else remove, path))
             case Run():
@@ -140,18 +129,26 @@ class Doer:
         return left_as
 
 
-def put(path: str, new: Content, owner: tuple[int, int] | None = None, mode: int = 0o644) -> None:
-    """Have a file, a link or nothing at a path, whole at any time."""
+def put(path: str, new: Content | Environment, owner: tuple[int, int] | None = None, mode: int = 0o644) -> None:
+    """Have it at a path, whole at any time; a directory that is in its place is moved aside."""
     if content(path) == new:
         return
-    _make_parents(path)
-    beside = path + NEW
-    remove(beside)
+    for folder in _missing_parents([path]):
+        os.mkdir(folder)
+        os.chmod(folder, 0o755)
+    beside, aside = path + NEW, path + OLD
     try:
+        # What an installation that lost its power has left.
+        remove(beside)
+        remove(aside)
         if new is None:
             remove(path)
             return
-        if isinstance(new, str):
+        if isinstance(new, Environment):
+            new.write(beside)
+            if os.path.isdir(path):
+                os.rename(path, aside)
+        elif isinstance(new, str):
             os.symlink(new, beside)
         else:
             # Not for others to read before it has its owner.
@@ -165,33 +162,6 @@ def put(path: str, new: Content, owner: tuple[int, int] | None = None, mode: int
     except BaseException:
         remove(beside)
         raise
-
-
-def put_tree(path: str, environment: Environment, manifest: bytes) -> None:
-    """Have the environment at a path, with the list of what is installed in it. What was there is moved aside."""
-    _make_parents(path)
-    for rest in (path + NEW, path + OLD):
-        # What an installation that lost its power has left.
-        remove(rest)
-    environment.write(path + NEW)
-    put(os.path.join(path + NEW, MANIFEST_NAME), manifest)
-    if os.path.isdir(path):
-        os.rename(path, path + OLD)
-    os.replace(path + NEW, path)
-
-
-def put_tree_back(path: str) -> None:
-    """What was moved aside."""
-    remove(path + NEW)
-    if os.path.isdir(path + OLD):
-        remove(path)
-        os.rename(path + OLD, path)
-
-
-def _make_parents(path: str) -> None:
-    for folder in _missing_parents([path]):
-        os.mkdir(folder)
-        os.chmod(folder, 0o755)
 
 
 def remove(path: str) -> None:
@@ -233,11 +203,19 @@ def _missing_parents(paths: Sequence[str]) -> list[str]:
 
 
 def _restorer(path: str) -> Act:
-    """What puts a file or link back as it is now, or removes what is not there yet; a directory stays."""
+    """What puts back a file, a link, or a directory that is moved aside, or removes what is not there yet."""
     if not os.path.lexists(path):
         return partial(remove, path)
     found = os.lstat(path)
+    if stat.S_ISDIR(found.st_mode):
+        return partial(_move_back, path)
     return partial(put, path, content(path), (found.st_uid, found.st_gid), stat.S_IMODE(found.st_mode))
+
+
+def _move_back(path: str) -> None:
+    if os.path.isdir(path + OLD):
+        remove(path)
+        os.rename(path + OLD, path)
 
 
 def _restore(path: str, restore: Act, left_as: Mapping[str, Content]) -> None:

@@ -9,10 +9,10 @@ from collections.abc import Collection, Mapping
 from failstop import config
 from failstop.discovery import BOARD_VID, LINK
 from failstop.install import InstallError, rows
-from failstop.install.do import Discard, Put, Run, Start, Step, Tree
-from failstop.install.rows import BRIDGE, EXTRAS, FLEET, OWN, PORT_GROUP, UNITS, USER, Extra, Row
+from failstop.install.do import Discard, Put, Run, Start, Step
+from failstop.install.rows import EXTRAS, FLEET, OWN, PORT_GROUP, UNITS, USER, Extra, Row
 from failstop.install.system import MANIFEST, MANIFEST_NAME, PREFIX, RUNTIME, STATE, Content, Manifest, System, sha256
-from failstop.install.tree import Environment
+from failstop.install.tree import Entry, Environment
 from failstop.instances import unit_of
 from failstop.policy.settings import BY_KEY
 from failstop.shm.instance import DEFAULT_NAME
@@ -81,15 +81,15 @@ def install(texts: Mapping[str, str], request: Request, environment: Environment
     made = [part for part in needed if part != PREFIX and not os.path.isdir(system.at(part))]
     directories = tuple(dict.fromkeys([*before.directories, *made]))
     manifest = Manifest(VERSION, request.command, files, {**before.links, **links}, directories).dump()
+    undoing, told = _telling(changed, system)
     steps = [
         *_stops(restarts),
-        *_on_undo(changed, system),
+        *undoing,
         # First the list: what was cut short by a power failure can be taken away, or done again.
         *([_tree(environment, manifest, system)] if environment else _put(MANIFEST, manifest, system)),
         *puts,
         *accounts,
-        *_make_member(request.extras.get(BRIDGE.option, ""), system),
-        *_told(changed, system),
+        *told,
         *(_name_board() if rows.UDEV in changed and system.udev else ()),
         *([_check(request)] if system.live and (environment or accounts or changed - links.keys()) else ()),
         *(_starts(request, there, running, restarts) if system.live and request.start else ()),
@@ -107,13 +107,10 @@ def uninstall(system: System, purge: bool = False) -> Plan:
     if system.manifest is None and purge and not system.package:
         return Plan(tuple(_purge(system)))
     manifest, running = _listed_by(system), active(system)
-    gone = [*manifest.links, *manifest.files]
     own = manifest.command == rows.UNIT_COMMAND
     steps = [
-        *_ends(running, "*", gone, system),
-        *(step for path in gone for step in _put(path, None, system)),
+        *_take([*manifest.links, *manifest.files], running, "*", system),
         Discard("remove", PREFIX, "the Python environment" if own else "the list of what was installed"),
-        *_told(gone, system),
         *(_purge(system) if purge else ()),
         *(Discard("", path, only_empty=True) for path in reversed(manifest.directories)),
     ]
@@ -129,22 +126,27 @@ def uninstall_instance(name: str, system: System, purge: bool = False) -> Plan:
         raise InstallError(f"no instance {name!r} is installed")
     running = tuple(found for found in active(system) if found == unit)
     left = {path: target for path, target in manifest.links.items() if path not in gone}
-    steps = [
-        *_ends(running, name, gone, system),
-        *(step for path in gone for step in _put(path, None, system, "no longer starts at boot")),
-        *(_put(config.file_of(name), None, system, "your settings") if purge else ()),
+    steps: list[Step] = [
+        *_take(gone, running, name, system, "no longer starts at boot"),
         *_put(MANIFEST, dataclasses.replace(manifest, links=left).dump(), system),
-        *_told(gone, system),
-        *([Discard("remove", f"{STATE}/{name}", "logs and incidents")] if purge else ()),
     ]
+    if purge:
+        steps += _put(config.file_of(name), None, system, "your settings")
+        steps.append(Discard("remove", f"{STATE}/{name}", "logs and incidents"))
     return Plan(tuple(steps), (), running)
 
 
 def chosen(request: Request, system: System) -> dict[Row, str]:
-    """The rows that are to be there; of the extras those that are asked for, or are there, each with its word."""
+    """The rows that are to be there; of the extras those that are asked for, or are there, each with its word. Raises
+    InstallError where one can't be."""
     found: dict[Row, str] = dict.fromkeys(OWN, "")
     for extra in EXTRAS:
         if word := request.extras.get(extra.option, ""):
+            if request.name != DEFAULT_NAME:
+                only = f"its unit is for the robot {DEFAULT_NAME!r} alone, not {request.name!r}"
+                raise InstallError(f"{extra.option}: {only}")
+            if problem := extra.problem(word, system):
+                raise InstallError(f"{extra.option}{problem}")
             found[extra] = word
         elif system.manifest and extra.place in system.manifest.files:
             text = system.content(extra.place)
@@ -182,13 +184,7 @@ def refuse_absent(request: Request, system: System) -> None:
         )
 
 
-def _refuse(request: Request, there: Mapping[Row, str], system: System) -> None:
-    for extra in (row for row in there if isinstance(row, Extra) and request.extras.get(row.option)):
-        if request.name != DEFAULT_NAME:
-            only = f"its unit is for the robot {DEFAULT_NAME!r} alone, not {request.name!r}"
-            raise InstallError(f"{extra.option}: {only}")
-        if problem := extra.problem(there[extra], system):
-            raise InstallError(f"{extra.option}{problem}")
+def _refuse(request: Request, there: Collection[Row], system: System) -> None:
     if system.package:
         raise InstallError(
             "the Debian package of failstop is installed here: it is the service already; "
@@ -270,9 +266,10 @@ def _put(path: str, content: Content, system: System, remark: str = "") -> list[
     return [Put(verb, path, remark, content)] if there != content else []
 
 
-def _tree(environment: Environment, manifest: bytes, system: System) -> Tree:
+def _tree(environment: Environment, manifest: bytes, system: System) -> Put:
     verb, remark = "replace" if system.holds(PREFIX) else "create", "failstop and what it needs, copied from here"
-    return Tree(verb, PREFIX, remark, environment=environment, manifest=manifest)
+    listed = dataclasses.replace(environment, entries=(*environment.entries, Entry(MANIFEST_NAME, data=manifest)))
+    return Put(verb, PREFIX, remark, listed)
 
 
 def _listed_by(system: System) -> Manifest:
@@ -300,11 +297,13 @@ def _starts(
     ]
 
 
-def _ends(units: Collection[str], name: str, gone: Collection[str], system: System) -> list[Run]:
-    """The service's end, and that of whoever still tries to stop a board that could not be stopped, because of the end
-    just now for one."""
+def _take(gone: Collection[str], units: Collection[str], name: str, system: System, remark: str = "") -> list[Step]:
+    """Files and links go, after the service's end, and that of whoever still tries to stop a board that could not be
+    stopped, because of the end just now for one."""
     late = Run("", f"who tries to stop {name}", words=("systemctl", "stop", rows.LATE.replace("@", f"@{name}")))
-    return [*_stops(units), *([late] if system.live else []), *_on_undo(gone, system)]
+    undoing, told = _telling(gone, system)
+    removing = [step for path in gone for step in _put(path, None, system, remark)]
+    return [*_stops(units), *([late] if system.live else []), *undoing, *removing, *told]
 
 
 def _stops(units: Collection[str]) -> list[Run]:
@@ -313,25 +312,17 @@ def _stops(units: Collection[str]) -> list[Run]:
     return [Run("stop", unit, "THE WHEELS STOP", ("systemctl", "stop", unit), (*again, unit)) for unit in units]
 
 
-def _readers(changed: Collection[str], system: System) -> list[tuple[str, ...]]:
-    """What tells those of the running system that have read these files."""
-    told = {
+def _telling(changed: Collection[str], system: System) -> tuple[list[Run], list[Run]]:
+    """Who has read these files is told: when they are back as they were, which is undone last and so comes first; and
+    when they are new, or gone."""
+    readers = {
         ("systemctl", "daemon-reload"): system.live and any(path.startswith(UNITS) for path in changed),
         ("udevadm", "control", "--reload"): system.udev and rows.UDEV in changed,
     }
-    return [words for words, holds in told.items() if holds]
-
-
-def _on_undo(changed: Collection[str], system: System) -> list[Run]:
-    """What is to be told of the files once they are back as they were: undone last, so it comes first."""
-    return [Run("", " ".join(words), undo=words) for words in _readers(changed, system)]
-
-
-def _told(changed: Collection[str], system: System) -> list[Run]:
-    """Those who are to read the new files, or to find them gone."""
-    words = ("journalctl", *system.root_option, "--update-catalog")
-    catalog = [_run(*words, changes=(CATALOG_DATABASE,))] if rows.CATALOG in changed else []
-    return [*catalog, *(_run(*words) for words in _readers(changed, system))]
+    told = [words for words, holds in readers.items() if holds]
+    catalog = ("journalctl", *system.root_option, "--update-catalog")
+    new = [_run(*catalog, changes=(CATALOG_DATABASE,))] if rows.CATALOG in changed else []
+    return [Run("", " ".join(words), undo=words) for words in told], [*new, *(_run(*words) for words in told)]
 
 
 def _name_board() -> list[Run]:
@@ -353,14 +344,6 @@ def _make_accounts(system: System) -> list[Run]:
     remark = f"the service runs as it; in the groups of {PORT_GROUP}"
     words = ("systemd-sysusers", *system.root_option, os.path.basename(rows.SYSUSERS))
     return [Run("create", f"user and group {USER}", remark, words, changes=ACCOUNT_FILES)]
-
-
-def _make_member(user: str, system: System) -> list[Run]:
-    """The bridge's user may drive."""
-    if user in ("", "root", *system.members(USER)):
-        return []
-    words = ("usermod", *system.prefix_option, "--append", "--groups", USER, user)
-    return [Run("add", f"user {user} to the group {USER}", "it may drive", words, changes=ACCOUNT_FILES)]
 
 
 def _purge(system: System) -> list[Step]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import glob
 import os
-from collections.abc import Callable
 from importlib import resources
 
 from failstop.fleet.settings import KEY_PLACE, PLACE
@@ -73,53 +72,63 @@ class Extra(Row):
     option: str
     started: str
     """Shown where it is started."""
-    word_of: Callable[[str], str] = lambda text: YES
-    """The word by which this text of an installed unit was made."""
-    fill: Callable[[str, str, System], tuple[str, str]] | None = None
-    problem: Callable[[str, System], str] = lambda word, system: ""
-    """Why the word can't be; empty: it can."""
     needs: str = ""
     """The extra of failstop's that it runs on, as pip calls it; empty: none."""
     settings: str = ""
     """Where its own settings are, if it has some; they are the user's."""
 
-    def filled(self, text: str, word: str, system: System) -> tuple[str, str]:
-        return self.fill(text, word, system) if self.fill else (text, self.remark)
-
-
-def _bridge_user(text: str) -> str:
-    return next((line.partition("=")[2] for line in text.splitlines() if line.startswith("User=")), "")
-
-
-def _bridge_problem(user: str, system: System) -> str:
-    if user == USER:
-        return f" {user}: that is the service's own user; name the user of your ROS nodes"
-    if user not in system.accounts("passwd"):
-        return f" {user}: no such user; name the one that runs the robot's other nodes"
-    return ""
-
-
-def _bridge(text: str, user: str, system: System) -> tuple[str, str]:
-    # The newest ROS 2 that is there.
-    found = max(glob.glob(ROS_SETUPS, root_dir=system.root), default=ROS_SETUP.lstrip("/"))
-    text = text.replace("User=robot\n", f"User={user}\n").replace(ROS_SETUP, f"/{found}")
-    return text, f"the bridge to ROS 2, as the user {user}"
-
-
-def _fleet_problem(_: str, system: System) -> str:
-    if os.path.isfile(system.at(KEY_PLACE)):
+    def problem(self, word: str, system: System) -> str:
+        """Why the word can't be; empty: it can."""
         return ""
-    return (
-        f": there is no {KEY_PLACE}: copy the fleet's key there (chmod 600), or make it, once for the "
-        "whole fleet, with `failstop fleet key`"
-    )
+
+    def word_of(self, text: str) -> str:
+        """The word by which this text of an installed unit was made."""
+        return YES
 
 
-def _page(text: str, word: str, _: System) -> tuple[str, str]:
-    if word == VIEW:
-        return text, "the operator's page: it sees and stops"
-    text = text.replace(PAGE_USER, PAGE_USER + MAY_DRIVE)
-    return text, "the operator's page; paired devices reset and enable (web.pairing)"
+class Bridge(Extra):
+    """The bridge to ROS 2, by the name of the user that it runs as."""
+
+    def problem(self, word: str, system: System) -> str:
+        if word == USER:
+            return f" {word}: that is the service's own user; name the user of your ROS nodes"
+        if word not in system.accounts("passwd"):
+            return f" {word}: no such user; name the one that runs the robot's other nodes"
+        return ""
+
+    def word_of(self, text: str) -> str:
+        return next((line.partition("=")[2] for line in text.splitlines() if line.startswith("User=")), "")
+
+    def filled(self, text: str, word: str, system: System) -> tuple[str, str]:
+        # The newest ROS 2 that is there.
+        found = max(glob.glob(ROS_SETUPS, root_dir=system.root), default=ROS_SETUP.lstrip("/"))
+        text = text.replace("User=robot\n", f"User={word}\n").replace(ROS_SETUP, f"/{found}")
+        return text, f"the bridge to ROS 2, as the user {word}"
+
+
+class Fleet(Extra):
+    """The robot in its fleet."""
+
+    def problem(self, word: str, system: System) -> str:
+        if os.path.isfile(system.at(KEY_PLACE)):
+            return ""
+        return (
+            f": there is no {KEY_PLACE}: copy the fleet's key there (chmod 600), or make it, once for the "
+            "whole fleet, with `failstop fleet key`"
+        )
+
+
+class Page(Extra):
+    """The operator's page, by what its devices may do."""
+
+    def word_of(self, text: str) -> str:
+        return OPERATE if MAY_DRIVE in text else VIEW
+
+    def filled(self, text: str, word: str, system: System) -> tuple[str, str]:
+        if word == VIEW:
+            return text, "the operator's page: it sees and stops"
+        text = text.replace(PAGE_USER, PAGE_USER + MAY_DRIVE)
+        return text, "the operator's page; paired devices reset and enable (web.pairing)"
 
 
 def _unit(name: str) -> tuple[str, str]:
@@ -151,34 +160,29 @@ OWN = (
     Row("fish", "/usr/local/share/fish/vendor_completions.d/failstop.fish", "completion for fish"),
 )
 """What every installation has."""
-BRIDGE = Extra(
+FLEET_SAYS = "the robot is seen on its broker, and obeys a stop of its fleet"
+BRIDGE = Bridge(
     *_unit("failstop-ros2.service"),
     "",
     boot=True,
     option="--ros2-user",
     started="ROS 2 nodes drive through the service",
-    word_of=_bridge_user,
-    fill=_bridge,
-    problem=_bridge_problem,
 )
-FLEET = Extra(
+FLEET = Fleet(
     *_unit("failstop-fleet.service"),
-    "the robot is seen on its broker, and obeys a stop of its fleet",
+    FLEET_SAYS,
     boot=True,
     option="--fleet",
-    started="the robot is seen on its broker, and obeys a stop of its fleet",
-    problem=_fleet_problem,
+    started=FLEET_SAYS,
     needs="fleet",
     settings=PLACE,
 )
-PAGE = Extra(
+PAGE = Page(
     *_unit("failstop-web.service"),
     "",
     boot=True,
     option="--web",
     started="the address: failstop web pair",
-    word_of=lambda text: OPERATE if MAY_DRIVE in text else VIEW,
-    fill=_page,
     needs="web",
 )
 EXTRAS = (BRIDGE, FLEET, PAGE)

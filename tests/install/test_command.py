@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from failstop.cli import main as cli
-from failstop.cli.commands import install
 from failstop.install import InstallError, plan, tree
 from failstop.install.system import System
 from failstop.version import VERSION
@@ -124,10 +123,11 @@ def test_without_root_the_command_to_type_is_said(
     assert f"needs root: sudo /venv/bin/failstop {command} --root '/a b'" in capsys.readouterr().err
 
 
-def test_without_systemd_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_systemd_that_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(os.path, "isdir", lambda path: False)
-    with pytest.raises(InstallError, match=r"systemd does not run this machine: `failstop run` .*`--root DIR`"):
-        install.need_systemd()
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    assert cli.main(["install"]) == 1
+    assert "systemd does not run this machine: `failstop run` is the service" in capsys.readouterr().err
 
 
 PURGE_A_MOUNT = """

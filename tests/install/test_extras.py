@@ -10,7 +10,6 @@ from failstop.fleet import settings
 from failstop.fleet.settings import KEY_PLACE
 from failstop.fleet.settings import PLACE as FLEET_PLACE
 from failstop.install import InstallError, rows
-from failstop.install.do import Run
 from failstop.install.plan import Request, uninstall
 from failstop.install.rows import BRIDGE, EXTRAS, FLEET, MAY_DRIVE, OPERATE, PAGE, PAGE_USER, VIEW, YES, Extra
 from tests.install.scene import GROUP, LIVE, PASSWD, TEXTS, PlayedSystem, bare, installed, planned, running, shown
@@ -73,16 +72,10 @@ def test_uninstall_takes_it_away_and_leaves_settings_and_key(root: Path, extra: 
 
 
 def test_the_bridge_is_that_user_s_and_sources_the_newest_ros(root: Path) -> None:
-    plan = installed(root, asking(BRIDGE, "anna"), BROUGHT)
+    installed(root, asking(BRIDGE, "anna"), BROUGHT)
     assert "User=anna\n" in unit(root, BRIDGE)
     assert "/opt/ros/jazzy/setup.sh /opt/failstop/bin/failstop ros2\n" in unit(root, BRIDGE)
-    words = ("usermod", "--append", "--groups", "failstop", "anna")
-    assert words in [step.words for step in plan.steps if isinstance(step, Run)]
-
-
-def test_who_is_a_member_already_is_not_made_one(root: Path) -> None:
-    (root / "etc/group").write_text(GROUP.replace("990:", "990:anna"))
-    assert not [line for line in shown(planned(PlayedSystem(root), asking(BRIDGE, "anna"), BROUGHT)) if "anna" in line]
+    assert "SupplementaryGroups=failstop\n" in unit(root, BRIDGE), "it may drive"
 
 
 def test_the_fleet_has_its_key_and_an_example_of_settings_that_are_the_users(root: Path) -> None:

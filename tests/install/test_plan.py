@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 
 from failstop.install import InstallError, plan
-from failstop.install.do import Discard, Put, Run, Start, Step, Tree
+from failstop.install.do import Discard, Put, Run, Start, Step
 from failstop.install.plan import Plan, Request, uninstall, uninstall_instance
-from failstop.install.system import MANIFEST, PREFIX, Manifest
+from failstop.install.system import MANIFEST, PREFIX, Content, Manifest
+from failstop.install.tree import Environment
 from tests.install.scene import (
     EXAMPLE,
     GROUP,
@@ -46,7 +47,7 @@ def remarks(plan: Plan) -> dict[str, str]:
     return {step.subject: step.remark for step in plan.steps}
 
 
-def put(plan: Plan, path: str) -> bytes | str | None:
+def put(plan: Plan, path: str) -> Content | Environment:
     [step] = [step for step in plan.steps if isinstance(step, Put) and step.subject == path]
     return step.content
 
@@ -192,7 +193,7 @@ def test_a_second_robot_is_an_instance_with_a_board_of_its_own(root: Path) -> No
 def test_another_environment_is_called_where_it_is(root: Path) -> None:
     request = dataclasses.replace(LIVE, command="/srv/venv/bin/failstop")
     made = plan.install(TEXTS, request, None, PlayedSystem(root))
-    assert not [step for step in made.steps if isinstance(step, Tree)]
+    assert not [step for step in made.steps if isinstance(step, Put) and isinstance(step.content, Environment)]
     listed = put(made, MANIFEST)
     assert isinstance(listed, bytes)
     assert Manifest.load(listed).command == request.command
@@ -258,7 +259,7 @@ def removed(steps: tuple[Step, ...]) -> set[str]:
 
 
 def test_uninstall_takes_away_all_that_install_wrote_but_the_configuration(root: Path) -> None:
-    written = {step.subject for step in installed(root).steps if isinstance(step, (Put, Tree))}
+    written = {step.subject for step in installed(root).steps if isinstance(step, Put)}
     plan = uninstall(running(root))
     assert removed(plan.steps) == written - {SETTINGS}
     assert shown(plan)[0] == "stop failstop.service"
@@ -360,10 +361,11 @@ def test_without_a_start_nothing_is_started_and_what_ran_stays_stopped(root: Pat
 
 def test_the_list_of_what_is_installed_is_there_before_anything_else_is(root: Path) -> None:
     steps = planned(PlayedSystem(root)).steps
-    first = next(step for step in steps if isinstance(step, (Put, Tree)))
-    assert isinstance(first, Tree)
-    listed = Manifest.load(first.manifest)
-    assert {*listed.files, *listed.links} == {step.subject for step in steps if isinstance(step, Put)} - {SETTINGS}
+    first = next(step for step in steps if isinstance(step, Put))
+    assert isinstance(first.content, Environment)
+    listed = Manifest.load(next(entry.data for entry in first.content.entries if entry.path == "install.json"))
+    put = {step.subject for step in steps if isinstance(step, Put)}
+    assert {PREFIX, SETTINGS, *listed.files, *listed.links} == put
 
 
 @pytest.mark.parametrize(

@@ -71,18 +71,21 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Do it. Raises InstallError, Refused, SettingError; then nothing is changed."""
-    root = arguments.root
-    if root is not None and not os.path.isdir(root):
-        raise InstallError(f"--root {root}: no such directory")
-    dry = arguments.dry_run or arguments.json
-    if not dry:
-        need_root()
-        if root is None:
-            need_systemd()
-    return _install(arguments, dry) if arguments.command == "install" else _uninstall(arguments)
+    if arguments.root is not None and not os.path.isdir(arguments.root):
+        raise InstallError(f"--root {arguments.root}: no such directory")
+    if not (arguments.dry_run or arguments.json):
+        if os.geteuid():
+            words = [os.path.abspath(sys.argv[0]), *sys.argv[1:]]
+            raise InstallError(f"this changes the system, which needs root: sudo {shlex.join(words)}")
+        if arguments.root is None and not os.path.isdir("/run/systemd/system"):
+            raise InstallError(
+                "systemd does not run this machine: `failstop run` is the service in the foreground, "
+                "`--root DIR` installs into the files of another system"
+            )
+    return _install(arguments) if arguments.command == "install" else _uninstall(arguments)
 
 
-def _install(arguments: Namespace, dry: bool) -> int:
+def _install(arguments: Namespace) -> int:
     system, request, texts = System(arguments.root, arguments.wait), _request(arguments), rows.texts()
     # Of the extras that are there already too: a new environment takes the place of the one that they run in.
     there = plan.chosen(request, system)
@@ -91,21 +94,16 @@ def _install(arguments: Namespace, dry: bool) -> int:
     environment = None if arguments.use_running_venv else tree.running(PREFIX, tree.interpreter(), needs)
     made = plan.install(texts, request, environment, system)
     # What would be done can be shown without a board.
-    if not dry:
+    if not (arguments.dry_run or arguments.json):
         plan.refuse_absent(request, system)
     if not (made.steps or arguments.json):
         print(f"nothing to do: failstop {VERSION} is installed{' and runs' if system.live and request.start else ''}")
         return 0
-    units = ", ".join(made.restarts)
     heading = f"failstop {VERSION}, to be installed {'here' if system.live else f'in {system.root}'}"
-    question = f"{units} is restarted: THE WHEELS STOP. Go ahead?" if units else "Go ahead?"
-    refusal = ""
-    if units and arguments.yes and not arguments.restart:
-        refusal = (
-            f"{units} runs and would be restarted, which stops the wheels: say --restart too, "
-            f"or stop it first (systemctl stop {' '.join(made.restarts)})"
-        )
-    if _carry_out(made, heading, question, arguments, system, refusal):
+    question, units = "Go ahead?", ", ".join(made.restarts)
+    if units:
+        question = f"{units} is restarted: THE WHEELS STOP. Go ahead?"
+    if _carry_out(made, heading, question, arguments, system):
         print(_done(request, system, environment.interpreter if environment else request.command))
     return 0
 
@@ -116,9 +114,8 @@ def _uninstall(arguments: Namespace) -> int:
         made = plan.uninstall_instance(instance.check_name(arguments.name), system, arguments.purge)
     else:
         made = plan.uninstall(system, arguments.purge)
-    heading = f"to be removed{'' if system.live else f' from {system.root}'}"
     question = "The wheels stop. Go ahead?" if made.restarts else "Go ahead?"
-    if _carry_out(made, heading, question, arguments, system):
+    if _carry_out(made, f"to be removed{'' if system.live else f' from {system.root}'}", question, arguments, system):
         print("done")
     return 0
 
@@ -161,9 +158,7 @@ def _done(request: Request, system: System, runs: str) -> str:
     )
 
 
-def _carry_out(
-    made: Plan, heading: str, question: str, arguments: Namespace, system: System, refusal: str = ""
-) -> bool:
+def _carry_out(made: Plan, heading: str, question: str, arguments: Namespace, system: System) -> bool:
     """Show a plan, ask, and do it; False when it was only to be shown. Raises InstallError, Refused."""
     shown = [step for step in made.steps if step.verb]
     if arguments.json:
@@ -171,17 +166,17 @@ def _carry_out(
         print(json.dumps({"steps": steps, "notes": made.notes, "restarts": made.restarts}, indent=2))
         return False
     width = max((len(step.verb) for step in shown), default=0)
-    print(f"{heading}:\n")
-    for step in shown:
-        print(f"{step.verb:<{width}}  {step.subject}{f': {step.remark}' if step.remark else ''}")
-    for note in made.notes:
-        print(f"{'note':<{width}}  {note}")
-    print()
+    lines = [f"{step.verb:<{width}}  {step.subject}{f': {step.remark}' if step.remark else ''}" for step in shown]
+    print(f"{heading}:\n", *lines, *(f"{'note':<{width}}  {note}" for note in made.notes), "", sep="\n")
     if arguments.dry_run:
         return False
-    if refusal:
-        raise Refused(refusal)
-    consent(question, arguments.yes)
+    if not arguments.yes:
+        _consent(question)
+    elif made.restarts and not getattr(arguments, "restart", True):
+        raise Refused(
+            f"{', '.join(made.restarts)} runs and would be restarted, which stops the wheels: say --restart too, "
+            f"or stop it first (systemctl stop {' '.join(made.restarts)})"
+        )
     # SIGTERM and a terminal's hang-up end this as Ctrl-C does: with everything changed back.
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)
@@ -190,26 +185,7 @@ def _carry_out(
     return True
 
 
-def need_root() -> None:
-    """Raise InstallError with the command to type unless this is root."""
-    if os.geteuid():
-        words = [os.path.abspath(sys.argv[0]), *sys.argv[1:]]
-        raise InstallError(f"this changes the system, which needs root: sudo {shlex.join(words)}")
-
-
-def need_systemd() -> None:
-    """Raise InstallError unless systemd runs this machine."""
-    if not os.path.isdir("/run/systemd/system"):
-        raise InstallError(
-            "systemd does not run this machine: `failstop run` is the service in the foreground, "
-            "`--root DIR` installs into the files of another system"
-        )
-
-
-def consent(question: str, yes: bool) -> None:
-    """Ask on the terminal unless the answer was given. Raises Refused."""
-    if yes:
-        return
+def _consent(question: str) -> None:
     if not sys.stdin.isatty():
         raise Refused("nobody to ask: say --yes, or look first with --dry-run")
     try:
