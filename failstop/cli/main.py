@@ -174,9 +174,7 @@ def _run(name: str, words: list[str]) -> int:
     except BrokenPipeError:
         return 1
     except Exception as error:
-        from failstop.descriptors import lack
-
-        if lacking := lack(error):
+        if lacking := _lack(error):
             standard.say(lacking)
             return 1
         if not _expected(error):
@@ -184,6 +182,21 @@ def _run(name: str, words: list[str]) -> int:
         standard.say(str(error))
         return getattr(error, "exit_code", 1)
     return code
+
+
+def _lack(error: BaseException | None) -> str:
+    """What people are told of an error that came of too many open files, whatever was made of it on its way; of another
+    one an empty text."""
+    import errno
+    import resource
+
+    from failstop.procs.limits import no_descriptors
+
+    while error is not None:
+        if isinstance(error, OSError) and error.errno == errno.EMFILE:
+            return no_descriptors(resource.getrlimit(resource.RLIMIT_NOFILE)[0])
+        error = error.__cause__ or error.__context__
+    return ""
 
 
 def _expected(error: Exception) -> bool:

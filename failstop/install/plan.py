@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 from collections.abc import Collection, Mapping
 
@@ -252,7 +253,8 @@ def _settings(
 ) -> dict[str, tuple[bytes, str]]:
     """The examples, where there are no settings: those are the user's, and stay as they are."""
     device = device_of(request, system)
-    text = texts[rows.SETTINGS].replace(f'path = "{BY_KEY[DEVICE].default}"', f'path = "{device}"', 1)
+    # What JSON writes a text as, TOML reads as that text.
+    text = texts[rows.SETTINGS].replace(json.dumps(BY_KEY[DEVICE].default), json.dumps(device, ensure_ascii=False), 1)
     examples = {config.file_of(request.name): (text.encode(), f"your settings; the board at {device}")}
     if FLEET in there:
         examples[FLEET.settings] = (texts[rows.FLEET_SETTINGS].encode(), "where its broker is: look at it")

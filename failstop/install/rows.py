@@ -13,7 +13,6 @@ import os
 from importlib import resources
 
 from failstop.fleet.settings import KEY_PLACE, PLACE
-from failstop.install import InstallError
 from failstop.install.system import PREFIX, System
 
 UNIT_COMMAND = f"{PREFIX}/bin/failstop"
@@ -195,23 +194,16 @@ def unit_file(unit: str) -> str:
 
 
 def texts() -> dict[str, str]:
-    """The texts of this version by their names. Raises InstallError when its files are not there."""
+    """The texts of this version by their names."""
     from failstop.cli.commands import completion
     from failstop.cli.commands.config import example
     from failstop.fleet import settings
 
     generated = {shell: completion.script(shell) for shell in completion.SHELLS}
     generated |= {SETTINGS: example(), FLEET_SETTINGS: settings.example()}
-    return generated | {row.source: _text(row.source) for row in ROWS if row.source not in generated}
-
-
-def _text(name: str) -> str:
-    try:
-        return (resources.files("failstop") / "systemd" / name).read_text(encoding="utf-8")
-    except OSError as error:
-        raise InstallError(
-            f"this failstop comes without its file systemd/{name} ({error.strerror}): install it again with pip"
-        ) from None
+    folder = resources.files("failstop") / "systemd"
+    names = [row.source for row in ROWS if row.source not in generated]
+    return generated | {name: (folder / name).read_text(encoding="utf-8") for name in names}
 
 
 def wanted_by(unit: str) -> list[str]:

@@ -199,7 +199,6 @@ def test_a_configuration_that_this_version_refuses_is_said_before_anything_is_do
     [
         (("--name", "A B"), "name 'A B'"),
         (("--device", ""), "--device"),
-        (("--device", 'a"b'), "no path of a port has quotes"),
         (("--name", "front"), "robot 'front' needs a board of its own"),
     ],
 )

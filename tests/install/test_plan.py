@@ -174,6 +174,12 @@ def test_the_device_is_written_into_a_new_configuration_and_nothing_else_is_chan
     assert put(plan, SETTINGS) == EXAMPLE.replace("/dev/ttyACM0", "/dev/board").encode()
 
 
+def test_any_device_is_read_again_as_it_was_named(root: Path) -> None:
+    device = '/dev/a "quoted" \\ bärd 🤖'
+    installed(root, dataclasses.replace(LIVE, device=device))
+    assert plan.configured_device(LIVE, PlayedSystem(root)) == device
+
+
 def test_a_second_robot_is_an_instance_with_a_board_of_its_own(root: Path) -> None:
     installed(root)
     front = Request("front", "/dev/ttyACM1")

@@ -201,8 +201,3 @@ def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
 def test_units_are_read_as_systemd_reads_them() -> None:
     assert rows.wanted_by(UNIT) == ["multi-user.target", "some.device"]
     assert rows.wanted_by("[Install]\n#WantedBy=a\nWantedBy=b\nWantedBy=c d\n") == ["b", "c", "d"]
-
-
-def test_an_incomplete_package_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InstallError, match=r"comes without its file systemd/absent .*install it again"):
-        rows._text("absent")

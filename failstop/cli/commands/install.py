@@ -124,8 +124,6 @@ def _request(arguments: Namespace) -> Request:
     instance.check_name(arguments.name)
     if arguments.device is not None:
         BY_KEY["device.path"].check(arguments.device, "--device")
-        if '"' in arguments.device or "\\" in arguments.device:
-            raise InstallError(f"--device {arguments.device}: no path of a port has quotes or backslashes")
     return Request(
         arguments.name,
         arguments.device or "",
