@@ -20,10 +20,13 @@ from failstop.shm.instance import DEFAULT_NAME
 from failstop.version import VERSION
 
 DEVICE = "device.path"
-TRIGGERED = (("--subsystem-match=tty",), ("--subsystem-match=usb", f"--attr-match=idVendor={BOARD_VID:04x}"))
-"""Which devices the rule is about, in udevadm's words."""
-SETTLE_S = 5
-"""How long the new rule may take to name a board that is plugged in; else the service waits for it."""
+NAME_BOARD = (
+    ("udevadm", "trigger", "--subsystem-match=tty"),
+    ("udevadm", "trigger", "--subsystem-match=usb", f"--attr-match=idVendor={BOARD_VID:04x}"),
+    ("udevadm", "settle", "--timeout=5"),
+)
+"""Have the new rule name a board that is plugged in, and treat its USB device; where that takes longer the service
+waits for it."""
 NO_SUCH_GROUP = 6
 """groupdel's exit code, when userdel has taken the group along."""
 ACCOUNT_FILES = (
@@ -91,7 +94,7 @@ def install(texts: Mapping[str, str], request: Request, environment: Environment
         *puts,
         *accounts,
         *told,
-        *(_name_board() if rows.UDEV in changed and system.udev else ()),
+        *(_run(*words, accepted=(0, 1)) for words in NAME_BOARD if rows.UDEV in changed and system.udev),
         *([_check(request)] if system.live and (environment or accounts or changed - links.keys()) else ()),
         *(_starts(request, there, running, restarts) if system.live and request.start else ()),
     ]
@@ -327,12 +330,6 @@ def _telling(changed: Collection[str], system: System) -> tuple[list[Run], list[
     return [Run("", " ".join(words), undo=words) for words in told], [*new, *(_run(*words) for words in told)]
 
 
-def _name_board() -> list[Run]:
-    """Have the new rule name a board that is plugged in, and treat its USB device."""
-    settle = ("udevadm", "settle", f"--timeout={SETTLE_S}")
-    return [*(_run("udevadm", "trigger", *which) for which in TRIGGERED), _run(*settle, accepted=(0, 1))]
-
-
 def _run(*words: str, changes: tuple[str, ...] = (), accepted: tuple[int, ...] = (0,)) -> Run:
     """A program of the system, shown as it is called."""
     return Run("run", " ".join(words), words=words, changes=changes, accepted=accepted)
@@ -357,7 +354,8 @@ def _purge(system: System) -> list[Step]:
     ]
     # With another home it is a person's, or another program's.
     if system.accounts("passwd").get(USER, [])[5:6] == [STATE]:
-        user, group = ((program, *system.prefix_option, USER) for program in ("userdel", "groupdel"))
+        prefix = () if system.live else ("--prefix", system.root)
+        user, group = ((program, *prefix, USER) for program in ("userdel", "groupdel"))
         steps.append(Run("remove", f"user {USER}", words=user, changes=ACCOUNT_FILES))
         accepted = (0, NO_SUCH_GROUP)
         steps.append(Run("", f"group {USER}", words=group, changes=ACCOUNT_FILES, accepted=accepted))

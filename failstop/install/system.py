@@ -103,11 +103,6 @@ class System:
         """What systemd's programs are told of the root."""
         return () if self.live else (f"--root={self.root}",)
 
-    @property
-    def prefix_option(self) -> tuple[str, ...]:
-        """The same for the programs that change accounts."""
-        return () if self.live else ("--prefix", self.root)
-
     @cached_property
     def manifest(self) -> Manifest | None:
         """What an installation has put there; None: there is none. Raises InstallError when its list is damaged."""

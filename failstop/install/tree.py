@@ -12,7 +12,6 @@ import importlib.metadata
 import os
 import py_compile
 import re
-import stat
 import sys
 import warnings
 from collections.abc import Collection, Iterator
@@ -224,16 +223,7 @@ def interpreter() -> str:
 
 
 def unreachable(path: str) -> str:
-    """Why the service's user could not run or read this file; empty: it can."""
+    """Why the service could not run this file, as far as can be seen before it is tried; empty: it can."""
     if path.startswith(HIDDEN_FROM_SERVICE):
         return f"{path.split('/')[1]} is hidden from it"
-    part, refusal = path, "others may not execute it"
-    try:
-        while os.stat(part).st_mode & stat.S_IXOTH:
-            if part == "/":
-                return ""
-            part = os.path.dirname(part)
-            refusal = f"others may not enter {part}"
-    except OSError as error:
-        return error.strerror.lower() if error.strerror else str(error)
-    return refusal
+    return "" if os.access(path, os.X_OK) else "it is not there, or can't be run"

@@ -67,8 +67,9 @@ def main(arguments: Namespace) -> int:
     """Stop. Exit code 1, though a stop was written, where it is not known to be the right port, and for --end-service
     where that is not allowed; raises FailstopError when no stop could be written in time, SettingError for an option
     that is not allowed."""
+    reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
-        return _every_service(arguments)
+        return _every_service(reason, who)
     start_s = time.monotonic()
     port = Port(arguments)
     if arguments.end_service:
@@ -77,7 +78,7 @@ def main(arguments: Namespace) -> int:
         standard.tell(f"stop frame sent (after {after_s:.1f} s)")
         return int(port.doubtful() or misused)
     try:
-        if _by_service(arguments, port):
+        if _by_service(arguments.name, reason, who, port):
             return 0
     except Exception as error:  # whatever it is, the port is still to be written to
         standard.say(f"no service can be asked ({error}): writing to the port itself")
@@ -87,30 +88,29 @@ def main(arguments: Namespace) -> int:
     return int(port.doubtful())
 
 
-def _every_service(arguments: Namespace) -> int:
+def _every_service(reason: str, who: str) -> int:
     """Ask each that listens; 1 when one is not known to have stopped."""
     from failstop.api import ask
 
-    problems = 0
-    for name in instances.listening():
-        done, problem = ask.stop(name, " ".join(arguments.reason), f"failstop {arguments.command}")
-        problems += not done
-        for line, tell in ((done, standard.tell), (problem, standard.say)):
-            if line:
-                tell(line)
-    return int(problems > 0)
+    # All of them before anybody is told, for that may be held up.
+    answers = [ask.stop(name, reason, who) for name in instances.listening()]
+    for done, problem in answers:
+        if done:
+            standard.tell(done)
+        if problem:
+            standard.say(problem)
+    return int(not all(done for done, _ in answers))
 
 
-def _by_service(arguments: Namespace, port: Port) -> bool:
+def _by_service(wanted: str, reason: str, who: str, port: Port) -> bool:
     """Ask a service that runs; True when a stop is out."""
-    names, unseen = _services(arguments.name, port.wanted())
+    names, unseen = _services(wanted, port.wanted())
     if not names and not unseen:
         return False
     # For a service alone: the stop tool, where nothing runs, need not wait for all that these import.
     from failstop.api import ask
     from failstop.shm import records
 
-    reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     for name in names:
         done, problem = ask.stop(name, reason, who)
         if done:
