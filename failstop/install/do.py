@@ -102,6 +102,9 @@ class Doer:
         path = self._system.at(step.subject)
         match step:
             case Put():
+                # What an installation that lost its power has left.
+                remove(path + NEW)
+                remove(path + OLD)
                 self._keep([path])
                 put(path, step.content)
                 self._last.append(partial(remove, path + OLD))
@@ -136,18 +139,15 @@ def put(path: str, new: Content | Environment, owner: tuple[int, int] | None = N
     for folder in _missing_parents([path]):
         os.mkdir(folder)
         os.chmod(folder, 0o755)
-    beside, aside = path + NEW, path + OLD
+    beside = path + NEW
     try:
-        # What an installation that lost its power has left.
-        remove(beside)
-        remove(aside)
         if new is None:
             remove(path)
             return
         if isinstance(new, Environment):
             new.write(beside)
             if os.path.isdir(path):
-                os.rename(path, aside)
+                os.rename(path, path + OLD)
         elif isinstance(new, str):
             os.symlink(new, beside)
         else:
