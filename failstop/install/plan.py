@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import PurePosixPath
 
 from failstop import config
 from failstop.discovery import BOARD_VID, LINK
@@ -67,30 +68,27 @@ def install(texts: Mapping[str, str], request: Request, environment: Environment
     there = chosen(request, system)
     _refuse(request, there, system)
     wanted, settings = _wanted(texts, request, there, system), _settings(texts, request, there, system)
-    files = {path: sha256(content) for path, (content, _) in wanted.items() if isinstance(content, bytes)}
-    links = {path: content for path, (content, _) in wanted.items() if isinstance(content, str)}
-    gone = [path for path in before.files if path not in files]
-    puts = [
-        *(step for path in gone for step in _put(path, None, system, "of another version")),
-        *(step for path, (content, remark) in wanted.items() for step in _put(path, content, system, remark)),
-        *(step for path, (content, remark) in settings.items() for step in _put(path, content, system, remark)),
-    ]
-    changed = {step.subject for step in puts}
+    files = {put.subject: sha256(put.content) for put in wanted if isinstance(put.content, bytes)}
+    links = {put.subject: put.content for put in wanted if isinstance(put.content, str)}
+    gone = [_put(path, None, system, "of another version") for path in before.files if path not in files]
+    puts = _differing([*gone, *wanted, *settings], system)
+    changed = {put.subject for put in puts}
     if environment and environment.is_at(system.at(PREFIX), MANIFEST_NAME):
         environment = None
     running = active(system)
     restarts = running if environment or any(rows.unit_file(unit) in changed for unit in running) else ()
     accounts = _make_accounts(system)
-    needed = dict.fromkeys(part for path in (*wanted, *settings, MANIFEST) for part in _parents(path))
-    made = [part for part in needed if part != PREFIX and not os.path.isdir(system.at(part))]
-    directories = tuple(dict.fromkeys([*before.directories, *made]))
-    manifest = Manifest(VERSION, request.command, files, {**before.links, **links}, directories).dump()
+    paths = (PREFIX, *(put.subject for put in (*wanted, *settings)))
+    folders = {str(folder) for path in paths for folder in PurePosixPath(path).parents}
+    made = {folder for folder in folders if not os.path.isdir(system.at(folder))}
+    directories = tuple(sorted({*before.directories, *made}))
+    manifest = Manifest(VERSION, request.command, files, {**before.links, **links}, directories)
     undoing, told = _telling(changed, system)
     steps = [
         *_stops(restarts),
         *undoing,
         # First the list: what was cut short by a power failure can be taken away, or done again.
-        *([_tree(environment, manifest, system)] if environment else _put(MANIFEST, manifest, system)),
+        *_listing(manifest, environment, system),
         *puts,
         *accounts,
         *told,
@@ -100,7 +98,7 @@ def install(texts: Mapping[str, str], request: Request, environment: Environment
     ]
     configuration = config.file_of(request.name)
     notes = {
-        f"{configuration} is yours and stays as it is": configuration not in settings,
+        f"{configuration} is yours and stays as it is": configuration not in {put.subject for put in settings},
         "udev does not run here: its rule takes effect when it does": system.live and not system.udev,
     }
     return Plan(tuple(steps), tuple(note for note, holds in notes.items() if holds), restarts)
@@ -132,10 +130,10 @@ def uninstall_instance(name: str, system: System, purge: bool = False) -> Plan:
     left = {path: target for path, target in manifest.links.items() if path not in gone}
     steps: list[Step] = [
         *_take(gone, running, name, system, "no longer starts at boot"),
-        *_put(MANIFEST, dataclasses.replace(manifest, links=left).dump(), system),
+        *_listing(dataclasses.replace(manifest, links=left), None, system),
     ]
     if purge:
-        steps += _put(config.file_of(name), None, system, "your settings")
+        steps += _differing([_put(config.file_of(name), None, system, "your settings")], system)
         steps.append(Discard("remove", f"{STATE}/{name}", "logs and incidents"))
     return Plan(tuple(steps), (), running)
 
@@ -221,19 +219,9 @@ def _refuse(request: Request, there: Collection[Row], system: System) -> None:
         )
 
 
-def _parents(path: str) -> list[str]:
-    """The directories that hold a path, the outermost first, without the root."""
-    above = os.path.dirname(path)
-    return [] if above == "/" else [*_parents(above), above]
-
-
-def _wanted(
-    texts: Mapping[str, str], request: Request, there: Mapping[Row, str], system: System
-) -> dict[str, tuple[bytes | str, str]]:
-    """Content and remark of every file but the settings, and of every link: the command's, and those of what starts
-    with the machine."""
-    files: dict[str, tuple[bytes | str, str]] = {}
-    links: dict[str, tuple[bytes | str, str]] = {rows.COMMAND_LINK: (request.command, "the command")}
+def _wanted(texts: Mapping[str, str], request: Request, there: Mapping[Row, str], system: System) -> list[Put]:
+    """Every file but the settings, and every link: the command's, and those of what starts with the machine."""
+    files, links = [], [_put(rows.COMMAND_LINK, request.command, system, "the command")]
     listed = system.manifest.files if system.manifest else {}
     for row, word in there.items():
         text, remark = row.filled(texts[row.source], word, system)
@@ -241,40 +229,48 @@ def _wanted(
             text = text.replace(rows.UNIT_COMMAND, request.command)
         old = system.content(row.place)
         by_hand = isinstance(old, bytes) and sha256(old) != listed.get(row.place)
-        files[row.place] = (text.encode(), f"{remark}; it was changed by hand" if by_hand else remark)
+        files.append(_put(row.place, text.encode(), system, remark + "; it was changed by hand" * by_hand))
         if row.boot:
             unit = unit_of(request.name) if row.source == rows.SERVICE else row.source
             source = rows.unit_file(unit)
             for target in rows.wanted_by(texts[os.path.basename(source)]):
                 why = "before a sleep" if target == "sleep.target" else "starts at boot"
-                links[f"{UNITS}/{target}.wants/{unit}"] = (source, why)
-    return files | links
+                links.append(_put(f"{UNITS}/{target}.wants/{unit}", source, system, why))
+    return files + links
 
 
-def _settings(
-    texts: Mapping[str, str], request: Request, there: Collection[Row], system: System
-) -> dict[str, tuple[bytes, str]]:
+def _settings(texts: Mapping[str, str], request: Request, there: Collection[Row], system: System) -> list[Put]:
     """The examples, where there are no settings: those are the user's, and stay as they are."""
     device = device_of(request, system)
     # What JSON writes a text as, TOML reads as that text.
-    text = texts[rows.SETTINGS].replace(json.dumps(BY_KEY[DEVICE].default), json.dumps(device, ensure_ascii=False), 1)
-    examples = {config.file_of(request.name): (text.encode(), f"your settings; the board at {device}")}
+    said = json.dumps(device, ensure_ascii=False)
+    text = texts[rows.SETTINGS].replace(json.dumps(BY_KEY[DEVICE].default), said, 1)
+    examples = [_put(config.file_of(request.name), text.encode(), system, f"your settings; the board at {device}")]
     if FLEET in there:
-        examples[FLEET.settings] = (texts[rows.FLEET_SETTINGS].encode(), "where its broker is: look at it")
-    return {path: example for path, example in examples.items() if system.content(path) is None}
+        text = texts[rows.FLEET_SETTINGS]
+        examples.append(_put(FLEET.settings, text.encode(), system, "where its broker is: look at it"))
+    return [put for put in examples if put.verb == "create"]
 
 
-def _put(path: str, content: Content, system: System, remark: str = "") -> list[Put]:
-    """The step to a file, a link or nothing at a path, if it is not so; that of the list is not shown."""
-    there = system.content(path)
-    verb = "" if path == MANIFEST else "remove" if content is None else "create" if there is None else "replace"
-    return [Put(verb, path, remark, content)] if there != content else []
+def _put(path: str, content: Content, system: System, remark: str = "") -> Put:
+    """The step to a file, a link or nothing at a path."""
+    verb = "remove" if content is None else "create" if system.content(path) is None else "replace"
+    return Put(verb, path, remark, content)
 
 
-def _tree(environment: Environment, manifest: bytes, system: System) -> Put:
-    verb, remark = "replace" if system.holds(PREFIX) else "create", "failstop and what it needs, copied from here"
-    listed = dataclasses.replace(environment, entries=(*environment.entries, Entry(MANIFEST_NAME, data=manifest)))
-    return Put(verb, PREFIX, remark, listed)
+def _differing(puts: Sequence[Put], system: System) -> list[Put]:
+    """Those of which something else is there."""
+    return [put for put in puts if put.content != system.content(put.subject)]
+
+
+def _listing(manifest: Manifest, environment: Environment | None, system: System) -> list[Put]:
+    """The list of what is installed: in the new environment; or alone, and not shown."""
+    listed = manifest.dump()
+    if not environment:
+        return _differing([Put("", MANIFEST, content=listed)], system)
+    whole = dataclasses.replace(environment, entries=(*environment.entries, Entry(MANIFEST_NAME, data=listed)))
+    verb = "replace" if system.holds(PREFIX) else "create"
+    return [Put(verb, PREFIX, "failstop and what it needs, copied from here", whole)]
 
 
 def _listed_by(system: System) -> Manifest:
@@ -307,7 +303,7 @@ def _take(gone: Collection[str], units: Collection[str], name: str, system: Syst
     stopped, because of the end just now for one."""
     late = Run("", f"who tries to stop {name}", words=("systemctl", "stop", rows.LATE.replace("@", f"@{name}")))
     undoing, told = _telling(gone, system)
-    removing = [step for path in gone for step in _put(path, None, system, remark)]
+    removing = _differing([_put(path, None, system, remark) for path in gone], system)
     return [*_stops(units), *([late] if system.live else []), *undoing, *removing, *told]
 
 
