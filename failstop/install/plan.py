@@ -10,6 +10,7 @@ from pathlib import PurePosixPath
 
 from failstop import config
 from failstop.discovery import BOARD_VID, LINK
+from failstop.fleet.settings import PLACE
 from failstop.install import InstallError, rows
 from failstop.install.do import Discard, Put, Run, Start, Step
 from failstop.install.rows import EXTRAS, FLEET, OWN, PORT_GROUP, UNITS, USER, Extra, Row
@@ -248,7 +249,7 @@ def _settings(texts: Mapping[str, str], request: Request, there: Collection[Row]
     examples = [_put(config.file_of(request.name), text.encode(), system, f"your settings; the board at {device}")]
     if FLEET in there:
         text = texts[rows.FLEET_SETTINGS]
-        examples.append(_put(FLEET.settings, text.encode(), system, "where its broker is: look at it"))
+        examples.append(_put(PLACE, text.encode(), system, "where its broker is: look at it"))
     return [put for put in examples if put.verb == "create"]
 
 

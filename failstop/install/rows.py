@@ -12,7 +12,7 @@ import glob
 import os
 from importlib import resources
 
-from failstop.fleet.settings import KEY_PLACE, PLACE
+from failstop.fleet.settings import KEY_PLACE
 from failstop.install.system import PREFIX, System
 
 UNIT_COMMAND = f"{PREFIX}/bin/failstop"
@@ -73,8 +73,6 @@ class Extra(Row):
     """Shown where it is started."""
     needs: str = ""
     """The extra of failstop's that it runs on, as pip calls it; empty: none."""
-    settings: str = ""
-    """Where its own settings are, if it has some; they are the user's."""
 
     def problem(self, word: str, system: System) -> str:
         """Why the word can't be; empty: it can."""
@@ -174,7 +172,6 @@ FLEET = Fleet(
     option="--fleet",
     started=FLEET_SAYS,
     needs="fleet",
-    settings=PLACE,
 )
 PAGE = Page(
     *_unit("failstop-web.service"),

@@ -230,6 +230,18 @@ def test_remains_of_a_power_failure_do_not_matter(root: Path) -> None:
     assert sorted(os.listdir(root / "opt")) == ["failstop"]
 
 
+def test_a_failure_does_not_bring_back_what_a_power_failure_left(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    do(root, plan_for(root).steps)
+    before = snapshot(root)
+    (root / "opt" / f"failstop{OLD}/lib").mkdir(parents=True)
+    steps = plan_for(root, "2.0").steps
+    FullDisk(monkeypatch, "mkdir", 0)
+    with pytest.raises(InstallError, match="replace /opt/failstop: .*No space left"):
+        Doer(PlayedSystem(root)).do(steps)
+    monkeypatch.undo()
+    assert snapshot(root) == before
+
+
 def test_a_directory_with_something_of_somebody_else_stays(root: Path) -> None:
     do(root, plan_for(root).steps)
     (root / "usr/local/lib/systemd/catalog/other.catalog").write_text("other")
