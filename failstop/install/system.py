@@ -30,7 +30,6 @@ PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 RUN_S = 60.0
 READY_S = 20.0
 POLL_S = 0.05
-STATES = ("ActiveState", "SubState", "StatusText", "Result")
 
 Content = bytes | str | None
 """What is at a path: a file's bytes, a link's target, or neither of the two."""
@@ -129,8 +128,8 @@ class System:
         if not self.live:
             return ()
         states = "--state=active,activating,reloading"
-        result = _call(("systemctl", "list-units", states, "--plain", "--no-legend", *patterns))
-        return tuple(line.split()[0] for line in result.stdout.splitlines() if line.strip())
+        lines = _said("systemctl", "list-units", states, "--plain", "--no-legend", *patterns).splitlines()
+        return tuple(line.split()[0] for line in lines)
 
     def run(self, words: Sequence[str], accepted: Sequence[int] = (0,)) -> None:
         """Run a program to its end. Raises InstallError with what it said."""
@@ -141,18 +140,16 @@ class System:
 
     def start(self, unit: str) -> None:
         """Start a unit and wait until it says that it is ready. Raises InstallError with what it waits for."""
-        since_s = time.time()
+        since_s, until_s = time.time(), time.monotonic() + self._ready_s
         self.run(("systemctl", "reset-failed", unit), accepted=(0, 1))
         self.run(("systemctl", "start", "--no-block", unit))
-        until_s = time.monotonic() + self._ready_s
-        while True:
-            shown = _call(("systemctl", "show", "-p", ",".join(STATES), unit)).stdout.splitlines()
-            state = dict.fromkeys(STATES, "") | dict(line.split("=", 1) for line in shown if "=" in line)
-            if state["ActiveState"] == "active" and state["SubState"] == "running":
-                return
-            if state["ActiveState"] == "failed" or time.monotonic() > until_s:
-                why = "failed" if state["ActiveState"] == "failed" else f"is not ready after {self._ready_s:g} s"
-                says = state["StatusText"] or _first_words(unit, since_s) or state["Result"]
+        while (state := _said("systemctl", "is-active", unit)) != "active":
+            if state == "failed" or time.monotonic() > until_s:
+                why = "failed" if state == "failed" else f"is not ready after {self._ready_s:g} s"
+                own = ("-u", unit, "-t", "failstop", f"--since=@{since_s:.3f}")
+                words = _said("journalctl", "--quiet", "--no-pager", "--output=cat", *own)
+                first = next(iter(words.splitlines()), "").removeprefix("failstop: ")
+                says = _said("systemctl", "show", "--value", "-p", "StatusText", unit) or first or state
                 raise InstallError(f"{unit} {why} and says: {says}; `journalctl -u {unit}` tells more")
             time.sleep(POLL_S)
 
@@ -161,11 +158,10 @@ def content(path: str) -> Content:
     """What is at a path of this machine. Raises OSError."""
     if os.path.islink(path):
         return os.readlink(path)
-    try:
-        with open(path, "rb") as file:
-            return file.read()
-    except (FileNotFoundError, IsADirectoryError):
+    if not os.path.isfile(path):
         return None
+    with open(path, "rb") as file:
+        return file.read()
 
 
 def sha256(data: bytes) -> str:
@@ -173,10 +169,8 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _first_words(unit: str, since_s: float) -> str:
-    """The first line of a unit's own since then, in wall time."""
-    words = ("journalctl", "--quiet", "--no-pager", "--output=cat", "-u", unit, "-t", "failstop")
-    return next(iter(_call((*words, f"--since=@{since_s:.3f}")).stdout.splitlines()), "").removeprefix("failstop: ")
+def _said(*words: str) -> str:
+    return _call(words).stdout.strip()
 
 
 def _call(words: Sequence[str]) -> subprocess.CompletedProcess[str]:

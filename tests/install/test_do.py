@@ -236,7 +236,7 @@ def test_a_failure_does_not_bring_back_what_a_power_failure_left(root: Path, mon
     (root / "opt" / f"failstop{OLD}/lib").mkdir(parents=True)
     steps = plan_for(root, "2.0").steps
     FullDisk(monkeypatch, "mkdir", 0)
-    with pytest.raises(InstallError, match="replace /opt/failstop: .*No space left"):
+    with pytest.raises(InstallError, match=r"replace /opt/failstop: .*No space left"):
         Doer(PlayedSystem(root)).do(steps)
     monkeypatch.undo()
     assert snapshot(root) == before
