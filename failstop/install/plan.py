@@ -269,7 +269,7 @@ def _listing(manifest: Manifest, environment: Environment | None, system: System
     listed = manifest.dump()
     if not environment:
         return _differing([Put("", MANIFEST, content=listed)], system)
-    whole = dataclasses.replace(environment, entries=(*environment.entries, Entry(MANIFEST_NAME, data=listed)))
+    whole = dataclasses.replace(environment, entries=(*environment.entries, Entry(MANIFEST_NAME, listed)))
     verb = "replace" if system.holds(PREFIX) else "create"
     return [Put(verb, PREFIX, "failstop and what it needs, copied from here", whole)]
 

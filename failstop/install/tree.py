@@ -19,6 +19,7 @@ from importlib.metadata import Distribution
 
 import failstop
 from failstop.install import InstallError
+from failstop.install.system import content
 from failstop.version import VERSION
 
 PYTHON = f"python{sys.version_info[0]}.{sys.version_info[1]}"
@@ -48,27 +49,20 @@ version = {version}
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """One file of the environment: a copy of `source`, or these bytes, or a link to a target."""
+    """One file of the environment, of these bytes or a copy of `source`, or a link to this target."""
 
     path: str
     """Relative to the environment."""
+    content: bytes | str = b""
     source: str = ""
-    data: bytes = b""
-    target: str = ""
     executable: bool = False
 
-    def read(self) -> bytes:
-        """What the file holds."""
-        if self.source:
-            with open(self.source, "rb") as file:
-                return file.read()
-        return self.data
-
-    def is_at(self, path: str) -> bool:
-        """Whether a path has it."""
-        if self.target or os.path.islink(path):
-            return os.path.islink(path) and os.readlink(path) == self.target
-        return Entry(path, path).read() == self.read()
+    def read(self) -> bytes | str:
+        """A file's bytes, or a link's target."""
+        if not self.source:
+            return self.content
+        with open(self.source, "rb") as file:
+            return file.read()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,10 +75,10 @@ class Environment:
 
     def is_at(self, directory: str, besides: str) -> bool:
         """Whether a directory holds just that, and a file of the name `besides`."""
-        wanted = {entry.path: entry for entry in self.entries}
-        found = {os.path.relpath(path, directory): path for path in _walk(directory)}
-        found.pop(besides, None)
-        return wanted.keys() == found.keys() and all(wanted[path].is_at(found[path]) for path in found)
+        found = {os.path.relpath(path, directory) for path in _walk(directory)}
+        if found - {besides} != {entry.path for entry in self.entries}:
+            return False
+        return all(content(os.path.join(directory, entry.path)) == entry.read() for entry in self.entries)
 
     def write(self, directory: str) -> None:
         """Write all of it into a new directory, with its modules compiled: the service itself may not write there.
@@ -97,11 +91,11 @@ class Environment:
                 path = os.path.join(directory, entry.path)
                 if not os.path.isdir(os.path.dirname(path)):
                     os.makedirs(os.path.dirname(path))
-                if entry.target:
-                    os.symlink(entry.target, path)
+                if isinstance(found := entry.read(), str):
+                    os.symlink(found, path)
                     continue
                 with open(path, "xb") as file:
-                    file.write(entry.read())
+                    file.write(found)
                     os.fchmod(file.fileno(), 0o755 if entry.executable else 0o644)
             for path in (entry.path for entry in self.entries if entry.path.endswith(".py")):
                 # A package may have files for another Python version.
@@ -125,10 +119,10 @@ def running(prefix: str, interpreter: str, extras: Collection[str] = ()) -> Envi
     when that one is not whole."""
     config = CFG.format(home=os.path.dirname(interpreter), version=PYTHON.removeprefix("python"))
     entries = [
-        Entry("pyvenv.cfg", data=config.encode()),
-        Entry("bin/python3", target=interpreter),
-        Entry("bin/python", target="python3"),
-        Entry("bin/failstop", data=COMMAND.format(prefix=prefix).encode(), executable=True),
+        Entry("pyvenv.cfg", config.encode()),
+        Entry("bin/python3", interpreter),
+        Entry("bin/python", "python3"),
+        Entry("bin/failstop", COMMAND.format(prefix=prefix).encode(), executable=True),
         *_own(),
     ]
     for distribution in needed(extras):
@@ -150,11 +144,11 @@ def _own() -> Iterator[Entry]:
         "INSTALLER": "failstop install\n",
     }
     for name, text in texts.items():
-        yield Entry(f"{SITE}/failstop-{VERSION}.dist-info/{name}", data=text.encode())
+        yield Entry(f"{SITE}/failstop-{VERSION}.dist-info/{name}", text.encode())
 
 
 def _copied(inside: str, source: str) -> Entry:
-    return Entry(f"{SITE}/{inside}", source, executable=os.access(source, os.X_OK))
+    return Entry(f"{SITE}/{inside}", source=source, executable=os.access(source, os.X_OK))
 
 
 def _distribution(name: str, remedy: str = "") -> Distribution:

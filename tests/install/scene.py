@@ -55,9 +55,9 @@ def environment(version: str = "1.0") -> Environment:
         "/opt/failstop",
         "/usr/bin/python3",
         (
-            Entry("bin/python3", target="/usr/bin/python3"),
-            Entry("bin/failstop", data=b"#!/bin/sh\n", executable=True),
-            Entry("lib/module.py", data=f"VERSION = {version!r}\n".encode()),
+            Entry("bin/python3", "/usr/bin/python3"),
+            Entry("bin/failstop", b"#!/bin/sh\n", executable=True),
+            Entry("lib/module.py", f"VERSION = {version!r}\n".encode()),
         ),
     )
 

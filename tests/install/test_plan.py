@@ -369,7 +369,7 @@ def test_the_list_of_what_is_installed_is_there_before_anything_else_is(root: Pa
     steps = planned(PlayedSystem(root)).steps
     first = next(step for step in steps if isinstance(step, Put))
     assert isinstance(first.content, Environment)
-    listed = Manifest.load(next(entry.data for entry in first.content.entries if entry.path == "install.json"))
+    listed = Manifest.load(next(entry.content for entry in first.content.entries if entry.path == "install.json"))
     put = {step.subject for step in steps if isinstance(step, Put)}
     assert {PREFIX, SETTINGS, *listed.files, *listed.links} == put
 

@@ -64,7 +64,7 @@ def test_written_it_runs_by_itself_and_is_known_again(running: tree.Environment,
 
 
 def test_the_modules_are_compiled_for_their_place(tmp_path: Path) -> None:
-    environment = tree.Environment("/opt/failstop", BASE, (tree.Entry("module.py", data=b"where = lambda: 0\n"),))
+    environment = tree.Environment("/opt/failstop", BASE, (tree.Entry("module.py", b"where = lambda: 0\n"),))
     environment.write(str(tmp_path / "new"))
     code = "import module; print(module.__cached__, module.where.__code__.co_filename)"
     said = subprocess.run([BASE, "-v", "-c", code], cwd=tmp_path / "new", capture_output=True, text=True, check=True)
