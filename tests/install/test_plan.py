@@ -369,7 +369,9 @@ def test_the_list_of_what_is_installed_is_there_before_anything_else_is(root: Pa
     steps = planned(PlayedSystem(root)).steps
     first = next(step for step in steps if isinstance(step, Put))
     assert isinstance(first.content, Environment)
-    listed = Manifest.load(next(entry.content for entry in first.content.entries if entry.path == "install.json"))
+    [data] = [entry.content for entry in first.content.entries if entry.path == "install.json"]
+    assert isinstance(data, bytes)
+    listed = Manifest.load(data)
     put = {step.subject for step in steps if isinstance(step, Put)}
     assert {PREFIX, SETTINGS, *listed.files, *listed.links} == put
 
