@@ -253,8 +253,7 @@ class Port:
             remedies.append(f"`sudo failstop stop --device {device}` writes all the same")
         remedies += [f"`failstop stop --name {name}` asks it" for name in services if name not in self.asked]
         if others and not services:
-            ends = [f"systemctl stop {holder.unit}" if holder.unit else f"kill {holder.pid}" for holder in holders]
-            remedies.append(f"`sudo {' && sudo '.join(dict.fromkeys(ends))}` ends it")
+            remedies.append(f"`{' && '.join(dict.fromkeys(holder.end() for holder in holders))}` ends it")
         also = f"; asked in vain: {', '.join(self.asked)}" if self.asked else ""
         return f"{device} is held exclusively by {who}{also}: {', or '.join(remedies)}"
 
