@@ -13,7 +13,7 @@ import os
 import shutil
 import signal
 import stat
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from failstop.install import InstallError
@@ -22,6 +22,8 @@ from failstop.install.tree import Environment
 
 NEW = ".new-by-install"
 OLD = ".old-by-install"
+STAYS = (errno.ENOENT, errno.ENOTEMPTY, errno.EBUSY)
+"""Why a directory is not removed where that is well."""
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 Act = Callable[[], object]
@@ -87,16 +89,14 @@ class Doer:
                 self._do(doing)
                 done(doing)
         except BaseException as error:
-            with _uninterrupted():
-                left = _all_of(self._undos[::-1])
+            left = _all_of(self._undos[::-1])
             if not isinstance(error, (InstallError, OSError, KeyboardInterrupt)):
                 raise
             what = f"{doing.verb} {doing.subject}".strip() if doing else "beginning"
             why = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
             end = f"this could NOT be changed back: {'; '.join(left)}" if left else "everything is as it was before"
             raise InstallError(f"{what}: {why}; {end}") from error
-        with _uninterrupted():
-            return _all_of(self._last)
+        return _all_of(self._last)
 
     def _do(self, step: Step) -> None:
         path = self._system.at(step.subject)
@@ -109,7 +109,7 @@ class Doer:
                 put(path, step.content)
                 self._last.append(partial(remove, path + OLD))
             case Discard():
-                self._last.append(partial(remove_empty if step.only_empty else remove, path))
+                self._last.append(partial(_remove_empty, path, *STAYS) if step.only_empty else partial(remove, path))
             case Run():
                 paths = [self._system.at(path) for path in step.changes]
                 left_as = self._keep(paths)
@@ -127,7 +127,7 @@ class Doer:
         """Have what is at these paths put back, and directories that are missing on the way removed again. What is
         returned is to be told how a program has left them: somebody else's change since then is not thrown away."""
         left_as: dict[str, Content] = {}
-        self._undos += [partial(_unmake, folder) for folder in _missing_parents(paths)]
+        self._undos += [partial(_remove_empty, folder, errno.ENOENT) for folder in _missing_parents(paths)]
         self._undos += [partial(_restore, path, _restorer(path), left_as) for path in paths]
         return left_as
 
@@ -178,19 +178,13 @@ def remove(path: str) -> None:
         raise InstallError(f"{path} is empty, but a mount of its own") from None
 
 
-def remove_empty(path: str) -> None:
-    """A directory; one that still holds something stays."""
+def _remove_empty(path: str, *accepted: int) -> None:
+    """A directory. Raises OSError for another error than the accepted."""
     try:
         os.rmdir(path)
     except OSError as error:
-        if error.errno not in (errno.ENOENT, errno.ENOTEMPTY, errno.EBUSY):
+        if error.errno not in accepted:
             raise
-
-
-def _unmake(path: str) -> None:
-    """A directory that was made, or was to be. Raises OSError where somebody else has put something into it."""
-    with contextlib.suppress(FileNotFoundError):
-        os.rmdir(path)
 
 
 def _missing_parents(paths: Sequence[str]) -> list[str]:
@@ -225,23 +219,17 @@ def _restore(path: str, restore: Act, left_as: Mapping[str, Content]) -> None:
 
 
 def _all_of(acts: Sequence[Act]) -> list[str]:
-    """Do all of them; returns what went wrong."""
-    wrong = []
-    for act in acts:
-        try:
-            act()
-        except (OSError, InstallError) as error:
-            wrong.append(str(error))
-    return wrong
-
-
-@contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """A second Ctrl-C does not leave half of it, and does not keep what is to be said from being said."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+    """Do all of them; returns what went wrong. A second Ctrl-C does not leave half of it, and does not keep what is to
+    be said from being said."""
+    before, wrong = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING), []
     try:
-        yield
+        for act in acts:
+            try:
+                act()
+            except (OSError, InstallError) as error:
+                wrong.append(str(error))
     finally:
         while signal.sigtimedwait(ENDING, 0):
             pass
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return wrong
