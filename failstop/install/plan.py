@@ -67,8 +67,9 @@ def install(texts: Mapping[str, str], request: Request, environment: Environment
     SettingError where this version refuses the settings that are there."""
     before = system.manifest or Manifest()
     there = chosen(request, system)
-    _refuse(request, there, system)
-    wanted, settings = _wanted(texts, request, there, system), _settings(texts, request, there, system)
+    wanted = _wanted(texts, request, there, system)
+    _refuse(request, wanted, system)
+    settings = _settings(texts, request, there, system)
     files = {put.subject: sha256(put.content) for put in wanted if isinstance(put.content, bytes)}
     links = {put.subject: put.content for put in wanted if isinstance(put.content, str)}
     gone = [_put(path, None, system, "of another version") for path in before.files if path not in files]
@@ -187,24 +188,23 @@ def refuse_absent(request: Request, system: System) -> None:
         )
 
 
-def _refuse(request: Request, there: Collection[Row], system: System) -> None:
+def _refuse(request: Request, wanted: Collection[Put], system: System) -> None:
     if system.package:
         raise InstallError(
             "the Debian package of failstop is installed here: it is the service already; "
             "remove it first (apt remove failstop) if you want another one"
         )
     configuration = config.file_of(request.name)
-    for path in (PREFIX, *(row.place for row in there), configuration):
-        if isinstance(target := system.content(path), str):
-            masked = target == os.devnull and path.startswith(UNITS)
+    if not system.manifest and system.holds(PREFIX):
+        raise InstallError(f"{PREFIX} is there, and is not an installation's: remove it, or move it away")
+    for put in (Put("", PREFIX), *wanted, Put("", configuration)):
+        path, found = put.subject, system.content(put.subject)
+        if isinstance(found, bytes) and isinstance(put.content, str):
+            raise InstallError(f"{path} is a file, and is not an installation's: remove it, or move it away")
+        if isinstance(found, str) and not isinstance(put.content, str):
+            masked = found == os.devnull and path.startswith(UNITS)
             remedy = f"systemctl unmask {os.path.basename(path)}" if masked else "remove it"
-            raise InstallError(f"{path} is a link to {target}, and is not an installation's: {remedy}")
-    foreign = {
-        PREFIX: system.manifest is None and system.holds(PREFIX),
-        rows.COMMAND_LINK: isinstance(system.content(rows.COMMAND_LINK), bytes),
-    }
-    for path in (path for path, holds in foreign.items() if holds):
-        raise InstallError(f"{path} is there, and is not an installation's: remove it, or move it away")
+            raise InstallError(f"{path} is a link to {found}, and is not an installation's: {remedy}")
     if system.manifest and system.manifest.command != request.command:
         raise InstallError(
             f"an installation that runs {system.manifest.command} is here, this one would run {request.command}: "

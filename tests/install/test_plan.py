@@ -30,6 +30,7 @@ from tests.install.scene import (
 SETTINGS = "/etc/failstop/failstop.toml"
 RULE = "/etc/udev/rules.d/90-failstop.rules"
 UNIT = "/etc/systemd/system/failstop.service"
+WANTS = "/etc/systemd/system/multi-user.target.wants"
 
 
 @pytest.fixture
@@ -247,7 +248,8 @@ def test_the_user_is_made_only_where_something_is_missing(root: Path, passwd: st
         (UNIT, "/dev/null", r"a link to /dev/null, .*: systemctl unmask failstop.service"),
         (RULE, "/x", r"90-failstop.rules is a link to /x, .*: remove it"),
         (SETTINGS, "/x", r"failstop.toml is a link to /x"),
-        ("/usr/local/bin/failstop", "", r"/usr/local/bin/failstop is there, and is not an installation's"),
+        ("/usr/local/bin/failstop", "", r"/usr/local/bin/failstop is a file, and is not an installation's"),
+        (f"{WANTS}/failstop.service", "", r"wants/failstop.service is a file"),
     ],
 )
 def test_what_is_not_ours_is_refused(root: Path, path: str, link: str, said: str) -> None:
