@@ -36,7 +36,7 @@ def test_the_running_environment_is_whole_and_nothing_of_the_checkout_but_the_pa
     inside = f"{tree.SITE}/failstop"
     for room in (
         "board/codec.py",
-        "shm/ring.py",
+        "shm/cell.py",
         "supervisor/main.py",
         "supervisor/child.py",
         "systemd/failstop.service",
