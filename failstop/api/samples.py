@@ -13,9 +13,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from failstop.api.client import attach
+from failstop.api.client import Run, attach
 from failstop.api.errors import NoService
-from failstop.api.run import Run
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.shm import box, layout, records

@@ -4,41 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import cached_property
 from math import pi
 from typing import Any, cast
 
 import msgpack
 
-from failstop.api.client import attach
-from failstop.api.errors import FailstopError
-from failstop.api.run import Run
-from failstop.api.snapshot import (
-    ArmState,
-    Client,
-    Device,
-    GyroBias,
-    Imu,
-    JointState,
-    Link,
-    Odometry,
-    PadMode,
-    Plugged,
-    PortState,
-    Process,
-    Source,
-    Starved,
-    State,
-    Stop,
-    Velocity,
-    Wheels,
-)
+from failstop.api import snapshot
+from failstop.api.client import Run, attach, starting
+from failstop.api.snapshot import ArmState, JointState, Process, State, Stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.processes import BY_NAME
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import Joint, from_settings
-from failstop.procs.telemetry.imu import RATE_VARIANCE
-from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.shm import blocks, heartbeat, layout, records
 
 HANGING_S = 0.5
@@ -81,9 +60,6 @@ class StateReader:
         self._stops = views[layout.PORT_OWNER].ring_reader("stops", from_oldest=True)
         self._stopped: tuple[int, Cause | None] = (0, None)
         """The newest epoch in which the port owner stopped by itself, and its first cause there."""
-        self._joints: dict[str, Joint] = {}
-        self._mounted: tuple[tuple[int, float], ...] = ()
-        """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
 
     def _value(self, record: str) -> Any:
         """The newest value of one of RECORDS; None before the first."""
@@ -93,11 +69,24 @@ class StateReader:
     def _begun(self, record: str) -> Any:
         """The same of one that each service that runs has. Raises FailstopError before that."""
         if (found := self._value(record)) is None:
-            raise self._starting()
+            raise starting(self.name)
         return found
 
-    def _starting(self) -> FailstopError:
-        return FailstopError(f"the service {self.name!r} is still starting: try again in a moment")
+    def settings(self) -> dict[str, float | str]:
+        """Every setting that the service was started with, by its whole key. Raises FailstopError while it starts."""
+        found: dict[str, float | str] = self._begun("settings")
+        return found
+
+    @cached_property
+    def joints(self) -> dict[str, Joint]:
+        """The arm's joints by name. Raises FailstopError while the service starts."""
+        return {joint.name: joint for joint in from_settings(Settings(dict(self.settings())))}
+
+    @cached_property
+    def _mounted(self) -> list[tuple[int, float]]:
+        """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
+        given = Settings(dict(self.settings()))
+        return [(int(given[f"wheels.id_{wheel}"]), given[f"wheels.sign_{wheel}"] * 2 * pi) for wheel in WHEELS]
 
     def read(self) -> State:
         """A snapshot now. Raises FailstopError while the service has not published one yet."""
@@ -113,23 +102,23 @@ class StateReader:
             estop=str(cause) if cause else None,
             cause=cause,
             blocked=decided["blocked"],
-            body_vel=Velocity(*decided["body_vel"]),
-            wheels_radps=self._wheels(decided["wheels_rps"]),
+            body_vel=snapshot.Velocity(*decided["body_vel"]),
+            wheels_radps=snapshot.Wheels(*(decided["wheels_rps"][at] * scale + 0.0 for at, scale in self._mounted)),
             epoch=epoch,
             waiting_for=known["waiting_for"],
             device=self._device(),
             processes=self._processes(known["processes"], now_ns, dead=dead),
-            starved=starved and Starved(starved["times"], starved["longest_ms"] / 1000, starved["process"]),
+            starved=starved and snapshot.Starved(starved["times"], starved["longest_ms"] / 1000, starved["process"]),
             clients=self._clients(decided["clients"], now_ns),
-            sources=tuple(Source(**row) for row in decided["sources"]),
+            sources=tuple(snapshot.Source(**row) for row in decided["sources"]),
             scan_age_s=_age_s(now_ns, decided["scan_ns"]) if decided["scan_ns"] else None,
             last_stop=self._last_stop(),
-            imu=imu and Imu(imu[:3], imu[3:], RATE_VARIANCE),
-            gyro_bias=bias and GyroBias(bias[:3], *bias[3:]),
-            odometry=odometry and Odometry(*(*odometry, POSE_VARIANCE)),
-            pad_mode=pad and cast("PadMode", records.PAD_MODES[pad[6]]),
+            imu=imu and snapshot.Imu(imu[:3], imu[3:]),
+            gyro_bias=bias and snapshot.GyroBias(bias[:3], *bias[3:]),
+            odometry=odometry and snapshot.Odometry(*odometry),
+            pad_mode=pad and cast("snapshot.PadMode", records.PAD_MODES[pad[6]]),
             battery_v=millivolts / 1000 or None,
-            plugged=cast("Plugged", records.PLUGGED[plugged]),
+            plugged=cast("snapshot.Plugged", records.PLUGGED[plugged]),
             speed_limit=decided["limit"] / 100,
             attended_by=None if attended is None else tuple(attended),
             age_s=_age_s(now_ns, told_ns),
@@ -141,25 +130,15 @@ class StateReader:
         time. Raises FailstopError."""
         return self._decided()[:2]
 
-    def _wheels(self, speeds_rps: list[float]) -> Wheels:
-        if not self._mounted:
-            given = Settings(dict(self.settings()))
-            self._mounted = tuple(
-                (int(given[f"wheels.id_{wheel}"]), given[f"wheels.sign_{wheel}"] * 2 * pi) for wheel in WHEELS
-            )
-        return Wheels(*(speeds_rps[at] * scale + 0.0 for at, scale in self._mounted))
-
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:
         if found is None:
             return None
-        if not self._joints:
-            self._joints = {joint.name: joint for joint in from_settings(Settings(dict(self.settings())))}
         joints = {}
         for name, servo, commanded, measured, measured_ns, torque, temperature_c, supply_mv in found["joints"]:
-            joint = self._joints[name]
             at = measured if commanded is None else commanded
             angle_rad, commanded_rad, at_rad = (
-                None if pulses is None else round(joint.rad(pulses), 4) for pulses in (measured, commanded, at)
+                None if pulses is None else round(self.joints[name].rad(pulses), 4)
+                for pulses in (measured, commanded, at)
             )
             joints[name] = JointState(
                 servo=servo,
@@ -170,16 +149,11 @@ class StateReader:
                 commanded_pulses=commanded,
                 torque=torque,
                 temperature_c=temperature_c or None,
-                supply_v=supply_mv / 1000 if supply_mv else None,
+                supply_v=supply_mv / 1000 or None,
                 at_rad=at_rad,
                 at_by="" if at is None else "read" if at == measured else "sent",
             )
         return ArmState(**{**found, "joints": joints, "silent": tuple(found["silent"]), "wrong": tuple(found["wrong"])})
-
-    def settings(self) -> dict[str, float | str]:
-        """Every setting that the service was started with, by its whole key. Raises FailstopError while it starts."""
-        found: dict[str, float | str] = self._begun("settings")
-        return found
 
     def _decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
         """What the gate has published, what is latched, the epoch, when the gate published it, and whether the
@@ -190,7 +164,7 @@ class StateReader:
         dead = self.run.dead()
         epoch = self._epoch.get()  # before the gate's record: a newer one is then no sign of a stop
         if (entry := self._records["state"].read()) is None:
-            raise self._starting()
+            raise starting(self.name)
         _, told_ns, payload = entry
         decided: dict[str, Any] = RECORDS["state"][1](payload)
         own = causes.read(decided["estop"]) if decided["estop"] else None
@@ -219,17 +193,17 @@ class StateReader:
                 self._stopped = stopped_in, causes.read(cause)
         return self._stopped[1] if self._stopped[0] >= epoch else None
 
-    def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> tuple[Client, ...]:
+    def _clients(self, clients: list[dict[str, Any]], now_ns: int) -> tuple[snapshot.Client, ...]:
         said = {
             slot: {"sees": sees, "wrong": wrong, "said_s": _age_s(now_ns, t_ns)}
             for slot, t_ns, sees, wrong in self._value("said") or ()
         }
-        return tuple(Client(**client, **said.get(client["slot"], {})) for client in clients)
+        return tuple(snapshot.Client(**client, **said.get(client["slot"], {})) for client in clients)
 
-    def _device(self) -> Device:
-        *_, state, path = self._value("port") or (0, 0, None, None)
-        found = "closed" if state is None else records.PORT_STATES[state]
-        return Device(path, cast("PortState", found), cast("Link", self._value("link") or "unproven"))
+    def _device(self) -> snapshot.Device:
+        *_, state, path = self._value("port") or (records.PORT_CLOSED, None)
+        found = cast("snapshot.PortState", records.PORT_STATES[state])
+        return snapshot.Device(path, found, self._value("link") or "unproven")
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
         """`dead`: the supervisor, which keeps the table, has died; two of the others have with it."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import select
+import threading
 import time
 
 import pytest
 
 from failstop import AsyncRobot, Driving, Refused, Robot, TimedOut
-from failstop.api import news
-from failstop.api.session import Turn
+from failstop.api.events import News
 from failstop.lab.trial import Trial
 
 
@@ -52,7 +52,7 @@ def test_what_takes_no_await_goes_before_a_task_that_waits_for_its_answer(trial:
     async def end() -> None:
         robot = Robot.connect(trial.name)
         await robot.enable()
-        robot._pending = Turn(object())
+        robot._pending = (threading.get_ident(), object())
         robot.close()
 
     asyncio.run(end())
@@ -104,7 +104,7 @@ def test_the_loop_goes_on_while_one_waits(trial: Trial) -> None:
 
 
 def test_what_is_told_wakes_who_waits_and_a_new_run_too(trial: Trial) -> None:
-    found = news.News(trial.name)
+    found = News(trial.name)
     try:
         assert not found.watch(), "looking comes after watching"
         assert found.watch()
@@ -127,13 +127,13 @@ def test_what_is_told_wakes_who_waits_and_a_new_run_too(trial: Trial) -> None:
         found.close()
 
 
-def _woken(found: news.News, timeout_s: float) -> bool:
+def _woken(found: News, timeout_s: float) -> bool:
     return bool(select.select((found.fd,), (), (), timeout_s)[0])
 
 
 def test_without_wake_ups_there_is_looking(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
     """As where a user has no more of inotify's descriptors."""
-    monkeypatch.setattr(news.News, "watch", lambda self: self.close())
+    monkeypatch.setattr(News, "watch", lambda self: self.close())
     trial.robot.estop("unheard")
     assert trial.robot.wait_for("latched", 5.0).cause
 
