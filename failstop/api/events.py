@@ -59,11 +59,6 @@ class EventLog:
         self._run = Run(name)
         self._ring = self._run.supervisor.ring_reader("events", from_oldest=past)
 
-    @property
-    def lost(self) -> int:
-        """How many events were overwritten before they were read."""
-        return self._ring.lost
-
     def read(self) -> list[Event]:
         """The events since the last call, the first time all that the service still has (the last 256). Empty when
         there are none. Raises NoService when the service has ended, and all that it told was read."""

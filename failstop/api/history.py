@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from failstop.api import words
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from failstop.api.events import Event
-    from failstop.api.state import State
+from failstop.api.events import Event
+from failstop.api.snapshot import State
 
 LEFT_OFF = {"driver_silent": "fell silent while it drove", "driver_gone": "ended while it drove"}
 """Kinds that tell of a driver that left the wheels turning, and what it did."""

@@ -99,11 +99,6 @@ class SampleReader:
         self._odometry = segment.latest_reader("odometry")
         self._odometry_seq = 0
 
-    @property
-    def lost(self) -> int:
-        """How many samples were overwritten before they were read: those of a minute are kept."""
-        return self._board.lost
-
     def read(self) -> list[Sample]:
         """The samples since the last call, in order, and the newest odometry, if it is new. Raises NoService when this
         run of the service is over."""

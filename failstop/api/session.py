@@ -139,14 +139,16 @@ class Session:
         """The run that is there now. When it is over, and its last processes are ending, its state can still be read.
         Raises NoService, FailstopError."""
         self._check_open()
-        if self._run is None or self._run.over():
-            self._leave()
-            found = Run(self.name)
-            if self._run and not self._reconnect:
-                became = "has ended" if found.incarnation == self._run.incarnation else "was restarted"
-                raise NoService(f"the service {self.name!r} {became} since this Robot was made: make a new one")
-            self._run = found
-        return self._run
+        before = self._run
+        if before and not before.over():
+            return before
+        self._leave()
+        found = Run(self.name)
+        if before and not self._reconnect:
+            became = "has ended" if found.incarnation == before.incarnation else "was restarted"
+            raise NoService(f"the service {self.name!r} {became} since this Robot was made: make a new one")
+        self._run = found
+        return found
 
     def _slot(self, run: Run) -> Client:
         if self._connected is None:

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from failstop.api import host, words
+from failstop.api.snapshot import State
 from failstop.policy import causes
 from failstop.shm import blocks
 from failstop.shm.layout import GATE
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.api.state import State
 
 DRIVING = "DRIVING"
 STANDING = "STANDING"
