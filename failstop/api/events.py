@@ -24,8 +24,8 @@ from failstop.shm.instance import DEFAULT_NAME
 POLL_S = 0.05
 LOOK_EVERY_S = 0.25
 """How often a log without news looks whether its service is still there."""
-_MODIFY, _ATTRIB, _MOVE_SELF, _DELETE_SELF = 0x2, 0x4, 0x800, 0x400
-_DONT_FOLLOW = 0x02000000
+_MODIFY, _ATTRIB, _MOVE_SELF, _DELETE_SELF, _DONT_FOLLOW = 0x2, 0x4, 0x800, 0x400, 0x02000000
+_EVENTS = _MODIFY | _ATTRIB | _MOVE_SELF | _DELETE_SELF | _DONT_FOLLOW
 _MOST_BYTES = 65536
 
 
@@ -109,29 +109,20 @@ class News:
         self._libc = ctypes.CDLL(None)
         self.fd: int = self._libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
         """-1 where this user may have no more of them: then there are no wake-ups, and looking is all there is."""
-        self._watched = False
-
-    def watch(self) -> bool:
-        """Watch the run that is there; True when it is watched already. Look after it: what was told before it wakes
-        nobody."""
-        if self._watched or self.fd < 0:
-            return self._watched
-        events = _MODIFY | _ATTRIB | _MOVE_SELF | _DELETE_SELF | _DONT_FOLLOW
-        paths = (os.fsencode(instance.run_path(path)) for path in instance.places(self._name))
-        self._watched = any(self._libc.inotify_add_watch(self.fd, path, events) >= 0 for path in paths)
-        return False
-
-    def clear(self) -> None:
-        """Take the wake-ups so far; call before looking."""
-        with contextlib.suppress(BlockingIOError):
-            told = os.read(self.fd, _MOST_BYTES) if self.fd >= 0 else b""
-            # Anything but a change of its bytes means that the file is another one, or none.
-            self._watched &= all(mask == _MODIFY for _, mask, _, _ in struct.iter_unpack("iIII", told))
+        self.watched = False
+        """There is a run, whose news wake."""
 
     def look(self) -> None:
         """Before a look at what there may be news of: whatever is told after this wakes whoever waits."""
-        self.clear()
-        self.watch()
+        if self.fd < 0:
+            return
+        with contextlib.suppress(BlockingIOError):
+            # Anything but a change of its bytes means that the file is another one, or none.
+            told = struct.iter_unpack("iIII", os.read(self.fd, _MOST_BYTES))
+            self.watched &= all(mask == _MODIFY for _, mask, _, _ in told)
+        if not self.watched:
+            paths = (os.fsencode(instance.run_path(path)) for path in instance.places(self._name))
+            self.watched = any(self._libc.inotify_add_watch(self.fd, path, _EVENTS) >= 0 for path in paths)
 
     def wait(self, timeout_s: float) -> None:
         """Sleep until there may be news."""

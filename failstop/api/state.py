@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from functools import cached_property
 from math import pi
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import msgpack
 
@@ -20,7 +20,11 @@ from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.shm import blocks, heartbeat, layout, records
 
+T = TypeVar("T")
+
 HANGING_S = 0.5
+UNITS = {"ms": 1e3, "us": 1e6}
+"""Of times in records, by the end of their names: how many are a second."""
 WHEELS = (1, 2, 3, 4)
 """As the settings number them: front and rear on the left, front and rear on the right."""
 
@@ -108,7 +112,7 @@ class StateReader:
             waiting_for=known["waiting_for"],
             device=self._device(),
             processes=self._processes(known["processes"], now_ns, dead=dead),
-            starved=starved and snapshot.Starved(starved["times"], starved["longest_ms"] / 1000, starved["process"]),
+            starved=starved and _made(snapshot.Starved, starved),
             clients=self._clients(decided["clients"], now_ns),
             sources=tuple(snapshot.Source(**row) for row in decided["sources"]),
             scan_age_s=_age_s(now_ns, decided["scan_ns"]) if decided["scan_ns"] else None,
@@ -207,53 +211,45 @@ class StateReader:
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
         """`dead`: the supervisor, which keeps the table, has died; two of the others have with it."""
-        rows = {layout.SUPERVISOR: {"pid": self._beats[layout.SUPERVISOR].pid.get(), "restarts": 0}, **table}
-        if dead:
-            left = (name for name in table if BY_NAME[name].outlives_supervisor)
-            states = dict.fromkeys(rows, "dead") | dict.fromkeys(left, "stopping")
-            rows = {name: {**row, "state": states[name]} for name, row in rows.items()}
-        return {name: self._process(name, row, now_ns) for name, row in rows.items()}
-
-    def _process(self, name: str, row: dict[str, Any], now_ns: int) -> Process:
-        beat = self._beats[name]
-        age_s = beat.age_ns(now_ns) / 1e9
-        state = row.get("state") or heartbeat.STATES[beat.state.get()]
-        if state == "running" and age_s > HANGING_S:
-            state = "hanging"
-        granted = beat.rights.get()
-        return Process(
-            pid=row["pid"],
-            state=state,
-            age_s=round(age_s, 4),
-            restarts=row["restarts"],
-            last_exit=row.get("last_exit"),
-            worst_s=round(beat.worst_ns.get() / 1e9, 4),
-            realtime=bool(granted & heartbeat.REALTIME),
-            memory_locked=bool(granted & heartbeat.MEMORY_LOCKED),
-            early_news=bool(granted & heartbeat.EARLY_NEWS),
-        )
+        pid = self._beats[layout.SUPERVISOR].pid.get()
+        found = {}
+        for name, row in {layout.SUPERVISOR: {"pid": pid, "restarts": 0, "last_exit": None}, **table}.items():
+            beat = self._beats[name]
+            age_s = beat.age_ns(now_ns) / 1e9
+            state = row.get("state") or heartbeat.STATES[beat.state.get()]
+            if dead:
+                state = "stopping" if name in table and BY_NAME[name].outlives_supervisor else "dead"
+            elif state == "running" and age_s > HANGING_S:
+                state = "hanging"
+            granted = beat.rights.get()
+            found[name] = _made(
+                Process,
+                row,
+                state=state,
+                age_s=round(age_s, 4),
+                worst_s=round(beat.worst_ns.get() / 1e9, 4),
+                realtime=bool(granted & heartbeat.REALTIME),
+                memory_locked=bool(granted & heartbeat.MEMORY_LOCKED),
+                early_news=bool(granted & heartbeat.EARLY_NEWS),
+            )
+        return found
 
     def _last_stop(self) -> Stop | None:
-        found: dict[str, Any] | None = self._value("stop")
-        if found is None:
+        if (found := self._value("stop")) is None:
             return None
         cause = causes.read(found["cause"])
-        return Stop(
-            cause=cause,
-            reason=str(cause),
-            t=found["t"],
-            noticed_by=found["noticed_by"],
-            written_by=found["written_by"],
-            written_s=_seconds(found["written_us"], 1e6),
-            acknowledged_s=_seconds(found["acknowledged_us"], 1e6),
-            observed_s=_seconds(found["observed_ms"], 1e3),
-            epoch=found["epoch"],
-            sent=found["sent"],
-        )
+        return _made(Stop, found, cause=cause, reason=str(cause))
 
 
-def _seconds(value: float | None, each: float) -> float | None:
-    return None if value is None else value / each
+def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
+    """A value with the fields of a record, and with what is known besides; times come in s."""
+    for name, value in record.items():
+        stem, _, unit = name.rpartition("_")
+        if unit in UNITS:
+            known[f"{stem}_s"] = None if value is None else value / UNITS[unit]
+        elif name in kind.__dataclass_fields__:  # type: ignore[attr-defined]
+            known.setdefault(name, value)
+    return kind(**known)
 
 
 def _age_s(now_ns: int, t_ns: int) -> float:

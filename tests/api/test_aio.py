@@ -106,21 +106,21 @@ def test_the_loop_goes_on_while_one_waits(trial: Trial) -> None:
 def test_what_is_told_wakes_who_waits_and_a_new_run_too(trial: Trial) -> None:
     found = News(trial.name)
     try:
-        assert not found.watch(), "looking comes after watching"
-        assert found.watch()
+        found.look()
+        assert found.watched
         assert _woken(found, 0.0) is False, "nothing happens"
         trial.robot.enable()
         assert _woken(found, 5.0)
-        found.clear()
-        assert found.watch()
+        found.look()
+        assert found.watched
         assert trial.service.end() == 0
-        while found.watch():
+        while found.watched:
             assert _woken(found, 5.0), "its file has gone"
-            found.clear()
+            found.look()
         trial.leave()
         trial.service.start()
-        assert not found.watch()
-        assert found.watch(), "the next one's"
+        found.look()
+        assert found.watched, "the next one's"
         trial.robot.enable()
         assert _woken(found, 5.0)
     finally:
@@ -133,7 +133,7 @@ def _woken(found: News, timeout_s: float) -> bool:
 
 def test_without_wake_ups_there_is_looking(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
     """As where a user has no more of inotify's descriptors."""
-    monkeypatch.setattr(News, "watch", lambda self: self.close())
+    monkeypatch.setattr(News, "look", lambda self: self.close())
     trial.robot.estop("unheard")
     assert trial.robot.wait_for("latched", 5.0).cause
 
