@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from math import isfinite
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from failstop.api.arm import Arm
@@ -111,7 +110,7 @@ class Attendance:
     def __enter__(self) -> Attendance:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.give_up()
 
     def renew(self, proven_ns: int | None = None) -> None:
@@ -221,7 +220,7 @@ class Calls(Session):
         with self._lock:
             run = self._current()
             if self._samples is None or self._samples.run is not run:
-                self._samples = SampleReader(self.name, run)
+                self._samples = SampleReader(run)
             return self._samples.read()
 
     @property

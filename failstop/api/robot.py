@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator, Callable, Iterator
-from types import TracebackType
 
 from failstop.api.calls import Calls
 from failstop.api.events import LOOK_EVERY_S, Event, EventLog, News
@@ -36,8 +35,8 @@ class Robot(Calls):
         self._check_open()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._close(in_order=not isinstance(error, Exception))
+    def __exit__(self, *raised: object) -> None:
+        self._close(in_order=not isinstance(raised[1], Exception))
 
     @classmethod
     def connect(
@@ -93,10 +92,8 @@ class AsyncRobot(Calls):
         self._check_open()
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None:
-        self._close(in_order=not isinstance(error, Exception))
+    async def __aexit__(self, *raised: object) -> None:
+        self._close(in_order=not isinstance(raised[1], Exception))
 
     async def _answered(self, verb: int, told: Told = None) -> str:
         return await _through(self._asking(verb, told, awaited=True))

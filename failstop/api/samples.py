@@ -18,7 +18,6 @@ from failstop.api.errors import NoService
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
 from failstop.shm import box, layout, records
-from failstop.shm.instance import DEFAULT_NAME
 
 
 class ImuSample(NamedTuple):
@@ -89,12 +88,12 @@ Sample = ImuSample | BatterySample | PadSample | OdometrySample
 
 
 class SampleReader:
-    """The samples from now on; needs no permission and no client slot. Not thread-safe."""
+    """The samples of a run from now on; needs no permission and no client slot. Not thread-safe."""
 
-    def __init__(self, name: str = DEFAULT_NAME, run: Run | None = None) -> None:
-        """`run`: the run of this name that is there now, where the caller has it. Raises NoService, FailstopError."""
-        self.run = run or Run(name)
-        segment = attach(name, layout.TELEMETRY, self.run.found)
+    def __init__(self, run: Run) -> None:
+        """Raises NoService, FailstopError."""
+        self.run = run
+        segment = attach(run.name, layout.TELEMETRY, run.found)
         self._board = segment.ring_reader("box")
         self._odometry = segment.latest_reader("odometry")
         self._odometry_seq = 0

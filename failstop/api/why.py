@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-from failstop.api import history, verdict, words
+from failstop.api import verdict, words
 from failstop.api.events import Event
 from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
@@ -72,7 +72,7 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
         what = f"THE WHEELS MAY TURN (then: POWER SWITCH): {doubt}; {what}"
     elif state.cause:
         steps.insert(0, meaning(state.cause)[1])
-    before = history.earlier(events)
+    before = verdict.earlier(events)
     if before and not state.last_stop and state.block is Block.DISABLED:
         when, story = words.ago(before.t, now_s), before.show(state.name)
         also.append(f"the run before this one: {before.how} ({when}); its story: {story}")
@@ -121,9 +121,9 @@ def _since(state: State, events: Sequence[Event], now_s: float) -> tuple[float |
     if state.block is Block.DISABLED:
         change = next((event for event in reversed(events) if event.kind in CHANGES), None)
         return (change.t, change.text.partition("; next: ")[0]) if change else (None, "")
-    if state.block is Block.NO_COMMAND and (event := history.left_off(events)):
+    if state.block is Block.NO_COMMAND and (event := verdict.left_off(events)):
         # It may have driven on since: that is not told of each time.
-        text = f"{history.leaving(event)} ({words.ago(event.t, now_s)})"
+        text = f"{verdict.leaving(event)} ({words.ago(event.t, now_s)})"
         if any(event.fields.get("who") == f"{client.name} (pid {client.pid})" for client in state.clients):
             text += "; it is still connected, so it hangs, waits, or commands too seldom"
         return None, text
@@ -162,13 +162,13 @@ def _troubles(state: State, events: Sequence[Event]) -> list[str]:
     """What else is wrong and keeps the wheels from moving, or may; by a client's own account too, and what it sees
     where the wheels wait for its kind."""
     found = []
-    hung = history.exits(events)
+    hung = verdict.exits(events)
     for name, process in state.processes.items():
         if process.state == "down":
-            how = history.last_exit(state, name, hung)
+            how = verdict.last_exit(state, name, hung)
             found.append(f"{name} died too often (it {how}) and is {verdict.until(name)}")
         elif process.state != "running":
-            after = f", after it {history.last_exit(state, name, hung)}" if process.last_exit else ""
+            after = f", after it {verdict.last_exit(state, name, hung)}" if process.last_exit else ""
             found.append(f"{name} is {process.state}{after}")
     if state.device.state == "open" and state.device.link == "unproven":
         found.append("the board has not answered a ping since the port was opened, so nobody knows that it hears")
