@@ -171,27 +171,26 @@ class Run:
     def check(self, kind: str, *names: str) -> None:
         """Raises Undeclared for a "source" that no client may command as, or an "interlock" that the settings do not
         name; FailstopError while the service starts."""
-        declared: list[str] | None = self._follow().get(f"{kind}s")
-        for name in (name[:LONGEST_SHOWN] for name in names if declared is None or name not in declared):
-            if declared is None:
-                raise starting(self.name)
-            known = ", ".join(declared) or "none"
-            if (kind, name) == ("source", PAD):
-                raise Undeclared(f"source {PAD!r} is the board's gamepad alone; a client's are {known}")
-            nearest = _nearest(name, declared)
-            raise Undeclared(
-                f"no {kind} {name!r} in the settings of {self.name!r}, which declare: {known}; "
-                + (f"did you mean {nearest!r}?" if nearest else f"add [{kind}s.NAME] and restart the service")
-            )
+        declared: list[str] = self._follow().get(f"{kind}s", [])
+        for name in names:
+            if name not in declared:
+                if not self._rules:
+                    raise starting(self.name)
+                raise Undeclared(_undeclared(kind, name[:LONGEST_SHOWN], declared, self.name))
 
 
-def _nearest(name: str, declared: list[str]) -> str:
-    """The declared name that may have been meant; empty when there is none."""
-    try:
+def _undeclared(kind: str, name: str, declared: list[str], service: str) -> str:
+    """What is wrong with a name that the settings do not declare, with the one that may have been meant."""
+    known = ", ".join(declared) or "none"
+    if (kind, name) == ("source", PAD):
+        return f"source {PAD!r} is the board's gamepad alone; a client's are {known}"
+    nearest: list[str] = []
+    with contextlib.suppress(ImportError):  # a program that has given its rights up may be unable to read its library
         from difflib import get_close_matches  # for a mistake only: it costs more than this file
-    except ImportError:
-        return ""  # a program that has given its rights up may be unable to read its own library
-    return next(iter(get_close_matches(name, declared, 1)), "")
+
+        nearest = get_close_matches(name, declared, 1)
+    hint = f"did you mean {nearest[0]!r}?" if nearest else f"add [{kind}s.NAME] and restart the service"
+    return f"no {kind} {name!r} in the settings of {service!r}, which declare: {known}; {hint}"
 
 
 class Client:
