@@ -37,7 +37,7 @@ class Arm:
         """Each joint by name, with its range (range_rad): of the service that runs now, which may have other ones than
         before. Raises NoService, FailstopError."""
         with self._session._lock:
-            found = self._session._reader.joints
+            found = self._session._current().joints
         if not found:
             raise FailstopError(f"the robot of {self._session.name!r} has no arm: its settings name no [joints.NAME]")
         return found

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from failstop.api.arm import Arm
 from failstop.api.client import send_stop
 from failstop.api.events import EventLog
-from failstop.api.samples import Sample, SampleReader
+from failstop.api.samples import Sample
 from failstop.api.session import POLL_S, Session, Steps
 from failstop.api.snapshot import Block, Velocity
 from failstop.policy.causes import Cause
@@ -130,8 +130,6 @@ class Attendance:
 class Calls(Session):
     """Drive, assert, look: the base of both."""
 
-    _samples: SampleReader | None = None
-
     def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = DEFAULT_SOURCE) -> Answer:
         """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
         s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped. After a
@@ -148,7 +146,7 @@ class Calls(Session):
         until_s = time.monotonic() + TAKEN_S
         while True:
             with self._lock:
-                decided, cause = self._reader.decided()
+                decided, cause = self._current().decided()
             answer, settled = judge(decided, source, cause)
             if settled or time.monotonic() > until_s:
                 return answer
@@ -218,10 +216,7 @@ class Calls(Session):
         PadSample, OdometrySample of failstop.api.samples. The first call begins it, and the first of a new run begins
         again. Raises NoService, FailstopError."""
         with self._lock:
-            run = self._current()
-            if self._samples is None or self._samples.run is not run:
-                self._samples = SampleReader(run)
-            return self._samples.read()
+            return self._current().samples.read()
 
     @property
     def arm(self) -> Arm:

@@ -84,13 +84,12 @@ class Session:
         """By this Robot."""
         self._pending: tuple[int, object] | None = None
         """Whose request the gate has not answered yet: the thread, and something of its own if a task awaits it."""
-        self._run: Run | None = None
-        self._state_reader: StateReader | None = None
+        self._run: StateReader | None = None
         self._connected: Client | None = None
         _made.add(self)
         runtime_dir(name)
         with contextlib.suppress(FailstopError):
-            self._run = Run(name)
+            self._run = StateReader(name)
 
     def close(self) -> None:
         """Give the client slot back, for good. If this program was driving, the wheels stop at once, and no command of
@@ -135,7 +134,7 @@ class Session:
         if self._closed:
             raise FailstopError(f"this Robot of {self.name!r} is closed: make a new one")
 
-    def _current(self) -> Run:
+    def _current(self) -> StateReader:
         """The run that is there now. When it is over, and its last processes are ending, its state can still be read.
         Raises NoService, FailstopError."""
         self._check_open()
@@ -143,7 +142,7 @@ class Session:
         if before and not before.over():
             return before
         self._leave()
-        found = Run(self.name)
+        found = StateReader(self.name)
         if before and not self._reconnect:
             became = "has ended" if found.incarnation == before.incarnation else "was restarted"
             raise NoService(f"the service {self.name!r} {became} since this Robot was made: make a new one")
@@ -172,25 +171,18 @@ class Session:
         self._leave(in_order=False)
 
     @property
-    def _reader(self) -> StateReader:
-        run = self._current()
-        if self._state_reader is None or self._state_reader.run is not run:
-            self._state_reader = StateReader(self.name, run)
-        return self._state_reader
-
-    @property
     def state(self) -> State:
         """One snapshot of the service. When its supervisor has just died it says so, as a latched stop; raises
         NoService once the last of its processes has ended, FailstopError while it starts."""
         with self._lock:
-            return self._reader.read()
+            return self._current().read()
 
     @property
     def settings(self) -> dict[str, float | str]:
         """Every setting that the service was started with, by its whole key (`failstop config` lists them). Raises
         FailstopError."""
         with self._lock:
-            return self._reader.settings()
+            return self._current().settings()
 
     def _asking(
         self,

@@ -12,6 +12,7 @@ import msgpack
 
 from failstop.api import snapshot
 from failstop.api.client import Run, attach, starting
+from failstop.api.samples import SampleReader
 from failstop.api.snapshot import ArmState, JointState, Process, State, Stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -47,27 +48,24 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
 """What a snapshot is made of: whose each record is, and what reads it."""
 
 
-class StateReader:
-    """Reads snapshots of one run of a service; reads only, and needs no client slot."""
+class StateReader(Run):
+    """A run of a service of which snapshots are read; reads only, and needs no client slot."""
 
-    def __init__(self, name: str, run: Run | None = None) -> None:
-        """`run`: the run of this name that is there now, where the caller has it. Raises NoService, FailstopError."""
-        self.run = run or Run(name)
-        self.name = name
-        self.incarnation = self.run.incarnation
+    def __init__(self, name: str) -> None:
+        """Raises NoService, FailstopError."""
+        super().__init__(name)
         others = (which for which in layout.PROCESSES if which != layout.SUPERVISOR)
-        views = {which: attach(name, which, self.run.found) for which in others}
-        views[layout.SUPERVISOR] = self.run.supervisor
+        views = {layout.SUPERVISOR: self.supervisor, **{which: attach(name, which, self.found) for which in others}}
         self._beats = {which: heartbeat.HeartbeatReader(view) for which, view in views.items()}
-        self._epoch = views[layout.SUPERVISOR].word("epoch")
-        self._records = {record: views[whose].latest_reader(record) for record, (whose, _) in RECORDS.items()}
+        self._epoch = self.supervisor.word("epoch")
+        self._latest = {record: views[whose].latest_reader(record) for record, (whose, _) in RECORDS.items()}
         self._stops = views[layout.PORT_OWNER].ring_reader("stops", from_oldest=True)
         self._stopped: tuple[int, Cause | None] = (0, None)
         """The newest epoch in which the port owner stopped by itself, and its first cause there."""
 
     def _value(self, record: str) -> Any:
         """The newest value of one of RECORDS; None before the first."""
-        entry = self._records[record].read()
+        entry = self._latest[record].read()
         return RECORDS[record][1](entry[2]) if entry else None
 
     def _begun(self, record: str) -> Any:
@@ -80,6 +78,11 @@ class StateReader:
         """Every setting that the service was started with, by its whole key. Raises FailstopError while it starts."""
         found: dict[str, float | str] = self._begun("settings")
         return found
+
+    @cached_property
+    def samples(self) -> SampleReader:
+        """What the board reports from now on, sample by sample."""
+        return SampleReader(self)
 
     @cached_property
     def joints(self) -> dict[str, Joint]:
@@ -165,9 +168,9 @@ class StateReader:
         all the same: the port owner admits nothing of an older epoch, nor of the one in which it stopped by itself, and
         the gate's successor starts latched. The same holds for a gate that says on what it said before the supervisor
         died or fell silent."""
-        dead = self.run.dead()
+        dead = self.dead()
         epoch = self._epoch.get()  # before the gate's record: a newer one is then no sign of a stop
-        if (entry := self._records["state"].read()) is None:
+        if (entry := self._latest["state"].read()) is None:
             raise starting(self.name)
         _, told_ns, payload = entry
         decided: dict[str, Any] = RECORDS["state"][1](payload)
@@ -175,7 +178,7 @@ class StateReader:
         since, _, _, latched = self._value("latch") or (0, 0, 0, b"")
         cause = (causes.read(latched) if since else None) or own
         cause = cause or self._own_stop(epoch) or (causes.DIED(layout.SUPERVISOR) if dead else None)
-        if not cause and decided["enabled"] and self.run.silent(time.monotonic_ns()):
+        if not cause and decided["enabled"] and self.silent(time.monotonic_ns()):
             cause = causes.SILENT()
         if cause and not own:
             decided |= {
