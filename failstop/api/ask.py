@@ -25,11 +25,10 @@ LOOK_S = 0.002
 def stop(name: str, reason: str, who: str) -> tuple[str, str]:
     """Write a request into the pipe of a service, then look until it is latched, LATCH_S at most. Returns (how it went,
     what is wrong): the first is empty when no stop is known to be out. Raises nothing of its own."""
-    if problem := send(name, reason, who):
-        return "", problem
     try:
+        send_stop(name, reason, who)
         _, pipe = instance.open_stop(name)
-    except (instance.InstanceError, instance.NoService) as error:
+    except (FailstopError, instance.InstanceError, instance.NoService) as error:
         return "", str(error)
     try:
         return _watch(name, pipe)

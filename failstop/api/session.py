@@ -81,7 +81,7 @@ class Session:
         self._lock = threading.RLock()  # a signal's handler may call what it has interrupted
         self._closed = False
         self._enabled = False
-        """By this Robot."""
+        """By this Robot, as far as it knows."""
         self._pending: tuple[int, object] | None = None
         """Whose request the gate has not answered yet: the thread, and something of its own if a task awaits it."""
         self._run: StateReader | None = None
@@ -150,11 +150,11 @@ class Session:
         return found
 
     def _slot(self, run: Run) -> Client:
-        if self._connected is None:
+        connected = self._connected
+        if connected is None:
             if run.over():
                 raise gone(self.name)
-            self._connected = Client(self.name, self.client_name)
-        connected = self._connected
+            connected = self._connected = Client(self.name, self.client_name)
         if self._closed:  # by a signal's handler, while this went on
             self._leave()
             self._check_open()
@@ -208,7 +208,9 @@ class Session:
             while not (sent := self._send(verb, turn, about, asked_ns)):
                 yield None, POLL_S
             client, run, number = sent
-            until_s = time.monotonic() + limit_s
+            before, until_s = self._enabled, time.monotonic() + limit_s
+            if verb == records.ENABLE:
+                self._enabled = True  # it may be granted though nobody waits for the answer any more
             while not (answer := client.answer(number)) or answer.done == records.UNDER_WAY:
                 if answer and answer.text != said:
                     said, until_s = answer.text, time.monotonic() + limit_s
@@ -224,9 +226,10 @@ class Session:
                     raise NoAnswer(text)
                 yield None, POLL_S
             if not answer.done:
+                self._enabled = before if verb == records.ENABLE else self._enabled
                 raise Refused(answer.text, answer.cause)
-            if verb in (records.ENABLE, records.DISABLE):
-                self._enabled = verb == records.ENABLE
+            if verb == records.DISABLE:
+                self._enabled = False
             return str(answer)
         finally:
             self._pass(turn)
