@@ -9,14 +9,14 @@ from failstop.api import host, words
 from failstop.api.errors import NoService
 from failstop.api.events import Event, unpack
 from failstop.api.why import Why
-from failstop.incidents import copying
+from failstop.incidents import memory
 from failstop.shm import layout, records, segment
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    from failstop.incidents.copying import Copies
+    from failstop.incidents.memory import Segments
 
 
 class Left:
@@ -24,17 +24,17 @@ class Left:
 
     __slots__ = ("cause", "device", "events", "name", "pid", "stop", "t")
 
-    def __init__(self, name: str, copies: Copies, now_s: float, now_ns: int) -> None:
+    def __init__(self, name: str, segments: Segments, now_s: float, now_ns: int) -> None:
         """`now_s`, `now_ns`: Unix time and CLOCK_MONOTONIC of one moment."""
-        cause_ns, _, self.cause = copying.left_cause(copies)
+        cause_ns, _, self.cause = memory.left_cause(segments)
         self.name = name
         self.t = now_s - (now_ns - cause_ns) / 1e9
         """Unix time of the end."""
-        self.pid = copying.words(layout.SUPERVISOR, copies[layout.SUPERVISOR][1])["beat_pid"]
-        self.stop: dict[str, Any] | None = copying.left_stop(copies, cause_ns)
+        self.pid = segments[layout.SUPERVISOR]["words"]["beat_pid"]
+        self.stop: dict[str, Any] | None = memory.left_stop(segments, cause_ns)
         """As of supervisor/stops.py; None: no stop is known to have been written."""
-        self.device = _device(copies)
-        told = copying.whole(layout.SUPERVISOR, "events", *copies[layout.SUPERVISOR])
+        self.device = _device(segments)
+        told = segments[layout.SUPERVISOR]["rings"]["events"]
         self.events: list[Event] = [event for seq, _, payload in told if (event := unpack(seq, payload))]
 
     def start(self) -> str:
@@ -73,10 +73,9 @@ def find(name: str) -> Left | None:
     dead = segment.dead_runs(name)
     fds = segment.open_all(dead[-1]) if dead else {}
     try:
-        copies = {which: segment.copy(fd, name, which) for which, fd in fds.items()}
-        if len(copies) < len(layout.PROCESSES):
+        if len(fds) < len(layout.PROCESSES):
             return None
-        return Left(name, copies, time.time(), time.monotonic_ns())
+        return Left(name, memory.copy(fds, name)[1], time.time(), time.monotonic_ns())
     except (segment.AttachError, OSError):
         return None
     finally:
@@ -84,9 +83,9 @@ def find(name: str) -> Left | None:
             os.close(fd)
 
 
-def _device(copies: Copies) -> str | None:
-    entries = copying.whole(layout.PORT_OWNER, "port", *copies[layout.PORT_OWNER])
-    return records.PORT.unpack(entries[-1][2])[3] if entries else None
+def _device(segments: Segments) -> str | None:
+    port = segments[layout.PORT_OWNER]["latest"].get("port")
+    return records.PORT.unpack(port[2])[3] if port else None
 
 
 def refusal(name: str, error: NoService) -> NoService:
