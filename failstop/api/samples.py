@@ -101,6 +101,7 @@ class SampleReader:
     def read(self) -> list[Sample]:
         """The samples since the last call, in order, and the newest odometry, if it is new. Raises NoService when this
         run of the service is over."""
+        over = self.run.over()  # first: what it told last is still to be read then
         found: list[Sample] = []
         while entry := self._board.next():
             kind, values = box.unpack_board(entry[2])
@@ -110,7 +111,7 @@ class SampleReader:
         if news and news[0] != self._odometry_seq:
             self._odometry_seq = news[0]
             found.append(OdometrySample(news[1], *records.ODOMETRY.unpack(news[2])))
-        if not found and self.run.over():
+        if over and not found:
             raise NoService(f"the service {self.run.name!r} has ended, or was restarted: read its samples again")
         return found
 
