@@ -216,7 +216,7 @@ class Calls(Session):
         PadSample, OdometrySample of failstop.api.samples. The first call begins it, and the first of a new run begins
         again. Raises NoService, FailstopError."""
         with self._lock:
-            return self._current().samples.read()
+            return self._current().samples()
 
     @property
     def arm(self) -> Arm:

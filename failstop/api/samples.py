@@ -13,11 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from failstop.api.client import Run, attach
-from failstop.api.errors import NoService
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.procs.telemetry.odometry import POSE_VARIANCE
-from failstop.shm import box, layout, records
+from failstop.shm import box, records
+from failstop.shm.segment import Segment
 
 
 class ImuSample(NamedTuple):
@@ -90,18 +89,13 @@ Sample = ImuSample | BatterySample | PadSample | OdometrySample
 class SampleReader:
     """The samples of a run from now on; needs no permission and no client slot. Not thread-safe."""
 
-    def __init__(self, run: Run) -> None:
-        """Raises NoService, FailstopError."""
-        self.run = run
-        segment = attach(run.name, layout.TELEMETRY, run.found)
-        self._board = segment.ring_reader("box")
-        self._odometry = segment.latest_reader("odometry")
+    def __init__(self, telemetry: Segment) -> None:
+        self._board = telemetry.ring_reader("box")
+        self._odometry = telemetry.latest_reader("odometry")
         self._odometry_seq = 0
 
     def read(self) -> list[Sample]:
-        """The samples since the last call, in order, and the newest odometry, if it is new. Raises NoService when this
-        run of the service is over."""
-        over = self.run.over()  # first: what it told last is still to be read then
+        """The samples since the last call, in order, and the newest odometry, if it is new."""
         found: list[Sample] = []
         while entry := self._board.next():
             kind, values = box.unpack_board(entry[2])
@@ -111,8 +105,6 @@ class SampleReader:
         if news and news[0] != self._odometry_seq:
             self._odometry_seq = news[0]
             found.append(OdometrySample(news[1], *records.ODOMETRY.unpack(news[2])))
-        if over and not found:
-            raise NoService(f"the service {self.run.name!r} has ended, or was restarted: read its samples again")
         return found
 
 

@@ -12,7 +12,8 @@ import msgpack
 
 from failstop.api import snapshot
 from failstop.api.client import Run, attach, starting
-from failstop.api.samples import SampleReader
+from failstop.api.errors import NoService
+from failstop.api.samples import Sample, SampleReader
 from failstop.api.snapshot import ArmState, JointState, Process, State, Stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -80,9 +81,16 @@ class StateReader(Run):
         return found
 
     @cached_property
-    def samples(self) -> SampleReader:
-        """What the board reports from now on, sample by sample."""
-        return SampleReader(self)
+    def _samples(self) -> SampleReader:
+        return SampleReader(attach(self.name, layout.TELEMETRY, self.found))
+
+    def samples(self) -> list[Sample]:
+        """What the board reported since the last call. Raises NoService when this run of the service is over."""
+        over = self.over()  # first: what it told last is still to be read then
+        found = self._samples.read()
+        if over and not found:
+            raise NoService(f"the service {self.name!r} has ended, or was restarted: read its samples again")
+        return found
 
     @cached_property
     def joints(self) -> dict[str, Joint]:
