@@ -39,9 +39,6 @@ class Driving:
     velocity: Velocity
     """What the gate commands now: it gets to what was asked for along the ramp, within the limits."""
 
-    def __bool__(self) -> bool:
-        return True
-
 
 @dataclasses.dataclass(frozen=True)
 class Preempted:
@@ -146,7 +143,7 @@ class Calls(Session):
         until_s = time.monotonic() + TAKEN_S
         while True:
             with self._lock:
-                decided, cause = self._current().decided()
+                decided, cause, *_ = self._current().decided()
             answer, settled = judge(decided, source, cause)
             if settled or time.monotonic() > until_s:
                 return answer

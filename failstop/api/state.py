@@ -105,7 +105,7 @@ class StateReader(Run):
 
     def read(self) -> State:
         """A snapshot now. Raises FailstopError while the service has not published one yet."""
-        decided, cause, epoch, told_ns, dead = self._decided()
+        decided, cause, epoch, told_ns, dead = self.decided()
         known: dict[str, Any] = self._begun("processes")
         now_ns = time.monotonic_ns()
         millivolts, plugged = self._value("battery") or (0, 0)
@@ -140,11 +140,6 @@ class StateReader(Run):
             arm=self._arm(decided.get("arm"), now_ns),
         )
 
-    def decided(self) -> tuple[dict[str, Any], Cause | None]:
-        """What the gate has decided last, and what is latched: the part of read() that a driving program needs each
-        time. Raises FailstopError."""
-        return self._decided()[:2]
-
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:
         if found is None:
             return None
@@ -170,12 +165,14 @@ class StateReader(Run):
             )
         return ArmState(**{**found, "joints": joints, "silent": tuple(found["silent"]), "wrong": tuple(found["wrong"])})
 
-    def _decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
+    def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
         """What the gate has published, what is latched, the epoch, when the gate published it, and whether the
-        supervisor is dead. A stop that the gate has not followed yet, because it hangs or has just died, is in force
-        all the same: the port owner admits nothing of an older epoch, nor of the one in which it stopped by itself, and
-        the gate's successor starts latched. The same holds for a gate that says on what it said before the supervisor
-        died or fell silent."""
+        supervisor is dead: the part of read() that a driving program needs each time. Raises FailstopError.
+
+        A stop that the gate has not followed yet, because it hangs or has just died, is in force all the same: the port
+        owner admits nothing of an older epoch, nor of the one in which it stopped by itself, and the gate's successor
+        starts latched. The same holds for a gate that says on what it said before the supervisor died or fell
+        silent."""
         dead = self.dead()
         epoch = self._epoch.get()  # before the gate's record: a newer one is then no sign of a stop
         if (entry := self._latest["state"].read()) is None:
