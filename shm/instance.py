@@ -91,7 +91,7 @@ def publish(runtime_dir: str, incarnation: int) -> int:
 
 
 def touch(published: int) -> None:
-    """Wake everybody who waits for news of the run (failstop/api/news.py). `published`: from publish()."""
+    """Wake everybody who waits for news of the run (failstop/api/events.py). `published`: from publish()."""
     with contextlib.suppress(OSError):
         os.pwrite(published, b"\n", RUN_DIGITS)
 
