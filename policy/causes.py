@@ -10,6 +10,8 @@ Every cause latches.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 from failstop.shm import records
 from failstop.shm.data import Data
 from failstop.shm.records import cut, printable
@@ -44,9 +46,9 @@ class Kind(Data):
     remedy: str
     cleared_by: str = RESET
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[tuple[str, type[Value]], ...]:
-        """Name and type of each."""
+        """Name and type of each: looked for once, as causes are made in front of a burst."""
         fields = [part.partition("}")[0].partition(":") for part in self.template.split("{")[1:]]
         return tuple((name, _TYPES[form[-1:]]) for name, _, form in fields)
 
@@ -57,11 +59,14 @@ class Kind(Data):
         return Cause(self, tuple(of(given) for (_, of), given in zip(self.parameters, arguments, strict=True)))
 
 
-class Cause(Data):
+class Cause:
     """Why the robot was stopped: the row, and what it says of this case. `str` of it is its text."""
 
-    kind: Kind
-    arguments: tuple[Value, ...]
+    __slots__ = ("arguments", "kind")
+
+    def __init__(self, kind: Kind, arguments: tuple[Value, ...]) -> None:
+        self.kind = kind
+        self.arguments = arguments
 
     def named(self) -> dict[str, Value]:
         """The arguments by name."""

@@ -13,7 +13,6 @@ Source: Linux, Documentation/locking/robust-futex-ABI.rst; set_robust_list(2), f
 from __future__ import annotations
 
 import _thread
-import contextlib
 import ctypes
 import errno
 import mmap
@@ -149,6 +148,8 @@ def proven() -> bool:
         os.ftruncate(fd, mmap.PAGESIZE)
         word = Futex(fd, 0, write=True)
         _thread.start_new_thread(_hold_until_the_end, (word, kept))
+        while not kept:  # until then the thread has the word
+            sleep(_LOOK_S)
         until_ns = monotonic_ns() + _PROOF_NS
         while not word.told() and kept != [None] and monotonic_ns() < until_ns:
             sleep(_LOOK_S)
@@ -164,6 +165,9 @@ def proven() -> bool:
 def _hold_until_the_end(word: Futex, kept: list[object]) -> None:
     """Of a thread, which is this alone."""
     held = None
-    with contextlib.suppress(OSError):
+    try:
         held = word.hold()
-    kept.append(held)
+    except OSError:
+        pass
+    finally:
+        kept.append(held)

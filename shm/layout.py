@@ -2,7 +2,7 @@
 
 One segment per writer, so that "one writer per record" is what the mapping permits and not a promise: a process maps
 its own segment for writing and every other one for reading only. Client segments are written by clients and never
-mapped by the service (see views.py).
+mapped by the service (see cell.py).
 """
 
 from __future__ import annotations

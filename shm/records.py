@@ -97,16 +97,16 @@ class Shape:
     """Numbers in the form of `struct`, and the tail's values after them. `pack` takes what `unpack` returns; `unpack`
     raises ValueError for bytes of another shape, so that a reader takes them for damage. `most`: bytes."""
 
-    __slots__ = ("_count", "_numbers", "_tail", "most")
+    __slots__ = ("_count", "_numbers", "_tail", "most", "pack")
 
     def __init__(self, form: str, tail: Tail = NOTHING) -> None:
         self._numbers = struct.Struct(form)
         self._count = len(self._numbers.unpack(bytes(self._numbers.size)))
         self._tail = tail
         self.most = self._numbers.size + tail.most
+        self.pack: Callable[..., bytes] = self._numbers.pack if tail is NOTHING else self._pack_with_tail
 
-    def pack(self, *values: Any) -> bytes:
-        """The bytes of these values."""
+    def _pack_with_tail(self, *values: Any) -> bytes:
         return self._numbers.pack(*values[: self._count]) + self._tail.pack(*values[self._count :])
 
     def unpack(self, payload: bytes) -> tuple[Any, ...]:
@@ -122,7 +122,7 @@ if TYPE_CHECKING:
     class Payload(Shape, Generic[Unpack[Values]]):
         """A shape of these values, as the type checker sees it."""
 
-        def pack(self, *values: Unpack[Values]) -> bytes: ...
+        pack: Callable[[Unpack[Values]], bytes]
 
         def unpack(self, payload: bytes) -> tuple[Unpack[Values]]: ...
 

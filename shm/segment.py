@@ -1,4 +1,4 @@
-"""Segments: POSIX shared memory, which on Linux are files, created by the supervisor and attached by everyone else.
+"""Segments: POSIX shared memory objects, on Linux files, created by the supervisor and attached by everyone else.
 
 /dev/shm is everyone's to write. So each run has names of its own that nobody can know before (`memory`: the instance's
 name and the run's incarnation), which the runtime directory tells (instance.run), and what is attached must be the
@@ -123,11 +123,14 @@ class Segment:
 def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
     """Create a segment of this run, whose supervisor alone does it, and holds the lock on its own as long as it lives.
     Raises AttachError, and leaves nothing then."""
+    import posix_ipc  # here and in unlink() alone: whoever attaches loads nothing for it
+
     spec, path = BY_NAME[name], path_of(memory, name)
     try:
-        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, 0o600)
-    except OSError as error:
-        raise AttachError("damaged", f"{path} can't be made: {error.strerror}") from None
+        shared = posix_ipc.SharedMemory(path.removeprefix(SHM), posix_ipc.O_CREX, mode=0o600)
+    except (posix_ipc.Error, OSError) as error:
+        raise AttachError("damaged", f"{path} can't be made: {error}") from None
+    fd: int = shared.fd
     try:
         if name == SUPERVISOR:
             claim.take(fd, 0)
@@ -150,8 +153,10 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
 
 def unlink(memory: str, name: str) -> None:
     """Remove a segment's name; one that is not there, or is another user's, is fine: nobody needs the name again."""
-    with contextlib.suppress(OSError):
-        os.unlink(path_of(memory, name))
+    import posix_ipc
+
+    with contextlib.suppress(posix_ipc.Error, OSError):
+        posix_ipc.unlink_shared_memory(path_of(memory, name).removeprefix(SHM))
 
 
 def unlink_all(memory: str) -> None:

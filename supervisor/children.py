@@ -114,17 +114,16 @@ class Child:
         """One of EVENTS has happened to it."""
         self.state = NEXT[self.state].get(event, self.state)
 
-    def started(self, pid: int, block: int, now_ns: int) -> Lifeline:
-        """It was just started; returns the news of its death. Raises OSError, and then nothing is changed."""
-        self.life = self._world.lifeline(pid)
-        self.pid = pid
+    def started(self, life: Lifeline, block: int, now_ns: int) -> None:
+        """It was just started; `life`: the news of its death."""
+        self.life = life
+        self.pid = life.pid
         self.block = block
         self.fence = None
         self.started_ns = now_ns
         self.restart.set(NEVER)
         self._spared_ns = 0
         self.on(STARTED)
-        return self.life
 
     def restart_wait_ns(self, now_ns: int) -> int | None:
         """It has died: the first time in the window it is restarted at once, the next after a doubling wait, and after

@@ -126,18 +126,22 @@ class ProcessTable:
 
     def start(self, child: Child) -> None:
         """Start a process, which inherits the port, and name it to those who watch it."""
-        name, block, pid = child.row.name, self._free_block(), 0
+        name, block, pid, life = child.row.name, self._free_block(), 0, None
         try:
             pid = self._spawn(child.row, block)
-            self._loop.watch(child.started(pid, block, self._now_ns()).fd, READ)
+            life = self._world.lifeline(pid)
+            self._loop.watch(life.fd, READ)
         except OSError as error:
             if pid:  # out of descriptors: without its pidfd nobody would know of its death
                 self._world.kill(pid, signal.SIGKILL)
                 self._world.reap(pid, 0)
+            if life:
+                life.close()
             text = f"cannot start {name}: {error}; trying again"
             self._events.tell("start_failed", text, {"process": name, "reason": str(error)})
             child.restart.set(self._now_ns() + TRY_AGAIN_NS)
         else:
+            child.started(life, block, self._now_ns())
             self._life_words[name].set(records.life(pid, block))
             self._tell_watchers()
 

@@ -122,6 +122,16 @@ def test_the_supervisor_s_death_is_a_stop_and_then_the_end(scene: Scene) -> None
     assert written == [BURST, BURST], "the two repeats, and no motion"
 
 
+def test_its_early_news_is_answered_once(scene: Scene) -> None:
+    """The mark stays, where a descriptor is no longer watched."""
+    scene.drive()
+    scene.owner._parent.life.marked = True
+    assert scene.turn() == BURST
+    assert scene.reasons() == ["supervisor died"]
+    assert scene.turn() == b""
+    assert scene.reasons() == []
+
+
 @pytest.mark.parametrize("process", [layout.GATE, layout.TELEMETRY])
 def test_the_supervisor_s_comes_before_that_of_who_dies_with_it_whoever_s_news_is_first(
     scene: Scene, process: str

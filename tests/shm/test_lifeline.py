@@ -755,6 +755,25 @@ def test_nor_one_that_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not futex.proven()
 
 
+def test_the_proof_is_over_when_its_thread_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However late that runs: it would write to a descriptor that is somebody else's by then."""
+    ran: list[object] = []
+    hold, run = Futex.hold, threading.Event()
+
+    def late(word: Futex) -> object:
+        run.wait()
+        ran.append(hold(word))
+        return ran[0]
+
+    monkeypatch.setattr(Futex, "hold", late)
+    monkeypatch.setattr(futex, "_PROOF_NS", 0)
+    timer = threading.Timer(0.05, run.set)
+    timer.start()
+    futex.proven()
+    assert ran
+    timer.join()
+
+
 @pytest.fixture
 def refused(held: Segment, monkeypatch: pytest.MonkeyPatch) -> Segment:
     """Its words can be read, and not written."""

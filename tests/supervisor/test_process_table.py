@@ -56,12 +56,30 @@ def test_a_process_that_can_not_be_watched_is_not_left_running(scene: Scene) -> 
     assert event["text"] == f"cannot start gate: {reason}; trying again"
 
 
+def test_nor_one_whose_news_the_loop_does_not_take(scene: Scene) -> None:
+    found: list[Lifeline] = []
+
+    def unwatchable(pid: int) -> Lifeline:
+        found.append(Lifeline(pid))
+        os.close(found[0].fd)
+        found[0].fd = os.open(__file__, os.O_RDONLY)  # a file: epoll takes none
+        return found[0]
+
+    scene.world.play("spawn", lambda *_: os.posix_spawnp("sleep", ["sleep", "120"], os.environ))
+    scene.world.play("lifeline", unwatchable)
+    gate = scene.supervisor.processes[layout.GATE]
+    scene.supervisor.processes.start(gate)
+    assert not os.path.exists(f"/proc/{found[0].pid}")
+    assert found[0].fd == -1, "it is closed"
+    assert (gate.pid, gate.life, gate.state) == (0, None, "waiting")
+
+
 def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene) -> None:
     """As while a debugger holds the dead process; here it has not even died, and its pidfd is said to be ready."""
     processes = scene.supervisor.processes
     gate = processes[layout.GATE]
     pid = os.posix_spawnp("sleep", ["sleep", "120"], os.environ)
-    gate.started(pid, 1, scene.now_ns)
+    gate.started(Lifeline(pid), 1, scene.now_ns)
     assert gate.life
     scene.supervisor.loop.watch(gate.life.fd, READ)
     gate.on(DIED)
@@ -79,7 +97,7 @@ def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene) -> 
 @pytest.mark.parametrize(("number", "told"), [(signal.SIGTERM, "SIGTERM"), (signal.SIGRTMIN + 2, "36")])
 def test_a_signal_is_told_by_its_name_where_it_has_one(scene: Scene, number: int, told: str) -> None:
     gate = scene.supervisor.processes[layout.GATE]
-    gate.started(os.posix_spawnp("sleep", ["sleep", "120"], os.environ), 1, scene.now_ns)
+    gate.started(Lifeline(os.posix_spawnp("sleep", ["sleep", "120"], os.environ)), 1, scene.now_ns)
     os.kill(gate.pid, number)
     assert gate.life
     assert gate.life.wait(20.0)
@@ -89,7 +107,7 @@ def test_a_signal_is_told_by_its_name_where_it_has_one(scene: Scene, number: int
 def test_a_process_that_is_ended_is_collected(scene: Scene) -> None:
     gate = scene.supervisor.processes[layout.GATE]
     pid = os.posix_spawnp("sleep", ["sleep", "120"], os.environ)
-    gate.started(pid, 1, scene.now_ns)
+    gate.started(Lifeline(pid), 1, scene.now_ns)
     gate.kill(20.0)
     assert (gate.pid, gate.life) == (0, None)
     assert not os.path.exists(f"/proc/{pid}")
@@ -152,7 +170,7 @@ def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monk
     told: list[tuple[str, str, dict[str, object]]] = []
     for _ in range(5):
         pid = os.posix_spawnp("false", ["false"], os.environ)
-        telemetry.started(pid, 1, scene.now_ns)
+        telemetry.started(Lifeline(pid), 1, scene.now_ns)
         assert telemetry.life
         assert telemetry.life.wait(20.0)
         telemetry.on(DIED)
@@ -189,7 +207,7 @@ def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
 
     monkeypatch.setattr(EarlyNews, "arm", arm)
     for child, block in ((gate, 5), (stopper, 6)):
-        child.started(os.posix_spawnp("sleep", ["sleep", "120"], os.environ), block, scene.now_ns)
+        child.started(Lifeline(os.posix_spawnp("sleep", ["sleep", "120"], os.environ)), block, scene.now_ns)
     scene.gate.word("beat_pid").set(gate.pid)
     scene.gate.word("beat_state").set(RUNNING)
     processes.arm()

@@ -13,6 +13,7 @@ from failstop.policy.processes import BY_NAME
 from failstop.procs.loop import NEVER, READ
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
+from failstop.shm.lifeline import Lifeline
 from failstop.shm.packing import pack
 from failstop.supervisor import process_table as table_module
 from failstop.supervisor.children import RUNS, WAITING
@@ -35,7 +36,7 @@ class Watching(Scene):
         dummy = Dummy()
         self.dummies.append(dummy)
         child = self.supervisor.processes[name]
-        child.started(dummy.pid, 1 + len(self.dummies), self.now_ns)
+        child.started(Lifeline(dummy.pid), 1 + len(self.dummies), self.now_ns)
         child.life.armed = True  # type: ignore[union-attr]
         self.supervisor.loop.watch(child.life.fd, READ)  # type: ignore[union-attr]
         own = segment.attach(self.run.memory, name, write=True)
