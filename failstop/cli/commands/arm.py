@@ -8,8 +8,9 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
+from failstop.cli import style
 from failstop.cli.commands import add_name
-from failstop.cli.screen import arm as shown
+from failstop.cli.screen import summary
 from failstop.supervisor.fold import fitted
 
 EXAMPLES = """\
@@ -59,8 +60,8 @@ def main(arguments: Namespace) -> int:
             else:
                 if arguments.verb == "read":
                     arm.read()
-                text = json.dumps(arm.state, indent=2) if arguments.json else "\n".join(shown.lines(arm.state))
-                print(text)
+                rows = map(style.plain, summary.arm_lines(arm.state))
+                print(json.dumps(arm.state, indent=2) if arguments.json else "\n".join(rows))
                 return 0
         except ValueError as error:
             raise FailstopError(str(error)) from None

@@ -5,24 +5,18 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.robot import Robot
 from failstop.cli import style
 from failstop.cli.commands import add_name
-from failstop.cli.screen import cockpit, keys
-from failstop.cli.screen.follow import Follower
-from failstop.cli.screen.live import fit
+from failstop.cli.screen import keys
 from failstop.cli.screen.pilot import CLIENT, Pilot
+from failstop.cli.screen.runs import Follower
 from failstop.cli.screen.terminal import Terminal
 from failstop.policy.settings import BY_KEY
 from failstop.procs.gate.sources import DEFAULT as DEFAULT_SOURCE
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-
-    from failstop.api.state import State
 
 EXAMPLES = """\
 failstop teleop                         # e enables, space stops, q leaves
@@ -52,8 +46,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 def _positive(text: str) -> float:
     value = float(text)
     if not 0.0 < value <= 10.0:
-        from argparse import ArgumentTypeError
-
         raise ArgumentTypeError(f"{text}: allowed is more than 0, to 10")
     return value
 
@@ -101,24 +93,7 @@ def _drive(terminal: Terminal, follower: Follower, pilot: Pilot) -> None:
         pilot.keys(typed, state, now_s, late=late or before)
         if now_s - drawn_s >= DRAW_S:
             drawn_s = now_s
-            _draw(terminal, pilot, state, now_s)
-
-
-def _draw(terminal: Terminal, pilot: Pilot, state: State, now_s: float) -> None:
-    rows = cockpit.lines(
-        state,
-        held=pilot.hold.active,
-        releases=pilot.hold.releases,
-        command=pilot.command(now_s),
-        percent=pilot.percent,
-        speeds=pilot.speeds(),
-        note=pilot.note,
-        source=pilot.source,
-        fancy=style.fancy(),
-        columns=terminal.columns,
-        joint=pilot.joint,
-    )
-    terminal.draw(fit(rows, terminal.rows))
+            terminal.draw(pilot.lines(state, now_s, terminal.columns, fancy=style.fancy()))
 
 
 def _pause(terminal: Terminal, pilot: Pilot) -> None:

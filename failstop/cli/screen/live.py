@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from math import hypot, sqrt
 
 from failstop.api import host, words
-from failstop.cli import style
-from failstop.cli.screen import summary, told
-from failstop.cli.screen.sparkline import spark
-from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
+from failstop.api.events import Event
+from failstop.api.state import State
+from failstop.cli.screen import summary
+from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.policy.settings import BY_KEY
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from failstop.api.events import Event
-    from failstop.api.state import State
-    from failstop.cli.style import Line
 
 REMEMBERED = 400
 """Values a sparkline can show; a wider terminal leaves a gap."""
@@ -29,11 +22,12 @@ MOST_EVENTS = 12
 SLOW_S = 0.5
 """Ages and the process table are drawn again this often: digits that change faster can't be read."""
 STILL_RADPS = float(BY_KEY["still.std_radps"].default)
-TOP_RADPS = 3 * STILL_RADPS
 TOP_MPS = float(BY_KEY["limits.vx_mps"].default)
-TOP_TURN_RADPS = float(BY_KEY["limits.wz_radps"].default)
+TOP_RADPS = float(BY_KEY["limits.wz_radps"].default)
 NAMES = 32
 """Columns before a sparkline."""
+BARS = "▁▂▃▄▅▆▇█"
+ASCII = "_.:-=+*#"
 
 
 class Vibration:
@@ -54,12 +48,20 @@ class Vibration:
         self._samples.append((rate_radps[0], rate_radps[1]))
         if len(self._samples) < WINDOW:
             return None
-        return sqrt(sum(_variance([sample[axis] for sample in self._samples]) for axis in (0, 1)) / 2)
+        return sqrt(sum(map(_variance, zip(*self._samples, strict=True))) / 2)
 
 
-def _variance(values: list[float]) -> float:
+def _variance(values: tuple[float, ...]) -> float:
     mean = sum(values) / len(values)
     return sum((value - mean) ** 2 for value in values) / (len(values) - 1)
+
+
+def spark(values: Sequence[float | None], top: float, columns: int, *, fancy: bool = True) -> str:
+    """The newest `columns` values as bars, the newest at the right; `top` and above is a full bar, None a gap."""
+    bars = BARS if fancy else ASCII
+    shown = values[-columns:] if columns > 0 else []
+    parts = [None if value is None else min(1.0, max(0.0, value / top if top else 0.0)) for value in shown]
+    return "".join(" " if part is None else bars[round(part * (len(bars) - 1))] for part in parts).rjust(columns)
 
 
 class Live:
@@ -68,9 +70,7 @@ class Live:
     def __init__(self, name: str, *, fancy: bool) -> None:
         self._name = name
         self._fancy = fancy
-        self._speed: deque[float | None] = deque(maxlen=REMEMBERED)
-        self._turn: deque[float | None] = deque(maxlen=REMEMBERED)
-        self._shake: deque[float | None] = deque(maxlen=REMEMBERED)
+        self._history: dict[str, deque[float | None]] = {}
         self._vibration = Vibration()
         self._slow: list[Line] = []
         self._drawn_s = -SLOW_S
@@ -82,23 +82,16 @@ class Live:
         self, state: State, mono_s: float, unix_s: float, columns: int, rows: int, events: Sequence[Event] = ()
     ) -> list[Line]:
         """The screen for a state. `mono_s`: a monotonic clock; call it at a steady rate, as a sparkline's step is one
-        call. `events`: of this run, oldest first."""
+        call. `rows`: of the terminal, which the last events fill. `events`: of this run, oldest first."""
         self._gone_s = 0.0
         self._device = state.device.path
-        vx, vy, wz = state.body_vel
-        self._speed.append(hypot(vx, vy))
-        self._turn.append(abs(wz))
-        self._shake.append(self._vibration.add(state.imu.rate_radps if state.imu else None))
+        wheels = summary.wrapped([summary.headline(state)], columns)
         key = (columns, state.blocked, state.epoch, state.waiting_for, state.device, state.moving)
         if key != self._key or mono_s - self._drawn_s >= SLOW_S:
             self._key, self._drawn_s = key, mono_s
-            self._slow = summary.lines(state, unix_s, columns, events)[len(self._wheels(state, columns)) :]
-        head = [self._title(unix_s, columns), *self._wheels(state, columns), []]
-        body = [*head, *self._bars(state, columns), [], *self._slow]
-        return fit([*body, *_news(events, unix_s, rows - len(body))], rows)
-
-    def _wheels(self, state: State, columns: int) -> list[Line]:
-        return style.wrap(summary.wheels(state)[0], columns, summary.LABEL)
+            self._slow = summary.lines(state, unix_s, columns, events)[len(wheels) :]
+        body = [self._title(unix_s, columns), *wheels, [], *self._bars(state, columns), [], *self._slow]
+        return [*body, *_news(events, unix_s, rows - len(body))]
 
     def _title(self, unix_s: float, columns: int) -> Line:
         left, right = f"failstop {self._name}", f"{words.clock(unix_s, unix_s)}   q quits"
@@ -106,33 +99,33 @@ class Live:
 
     def _bars(self, state: State, columns: int) -> list[Line]:
         vx, vy, wz = state.body_vel
-        role = OK if state.moving else PLAIN
+        speed, turn, shake = hypot(vx, vy), abs(wz), self._vibration.add(state.imu.rate_radps if state.imu else None)
+        moves = OK if state.moving else PLAIN
+        if shake is None:
+            silent = state.imu is None or len(self._history.get("vibration", ())) >= WINDOW
+            text, role = "IMU silent" if silent else "measuring", DIM
+        else:
+            shakes = shake > STILL_RADPS
+            text = f"{shake:.4f} rad/s {'shakes' if shakes else 'still'}"
+            role = WARN if shakes and not state.moving else PLAIN
         return [
-            self._bar("speed", f"{hypot(vx, vy):.2f} m/s", self._speed, TOP_MPS, role, columns),
-            self._bar("turn", f"{abs(wz):.2f} rad/s", self._turn, TOP_TURN_RADPS, role, columns),
-            self._shaking(state, columns),
+            self._bar("speed", speed, f"{speed:.2f} m/s", TOP_MPS, moves, columns),
+            self._bar("turn", turn, f"{turn:.2f} rad/s", TOP_RADPS, moves, columns),
+            self._bar("vibration", shake, text, 3 * STILL_RADPS, role, columns),
         ]
 
-    def _shaking(self, state: State, columns: int) -> Line:
-        now = self._shake[-1]
-        if now is None:
-            text, role = "IMU silent" if state.imu is None or len(self._shake) > WINDOW else "measuring", DIM
-        else:
-            text = f"{now:.4f} rad/s {'shakes' if now > STILL_RADPS else 'still'}"
-            role = WARN if now > STILL_RADPS and not state.moving else PLAIN
-        return self._bar("vibration", text, self._shake, TOP_RADPS, role, columns)
-
-    def _bar(self, name: str, text: str, values: deque[float | None], top: float, role: str, columns: int) -> Line:
-        top = max([top, *(value for value in values if value is not None)])
-        head = f"{text:<{NAMES - summary.LABEL}}"
+    def _bar(self, name: str, value: float | None, text: str, top: float, role: str, columns: int) -> Line:
+        values = self._history.setdefault(name, deque(maxlen=REMEMBERED))
+        values.append(value)
+        top = max([top, *(known for known in values if known is not None)])
         bars = spark(list(values), top, columns - NAMES, fancy=self._fancy)
-        return [(f"{name:<{summary.LABEL}}", DIM), (head, PLAIN), (bars, role)]
+        return [*summary.row(name, f"{text:<{NAMES - summary.LABEL}}"), (bars, role)]
 
     def gone(self, note: str, unix_s: float, columns: int) -> list[Line]:
         """The screen while there is no service; the history shows the gap."""
         if not self._gone_s:
             self._gone_s = unix_s
-            for values in (self._speed, self._turn, self._shake):
+            for values in self._history.values():
                 values.append(None)
         told = host.journal(self._name) or words.named("`failstop why`", self._name)
         rows: list[Line] = [
@@ -145,26 +138,11 @@ class Live:
             [("what happened:       ", PLAIN), (told, STRONG)],
             [("to start it:         ", PLAIN), (host.start(self._name, self._device), STRONG)],
         ]
-        return [part for row in rows for part in (style.wrap(row, columns, 0) if row else [row])]
+        return summary.wrapped(rows, columns, 0)
 
 
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
     """The last events, as many as there are rows for them, each in one: without what to do next, which is above."""
-    count = min(room - 2, len(events), MOST_EVENTS)
-    shown = [replace(event, text=event.text.partition("; next: ")[0]) for event in events[-count:]] if count > 0 else []
-    return [[], [("last events", DIM)], *(told.line(event, unix_s) for event in shown)] if shown else []
-
-
-def fit(lines: list[Line], rows: int) -> list[Line]:
-    """As many lines as the screen has: empty ones go first, then the last ones, and that is said."""
-    spare = len(lines) - rows
-    kept = []
-    for line in lines:
-        if spare > 0 and not line:
-            spare -= 1
-        else:
-            kept.append(line)
-    if len(kept) > rows:
-        hidden = len(kept) - rows + 1
-        kept = [*kept[: rows - 1], [(f"({hidden} more lines: the window is too small)", DIM)]]
-    return kept
+    count = max(0, min(room - 2, len(events), MOST_EVENTS))
+    shown = [replace(it, text=it.text.partition("; next: ")[0]) for it in events[len(events) - count :]]
+    return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

@@ -1,31 +1,29 @@
-"""Pilot: what the keys of `failstop teleop` do to the robot."""
+"""Pilot: what the keys of `failstop teleop` do to the robot, and the screen of it."""
 
 from __future__ import annotations
 
 import os
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
+from failstop.api import words
 from failstop.api.errors import FailstopError, NoService
-from failstop.cli.screen.hold import AXES, COMMAND_S, Hold
-from failstop.cli.screen.keys import EVENTS, FOCUS_OUT, PRESS, RELEASE
-from failstop.cli.style import FAIL, OK, PLAIN, WARN
+from failstop.api.robot import Robot
+from failstop.api.snapshot import ArmState
+from failstop.api.state import State
+from failstop.cli.screen import summary
+from failstop.cli.screen.keys import AXES, COMMAND_S, EVENTS, FOCUS_OUT, PRESS, RELEASE, Hold, Key, Velocity
+from failstop.cli.screen.summary import row
+from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line, Span
 from failstop.procs.gate.arm.joints import PULSES_PER_RAD
 from failstop.shm import blocks
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.api.robot import Robot
-    from failstop.api.state import State
-    from failstop.cli.screen.hold import Velocity
-    from failstop.cli.screen.keys import Key
-
 CLIENT = "failstop teleop"
-LATCHED = "a stop is latched: r resets it, then e enables motion"
-STEP_PERCENT = 10
+LATCHED = ("a stop is latched: r resets it, then e enables motion", FAIL)
 FIRST_PERCENT = 50
-FASTER = ("+", "=")
-SLOWER = ("-", "_")
+STEPS_PERCENT = {"+": 10, "=": 10, "-": -10, "_": -10}
 LEAVE = ("q", "ctrl+d")
 TURNS = {"[": -1, "]": 1}
 """These turn the chosen joint of the arm, which a digit chooses, while they are held."""
@@ -33,6 +31,15 @@ URGENT = ("space", *LEAVE, "ctrl+c", "ctrl+z", EVENTS, FOCUS_OUT)
 """These count however late they come."""
 SIGNALS = {"ctrl+c": signal.SIGINT, "ctrl+z": signal.SIGTSTP}
 """Terminals that tell all keys as events send these too, which the kernel then makes no signals of."""
+KEYS = (
+    ("w s", "\u2191 \u2193", "forward, backward", "space", "STOP, latched"),
+    ("a d", "\u2190 \u2192", "turn left, right", "e", "enable motion"),
+    ("j l", "", "slide left, right", "r", "reset a latched stop"),
+    ("+ -", "", "faster, slower", "q", "stop, disable, leave"),
+)
+"""Two columns of keys: letters, arrows, what they do; another key, what it does."""
+REPEATS = "hold a key to drive: a tap drives 0.3 s, going on when the terminal repeats it"
+RELEASES = "hold a key to drive: it ends with the key's release"
 
 
 class Pilot:
@@ -45,15 +52,14 @@ class Pilot:
         self.source = source
         self.percent = FIRST_PERCENT
         self.hold = Hold()
-        self.note = ("motion is never enabled by itself: e enables it", PLAIN)
+        self.note: Span = ("motion is never enabled by itself: e enables it", PLAIN)
         """What to tell, and its role."""
         self.leaving = False
+        self.joint = 0
+        """The chosen joint of the arm, by its place in the settings."""
         self._full = (speed_mps, speed_mps, turn_radps)
         self._command: Velocity = (0.0, 0.0, 0.0)
         self._commanded_s = 0.0
-        self.joint = 0
-        """The chosen joint of the arm, by its place in the settings."""
-        self._has_arm = False
         self._enabling: threading.Thread | None = None
         self._latched: str | None = None
         """The latch as it was seen last."""
@@ -70,132 +76,116 @@ class Pilot:
         return self._command if now_s - self._commanded_s <= COMMAND_S else None
 
     def keys(self, keys: list[Key], state: State, now_s: float, *, late: bool) -> None:
-        """Act on key events. `late`: they may have waited somewhere; then only what stops counts."""
-        self._has_arm = state.arm is not None
+        """Act on key events, and on what is due without any. `late`: they may have waited somewhere; then only what
+        stops counts."""
         others = (row.who for row in state.sources if row.source == self.source and row.who != self._who)
         self._rival = next(others, "")
         if ("space", PRESS) in keys:
-            self._request("space")
+            self.hold.let_go()
+            with self._noted():
+                self.robot.estop("space key")
+                self.note = LATCHED
             late = True  # what was typed before it, or with it, must not undo it
         if late:
             self._send(self.hold.let_go(), now_s)
             keys = [key for key in keys if key[0] in URGENT]
-        if state.arm:
-            keys = [key for key in keys if not self._turn(key, list(state.arm.joints))]
+        moving = []
         for name, kind in keys:
-            if kind != RELEASE and name not in AXES and name != "space":
-                self._press(name, now_s)
-        moving = [key for key in keys if key[0] in AXES or key[0] == FOCUS_OUT]
-        if moving and self._may_drive(moving, state):
-            self._send(self.hold.events(moving, now_s), now_s)
-        self.tick(state, now_s)
-
-    def tick(self, state: State, now_s: float) -> None:
-        """What is due without a key; nothing drives on that something else has stopped."""
+            if name in AXES or name == FOCUS_OUT:
+                moving.append((name, kind))
+            elif not (state.arm and self._turn(name, kind, state.arm)) and kind != RELEASE and name != "space":
+                self._press(name, state, now_s)
+        if moving:
+            self._drive(moving, state, now_s)
+        # Nothing drives on that something else has stopped.
         if not state.enabled:
             self.hold.let_go()
         if state.estop != self._latched:
             self._latched = state.estop
-            if state.estop:
-                self.note = (LATCHED, FAIL)
+            self.note = LATCHED if state.estop else self.note
         self._send(self.hold.due(now_s), now_s)
 
-    def _press(self, name: str, now_s: float) -> None:
+    @contextmanager
+    def _noted(self) -> Iterator[None]:
+        try:
+            yield
+        except NoService:
+            raise
+        except FailstopError as error:
+            self.note = (str(error), FAIL)
+
+    def _press(self, name: str, state: State, now_s: float) -> None:
         """A key that is none of motion; one that means nothing lets go of those that are."""
         if name == EVENTS:
             self.hold.releases = True
-        elif name == FOCUS_OUT:
-            return
-        elif name in FASTER or name in SLOWER:
-            change = STEP_PERCENT if name in FASTER else -STEP_PERCENT
-            self.percent = max(STEP_PERCENT, min(100, self.percent + change))
+        elif name in STEPS_PERCENT:
+            self.percent = max(10, min(100, self.percent + STEPS_PERCENT[name]))
         elif name in SIGNALS:
             os.kill(os.getpid(), SIGNALS[name])
         else:
             self._send(self.hold.let_go(), now_s)
-            self._request(name)
-
-    def _turn(self, key: Key, joints: list[str]) -> bool:
-        """True when the key is one of the arm's: acted on."""
-        name, kind = key
-        if name.isdigit() and 0 < int(name) <= len(joints):
-            self.joint = int(name) - 1
-            self.note = (f"joint {joints[self.joint]}: [ and ] turn it", PLAIN)
-        elif name in TURNS:
-            self._jog(joints[min(self.joint, len(joints) - 1)], TURNS[name] if kind != RELEASE else 0)
-        else:
-            return False
-        return True
-
-    def _jog(self, joint: str, way: int) -> None:
-        try:
-            arm = self.robot.arm
-            if way:
-                arm.jog({joint: way * arm.joints[joint].speed / PULSES_PER_RAD * self.percent / 100})
-                state = arm.state
-                against = state.closed or state.refused
-                self.note = (against or f"joint {joint}", WARN if against else PLAIN)
-            else:
-                arm.hold()
-        except NoService:
-            raise
-        except FailstopError as error:
-            self.note = (str(error), FAIL)
+            self.leaving = self.leaving or name in LEAVE
+            with self._noted():
+                if name == "r":
+                    self.note = (self.robot.reset(), WARN)
+                elif name == "e" and not state.arm:
+                    self.note = (self.robot.enable(), OK)
+                elif name == "e" and not (self._enabling and self._enabling.is_alive()):
+                    self._enabling = threading.Thread(target=self._enable, daemon=True)
+                    self._enabling.start()
 
     def _enable(self) -> None:
         """Beside the keys, since with an arm it takes seconds: the space key must stop meanwhile."""
-        if self._enabling and self._enabling.is_alive():
-            return
 
-        def enable() -> None:
-            try:
-                self.note = (self.robot.enable(self._tell), OK)
-            except FailstopError as error:
-                self.note = (str(error), FAIL)
+        def tell(text: str) -> None:
+            self.note = (text, PLAIN)
 
-        self._enabling = threading.Thread(target=enable, daemon=True)
-        self._enabling.start()
-
-    def _tell(self, text: str) -> None:
-        self.note = (text, PLAIN)
-
-    def _request(self, name: str) -> None:
         try:
-            if name == "space":
-                self.hold.let_go()
-                self.robot.estop("space key")
-                self.note = (LATCHED, FAIL)
-            elif name == "e" and self._has_arm:
-                self._enable()
-            elif name == "e":
-                self.note = (self.robot.enable(), OK)
-            elif name == "r":
-                self.note = (self.robot.reset(), WARN)
-            elif name in LEAVE:
-                self.leaving = True
-        except NoService:
-            raise
+            self.note = (self.robot.enable(tell), OK)
         except FailstopError as error:
             self.note = (str(error), FAIL)
 
-    def _may_drive(self, keys: list[Key], state: State) -> bool:
-        """False, with a note, when a press could not move the wheels, or would stop everything: a second publisher of a
-        source is a reason to latch."""
-        pressed = any(name in AXES and kind != RELEASE for name, kind in keys)
-        if not pressed:
+    def _turn(self, name: str, kind: int, seen: ArmState) -> bool:
+        """True when the key is one of the arm's: acted on."""
+        joints = list(seen.joints)
+        digits = [str(number) for number in range(1, len(joints) + 1)]
+        if name in digits:
+            self.joint = digits.index(name)
+            self.note = (f"joint {joints[self.joint]}: [ and ] turn it", PLAIN)
             return True
-        if state.estop:
-            self.note = (LATCHED, FAIL)
-        elif not state.enabled:
-            self.note = ("motion is disabled: e enables it", WARN)
-        elif self._rival:
-            self.note = (f"{self._rival} drives as {self.source}: end it, or use --source with another one", WARN)
-        else:
+        if name not in TURNS:
+            return False
+        joint = joints[min(self.joint, len(joints) - 1)]
+        with self._noted():
+            arm = self.robot.arm
+            if kind == RELEASE:
+                arm.hold()
+                return True
+            arm.jog({joint: TURNS[name] * arm.joints[joint].speed / PULSES_PER_RAD * self.percent / 100})
+            against = arm.state.closed or arm.state.refused
+            self.note = (against or f"joint {joint}", WARN if against else PLAIN)
+        return True
+
+    def _drive(self, keys: list[Key], state: State, now_s: float) -> None:
+        """The keys of motion. A press that could not move the wheels is a note, and so is one that would stop
+        everything: a second publisher of a source is a reason to latch."""
+        if any(kind != RELEASE and name in AXES for name, kind in keys):
+            if against := self._against(state):
+                self.note = against
+                self.hold.let_go()
+                return
             if self.note[1] in (WARN, FAIL) and state.blocked in (None, blocks.NO_COMMAND):
                 self.note = ("", PLAIN)
-            return True
-        self.hold.let_go()
-        return False
+        self._send(self.hold.events(keys, now_s), now_s)
+
+    def _against(self, state: State) -> Span | None:
+        """What keeps a press from moving the wheels."""
+        if state.estop:
+            return LATCHED
+        if not state.enabled:
+            return "motion is disabled: e enables it", WARN
+        rival = f"{self._rival} drives as {self.source}: end it, or use --source with another one"
+        return (rival, WARN) if self._rival else None
 
     def _send(self, wanted: Velocity | None, now_s: float) -> None:
         """Not even a zero goes out beside another publisher of the source: that would latch a stop."""
@@ -204,3 +194,35 @@ class Pilot:
         x, y, turn = (part * full * self.percent / 100 for part, full in zip(wanted, self._full, strict=True))
         self._command, self._commanded_s = (x, y, turn), now_s
         self.robot.drive(x, y, turn, manual=True, source=self.source)
+
+    def lines(self, state: State, now_s: float, columns: int, *, fancy: bool) -> list[Line]:
+        """The screen. `fancy`: it takes arrows."""
+        command, (speed_mps, turn_radps) = self.command(now_s), self.speeds()
+        keys = list(KEYS)
+        if state.arm:
+            digits = f"1 - {len(state.arm.joints)}"
+            keys.append(("[ ]", "", "turn the chosen joint", digits, "choose a joint of the arm"))
+        head: list[Line] = [[("failstop teleop", STRONG), (f"  {state.name}, as {self.source}", DIM)], []]
+        for letters, arrows, moves, other, does in keys:
+            left = [(f"{letters}  {arrows if fancy else '':<5}", STRONG), (f"{moves:<22}", PLAIN)]
+            head.append([*left, (f"{other:<7}", STRONG), (does, FAIL if other == "space" else PLAIN)])
+        body = [
+            row("keys", *(("held", OK) if self.hold.active else ("none held", PLAIN))),
+            row("speed", f"{self.percent} %: {speed_mps:.2f} m/s, {turn_radps:.2f} rad/s"),
+            row("command", "none" if command is None else words.velocity(*command) or "zero"),
+            summary.headline(state),
+            *(self._arm(state.arm) if state.arm else []),
+            summary.battery(state),
+            summary.device(state),
+        ]
+        foot: list[Line] = [[], [self.note], [(RELEASES if self.hold.releases else REPEATS, DIM)]]
+        above, below = (summary.wrapped(rows, columns, 0) for rows in ([*head, []], foot))
+        return [*above, *summary.wrapped(body, columns), *below]
+
+    def _arm(self, arm: ArmState) -> list[Line]:
+        """What the arm does, and the chosen joint: where it is, or was sent."""
+        joints = list(arm.joints.items())
+        name, joint = joints[min(self.joint, len(joints) - 1)]
+        where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad, {joint.at_by}"
+        closed = f"; {arm.closed}" if arm.closed else ""
+        return [row("arm", f"{summary.arm_headline(arm)}{closed}"), row("joint", f"{self.joint + 1} {name}: {where}")]

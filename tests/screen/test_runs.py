@@ -1,4 +1,5 @@
-"""A service whose supervisor was killed: what is said of it before it is started again, and after."""
+"""Following a service through its restarts; one whose supervisor was killed: what is said of it before it is started
+again, and after."""
 
 from __future__ import annotations
 
@@ -13,9 +14,10 @@ import pytest
 
 from failstop.api import host, words
 from failstop.api.errors import NoService
-from failstop.cli.screen import left
+from failstop.cli.screen import runs
+from failstop.cli.screen.runs import CHECK_S, Follower
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import root
+from failstop.shm import layout, root
 from tests.support.commands import failstop
 
 SECONDS = 20
@@ -36,13 +38,13 @@ def said(text: str) -> str:
 
 
 def test_a_killed_supervisor(trial: Trial) -> None:
-    assert left.find(trial.name) is None, "it runs"
+    assert runs.left(trial.name) is None, "it runs"
     trial.enable()
     trial.drive(0.3)
     pid = trial.service.pids()["supervisor"]
     trial.leave()
     trial.service.kill()
-    wait_for("its stop", lambda: (found := left.find(trial.name)) is not None and found.stop is not None)
+    wait_for("its stop", lambda: (found := runs.left(trial.name)) is not None and found.stop is not None)
     wait_for("its end", lambda: run(trial, "status").returncode == 3)
     start = f"`failstop run --name {trial.name} --device {trial.board.link}`"
     status, why, events = (run(trial, word) for word in ("status", "why", "events"))
@@ -62,15 +64,15 @@ def test_a_killed_supervisor(trial: Trial) -> None:
     status, why = run(trial, "status"), run(trial, "why")
     assert "before it supervisor died (" in status.stdout
     assert f"-supervisor-died --name {trial.name}`" in said(why.stdout)
-    assert left.find(trial.name) is None
+    assert runs.left(trial.name) is None
 
 
 def test_with_a_unit_it_is_systemd_that_starts_it(monkeypatch: pytest.MonkeyPatch) -> None:
     error = NoService("none")
     monkeypatch.setattr(host, "unit", lambda _name: "")
-    assert left.refusal("nobody-here", error) is error
+    assert runs.refusal("nobody-here", error) is error
     monkeypatch.setattr(host, "unit", words.unit)
-    told = str(left.refusal("nobody-here", error))
+    told = str(runs.refusal("nobody-here", error))
     assert "start it with `sudo systemctl start failstop@nobody-here`" in told
     assert "`journalctl -u failstop@nobody-here -e`" in told
 
@@ -101,9 +103,38 @@ def test_commands_name_the_device_where_it_is_not_the_usual_one(monkeypatch: pyt
 def test_where_nothing_is_left(trial: Trial) -> None:
     trial.leave()
     assert trial.service.end() == 0
-    assert left.find(trial.name) is None
+    assert runs.left(trial.name) is None
     for word in ("status", "why"):
         done = run(trial, word)
         assert (done.returncode, done.stdout) == (3, "")
         assert f"`failstop run --name {trial.name}`" in done.stderr
     trial.service.start()
+
+
+def test_a_restart_between_two_looks_is_noticed() -> None:
+    """The new run is there at the next look, and the memory of the old one can still be read."""
+    with Trial(f"screen-{os.getpid()}-fast") as own:
+        follower = Follower(own.name)
+        before = follower.read(0.0)
+        assert before is not None
+        own.leave()
+        own.service.end()
+        own.service.start()
+        after = follower.read(CHECK_S)
+        assert after is not None
+        assert after.processes[layout.SUPERVISOR].pid == own.service.pids()[layout.SUPERVISOR]
+        assert after.processes[layout.SUPERVISOR].pid != before.processes[layout.SUPERVISOR].pid
+
+
+def test_a_service_that_has_gone_is_said() -> None:
+    with Trial(f"screen-{os.getpid()}-gone") as own:
+        follower = Follower(own.name)
+        own.leave()
+        own.service.end()
+        assert follower.read(10.0) is None
+        assert "no service named" in follower.note
+
+
+def test_there_must_be_one_at_first() -> None:
+    with pytest.raises(NoService):
+        Follower("nobody-here")
