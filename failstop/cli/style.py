@@ -25,10 +25,9 @@ DIM = "dim"
 STRONG = "strong"
 PLAIN = ""
 
-PALETTE = {OK: 28, WARN: 166, FAIL: 160, DIM: 244}
+_FINE = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244", STRONG: "1"}
 """Of the 256 colours, which terminals show alike whatever their theme: each is legible on black and on white (contrast
 of at least 3.8; a theme's own yellow is 1.1 on white)."""
-_FINE = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244", STRONG: "1"}
 _COARSE = {OK: "32", WARN: "35", FAIL: "1;31", DIM: "", STRONG: "1"}
 """For terminals with 8 or 16 colours, which belong to the theme: neither yellow nor grey can be relied on there."""
 NO_TERMINAL_COLUMNS = 80

@@ -122,7 +122,7 @@ class Bench:
         turned = 0
         for _ in range(round(seconds / 0.01)):
             self.now_s += 0.01
-            self._take(self.hold.due(self.now_s))
+            self._take(self.hold.events([], self.now_s))
             turned += self.wheels() != STILL
         return turned * 0.01
 

@@ -13,8 +13,9 @@ from failstop.api.events import Event
 from failstop.api.snapshot import Client, Device, Imu, Source
 from failstop.cli import style
 from failstop.cli.commands import events
-from failstop.cli.screen import live, summary
-from failstop.cli.screen.live import spark
+from failstop.cli.commands.status import Live, spark
+from failstop.cli.screen import summary
+from failstop.cli.screen.follow import Vibration
 from failstop.cli.screen.terminal import CLEAR, difference
 from failstop.policy import causes
 from failstop.supervisor.kinds import KINDS
@@ -107,8 +108,8 @@ def test_a_kernel_that_tells_of_deaths_late_is_remarked() -> None:
     assert "tells of deaths late" not in shown(summary.lines(state(), NOW_S, 120))
 
 
-def _live(rows: int = 40, columns: int = 100) -> tuple[live.Live, list[style.Line]]:
-    found = live.Live("failstop", fancy=True)
+def _live(rows: int = 40, columns: int = 100) -> tuple[Live, list[style.Line]]:
+    found = Live("failstop", fancy=True)
     lines: list[style.Line] = []
     for tick in range(30):
         moving = tick >= 15
@@ -137,7 +138,7 @@ def test_the_live_screen_fits_any_window(rows: int) -> None:
 
 
 def test_a_silent_imu_is_not_still() -> None:
-    found = live.Vibration()
+    found = Vibration()
     assert [found.add([0.0, 0.0, 0.0]) for _ in range(20)] == [None] * 20
     assert found.add(None) is None
 
@@ -234,18 +235,18 @@ def test_no_text_is_changed_by_its_backquotes(text: str) -> None:
 
 def test_the_last_events_fill_the_rows_that_are_free() -> None:
     told_ = [Event(at, NOW_S - 9 + at, 0, "enabled", "notice", f"number {at}", {}) for at in range(1, 6)]
-    tall = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, 60, told_)
+    tall = Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, 60, told_)
     assert [style.plain(line).split()[-1] for line in tall[-5:]] == ["1", "2", "3", "4", "5"]
     plain = [style.plain(line) for line in tall]
     assert plain[1].startswith("wheels    STOPPED"), "the headline is first"
-    short = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, len(tall) - 3, told_)
+    short = Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, len(tall) - 3, told_)
     assert [style.plain(line).split()[-1] for line in short[-2:]] == ["4", "5"], "the newest"
-    none = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, len(tall) - 6, told_)
+    none = Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, len(tall) - 6, told_)
     assert "last events" not in "".join(style.plain(line) for line in none)
 
 
 def test_a_row_of_an_event_leaves_out_what_to_do_next() -> None:
     """That is at the top of the screen; at the end of a row it would be cut."""
     event = Event(1, NOW_S, 1, "stop", "warning", "STOP latched: gate died; next: `failstop reset`", {})
-    rows = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 200, 60, [event])
+    rows = Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 200, 60, [event])
     assert style.plain(rows[-1]).endswith("STOP latched: gate died")

@@ -11,8 +11,8 @@ import pytest
 from failstop.api.errors import NoService, Refused
 from failstop.api.robot import Robot
 from failstop.cli import style
+from failstop.cli.commands.teleop import Pilot
 from failstop.cli.screen.keys import ENDS_S, EVENTS, PRESS, RELEASE, Key
-from failstop.cli.screen.pilot import Pilot
 from failstop.cli.style import FAIL, WARN
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import from_settings
@@ -110,9 +110,9 @@ def test_speeds_are_parts_of_the_full_ones(pilot: Pilot, scribe: Scribe) -> None
     press(pilot, "w")
     press(pilot, "+", "a")
     assert scribe.asked == [(0.1, 0.0, 0.0, "cmd_vel"), (0.0, 0.0, 0.6, "cmd_vel")]
-    assert pilot.speeds() == pytest.approx((0.12, 0.6))
-    assert pilot.command(1.2) == pytest.approx((0.0, 0.0, 0.6))
-    assert pilot.command(1.5) is None
+    assert "60 %: 0.12 m/s, 0.60 rad/s" in shown(pilot.lines(ENABLED, 1.2, 80, fancy=True))
+    assert "command   0.60 rad/s turning left" in shown(pilot.lines(ENABLED, 1.2, 80, fancy=True))
+    assert "command   none" in shown(pilot.lines(ENABLED, 1.5, 80, fancy=True))
 
 
 def test_the_stop_is_the_first_thing_of_all_that_was_typed(pilot: Pilot, scribe: Scribe) -> None:

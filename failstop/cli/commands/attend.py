@@ -17,7 +17,7 @@ from failstop.api.robot import Robot
 from failstop.api.state import State
 from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
-from failstop.cli.screen.runs import Follower
+from failstop.cli.screen.follow import Follower
 from failstop.cli.screen.terminal import Terminal
 from failstop.cli.style import DIM, FAIL, STRONG, WARN, Line
 

@@ -15,7 +15,7 @@ from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event, EventLog
 from failstop.cli import style
 from failstop.cli.commands import add_name
-from failstop.cli.screen import runs, summary
+from failstop.cli.screen import follow, summary
 from failstop.supervisor.fold import PREFIX, fitted
 from failstop.supervisor.kinds import KINDS
 
@@ -61,7 +61,7 @@ def main(arguments: Namespace) -> int:
         show(log.read())
     except NoService as error:
         # What a service told that has died and was not started again.
-        show(left.events if (left := runs.left(name)) else [])
+        show(left.events if (left := follow.left(name)) else [])
         journal = host.journal(name)
         raise NoService(f"{error}{f'; what it told is in {journal}' if journal else ''}") from None
     while arguments.follow:

@@ -5,14 +5,22 @@ from __future__ import annotations
 import json
 import time
 from argparse import ArgumentParser, Namespace
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+from math import hypot
 
+from failstop.api import host, words
 from failstop.api.errors import NoService
-from failstop.api.events import EventLog
-from failstop.api.state import StateReader
+from failstop.api.events import Event, EventLog
+from failstop.api.state import State, StateReader
 from failstop.api.why import explain
 from failstop.cli import style
 from failstop.cli.commands import add_name
-from failstop.cli.screen import runs, summary
+from failstop.cli.screen import follow, summary
+from failstop.cli.screen.follow import WINDOW, Vibration
+from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
+from failstop.policy.settings import BY_KEY
 
 EXAMPLES = {
     "status": """\
@@ -31,10 +39,22 @@ failstop why --json | jq -r '.do[]'  # the steps alone
 """,
 }
 
-PERIOD_S = 0.1
 MOST_COLUMNS = 100
 """Of the lines of `why`: longer ones are hard to read."""
 LABEL = 7
+PERIOD_S = 0.1
+REMEMBERED = 400
+"""Values a sparkline can show; a wider terminal leaves a gap."""
+MOST_EVENTS = 12
+SLOW_S = 0.5
+"""Ages and the process table are drawn again this often: digits that change faster can't be read."""
+STILL_RADPS = float(BY_KEY["still.std_radps"].default)
+TOP_MPS = float(BY_KEY["limits.vx_mps"].default)
+TOP_RADPS = float(BY_KEY["limits.wz_radps"].default)
+NAMES = 32
+"""Columns before a sparkline."""
+BARS = "▁▂▃▄▅▆▇█"
+ASCII = "_.:-=+*#"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -61,7 +81,7 @@ def _status(name: str, *, as_json: bool) -> int:
     try:
         state = StateReader(name).read()
     except NoService as error:
-        raise runs.refusal(name, error) from None
+        raise follow.refusal(name, error) from None
     if as_json:
         print(json.dumps(state.as_dict(), indent=2))
     else:
@@ -74,9 +94,9 @@ def _why(name: str, *, as_json: bool) -> int:
     try:
         found = explain(StateReader(name).read(), EventLog(name).read(), time.time())
     except NoService as error:
-        if not (left := runs.left(name)):
-            raise runs.refusal(name, error) from None
-        found, code = left.why(time.time()), error.exit_code
+        if not (left := follow.left(name)):
+            raise follow.refusal(name, error) from None
+        found, code = left.why, error.exit_code
     if as_json:
         print(json.dumps(found.as_dict(), indent=2))
     else:
@@ -87,10 +107,9 @@ def _why(name: str, *, as_json: bool) -> int:
 
 def _watch(name: str) -> int:
     """Until q; the exit code is 0 then, else 128 and the signal's number."""
-    from failstop.cli.screen.live import Live
     from failstop.cli.screen.terminal import Terminal
 
-    follower, live = runs.Follower(name), Live(name, fancy=style.fancy())
+    follower, live = follow.Follower(name), Live(name, fancy=style.fancy())
     with Terminal() as terminal:
         for typed, now_s in terminal.turns(PERIOD_S):
             if b"q" in typed.lower():
@@ -105,3 +124,95 @@ def _watch(name: str) -> int:
                     size = terminal.columns, terminal.rows
                     terminal.draw(live.lines(state, now_s, unix_s, *size, follower.events))
     return 128 + terminal.ended
+
+
+def spark(values: Sequence[float | None], top: float, columns: int, *, fancy: bool = True) -> str:
+    """The newest `columns` values as bars, the newest at the right; `top` and above is a full bar, None a gap."""
+    bars = BARS if fancy else ASCII
+    shown = values[-columns:] if columns > 0 else []
+    parts = [None if value is None else min(1.0, max(0.0, value / top if top else 0.0)) for value in shown]
+    return "".join(" " if part is None else bars[round(part * (len(bars) - 1))] for part in parts).rjust(columns)
+
+
+class Live:
+    """What the screen remembers from one state to the next."""
+
+    def __init__(self, name: str, *, fancy: bool) -> None:
+        self._name = name
+        self._fancy = fancy
+        self._history: dict[str, deque[float | None]] = {}
+        self._vibration = Vibration()
+        self._slow: list[Line] = []
+        self._drawn_s = -SLOW_S
+        self._key: object = None
+        self._gone_s = 0.0
+        self._device: str | None = None
+
+    def lines(
+        self, state: State, mono_s: float, unix_s: float, columns: int, rows: int, events: Sequence[Event] = ()
+    ) -> list[Line]:
+        """The screen for a state. `mono_s`: a monotonic clock; call it at a steady rate, as a sparkline's step is one
+        call. `rows`: of the terminal, which the last events fill. `events`: of this run, oldest first."""
+        self._gone_s = 0.0
+        self._device = state.device.path
+        wheels = summary.wrapped([summary.headline(state)], columns)
+        key = (columns, state.blocked, state.epoch, state.waiting_for, state.device, state.moving)
+        if key != self._key or mono_s - self._drawn_s >= SLOW_S:
+            self._key, self._drawn_s = key, mono_s
+            self._slow = summary.lines(state, unix_s, columns, events)[len(wheels) :]
+        body = [self._title(unix_s, columns), *wheels, [], *self._bars(state, columns), [], *self._slow]
+        return [*body, *_news(events, unix_s, rows - len(body))]
+
+    def _title(self, unix_s: float, columns: int) -> Line:
+        left, right = f"failstop {self._name}", f"{words.clock(unix_s, unix_s)}   q quits"
+        return [(left, STRONG), (" " * max(1, columns - len(left) - len(right)), PLAIN), (right, DIM)]
+
+    def _bars(self, state: State, columns: int) -> list[Line]:
+        vx, vy, wz = state.body_vel
+        speed, turn, shake = hypot(vx, vy), abs(wz), self._vibration.add(state.imu.rate_radps if state.imu else None)
+        moves = OK if state.moving else PLAIN
+        if shake is None:
+            silent = state.imu is None or len(self._history.get("vibration", ())) >= WINDOW
+            text, role = "IMU silent" if silent else "measuring", DIM
+        else:
+            shakes = shake > STILL_RADPS
+            text = f"{shake:.4f} rad/s {'shakes' if shakes else 'still'}"
+            role = WARN if shakes and not state.moving else PLAIN
+        return [
+            self._bar("speed", speed, f"{speed:.2f} m/s", TOP_MPS, moves, columns),
+            self._bar("turn", turn, f"{turn:.2f} rad/s", TOP_RADPS, moves, columns),
+            self._bar("vibration", shake, text, 3 * STILL_RADPS, role, columns),
+        ]
+
+    def _bar(self, name: str, value: float | None, text: str, top: float, role: str, columns: int) -> Line:
+        values = self._history.setdefault(name, deque(maxlen=REMEMBERED))
+        values.append(value)
+        top = max([top, *(known for known in values if known is not None)])
+        bars = spark(list(values), top, columns - NAMES, fancy=self._fancy)
+        return [*summary.row(name, f"{text:<{NAMES - summary.LABEL}}"), (bars, role)]
+
+    def gone(self, note: str, unix_s: float, columns: int) -> list[Line]:
+        """The screen while there is no service; the history shows the gap."""
+        if not self._gone_s:
+            self._gone_s = unix_s
+            for values in self._history.values():
+                values.append(None)
+        told = host.journal(self._name) or words.named("`failstop why`", self._name)
+        rows: list[Line] = [
+            self._title(unix_s, columns),
+            [],
+            [("NO SERVICE  ", FAIL), (note, STRONG)],
+            [(f"since {words.ago(self._gone_s, unix_s)}; waiting for it to come back", PLAIN)],
+            [],
+            [("if the wheels turn:  ", PLAIN), (host.stop(self._device), STRONG), (", or the POWER SWITCH", PLAIN)],
+            [("what happened:       ", PLAIN), (told, STRONG)],
+            [("to start it:         ", PLAIN), (host.start(self._name, self._device), STRONG)],
+        ]
+        return summary.wrapped(rows, columns, 0)
+
+
+def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
+    """The last events, as many as there are rows for them, each in one: without what to do next, which is above."""
+    count = max(0, min(room - 2, len(events), MOST_EVENTS))
+    shown = [replace(it, text=it.text.partition("; next: ")[0]) for it in events[len(events) - count :]]
+    return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

@@ -47,8 +47,6 @@ class Decoder:
     """Bytes in, keys out. Half a sequence waits for the rest, however long: the end of an arrow key's is a letter, and
     that alone would be a key that moves something else. So the escape key is told with the key after it."""
 
-    __slots__ = ("_pasting", "_rest", "_text")
-
     def __init__(self) -> None:
         self._text = getincrementaldecoder("utf-8")("ignore")
         self._rest = ""
@@ -129,8 +127,6 @@ MOST_AT_ONCE = 5
 class Hold:
     """Which keys are held, as far as the terminal tells, and what is to be sent for them."""
 
-    __slots__ = ("_first_until_s", "_held", "_sent_s", "_until_s", "releases")
-
     def __init__(self) -> None:
         self.releases = False
         """The terminal tells releases."""
@@ -146,30 +142,28 @@ class Hold:
         """True while keys are held."""
         return bool(self._held)
 
-    def wanted(self) -> Velocity:
-        """The velocity that the held keys ask for, each axis within -1 to 1."""
-        x, y, turn = (
-            max(-1.0, min(1.0, sum(axes))) for axes in zip(STILL, *(AXES[key] for key in self._held), strict=True)
-        )
-        return x, y, turn
-
     def events(self, keys: list[Key], now_s: float) -> Velocity | None:
-        """What to send for these events, the newest state of the keys; None: nothing."""
-        before = self.active
-        moved = False
+        """What to send for these events, or for the time that has passed without any: each axis within -1 to 1; None:
+        nothing."""
         if sum(name in AXES and kind != RELEASE for name, kind in keys) > MOST_AT_ONCE:
             return self.let_go()
+        before, moved = self.active, False
         for name, kind in keys:
             if name == FOCUS_OUT:
                 self._held.clear()
             elif name in AXES:
                 moved = self._event(name, kind, now_s) or moved
-        if before and not self.active:
-            return STILL
-        if not moved:
+        if not self._held:
+            return STILL if before else None
+        if now_s >= self._until_s:
+            return self.let_go()
+        again = now_s < self._first_until_s and now_s - self._sent_s >= RESEND_S
+        if not (moved or again):
             return None
         self._sent_s = now_s
-        return self.wanted()
+        axes = zip(*(AXES[key] for key in self._held), strict=True)
+        x, y, turn = (max(-1.0, min(1.0, sum(axis))) for axis in axes)
+        return x, y, turn
 
     def _event(self, name: str, kind: int, now_s: float) -> bool:
         """True when it asks for motion."""
@@ -186,17 +180,6 @@ class Hold:
         self._first_until_s = now_s + FIRST_REPEAT_S if kind == PRESS and self.releases else 0.0
         self._until_s = max(self._first_until_s, now_s) + ENDS_S
         return True
-
-    def due(self, now_s: float) -> Velocity | None:
-        """What to send without any event; None: nothing."""
-        if not self._held:
-            return None
-        if now_s >= self._until_s:
-            return self.let_go()
-        if now_s < self._first_until_s and now_s - self._sent_s >= RESEND_S:
-            self._sent_s = now_s
-            return self.wanted()
-        return None
 
     def let_go(self) -> Velocity | None:
         """Forget the held keys; what to send for it."""

@@ -14,8 +14,8 @@ import pytest
 
 from failstop.api import host, words
 from failstop.api.errors import NoService
-from failstop.cli.screen import runs
-from failstop.cli.screen.runs import CHECK_S, Follower
+from failstop.cli.screen import follow
+from failstop.cli.screen.follow import CHECK_S, Follower
 from failstop.lab.trial import Trial, wait_for
 from failstop.shm import layout, root
 from tests.support.commands import failstop
@@ -38,13 +38,13 @@ def said(text: str) -> str:
 
 
 def test_a_killed_supervisor(trial: Trial) -> None:
-    assert runs.left(trial.name) is None, "it runs"
+    assert follow.left(trial.name) is None, "it runs"
     trial.enable()
     trial.drive(0.3)
     pid = trial.service.pids()["supervisor"]
     trial.leave()
     trial.service.kill()
-    wait_for("its stop", lambda: (found := runs.left(trial.name)) is not None and found.stop is not None)
+    wait_for("its stop", lambda: (found := follow.left(trial.name)) is not None and found.stop is not None)
     wait_for("its end", lambda: run(trial, "status").returncode == 3)
     start = f"`failstop run --name {trial.name} --device {trial.board.link}`"
     status, why, events = (run(trial, word) for word in ("status", "why", "events"))
@@ -64,15 +64,15 @@ def test_a_killed_supervisor(trial: Trial) -> None:
     status, why = run(trial, "status"), run(trial, "why")
     assert "before it supervisor died (" in status.stdout
     assert f"-supervisor-died --name {trial.name}`" in said(why.stdout)
-    assert runs.left(trial.name) is None
+    assert follow.left(trial.name) is None
 
 
 def test_with_a_unit_it_is_systemd_that_starts_it(monkeypatch: pytest.MonkeyPatch) -> None:
     error = NoService("none")
     monkeypatch.setattr(host, "unit", lambda _name: "")
-    assert runs.refusal("nobody-here", error) is error
+    assert follow.refusal("nobody-here", error) is error
     monkeypatch.setattr(host, "unit", words.unit)
-    told = str(runs.refusal("nobody-here", error))
+    told = str(follow.refusal("nobody-here", error))
     assert "start it with `sudo systemctl start failstop@nobody-here`" in told
     assert "`journalctl -u failstop@nobody-here -e`" in told
 
@@ -103,7 +103,7 @@ def test_commands_name_the_device_where_it_is_not_the_usual_one(monkeypatch: pyt
 def test_where_nothing_is_left(trial: Trial) -> None:
     trial.leave()
     assert trial.service.end() == 0
-    assert runs.left(trial.name) is None
+    assert follow.left(trial.name) is None
     for word in ("status", "why"):
         done = run(trial, word)
         assert (done.returncode, done.stdout) == (3, "")

@@ -1,0 +1,149 @@
+"""Follow: the state of a service that may end and come back as another run; what a run that died has left; how much the
+robot shakes."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import deque
+from collections.abc import Sequence
+from math import sqrt
+from typing import Any, NamedTuple
+
+from failstop.api import host, words
+from failstop.api.client import attach
+from failstop.api.errors import FailstopError, NoService
+from failstop.api.events import Event, EventLog, unpack
+from failstop.api.state import State, StateReader
+from failstop.api.why import Why
+from failstop.incidents import copying
+from failstop.shm import layout, records, segment
+
+KEPT = 256
+CHECK_S = 0.5
+"""Time between two looks whether it is still the same run."""
+WINDOW = 10
+"""Samples, a second of them, that a vibration is taken from."""
+
+
+class Follower:
+    """Reads the state of whatever run of the service is there."""
+
+    def __init__(self, name: str) -> None:
+        """Raises NoService, FailstopError: there must be one at first."""
+        self.name = name
+        self.reader: StateReader | None = StateReader(name)
+        self.note = ""
+        """Why there is no state now."""
+        self.events: list[Event] = []
+        """What this run has told, oldest first, the last of it."""
+        self._log = EventLog(name)
+        self._check_s = 0.0
+
+    def read(self, now_s: float) -> State | None:
+        """The state; None while there is none, and then `note` says why. `now_s`: a monotonic clock."""
+        if now_s >= self._check_s:
+            self._check_s = now_s + CHECK_S
+            self._check()
+        try:
+            return self.reader.read() if self.reader else None
+        except FailstopError as error:
+            self.note = str(error)
+            return None
+
+    def _check(self) -> None:
+        try:
+            run = attach(self.name, layout.SUPERVISOR).incarnation
+            if self.reader is None or self.reader.incarnation != run:
+                self.reader = StateReader(self.name)
+                self._log, self.events = EventLog(self.name), []
+            self.events = [*self.events, *self._log.read()][-KEPT:]
+        except FailstopError as error:
+            gone = isinstance(error, NoService)
+            self.reader = None
+            self.note = f"no service named {self.name!r} is running" if gone else str(error)
+
+
+class Vibration:
+    """How much the gyro's x and y vary: wheels that turn shake it."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[float, float]] = deque(maxlen=WINDOW)
+        self._last: Sequence[float] | None = None
+
+    def add(self, rate_radps: Sequence[float] | None) -> float | None:
+        """A new reading; returns the standard deviation in rad/s, None while too little is known."""
+        if rate_radps is None or rate_radps == self._last:
+            self._samples.clear()  # a sensor that repeats itself is silent
+            return None
+        self._last = rate_radps
+        self._samples.append((rate_radps[0], rate_radps[1]))
+        if len(self._samples) < WINDOW:
+            return None
+        return sqrt(sum(map(_variance, zip(*self._samples, strict=True))) / 2)
+
+
+def _variance(values: tuple[float, ...]) -> float:
+    mean = sum(values) / len(values)
+    return sum((value - mean) ** 2 for value in values) / (len(values) - 1)
+
+
+class Left(NamedTuple):
+    """What a run that was not ended in order has left in memory, until the service is started again, or the machine."""
+
+    why: Why
+    """The answer to "why do the wheels stand?"."""
+    events: list[Event]
+    """What it told, oldest first."""
+    stop: dict[str, Any] | None
+    """As of supervisor/stops.py; None: no stop is known to have been written."""
+
+
+def left(name: str) -> Left | None:
+    """What is left of a service of this name that no longer runs, and was this user's; None when nothing is."""
+    dead = segment.dead_runs(name)
+    fds = segment.open_all(dead[-1]) if dead else {}
+    try:
+        copies = {which: segment.copy(fd, name, which) for which, fd in fds.items()}
+        if len(copies) == len(layout.PROCESSES):
+            return _left(name, copies, time.time(), time.monotonic_ns())
+    except (segment.AttachError, OSError):
+        pass
+    finally:
+        for fd in fds.values():
+            os.close(fd)
+    return None
+
+
+def _left(name: str, copies: dict[str, tuple[int, bytes]], now_s: float, now_ns: int) -> Left:
+    """`now_s`, `now_ns`: Unix time and CLOCK_MONOTONIC of one moment."""
+    cause_ns, _, cause = copying.left_cause(copies)
+    stop = copying.left_stop(copies, cause_ns)
+    port = copying.whole(layout.PORT_OWNER, "port", *copies[layout.PORT_OWNER])
+    device = records.PORT.unpack(port[-1][2])[3] if port else None
+    told = copying.whole(layout.SUPERVISOR, "events", *copies[layout.SUPERVISOR])
+    pid = copying.words(layout.SUPERVISOR, copies[layout.SUPERVISOR][1])["beat_pid"]
+    ended_s = now_s - (now_ns - cause_ns) / 1e9
+    what = f"no service named {name!r} is running: {cause} (pid {pid}; {words.ago(ended_s, now_s)})"
+    steps = [host.start(name, device), words.named("`failstop incident show last`, for what came before it", name)]
+    also = ["its black box is in memory, and is saved as an incident when it is started again"]
+    if not host.unit(name):
+        also.append("a configuration file that it had is not known here: name it with --config")
+    if stop:
+        proof = f"the {stop['written_by']} wrote the stop {words.took(stop['written_us'] / 1e6)} later"
+    else:
+        what = f"THE WHEELS MAY TURN; if they do, use the POWER SWITCH: {what}"
+        proof = "no stop is known to have been written"
+        steps.insert(0, f"{host.stop(device)} if the wheels turn")
+    why = Why(what, proof, tuple(steps), tuple(also), None, None, ended_s)
+    return Left(why, [event for seq, _, payload in told if (event := unpack(seq, payload))], stop)
+
+
+def refusal(name: str, error: NoService) -> NoService:
+    """What to tell whoever asks for a service that does not run, if it is more than the error says."""
+    if found := left(name):
+        return NoService(f"{found.why.what}; {found.why.proof}; next: {', then '.join(found.why.do)}")
+    if host.unit(name):
+        told = f"what it told is in {host.journal(name)}"
+        return NoService(f"no service named {name!r} is running: start it with {host.start(name)}; {told}")
+    return error
