@@ -14,10 +14,9 @@ import psutil
 from failstop.api import verdict
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
-from failstop.api.state import State
+from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
-from failstop.cli.screen.follow import Follower
 from failstop.cli.screen.terminal import Terminal
 from failstop.cli.style import DIM, FAIL, STRONG, WARN, Line
 
@@ -88,7 +87,7 @@ def main(arguments: Namespace) -> int:
         raise FailstopError(
             f"{other} answers in your terminal's place, and would go on when you are gone: run this outside of it"
         )
-    follower, questions = Follower(arguments.name), Questions()
+    questions = Questions()
     user = arguments.who or os.environ.get("SUDO_USER") or os.environ.get("USER") or os.getuid()
     with (
         Robot(arguments.name, client="failstop attend") as robot,
@@ -107,7 +106,7 @@ def main(arguments: Namespace) -> int:
                 attendance.give_up()
                 terminal.suspend()
             elif now_s is not None:
-                terminal.draw(_lines(follower.read(now_s), follower.note, attendance.who, terminal.columns))
+                terminal.draw(_lines(robot, attendance.who, terminal.columns))
                 if terminal.takes():
                     terminal.write(questions.ask(time.monotonic_ns(), terminal.rows))
     return 128 + terminal.ended
@@ -123,10 +122,12 @@ def _between() -> str:
     return ""
 
 
-def _lines(state: State | None, note: str, who: str, columns: int) -> list[Line]:
+def _lines(robot: Robot, who: str, columns: int) -> list[Line]:
     head: list[Line] = [[(f"{who} attends", STRONG), ("   space stops, q leaves", DIM)], []]
-    if state is None:
-        return [*head, [("NO SERVICE  ", FAIL), (note, STRONG)]]
+    try:
+        state = robot.state
+    except FailstopError as error:
+        return head + style.wrap([("NO SERVICE  ", FAIL), (str(error), STRONG)], columns, 0)
     rows = summary.wrapped(summary.wheels(state), columns)
     if state.attended_by is None:
         rows += [[], [('nobody needs to attend this robot: attend.required is "off"', WARN)]]

@@ -14,11 +14,11 @@ from collections.abc import Iterator
 from failstop.api import words
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.robot import Robot
+from failstop.api.run import Run
 from failstop.api.snapshot import ArmState, State
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
-from failstop.cli.screen.follow import Follower
 from failstop.cli.screen.keys import (
     ASK,
     AXES,
@@ -95,16 +95,14 @@ def _positive(text: str) -> float:
 
 def main(arguments: Namespace) -> int:
     """Drive; motion is disabled at the end. The exit code is 0 after q, else 128 and the signal's number."""
-    follower = Follower(arguments.name)
-    if follower.reader:
-        follower.reader.run.check_source(arguments.source)
+    Run(arguments.name).check_source(arguments.source)
     terminal = Terminal(on=ASK, off=UNASK)
-    with Robot(arguments.name, client=CLIENT) as robot:
+    with Robot(arguments.name, client=CLIENT, reconnect=False) as robot:
         robot.hold()  # takes the client slot: what is wrong with that, too, is to be said before the screen changes
         pilot = Pilot(robot, arguments.source, arguments.speed, arguments.turn)
         try:
             with terminal:
-                _drive(terminal, follower, pilot)
+                _drive(terminal, pilot)
         finally:
             said = _disable(robot)
     with contextlib.suppress(OSError):  # the terminal may have gone
@@ -112,18 +110,16 @@ def main(arguments: Namespace) -> int:
     return 128 + terminal.ended if terminal.ended else 0
 
 
-def _drive(terminal: Terminal, follower: Follower, pilot: Pilot) -> None:
-    decoder = Decoder()
-    run = follower.reader
+def _drive(terminal: Terminal, pilot: Pilot) -> None:
+    decoder, name = Decoder(), pilot.robot.name
     drawn_s = 0.0
     turned_s, held_up = time.monotonic(), False
     while not (terminal.ended or pilot.leaving):
         typed = decoder.feed(terminal.wait(TURN_S))
-        state = follower.read(time.monotonic())
-        if follower.reader is not run:
-            raise NoService(follower.note or f"the service {pilot.robot.name!r} was restarted: begin again")
-        if state is None:
-            raise FailstopError(follower.note)
+        try:
+            state = pilot.robot.state
+        except NoService:
+            raise NoService(f"no service named {name!r} is running, or it was restarted: begin again") from None
         if terminal.stopped:
             _pause(terminal, pilot)
             turned_s = drawn_s = 0.0  # what was typed meanwhile is late

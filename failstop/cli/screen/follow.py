@@ -11,57 +11,55 @@ from math import sqrt
 from typing import Any, NamedTuple
 
 from failstop.api import host, words
-from failstop.api.client import attach
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event, EventLog, unpack
-from failstop.api.state import State, StateReader
+from failstop.api.state import State
 from failstop.api.why import Why
 from failstop.incidents import copying
 from failstop.shm import layout, records, segment
 
 KEPT = 256
 CHECK_S = 0.5
-"""Time between two looks whether it is still the same run."""
+"""Time between two looks at what it has told."""
 WINDOW = 10
 """Samples, a second of them, that a vibration is taken from."""
 
 
 class Follower:
-    """Reads the state of whatever run of the service is there."""
+    """Reads the state of whatever run of the service is there, and what it tells."""
 
     def __init__(self, name: str) -> None:
         """Raises NoService, FailstopError: there must be one at first."""
+        from failstop.api.robot import Robot  # 8 ms, which `failstop status` need not take
+
         self.name = name
-        self.reader: StateReader | None = StateReader(name)
         self.note = ""
         """Why there is no state now."""
         self.events: list[Event] = []
         """What this run has told, oldest first, the last of it."""
+        self._robot = Robot(name)
         self._log = EventLog(name)
         self._check_s = 0.0
 
     def read(self, now_s: float) -> State | None:
         """The state; None while there is none, and then `note` says why. `now_s`: a monotonic clock."""
-        if now_s >= self._check_s:
-            self._check_s = now_s + CHECK_S
-            self._check()
         try:
-            return self.reader.read() if self.reader else None
-        except FailstopError as error:
-            self.note = str(error)
-            return None
-
-    def _check(self) -> None:
-        try:
-            run = attach(self.name, layout.SUPERVISOR).incarnation
-            if self.reader is None or self.reader.incarnation != run:
-                self.reader = StateReader(self.name)
-                self._log, self.events = EventLog(self.name), []
-            self.events = [*self.events, *self._log.read()][-KEPT:]
+            if now_s >= self._check_s:
+                self._check_s = now_s + CHECK_S
+                self._listen()
+            return self._robot.state
         except FailstopError as error:
             gone = isinstance(error, NoService)
-            self.reader = None
             self.note = f"no service named {self.name!r} is running" if gone else str(error)
+            return None
+
+    def _listen(self) -> None:
+        try:
+            told = self._log.read()
+        except NoService:
+            self._log, self.events = EventLog(self.name), []
+            told = self._log.read()
+        self.events = [*self.events, *told][-KEPT:]
 
 
 class Vibration:
