@@ -50,7 +50,6 @@ ssh -t robot failstop teleop            # from elsewhere
 
 SPEED_MPS = float(BY_KEY["limits.vx_mps"].default)
 TURN_RADPS = float(BY_KEY["limits.wz_radps"].default)
-DRAW_S = 0.1
 TURN_S = 0.05
 LATE_S = 0.25
 """After a turn that took this long - the program was stopped, the terminal or the machine was held up - what was typed
@@ -112,26 +111,26 @@ def main(arguments: Namespace) -> int:
 
 def _drive(terminal: Terminal, pilot: Pilot) -> None:
     decoder, name = Decoder(), pilot.robot.name
-    drawn_s = 0.0
     turned_s, held_up = time.monotonic(), False
-    while not (terminal.ended or pilot.leaving):
-        typed = decoder.feed(terminal.wait(TURN_S))
+    for typed, due_s in terminal.turns(TURN_S):
+        keys = decoder.feed(typed)
         try:
             state = pilot.robot.state
         except NoService:
             raise NoService(f"no service named {name!r} is running, or it was restarted: begin again") from None
         if terminal.stopped:
             _pause(terminal, pilot)
-            turned_s = drawn_s = 0.0  # what was typed meanwhile is late
+            turned_s = 0.0  # what was typed meanwhile is late
             continue
         now_s = time.monotonic()
         late = now_s - turned_s > LATE_S
         # Where in a turn it was held up is not known: what is read next may have been typed meanwhile too. Ctrl-Z
         # leaves nothing that was typed.
         before, held_up, turned_s = held_up, late and turned_s > 0.0, now_s
-        pilot.keys(typed, state, now_s, late=late or before)
-        if now_s - drawn_s >= DRAW_S:
-            drawn_s = now_s
+        pilot.keys(keys, state, now_s, late=late or before)
+        if pilot.leaving:
+            return
+        if due_s is not None:
             terminal.draw(pilot.lines(state, now_s, terminal.columns, fancy=style.fancy()))
 
 
