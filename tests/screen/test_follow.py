@@ -44,7 +44,7 @@ def test_a_killed_supervisor(trial: Trial) -> None:
     pid = trial.service.pids()["supervisor"]
     trial.leave()
     trial.service.kill()
-    wait_for("its stop", lambda: (found := follow.left(trial.name)) is not None and found.stop is not None)
+    wait_for("its stop", lambda: (found := follow.left(trial.name)) is not None and "wrote" in found[0].proof)
     wait_for("its end", lambda: run(trial, "status").returncode == 3)
     start = f"`failstop run --name {trial.name} --device {trial.board.link}`"
     status, why, events = (run(trial, word) for word in ("status", "why", "events"))

@@ -61,7 +61,7 @@ def main(arguments: Namespace) -> int:
         show(log.read())
     except NoService as error:
         # What a service told that has died and was not started again.
-        show(left.events if (left := follow.left(name)) else [])
+        show(left[1] if (left := follow.left(name)) else [])
         journal = host.journal(name)
         raise NoService(f"{error}{f'; what it told is in {journal}' if journal else ''}") from None
     while arguments.follow:

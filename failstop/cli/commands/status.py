@@ -96,7 +96,7 @@ def _why(name: str, *, as_json: bool) -> int:
     except NoService as error:
         if not (left := follow.left(name)):
             raise follow.refusal(name, error) from None
-        found, code = left.why, error.exit_code
+        found, code = left[0], error.exit_code
     if as_json:
         print(json.dumps(found.as_dict(), indent=2))
     else:

@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from math import sqrt
-from typing import Any, NamedTuple
 
 from failstop.api import host, words
 from failstop.api.errors import FailstopError, NoService
@@ -86,19 +85,9 @@ def _variance(values: tuple[float, ...]) -> float:
     return sum((value - mean) ** 2 for value in values) / (len(values) - 1)
 
 
-class Left(NamedTuple):
-    """What a run that was not ended in order has left in memory, until the service is started again, or the machine."""
-
-    why: Why
-    """The answer to "why do the wheels stand?"."""
-    events: list[Event]
-    """What it told, oldest first."""
-    stop: dict[str, Any] | None
-    """As of supervisor/stops.py; None: no stop is known to have been written."""
-
-
-def left(name: str) -> Left | None:
-    """What is left of a service of this name that no longer runs, and was this user's; None when nothing is."""
+def left(name: str) -> tuple[Why, list[Event]] | None:
+    """What a run that was not ended in order has left in memory, until the service is started again, or the machine:
+    the answer to "why do the wheels stand?", and what it told. None: it runs, was another user's, or left nothing."""
     dead = segment.dead_runs(name)
     fds = segment.open_all(dead[-1]) if dead else {}
     try:
@@ -113,7 +102,7 @@ def left(name: str) -> Left | None:
     return None
 
 
-def _left(name: str, copies: dict[str, tuple[int, bytes]], now_s: float, now_ns: int) -> Left:
+def _left(name: str, copies: dict[str, tuple[int, bytes]], now_s: float, now_ns: int) -> tuple[Why, list[Event]]:
     """`now_s`, `now_ns`: Unix time and CLOCK_MONOTONIC of one moment."""
     cause_ns, _, cause = copying.left_cause(copies)
     stop = copying.left_stop(copies, cause_ns)
@@ -134,13 +123,13 @@ def _left(name: str, copies: dict[str, tuple[int, bytes]], now_s: float, now_ns:
         proof = "no stop is known to have been written"
         steps.insert(0, f"{host.stop(device)} if the wheels turn")
     why = Why(what, proof, tuple(steps), tuple(also), None, None, ended_s)
-    return Left(why, [event for seq, _, payload in told if (event := unpack(seq, payload))], stop)
+    return why, [event for seq, _, payload in told if (event := unpack(seq, payload))]
 
 
 def refusal(name: str, error: NoService) -> NoService:
     """What to tell whoever asks for a service that does not run, if it is more than the error says."""
     if found := left(name):
-        return NoService(f"{found.why.what}; {found.why.proof}; next: {', then '.join(found.why.do)}")
+        return NoService(f"{found[0].what}; {found[0].proof}; next: {', then '.join(found[0].do)}")
     if host.unit(name):
         told = f"what it told is in {host.journal(name)}"
         return NoService(f"no service named {name!r} is running: start it with {host.start(name)}; {told}")
