@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 import re
 import sys
-import textwrap
-from collections.abc import Iterable, Mapping
-from functools import cache, partial
-from itertools import groupby
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from itertools import groupby, pairwise
 from operator import itemgetter
 from unicodedata import combining, east_asian_width
 
@@ -32,11 +31,9 @@ _COARSE = {OK: "32", WARN: "35", FAIL: "1;31", DIM: "", STRONG: "1"}
 """For terminals with 8 or 16 colours, which belong to the theme: neither yellow nor grey can be relied on there."""
 NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
-_broken = partial(textwrap.wrap, break_on_hyphens=False, replace_whitespace=False, expand_tabs=False)
-_WHOLE = re.compile(r"`[^`]*`|pid \d+")
-"""What is not broken, where it fits: a command, and a process id with its word."""
-_GLUE, _FILL = "\0", "\1"
-"""In the place of a space that is not to be broken at, and after what takes two columns. No printable text has them."""
+_WORD = re.compile("(?:`[^`]*`|pid [0-9]+|[^ ])+ *| +")
+"""A word: what is written without a space between; a command, and a process id with what it is of, as if it were so."""
+_PART = re.compile("[^ ]+ *| +")
 
 
 def codes(environ: Mapping[str, str], *, terminal: bool) -> dict[str, str]:
@@ -111,24 +108,27 @@ def show(lines: Iterable[Line]) -> None:
 def wrap(line: Line, columns: int, indent: int) -> list[Line]:
     """Break a line at spaces so that each part fits, those after the first indented. A word that is longer than a line
     is broken where it must be."""
-    roles = [role for text, role in line for _ in text]
-
-    def glued(found: re.Match[str]) -> str:
-        parts = _broken(found[0], max(1, columns - indent), break_long_words=False)
-        return " ".join(part.replace(" ", _GLUE) for part in parts)
-
-    text = _WHOLE.sub(glued, plain(line))
-    counted = "".join(c + _FILL if cells(c) > 1 else c for c in text)
+    text, roles = plain(line), [role for text, role in line for _ in text]
+    starts, at, used = [0], 0, 0
+    for piece in _pieces(text, columns - indent):
+        if used + cells(piece.rstrip(" ")) > columns and at > starts[-1]:
+            starts.append(at)
+            used = indent
+        at += len(piece)
+        used += cells(piece)
     rows: list[Line] = []
-    at = 0
-    for row in _broken(counted, columns, subsequent_indent=" " * indent):
-        part = (row[indent:] if rows else row).replace(_FILL, "")
-        at = text.index(part, at)
-        spans = groupby(zip(part.replace(_GLUE, " "), roles[at:], strict=False), itemgetter(1))
-        margin = [(" " * indent, PLAIN)] if rows else []
-        rows.append([*margin, *(("".join(c for c, _ in span), role) for role, span in spans)])
-        at += len(part)
-    return rows or [[]]
+    for start, end in pairwise([*starts, len(text)]):
+        letters = zip(text[start:end].rstrip(" "), roles[start:end], strict=False)
+        spans = [("".join(letter for letter, _ in span), role) for role, span in groupby(letters, itemgetter(1))]
+        rows.append([(" " * indent, PLAIN), *spans] if rows else spans)
+    return rows
+
+
+def _pieces(text: str, room: int) -> Iterator[str]:
+    """What is not broken, with the spaces after it: words, commands that fit, and of what does not fit the letters."""
+    for word in _WORD.findall(text):
+        for part in [word] if cells(word.rstrip(" ")) <= room else _PART.findall(word):
+            yield from [part] if cells(part.rstrip(" ")) <= room else part
 
 
 def table(rows: list[Line]) -> list[Line]:

@@ -56,12 +56,20 @@ def test_paint_without_a_terminal_is_plain() -> None:
 texts = st.text(st.characters(min_codepoint=32, max_codepoint=0x4FFF, exclude_categories=("Cc", "Cs")), max_size=60)
 
 
-@given(st.lists(st.tuples(texts, st.sampled_from(["", style.OK])), max_size=5), st.integers(20, 90))
+commands = st.text(alphabet="ab `pid1\u4e00", max_size=60)
+
+
+@given(st.lists(st.tuples(texts | commands, st.sampled_from(["", style.OK])), max_size=5), st.integers(20, 90))
 def test_wrapped_lines_fit_and_lose_nothing_but_spaces(line: style.Line, columns: int) -> None:
     rows = style.wrap(line, columns, 4)
     assert all(style.cells(style.plain(row)) <= columns for row in rows)
-    before, after = style.plain(line), "".join(style.plain(row) for row in rows)
-    assert before.replace(" ", "") == after.replace(" ", "")
+    before, after = letters(line), [letter for row in rows for letter in letters(row)]
+    assert before == after
+
+
+def letters(line: style.Line) -> list[tuple[str, str]]:
+    """Each character with its role, but the spaces."""
+    return [(character, role) for text, role in line for character in text if character != " "]
 
 
 @given(texts, st.integers(0, 70))
