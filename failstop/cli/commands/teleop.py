@@ -191,7 +191,7 @@ class Pilot:
             self._send(self.hold.let_go(), now_s)
             keys = [key for key in keys if key[0] in URGENT]
         if not state.enabled:
-            self.hold.let_go()  # nothing drives on that something else has stopped
+            self._send(self.hold.let_go(), now_s)  # nothing drives on that something else has stopped
         moving = []
         for name, kind in keys:
             if name in AXES or name == FOCUS_OUT:

@@ -154,7 +154,7 @@ class Hold:
             elif name in AXES:
                 moved = self._event(name, kind, now_s) or moved
         if not self._held:
-            return STILL if before else None
+            return STILL if before or moved else None
         if now_s >= self._until_s:
             return self.let_go()
         again = now_s < self._first_until_s and now_s - self._sent_s >= RESEND_S
