@@ -33,7 +33,6 @@ NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
 _WORD = re.compile("(?:`[^`]*`|pid [0-9]+|[^ ])+ *| +")
 """A word: what is written without a space between; a command, and a process id with what it is of, as if it were so."""
-_PART = re.compile("[^ ]+ *| +")
 
 
 def codes(environ: Mapping[str, str], *, terminal: bool) -> dict[str, str]:
@@ -125,9 +124,11 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
 
 
 def _pieces(text: str, room: int) -> Iterator[str]:
-    """What is not broken, with the spaces after it: words, commands that fit, and of what does not fit the letters."""
+    """What is not broken, with the spaces after it: words, commands that fit in the room or as much of them as does,
+    and of a longer word the letters."""
+    parts = re.compile(f".{{1,{max(1, room)}}}(?: +|$)|[^ ]+ *| +")
     for word in _WORD.findall(text):
-        for part in [word] if cells(word.rstrip(" ")) <= room else _PART.findall(word):
+        for part in [word] if cells(word.rstrip(" ")) <= room else parts.findall(word):
             yield from [part] if cells(part.rstrip(" ")) <= room else part
 
 

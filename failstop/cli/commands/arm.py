@@ -8,6 +8,8 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
+from failstop.api.snapshot import ArmState
+from failstop.api.words import span
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
@@ -60,7 +62,7 @@ def main(arguments: Namespace) -> int:
             else:
                 if arguments.verb == "read":
                     arm.read()
-                rows = map(style.plain, summary.arm_lines(arm.state))
+                rows = map(style.plain, _lines(arm.state))
                 print(json.dumps(arm.state, indent=2) if arguments.json else "\n".join(rows))
                 return 0
         except ValueError as error:
@@ -94,3 +96,20 @@ def _values(words: list[str]) -> dict[str, float]:
         if not equals:
             raise FailstopError(f"{word!r}: write JOINT=VALUE, as in base=0.5")
     return found
+
+
+def _lines(arm: ArmState) -> list[style.Line]:
+    """All of the arm, its joints in a table."""
+    head = [("arm", summary.arm_headline(arm)), *([("closed", arm.closed)] if arm.closed else [])]
+    head += [("wrong", text) for text in summary.arm_wrong(arm)]
+    rows = [("joint", " servo", " angle", " pulses", " commanded", " read", "torque")]
+    for name, joint in arm.joints.items():
+        angle = "-" if joint.angle_rad is None else f"{joint.angle_rad:+.3f}"
+        measured = "-" if joint.pulses is None else f"{joint.pulses}"
+        commanded = "-" if joint.commanded_pulses is None else f"{joint.commanded_pulses:.1f}"
+        age = "never" if joint.age_s is None else f"{span(joint.age_s)} ago"
+        heat = f", {joint.temperature_c} C" if joint.temperature_c else ""
+        torque = f"{'on' if joint.torque else 'off'}{heat}"
+        rows.append((name, f" {joint.servo}", f" {angle}", f" {measured}", f" {commanded}", f" {age}", torque))
+    table = style.table([[(cell, style.PLAIN) for cell in cells] for cells in rows])
+    return [*(summary.row(label, text) for label, text in head), *table]

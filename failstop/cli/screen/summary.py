@@ -1,5 +1,4 @@
-"""Summary: the state in one screen, for `failstop status` and as the body of `failstop watch`; an event as a line; the
-arm as a table. Pure."""
+"""Summary: the state in one screen, for `failstop status` and as the body of `failstop watch`; an event in a line."""
 
 from __future__ import annotations
 
@@ -41,7 +40,7 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     rows += last_stop(state, now_s, history.earlier(events))
     rows += [row("limit", words.limited(state.speed_limit), WARN)] if state.speed_limit < 1 else []
     if state.arm:
-        rows += [row("arm", arm_headline(state.arm)), *(row("", text, WARN) for text in _arm_wrong(state.arm))]
+        rows += [row("arm", arm_headline(state.arm)), *(row("", text, WARN) for text in arm_wrong(state.arm))]
     rows += [device(state), battery(state), _sensors(state)]
     if state.clients:
         rows.append(row("clients", ", ".join(f"{client.name} (pid {client.pid})" for client in state.clients)))
@@ -215,23 +214,6 @@ def arm_headline(arm: ArmState) -> str:
     return f"holding{pose}{f', tucks itself in {arm.auto_tuck_s} s' if arm.auto_tuck_s is not None else ''}"
 
 
-def _arm_wrong(arm: ArmState) -> list[str]:
+def arm_wrong(arm: ArmState) -> list[str]:
     """What is wrong with it, and what was refused last."""
     return [*arm.wrong, *([f"the last goal was refused: {arm.refused}"] if arm.refused else [])]
-
-
-def arm_lines(arm: ArmState) -> list[Line]:
-    """All of the arm, its joints in a table."""
-    head = [("arm", arm_headline(arm)), *([("closed", arm.closed)] if arm.closed else [])]
-    head += [("wrong", text) for text in _arm_wrong(arm)]
-    rows = [("joint", " servo", " angle", " pulses", " commanded", " read", "torque")]
-    for name, joint in arm.joints.items():
-        angle = "-" if joint.angle_rad is None else f"{joint.angle_rad:+.3f}"
-        measured = "-" if joint.pulses is None else f"{joint.pulses}"
-        commanded = "-" if joint.commanded_pulses is None else f"{joint.commanded_pulses:.1f}"
-        age = "never" if joint.age_s is None else f"{words.span(joint.age_s)} ago"
-        heat = f", {joint.temperature_c} C" if joint.temperature_c else ""
-        torque = f"{'on' if joint.torque else 'off'}{heat}"
-        rows.append((name, f" {joint.servo}", f" {angle}", f" {measured}", f" {commanded}", f" {age}", torque))
-    table = style.table([[(cell, PLAIN) for cell in cells] for cells in rows])
-    return [*(row(label, text) for label, text in head), *table]

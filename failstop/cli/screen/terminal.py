@@ -81,10 +81,9 @@ class Terminal:
             self.rows = max(2, size.lines or 24)
 
     def _enter(self) -> None:
-        if self._keyboard:
-            with contextlib.suppress(termios.error):
-                self._saved = termios.tcgetattr(IN)
-                tty.setcbreak(IN, termios.TCSANOW)
+        with contextlib.suppress(termios.error):
+            self._saved = termios.tcgetattr(IN)
+            tty.setcbreak(IN)  # what was typed before, or while this was stopped, is forgotten
         self._measure()
         self.write(self._on)
 
@@ -103,9 +102,6 @@ class Terminal:
         signal.signal(signal.SIGTSTP, self._note)
         self.stopped = False
         self._enter()
-        if self._keyboard:  # what was typed meanwhile is old
-            with contextlib.suppress(termios.error):
-                termios.tcflush(IN, termios.TCIFLUSH)
 
     def write(self, text: str) -> None:
         """Write to the terminal; one that has gone ends this as a hang-up does."""
