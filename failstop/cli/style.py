@@ -60,11 +60,6 @@ def width() -> int:
     return max(LEAST_COLUMNS, fold.columns(1) or NO_TERMINAL_COLUMNS)
 
 
-def fancy() -> bool:
-    """True when standard output takes characters beyond ASCII."""
-    return (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
-
-
 def cells(text: str) -> int:
     """Columns that a printable text takes on a terminal."""
     if text.isascii():

@@ -109,7 +109,7 @@ def test_a_kernel_that_tells_of_deaths_late_is_remarked() -> None:
 
 
 def _live(rows: int = 40, columns: int = 100) -> tuple[Live, list[style.Line]]:
-    found = Live("failstop", fancy=True)
+    found = Live("failstop")
     lines: list[style.Line] = []
     for tick in range(30):
         moving = tick >= 15
@@ -170,7 +170,6 @@ def test_sparklines() -> None:
     assert spark([0.0, 0.5, 1.0, 2.0, None], 1.0, 7) == "  ▁▅██ "
     assert spark([1.0, 0.0], 1.0, 1) == "▁"
     assert spark([1.0, 0.0], 1.0, 0) == ""
-    assert spark([0.0, 1.0], 1.0, 2, fancy=False) == "_#"
     assert spark([1.0], 0.0, 1) == "▁"
 
 
@@ -235,18 +234,18 @@ def test_no_text_is_changed_by_its_backquotes(text: str) -> None:
 
 def test_the_last_events_fill_the_rows_that_are_free() -> None:
     told_ = [Event(at, NOW_S - 9 + at, 0, "enabled", "notice", f"number {at}", {}) for at in range(1, 6)]
-    tall = Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, 60, told_)
+    tall = Live("failstop").lines(state(), 0.0, NOW_S, 100, 60, told_)
     assert [style.plain(line).split()[-1] for line in tall[-5:]] == ["1", "2", "3", "4", "5"]
     plain = [style.plain(line) for line in tall]
     assert plain[1].startswith("wheels    STOPPED"), "the headline is first"
-    short = Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, len(tall) - 3, told_)
+    short = Live("failstop").lines(state(), 0.0, NOW_S, 100, len(tall) - 3, told_)
     assert [style.plain(line).split()[-1] for line in short[-2:]] == ["4", "5"], "the newest"
-    none = Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, len(tall) - 6, told_)
+    none = Live("failstop").lines(state(), 0.0, NOW_S, 100, len(tall) - 6, told_)
     assert "last events" not in "".join(style.plain(line) for line in none)
 
 
 def test_a_row_of_an_event_leaves_out_what_to_do_next() -> None:
     """That is at the top of the screen; at the end of a row it would be cut."""
     event = Event(1, NOW_S, 1, "stop", "warning", "STOP latched: gate died; next: `failstop reset`", {})
-    rows = Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 200, 60, [event])
+    rows = Live("failstop").lines(state(), 0.0, NOW_S, 200, 60, [event])
     assert style.plain(rows[-1]).endswith("STOP latched: gate died")

@@ -67,7 +67,7 @@ def press(pilot: Pilot, *names: str, late: bool = False, now_s: float = 1.0, see
 def test_the_screen_shows_keys_command_and_state(pilot: Pilot) -> None:
     press(pilot, "w")
     pilot.note = ("a note", "")
-    lines = pilot.lines(latched(), 1.1, 80, fancy=True)
+    lines = pilot.lines(latched(), 1.1, 80)
     said = shown(lines)
     for part in (
         "w s  \u2191 \u2193",
@@ -89,7 +89,7 @@ def test_the_screen_shows_an_arm_only_where_there_is_one(pilot: Pilot) -> None:
 
     def screen(joint: int, **changed: Any) -> str:
         pilot.joint = joint
-        return shown(pilot.lines(state(**changed), 1.0, 80, fancy=False))
+        return shown(pilot.lines(state(**changed), 1.0, 80))
 
     said = screen(0, arm=found)
     for part in ("turn the chosen joint", "1 - 2", "jog for failstop teleop", "1 base: +0.50 rad, sent"):
@@ -110,9 +110,9 @@ def test_speeds_are_parts_of_the_full_ones(pilot: Pilot, scribe: Scribe) -> None
     press(pilot, "w")
     press(pilot, "+", "a")
     assert scribe.asked == [(0.1, 0.0, 0.0, "cmd_vel"), (0.0, 0.0, 0.6, "cmd_vel")]
-    assert "60 %: 0.12 m/s, 0.60 rad/s" in shown(pilot.lines(ENABLED, 1.2, 80, fancy=True))
-    assert "command   0.60 rad/s turning left" in shown(pilot.lines(ENABLED, 1.2, 80, fancy=True))
-    assert "command   none" in shown(pilot.lines(ENABLED, 1.5, 80, fancy=True))
+    assert "60 %: 0.12 m/s, 0.60 rad/s" in shown(pilot.lines(ENABLED, 1.2, 80))
+    assert "command   0.60 rad/s turning left" in shown(pilot.lines(ENABLED, 1.2, 80))
+    assert "command   none" in shown(pilot.lines(ENABLED, 1.5, 80))
 
 
 def test_the_stop_is_the_first_thing_of_all_that_was_typed(pilot: Pilot, scribe: Scribe) -> None:

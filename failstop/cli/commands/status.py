@@ -54,7 +54,6 @@ TOP_RADPS = float(BY_KEY["limits.wz_radps"].default)
 NAMES = 32
 """Columns before a sparkline."""
 BARS = "▁▂▃▄▅▆▇█"
-ASCII = "_.:-=+*#"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -109,7 +108,7 @@ def _watch(name: str) -> int:
     """Until q; the exit code is 0 then, else 128 and the signal's number."""
     from failstop.cli.screen.terminal import Terminal
 
-    follower, live = follow.Follower(name), Live(name, fancy=style.fancy())
+    follower, live = follow.Follower(name), Live(name)
     with Terminal() as terminal:
         for typed, now_s in terminal.turns(PERIOD_S):
             if b"q" in typed.lower():
@@ -126,20 +125,18 @@ def _watch(name: str) -> int:
     return 128 + terminal.ended
 
 
-def spark(values: Sequence[float | None], top: float, columns: int, *, fancy: bool = True) -> str:
+def spark(values: Sequence[float | None], top: float, columns: int) -> str:
     """The newest `columns` values as bars, the newest at the right; `top` and above is a full bar, None a gap."""
-    bars = BARS if fancy else ASCII
     shown = values[-columns:] if columns > 0 else []
     parts = [None if value is None else min(1.0, max(0.0, value / top if top else 0.0)) for value in shown]
-    return "".join(" " if part is None else bars[round(part * (len(bars) - 1))] for part in parts).rjust(columns)
+    return "".join(" " if part is None else BARS[round(part * (len(BARS) - 1))] for part in parts).rjust(columns)
 
 
 class Live:
     """What the screen remembers from one state to the next."""
 
-    def __init__(self, name: str, *, fancy: bool) -> None:
+    def __init__(self, name: str) -> None:
         self._name = name
-        self._fancy = fancy
         self._history: dict[str, deque[float | None]] = {}
         self._vibration = Vibration()
         self._slow: list[Line] = []
@@ -188,7 +185,7 @@ class Live:
         values = self._history.setdefault(name, deque(maxlen=REMEMBERED))
         values.append(value)
         top = max([top, *(known for known in values if known is not None)])
-        bars = spark(list(values), top, columns - NAMES, fancy=self._fancy)
+        bars = spark(list(values), top, columns - NAMES)
         return [*summary.row(name, f"{text:<{NAMES - summary.LABEL}}"), (bars, role)]
 
     def gone(self, note: str, unix_s: float, columns: int) -> list[Line]:

@@ -16,7 +16,6 @@ from failstop.api.errors import FailstopError, NoService
 from failstop.api.robot import Robot
 from failstop.api.run import Run
 from failstop.api.snapshot import ArmState, State
-from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
 from failstop.cli.screen.keys import (
@@ -131,7 +130,7 @@ def _drive(terminal: Terminal, pilot: Pilot) -> None:
         if pilot.leaving:
             return
         if due_s is not None:
-            terminal.draw(pilot.lines(state, now_s, terminal.columns, fancy=style.fancy()))
+            terminal.draw(pilot.lines(state, now_s, terminal.columns))
 
 
 def _pause(terminal: Terminal, pilot: Pilot) -> None:
@@ -288,8 +287,8 @@ class Pilot:
         self._command, self._commanded_s = (x, y, turn), now_s
         self.robot.drive(x, y, turn, manual=True, source=self.source)
 
-    def lines(self, state: State, now_s: float, columns: int, *, fancy: bool) -> list[Line]:
-        """The screen. `fancy`: it takes arrows."""
+    def lines(self, state: State, now_s: float, columns: int) -> list[Line]:
+        """The screen."""
         speed_mps, _, turn_radps = (full * self.percent / 100 for full in self._full)
         command = self._command if now_s - self._commanded_s <= COMMAND_S else None
         keys = list(KEYS)
@@ -298,7 +297,7 @@ class Pilot:
             keys.append(("[ ]", "", "turn the chosen joint", digits, "choose a joint of the arm"))
         head: list[Line] = [[("failstop teleop", STRONG), (f"  {state.name}, as {self.source}", DIM)], []]
         for letters, arrows, moves, other, does in keys:
-            left = [(f"{letters}  {arrows if fancy else '':<5}", STRONG), (f"{moves:<22}", PLAIN)]
+            left = [(f"{letters}  {arrows:<5}", STRONG), (f"{moves:<22}", PLAIN)]
             head.append([*left, (f"{other:<7}", STRONG), (does, FAIL if other == "space" else PLAIN)])
         body = [
             row("keys", *(("held", OK) if self.hold.active else ("none held", PLAIN))),
