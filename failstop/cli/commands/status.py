@@ -140,7 +140,6 @@ class Live:
         self._history: dict[str, deque[float | None]] = {}
         self._vibration = Vibration()
         self._slow: list[Line] = []
-        self._drawn_s = -SLOW_S
         self._key: object = None
         self._gone_s = 0.0
         self._device: str | None = None
@@ -153,9 +152,9 @@ class Live:
         self._gone_s = 0.0
         self._device = state.device.path
         wheels = summary.wrapped([summary.headline(state)], columns)
-        key = (columns, state.blocked, state.epoch, state.waiting_for, state.device, state.moving)
-        if key != self._key or mono_s - self._drawn_s >= SLOW_S:
-            self._key, self._drawn_s = key, mono_s
+        said = (state.blocked, state.epoch, state.waiting_for, state.device, state.moving)
+        if (key := (int(mono_s / SLOW_S), columns, said)) != self._key:
+            self._key = key
             self._slow = summary.lines(state, unix_s, columns, events)[len(wheels) :]
         body = [self._title(unix_s, columns), *wheels, [], *self._bars(state, columns), [], *self._slow]
         return [*body, *_news(events, unix_s, rows - len(body))]

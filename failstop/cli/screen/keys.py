@@ -184,5 +184,4 @@ class Hold:
     def let_go(self) -> Velocity | None:
         """Forget the held keys; what to send for it."""
         was_active, self._held = self.active, []
-        self._first_until_s = 0.0
         return STILL if was_active else None

@@ -26,6 +26,7 @@ LINKS = {
     "unproven": ("unproven: the board has not answered a ping yet, so nobody knows that it hears", WARN),
     "deaf": ("deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH", FAIL),
 }
+WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
 PROCESSES = {"running": PLAIN, "starting": WARN, "waiting": WARN}
 LEVELS = {"critical": FAIL, "error": FAIL, "warning": WARN, "notice": PLAIN, "info": DIM}
@@ -61,15 +62,11 @@ def wrapped(rows: list[Line], columns: int, label: int = LABEL) -> list[Line]:
     return [part for row in rows for part in style.wrap(row, columns, label)]
 
 
-def role_of(state: State) -> str:
-    """The role of the verdict's word."""
-    roles = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
-    return roles.get(verdict.word(state)) or (FAIL if state.cause else WARN)
-
-
 def headline(state: State) -> Line:
     """What the wheels do, and why."""
-    return [*row("wheels", verdict.word(state), role_of(state)), ("  ", PLAIN), (verdict.headline(state), STRONG)]
+    word = verdict.word(state)
+    role = WORDS.get(word) or (FAIL if state.cause else WARN)
+    return [*row("wheels", word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)]
 
 
 def wheels(state: State) -> list[Line]:
