@@ -157,7 +157,7 @@ class BlackBox:
 
     def _spawn(self, words: dict[str, str], fds: dict[str, int], pipes: tuple[int, int]) -> int:
         words = self._words | words | {"fds": ",".join(f"{which}:{fd}" for which, fd in fds.items())}
-        arguments = script_command(("incidents", "start.py"), words=words)
+        arguments = script_command(("incidents", "saver.py"), words=words)
         return self._world.spawn(arguments, self._environment, [*pipes, *fds.values()])
 
     def _reap(self) -> None:

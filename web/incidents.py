@@ -12,7 +12,7 @@ import tempfile
 import time
 from typing import Any
 
-from failstop.incidents import outcome, store
+from failstop.incidents import files, memory
 
 MOST_SHOWN = 20
 FRESH_S = 2.0
@@ -43,7 +43,7 @@ class Incidents:
         return self._cards
 
     def _heads(self) -> list[dict[str, Any]]:
-        return store.heads(self._name, os.environ)[0]
+        return files.heads(self._name, files.folders(self._name, os.environ))[0]
 
     async def _known(self, identity: str) -> bool:
         return bool(ID.fullmatch(identity)) and identity in {card["id"] for card in await self.cards()}
@@ -106,7 +106,7 @@ class Incidents:
 
 
 def _card(head: dict[str, Any]) -> dict[str, Any]:
-    return {"id": head["id"], "t": head["t"], "reason": head["reason"], "proof": outcome.proof(head["stop"], head)}
+    return {"id": head["id"], "t": head["t"], "reason": head["reason"], "proof": memory.proof(head["stop"], head)}
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -1,13 +1,4 @@
-"""Export: an incident as MCAP with ROS 2 messages, for Foxglove, PlotJuggler, rosbag2.
-
-/failstop/command      geometry_msgs/TwistStamped       the newest command of each tick in which one came
-/failstop/gated        geometry_msgs/TwistStamped       what the gate made of it, each tick
-/failstop/wheels       sensor_msgs/JointState           each motor frame and stop burst written; rad/s
-/failstop/imu          sensor_msgs/Imu                  no orientation: its covariance begins with -1
-/failstop/battery      sensor_msgs/BatteryState
-/failstop/events       rcl_interfaces/Log               what people were told, and the cause
-/failstop/processes    diagnostic_msgs/DiagnosticArray  how long each process was silent, 10 Hz
-"""
+"""Export: an incident as MCAP with ROS 2 messages, for Foxglove, PlotJuggler, rosbag2."""
 
 from __future__ import annotations
 
@@ -16,9 +7,9 @@ from io import BytesIO
 from math import nan, tau
 from typing import Any
 
-from failstop.incidents import file, messages, signals
-from failstop.incidents.file import IncidentError
-from failstop.incidents.incident import Incident
+from failstop.incidents import files
+from failstop.incidents.files import IncidentError
+from failstop.incidents.incident import WHEELS, Incident
 from failstop.procs.telemetry.imu import RATE_VARIANCE
 from failstop.shm import layout
 
@@ -33,16 +24,41 @@ TOPICS = {
     "events": "rcl_interfaces/Log",
     "processes": "diagnostic_msgs/DiagnosticArray",
 }
-NO_ORIENTATION = {
-    "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
-    "orientation_covariance": [-1.0, *[0.0] * 8],
+"""Below /failstop: the newest command of each tick in which one came; what the gate made of it, each tick; each motor
+frame and stop burst written (rad/s); IMU; battery; what people were told, and the cause; how long each process was
+silent, 10 Hz."""
+FIELDS = {
+    "builtin_interfaces/Time": "int32 sec; uint32 nanosec",
+    "std_msgs/Header": "builtin_interfaces/Time stamp; string frame_id",
+    "geometry_msgs/Vector3": "float64 x; float64 y; float64 z",
+    "geometry_msgs/Quaternion": "float64 x 0; float64 y 0; float64 z 0; float64 w 1",
+    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear; geometry_msgs/Vector3 angular",
+    "geometry_msgs/TwistStamped": "std_msgs/Header header; geometry_msgs/Twist twist",
+    "sensor_msgs/Imu": "std_msgs/Header header; "
+    "geometry_msgs/Quaternion orientation; float64[9] orientation_covariance; "
+    "geometry_msgs/Vector3 angular_velocity; float64[9] angular_velocity_covariance; "
+    "geometry_msgs/Vector3 linear_acceleration; float64[9] linear_acceleration_covariance",
+    "sensor_msgs/JointState": "std_msgs/Header header; "
+    "string[] name; float64[] position; float64[] velocity; float64[] effort",
+    "sensor_msgs/BatteryState": "uint8 POWER_SUPPLY_STATUS_UNKNOWN=0; uint8 POWER_SUPPLY_STATUS_CHARGING=1; "
+    "uint8 POWER_SUPPLY_STATUS_DISCHARGING=2; uint8 POWER_SUPPLY_STATUS_NOT_CHARGING=3; "
+    "uint8 POWER_SUPPLY_STATUS_FULL=4; std_msgs/Header header; "
+    "float32 voltage; float32 temperature; float32 current; float32 charge; "
+    "float32 capacity; float32 design_capacity; float32 percentage; "
+    "uint8 power_supply_status; uint8 power_supply_health; uint8 power_supply_technology; bool present; "
+    "float32[] cell_voltage; float32[] cell_temperature; string location; string serial_number",
+    "rcl_interfaces/Log": "byte DEBUG=10; byte INFO=20; byte WARN=30; byte ERROR=40; byte FATAL=50; "
+    "builtin_interfaces/Time stamp; uint8 level; string name; string msg; string file; string function; uint32 line",
+    "diagnostic_msgs/KeyValue": "string key; string value",
+    "diagnostic_msgs/DiagnosticStatus": "byte OK=0; byte WARN=1; byte ERROR=2; byte STALE=3; "
+    "byte level; string name; string message; string hardware_id; diagnostic_msgs/KeyValue[] values",
+    "diagnostic_msgs/DiagnosticArray": "std_msgs/Header header; diagnostic_msgs/DiagnosticStatus[] status",
 }
-UNKNOWN = [0.0] * 9
-VARIANCE = [RATE_VARIANCE if index in (0, 4, 8) else 0.0 for index in range(9)]
-WHEELS = [name.replace(" ", "_") for name in signals.WHEELS]
+"""The messages' own fields."""
+LOG_LEVELS = {"info": 20, "notice": 20, "warning": 30, "error": 40, "critical": 50}
 
 Message = tuple[int, str, dict[str, Any]]
-"""When (CLOCK_MONOTONIC ns), topic, value but for its header."""
+"""When (CLOCK_MONOTONIC ns), topic, and of its value what is not the header, nor zero."""
 
 
 def save(incident: Incident, path: str) -> int:
@@ -52,14 +68,11 @@ def save(incident: Incident, path: str) -> int:
     except ImportError:
         raise IncidentError(NEEDS) from None
     incident.check_layout()
-    series = (_gate(incident), _wheels(incident), _board(incident), _told(incident), _beats(incident))
-    found = sorted((message for part in series for message in part), key=lambda message: message[0])
+    found = sorted((*_motion(incident), *_board(incident), *_told(incident)), key=lambda message: message[0])
     made = BytesIO()
     writer: Any = Writer(made)
-    schemas = {
-        name: writer.register_msgdef(name.replace("/", "/msg/"), messages.definition(name))
-        for name in dict.fromkeys(TOPICS.values())
-    }
+    kinds = dict.fromkeys(TOPICS.values())
+    schemas = {name: writer.register_msgdef(name.replace("/", "/msg/"), definition(name)) for name in kinds}
     counts = dict.fromkeys(TOPICS, 0)
     for ns, topic, value in found:
         counts[topic] += 1
@@ -68,64 +81,59 @@ def save(incident: Incident, path: str) -> int:
         whole = {"stamp": stamp, "header": {"stamp": stamp, "frame_id": FRAME}, **value}
         writer.write_message(f"/failstop/{topic}", schemas[TOPICS[topic]], whole, at_ns, at_ns, counts[topic])
     writer.finish()
-    file.write_as(path, made.getvalue())
+    files.write_as(path, made.getvalue())
     return len(found)
 
 
-def _vector(x: float, y: float, z: float) -> dict[str, float]:
-    return {"x": x, "y": y, "z": z}
+def definition(name: str) -> str:
+    """The whole definition of a message: its own fields and then, after a line of equals signs, those of every message
+    within it (the MCAP specification's `ros2msg` schema encoding)."""
+    parts = [name]
+    for part in parts:  # those that are found are looked through, too
+        kinds = (field.split()[0].removesuffix("[]") for field in FIELDS[part].split("; "))
+        parts += [kind for kind in dict.fromkeys(kinds) if kind in FIELDS and kind not in parts]
+    texts = (f"MSG: {part}\n" * (part != name) + FIELDS[part].replace("; ", "\n") + "\n" for part in parts)
+    return f"\n{'=' * 80}\n".join(texts)
 
 
-def _gate(incident: Incident) -> Iterator[Message]:
+def _motion(incident: Incident) -> Iterator[Message]:
     for tick in incident.ticks:
         for topic, (vx, vy, wz) in (("command", tick.command), ("gated", tick.velocity)):
             if topic == "gated" or tick.commands:
-                yield tick.ns, topic, {"twist": {"linear": _vector(vx, vy, 0.0), "angular": _vector(0.0, 0.0, wz)}}
-
-
-def _wheels(incident: Incident) -> Iterator[Message]:
-    ids = signals.wheel_ids(incident)
+                yield tick.ns, topic, {"twist": {"linear": {"x": vx, "y": vy}, "angular": {"z": wz}}}
+    names = [name.replace(" ", "_") for name in WHEELS]
     for write in incident.writes:
         if speeds := write.speeds_rps:
-            velocity = [speeds[wire_id] * tau for wire_id in ids]
-            yield write.ns, "wheels", {"name": WHEELS, "position": [], "velocity": velocity, "effort": []}
+            yield write.ns, "wheels", {"name": names, "velocity": [speed * tau for speed in speeds]}
 
 
 def _board(incident: Incident) -> Iterator[Message]:
+    fixed = {
+        # No orientation.
+        "orientation_covariance": [-1.0, *[0.0] * 8],
+        "angular_velocity_covariance": [RATE_VARIANCE if index in (0, 4, 8) else 0.0 for index in range(9)],
+        "linear_acceleration_covariance": [0.0] * 9,
+    }
     for sample in incident.imu:
-        value: dict[str, Any] = {
-            **NO_ORIENTATION,
-            "angular_velocity": _vector(*sample.rate_radps),
-            "angular_velocity_covariance": VARIANCE,
-            "linear_acceleration": _vector(*sample.acceleration_mps2),
-            "linear_acceleration_covariance": UNKNOWN,
-        }
-        yield sample.ns, "imu", value
+        acceleration, rate = (dict(zip("xyz", of, strict=True)) for of in (sample.acceleration_mps2, sample.rate_radps))
+        yield sample.t_ns, "imu", {"angular_velocity": rate, "linear_acceleration": acceleration, **fixed}
+    unknown = dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity", "percentage"), nan)
     for ns, millivolts, plugged in incident.battery:
-        value = dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity", "percentage"), nan)
-        value |= {"voltage": millivolts / 1e3, "present": True}
-        value |= {"power_supply_status": {"plugged": 1, "unplugged": 2}.get(plugged, 0)}
-        value |= {"power_supply_health": 0, "power_supply_technology": 0, "location": "", "serial_number": ""}
-        value |= {"cell_voltage": [], "cell_temperature": []}
-        yield ns, "battery", value
+        # The charger's numbers are those of a power supply's status: unknown, charging, discharging.
+        yield ns, "battery", {**unknown, "voltage": millivolts / 1e3, "present": True, "power_supply_status": plugged}
 
 
 def _told(incident: Incident) -> Iterator[Message]:
     rows = [(event.ns, event.level, event.kind, event.text) for event in incident.events]
     for ns, level, kind, text in (*rows, (incident.cause_ns, "error", "cause", incident.reason)):
-        number = messages.LOG_LEVELS.get(level, messages.LOG_LEVELS["info"])
-        value = {"level": number, "name": f"failstop.{kind}", "msg": text, "file": "", "function": "", "line": 0}
-        yield ns, "events", value
-
-
-def _beats(incident: Incident) -> Iterator[Message]:
-    allowed_us = {process: signals.allowed_ns(incident, process) // 1000 for process in layout.PROCESSES}
+        number = LOG_LEVELS.get(level, LOG_LEVELS["info"])
+        yield ns, "events", {"level": number, "name": f"failstop.{kind}", "msg": text}
+    allowed_us = [incident.allowed_ns(process) / 1000 for process in layout.PROCESSES]
     for ns, times in incident.beats:
         status = []
-        for process, (silent_us, _) in zip(layout.PROCESSES, times, strict=True):
-            late = silent_us > allowed_us[process]
-            said = "silent for too long" if late else "beats"
+        for process, most_us, (silent_us, _) in zip(layout.PROCESSES, allowed_us, times, strict=True):
+            late = silent_us > most_us
+            row = {"level": 2, "message": "silent for too long"} if late else {"level": 0, "message": "beats"}
             values = [{"key": "silent_ms", "value": f"{silent_us / 1e3:.3f}"}]
-            row = {"level": 2 if late else 0, "name": process, "message": said, "hardware_id": incident.head["host"]}
-            status.append({**row, "values": values})
+            status.append({**row, "name": process, "hardware_id": incident.head["host"], "values": values})
         yield ns, "processes", {"status": status}

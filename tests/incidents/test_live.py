@@ -16,10 +16,11 @@ import psutil
 import pytest
 
 from failstop.api.events import EventLog
-from failstop.incidents import pending, store, story
-from failstop.incidents.incident import MOTION, Incident
+from failstop.cli.commands import incident as command
+from failstop.incidents import files, story
+from failstop.incidents.incident import Incident, Sort
 from failstop.lab.trial import Trial, wait_for
-from failstop.shm import box, layout
+from failstop.shm import layout
 
 pytestmark = pytest.mark.slow
 _numbers = itertools.count()
@@ -34,7 +35,7 @@ class Scene:
         self.environ = {"STATE_DIRECTORY": trial.state}
 
     def heads(self) -> list[dict[str, object]]:
-        found, problems = store.heads(self.trial.name, self.environ)
+        found, problems = files.heads(self.trial.name, files.folders(self.trial.name, self.environ))
         assert problems == []
         return found
 
@@ -42,7 +43,10 @@ class Scene:
         """The newest, once there are so many."""
         wait_for(f"{count} incidents", lambda: len(self.heads()) >= count, SAVED_S)
         assert len(self.heads()) == count
-        return store.load("last", self.trial.name, self.environ)
+        return Incident.read(files.find("last", self.trial.name, self.environ))
+
+    def unsaved(self) -> str:
+        return command.unsaved(self.trial.name, self.heads(), time.time())
 
     def told(self) -> list[str]:
         return [event.text for event in EventLog(self.trial.name).read() if event.kind == "incident"]
@@ -57,7 +61,7 @@ class Scene:
         def there() -> bool:
             for process in psutil.process_iter(["cmdline"]):
                 words = process.info["cmdline"] or []
-                if any(word.endswith("incidents/start.py") for word in words) and f"name={self.trial.name}" in words:
+                if any(word.endswith("incidents/saver.py") for word in words) and f"name={self.trial.name}" in words:
                     found.append(process)
             return bool(found)
 
@@ -85,8 +89,8 @@ def test_a_stop_request_and_then_a_killed_gate(scene: Scene) -> None:
     trial.drive(1.0)
     trial.robot.estop("the test says so")
     trial.drive(0.1)
-    assert pending.wait(trial.name, scene.environ, 0.0) is not None
-    assert pending.wait(trial.name, scene.environ, SAVED_S) is None, "whoever asks for the last means this one"
+    assert scene.unsaved(), "whoever asks for the last means this one"
+    wait_for("its file", lambda: not scene.unsaved(), SAVED_S)
     first = scene.saved()
     assert first.reason.startswith("stop request: the test says so")
     check_driven(first)
@@ -117,7 +121,7 @@ def test_the_death_of_the_one_who_decodes_loses_nothing_of_before(scene: Scene) 
     trial.recover("telemetry", pid)
     saved = scene.saved()
     assert saved.reason == "telemetry died"
-    before = [sample for sample in saved.imu if saved.cause_ns - 1_000_000_000 < sample.ns < saved.cause_ns]
+    before = [sample for sample in saved.imu if saved.cause_ns - 1_000_000_000 < sample.t_ns < saved.cause_ns]
     assert len(before) > 50, "110 a second"
     assert [tick for tick in saved.ticks if tick.ns < saved.cause_ns][-1].block == "driving"
     assert any(line.what == story.CAUSE for line in story.tell(saved))
@@ -130,15 +134,15 @@ def check_driven(incident: Incident) -> None:
     assert before[-1].block == "driving"
     assert before[-1].who.startswith("trial (pid ")
     assert before[-1].velocity[0] > 0.05
-    bursts = [w for w in incident.writes if w.kind == box.BURST and w.ns >= incident.cause_ns]
+    bursts = [w for w in incident.writes if w.sort == Sort.STOP_BURST and w.ns >= incident.cause_ns]
     assert bursts[0].by == layout.PORT_OWNER
     assert incident.ms(bursts[0].ns) < 100
     assert incident.head["stop"]["written_us"] < 100_000
-    motion_after = [w for w in incident.writes if w.sort == MOTION and w.ns > bursts[0].ns]
+    motion_after = [w for w in incident.writes if w.sort == Sort.MOTION and w.ns > bursts[0].ns]
     assert motion_after == []
-    end_ns = incident.span_ns()[1]
+    end_ns = incident.span_ns[1]
     assert 1900 < incident.ms(end_ns) < 10_000
-    for times in ([ns for ns, _ in incident.received], [sample.ns for sample in incident.imu]):
+    for times in ([ns for ns, _ in incident.received], [sample.t_ns for sample in incident.imu]):
         assert times[0] < incident.cause_ns - 400_000_000, "before"
         assert times[-1] > incident.cause_ns + 1_500_000_000, "and after"
     assert incident.undecoded == 0

@@ -10,8 +10,8 @@ from typing import Any
 import msgpack
 import pytest
 
+from failstop.cli.commands import incident as command
 from failstop.cli.main import main
-from failstop.incidents import pending
 from failstop.policy import causes
 from failstop.shm import layout, segment
 
@@ -43,11 +43,9 @@ def service() -> Iterator[Service]:
 
 
 def test_a_recent_stop_that_is_in_no_file(service: Service) -> None:
-    assert pending.unsaved(service.name, [], NOW_S) is None, "there was no stop"
+    assert command.unsaved(service.name, [], NOW_S) == "", "there was no stop"
     service.stopped()
-    found = pending.unsaved(service.name, [], NOW_S)
-    assert found is not None
-    assert found["reason"] == "gate died"
+    assert command.unsaved(service.name, [], NOW_S) == "gate died"
 
 
 @pytest.mark.parametrize(
@@ -55,7 +53,7 @@ def test_a_recent_stop_that_is_in_no_file(service: Service) -> None:
     [
         ([SAVED], {}),
         ([SAVED | {"epoch": 8}], {}),
-        ([], {"t": NOW_S - pending.RECENT_S - 1}),
+        ([], {"t": NOW_S - command.RECENT_S - 1}),
         ([], {"t": NOW_S + 60}),
         ([], {"latched": causes.DIED("telemetry").pack()}),
         ([], {"t": "junk"}),
@@ -63,23 +61,23 @@ def test_a_recent_stop_that_is_in_no_file(service: Service) -> None:
 )
 def test_nothing_is_to_come(service: Service, heads: list[dict[str, Any]], fields: dict[str, Any]) -> None:
     service.stopped(**fields)
-    assert pending.unsaved(service.name, heads, NOW_S) is None
+    assert command.unsaved(service.name, heads, NOW_S) == ""
 
 
 @pytest.mark.parametrize("head", [SAVED | {"epoch": 6}, SAVED | {"run": "another"}])
 def test_another_stops_file_is_not_this_ones(service: Service, head: dict[str, Any]) -> None:
     service.stopped()
-    assert pending.unsaved(service.name, [head], NOW_S) is not None
+    assert command.unsaved(service.name, [head], NOW_S) == "gate died"
 
 
 def test_without_a_service_nobody_waits() -> None:
-    assert pending.unsaved("nobody-of-this-name", [], NOW_S) is None
+    assert command.unsaved("nobody-of-this-name", [], NOW_S) == ""
 
 
 def test_show_says_that_it_is_to_come(
     service: Service, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(pending.wait, "__defaults__", (0.0,))
+    monkeypatch.setattr(command, "PATIENCE_S", 0.0)
     service.stopped(t=time.time())
     assert main(["incident", "show", "--name", service.name]) == 1
     told = "failstop: the stop (gate died) is not saved yet: again in a few seconds\n"

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from failstop.board.servos import POSITION, TORQUE, bus_servo_move
-from failstop.incidents import export, messages, plot, signals, story
-from failstop.incidents.file import IncidentError
-from failstop.incidents.incident import Incident
+from failstop.incidents import export, plot, story
+from failstop.incidents.files import IncidentError
+from failstop.incidents.incident import SILENT, Incident
 from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.shm import box, layout
@@ -87,7 +87,7 @@ def test_an_export_is_read_back_with_the_decoder_of_ros_2(incident: Incident, tm
     found: dict[str, list[tuple[int, object]]] = {}
     for message in reader.read_ros2_messages(path):
         found.setdefault(message.channel.topic, []).append((message.log_time_ns, message.ros_msg))
-        assert message.schema.data.decode() == messages.definition(message.schema.name.replace("/msg/", "/"))
+        assert message.schema.data.decode() == export.definition(message.schema.name.replace("/msg/", "/"))
     assert sum(map(len, found.values())) == count
     assert set(found) == {
         f"/failstop/{topic}" for topic in ("command", "gated", "wheels", "imu", "battery", "events", "processes")
@@ -138,25 +138,25 @@ def test_where_the_gate_was_silent_the_picture_says_so_and_draws_no_decision() -
         made.command(ms, (0.2, 0.0, 0.0))
         made.tick(ms)
     made.beats(2200)
-    told = [(what, begin, end) for what, begin, end in signals.gate_spans(made.incident()) if what == signals.SILENT]
-    assert told == [(signals.SILENT, at(-80), at(300)), (signals.SILENT, at(980), at(2200))]
+    told = [(what, begin, end) for what, begin, end in made.incident().gate_spans() if what == SILENT]
+    assert told == [(SILENT, at(-80), at(300)), (SILENT, at(980), at(2200))]
 
 
 def test_a_dead_gate_is_silent_however_soon_it_is_back() -> None:
     made = Recorder()
     for ms in (-40, -20, 0, 40, 60):
         made.tick(ms)
-    assert [what for what, _, _ in signals.gate_spans(made.incident())] == ["disabled"]
+    assert [what for what, _, _ in made.incident().gate_spans()] == ["disabled"]
     made.event(5, "died", "gate (pid 102) was killed by SIGKILL", "error", process="gate", pid=102)
-    assert signals.gate_spans(made.incident()) == [
+    assert made.incident().gate_spans() == [
         ("disabled", at(-40), at(0)),
-        (signals.SILENT, at(0), at(40)),
+        (SILENT, at(0), at(40)),
         ("disabled", at(40), at(60)),
     ]
 
 
 def test_a_curve_is_broken_where_the_board_was_silent() -> None:
-    at_ms, values = signals.broken(np.array([0.0, 9.0, 18.0, 900.0, 909.0]), np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
+    at_ms, values = plot.broken(np.array([0.0, 9.0, 18.0, 900.0, 909.0]), np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
     assert list(at_ms) == [0.0, 9.0, 18.0, 18.0, 900.0, 909.0]
     assert repr(values.tolist()) == "[1.0, 2.0, 3.0, nan, 4.0, 5.0]"
 
@@ -186,7 +186,7 @@ def test_where_the_arm_s_joints_were_sent_is_a_panel_of_its_own(tmp_path: Path) 
     board.put(box.pack_servo(4, POSITION, None), at(80.0))
     board.put(box.pack_servo(4, POSITION, 0), at(90.0))
     found = parts.incident()
-    base, wrist = signals.joints(found)
+    base, wrist = found.joints()
     assert (base.read, wrist.read) == ([(at(-900.0), 500), (at(40.0), 519)], [])
     assert (base.goals, wrist.goals) == ([(at(-810.0), 519.0)], [(at(-810.0), 281.5)])
     told = [line.text for line in story.tell(found) if line.what == "arm"]

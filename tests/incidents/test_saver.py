@@ -16,7 +16,7 @@ import pytest
 
 import failstop
 from failstop.board.interface import BOARD
-from failstop.incidents import saver, store
+from failstop.incidents import files, saver
 from failstop.incidents.incident import Incident
 from failstop.lab.trial import wait_for
 from failstop.policy import causes
@@ -26,7 +26,7 @@ from failstop.shm import box, layout, records, segment
 from failstop.shm.heartbeat import RUNNING, STARTING
 
 _numbers = itertools.count()
-SCRIPT = Path(failstop.__file__).parent / "incidents" / "start.py"
+SCRIPT = Path(failstop.__file__).parent / "incidents" / "saver.py"
 ROOT = str(Path(failstop.__file__).resolve().parent.parent)
 RUN = 0x77
 SAID = causes.REQUESTED("a = b, and so on", "nav", 7)
@@ -70,7 +70,7 @@ class Saving:
         return {"cause_ns": now_ns, "epoch": 2, "cause": SAID.pack().hex(), "until_ns": now_ns, **words}
 
     def newest(self) -> Incident:
-        return store.load("last", self.name, {"STATE_DIRECTORY": str(self.state)})
+        return Incident.read(files.find("last", self.name, {"STATE_DIRECTORY": str(self.state)}))
 
 
 def asleep(pid: int) -> bool:
@@ -104,13 +104,14 @@ def test_one_file_with_everything(saving: Saving) -> None:
 
 
 def test_it_copies_at_its_time_or_when_the_supervisor_ends(saving: Saving) -> None:
-    """With the bytes from the board that were overwritten while it waited."""
+    """With the bytes from the board that were overwritten while it waited, and each once."""
     received = saving.port_owner.ring_writer("received")
     for number in range(10):
         received.put(b"before", number)
     process = saving.start(hurry=saving._wait, **saving.live(until_ns=time.monotonic_ns() + 10**12))
     wait_for("the saver to wait", lambda: asleep(process.pid), 30.0)
-    for number in range(512):
+    count = layout.BY_NAME[layout.PORT_OWNER].records["received"].cells - 5
+    for number in range(count):
         received.put(b"after", 100 + number)
     saving.supervisor.word("epoch").set(99)
     os.close(saving.hurry)
@@ -118,7 +119,7 @@ def test_it_copies_at_its_time_or_when_the_supervisor_ends(saving: Saving) -> No
     assert process.wait(30) == 0
     incident = saving.newest()
     assert incident.words(layout.SUPERVISOR)["epoch"] == 99, "copied after the wait"
-    assert [data for _, data in incident.received] == [b"before"] * 10 + [b"after"] * 512
+    assert [data for _, data in incident.received] == [b"before"] * 10 + [b"after"] * count
 
 
 def test_a_dead_run_that_was_ready_once_is_saved_and_another_is_not(saving: Saving) -> None:
@@ -145,7 +146,7 @@ def test_a_dead_run_s_file_is_of_what_came_first(saving: Saving) -> None:
     assert (incident.reason, incident.cause_ns, incident.head["kind"]) == ("gate died", 1_000_000_000, "left")
     assert incident.head["stop"]["written_us"] == 300.0
     assert incident.cause == causes.DIED("gate")
-    assert [stop.cause for stop in incident.stops] == [causes.DIED("supervisor")]
+    assert [cause for _, _, cause in incident.stops] == [causes.DIED("supervisor")]
 
 
 def lose_port(saving: Saving, state: int) -> None:

@@ -9,7 +9,7 @@ from math import nan
 import pytest
 
 from failstop.board.interface import BOARD
-from failstop.incidents import report, signals, story
+from failstop.incidents import report, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE, Line
 from failstop.policy import causes
@@ -64,14 +64,14 @@ def test_frames_before_and_after(incident: Incident) -> None:
 
 def test_who_went_silent_and_for_how_long(incident: Incident) -> None:
     assert told(incident, "beat") == ["last beat of the gate for 190 ms"]
-    (silence,) = signals.silences(incident)
+    (silence,) = incident.silences()
     assert (silence.process, silence.ended) == (layout.GATE, True)
     assert (incident.ms(silence.since_ns), incident.ms(silence.until_ns)) == (9.0, 199.0)
 
 
 def test_the_wheels_turn_and_then_are_still(incident: Incident) -> None:
-    assert [still for _, still in signals.verdicts(incident)] == [False, True]
-    stood_ms = incident.ms(signals.verdicts(incident)[-1][0])
+    assert [still for _, still in incident.verdicts()] == [False, True]
+    stood_ms = incident.ms(incident.verdicts()[-1][0])
     assert 80 < stood_ms < 900
 
 

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from failstop.board.interface import BOARD
-from failstop.incidents import brief, report, story
+from failstop.incidents import report, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.story import CAUSE
 from failstop.policy import causes
@@ -28,7 +28,7 @@ def fact(made: Recorder, name: str) -> str:
 
 
 def chosen(incident: Incident) -> list[tuple[str, str]]:
-    return [(line.what, line.text) for line in brief.choose(incident, story.tell(incident), at(-10_000))]
+    return [(line.what, line.text) for line in story.brief(incident, at(-10_000))]
 
 
 def test_what_matters_is_seen_without_scrolling() -> None:
@@ -48,6 +48,7 @@ def test_the_lines_that_lead_to_it_and_come_of_it_are_in_order() -> None:
         ("command", "nav (pid 77) commands"),
         ("gate", "lets the wheels turn"),
         ("wheels", "the IMU says: they turn"),
+        ("gate", "no tick for 2212 ms from here"),
         (CAUSE, "gate died"),
         ("wire", "STOP BURST by the port owner"),
         ("died", "! gate (pid 102) was killed by SIGKILL"),

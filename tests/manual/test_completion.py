@@ -20,7 +20,7 @@ from failstop import instances
 from failstop.cli import grammar
 from failstop.cli import main as cli
 from failstop.cli.commands import completion
-from failstop.incidents.file import SUFFIX
+from failstop.incidents.files import SUFFIX
 from failstop.shm import instance
 
 ASK = """\

@@ -88,7 +88,7 @@ class Scene:
 
     def spawn(self, arguments: list[str], environ: dict[str, str], passed: list[int]) -> int:
         """In the place of the saver's own program."""
-        assert arguments[3].endswith("/incidents/start.py")
+        assert arguments[3].endswith("/incidents/saver.py")
         assert environ == starter.environment(self.settings)
         words = dict(word.split("=", 1) for word in arguments[4:])
         fds = [int(part.partition(":")[2]) for part in words["fds"].split(",")]

@@ -9,7 +9,7 @@ import msgpack
 
 from failstop.board.interface import BOARD
 from failstop.cli import style
-from failstop.incidents import file
+from failstop.incidents import files
 from failstop.incidents.incident import Incident
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -136,7 +136,7 @@ class Recorder:
         return Incident(identity, self.head(), self.body())
 
     def save(self, folder: Path, identity: str, name: str = "failstop", unix_ns: int = UNIX_NS) -> Path:
-        return Path(file.write(str(folder), identity, file.build(self.head(name, unix_ns), self.body())))
+        return Path(files.write(str(folder), identity, files.build(self.head(name, unix_ns), self.body())))
 
 
 def drive_and_die() -> Recorder:

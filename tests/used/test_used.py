@@ -14,7 +14,7 @@ from failstop.shm import root
 ROOT = Path(__file__).resolve().parents[2]
 NAMESPACES = ("unshare", "--mount", "--pid", "--fork", "--kill-child=KILL", "--mount-proc")
 PART = (
-    "tests/incidents/test_store.py",
+    "tests/incidents/test_find.py",
     "tests/incidents/test_live.py::test_a_full_disk",
     "tests/telemetry/test_state_files.py",
     "tests/shm/test_instance.py::test_of_two_that_start_at_once_one_runs",
@@ -24,7 +24,7 @@ PART = (
     "tests/prove/test_settings.py",
     "tests/prove/test_prove.py::test_without_the_word_nothing_is_written",
     # What takes its time there has nothing to do with the machine.
-    "--deselect=tests/incidents/test_store.py::test_a_file_is_named_for_the_incident_and_none_is_written_over",
+    "--deselect=tests/incidents/test_find.py::test_a_file_is_named_for_the_incident_and_none_is_written_over",
 )
 
 

@@ -41,9 +41,9 @@ def main(arguments: Namespace) -> int:
 
         print(*instances.listening(), sep="\n")
     elif arguments.list == "incidents":
-        from failstop.incidents import store
+        from failstop.incidents import files
 
-        print(store.LAST, *store.identities(os.environ), sep="\n")
+        print(files.LAST, *files.identities(os.environ), sep="\n")
     else:
         sys.stdout.write(script(arguments.shell))
     return 0

@@ -14,7 +14,7 @@ from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event, EventLog, unpack
 from failstop.api.state import State
 from failstop.api.why import Why
-from failstop.incidents import copying
+from failstop.incidents import memory
 from failstop.shm import layout, records, segment
 
 KEPT = 256
@@ -91,26 +91,22 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
     dead = segment.dead_runs(name)
     fds = segment.open_all(dead[-1]) if dead else {}
     try:
-        copies = {which: segment.copy(fd, name, which) for which, fd in fds.items()}
-        if len(copies) == len(layout.PROCESSES):
-            return _left(name, copies, time.time(), time.monotonic_ns())
+        if len(fds) < len(layout.PROCESSES):
+            return None
+        _, segments = memory.copy(fds, name)
     except (segment.AttachError, OSError):
-        pass
+        return None
     finally:
         for fd in fds.values():
             os.close(fd)
-    return None
-
-
-def _left(name: str, copies: dict[str, tuple[int, bytes]], now_s: float, now_ns: int) -> tuple[Why, list[Event]]:
-    """`now_s`, `now_ns`: Unix time and CLOCK_MONOTONIC of one moment."""
-    cause_ns, _, cause = copying.left_cause(copies)
-    stop = copying.left_stop(copies, cause_ns)
-    port = copying.whole(layout.PORT_OWNER, "port", *copies[layout.PORT_OWNER])
-    device = records.PORT.unpack(port[-1][2])[3] if port else None
-    told = copying.whole(layout.SUPERVISOR, "events", *copies[layout.SUPERVISOR])
-    pid = copying.words(layout.SUPERVISOR, copies[layout.SUPERVISOR][1])["beat_pid"]
-    ended_s = now_s - (now_ns - cause_ns) / 1e9
+    cause_ns, _, cause = memory.left_cause(segments)
+    stop = memory.left_stop(segments, cause_ns)
+    port = segments[layout.PORT_OWNER]["latest"].get("port")
+    device = records.PORT.unpack(port[2])[3] if port else None
+    supervisor = segments[layout.SUPERVISOR]
+    pid = supervisor["words"]["beat_pid"]
+    now_s = time.time()
+    ended_s = now_s - (time.monotonic_ns() - cause_ns) / 1e9
     what = f"no service named {name!r} is running: {cause} (pid {pid}; {words.ago(ended_s, now_s)})"
     steps = [host.start(name, device), words.named("`failstop incident show last`, for what came before it", name)]
     also = ["its black box is in memory, and is saved as an incident when it is started again"]
@@ -123,7 +119,7 @@ def _left(name: str, copies: dict[str, tuple[int, bytes]], now_s: float, now_ns:
         proof = "no stop is known to have been written"
         steps.insert(0, f"{host.stop(device)} if the wheels turn")
     why = Why(what, proof, tuple(steps), tuple(also), None, None, ended_s)
-    return why, [event for seq, _, payload in told if (event := unpack(seq, payload))]
+    return why, [event for seq, _, payload in supervisor["rings"]["events"] if (event := unpack(seq, payload))]
 
 
 def refusal(name: str, error: NoService) -> NoService:

@@ -1,15 +1,19 @@
-"""Copying: real segments, whole ones and torn ones, and what ended a run that nobody ended."""
+"""Memory: real segments, whole ones and torn ones; what ended a run that nobody ended; how a stop was proven, of this
+stop and not of a later one."""
 
 from __future__ import annotations
 
 import itertools
 import os
 from collections.abc import Iterator
+from typing import Any
 
+import msgpack
 import pytest
 
 from failstop.board.interface import BOARD
-from failstop.incidents import copying
+from failstop.incidents import memory
+from failstop.incidents.memory import short, told_stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.shm import box, layout, records, segment
@@ -31,10 +35,11 @@ def name() -> Iterator[str]:
     segment.unlink_all(instance)
 
 
-def copies(name: str) -> copying.Copies:
+def copied(name: str) -> dict[str, dict[str, Any]]:
     fds = segment.open_all(name)
     assert list(fds) == list(layout.PROCESSES)
-    found = {which: segment.copy(fd, name, which) for which, fd in fds.items()}
+    run, found = memory.copy(fds, name)
+    assert run == RUN
     for fd in fds.values():
         os.close(fd)
     return found
@@ -53,7 +58,7 @@ def test_words_latest_and_rings_come_back_as_written(name: str) -> None:
     writer = gate.ring_writer("box")
     for number in range(box.GATE_CELLS + 5):
         writer.put(b"%d" % number, number)
-    found = copying.segment(layout.GATE, *copies(name)[layout.GATE])
+    found = copied(name)[layout.GATE]
     assert found["words"]["resets_asked"] == 9
     assert found["latest"] == {"state": [2, 2, b"new"]}
     ring = found["rings"]["box"]
@@ -69,7 +74,7 @@ def test_a_torn_entry_is_left_out_and_nothing_else(name: str) -> None:
     at = gate.spec.offsets["box"] + 5 * cell_bytes(box.GATE_BYTES)
     assert gate.mapped is not None
     gate.mapped[at + 24] ^= 0xFF
-    ring = copying.segment(layout.GATE, *copies(name)[layout.GATE])["rings"]["box"]
+    ring = copied(name)[layout.GATE]["rings"]["box"]
     assert [entry[0] for entry in ring] == [1, 2, 3, 4, 6, 7, 8, 9, 10]
 
 
@@ -79,7 +84,7 @@ def test_segments_that_were_unlinked_can_still_be_copied(name: str) -> None:
     segment.unlink_all(name)
     run, data = segment.copy(fds[layout.SUPERVISOR], name, layout.SUPERVISOR)
     assert run == RUN
-    assert copying.words(layout.SUPERVISOR, data)["epoch"] == 77
+    assert memory.segment(layout.SUPERVISOR, run, data)["words"]["epoch"] == 77
     for fd in fds.values():
         os.close(fd)
 
@@ -117,12 +122,6 @@ def test_nothing_there_is_nothing_found() -> None:
     assert segment.open_all("nobody-is-here") == {}
 
 
-def test_bytes_of_an_earlier_copy_come_before_the_later_ones() -> None:
-    earlier = [(number, number, b"early") for number in range(1, 6)]
-    assert [entry[0] for entry in copying.merge([[4, 4, b"late"], [6, 6, b"late"]], earlier)] == [1, 2, 3, 4, 6]
-    assert [entry[0] for entry in copying.merge([], earlier)] == [1, 2, 3, 4, 5]
-
-
 def dead_run(name: str, beats: dict[str, int], epoch: int = 3) -> None:
     for process, beat_ns in beats.items():
         owned(name, process).word("beat_ns").set(beat_ns)
@@ -138,9 +137,9 @@ def test_the_port_owner_says_what_ended_the_run(name: str) -> None:
     stops.put(records.STOPPED.pack(3, 1_000_700_000, 1_000_700_000, GATE_DIED.pack()))
     wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 900_000_000)
     wire.put(box.pack_wire(box.BURST, BOARD.burst, len(BOARD.burst)), 1_000_620_000)
-    found = copies(name)
-    assert copying.left_cause(found) == (1_000_500_000, 3, SUPERVISOR_DIED)
-    stop = copying.left_stop(found, 1_000_500_000)
+    found = copied(name)
+    assert memory.left_cause(found) == (1_000_500_000, 3, SUPERVISOR_DIED)
+    stop = memory.left_stop(found, 1_000_500_000)
     assert stop is not None
     assert (stop["written_by"], stop["written_us"]) == ("port owner", 120.0)
 
@@ -158,7 +157,7 @@ def test_the_first_cause_is_told(name: str, noticed: list[tuple[int, Cause]], wa
     stops = owned(name, layout.PORT_OWNER).ring_writer("stops")
     for ms, cause in noticed:
         stops.put(records.STOPPED.pack(3, ms * 1_000_000, 0, cause.pack()))
-    cause_ns, _, found = copying.left_cause(copies(name))
+    cause_ns, _, found = memory.left_cause(copied(name))
     assert (cause_ns // 1_000_000, found) == wanted
 
 
@@ -174,28 +173,121 @@ def test_the_first_cause_is_told(name: str, noticed: list[tuple[int, Cause]], wa
 def test_a_stop_that_the_supervisor_did_not_live_to_have_saved(
     name: str, beat_ms: int, since: int, wanted: tuple[int, int, Cause] | None
 ) -> None:
-    assert copying.unsaved_cause(copies(name), 150_000_000) is None, "there was none"
+    assert memory.unsaved_cause(copied(name), 150_000_000) is None, "there was none"
     supervisor = owned(name, layout.SUPERVISOR)
     supervisor.word("beat_ns").set(beat_ms * 1_000_000)
     latch = supervisor.latest_writer("latch")
     latch.write(records.LATCH.pack(since, 100_000_000, 100_000_000, GATE_DIED.pack()))
-    assert copying.unsaved_cause(copies(name), 150_000_000) == wanted
+    assert memory.unsaved_cause(copied(name), 150_000_000) == wanted
     latch.write(b"short")
-    assert copying.unsaved_cause(copies(name), 150_000_000) is None
+    assert memory.unsaved_cause(copied(name), 150_000_000) is None
 
 
 def test_without_its_word_the_last_sign_of_life_counts(name: str) -> None:
     dead_run(name, {**dict.fromkeys(layout.PROCESSES, 1_000_000_000), layout.STOPPER: 1_150_000_000})
     owned(name, layout.STOPPER).word("written_ns").set(1_051_000_000)
-    found = copies(name)
-    assert copying.left_cause(found) == (1_000_000_000, 3, SUPERVISOR_DIED)
-    stop = copying.left_stop(found, 1_000_000_000)
+    found = copied(name)
+    assert memory.left_cause(found) == (1_000_000_000, 3, SUPERVISOR_DIED)
+    stop = memory.left_stop(found, 1_000_000_000)
     assert stop is not None
     assert (stop["written_by"], stop["written_us"]) == ("stopper", 51_000.0)
 
 
 def test_all_dead_at_once_and_nobody_wrote(name: str) -> None:
     dead_run(name, {**dict.fromkeys(layout.PROCESSES, 1_000_000_000), layout.TELEMETRY: 1_050_000_000})
-    found = copies(name)
-    assert copying.left_cause(found) == (1_050_000_000, 3, causes.ALL_DIED())
-    assert copying.left_stop(found, 1_050_000_000) is None
+    found = copied(name)
+    assert memory.left_cause(found) == (1_050_000_000, 3, causes.ALL_DIED())
+    assert memory.left_stop(found, 1_050_000_000) is None
+
+
+DIED = causes.DIED("gate")
+LOST = causes.DEVICE_LOST()
+RECORD = {
+    "cause": DIED.pack(),
+    "epoch": 7,
+    "noticed_by": "port_owner",
+    "written_by": "port owner",
+    "written_us": 82.0,
+    "acknowledged_us": 4400.0,
+    "observed_ms": 300.0,
+}
+
+
+def event(kind: str, **fields: Any) -> bytes:
+    packed: bytes = msgpack.packb({"kind": kind, "fields": fields})
+    return packed
+
+
+def known(record: bytes | None, events: list[bytes], epoch: int, cause: Cause) -> dict[str, Any] | None:
+    latest = {} if record is None else {"stop": [1, 1, record]}
+    supervisor = {"latest": latest, "rings": {"events": [[1, 1, event] for event in events]}}
+    return told_stop({"supervisor": supervisor}, epoch, cause)
+
+
+HEAD = {"t": 100.0, "saved": 102.2}
+NAMED = {"reason": str(LOST), "cause": "device_lost"}
+TOLD = event("stop", **NAMED, epoch=7, noticed_by="port_owner", written_by="supervisor")
+OUTCOME = event("stop_outcome", **NAMED, epoch=7, acknowledged_us=None, observed_ms=None, wheels="unstill")
+
+
+def test_the_record_of_this_stop() -> None:
+    found = known(msgpack.packb(RECORD), [], 7, DIED)
+    assert memory.proof(found, HEAD) == ("written after 82 us, acknowledged after 4.40 ms, still after about 0.3 s")
+
+
+def test_a_stop_that_nobody_told_of() -> None:
+    assert memory.proof(None, HEAD) == "not known whether a stop was written"
+
+
+@pytest.mark.parametrize(("epoch", "cause"), [(8, DIED), (7, LOST), (7, causes.DIED("telemetry"))])
+def test_a_record_of_another_stop_is_none_of_this(epoch: int, cause: Cause) -> None:
+    assert known(msgpack.packb(RECORD), [], epoch, cause) is None
+
+
+def test_what_was_told_of_it_outlasts_the_record() -> None:
+    found = known(msgpack.packb(RECORD), [TOLD, OUTCOME], 7, LOST)
+    assert found is not None
+    assert found["written_us"] is None
+    assert memory.proof(found, HEAD) == "NOT written within 2.2 s, wheels NOT seen still"
+
+
+def test_events_of_an_earlier_stop_for_the_same_reason_do_not_count() -> None:
+    assert known(None, [TOLD, OUTCOME], 9, LOST) is None
+
+
+def test_events_of_another_stop_of_the_same_kind_do_not_count() -> None:
+    told = event("stop", reason="telemetry died", cause="died", epoch=8, noticed_by="port_owner")
+    assert known(None, [told], 7, DIED) is None
+    assert known(None, [told], 7, causes.DIED("telemetry")) is not None
+    posed = event("stop", reason="stop request: gate died", cause="piped", epoch=8, noticed_by="port_owner")
+    assert known(None, [posed], 7, DIED) is None
+
+
+@pytest.mark.parametrize("length", [280, 100])
+def test_a_reason_that_was_cut_is_still_that_of_its_stop(length: int) -> None:
+    cause = causes.REQUESTED("w" * 180, "nav", 12)
+    told = event("stop", reason=str(cause)[:length], cause="requested", epoch=7, noticed_by="port_owner")
+    assert known(None, [told], 7, cause) is not None
+
+
+@pytest.mark.parametrize("junk", [b"", b"\xc1", b"\x01", msgpack.packb({"kind": "stop", "fields": 3})])
+def test_junk_is_no_proof(junk: bytes) -> None:
+    assert known(junk, [junk], 1, DIED) is None
+
+
+@pytest.mark.parametrize(
+    ("cause", "text"),
+    [
+        (causes.REQUESTED("too near", "nav", 12), "stop request: too near"),
+        (causes.REQUESTED("", "nav", 12), "stop request"),
+        (causes.REQUESTED("a (b) c", "my, node", 12), "stop request: a (b) c"),
+        (causes.PIPED("near (nav, pid 12)"), "stop request: near (nav, pid 12)"),
+        (causes.PIPED(""), "stop request"),
+        (causes.FLEET("smoke in hall 2", "ann"), "fleet stop: smoke in hall 2"),
+        (DIED, "gate died"),
+        (causes.NOT_FINITE("nav (pid 77)"), "command from nav (pid 77) is not finite"),
+    ],
+    ids=repr,
+)
+def test_a_cause_without_who_asked_for_it(cause: Cause, text: str) -> None:
+    assert short(cause) == text

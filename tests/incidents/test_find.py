@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from failstop.cli.main import main
-from failstop.incidents import store
-from failstop.incidents.file import IncidentError
-from failstop.incidents.store import prune
+from failstop.incidents import files
+from failstop.incidents.files import IncidentError, prune
+from failstop.incidents.incident import Incident
 from tests.support.incident_parts import UNIX_NS, drive_and_die
 
 MADE = drive_and_die()
@@ -32,27 +32,27 @@ def environ(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
 
 
 def test_last_is_the_newest_of_this_name(environ: dict[str, str]) -> None:
-    assert store.load("last", "failstop", environ).id == IDS[-1]
-    assert store.load("last", "other", environ).id == "20260930-000000-other"
+    assert Incident.read(files.find("last", "failstop", environ)).id == IDS[-1]
+    assert Incident.read(files.find("last", "other", environ)).id == "20260930-000000-other"
 
 
 def test_the_beginning_of_an_id_is_enough_if_it_is_the_only_one(environ: dict[str, str]) -> None:
-    assert store.load("20260922", "failstop", environ).id == IDS[2]
+    assert Incident.read(files.find("20260922", "failstop", environ)).id == IDS[2]
     with pytest.raises(IncidentError, match=f"may be {IDS[0]}, {IDS[1]}: write more of it"):
-        store.load("20260921", "failstop", environ)
+        files.find("20260921", "failstop", environ)
     with pytest.raises(IncidentError, match="`failstop incident list` shows them"):
-        store.load("2025", "failstop", environ)
+        files.find("2025", "failstop", environ)
 
 
 def test_a_path_is_read_wherever_it_is(environ: dict[str, str], tmp_path: Path) -> None:
     copy = tmp_path / "sent-by-mail.incident"
     copy.write_bytes((tmp_path / "state" / "incidents" / f"{IDS[0]}.incident").read_bytes())
-    assert store.load(str(copy), "any", {"XDG_STATE_HOME": str(tmp_path)}).id == "sent-by-mail"
+    assert Incident.read(files.find(str(copy), "any", {"XDG_STATE_HOME": str(tmp_path)})).id == "sent-by-mail"
 
 
 def test_without_any_it_says_so(tmp_path: Path) -> None:
     with pytest.raises(IncidentError, match="no incidents of 'nobody'"):
-        store.load("last", "nobody", {"XDG_STATE_HOME": str(tmp_path)})
+        files.find("last", "nobody", {"XDG_STATE_HOME": str(tmp_path)})
 
 
 def test_a_damaged_one_is_told_of_and_hides_no_other(
@@ -97,7 +97,7 @@ def test_size_counts_too_and_the_newest_always_stays(environ: dict[str, str], tm
     size = os.stat(folder / f"{IDS[0]}.incident").st_size
     assert prune(str(folder), "failstop", 50, size * 2 + size // 2) == [f"{IDS[0]}.incident"]
     assert prune(str(folder), "failstop", 50, 1) == [f"{IDS[1]}.incident"]
-    assert store.load("last", "failstop", environ).id == IDS[2]
+    assert Incident.read(files.find("last", "failstop", environ)).id == IDS[2]
 
 
 @pytest.mark.usefixtures("environ")

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from failstop.incidents import brief, export, file, plot, report, story
-from failstop.incidents.file import IncidentError
+from failstop.incidents import export, files, plot, report, story
+from failstop.incidents.files import IncidentError, prune
 from failstop.incidents.incident import Incident
-from failstop.incidents.store import prune
 from tests.support.imports import FORBIDDEN, imported
 from tests.support.incident_parts import drive_and_die, printed
 
@@ -24,19 +23,19 @@ BODY = {"segments": {"gate": {"rings": {"box": [[1, 2, b"\0\xff"]]}}}}
 
 @pytest.fixture
 def path(tmp_path: Path) -> str:
-    return file.write(str(tmp_path / "incidents"), "20260101-000000-x", file.build(HEAD, BODY))
+    return files.write(str(tmp_path / "incidents"), "20260101-000000-x", files.build(HEAD, BODY))
 
 
 def test_what_is_written_is_read(path: str) -> None:
-    assert file.read(path) == (HEAD, BODY)
-    assert file.read_head(path) == HEAD
+    assert files.read(path) == (HEAD, BODY)
+    assert files.read(path, with_body=False)[0] == HEAD
 
 
 def test_two_of_one_name_are_both_kept(path: str) -> None:
     folder = os.path.dirname(path)
-    other = file.write(folder, "20260101-000000-x", file.build({"name": "other"}, {}))
+    other = files.write(folder, "20260101-000000-x", files.build({"name": "other"}, {}))
     assert other == os.path.join(folder, "20260101-000000-x-2.incident")
-    assert file.read_head(path) == HEAD
+    assert files.read(path, with_body=False)[0] == HEAD
 
 
 def test_a_file_that_is_cut_anywhere_says_so(path: str) -> None:
@@ -44,29 +43,29 @@ def test_a_file_that_is_cut_anywhere_says_so(path: str) -> None:
     for size in range(len(whole)):
         Path(path).write_bytes(whole[:size])
         with pytest.raises(IncidentError, match=r"cut short: \d+ of \d+ bytes|is no incident"):
-            file.read(path)
+            files.read(path)
 
 
 def test_a_changed_byte_is_found_wherever_it_is(path: str) -> None:
     whole = Path(path).read_bytes()
-    unused = range(len(file.MAGIC) + 2, len(file.MAGIC) + 4)
+    unused = range(len(files.MAGIC) + 2, len(files.MAGIC) + 4)
     for at in set(range(len(whole))) - set(unused):
         Path(path).write_bytes(whole[:at] + bytes((whole[at] ^ 0x41,)) + whole[at + 1 :])
         with pytest.raises(IncidentError, match=r"damaged|cut short|no incident|of format"):
-            file.read(path)
+            files.read(path)
 
 
 def test_a_file_that_unpacks_to_no_end_is_refused(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(file, "LONGEST_BODY", 10)
+    monkeypatch.setattr(files, "LONGEST_BODY", 10)
     with pytest.raises(IncidentError, match="more than 10 bytes"):
-        file.read(path)
+        files.read(path)
 
 
 @pytest.mark.timeout(20)
 def test_a_pipe_among_the_incidents_is_not_waited_for(path: str) -> None:
-    os.mkfifo(planted := os.path.join(os.path.dirname(path), f"a{file.SUFFIX}"))
+    os.mkfifo(planted := os.path.join(os.path.dirname(path), f"a{files.SUFFIX}"))
     with pytest.raises(IncidentError, match="a FIFO, not a regular file"):
-        file.read_head(planted)
+        files.read(planted, with_body=False)[0]
     assert prune(os.path.dirname(path), "failstop", 1, 1) == []
 
 
@@ -75,7 +74,7 @@ def test_what_a_person_writes_goes_through_no_link(tmp_path: Path) -> None:
     victim = tmp_path / "victim"
     victim.write_text("precious\n")
     (tmp_path / "a.png.part").symlink_to(victim)
-    file.write_as(str(tmp_path / "a.png"), b"picture")
+    files.write_as(str(tmp_path / "a.png"), b"picture")
     assert (victim.read_text(), (tmp_path / "a.png").read_bytes()) == ("precious\n", b"picture")
     assert sorted(os.listdir(tmp_path)) == ["a.png", "victim"]
 
@@ -97,7 +96,7 @@ def test_an_incident_of_another_layout_tells_what_was_told(tmp_path: Path) -> No
     """Its records are not guessed at, though some might decode to numbers."""
     made = drive_and_die()
     other = {"layout": 1, "reason": "the mast fell", "cause": {"name": "MAST_FELL"}}
-    path = file.write(str(tmp_path), "old", file.build({**made.head(), **other}, made.body()))
+    path = files.write(str(tmp_path), "old", files.build({**made.head(), **other}, made.body()))
     found = Incident.read(path)
     assert (found.ticks, found.writes, found.imu, found.beats, found.stops, found.undecoded) == ([], [], [], [], [], 0)
     assert [event.kind for event in found.events] == ["enabled", "stop", "died"]
@@ -118,7 +117,7 @@ def test_the_incident_of_an_earlier_version_reads_as_it_did() -> None:
     """The file is that of drive_and_die(), as failstop 0.1.0 packs it. It stays as it is: who changes what a record
     holds raises LAYOUT_VERSION, and then reads what was told."""
     found = Incident.read(str(KEPT))
-    told = [(line.what, line.text) for line in brief.choose(found, story.tell(found), found.cause_ns - 10**10)]
+    told = [(line.what, line.text) for line in story.brief(found, found.cause_ns - 10**10)]
     by_events = [("enabled", "motion enabled by nav (pid 77)"), ("died", "! gate (pid 102) was killed by SIGKILL")]
     assert set(told) >= {*by_events, (story.CAUSE, "gate died")}
     if not found.foreign:
@@ -140,17 +139,17 @@ def test_drafts_of_the_dead_are_cleared_and_those_of_the_living_are_not(path: st
     dead, alive = folder / f".draft-{gone.pid}", folder / f".draft-{os.getppid()}"
     for draft in (dead, alive):
         draft.write_bytes(b"half")
-    file.clear_drafts(str(folder))
+    files.clear_drafts(str(folder))
     assert not dead.exists()
     assert alive.exists()
 
 
 _WRITE = """
 import resource, sys
-from failstop.incidents import file
+from failstop.incidents import files
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 try:
-    file.write(sys.argv[1], "big", file.build({"name": "x"}, {"noise": __import__("os").urandom(5000)}))
+    files.write(sys.argv[1], "big", files.build({"name": "x"}, {"noise": __import__("os").urandom(5000)}))
 except OSError as error:
     print(error.strerror)
 """
@@ -183,7 +182,7 @@ def test_a_writer_that_dies_on_the_way_leaves_no_file_of_that_name(
     def die(*_: object) -> None:
         raise Died
 
-    monkeypatch.setattr(file.durable, killed_in, half if killed_in == "write_draft" else die)  # type: ignore[attr-defined]
+    monkeypatch.setattr(files.durable, killed_in, half if killed_in == "write_draft" else die)  # type: ignore[attr-defined]
     with pytest.raises(Died):
-        file.write(str(tmp_path), "x", file.build(HEAD, BODY))
-    assert not list(tmp_path.glob(f"*{file.SUFFIX}"))
+        files.write(str(tmp_path), "x", files.build(HEAD, BODY))
+    assert not list(tmp_path.glob(f"*{files.SUFFIX}"))

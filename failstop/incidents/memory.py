@@ -1,0 +1,176 @@
+"""Memory: the segments of a run, taken apart record by record, and what they say of a stop: which one ended the run,
+who wrote it and how it was proven.
+
+Every record stands on its own checksum, so a copy of a segment that is being written misses what was just being
+written, and nothing else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+
+import msgpack
+
+from failstop.api.words import took
+from failstop.policy import causes
+from failstop.shm import box, cell, layout, records
+from failstop.shm import segment as shared
+from failstop.shm.latest import cell_bytes
+from failstop.supervisor.stops import wheels_seen
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+    from failstop.policy.causes import Cause
+    from failstop.shm.cell import Entry
+
+    Segments = dict[str, dict[str, Any]]
+    """Of a run, by their names, each as segment() has it: what a file holds, too."""
+
+OUTLIVED_NS = 60_000_000
+"""Between two beats of whoever lives; who has beaten so long after the supervisor has outlived it."""
+UNSTILL = "wheels NOT seen still"
+LEVELS = ("noticed_by", "written_by", "written_us", "acknowledged_us", "observed_ms")
+_WORD = struct.Struct("<Q")
+
+
+def entries(name: str, record_name: str, incarnation: int, data: bytes) -> list[Entry]:
+    """Every whole entry of a record (a latest has two cells, a ring many), the oldest first, of a copy of its segment
+    as shm.segment.copy() returns it."""
+    spec = layout.BY_NAME[name]
+    record = spec.records[record_name]
+    size, offset = cell_bytes(record.capacity), spec.offsets[record_name]
+    seed = cell.seed(f"{name}.{record_name}", incarnation)
+    found = (cell.check(data, seed, at, size) for at in range(offset, offset + record.size(), size))
+    return sorted(entry for entry in found if entry)
+
+
+def segment(name: str, incarnation: int, data: bytes) -> dict[str, Any]:
+    """A copy of a segment as it is saved: words by name, latest as [seq, t_ns, payload], rings as lists of these."""
+    spec = layout.BY_NAME[name]
+    found: dict[str, dict[str, Any]] = {"words": {}, "latest": {}, "rings": {}}
+    for record in spec.records.values():
+        if record.kind == "word":
+            found["words"][record.name] = _WORD.unpack_from(data, spec.offsets[record.name])[0]
+        # Answers to clients are of no use to anybody else.
+        elif record.kind in ("latest", "ring") and not record.name.startswith("reply."):
+            there = [list(entry) for entry in entries(name, record.name, incarnation, data)]
+            if record.kind == "ring":
+                found["rings"][record.name] = there
+            elif there:
+                found["latest"][record.name] = there[-1]
+    return found
+
+
+def copy(fds: dict[str, int], memory: str) -> tuple[int, Segments]:
+    """What the run is numbered, and its segments. Raises AttachError, OSError."""
+    copies = {which: shared.copy(fd, memory, which) for which, fd in fds.items()}
+    return copies[layout.SUPERVISOR][0], {which: segment(which, *copied) for which, copied in copies.items()}
+
+
+def unsaved_cause(segments: Segments, start_ns: int) -> tuple[int, int, Cause] | None:
+    """The stop that was latched when the run ended: (cause_ns, epoch, cause). None when nothing was, or when the
+    supervisor lived on for `start_ns`, from a stop to its saver's start."""
+    supervisor = segments[layout.SUPERVISOR]
+    with contextlib.suppress(KeyError, ValueError):
+        epoch, cause_ns, _, packed = records.LATCH.unpack(supervisor["latest"]["latch"][2])
+        if epoch and supervisor["words"]["beat_ns"] < cause_ns + start_ns:
+            return cause_ns, epoch, causes.read(packed)
+    return None
+
+
+def left_cause(segments: Segments) -> tuple[int, int, Cause]:
+    """What ended a run that was not ended in order: (cause_ns, epoch, cause), by the port owner's word where it has
+    outlived the supervisor, else by the last sign of life."""
+    supervisor = segments[layout.SUPERVISOR]["words"]
+    beat_ns, raised = supervisor["beat_ns"], supervisor["epoch"]
+    owed = []
+    for _, _, payload in segments[layout.PORT_OWNER]["rings"]["stops"]:
+        with contextlib.suppress(ValueError):
+            epoch, cause_ns, _, cause = records.STOPPED.unpack(payload)
+            # An epoch that was raised answered its causes: those of the last one had nobody to answer them.
+            if epoch >= raised:
+                owed.append((cause_ns, epoch, causes.read(cause)))
+    if owed:
+        return min(owed, key=lambda noticed: noticed[:2])
+    last_ns = max(found["words"]["beat_ns"] for found in segments.values())
+    if last_ns > beat_ns + OUTLIVED_NS:
+        return beat_ns, raised, causes.DIED(layout.SUPERVISOR)
+    return last_ns, raised, causes.ALL_DIED()
+
+
+def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
+    """What the rings hold of the stop for this cause, as supervisor/stops.py has it; None: nobody wrote one."""
+    written = {segments[layout.STOPPER]["words"]["written_ns"]: "stopper"}
+    for _, ns, payload in segments[layout.PORT_OWNER]["rings"]["box"]:
+        kind, length, taken, _ = box.unpack_wire(payload)
+        if kind == box.BURST and taken == length:
+            written[ns] = "port owner"
+    first_ns = min((ns for ns in written if ns >= cause_ns), default=None)
+    if first_ns is None:
+        return None
+    return dict.fromkeys(LEVELS) | {"written_by": written[first_ns], "written_us": (first_ns - cause_ns) / 1e3}
+
+
+def told_stop(segments: Segments, epoch: int, cause: Cause) -> dict[str, Any] | None:
+    """LEVELS and `wheels` (still, unstill or unknown) of the stop for this cause, as far as the supervisor has told;
+    None when nothing was told of it.
+
+    The supervisor's record of the last stop (supervisor/stops.py) may be of a later one by now; what was told as
+    events `stop` and `stop_outcome` is of this one for good.
+    """
+    supervisor = segments[layout.SUPERVISOR]
+    found: dict[str, Any] = {}
+    last = as_map(supervisor["latest"].get("stop", (0, 0, b""))[2])
+    if last.get("epoch", 0) >= epoch and last.get("cause") == cause.pack():
+        found = {level: last.get(level) for level in LEVELS}
+    for event in (as_map(payload) for _, _, payload in supervisor["rings"]["events"]):
+        fields = event.get("fields", {})
+        if not isinstance(fields, dict) or not tells_of(fields, cause) or fields.get("epoch", 0) < epoch:
+            continue
+        if event.get("kind") == "stop":
+            told = {key: fields.get(key) for key in ("noticed_by", "written_by")}
+            found = told | {"written_us": fields.get("latency_us")} | found
+        elif event.get("kind") == "stop_outcome":
+            found |= {key: fields[key] for key in ("acknowledged_us", "observed_ms", "wheels") if key in fields}
+    return dict.fromkeys(LEVELS) | {"wheels": "unknown"} | found if found else None
+
+
+def as_map(payload: bytes) -> dict[str, Any]:
+    """What is packed with msgpack as a map; empty for what is none."""
+    try:
+        found = msgpack.unpackb(payload)
+    except (ValueError, msgpack.UnpackException):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def proof(stop: dict[str, Any] | None, head: dict[str, Any]) -> str:
+    """How the stop was proven, the three levels in a few words; `head` tells how long after it the file was saved."""
+    if stop is None:
+        return "not known whether a stop was written"
+    parts = [f"NOT written within {took(max(0.0, head['saved'] - head['t']))}"]
+    if stop.get("written_us") is not None:
+        parts = [f"written after {took(stop['written_us'] / 1e6)}"]
+    if (heard_us := stop.get("acknowledged_us")) is not None:
+        parts.append(f"acknowledged after {took(heard_us / 1e6)}")
+    if (seen_ms := stop.get("observed_ms")) is not None:
+        # Without a word that would not fit a line of 80 columns.
+        parts.append(wheels_seen(seen_ms / 1e3).removeprefix("wheels "))
+    elif stop.get("wheels") == "unstill":
+        parts.append(UNSTILL)
+    return ", ".join(parts)
+
+
+def tells_of(fields: dict[str, Any], cause: Cause) -> bool:
+    """True when an event with these fields is of this cause, as far as its text was not cut."""
+    return fields.get("cause") == cause.kind.name and str(cause).startswith(str(fields.get("reason", "")))
+
+
+def short(cause: Cause) -> str:
+    """Its text without who asked for it."""
+    if cause.kind is causes.FLEET:
+        return str(cause).removesuffix(f" (by {cause.named()['who']})")
+    return str(causes.PIPED(cause.named()["words"])) if cause.kind is causes.REQUESTED else str(cause)
