@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import resource
 
-from failstop.procs.limits import no_descriptors
+from failstop.procs.rights import no_descriptors
 
 
 def lack(error: BaseException | None) -> str:

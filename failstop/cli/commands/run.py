@@ -7,7 +7,7 @@ from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
 from failstop.cli.commands import add_name
 from failstop.policy.settings import BY_KEY, SettingError
-from failstop.procs import limits
+from failstop.procs import rights
 from failstop.shm import instance
 from failstop.supervisor import starter
 from failstop.supervisor.port import OwnPort
@@ -82,7 +82,7 @@ def _stop(device: str, name: str) -> tuple[OwnPort | None, PortError | None]:
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
     """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
-    limits.take_descriptors()
+    rights.take_descriptors()
     given = {DEVICE: arguments.device} if arguments.device else {}
     settings = config.checked({**(config.read(arguments.config) if read is None else read), **given})
     instance.check_name(arguments.name)
@@ -97,7 +97,7 @@ def _why(error: Exception) -> str:
     """The reason of a refusal. Its port is closed, so that there is a descriptor again for what was missing."""
     if isinstance(error, (OSError, ImportError)):
         try:
-            limits.take_descriptors()
+            rights.take_descriptors()
         except OSError as short:
             return str(short)
     if isinstance(error, OSError) and error.strerror:
