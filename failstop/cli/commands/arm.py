@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import time
 from argparse import ArgumentParser, Namespace
@@ -64,7 +65,7 @@ def main(arguments: Namespace) -> int:
         except ValueError as error:
             raise FailstopError(str(error)) from None
         if arguments.json:
-            print(json.dumps(arm.state, indent=2))
+            print(json.dumps(dataclasses.asdict(arm.state), indent=2))
         else:
             style.show(_lines(arm.state))
     return 0
