@@ -11,8 +11,6 @@ from itertools import groupby, pairwise
 from operator import itemgetter
 from unicodedata import combining, east_asian_width
 
-from failstop.supervisor import fold
-
 Span = tuple[str, str]
 """A piece of text and its role."""
 Line = list[Span]
@@ -57,7 +55,10 @@ def paint(text: str, role: str) -> str:
 
 def width() -> int:
     """Columns of the terminal; 80 where there is none."""
-    return max(LEAST_COLUMNS, fold.columns(1) or NO_TERMINAL_COLUMNS)
+    try:
+        return max(LEAST_COLUMNS, os.get_terminal_size(1).columns or NO_TERMINAL_COLUMNS)
+    except OSError:
+        return NO_TERMINAL_COLUMNS
 
 
 def cells(text: str) -> int:
