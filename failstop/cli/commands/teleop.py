@@ -12,9 +12,9 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterator
 
 from failstop.api import words
+from failstop.api.client import Run
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.robot import Robot
-from failstop.api.run import Run
 from failstop.api.snapshot import ArmState, State
 from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
@@ -93,7 +93,7 @@ def _positive(text: str) -> float:
 
 def main(arguments: Namespace) -> int:
     """Drive; motion is disabled at the end. The exit code is 0 after q, else 128 and the signal's number."""
-    Run(arguments.name).check_source(arguments.source)
+    Run(arguments.name).check("source", arguments.source)
     terminal = Terminal(on=ASK, off=UNASK)
     with Robot(arguments.name, client=CLIENT, reconnect=False) as robot:
         robot.hold()  # takes the client slot: what is wrong with that, too, is to be said before the screen changes

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from failstop.api import history, verdict, words
+from failstop.api import verdict, words
 from failstop.api.events import Event
-from failstop.api.history import Earlier
 from failstop.api.snapshot import ArmState, Process, State, Stop
+from failstop.api.verdict import Earlier
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.shm import blocks
@@ -37,8 +37,8 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     """The screen. `now_s`: Unix time, for ages; `columns`: the width to wrap at; `events`: of this run,
     oldest first."""
     rows = wheels(state)
-    rows += _drivers(state, history.left_off(events), now_s)
-    rows += last_stop(state, now_s, history.earlier(events))
+    rows += _drivers(state, verdict.left_off(events), now_s)
+    rows += last_stop(state, now_s, verdict.earlier(events))
     rows += [row("limit", words.limited(state.speed_limit), WARN)] if state.speed_limit < 1 else []
     if state.arm:
         rows += [row("arm", arm_headline(state.arm)), *(row("", text, WARN) for text in arm_wrong(state.arm))]
@@ -47,7 +47,7 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
         rows.append(row("clients", ", ".join(f"{client.name} (pid {client.pid})" for client in state.clients)))
     for who, sees, wrong in words.said(state):
         rows += [row("says", f"{who}: {sees}"), *([row("wrong", f"{who}: {wrong}", WARN)] if wrong else [])]
-    remarks = _remarks(state, history.exits(events))
+    remarks = _remarks(state, verdict.exits(events))
     below = [part for remark in remarks for part in style.wrap([remark], columns, 0)]
     return [*wrapped(rows, columns), [], *processes(state), *([[], *below] if below else [])]
 
@@ -94,7 +94,7 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
         rows.append(row("driver", "nobody commands"))
         if left_off and state.blocked == blocks.NO_COMMAND:
             when = f" ({words.ago(left_off.t, now_s)})"
-            rows[0] += [("; ", PLAIN), (history.leaving(left_off), WARN), (when, DIM)]
+            rows[0] += [("; ", PLAIN), (verdict.leaving(left_off), WARN), (when, DIM)]
     return rows
 
 
@@ -175,7 +175,7 @@ def _remarks(state: State, hung: dict[str, str]) -> list[style.Span]:
     found = []
     running = [process for process in state.processes.values() if process.pid]
     for name, process in state.processes.items():
-        how = history.last_exit(state, name, hung)
+        how = verdict.last_exit(state, name, hung)
         if process.state == "down":
             found.append((f"{name} died too often and is {verdict.until(name)}; it {how}", FAIL))
         elif process.last_exit:
