@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from failstop.api import verdict, words
 from failstop.cli import style
-from failstop.cli.screen import live
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 from failstop.fleet import vda5050
 
@@ -93,4 +92,4 @@ def lines(
     head += [counts(robots), []] if robots else [[("no robot is known to this broker yet", DIM)]]
     body = table(robots, now_s, unix_s) if robots else []
     foot: list[Line] = [[], [("news of a lost robot takes seconds: this shows, it guards nobody", DIM)]]
-    return live.fit([*head, *body, *foot], rows)
+    return style.fit([*head, *body, *foot], rows)

@@ -27,8 +27,8 @@ GROUPS = {
     },
     "look": {
         "status": ("cli.commands.status", "what the wheels do and why, processes, last stop; live with -w"),
-        "watch": ("cli.commands.watch", "the same as status --watch"),
-        "why": ("cli.commands.why", "what holds the wheels, since when, and what to do, in plain words"),
+        "watch": ("cli.commands.status", "the same as status --watch"),
+        "why": ("cli.commands.status", "what holds the wheels, since when, and what to do, in plain words"),
         "events": ("cli.commands.events", "what happened: stops, deaths, requests"),
         "incident": ("cli.commands.incident", "the black box: each stop as a story, a picture, MCAP"),
         "metrics": ("cli.commands.metrics", "the state as Prometheus reads it, once or over HTTP"),

@@ -1,17 +1,19 @@
-"""Style: colours by role, and lines of coloured pieces that are cut to the terminal's width."""
+"""Style: colours by role, and lines of coloured pieces that are broken or cut to the terminal's width."""
 
 from __future__ import annotations
 
 import os
+import re
 import sys
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from itertools import groupby, pairwise
+from operator import itemgetter
+from unicodedata import combining, east_asian_width
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    Span = tuple[str, str]
-    """A piece of text and its role."""
-    Line = list[Span]
+Span = tuple[str, str]
+"""A piece of text and its role."""
+Line = list[Span]
 
 OK = "ok"
 WARN = "warn"
@@ -20,15 +22,15 @@ DIM = "dim"
 STRONG = "strong"
 PLAIN = ""
 
-PALETTE = {OK: 28, WARN: 166, FAIL: 160, DIM: 244}
+_FINE = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244", STRONG: "1"}
 """Of the 256 colours, which terminals show alike whatever their theme: each is legible on black and on white (contrast
 of at least 3.8; a theme's own yellow is 1.1 on white)."""
-_FINE = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244", STRONG: "1"}
 _COARSE = {OK: "32", WARN: "35", FAIL: "1;31", DIM: "", STRONG: "1"}
 """For terminals with 8 or 16 colours, which belong to the theme: neither yellow nor grey can be relied on there."""
 NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
-RESET = "\x1b[0m"
+_WORD = re.compile("(?:`[^`]*`|pid [0-9]+|[^ ])+ *| +")
+"""A word: what is written without a space between; a command, and a process id with what it is of, as if it were so."""
 
 
 def codes(environ: Mapping[str, str], *, terminal: bool) -> dict[str, str]:
@@ -36,46 +38,33 @@ def codes(environ: Mapping[str, str], *, terminal: bool) -> dict[str, str]:
     term = environ.get("TERM", "")
     if not terminal or environ.get("NO_COLOR") or term in ("", "dumb"):
         return {}
-    fine = "256" in term or environ.get("COLORTERM") or "kitty" in term or "alacritty" in term or "direct" in term
+    fine = environ.get("COLORTERM") or any(word in term for word in ("256", "kitty", "alacritty", "direct"))
     return _FINE if fine else _COARSE
 
 
-_codes: dict[str, str] | None = None
-
-
+@cache
 def _known() -> dict[str, str]:
-    global _codes
-    if _codes is None:
-        _codes = codes(os.environ, terminal=sys.stdout.isatty())
-    return _codes
+    return codes(os.environ, terminal=sys.stdout.isatty())
 
 
 def paint(text: str, role: str) -> str:
     """The text in the colour of its role, if standard output is a terminal that shows colours."""
     code = _known().get(role)
-    return f"\x1b[{code}m{text}{RESET}" if code and text else text
+    return f"\x1b[{code}m{text}\x1b[0m" if code and text else text
 
 
 def width() -> int:
     """Columns of the terminal; 80 where there is none."""
     try:
-        columns = os.get_terminal_size(1).columns
-    except (OSError, ValueError):
-        columns = 0
-    return max(LEAST_COLUMNS, columns) if columns else NO_TERMINAL_COLUMNS
-
-
-def fancy() -> bool:
-    """True when standard output takes characters beyond ASCII."""
-    return (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
+        return max(LEAST_COLUMNS, os.get_terminal_size(1).columns or NO_TERMINAL_COLUMNS)
+    except OSError:
+        return NO_TERMINAL_COLUMNS
 
 
 def cells(text: str) -> int:
     """Columns that a printable text takes on a terminal."""
     if text.isascii():
         return len(text)
-    from unicodedata import combining, east_asian_width
-
     return sum(0 if combining(c) else 2 if east_asian_width(c) in "WF" else 1 for c in text)
 
 
@@ -83,15 +72,9 @@ def cut(text: str, columns: int) -> str:
     """As much of it as fits into so many columns; what was cut ends in an ellipsis."""
     if cells(text) <= columns:
         return text
-    return f"{text[: _fitting(text, columns - 1)]}…" if columns > 0 else ""
-
-
-def _fitting(text: str, columns: int) -> int:
-    """How many characters of the text fit."""
-    count = min(len(text), max(0, columns))
-    while cells(text[:count]) > max(0, columns):
-        count -= 1
-    return count
+    while cells(text) >= max(1, columns):
+        text = text[:-1]
+    return f"{text}…" if columns > 0 else ""
 
 
 def plain(line: Line) -> str:
@@ -102,11 +85,10 @@ def plain(line: Line) -> str:
 def painted(line: Line, columns: int | None = None) -> str:
     """One line for the terminal, cut to `columns` (None: as long as it is)."""
     parts = []
-    left = columns
     for text, role in line:
-        if left is not None:
-            text = cut(text, left)
-            left -= cells(text)
+        if columns is not None:
+            text = cut(text, columns)
+            columns -= cells(text)
         parts.append(paint(text, role))
     return "".join(parts)
 
@@ -121,67 +103,50 @@ def show(lines: Iterable[Line]) -> None:
 def wrap(line: Line, columns: int, indent: int) -> list[Line]:
     """Break a line at spaces so that each part fits, those after the first indented. A word that is longer than a line
     is broken where it must be."""
-    rows: list[Line] = [[]]
-    at = 0
-    for word in _words(line):
-        if at > indent and at + cells(plain(word).rstrip(" ")) > columns:
-            rows.append([(" " * indent, PLAIN)])
-            at = indent
-        for piece, role in word:
-            left = piece
-            while at + cells(left.rstrip(" ")) > columns:
-                head = left[: _fitting(left, columns - at) or int(at <= indent)]
-                head = head[: head.rfind(" ") + 1] or head  # a command that is longer than a line
-                rows[-1].append((head, role))
-                rows.append([(" " * indent, PLAIN)])
-                at, left = indent, left[len(head) :]
-            rows[-1].append((left, role))
-            at += cells(left)
-    return [_trimmed(row) for row in rows]
+    text, roles = plain(line), [role for text, role in line for _ in text]
+    starts, at, used = [0], 0, 0
+    for piece in _pieces(text, columns - indent):
+        if used + cells(piece.rstrip(" ")) > columns and at > starts[-1]:
+            starts.append(at)
+            used = indent
+        at += len(piece)
+        used += cells(piece)
+    rows: list[Line] = []
+    for start, end in pairwise([*starts, len(text)]):
+        letters = zip(text[start:end].rstrip(" "), roles[start:end], strict=False)
+        spans = [("".join(letter for letter, _ in span), role) for role, span in groupby(letters, itemgetter(1))]
+        rows.append([(" " * indent, PLAIN), *spans] if rows else spans)
+    return rows
 
 
-def _words(line: Line) -> Iterable[Line]:
-    """The words of a line, each with the spaces after it: what is written without a space between, in whatever roles.
-    A command in backquotes is not broken; a process id stays with its word."""
-    word: Line = []
-    for text, role in line:
-        if text.startswith("`"):
-            word.append((text, role))
-            continue
-        start = 0
-        for end in range(1, len(text) + 1):
-            if text[end - 1] == " " and (end == len(text) or text[end] != " ") and text[end - 4 : end] != "pid ":
-                yield [*word, (text[start:end], role)]
-                word, start = [], end
-        if start < len(text):
-            word.append((text[start:], role))
-    if word:
-        yield word
-
-
-def _trimmed(row: Line) -> Line:
-    """Without spaces at the end; neighbours of one role are joined."""
-    joined: Line = []
-    for text, role in row:
-        if joined and joined[-1][1] == role:
-            joined[-1] = (joined[-1][0] + text, role)
-        else:
-            joined.append((text, role))
-    if joined:
-        joined[-1] = (joined[-1][0].rstrip(" "), joined[-1][1])
-    return joined
+def _pieces(text: str, room: int) -> Iterator[str]:
+    """What is not broken, with the spaces after it: words, commands that fit in the room or as much of them as does,
+    and of a longer word the letters."""
+    parts = re.compile(f".{{1,{max(1, room)}}}(?: +|$)|[^ ]+ *| +")
+    for word in _WORD.findall(text):
+        for part in [word] if cells(word.rstrip(" ")) <= room else parts.findall(word):
+            yield from [part] if cells(part.rstrip(" ")) <= room else part
 
 
 def table(rows: list[Line]) -> list[Line]:
     """The rows with their columns aligned, two spaces apart; a text that begins with a space is set to the right."""
-    widths = [max(cells(row[i][0].strip()) for row in rows) for i in range(len(rows[0]))]
+    widths = [max(cells(text.strip()) for text, _ in column) for column in zip(*rows, strict=True)]
     found = []
     for row in rows:
         line: Line = []
         for (text, role), columns in zip(row, widths, strict=True):
             word = text.strip()
             pad = " " * (columns - cells(word))
-            shown = [(pad, PLAIN), (word, role)] if text.startswith(" ") else [(word, role), (pad, PLAIN)]
-            line += [*shown, ("  ", PLAIN)]
-        found.append(_trimmed(line))
+            line.append((f"{pad}{word}  " if text.startswith(" ") else f"{word}{pad}  ", role))
+        found.append([*line[:-1], (line[-1][0].rstrip(" "), line[-1][1])])
     return found
+
+
+def fit(lines: list[Line], rows: int) -> list[Line]:
+    """As many lines as the screen has: empty ones go first, then the last ones, and that is said."""
+    empty = [number for number, line in enumerate(lines) if not line][: max(0, len(lines) - rows)]
+    kept = [line for number, line in enumerate(lines) if number not in empty]
+    if len(kept) > rows:
+        hidden = len(kept) - rows + 1
+        kept = [*kept[: rows - 1], [(f"({hidden} more lines: the window is too small)", DIM)]]
+    return kept

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import re
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +16,7 @@ from failstop import Refused, Robot
 from failstop.board.framing import BUS_SERVO
 from failstop.lab.trial import Trial, wait_for, write_settings
 from tests.support.arm_settings import ARM, DRIVE, SERVOS
+from tests.support.commands import failstop
 
 LEG_S = 0.06
 """What one frame of the stream takes at most."""
@@ -40,6 +43,10 @@ def test_move_goes_there_and_is_read_back(arm: Trial) -> None:
     assert joints[1] == pytest.approx(500 + 0.5 * 238.73, abs=3)
     assert joints[4] == pytest.approx(500 - 0.3 * 238.73, abs=3)
     assert not arm.robot.arm.state.moving
+    told = failstop("arm", "--name", arm.name).stdout
+    assert re.search(r"^base +\d+ +\+0\.5\d\d +6\d\d ", told, re.MULTILINE)
+    joints = json.loads(failstop("arm", "--json", "--name", arm.name).stdout)["joints"]
+    assert joints["base"]["angle_rad"] == pytest.approx(0.5, abs=0.02)
 
 
 def test_follow_reaches_the_speed_and_a_stale_goal_holds_the_arm(arm: Trial) -> None:

@@ -81,11 +81,10 @@ def cost_s() -> float:
     return found.ru_utime + found.ru_stime
 
 
-@pytest.mark.parametrize("command", ["status", "why"])
-def test_costly_modules_are_not_imported(command: str) -> None:
-    code = f"import failstop.cli.commands.{command}, sys; print('\\n'.join(sys.modules))"
+def test_costly_modules_are_not_imported() -> None:
+    code = "import failstop.cli.commands.status, sys; print('\\n'.join(sys.modules))"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20, check=True).stdout
-    assert f"failstop.cli.commands.{command}" in found.split()
+    assert "failstop.cli.commands.status" in found.split()
     assert {"numpy", "psutil", "serial", "subprocess", "asyncio", "logging"}.isdisjoint(found.split())
 
 

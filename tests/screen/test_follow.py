@@ -1,15 +1,114 @@
-"""Following a service through its restarts."""
+"""Following a service through its restarts; one whose supervisor was killed: what is said of it before it is started
+again, and after."""
 
 from __future__ import annotations
 
+import json
 import os
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from failstop.api import host, words
 from failstop.api.errors import NoService
+from failstop.cli.screen import follow
 from failstop.cli.screen.follow import CHECK_S, Follower
-from failstop.lab.trial import Trial
-from failstop.shm import layout
+from failstop.lab.trial import Trial, wait_for
+from failstop.shm import layout, root
+from tests.support.commands import failstop
+
+SECONDS = 20
+
+
+@pytest.fixture(scope="module")
+def trial() -> Iterator[Trial]:
+    with Trial(f"left-{os.getpid()}") as running:
+        yield running
+
+
+def run(trial: Trial, *words: str) -> subprocess.CompletedProcess[str]:
+    return failstop(*words, "--name", trial.name, timeout=SECONDS)
+
+
+def said(text: str) -> str:
+    return " ".join(text.split())
+
+
+def test_a_killed_supervisor(trial: Trial) -> None:
+    assert follow.left(trial.name) is None, "it runs"
+    trial.enable()
+    trial.drive(0.3)
+    pid = trial.service.pids()["supervisor"]
+    trial.leave()
+    trial.service.kill()
+    wait_for("its stop", lambda: (found := follow.left(trial.name)) is not None and "wrote" in found[0].proof)
+    wait_for("its end", lambda: run(trial, "status").returncode == 3)
+    start = f"`failstop run --name {trial.name} --device {trial.board.link}`"
+    status, why, events = (run(trial, word) for word in ("status", "why", "events"))
+    assert (status.returncode, status.stdout, status.stderr.count("\n")) == (3, "", 1)
+    assert "supervisor died (" in status.stderr
+    assert re.search(r" wrote the stop \d{1,3}(\.\d+)? [um]s later", said(status.stderr))
+    assert f"next: {start}" in status.stderr
+    assert (why.returncode, why.stderr) == (3, "")
+    assert f"supervisor died (pid {pid};" in said(why.stdout)
+    assert f"do {start}, then `failstop incident show last --name {trial.name}`" in said(why.stdout)
+    assert json.loads(run(trial, "why", "--json").stdout)["do"][0] == start
+    assert events.returncode == 3
+    assert "motion enabled by trial" in events.stdout, "its memory still has what it told"
+
+    trial.service.start()
+    wait_for("the incident", lambda: "incident show" in run(trial, "status").stdout)
+    status, why = run(trial, "status"), run(trial, "why")
+    assert "before it supervisor died (" in status.stdout
+    assert f"-supervisor-died --name {trial.name}`" in said(why.stdout)
+    assert follow.left(trial.name) is None
+
+
+def test_with_a_unit_it_is_systemd_that_starts_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    error = NoService("none")
+    monkeypatch.setattr(host, "unit", lambda _name: "")
+    assert follow.refusal("nobody-here", error) is error
+    monkeypatch.setattr(host, "unit", words.unit)
+    told = str(follow.refusal("nobody-here", error))
+    assert "start it with `sudo systemctl start failstop@nobody-here`" in told
+    assert "`journalctl -u failstop@nobody-here -e`" in told
+
+
+@pytest.mark.parametrize("name", ["failstop", "left-arm"])
+def test_a_unit_counts_where_systemd_runs_and_has_it(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(root.VARIABLE, str(tmp_path))
+    units = tmp_path / "etc/systemd/system"
+    units.mkdir(parents=True)
+    (units / ("failstop.service" if name == "failstop" else "failstop@.service")).touch()
+    assert host.unit(name) == "", "systemd does not run"
+    (tmp_path / "run/systemd/system").mkdir(parents=True)
+    assert host.unit(name) == words.unit(name)
+    assert host.unit("failstop" if name != "failstop" else "left-arm") == "", "that one is not installed"
+
+
+def test_commands_name_the_device_where_it_is_not_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host, "unit", lambda _name: "")
+    assert (host.stop(), host.stop(host.DEVICE)) == ("`failstop stop`", "`failstop stop`")
+    assert host.stop("/dev/ttyACM1") == "`failstop stop --device /dev/ttyACM1`"
+    assert host.start("failstop", host.DEVICE) == "`failstop run`"
+    assert host.start("left", "/dev/ttyACM1") == "`failstop run --name left --device /dev/ttyACM1`"
+    assert host.journal("left") == ""
+
+
+def test_where_nothing_is_left(trial: Trial) -> None:
+    trial.leave()
+    assert trial.service.end() == 0
+    assert follow.left(trial.name) is None
+    for word in ("status", "why"):
+        done = run(trial, word)
+        assert (done.returncode, done.stdout) == (3, "")
+        assert f"`failstop run --name {trial.name}`" in done.stderr
+    trial.service.start()
 
 
 def test_a_restart_between_two_looks_is_noticed() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from typing import Any
 
@@ -13,12 +12,14 @@ from failstop.api.errors import FailstopError
 from failstop.api.events import Event
 from failstop.api.snapshot import Client, Device, Imu, Source
 from failstop.cli import style
-from failstop.cli.screen import cockpit, live, summary, told
-from failstop.cli.screen.painter import CLEAR, Painter
-from failstop.cli.screen.sparkline import spark
+from failstop.cli.commands import events
+from failstop.cli.commands.status import Live, spark
+from failstop.cli.screen import summary
+from failstop.cli.screen.follow import Vibration
+from failstop.cli.screen.terminal import CLEAR, difference
 from failstop.policy import causes
 from failstop.supervisor.kinds import KINDS
-from tests.support.states import NOW_S, arm, driving, latched, process, state, stop
+from tests.support.states import NOW_S, driving, latched, process, state, stop
 
 LOST = Device("/dev/ttyACM0", "lost", "unproven")
 DEAF = Device("/dev/ttyACM0", "open", "deaf")
@@ -107,8 +108,8 @@ def test_a_kernel_that_tells_of_deaths_late_is_remarked() -> None:
     assert "tells of deaths late" not in shown(summary.lines(state(), NOW_S, 120))
 
 
-def _live(rows: int = 40, columns: int = 100) -> tuple[live.Live, list[style.Line]]:
-    found = live.Live("failstop", fancy=True)
+def _live(rows: int = 40, columns: int = 100) -> tuple[Live, list[style.Line]]:
+    found = Live("failstop")
     lines: list[style.Line] = []
     for tick in range(30):
         moving = tick >= 15
@@ -131,12 +132,13 @@ def test_the_live_screen_has_its_history() -> None:
 @pytest.mark.parametrize("rows", [2, 5, 10, 24, 60])
 def test_the_live_screen_fits_any_window(rows: int) -> None:
     _, lines = _live(rows, 40)
+    lines = style.fit(lines, rows)
     assert len(lines) <= rows
     assert all(style.cells(style.plain(line)) <= 80 for line in lines)
 
 
 def test_a_silent_imu_is_not_still() -> None:
-    found = live.Vibration()
+    found = Vibration()
     assert [found.add([0.0, 0.0, 0.0]) for _ in range(20)] == [None] * 20
     assert found.add(None) is None
 
@@ -155,70 +157,19 @@ def test_a_service_that_has_gone_is_said_with_what_to_do(monkeypatch: pytest.Mon
     assert "5.0 s ago" in shown(found.gone("x", NOW_S + 5, 80))
 
 
-def test_the_cockpit_shows_keys_command_and_state() -> None:
-    lines = cockpit.lines(
-        latched(),
-        held=True,
-        releases=False,
-        command=(0.1, 0.0, 0.0),
-        percent=50,
-        speeds=(0.1, 0.5),
-        note=("a note", ""),
-        source="cmd_vel",
-        fancy=True,
-        columns=80,
-    )
-    said = shown(lines)
-    for part in (
-        "w s  ↑ ↓",
-        "STOP, latched",
-        "0.10 m/s forward",
-        "50 %",
-        "STOPPED",
-        "12.00 V",
-        "a note",
-        "a tap drives",
-    ):
-        assert part in said
-    assert len(lines) <= 23
-    assert all(style.cells(style.plain(line)) <= 80 for line in lines)
-
-
-def test_the_cockpit_shows_an_arm_only_where_there_is_one() -> None:
-    found = arm("base", "wrist", mode="jog", by="failstop teleop")
-    found.joints["base"] = dataclasses.replace(found.joints["base"], at_rad=0.5, at_by="sent")
-
-    def screen(joint: int, **changed: Any) -> str:
-        known = {"held": False, "releases": True, "command": None, "percent": 50, "speeds": (0.1, 0.5)}
-        rest = {"note": ("", ""), "source": "cmd_vel", "fancy": False, "columns": 80, "joint": joint}
-        lines = cockpit.lines(state(**changed), **known, **rest)  # type: ignore[arg-type]
-        assert len(lines) <= 23
-        assert all(style.cells(style.plain(line)) <= 80 for line in lines)
-        return shown(lines)
-
-    said = screen(0, arm=found)
-    for part in ("turn the chosen joint", "1 - 2", "jog for failstop teleop", "1 base: +0.50 rad, sent"):
-        assert part in said
-    assert "2 wrist: not read yet" in screen(1, arm=found)
-    assert "wheels enabled" in screen(1, arm=dataclasses.replace(found, closed="wheels enabled"))
-    assert "joint" not in screen(0)
-
-
 def test_only_changed_lines_are_written() -> None:
-    painter = Painter()
-    assert painter.update(["one", "two", "three"]).startswith(CLEAR)
-    assert painter.update(["one", "two", "three"]) == ""
-    assert painter.update(["one", "2", "three"]) == "\x1b[2;1H2\x1b[K"
-    assert painter.update(["one"]) == "\x1b[2;1H\x1b[J"
-    painter.forget()
-    assert painter.update(["one"]) == f"{CLEAR}\x1b[1;1Hone\x1b[K"
+    first = ["one", "two", "three"]
+    assert difference(None, first).startswith(CLEAR)
+    assert difference(first, first) == ""
+    assert difference(first, ["one", "2", "three"]) == "\x1b[2;1H2\x1b[K"
+    assert difference(["one", "2", "three"], ["one"]) == "\x1b[2;1H\x1b[J"
+    assert difference(None, ["one"]) == f"{CLEAR}\x1b[1;1Hone\x1b[K"
 
 
 def test_sparklines() -> None:
     assert spark([0.0, 0.5, 1.0, 2.0, None], 1.0, 7) == "  ▁▅██ "
     assert spark([1.0, 0.0], 1.0, 1) == "▁"
     assert spark([1.0, 0.0], 1.0, 0) == ""
-    assert spark([0.0, 1.0], 1.0, 2, fancy=False) == "_#"
     assert spark([1.0], 0.0, 1) == "▁"
 
 
@@ -228,28 +179,28 @@ def _event(text: str = "STOP latched: key1", kind: str = "stop") -> Event:
 
 def test_an_event_is_a_line() -> None:
     clock = time.strftime("%H:%M:%S", time.localtime(NOW_S))
-    kind = "stop".ljust(told.KIND_COLUMNS)
-    assert style.plain(told.line(_event(), NOW_S)) == f"{clock}.250  {kind}  STOP latched: key1"
-    rows = told.rows(_event("word " * 40), NOW_S, 60)
+    kind = "stop".ljust(summary.KIND_COLUMNS)
+    assert style.plain(summary.event(_event(), NOW_S)) == f"{clock}.250  {kind}  STOP latched: key1"
+    rows = events.rows(_event("word " * 40), NOW_S, 60)
     assert len(rows) > 3
     assert all(style.cells(style.plain(row)) <= 60 for row in rows)
-    assert style.plain(rows[1]).startswith(" " * (16 + told.KIND_COLUMNS) + "word")
-    assert len(told.rows(_event("word " * 40), NOW_S, None)) == 1
+    assert style.plain(rows[1]).startswith(" " * (16 + summary.KIND_COLUMNS) + "word")
+    assert len(events.rows(_event("word " * 40), NOW_S, None)) == 1
     command = "`failstop incident show 20261121`"
-    rows = told.rows(_event(f"incident 20261121 saved; next: {command}"), NOW_S, 80)
+    rows = events.rows(_event(f"incident 20261121 saved; next: {command}"), NOW_S, 80)
     assert [command in style.plain(row) for row in rows] == [False, True]
 
 
 def test_every_kind_fits_its_column_and_every_level_has_a_role() -> None:
-    assert {kind.level for kind in KINDS} <= set(told.ROLES)
-    assert told.kinds("stop, died") == {"stop", "died"}
+    assert {kind.level for kind in KINDS} <= set(summary.LEVELS)
+    assert events.kinds("stop, died") == {"stop", "died"}
     with pytest.raises(FailstopError, match="no kind of event is called foo"):
-        told.kinds("stop,foo")
+        events.kinds("stop,foo")
 
 
 @pytest.mark.parametrize(("text", "age_s"), [("30s", 30), ("10m", 600), ("1.5h", 5400), ("1d", 86400), ("5min", 300)])
 def test_since_an_age(text: str, age_s: float) -> None:
-    assert told.since(text, NOW_S) == NOW_S - age_s
+    assert events.since(text, NOW_S) == NOW_S - age_s
 
 
 def test_since_a_time() -> None:
@@ -262,13 +213,13 @@ def test_since_a_time() -> None:
         ("2025-05-01", "2025-05-01 00:00:00"),
         ("2025-05-01 14:03", "2025-05-01 14:03:00"),
     ):
-        assert told.since(text, noon_s) == time.mktime(time.strptime(when, form)), text
+        assert events.since(text, noon_s) == time.mktime(time.strptime(when, form)), text
 
 
 @pytest.mark.parametrize("text", ["", "m", "10", "10y", "-5m", "25:00", "1.2.3s", "yesterday", "٣m"])
 def test_since_nonsense(text: str) -> None:
     with pytest.raises(FailstopError, match="allowed are"):
-        told.since(text, NOW_S)
+        events.since(text, NOW_S)
 
 
 def test_the_word_is_on_the_live_screen_too() -> None:
@@ -283,18 +234,18 @@ def test_no_text_is_changed_by_its_backquotes(text: str) -> None:
 
 def test_the_last_events_fill_the_rows_that_are_free() -> None:
     told_ = [Event(at, NOW_S - 9 + at, 0, "enabled", "notice", f"number {at}", {}) for at in range(1, 6)]
-    tall = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, 60, told_)
+    tall = Live("failstop").lines(state(), 0.0, NOW_S, 100, 60, told_)
     assert [style.plain(line).split()[-1] for line in tall[-5:]] == ["1", "2", "3", "4", "5"]
     plain = [style.plain(line) for line in tall]
     assert plain[1].startswith("wheels    STOPPED"), "the headline is first"
-    short = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, len(tall) - 3, told_)
+    short = Live("failstop").lines(state(), 0.0, NOW_S, 100, len(tall) - 3, told_)
     assert [style.plain(line).split()[-1] for line in short[-2:]] == ["4", "5"], "the newest"
-    none = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 100, len(tall) - 6, told_)
+    none = Live("failstop").lines(state(), 0.0, NOW_S, 100, len(tall) - 6, told_)
     assert "last events" not in "".join(style.plain(line) for line in none)
 
 
 def test_a_row_of_an_event_leaves_out_what_to_do_next() -> None:
     """That is at the top of the screen; at the end of a row it would be cut."""
     event = Event(1, NOW_S, 1, "stop", "warning", "STOP latched: gate died; next: `failstop reset`", {})
-    rows = live.Live("failstop", fancy=True).lines(state(), 0.0, NOW_S, 200, 60, [event])
+    rows = Live("failstop").lines(state(), 0.0, NOW_S, 200, 60, [event])
     assert style.plain(rows[-1]).endswith("STOP latched: gate died")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from typing import Any, cast
 
@@ -9,9 +10,9 @@ import pytest
 
 from failstop.api.errors import NoService, Refused
 from failstop.api.robot import Robot
-from failstop.cli.screen.hold import ENDS_S
-from failstop.cli.screen.keys import EVENTS, PRESS, RELEASE, Key
-from failstop.cli.screen.pilot import Pilot
+from failstop.cli import style
+from failstop.cli.commands.teleop import Pilot
+from failstop.cli.screen.keys import ENDS_S, EVENTS, PRESS, RELEASE, Key
 from failstop.cli.style import FAIL, WARN
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.joints import from_settings
@@ -63,13 +64,55 @@ def press(pilot: Pilot, *names: str, late: bool = False, now_s: float = 1.0, see
     pilot.keys([(name, PRESS) for name in names], seen, now_s, late=late)
 
 
+def test_the_screen_shows_keys_command_and_state(pilot: Pilot) -> None:
+    press(pilot, "w")
+    pilot.note = ("a note", "")
+    lines = pilot.lines(latched(), 1.1, 80)
+    said = shown(lines)
+    for part in (
+        "w s  \u2191 \u2193",
+        "STOP, latched",
+        "keys      held",
+        "0.10 m/s forward",
+        "50 %",
+        "STOPPED",
+        "12.00 V",
+        "a note",
+        "a tap drives",
+    ):
+        assert part in said
+
+
+def test_the_screen_shows_an_arm_only_where_there_is_one(pilot: Pilot) -> None:
+    found = arm("base", "wrist", mode="jog", by="failstop teleop")
+    found.joints["base"] = dataclasses.replace(found.joints["base"], at_rad=0.5, at_by="sent")
+
+    def screen(joint: int, **changed: Any) -> str:
+        pilot.joint = joint
+        return shown(pilot.lines(state(**changed), 1.0, 80))
+
+    said = screen(0, arm=found)
+    for part in ("turn the chosen joint", "1 - 2", "jog for failstop teleop", "1 base: +0.50 rad, sent"):
+        assert part in said
+    assert "2 wrist: not read yet" in screen(1, arm=found)
+    assert "wheels enabled" in screen(1, arm=dataclasses.replace(found, closed="wheels enabled"))
+    assert "joint" not in screen(0)
+
+
+def shown(lines: list[style.Line]) -> str:
+    """Of a screen that fits."""
+    assert len(lines) <= 23
+    assert all(style.cells(style.plain(line)) <= 80 for line in lines)
+    return "\n".join(map(style.plain, lines))
+
+
 def test_speeds_are_parts_of_the_full_ones(pilot: Pilot, scribe: Scribe) -> None:
     press(pilot, "w")
     press(pilot, "+", "a")
     assert scribe.asked == [(0.1, 0.0, 0.0, "cmd_vel"), (0.0, 0.0, 0.6, "cmd_vel")]
-    assert pilot.speeds() == pytest.approx((0.12, 0.6))
-    assert pilot.command(1.2) == pytest.approx((0.0, 0.0, 0.6))
-    assert pilot.command(1.5) is None
+    assert "60 %: 0.12 m/s, 0.60 rad/s" in shown(pilot.lines(ENABLED, 1.2, 80))
+    assert "command   0.60 rad/s turning left" in shown(pilot.lines(ENABLED, 1.2, 80))
+    assert "command   none" in shown(pilot.lines(ENABLED, 1.5, 80))
 
 
 def test_the_stop_is_the_first_thing_of_all_that_was_typed(pilot: Pilot, scribe: Scribe) -> None:
@@ -127,7 +170,7 @@ def test_what_was_held_through_a_stop_drives_nothing_after_it(pilot: Pilot, scri
     scribe.asked.clear()
     press(pilot, now_s=1.1, seen=state())
     press(pilot, now_s=1.2)
-    assert scribe.asked == []
+    assert scribe.asked == [(0.0, 0.0, 0.0, "cmd_vel")]
 
 
 def test_releases_are_believed_once_the_terminal_has_answered(pilot: Pilot, scribe: Scribe) -> None:
@@ -174,7 +217,7 @@ ARM = state(arm=arm("base"))
 def test_digits_choose_a_joint_and_brackets_turn_it_while_they_are_held() -> None:
     scribe = WithArm()
     pilot = Pilot(cast("Robot", scribe), "cmd_vel", 0.2, 1.0)
-    press(pilot, "1", "]", "[", seen=ARM)
+    press(pilot, "\u00b2", "1", "]", "[", seen=ARM)
     pilot.keys([("[", RELEASE)], ARM, 1.1, late=False)
     assert scribe.asked == [{"base": 0.5}, {"base": -0.5}, "hold"]
     press(pilot, "]", seen=ARM, late=True)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.cli.screen.questions import PLACES, Questions
+from failstop.cli.commands.attend import PLACES, Questions
 
 MS = 1_000_000
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.api.events import EventLog
-from failstop.cli.screen.hold import COMMAND_S, ENDS_S
+from failstop.cli.screen.keys import COMMAND_S, ENDS_S
 from failstop.lab.sim.client import Event
 from failstop.lab.trial import Trial, wait_for
 from tests.support.typist import Typist

@@ -19,8 +19,8 @@ PART = (
     "tests/telemetry/test_state_files.py",
     "tests/shm/test_instance.py::test_of_two_that_start_at_once_one_runs",
     "tests/doctor/test_gathering.py::test_what_lives_is_no_dead_run",
-    "tests/screen/test_left.py::test_where_nothing_is_left",
-    "tests/screen/test_left.py::test_a_unit_counts_where_systemd_runs_and_has_it",
+    "tests/screen/test_follow.py::test_where_nothing_is_left",
+    "tests/screen/test_follow.py::test_a_unit_counts_where_systemd_runs_and_has_it",
     "tests/prove/test_settings.py",
     "tests/prove/test_prove.py::test_without_the_word_nothing_is_written",
     # What takes its time there has nothing to do with the machine.

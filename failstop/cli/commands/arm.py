@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import time
 from argparse import ArgumentParser, Namespace
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
+from failstop.api.snapshot import ArmState
+from failstop.api.words import span
+from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.commands.requests import REPEAT_S, say
-from failstop.cli.screen import arm as shown
+from failstop.cli.screen import summary
 from failstop.supervisor.fold import fitted
 
 EXAMPLES = """\
@@ -60,7 +64,10 @@ def main(arguments: Namespace) -> int:
                 arm.read()
         except ValueError as error:
             raise FailstopError(str(error)) from None
-        print(json.dumps(arm.state, indent=2) if arguments.json else "\n".join(shown.lines(arm.state)))
+        if arguments.json:
+            print(json.dumps(dataclasses.asdict(arm.state), indent=2))
+        else:
+            style.show(_lines(arm.state))
     return 0
 
 
@@ -83,3 +90,20 @@ def _values(words: list[str]) -> dict[str, float]:
         except ValueError:
             raise FailstopError(f"{word!r}: write JOINT=VALUE, as in base=0.5") from None
     return found
+
+
+def _lines(arm: ArmState) -> list[style.Line]:
+    """All of the arm, its joints in a table."""
+    head = [("arm", summary.arm_headline(arm)), *([("closed", arm.closed)] if arm.closed else [])]
+    head += [("wrong", text) for text in summary.arm_wrong(arm)]
+    rows = [("joint", " servo", " angle", " pulses", " commanded", " read", "torque")]
+    for name, joint in arm.joints.items():
+        angle = "-" if joint.angle_rad is None else f"{joint.angle_rad:+.3f}"
+        measured = "-" if joint.pulses is None else f"{joint.pulses}"
+        commanded = "-" if joint.commanded_pulses is None else f"{joint.commanded_pulses:.1f}"
+        age = "never" if joint.age_s is None else f"{span(joint.age_s)} ago"
+        heat = f", {joint.temperature_c} C" if joint.temperature_c else ""
+        torque = f"{'on' if joint.torque else 'off'}{heat}"
+        rows.append((name, f" {joint.servo}", f" {angle}", f" {measured}", f" {commanded}", f" {age}", torque))
+    table = style.table([[(cell, style.PLAIN) for cell in cells] for cells in rows])
+    return [*(summary.row(label, text) for label, text in head), *table]

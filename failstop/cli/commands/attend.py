@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import os
-import select
+import re
 import time
+from argparse import ArgumentParser, Namespace
+from collections import deque
+from contextlib import suppress
+
+import psutil
 
 from failstop.api import verdict
 from failstop.api.errors import FailstopError
@@ -12,17 +17,8 @@ from failstop.api.robot import Robot
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
-from failstop.cli.screen.follow import Follower
-from failstop.cli.screen.questions import Questions
-from failstop.cli.screen.terminal import OUT, Terminal
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-
-    from failstop.api.calls import Attendance
-    from failstop.api.state import State
-    from failstop.cli.style import Line
+from failstop.cli.screen.terminal import Terminal
+from failstop.cli.style import DIM, FAIL, STRONG, WARN, Line
 
 EXAMPLES = """\
 failstop attend                       # q leaves, space stops
@@ -33,6 +29,50 @@ failstop attend --as Anna
 PERIOD_S = 0.1
 BETWEEN = {"tmux: server": "tmux", "tmux": "tmux", "screen": "screen", "SCREEN": "screen", "mosh-server": "mosh"}
 """Processes that answer in a terminal's place, whether or not anybody is at it."""
+PLACES = 60
+"""Different columns in turn: with a question every 0.1 s they repeat after 6 s."""
+ANSWER = re.compile(rb"\x1b\[(\d{1,4});(\d{1,4})R")
+PART = re.compile(rb"\x1b(\[[\d;]{0,30})?\Z")
+"""Of an answer that comes in two pieces."""
+
+
+class Questions:
+    """The proof that a terminal is still at the other end of a line, such as ssh. Pure: times are arguments.
+
+    The cursor is put at a column that changes each time, and the terminal is asked where it is. A terminal answers by
+    itself and in order, so that an answer belongs to the oldest question of that column, however late it comes: what a
+    network held back proves the past alone.
+    """
+
+    def __init__(self) -> None:
+        self._open: deque[tuple[int, int]] = deque()
+        self._number = 0
+        self._rest = b""
+        self.proven_ns = 0
+        """When the newest question that has an answer was put; 0: none has."""
+
+    def ask(self, now_ns: int, row: int) -> str:
+        """The next question, to be written."""
+        column = 2 + self._number % PLACES
+        self._number += 1
+        self._open.append((column, now_ns))
+        return f"\x1b[{row};{column}H\x1b[6n"
+
+    def typed(self, data: bytes) -> bytes:
+        """What came from the terminal: answers are taken, and the rest, which a person typed, comes back."""
+        data = self._rest + data
+        for found in ANSWER.finditer(data):
+            self._take(int(found[2]))
+        rest = ANSWER.sub(b"", data)
+        part = PART.search(rest)
+        self._rest = part[0] if part else b""
+        return rest[: len(rest) - len(self._rest)]
+
+    def _take(self, column: int) -> None:
+        if any(asked == column for asked, _ in self._open):
+            asked = 0
+            while asked != column:
+                asked, self.proven_ns = self._open.popleft()  # those before it were lost: answers come in order
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -43,69 +83,54 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Attend until q, a signal, or the line's end. Raises FailstopError."""
-    if other := _between(os.getpid()):
+    if other := _between():
         raise FailstopError(
             f"{other} answers in your terminal's place, and would go on when you are gone: run this outside of it"
         )
-    follower = Follower(arguments.name)
-    who = f"{arguments.who or _user()} (terminal)"
-    with Robot(arguments.name, client="failstop attend") as robot, robot.attend(who) as attendance:
-        return _attend(robot, attendance, follower)
-
-
-def _attend(robot: Robot, attendance: Attendance, follower: Follower) -> int:
     questions = Questions()
-    with Terminal() as terminal:
-        next_s = time.monotonic()
-        while not terminal.ended:
-            typed = questions.typed(terminal.wait(next_s - time.monotonic())).lower()
+    user = arguments.who or os.environ.get("SUDO_USER") or os.environ.get("USER") or os.getuid()
+    with (
+        Robot(arguments.name, client="failstop attend") as robot,
+        robot.attend(f"{user} (terminal)") as attendance,
+        Terminal() as terminal,
+    ):
+        for typed, now_s in terminal.turns(PERIOD_S):
+            keys = questions.typed(typed).lower()
             if questions.proven_ns:
                 attendance.renew(questions.proven_ns)
-            if b" " in typed:
+            if b" " in keys:
                 robot.estop("space")
-            if b"q" in typed:
+            if b"q" in keys:
                 return 0
             if terminal.stopped:
                 attendance.give_up()
                 terminal.suspend()
-            now_s = time.monotonic()
-            if now_s < next_s:
-                continue
-            next_s = max(next_s + PERIOD_S, now_s + PERIOD_S / 2)
-            terminal.draw(_lines(follower.read(now_s), follower.note, attendance.who, terminal.columns))
-            if select.select((), (OUT,), (), 0)[1]:
-                terminal.write(questions.ask(time.monotonic_ns(), terminal.rows))
+            elif now_s is not None:
+                terminal.draw(_lines(robot, attendance.who, terminal.columns))
+                if terminal.takes():
+                    terminal.write(questions.ask(time.monotonic_ns(), terminal.rows))
     return 128 + terminal.ended
 
 
-def _lines(state: State | None, note: str, who: str, columns: int) -> list[Line]:
-    head: list[Line] = [[(f"{who} attends", style.STRONG), ("   space stops, q leaves", style.DIM)], []]
-    if state is None:
-        return [*head, [("NO SERVICE  ", style.FAIL), (note, style.STRONG)]]
-    rows = [part for row in summary.wheels(state) for part in style.wrap(row, columns, summary.LABEL)]
-    if state.attended_by is None:
-        rows.append([("", style.PLAIN)])
-        rows.append([('nobody needs to attend this robot: attend.required is "off"', style.WARN)])
-    elif doubt := verdict.doubt(state):
-        rows.append([(doubt, style.FAIL)])
-    return [*head, *rows]
-
-
-def _user() -> str:
-    """Whose name the terminal's user goes by."""
-    return os.environ.get("SUDO_USER") or os.environ.get("USER") or str(os.getuid())
-
-
-def _between(pid: int) -> str:
+def _between() -> str:
     """The program that answers in the terminal's place, if there is one above this process."""
-    while pid > 1:
-        try:
-            with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as file:
-                text = file.read()
-        except OSError:
-            return ""
-        name = text[text.index("(") + 1 : text.rindex(")")]
-        if name in BETWEEN:
-            return BETWEEN[name]
-        pid = int(text[text.rindex(")") + 2 :].split()[1])
+    process: psutil.Process | None = psutil.Process()
+    with suppress(psutil.Error):
+        while process := process.parent() if process else None:
+            if found := BETWEEN.get(process.name()):
+                return found
     return ""
+
+
+def _lines(robot: Robot, who: str, columns: int) -> list[Line]:
+    head: list[Line] = [[(f"{who} attends", STRONG), ("   space stops, q leaves", DIM)], []]
+    try:
+        state = robot.state
+    except FailstopError as error:
+        return head + style.wrap([("NO SERVICE  ", FAIL), (str(error), STRONG)], columns, 0)
+    rows = summary.wrapped(summary.wheels(state), columns)
+    if state.attended_by is None:
+        rows += [[], [('nobody needs to attend this robot: attend.required is "off"', WARN)]]
+    elif doubt := verdict.doubt(state):
+        rows.append([(doubt, FAIL)])
+    return [*head, *rows]

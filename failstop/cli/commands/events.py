@@ -6,18 +6,18 @@ import dataclasses
 import json
 import sys
 import time
+from argparse import ArgumentParser, Namespace
+from contextlib import suppress
+from datetime import datetime, timedelta
 
 from failstop.api import host
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event, EventLog
 from failstop.cli import style
 from failstop.cli.commands import add_name
-from failstop.cli.screen import left, told
+from failstop.cli.screen import follow, summary
 from failstop.supervisor.fold import PREFIX, fitted
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
+from failstop.supervisor.kinds import KINDS
 
 EXAMPLES = """\
 failstop events                        # all that the service still remembers
@@ -26,8 +26,10 @@ failstop events --since 10m --kind stop,died
 failstop events --json | jq -r .text   # for programs
 """
 
-POLL_S = 0.1
 AGAIN_S = 0.5
+"""How often it looks where no news wakes it."""
+UNITS_S = {"s": 1, "m": 60, "min": 60, "h": 3600, "d": 86400}
+FORMS = ("%H:%M", "%H:%M:%S", "%Y-%m-%d", "%Y-%m-%d %H:%M", "%Y-%m-%d %H:%M:%S")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -42,57 +44,72 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Print events; with --follow until Ctrl-C."""
-    chosen = _Chosen(arguments)
+    name = arguments.name
+    since_s = since(arguments.since, time.time()) if arguments.since else 0.0
+    chosen = kinds(arguments.kind) if arguments.kind else None
+
+    def show(events: list[Event]) -> None:
+        wanted = [event for event in events if event.t >= since_s and (chosen is None or event.kind in chosen)]
+        if arguments.json:
+            sys.stdout.writelines(f"{json.dumps(dataclasses.asdict(event))}\n" for event in wanted)
+        else:
+            style.show(row for event in wanted for row in rows(event, time.time(), columns))
+        sys.stdout.flush()
+
+    columns = style.width() if sys.stdout.isatty() else None
     try:
-        log = EventLog(arguments.name)
-        chosen.show(log.read())
+        log = EventLog(name)
+        show(log.read())
     except NoService as error:
-        chosen.show(_left(arguments.name))
-        journal = host.journal(arguments.name)
+        # What a service told that has died and was not started again.
+        show(left[1] if (left := follow.left(name)) else [])
+        journal = host.journal(name)
         raise NoService(f"{error}{f'; what it told is in {journal}' if journal else ''}") from None
     while arguments.follow:
         try:
-            chosen.show(log.read())
+            for event in log.follow(AGAIN_S):
+                show([event] if event else [])
         except NoService as error:
             print(fitted(f"{PREFIX}{error}; waiting for it", 2), file=sys.stderr, flush=True)
-            log = _again(arguments.name)
-        time.sleep(POLL_S)
+            log = _again(name)
     return 0
-
-
-def _left(name: str) -> list[Event]:
-    """What a service told that has died and was not started again."""
-    found = left.find(name)
-    return found.events if found else []
 
 
 def _again(name: str) -> EventLog:
     """The log of the next run, whenever it comes."""
     while True:
-        try:
+        with suppress(FailstopError):
             return EventLog(name)
-        except FailstopError:
-            time.sleep(AGAIN_S)
+        time.sleep(AGAIN_S)
 
 
-class _Chosen:
-    """The events that are asked for, in the form that is asked for."""
+def rows(event: Event, now_s: float, columns: int | None) -> list[style.Line]:
+    """An event for people, broken to a terminal's width; None: one line, however long."""
+    line = summary.event(event, now_s)
+    indent = sum(style.cells(text) for text, _ in line[:2])
+    return [line] if columns is None else style.wrap(line, columns, indent if indent < columns // 2 else 2)
 
-    def __init__(self, arguments: Namespace) -> None:
-        """Raises FailstopError for options that mean nothing."""
-        self._since_s = told.since(arguments.since, time.time()) if arguments.since else 0.0
-        self._kinds = told.kinds(arguments.kind) if arguments.kind else None
-        self._json = arguments.json
-        self._terminal = sys.stdout.isatty()
 
-    def show(self, events: list[Event]) -> None:
-        """Print those of them that were chosen."""
-        columns = style.width() if self._terminal else None
-        for event in events:
-            if event.t < self._since_s or (self._kinds is not None and event.kind not in self._kinds):
-                continue
-            if self._json:
-                print(json.dumps(dataclasses.asdict(event)))
-            else:
-                style.show(told.rows(event, time.time(), columns))
-        sys.stdout.flush()
+def kinds(text: str) -> frozenset[str]:
+    """`stop,died` as a set. Raises FailstopError for a kind that there is none of."""
+    found, known = frozenset(text.replace(" ", "").split(",")) - {""}, [kind.name for kind in KINDS]
+    if unknown := sorted(found.difference(known)):
+        raise FailstopError(f"no kind of event is called {', '.join(unknown)}; there are {', '.join(known)}")
+    return found
+
+
+def since(text: str, now_s: float) -> float:
+    """`10m`, `1.5h`, `14:03`, `2026-11-21 14:03` as Unix time. A time of the day is the last one that has been.
+    Raises FailstopError."""
+    number = text.rstrip("abcdefghijklmnopqrstuvwxyz")
+    unit_s = UNITS_S.get(text[len(number) :])
+    if unit_s and number.replace(".", "", 1).isdigit() and number.isascii():
+        return now_s - float(number) * unit_s
+    for form in FORMS:
+        with suppress(ValueError):
+            then, now = datetime.strptime(text, form), datetime.fromtimestamp(now_s)
+            if not form.startswith("%Y"):
+                then = datetime.combine(now, then.time())
+                then -= timedelta(days=then > now)
+            return then.timestamp()
+    raise FailstopError(f"--since {text}: allowed are an age (30s, 10m, 2h, 1d) and a time (14:03, 2026-11-21 14:03)")

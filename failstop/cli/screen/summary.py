@@ -1,22 +1,19 @@
-"""Summary: the whole state in one screen, for `failstop status` and as the body of `failstop watch`. Pure."""
+"""Summary: the state in one screen, for `failstop status` and as the body of `failstop watch`; an event in a line."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+
 from failstop.api import verdict, words
+from failstop.api.events import Event
+from failstop.api.snapshot import ArmState, Process, State, Stop
+from failstop.api.verdict import Earlier
 from failstop.cli import style
-from failstop.cli.screen import arm
-from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
+from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.shm import blocks
+from failstop.supervisor.kinds import KINDS
 from failstop.supervisor.stops import NOT_SENT
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from failstop.api.events import Event
-    from failstop.api.state import Process, State, Stop
-    from failstop.api.verdict import Earlier
-    from failstop.cli.style import Line
 
 LABEL = 10
 """Columns of the names on the left."""
@@ -29,7 +26,11 @@ LINKS = {
     "unproven": ("unproven: the board has not answered a ping yet, so nobody knows that it hears", WARN),
     "deaf": ("deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH", FAIL),
 }
+WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
+PROCESSES = {"running": PLAIN, "starting": WARN, "waiting": WARN}
+LEVELS = {"critical": FAIL, "error": FAIL, "warning": WARN, "notice": PLAIN, "info": DIM}
+KIND_COLUMNS = max(len(kind.name) for kind in KINDS)
 
 
 def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()) -> list[Line]:
@@ -38,9 +39,17 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     rows = wheels(state)
     rows += _drivers(state, verdict.left_off(events), now_s)
     rows += last_stop(state, now_s, verdict.earlier(events))
-    rows += [*_limit(state), *_arm(state), device(state), battery(state), *_sensors(state), *_clients(state)]
-    wrapped = [part for row in rows for part in style.wrap(row, columns, LABEL)]
-    return [*wrapped, [], *processes(state), *_remarks(state, columns, verdict.exits(events))]
+    rows += [row("limit", words.limited(state.speed_limit), WARN)] if state.speed_limit < 1 else []
+    if state.arm:
+        rows += [row("arm", arm_headline(state.arm)), *(row("", text, WARN) for text in arm_wrong(state.arm))]
+    rows += [device(state), battery(state), _sensors(state)]
+    if state.clients:
+        rows.append(row("clients", ", ".join(f"{client.name} (pid {client.pid})" for client in state.clients)))
+    for who, sees, wrong in words.said(state):
+        rows += [row("says", f"{who}: {sees}"), *([row("wrong", f"{who}: {wrong}", WARN)] if wrong else [])]
+    remarks = _remarks(state, verdict.exits(events))
+    below = [part for remark in remarks for part in style.wrap([remark], columns, 0)]
+    return [*wrapped(rows, columns), [], *processes(state), *([[], *below] if below else [])]
 
 
 def row(label: str, text: str, role: str = PLAIN) -> Line:
@@ -48,18 +57,23 @@ def row(label: str, text: str, role: str = PLAIN) -> Line:
     return [(f"{label:<{LABEL}}", DIM), (text, role)]
 
 
-def role_of(state: State) -> str:
-    """The role of the verdict's word."""
-    roles = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
-    return roles.get(verdict.word(state)) or (FAIL if state.cause else WARN)
+def wrapped(rows: list[Line], columns: int, label: int = LABEL) -> list[Line]:
+    """Rows with their names on the left, `label` columns of them, as lines that fit."""
+    return [part for row in rows for part in style.wrap(row, columns, label)]
+
+
+def headline(state: State) -> Line:
+    """What the wheels do, and why."""
+    word = verdict.word(state)
+    role = WORDS.get(word) or (FAIL if state.cause else WARN)
+    return [*row("wheels", word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)]
 
 
 def wheels(state: State) -> list[Line]:
-    """What the wheels do, why, and the next command."""
-    word, role = verdict.word(state), role_of(state)
-    rows: list[Line] = [[(f"{'wheels':<{LABEL}}", DIM), (word, role), ("  ", PLAIN), (verdict.headline(state), STRONG)]]
+    """The same, and the next command."""
+    rows = [headline(state)]
     if step := verdict.next_step(state):
-        rows.append([(f"{'next':<{LABEL}}", DIM), *commands(step)])
+        rows.append(row("next", "") + commands(step))
     if state.waiting_for and not state.blocked:
         rows.append(row("waits for", state.waiting_for, WARN))
     return rows
@@ -67,28 +81,20 @@ def wheels(state: State) -> list[Line]:
 
 def commands(text: str) -> Line:
     """A text whose commands in backquotes stand out."""
-    found: Line = []
-    parts = text.split("`")
-    for number, part in enumerate(parts):
-        if number % 2 and number == len(parts) - 1:
-            found.append((f"`{part}", PLAIN))  # one alone, of a reason that somebody gave
-        elif part:
-            found.append((f"`{part}`", STRONG) if number % 2 else (part, PLAIN))
-    return found
+    return [(part, STRONG if number % 2 else PLAIN) for number, part in enumerate(re.split("(`[^`]*`)", text))]
 
 
 def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
-    if not state.sources:
-        found = row("driver", "nobody commands")
-        if left_off and state.blocked == blocks.NO_COMMAND:
-            when = f" ({words.ago(left_off.t, now_s)})"
-            found += [("; ", PLAIN), (verdict.leaving(left_off), WARN), (when, DIM)]
-        return [found]
     rows = []
     for source in state.sources:
         drives = source.state == "drives"
         text = f"{source.who} as {source.source}, priority {source.priority}"
         rows.append(row("driver" if drives else "waits", text, OK if drives and state.moving else PLAIN))
+    if not rows:
+        rows.append(row("driver", "nobody commands"))
+        if left_off and state.blocked == blocks.NO_COMMAND:
+            when = f" ({words.ago(left_off.t, now_s)})"
+            rows[0] += [("; ", PLAIN), (verdict.leaving(left_off), WARN), (when, DIM)]
     return rows
 
 
@@ -102,40 +108,29 @@ def last_stop(state: State, now_s: float, earlier: Earlier | None = None) -> lis
             rows.append(row("", "") + commands(earlier.show(state.name)))
         return rows
     what = "the one that is latched" if stop.cause == state.cause else stop.reason
-    head: Line = [(f"{'last stop':<{LABEL}}", DIM), (what, PLAIN), (f" ({words.ago(stop.t, now_s)})", DIM)]
-    return [head, [(f"{'':<{LABEL}}", PLAIN), *proofs(stop)]]
+    return [[*row("last stop", what), (f" ({words.ago(stop.t, now_s)})", DIM)], row("", "") + _proofs(stop)]
 
 
-def proofs(stop: Stop) -> Line:
+def _proofs(stop: Stop) -> Line:
     """The three levels of a stop, each with its time or that it is not known."""
     if stop.written_s is None:
         return [("NOT written: the board did not get it", FAIL)]
-    found: Line = [(f"written after {words.took(stop.written_s)}", OK), (", ", PLAIN)]
-    if not stop.sent:
-        found = [(NOT_SENT, FAIL), (", ", PLAIN)]
-    if stop.acknowledged_s is None:
-        found.append(("not acknowledged", WARN))
-    else:
-        found.append((f"acknowledged after {words.took(stop.acknowledged_s)}", OK))
-    found.append((", ", PLAIN))
-    if stop.observed_s is None:
-        found.append(("not seen still", WARN))
-    else:
+    written = (f"written after {words.took(stop.written_s)}", OK) if stop.sent else (NOT_SENT, FAIL)
+    heard, seen = ("not acknowledged", WARN), ("not seen still", WARN)
+    if stop.acknowledged_s is not None:
+        heard = (f"acknowledged after {words.took(stop.acknowledged_s)}", OK)
+    if stop.observed_s is not None:
         # No shaking before the stop either: that the wheels rest now proves nothing of it.
-        seen = words.wheels_seen(stop).replace("wheels still", "still").replace("less than", "<")
-        found.append((seen, OK if stop.observed_s else PLAIN))
-    return found
+        text = words.wheels_seen(stop).replace("wheels still", "still").replace("less than", "<")
+        seen = (text, OK if stop.observed_s else PLAIN)
+    return [written, (", ", PLAIN), heard, (", ", PLAIN), seen]
 
 
 def device(state: State) -> Line:
     """The port, and what proves that the board hears."""
-    port = state.device.state
-    found = row("device", state.device.path or "no port")
-    found.append((f" {port}", PORTS.get(port, WARN)))
-    if port == "open":
-        text, role = LINKS.get(state.device.link, (state.device.link, WARN))
-        found += [(", link ", PLAIN), (text, role)]
-    return found
+    port, link = state.device.state, state.device.link
+    found = [*row("device", state.device.path or "no port"), (f" {port}", PORTS.get(port, WARN))]
+    return [*found, (", link ", PLAIN), LINKS.get(link, (link, WARN))] if port == "open" else found
 
 
 def battery(state: State) -> Line:
@@ -146,101 +141,76 @@ def battery(state: State) -> Line:
     return [*found, (f", charger {state.plugged}" if state.plugged != "unknown" else "", PLAIN)]
 
 
-def _sensors(state: State) -> list[Line]:
+def _sensors(state: State) -> Line:
     age_s = state.scan_age_s
     scan = "obstacle sensor " + ("never delivered" if age_s is None else f"delivered {words.span(age_s)} ago")
     pad = f", gamepad {state.pad_mode}" if state.pad_mode else ""
-    return [row("sensor", scan + pad, WARN if state.blocked == blocks.NO_SCAN else PLAIN)]
-
-
-def _limit(state: State) -> list[Line]:
-    """The speed limit, where somebody has set one."""
-    return [row("limit", words.limited(state.speed_limit), WARN)] if state.speed_limit < 1 else []
-
-
-def _arm(state: State) -> list[Line]:
-    """The arm, where there is one."""
-    if state.arm is None:
-        return []
-    return [row("arm", arm.headline(state.arm)), *(row("", text, WARN) for text in arm.wrong(state.arm))]
-
-
-def _clients(state: State) -> list[Line]:
-    names = [f"{client.name} (pid {client.pid})" for client in state.clients]
-    return [row("clients", ", ".join(names)), *_said(state)] if names else []
-
-
-def _said(state: State) -> list[Line]:
-    """What clients say of themselves, a row each."""
-    rows = []
-    for who, sees, wrong in words.said(state):
-        rows.append(row("says", f"{who}: {sees}"))
-        if wrong:
-            rows.append(row("wrong", f"{who}: {wrong}", WARN))
-    return rows
+    return row("sensor", scan + pad, WARN if state.blocked == blocks.NO_SCAN else PLAIN)
 
 
 def processes(state: State) -> list[Line]:
     """The process table."""
-    rows: list[Line] = [
-        [(head, DIM) for head in ("process", " pid", "state", " beat", " worst", " restarts", "rights")]
-    ]
+    heads = ("process", " pid", "state", " beat", " worst", " restarts", "rights")
+    rows: list[Line] = [[(head, DIM) for head in heads]]
     for name, process in state.processes.items():
-        running = process.state == "running"
-        late = running and process.age_s > LATE_BEAT_S
-        rows.append(
-            [
-                (name, PLAIN),
-                (f" {process.pid or '-'}", PLAIN),
-                (process.state, PLAIN if running else WARN if process.state in ("starting", "waiting") else FAIL),
-                (
-                    f" {process.age_s * 1e3:.0f} ms" if process.pid and process.age_s < 10 else " -",
-                    WARN if late else PLAIN,
-                ),
-                (f" {process.worst_s * 1e3:.0f} ms" if process.pid else " -", PLAIN),
-                (f" {process.restarts}", WARN if process.restarts else PLAIN),
-                (_rights(process), PLAIN if _well(process) else WARN),
-            ]
-        )
+        beat = f" {process.age_s * 1e3:.0f} ms" if process.pid and process.age_s < 10 else " -"
+        late = process.state == "running" and process.age_s > LATE_BEAT_S
+        row: Line = [(name, PLAIN), (f" {process.pid or '-'}", PLAIN)]
+        row += [(process.state, PROCESSES.get(process.state, FAIL)), (beat, WARN if late else PLAIN)]
+        row.append((f" {process.worst_s * 1e3:.0f} ms" if process.pid else " -", PLAIN))
+        row += [(f" {process.restarts}", WARN if process.restarts else PLAIN), _rights(process)]
+        rows.append(row)
     return style.table(rows)
 
 
-def _well(process: Process) -> bool:
-    """Nothing to say of its rights."""
-    return not process.pid or (process.realtime and process.memory_locked)
-
-
-def _rights(process: Process) -> str:
+def _rights(process: Process) -> style.Span:
     if not process.pid:
-        return "-"
+        return "-", PLAIN
     granted = [word for word, has in (("realtime", process.realtime), ("locked", process.memory_locked)) if has]
-    return " ".join(granted) or "none"
+    return " ".join(granted) or "none", PLAIN if len(granted) == 2 else WARN
 
 
-def _remarks(state: State, columns: int, hung: dict[str, str]) -> list[Line]:
-    """What is wrong beside the wheels, a line each."""
-    found: list[Line] = []
+def _remarks(state: State, hung: dict[str, str]) -> list[style.Span]:
+    """What is wrong beside the wheels. `hung`: how processes that hung have ended."""
+    found = []
+    running = [process for process in state.processes.values() if process.pid]
     for name, process in state.processes.items():
+        how = verdict.last_exit(state, name, hung)
         if process.state == "down":
-            how = verdict.last_exit(state, name, hung)
-            found.append([(f"{name} died too often and is {verdict.until(name)}; it {how}", FAIL)])
+            found.append((f"{name} died too often and is {verdict.until(name)}; it {how}", FAIL))
         elif process.last_exit:
-            how = verdict.last_exit(state, name, hung)
-            found.append([(f"{name} was restarted {_times(process.restarts)}; it {how}", WARN)])
+            times = "once" if process.restarts == 1 else f"{process.restarts} times"
+            found.append((f"{name} was restarted {times}; it {how}", WARN))
     if state.age_s > verdict.STALE_S:
-        found.append([(f"the gate has said nothing for {words.span(state.age_s)}: what is above may be old", FAIL)])
+        found.append((f"the gate has said nothing for {words.span(state.age_s)}: what is above may be old", FAIL))
     if starved := words.starved(state.starved):
-        found.append([(f"{starved}; `failstop doctor` has the command that gives it real-time rights", WARN)])
-    elif not all(process.realtime or not process.pid for process in state.processes.values()):
+        found.append((f"{starved}; `failstop doctor` has the command that gives it real-time rights", WARN))
+    elif not all(process.realtime for process in running):
+        found.append(("without real-time rights stops come later on a busy machine; `failstop doctor` says more", DIM))
+    if not all(process.early_news for process in running):
         found.append(
-            [("without real-time rights stops come later on a busy machine; `failstop doctor` says more", DIM)]
+            ("this kernel tells of deaths late, and stops after one come later; `failstop doctor` says more", WARN)
         )
-    if not all(process.early_news or not process.pid for process in state.processes.values()):
-        found.append(
-            [("this kernel tells of deaths late, and stops after one come later; `failstop doctor` says more", WARN)]
-        )
-    return [[], *(part for row in found for part in style.wrap(row, columns, 0))] if found else []
+    return found
 
 
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
+def event(told: Event, now_s: float) -> Line:
+    """One event for people: when, its kind, what was said."""
+    role = LEVELS.get(told.level, PLAIN)
+    when = f"{words.clock(told.t, now_s)}.{int(told.t % 1 * 1000):03d}  "
+    return [(when, DIM), (f"{told.kind:<{KIND_COLUMNS}}  ", role), (told.text, role)]
+
+
+def arm_headline(arm: ArmState) -> str:
+    """What the arm does, in a line."""
+    if arm.mode:
+        return f"{arm.mode} for {arm.by}{f', {arm.phase}' if arm.phase else ''}"
+    if arm.released:
+        return "released: its torque is off"
+    pose = f", in the {arm.pose} pose" if arm.pose else ""
+    return f"holding{pose}{f', tucks itself in {arm.auto_tuck_s} s' if arm.auto_tuck_s is not None else ''}"
+
+
+def arm_wrong(arm: ArmState) -> list[str]:
+    """What is wrong with it, and what was refused last."""
+    return [*arm.wrong, *([f"the last goal was refused: {arm.refused}"] if arm.refused else [])]

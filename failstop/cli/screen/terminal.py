@@ -8,22 +8,20 @@ import select
 import signal
 import sys
 import termios
+import time
 import tty
+from collections.abc import Iterator
+from types import FrameType, TracebackType
+from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.cli import style
-from failstop.cli.screen.painter import Painter
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from types import FrameType, TracebackType
-    from typing import Any
-
-    from failstop.cli.style import Line
+from failstop.cli.style import Line
 
 IN = 0
 OUT = 1
-ENTER = "\x1b[?1049h\x1b[?25l\x1b[H\x1b[2J"
+CLEAR = "\x1b[H\x1b[2J"
+ENTER = f"\x1b[?1049h\x1b[?25l{CLEAR}"
 LEAVE = "\x1b[0m\x1b[?25h\x1b[?1049l"
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 MOST_BYTES = 4096
@@ -39,7 +37,8 @@ class Terminal:
             raise FailstopError("this needs a terminal; `failstop status --json` is for programs")
         self._on = ENTER + on
         self._off = off + LEAVE
-        self._painter = Painter()
+        self._shown: list[str] | None = None
+        """What is on the screen, line by line; None: it may show anything."""
         self._keyboard = os.isatty(IN)
         self._saved: list[Any] | None = None
         self._handlers: dict[int, Any] = {}
@@ -72,30 +71,25 @@ class Terminal:
         elif number == signal.SIGTSTP:
             self.stopped = True
         else:
-            self._painter.forget()
             self._measure()
 
     def _measure(self) -> None:
-        try:
+        self._shown = None
+        with contextlib.suppress(OSError):
             size = os.get_terminal_size(OUT)
-        except OSError:
-            return
-        self.columns = max(style.LEAST_COLUMNS, size.columns or style.NO_TERMINAL_COLUMNS)
-        self.rows = max(2, size.lines or 24)
+            self.columns = max(style.LEAST_COLUMNS, size.columns or style.NO_TERMINAL_COLUMNS)
+            self.rows = max(2, size.lines or 24)
 
     def _enter(self) -> None:
-        if self._keyboard:
-            with contextlib.suppress(termios.error):
-                self._saved = termios.tcgetattr(IN)
-                tty.setcbreak(IN, termios.TCSANOW)
+        with contextlib.suppress(termios.error):
+            self._saved = termios.tcgetattr(IN)
+            tty.setcbreak(IN)  # what was typed before, or while this was stopped, is forgotten
         self._measure()
-        self._painter.forget()
         self.write(self._on)
 
     def _leave(self) -> None:
         """Best effort: the terminal may have gone."""
-        with contextlib.suppress(OSError):
-            self.write(self._off)
+        self.write(self._off)
         if self._saved is not None:
             with contextlib.suppress(termios.error):
                 termios.tcsetattr(IN, termios.TCSAFLUSH, self._saved)
@@ -108,7 +102,6 @@ class Terminal:
         signal.signal(signal.SIGTSTP, self._note)
         self.stopped = False
         self._enter()
-        self.drop_typed()
 
     def write(self, text: str) -> None:
         """Write to the terminal; one that has gone ends this as a hang-up does."""
@@ -119,13 +112,19 @@ class Terminal:
         except OSError:
             self.ended = self.ended or signal.SIGHUP
 
+    def takes(self) -> bool:
+        """Whether the terminal takes something now."""
+        return bool(select.select((), (OUT,), (), 0)[1])
+
     def draw(self, lines: list[Line]) -> None:
-        """Show these lines, cut to the screen's size. A terminal that takes nothing now is passed over."""
-        if not select.select((), (OUT,), (), 0)[1]:
-            self._painter.forget()
+        """Show these lines, as far as the screen has room; only those that differ are written. A terminal that takes
+        nothing now is passed over."""
+        if not self.takes():
+            self._shown = None
             return
-        shown = [style.painted(line, self.columns) for line in lines[: self.rows]]
-        if text := self._painter.update(shown):
+        rows = [style.painted(line, self.columns) for line in style.fit(lines, self.rows)]
+        before, self._shown = self._shown, rows
+        if text := difference(before, rows):
             self.write(text)
 
     def wait(self, timeout_s: float) -> bytes:
@@ -145,8 +144,27 @@ class Terminal:
             self.ended = self.ended or signal.SIGHUP
         return typed
 
-    def drop_typed(self) -> None:
-        """Forget what was typed and not read yet."""
-        if self._keyboard:
-            with contextlib.suppress(termios.error):
-                termios.tcflush(IN, termios.TCIFLUSH)
+    def turns(self, period_s: float) -> Iterator[tuple[bytes, float | None]]:
+        """Until a signal asks to end: what was typed, and the time (monotonic, s) where it is time to draw again.
+        A signal to stop is for the caller to act on."""
+        next_s = time.monotonic()
+        while not self.ended:
+            typed = self.wait(next_s - time.monotonic())
+            now_s = time.monotonic()
+            due = now_s >= next_s
+            if due:
+                next_s = max(next_s + period_s, now_s + period_s / 2)
+            yield typed, now_s if due else None
+
+
+def difference(before: list[str] | None, rows: list[str]) -> str:
+    """What to write so that a screen that shows `before` (None: anything) shows these rows from its top; they must
+    fit."""
+    shown = before or []
+    parts = [CLEAR] if before is None else []
+    for number, row in enumerate(rows):
+        if number >= len(shown) or shown[number] != row:
+            parts.append(f"\x1b[{number + 1};1H{row}\x1b[K")
+    if len(rows) < len(shown):
+        parts.append(f"\x1b[{len(rows) + 1};1H\x1b[J")
+    return "".join(parts)
