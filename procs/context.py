@@ -11,15 +11,17 @@ import os
 
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import rights
+from failstop.procs.loop import Loop
 from failstop.procs.world import World
 from failstop.shm import layout, segment
 from failstop.shm.bell import EventBell
 from failstop.shm.futex import PER_BLOCK
-from failstop.shm.heartbeat import RUNNING, Heartbeat
+from failstop.shm.heartbeat import RUNNING, STOPPING, Heartbeat
+from failstop.shm.segment import Segment
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.shm.segment import Segment
+    from collections.abc import Callable
 
 
 class Context:
@@ -50,11 +52,16 @@ class Context:
         self.early = self.world.early_news(lifelines)
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, self.world.now_ns())
 
-    def runs(self) -> None:
-        """The end of the start-up: settle the memory, say that the process runs, and wake the supervisor for it."""
+    def run(self, turn: Callable[[dict[int, int]], bool | None], loop: Loop, longest_ns: int) -> None:
+        """The end of the start-up: settle the memory, say that the process runs, and wake the supervisor for it. Then
+        handle one wake-up after the other, until a turn is False."""
         rights.settle()
         self.heartbeat.state(RUNNING, self.world.now_ns())
         self.bell("supervisor_bell").ring()
+        ready: dict[int, int] = {}
+        while turn(ready) is not False:
+            ready = loop.wait(longest_ns)
+        self.heartbeat.state(STOPPING, self.world.now_ns())
 
     def fd(self, key: str) -> int:
         """An inherited descriptor; -1 when there is none, as with a port that is not open."""

@@ -15,8 +15,6 @@ _NUMBER = struct.Struct("<Q")
 class Control:
     """One end of a process's control socket."""
 
-    __slots__ = ("_socket", "fd")
-
     def __init__(self, fd: int) -> None:
         self.fd = fd
         self._socket = _socket.socket(_socket.AF_UNIX, _socket.SOCK_SEQPACKET, 0, fd)

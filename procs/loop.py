@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import select
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.world import World
+from failstop.procs.world import World
 
 READ = select.EPOLLIN
 WRITE = select.EPOLLOUT
@@ -57,8 +55,6 @@ class Timer:
 
 class Loop:
     """One process's set of descriptors, and its timers."""
-
-    __slots__ = ("_epoll", "_now_ns", "_poll", "_select", "_set", "_timers")
 
     def __init__(self, world: World) -> None:
         self._timers: list[Timer] = []

@@ -1,32 +1,72 @@
-"""Peer: another process of the service, under watch from the moment the supervisor names it until it has died."""
+"""Whom port owner and stopper watch: the supervisor, and each other process from when the supervisor names it."""
 
 from __future__ import annotations
 
+import os
+
+from failstop.board.stop_port import StopPort
 from failstop.policy import causes
 from failstop.policy.processes import BY_NAME
-from failstop.procs.loop import READ
-from failstop.shm import records
+from failstop.procs.context import Context
+from failstop.procs.handover import Control
+from failstop.procs.loop import READ, Loop
+from failstop.shm import layout, records
 from failstop.shm.heartbeat import HeartbeatReader
+from failstop.shm.lifeline import Lifeline
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from failstop.procs.context import Context
-    from failstop.procs.loop import Loop
-    from failstop.shm.lifeline import Lifeline
-
+BURST_AFTER_NS = (20_000_000, 100_000_000)
+"""After a stop the burst is repeated, in case the board lost the first."""
+LEAVE_AFTER_NS = 150_000_000
+"""How long the stop's writers outlive the supervisor: the burst and its two repeats."""
 _LINE = 1
 """In each process's block of futexes; line 0 is the supervisor's to wait on."""
+
+
+class Parent:
+    """The supervisor, and the ports that it hands down. Its death is the end of who watches it too, later."""
+
+    def __init__(self, context: Context, loop: Loop, line: int, port: StopPort | None = None) -> None:
+        """`line`: of the supervisor's futexes, to wait on; `port`: as a peer's."""
+        self.life = context.world.lifeline(context.parent)
+        self.control = Control(context.fd("control"))
+        self.orphaned_ns = 0
+        """When its death was noticed; 0: it lives."""
+        self._loop = loop
+        self._leave = loop.timer()
+        context.early.arm(self.life, layout.SUPERVISOR_BLOCK, line, port.early_stop if port else None)
+        for fd in (self.life.fd, self.control.fd):
+            loop.watch(fd, READ)
+
+    def died(self, ready: dict[int, int]) -> bool:
+        """True when this wake-up, or the early news before it, says that it has died; until that is answered."""
+        return not self.orphaned_ns and self.life.died(ready)
+
+    def drop(self, now_ns: int) -> None:
+        """Watch it no longer: the stop for it is written and repeated, then it is time to leave()."""
+        self.orphaned_ns = now_ns
+        self._leave.set(now_ns + LEAVE_AFTER_NS)
+        self._loop.forget(self.life.fd)
+        self._loop.forget(self.control.fd)
+
+    def leave(self, now_ns: int) -> bool:
+        """True when it is time to exit."""
+        return self._leave.due(now_ns)
+
+    def new_port(self, ready: dict[int, int], least: int) -> tuple[int, int, str] | None:
+        """A port that it has opened and stopped on: (descriptor, number, path). One with a number below `least` is
+        known, and was sent twice; None: no more wait."""
+        while self.control.fd in ready and (sent := self.control.receive()):
+            if sent[1] >= least:
+                return sent
+            os.close(sent[0])
+        return None
 
 
 class Peer:
     """`life` is None while there is none, or none whose death has not been answered."""
 
-    __slots__ = ("_early", "_lifeline", "_loop", "_named", "_priority", "_stop", "_word", "death", "heart", "life")
-
-    def __init__(self, name: str, context: Context, loop: Loop, stop: Callable[[], None]) -> None:
-        """`stop`: what the thread does that the early news of its death comes to."""
+    def __init__(self, name: str, context: Context, loop: Loop, port: StopPort) -> None:
+        """`port`: on which the thread stops that the early news of its death comes to."""
         self.death = causes.DIED(name)
         """The cause of a stop for it."""
         self.heart = HeartbeatReader(context.segment(name))
@@ -34,7 +74,7 @@ class Peer:
         self._word = context.segment("supervisor").word(f"{name}_life")
         self._lifeline = context.world.lifeline
         self._early = context.early
-        self._stop = stop
+        self._stop = port.early_stop
         self._priority = BY_NAME[name].priority
         self._loop = loop
         self._named = 0

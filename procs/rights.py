@@ -1,5 +1,5 @@
 """Rights: what a process asks of the kernel for itself - real-time scheduling, locked memory, death with its parent, an
-end at once when it crashes or loops."""
+end at once when it crashes or loops, open files."""
 
 from __future__ import annotations
 
@@ -27,6 +27,10 @@ NO_DUMP = 1
 """Bytes, in which no dump fits: while one is made the dying still hold what tells of their death. 0 would not do, since
 it is not heeded where a program takes the dumps (core(5)). SIGSEGV to stop frame, p50 of 5, such a program in
 core_pattern: 30 to 37 ms, without the dump 0.5 to 1.5."""
+
+DESCRIPTORS = 64
+"""What the supervisor has open at most: 47 with every process, segment and bell, 5 of a dead run's, 2 for each of 4
+savers, and those that a look at a file takes."""
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -91,3 +95,21 @@ def _limit(which: int, soft: int | None) -> None:
         soft = hard
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(which, (soft, hard))
+
+
+def take_descriptors() -> None:
+    """See to it that DESCRIPTORS can be open; the limit that a process may raise itself is raised. Raises OSError."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= DESCRIPTORS:
+        return
+    if hard != resource.RLIM_INFINITY and hard < DESCRIPTORS:
+        raise OSError(no_descriptors(hard))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (DESCRIPTORS, hard))
+
+
+def no_descriptors(most: int) -> str:
+    """What people are told where RLIMIT_NOFILE, `most`, is too low."""
+    return (
+        f"RLIMIT_NOFILE is {most}, and {DESCRIPTORS} open files are needed: raise it (`ulimit -n 1024`, or "
+        "LimitNOFILE= of a systemd unit)"
+    )

@@ -17,10 +17,8 @@ from __future__ import annotations
 
 from time import clock_gettime_ns
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.shm.bell import EventBell
-    from failstop.shm.heartbeat import HeartbeatReader
+from failstop.shm.bell import EventBell
+from failstop.shm.heartbeat import HeartbeatReader
 
 LONGEST_NS = 5_000_000_000
 """Who is silent for longer than this beyond its deadline is replaced, whatever the machine does."""

@@ -29,6 +29,32 @@ def gained_ns(
     return boot_ns - max(before_ns, now_ns())
 
 
+SLEPT_NS = 50_000_000
+"""Less than this is no sleep: the two clocks are read one after the other, and a process may be held up between."""
+
+
+class SuspendWatch:
+    """Notices that the machine slept, after which no frame and no command looks too old: CLOCK_MONOTONIC stood still.
+    Remembers how long it had slept when it was asked last."""
+
+    def __init__(self, read: Callable[[], int]) -> None:
+        """`read`: a World's gained_ns."""
+        self._read = read
+        # A reading that was held up is too small: the best of three.
+        self._gained_ns = max(read() for _ in range(3))
+
+    def slept_ns(self) -> int:
+        """The time slept since the last call, in ns; 0 when there was no sleep."""
+        now_ns = self._read()
+        slept_ns = now_ns - self._gained_ns
+        if slept_ns < SLEPT_NS:
+            # A reading that was held up is too small: the best one so far is the truth.
+            self._gained_ns = max(self._gained_ns, now_ns)
+            return 0
+        self._gained_ns = now_ns
+        return slept_ns
+
+
 def spawn(arguments: list[str], environ: Mapping[str, str], passed: Sequence[int] = ()) -> int:
     """Start a process that inherits the descriptors in `passed`; returns its pid. Raises OSError."""
     for fd in passed:
@@ -50,11 +76,6 @@ def reap(pid: int, options: int = os.WNOHANG) -> int | None:
 
 class World:
     """The real one, but for what is given."""
-
-    __slots__ = (
-        *("early_news", "epoll", "gained_ns", "kill", "lifeline", "now_ns", "reap", "select", "sleep", "spawn"),
-        *("starved", "unix_s", "unsent_bytes"),
-    )
 
     def __init__(
         self,

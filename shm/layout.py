@@ -182,7 +182,7 @@ SEGMENTS = (
             _ring("stops", 320, 32, "supervisor"),  # every stop cause that it noticed, in order (records)
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (notes.py)
             _latest("state", 4096, "telemetry, clients"),  # msgpack
-            _latest("said", 4096, "clients"),  # what clients say of themselves (msgpack, procs/gate/said.py)
+            _latest("said", 4096, "clients"),  # what clients say of themselves (msgpack, procs/gate/remarks.py)
             *(_latest(f"reply.{i}", 640, "the client of that slot") for i in range(CLIENT_SLOTS)),
             _ring("box", box.GATE_BYTES, box.GATE_CELLS, "everyone"),  # every tick's command and decision (box.py)
             _ring("arm_box", box.ARM_BYTES, box.ARM_CELLS, "everyone"),  # what the arm is to do, for whom (box.py)

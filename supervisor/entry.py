@@ -8,7 +8,7 @@ import os
 import signal
 
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
-from failstop.procs import limits, rights
+from failstop.procs import rights
 from failstop.procs.world import World
 from failstop.shm.instance import InstanceError
 from failstop.shm.segment import AttachError
@@ -35,7 +35,7 @@ def start(words: dict[str, str]) -> int:
     notify = Notify.taken_from(os.environ, os.getpid())
     journal = Outbox(SOCKET) if is_stderr(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:
-        limits.take_descriptors()
+        rights.take_descriptors()
         resources = Resources(words["name"], words["dir"])
     except (AttachError, InstanceError, OSError) as error:
         events = Events(world, words["name"], journal=journal)

@@ -14,7 +14,7 @@ ALIVE = "alive"
 DEAF = "deaf"
 
 ANSWER_NS = 20_000_000
-"""A ping as young as this may still be answered; a stop's ping and the next are further apart (pings.py)."""
+"""A ping as young as this may still be answered; a stop's ping and the next are further apart (schedule.py)."""
 
 
 class Link:

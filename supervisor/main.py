@@ -67,7 +67,7 @@ HELD_UP_NS = 250_000_000
 """And one that was silent for this long stops: nobody has watched."""
 HEAR_NS = 300_000_000
 """How long the end of the service waits for the board's answer to its stop; an answer takes a few milliseconds, and its
-ping may be 50 ms away (pings.py)."""
+ping may be 50 ms away (schedule.py)."""
 END_S = 2.0
 """How long the end of the service waits for each process that it has killed, before the last burst goes out."""
 

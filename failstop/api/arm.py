@@ -157,7 +157,7 @@ class Arm:
         return joints[name]
 
     def _check(self, angles: Mapping[str, float]) -> None:
-        if fault := too_far([self._joint(name) for name in angles], list(angles.values())):
+        if fault := too_far({self._joint(name): angle for name, angle in angles.items()}):
             raise Refused(fault)
 
 

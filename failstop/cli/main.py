@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 
 from failstop.cli import standard
@@ -11,67 +12,64 @@ if TYPE_CHECKING:
     from argparse import ArgumentParser
     from types import ModuleType
 
-COMMANDS = {
-    "run": ("cli.commands.run", "run the service in the foreground"),
-    "sim": ("lab.commands.sim", "a simulated board on a pty"),
-    "demo": ("lab.commands.demo", "simulated robot: a drive, every kill, and its measured stop"),
-    "status": ("cli.commands.status", "what the wheels do and why, processes, last stop; live with -w"),
-    "watch": ("cli.commands.watch", "the same as status --watch"),
-    "why": ("cli.commands.why", "what holds the wheels, since when, and what to do, in plain words"),
-    "events": ("cli.commands.events", "what happened: stops, deaths, requests"),
-    "incident": ("cli.commands.incident", "the black box: each stop as a story, a picture, MCAP"),
-    "teleop": ("cli.commands.teleop", "drive with the keyboard, holding keys"),
-    "enable": ("cli.commands.requests", "enable motion"),
-    "disable": ("cli.commands.requests", "disable motion: the wheels stop"),
-    "reset": ("cli.commands.requests", "clear a latched stop; enables nothing"),
-    "stop": ("cli.commands.stop", "stop now: by the running service, else on the port itself"),
-    "estop": ("cli.commands.stop", "the same as stop"),
-    "attend": ("cli.commands.attend", "be the operator without whom the robot does not move"),
-    "drive": ("cli.commands.drive", "drive for a while"),
-    "limit": ("cli.commands.limit", "a speed limit for every driver, in percent of the settings'"),
-    "arm": ("cli.commands.arm", "the arm: where it is, move, jog, poses, hold, release"),
-    "config": ("cli.commands.config", "every setting with its value and origin"),
-    "doctor": ("cli.commands.doctor", "what on this machine weakens the promises, and what helps"),
-    "prove": ("lab.commands.prove", "the stand test: every stop path timed on a real robot"),
-    "chaos": ("lab.commands.chaos", "random faults on a simulated board, judged by it"),
-    "install": ("cli.commands.install", "make it a service of this machine, whole or not at all"),
-    "uninstall": ("cli.commands.uninstall", "stop the service and take away what install put there"),
-    "ros2": ("cli.commands.ros2", "the bridge to ROS 2: its nodes drive through the service"),
-    "metrics": ("cli.commands.metrics", "the state as Prometheus reads it, once or over HTTP"),
-    "fleet": ("cli.commands.fleet", "all robots of a broker: see them, stop them, publish this one"),
-    "web": ("cli.commands.web", "the operator's page: STOP, why, and what happened, on a phone"),
-    "completion": ("cli.commands.completion", "the script that completes commands in a shell"),
+GROUPS = {
+    "drive": {
+        "enable": ("cli.commands.requests", "enable motion"),
+        "disable": ("cli.commands.requests", "disable motion: the wheels stop"),
+        "drive": ("cli.commands.requests", "drive for a while"),
+        "teleop": ("cli.commands.teleop", "drive with the keyboard, holding keys"),
+        "attend": ("cli.commands.attend", "be the operator without whom the robot does not move"),
+        "stop": ("cli.commands.stop", "stop now: by the running service, else on the port itself"),
+        "estop": ("cli.commands.stop", "the same as stop"),
+        "reset": ("cli.commands.requests", "clear a latched stop; enables nothing"),
+        "limit": ("cli.commands.requests", "a speed limit for every driver, in percent of the settings'"),
+        "arm": ("cli.commands.arm", "the arm: where it is, move, jog, poses, hold, release"),
+    },
+    "look": {
+        "status": ("cli.commands.status", "what the wheels do and why, processes, last stop; live with -w"),
+        "watch": ("cli.commands.watch", "the same as status --watch"),
+        "why": ("cli.commands.why", "what holds the wheels, since when, and what to do, in plain words"),
+        "events": ("cli.commands.events", "what happened: stops, deaths, requests"),
+        "incident": ("cli.commands.incident", "the black box: each stop as a story, a picture, MCAP"),
+        "metrics": ("cli.commands.metrics", "the state as Prometheus reads it, once or over HTTP"),
+        "fleet": ("cli.commands.fleet", "all robots of a broker: see them, stop them, publish this one"),
+    },
+    "check": {
+        "demo": ("lab.commands.demo", "simulated robot: a drive, every kill, and its measured stop"),
+        "doctor": ("cli.commands.doctor", "what on this machine weakens the promises, and what helps"),
+        "prove": ("lab.commands.prove", "the stand test: every stop path timed on a real robot"),
+        "chaos": ("lab.commands.chaos", "random faults on a simulated board, judged by it"),
+        "config": ("cli.commands.config", "every setting with its value and origin"),
+    },
+    "service": {
+        "run": ("cli.commands.run", "run the service in the foreground"),
+        "sim": ("lab.commands.sim", "a simulated board on a pty"),
+        "web": ("cli.commands.web", "the operator's page: STOP, why, and what happened, on a phone"),
+        "ros2": ("cli.commands.ros2", "the bridge to ROS 2: its nodes drive through the service"),
+        "install": ("cli.commands.install", "make it a service of this machine, whole or not at all"),
+        "uninstall": ("cli.commands.uninstall", "stop the service and take away what install put there"),
+        "completion": ("cli.commands.completion", "the script that completes commands in a shell"),
+    },
 }
-
-GROUPS = (
-    ("drive", ("enable", "disable", "drive", "teleop", "attend", "stop", "estop", "reset", "limit", "arm")),
-    ("look", ("status", "watch", "why", "events", "incident", "metrics", "fleet")),
-    ("check", ("demo", "doctor", "prove", "chaos", "config")),
-    ("service", ("run", "sim", "web", "ros2", "install", "uninstall", "completion")),
-)
-"""What `failstop --help` shows together; a command that is in none is shown at the end."""
+"""What `failstop --help` shows together: each command with its module and what it is for."""
+COMMANDS = {name: row for rows in GROUPS.values() for name, row in rows.items()}
 HIDDEN = frozenset(("watch", "estop", "chaos"))
 """What it leaves out: second names, and what is for those who change failstop."""
 
+EXAMPLES = "examples:"
+"""The first line below a command's options."""
 DESCRIPTION = """The layer that makes a robot stop.
 Whatever dies or hangs, the wheels are told to stop.
 Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name, 128 and
 the signal's number when a signal ended it (130: Ctrl-C; run and sim: 0)."""
 
 
-def groups() -> list[tuple[str, list[str]]]:
-    """The commands by purpose, each command once."""
-    found = [(title, [name for name in names if name in COMMANDS]) for title, names in GROUPS]
-    grouped = {name for _, names in found for name in names}
-    return [*found, ("other", [name for name in COMMANDS if name not in grouped])]
-
-
 def _usage() -> str:
     width = max(map(len, COMMANDS))
     parts = ["usage: failstop COMMAND [OPTION ...]", DESCRIPTION]
-    for title, names in groups():
-        if shown := [name for name in names if name not in HIDDEN]:
-            parts.append("\n".join([f"{title}:", *(f"  {name:<{width}}  {COMMANDS[name][1]}" for name in shown)]))
+    for title, rows in GROUPS.items():
+        shown = (f"  {name:<{width}}  {what}" for name, (_, what) in rows.items() if name not in HIDDEN)
+        parts.append("\n".join([f"{title}:", *shown]))
     parts.append("`failstop COMMAND --help` says more, with examples; so does `man failstop`.")
     return "\n\n".join(parts) + "\n"
 
@@ -80,17 +78,16 @@ def main(argv: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     standard.fill()
     standard.watch()
+    code = 0
     try:
         code = _main(sys.argv[1:] if argv is None else argv)
-    except OSError:
-        if (lost := standard.lost()) is None:
-            raise
-        code = 1
-    else:
-        lost = standard.lost()
-    if lost and not isinstance(lost, BrokenPipeError):
-        standard.say(f"standard output takes no more ({lost.strerror}): what is missing there was not written")
-    return code or int(lost is not None)
+        sys.stdout.flush()
+    except standard.Lost as lost:
+        standard.let_go()
+        code = code or 1
+        if lost.errno != errno.EPIPE:
+            standard.say(f"standard output takes no more ({lost.strerror}): what is missing there was not written")
+    return code
 
 
 def _main(words: list[str]) -> int:
@@ -132,8 +129,6 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     is shown at the end of its help. Raises FailstopError when the command is not installed."""
     import argparse
 
-    from failstop.cli.shape import EXAMPLES, Shape
-
     home, what = COMMANDS[name]
     if not here(name):
         from failstop.api.errors import FailstopError
@@ -143,11 +138,10 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     parser = argparse.ArgumentParser(
         prog=f"failstop {name}",
         description=what[0].upper() + what[1:] + ".",
-        formatter_class=Shape,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     module.add_arguments(parser)
-    if parser.epilog is None and (shown := examples(module, name)):
-        parser.epilog = EXAMPLES + "\n".join(f"  {line}" for line in shown)
+    parser.epilog = "\n".join([EXAMPLES, *(f"  {line}" for line in examples(module, name))])
     return parser, module
 
 
@@ -171,12 +165,8 @@ def _run(name: str, words: list[str]) -> int:
         code: int = module.main(arguments)
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:
-        return 1
     except Exception as error:
-        from failstop.descriptors import lack
-
-        if lacking := lack(error):
+        if lacking := _lack(error):
             standard.say(lacking)
             return 1
         if not _expected(error):
@@ -184,6 +174,20 @@ def _run(name: str, words: list[str]) -> int:
         standard.say(str(error))
         return getattr(error, "exit_code", 1)
     return code
+
+
+def _lack(error: BaseException | None) -> str:
+    """What people are told of an error that came of too many open files, whatever was made of it on its way; of another
+    one an empty text."""
+    import resource
+
+    from failstop.procs.rights import no_descriptors
+
+    while error is not None:
+        if isinstance(error, OSError) and error.errno == errno.EMFILE:
+            return no_descriptors(resource.getrlimit(resource.RLIMIT_NOFILE)[0])
+        error = error.__cause__ or error.__context__
+    return ""
 
 
 def _expected(error: Exception) -> bool:

@@ -47,13 +47,27 @@ def tell(text: str) -> None:
         sys.stdout.write(fitted(text, 1, 2) + "\n")
         sys.stdout.flush()
     except (OSError, ValueError):
-        lost()
+        let_go()
         say(text)
 
 
+class Lost(OSError):
+    """Standard output takes no more. In the midst of a command it would look like an error of anything else."""
+
+
+class Output(FileIO):
+    """Descriptor 1, whose errors are Lost."""
+
+    def write(self, data: Any, /) -> Any:
+        """As it does. Raises Lost."""
+        try:
+            return super().write(data)
+        except OSError as error:
+            raise Lost(error.errno, error.strerror) from None
+
+
 def watch() -> None:
-    """Have stdout remember that something could not be written: in the midst of a command that looks like an error of
-    anything else."""
+    """From here on stdout is an Output, if it is descriptor 1."""
     buffer = getattr(sys.stdout, "buffer", None)
     raw = getattr(buffer, "raw", buffer)  # python -u has no buffer between
     if type(raw) is FileIO and raw.fileno() == 1:
@@ -65,31 +79,9 @@ def watch() -> None:
         )
 
 
-class Output(FileIO):
-    """Descriptor 1, and the first error in writing to it."""
-
-    error: OSError | None = None
-
-    def write(self, data: Any, /) -> Any:
-        """As it does; the error is kept."""
-        try:
-            return super().write(data)
-        except OSError as error:
-            self.error = self.error or error
-            raise
-
-
-def lost() -> OSError | None:
-    """Write what stdout still holds; returns why something could not be written since it was watched. It is let go
-    then: the interpreter would try again at its end, and tell of it in its own words."""
-    with contextlib.suppress(OSError):
-        sys.stdout.flush()
-    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
-    if not isinstance(raw, Output) or not raw.error:
-        return None
-    error, raw.error = raw.error, None
+def let_go() -> None:
+    """What stdout still holds goes nowhere; else the interpreter would try again at its end, and tell of it itself."""
     with contextlib.suppress(OSError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)
         os.close(nowhere)
-    return error

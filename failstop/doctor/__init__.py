@@ -1,1 +1,1 @@
-"""Doctor: whether this machine and this board let failstop do what it promises. Facts are gathered, then judged."""
+"""Doctor: whether this machine and this board let failstop do what it promises. Each check looks, and judges."""

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 
 from failstop.api import words
-from failstop.doctor.finding import Finding, fail, ok, skip, warn
-from failstop.doctor.leftovers import Leftover
+from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import SHM
-from failstop.shm import layout
+from failstop.shm import layout, segment
 from failstop.supervisor import grant
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.doctor.look import Look
-    from failstop.doctor.ticks import Ticks
 
 CAP_IPC_LOCK = 14
 CAP_SYS_NICE = 23
-GOOD_SOURCES = ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page", "xen")
 SLOW_GOVERNORS = ("powersave", "conservative", "ondemand")
 SLOW_WAKE_US = 500
 """A processor that sleeps deeper adds more than half of the millisecond in which a stop is to be written."""
@@ -27,9 +21,7 @@ LATE_US = 5_000.0
 """A tick later than this shows in the stop times."""
 ENOUGH_BYTES = 1 << 30
 """Of memory that may be locked: far more than the service's processes map."""
-STEP_S = 0.5
 MICRO = 1e6
-CLOCKS = "/sys/devices/system/clocksource/clocksource0"
 PROCESSORS = "/sys/devices/system/cpu"
 RUNTIME = "/proc/sys/kernel/sched_rt_runtime_us"
 """Of each second, what real-time processes may use; -1: no limit."""
@@ -38,12 +30,6 @@ REALTIME = ("rtprio 40", "LimitRTPRIO=40")
 LOCKED = ("memlock unlimited", "LimitMEMLOCK=infinity")
 """A limit as /etc/security has it, and as a unit has it."""
 STARVED = "look at what else has real-time priority (`ps -eo pid,rtprio,comm`), and at the host of a virtual machine"
-SHOWN = 3
-SET_CLOCK = {
-    True: ("sudo timedatectl set-ntp true", ""),
-    False: ("", "start an NTP client (chrony, ntpd); in a container the host's clock counts"),
-}
-"""By whether systemd runs."""
 
 
 def realtime(look: Look) -> list[Finding]:
@@ -53,21 +39,20 @@ def realtime(look: Look) -> list[Finding]:
         without = [name for name, row in look.state.processes.items() if not row.realtime]
         starved = words.starved(look.state.starved)
         if without:
-            text = (
-                f"the service runs without real-time priority ({', '.join(without)}): a busy machine delays its stops"
-            )
-            return warn(f"{starved}; {text}" if starved else text, *_limit(look, *REALTIME))
+            told = f"{starved}; " if starved else ""
+            text = f"{told}the service runs without real-time priority ({', '.join(without)})"
+            return warn(f"{text}: a busy machine delays its stops", *_limit(look, *REALTIME))
         if starved:
             return warn(f"{starved}, in spite of real-time priority", "", STARVED)
         return ok("every process of the service has real-time priority")
-    if system.number(RUNTIME) == 0:
+    if system.read(RUNTIME) == "0":
         return fail("real-time processes get no time at all", "sudo sysctl kernel.sched_rt_runtime_us=950000")
-    if system.realtime():
-        return ok("this user gets real-time priority")
+    with system.realtime() as granted:
+        if granted:
+            return ok("this user gets real-time priority")
     if system.capable(CAP_SYS_NICE) or system.limit(resource.RLIMIT_RTPRIO):
-        return warn(
-            "real-time priority is refused in spite of limit or capability: a container?", "", "run it on the host"
-        )
+        text = "real-time priority is refused in spite of limit or capability: a container?"
+        return warn(text, "", "run it on the host")
     text = "this user gets no real-time priority: a service run by hand delays its stops on a busy machine"
     return warn(text, *_limit(look, *REALTIME))
 
@@ -75,10 +60,8 @@ def realtime(look: Look) -> list[Finding]:
 def _limit(look: Look, limit: str, unit_line: str) -> tuple[str, str]:
     """The command that raises a limit, and what is to be done besides."""
     if look.service and look.unit.get("MainPID") == str(look.service.pid):
-        return (
-            "",
-            f"its unit should say {unit_line}, as the one of failstop install does; in a container the host decides",
-        )
+        text = f"its unit should say {unit_line}, as the one of failstop install does"
+        return "", f"{text}; in a container the host decides"
     if look.system.in_container():
         return "", grant.CONTAINER
     who = (look.service.user if look.service else "") or look.user.name
@@ -109,45 +92,12 @@ def early_news(look: Look) -> list[Finding]:
     return warn(text, "", "run the service on the host's own kernel: gVisor and qemu's user mode are such kernels")
 
 
-def clock(look: Look) -> list[Finding]:
-    """The clock that every deadline goes by."""
-    source, resolution_ns = look.system.read(f"{CLOCKS}/current_clocksource"), look.system.resolution_ns()
-    if back_ns := look.system.backward_ns():
-        text = f"CLOCK_MONOTONIC went back by {back_ns} ns (clocksource {source})"
-        return fail(text, "", "add clocksource=hpet to the kernel's command line, and report the machine")
-    if resolution_ns > 1000:
-        text = f"CLOCK_MONOTONIC has steps of {resolution_ns} ns"
-        return fail(text, "", "use a kernel with high-resolution timers")
-    if source in GOOD_SOURCES:
-        return ok(f"monotonic, clocksource {source}, {resolution_ns} ns")
-    available = (look.system.read(f"{CLOCKS}/available_clocksource") or "").split()
-    text = f"clocksource {source}: reading it is slow"
-    if better := next((name for name in GOOD_SOURCES if name in available), None):
-        return warn(text, "", f"add clocksource={better} to the kernel's command line")
-    return warn(text, "sudo dmesg | grep -i clocksource", "the kernel's log says why")
-
-
-def wall_clock(look: Look) -> list[Finding]:
-    """Only what people read goes by it."""
-    harmless = "no stop goes by it, but the times in journal and evidence would jump"
-    if (found := look.system.wall_clock()) is None:
-        return skip("the kernel does not say whether the wall clock is synchronized; no stop goes by it")
-    synchronized, offset_s = found
-    if not synchronized:
-        return warn(f"the wall clock is not synchronized and may be stepped: {harmless}", *SET_CLOCK[look.systemd])
-    if abs(offset_s) >= STEP_S:
-        text = f"the wall clock is off by {offset_s:.1f} s and may be stepped: {harmless}"
-        return warn(text, "sudo chronyc makestep", "if chrony keeps it; else have the NTP client step it")
-    return ok("the wall clock is synchronized")
-
-
 def shared_memory(look: Look) -> list[Finding]:
     """/dev/shm can hold the segments."""
-    needed, free = sum(spec.size for spec in layout.SEGMENTS), look.system.free(SHM)
+    needed, free = sum(spec.size for spec in layout.SEGMENTS), look.system.room(SHM)
     if free is None:
-        return fail("no /dev/shm: there is no shared memory", "sudo mount -t tmpfs -o mode=1777 tmpfs /dev/shm")
-    if not look.system.writable(SHM):
-        return fail("this user may not write /dev/shm", "sudo chmod 1777 /dev/shm")
+        fix = "sudo mount -t tmpfs -o mode=1777 tmpfs /dev/shm"
+        return fail("no /dev/shm that this user may write: there is no shared memory", fix)
     if free < needed and look.service is None:
         text = f"/dev/shm has {free // 1024} KiB free, the service needs {needed // 1024}"
         return fail(text, "ls -lS /dev/shm | head", "remove what fills it; or: sudo mount -o remount,size=75% /dev/shm")
@@ -155,60 +105,41 @@ def shared_memory(look: Look) -> list[Finding]:
 
 
 def left(look: Look) -> list[Finding]:
-    """What dead runs left behind."""
-    found, _ = look.runs
-    own = [run for run in found if run.instance == look.name]
-    if blocking := [run for run in own if not run.ours]:
-        text = f"shared memory of a dead run of {look.name!r} belongs to {blocking[0].owner}: no start until it is gone"
-        return fail(text, "sudo failstop doctor --remove-leftovers")
-    told = []
-    for run in own:
-        text = f"the last run of {run.instance!r} was killed and left {run.size // 1024} KiB of shared memory"
-        told += ok(f"{text}; the next start keeps what it recorded as an incident, and removes it")
-    if others := [run for run in found if run.instance != look.name]:
-        told += _others(others, look)
-    return told or ok("no shared memory of dead runs")
-
-
-def _others(found: list[Leftover], look: Look) -> list[Finding]:
-    size = sum(run.size for run in found) // 1024
-    names = sorted(run.instance for run in found)
-    shown = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
-    who = "sudo " if any(run.owner != look.user.name for run in found) else ""
-    return warn(
-        f"shared memory of dead runs of other names: {shown} ({size} KiB)",
-        f"{who}failstop doctor --remove-leftovers",
-        "what they recorded of their end goes with it; a new start of one keeps that",
-    )
+    """What a dead run of this name left behind."""
+    segments = re.compile(rf"failstop\.({look.name}\.[0-9a-f]+)\..+")
+    server, found = look.service_user or look.user, []
+    for file in look.system.names(SHM):
+        if (of := segments.fullmatch(file)) and not segment.living(of[1], look.system.path(SHM)):
+            found.append(of[1])
+            owner = look.system.owner(f"{SHM}/{file}")
+            # The sticky bit: only the owner or root removes a name.
+            if server.uid and owner != server.name:
+                text = f"shared memory of a dead run of {look.name!r} belongs to {owner}: no start until it is gone"
+                return fail(text, f"sudo rm {SHM}/failstop.{of[1]}.*")
+    kept = "the last run was killed; the next start keeps what it recorded as an incident"
+    return ok(kept if found else "no shared memory of dead runs")
 
 
 def processor(look: Look) -> list[Finding]:
     """Frequency scaling."""
-    cores = _cores(look)
-    count = f"{len(cores) or os.cpu_count() or 1} cores"
-    governors = sorted({text for core in cores if (text := look.system.read(f"{core}/cpufreq/scaling_governor"))})
+    files = [f"{PROCESSORS}/{core}/cpufreq/scaling_governor" for core in look.system.names(PROCESSORS)]
+    governors = sorted({governor for path in files if (governor := look.system.read(path))})
     if not governors:
-        return ok(f"{count}, frequency is not scaled here")
+        return ok(f"{os.cpu_count()} cores, frequency is not scaled here")
     if slow := [governor for governor in governors if governor in SLOW_GOVERNORS]:
         fix = f"echo performance | sudo tee {PROCESSORS}/cpu*/cpufreq/scaling_governor"
         text = f"CPU governor {', '.join(slow)}: the first milliseconds after a wake-up run slowly"
         return warn(text, fix, "until the next boot; cpupower's service keeps it")
-    return ok(f"{count}, governor {', '.join(governors)}")
-
-
-def _cores(look: Look) -> list[str]:
-    names = look.system.names(PROCESSORS)
-    return [f"{PROCESSORS}/{name}" for name in names if name[:3] == "cpu" and name[3:].isdigit()]
+    return ok(f"{os.cpu_count()} cores, governor {', '.join(governors)}")
 
 
 def idle(look: Look) -> list[Finding]:
     """Sleep states: what waking from the slowest takes that is in use."""
-    system = look.system
-    states = [f"{core}/cpuidle/{name}" for core in _cores(look)[:1] for name in system.names(f"{core}/cpuidle")]
-    used = [path for path in states if "/state" in path and not system.number(f"{path}/disable")]
+    system, folder = look.system, f"{PROCESSORS}/cpu0/cpuidle"
+    used = [f"{folder}/{name}" for name in system.names(folder) if system.read(f"{folder}/{name}/disable") != "1"]
     if not used:
         return ok("no sleep states of the processor are managed here")
-    exit_us, path = max((system.number(f"{path}/latency") or 0, path) for path in used)
+    exit_us, path = max((int(system.read(f"{path}/latency") or 0), path) for path in used)
     name = system.read(f"{path}/name") or os.path.basename(path)
     if exit_us > SLOW_WAKE_US:
         return warn(f"idle state {name} takes {exit_us} us to wake from", f"sudo cpupower idle-set -D {SLOW_WAKE_US}")
@@ -217,26 +148,27 @@ def idle(look: Look) -> list[Finding]:
 
 def ticks(look: Look) -> list[Finding]:
     """How late a process is woken: what the lease can bear, and what is good."""
-    if not look.ticks:
+    if look.quick:
         return skip("not measured (--quick)", look.again())
-    found = [finding for row in look.ticks for finding in _ticks(row, look)]
-    if not any(row.realtime for row in look.ticks):
-        found += skip("real-time priority could not be measured: this user does not get it")
-    return found
+    found = []
+    for realtime, late_ns in look.system.ticks():
+        found += _judged(realtime, late_ns, look)
+    return found if len(found) > 1 else found + skip("real-time priority could not be measured: this user gets none")
 
 
-def _ticks(row: Ticks, look: Look) -> list[Finding]:
-    what = "with real-time priority" if row.realtime else "at ordinary priority"
-    numbers = f"median {row.median_us:.0f} us, 99 % {row.p99_us:.0f} us, worst {row.worst_us:.0f} us of {row.times}"
-    text = f"woken late {what}: {numbers}"
+def _judged(realtime: bool, late_ns: list[int], look: Look) -> list[Finding]:
+    in_order, last = sorted(late_ns), len(late_ns) - 1
+    median_us, p99_us, worst_us = (in_order[round(last * share)] / 1000 for share in (0.5, 0.99, 1.0))
+    numbers = f"median {median_us:.0f} us, 99 % {p99_us:.0f} us, worst {worst_us:.0f} us of {len(late_ns)}"
+    text = f"woken late {'with real-time priority' if realtime else 'at ordinary priority'}: {numbers}"
     _, found, _ = look.settings
     spare_us = (found["gate.lease_s"] - found["gate.period_s"]) * MICRO
-    if row.worst_us >= spare_us:
+    if worst_us >= spare_us:
         text += f"; {spare_us / 1000:.0f} ms and the lease runs out: stops without a cause"
-        if row.realtime:
+        if realtime:
             advice = "find what holds the cores up: a virtual machine, firmware, a runaway real-time program"
             return fail(text, "top -H", advice)
         return warn(text, "", "give the service real-time priority: see realtime")
-    if row.realtime and row.worst_us >= LATE_US:
+    if realtime and worst_us >= LATE_US:
         return warn(text, look.again(), "once more on a quiet machine; then a kernel with PREEMPT_RT")
     return ok(text)

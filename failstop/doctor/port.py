@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 
 from failstop import discovery
-from failstop.doctor.device import BOARD_USB, Holder, Node
-from failstop.doctor.finding import Finding, fail, ok, skip, warn
-from failstop.doctor.system import System, User
+from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
+from failstop.doctor.system import Node, User
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.doctor.look import Look
-
+BOARD_USB = f"{discovery.BOARD_VID:04x}:{discovery.BOARD_PID:04x}"
 RULE = ("sudo failstop install", "it brings a rule for udev that sees to it")
 SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")
 UNKNOWN = "n/a"
@@ -24,19 +21,16 @@ GONE = re.compile(r"(/dev/tty(?:ACM|USB)\d+) \(deleted\)")
 def present(look: Look) -> list[Finding]:
     """The device's file is there."""
     node, (device, origin) = look.node, look.device
+    if node is None and os.path.exists(device):
+        return fail(f"{device} is no serial port", *SERIAL_BY_NAME)
     if node is None:
         candidates = [(path, what) for path, what in discovery.candidates() if what != UNKNOWN]
-        there = ", ".join(f"{path} ({what})" for path, what in candidates)
-        text = f"no device {device} ({origin}); "
-        if boards := [path for path, what in candidates if BOARD_USB in what]:
-            fix = f"failstop doctor --device {boards[0]}"
-            return fail(f"{text}here there is {there}", fix, f"then set device.path to {boards[0]}")
-        advice = "plug the board in, and see whether the kernel saw it come"
-        text += f"here there is {there}" if there else "there is no USB serial device at all"
-        return fail(text, "sudo dmesg | tail", advice)
-    if not node.character:
-        return fail(f"{device} is no serial port", *SERIAL_BY_NAME)
-    if node.link and not look.named:
+        there = "here there is " + ", ".join(f"{path} ({what})" for path, what in candidates)
+        text = f"no device {device} ({origin}); {there if candidates else 'there is no USB serial device at all'}"
+        if board := next((path for path, what in candidates if BOARD_USB in what), None):
+            return fail(text, f"failstop doctor --device {board}", f"then set device.path to {board}")
+        return fail(text, "sudo dmesg | tail", "plug the board in, and see whether the kernel saw it come")
+    if node.link and not look.device_path:
         text = f"{device} ({origin}) is the board now; after a replug that number may be another's"
         advice = f"set device.path to {node.link}, which is the same board and stays it, and restart the service"
         return warn(text, "", advice)
@@ -47,13 +41,13 @@ def present(look: Look) -> list[Finding]:
 def identity(look: Look) -> list[Finding]:
     """The board is behind it."""
     node = look.node
-    if node is None or not node.character:
+    if node is None:
         return []
     if node.pseudo:
         return ok("a pseudo-terminal: a simulated board, or a program between the board and failstop")
-    if node.usb_id is None:
+    if not node.usb_id:
         text = f"{node.path} is no USB device; the board's port is one of {BOARD_USB}"
-        if look.named:
+        if look.device_path:
             return skip(text, "", "the stop path says whether the board is behind it")
         return warn(text, f"failstop doctor --device {node.path}", "if it is the board: naming it allows the test")
     if node.usb_id != BOARD_USB:
@@ -71,14 +65,12 @@ def may_open(node: Node, user: User) -> bool:
 def permission(look: Look) -> list[Finding]:
     """This user and the service's may open it."""
     node, who = look.node, look.service_user
-    if node is None or not node.character:
+    if node is None:
         return []
     found = []
     whose = f"{node.path} is of the group {node.group}, mode {node.mode:04o}"
     if who and may_open(node, who):
         found = ok(f"the service's user {who.name} may open it")
-    elif who and node.acl:
-        found = warn(f"the mode keeps the service's user {who.name} out; the ACL may not", f"getfacl {node.path}")
     elif who:
         remedy = _let_in(node, who, "restart the service")
         found = fail(f"the service's user {who.name} may not open it: {whose}", *remedy)
@@ -101,46 +93,36 @@ def _let_in(node: Node, who: User, then: str) -> tuple[str, str]:
 
 def held(look: Look) -> list[Finding]:
     """Nobody but the service has it open."""
-    found = [row for pid, paths in look.system.open_files() for row in _unplugged(pid, paths or set(), look.system)]
+    found = []
+    for pid, paths in look.system.open_files():
+        for gone in filter(None, map(GONE.fullmatch, sorted(paths or ()))):
+            holder = look.system.holder(pid)
+            what = "open from before an unplug: the board comes back by another number"
+            found += warn(f"{holder} has {gone[1]} {what}", holder.end())
     if look.node is None:
         return found
     holders, unseen = look.holders
-    for name in dict.fromkeys(holder.instance for holder in holders if holder.instance and not holder.ours):
+    ours = {row.pid for row in look.state.processes.values()} if look.state else set()
+    others = [holder for holder in holders if holder.pid not in ours]
+    for name in dict.fromkeys(holder.instance for holder in others if holder.instance):
         text = f"the service {name!r} has the port open, and two services can't share a board"
         found += fail(text, f"failstop doctor --name {name}", "this one may be meant; or end it")
-    for holder in holders:
-        if not (holder.ours or holder.instance):
-            text = f"{_who(holder)} has the port open: what it writes goes past every check of failstop"
-            found += fail(text, _end(holder))
+    for holder in others:
+        if not holder.instance:
+            text = f"{holder} has the port open: what it writes goes past every check of failstop"
+            found += fail(text, holder.end())
     if found:
         return found
     if unseen:
         text = f"nobody else is seen with it, but {unseen} processes hide their files from this user"
         return warn(text, f"sudo {look.again()}", "root sees them")
-    ours = sum(holder.ours for holder in holders)
-    return ok(f"only the service has it open ({ours} processes)" if ours else "nobody has it open")
-
-
-def _unplugged(pid: int, paths: set[str], system: System) -> list[Finding]:
-    """A serial device that this process has open and an unplug has removed."""
-    gone = [match[1] for match in map(GONE.fullmatch, sorted(paths)) if match]
-    holder = Holder(pid, system.comm(pid), system.unit(pid)) if gone else None
-    what = "open from before an unplug: the board comes back by another number"
-    return [row for path in gone if holder for row in warn(f"{_who(holder)} has {path} {what}", _end(holder))]
-
-
-def _who(holder: Holder) -> str:
-    return f"{holder.name} (pid {holder.pid}{f', {holder.unit}' if holder.unit else ''})"
-
-
-def _end(holder: Holder) -> str:
-    return f"sudo systemctl stop {holder.unit}" if holder.unit else f"sudo kill {holder.pid}"
+    return ok(f"only the service has it open ({len(holders)} processes)" if holders else "nobody has it open")
 
 
 def grabbers(look: Look) -> list[Finding]:
     """No program that opens serial ports by itself is near."""
     found = []
-    names = {look.system.comm(pid) for pid in look.system.pids()}
+    names = {look.system.holder(pid).name for pid in look.system.pids()}
     left_alone = look.node and (look.node.modem_ignored or look.node.pseudo)
     if "ModemManager" in names and not left_alone:
         text = "ModemManager runs and is not told to leave the port alone: it opens it and writes to the board"

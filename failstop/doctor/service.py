@@ -5,22 +5,16 @@ from __future__ import annotations
 import shlex
 
 from failstop.api import words
-from failstop.doctor.finding import Finding, fail, ok, skip, warn
+from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import SHM, System
 from failstop.install.layout import unit_of
 from failstop.ros2 import transport
 from failstop.shm.instance import option
 from failstop.version import VERSION
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.doctor.look import Look
-
 FIRST_REGULAR_UID = 1000
 """logind spares system users (below this, as Debian and Ubuntu count)."""
 LOGIND = "/etc/systemd/logind.conf.d"
-LOGIND_FOLDERS = ("/etc", "/run", "/usr/local/lib", "/usr/lib", "/lib")
-SHOWN = 3
 BRIDGE = "ros2"
 """Its name among the clients."""
 FAST_DDS = "fastrtps_"
@@ -59,8 +53,8 @@ def running(look: Look) -> list[Finding]:
 
 def _not_running(look: Look) -> list[Finding]:
     text = f"no service named {look.name!r} runs: nothing drives, and nothing would stop wheels that turn"
-    if others := [name for name in look.runs[1] if name != look.name]:
-        text += f" (there is {', '.join(others[:SHOWN])}{' and more' if len(others) > SHOWN else ''})"
+    if look.others:
+        text += f" (there is {', '.join(look.others)})"
     name = unit_of(look.name)
     if look.installed:
         if (active := look.unit["ActiveState"]) == "inactive":
@@ -109,11 +103,11 @@ def bridge(look: Look) -> list[Finding]:
 
 def version(look: Look) -> list[Finding]:
     """Service and client speak the same layout."""
-    service, unit = look.service, look.unit
+    service = look.service
     if service is None:
         return ok(f"this is failstop {VERSION}")
     restart = (f"sudo kill {service.pid}", "it stops the wheels; then start it again")
-    if unit.get("ActiveState") == "active":
+    if look.unit.get("ActiveState") == "active":
         restart = (f"sudo systemctl restart {unit_of(look.name)}", "it stops the wheels")
     if service.problem:
         return fail(service.problem, *restart)
@@ -127,26 +121,25 @@ def unit(look: Look) -> list[Finding]:
     """Its systemd unit."""
     if not look.systemd:
         return skip("systemd does not run here: nobody starts the service at boot or after a death")
-    name = unit_of(look.name)
-    if not look.unit:
+    name, found = unit_of(look.name), look.unit
+    if not found:
         return warn("systemd does not answer this user", f"sudo {look.again()}")
-    load, active, sub, result = (look.unit.get(key, "") for key in ("LoadState", "ActiveState", "SubState", "Result"))
-    restarts, pid = (look.unit.get(key) or "0" for key in ("NRestarts", "MainPID"))
+    load, active, sub, result = (found.get(key, "") for key in ("LoadState", "ActiveState", "SubState", "Result"))
     if load == "not-found":
         return warn(f"no unit {name}: nobody starts the service at boot or after a death", "sudo failstop install")
     if load != "loaded":
         return fail(f"{name} is {load}", f"systemd-analyze verify {name}")
     if active == "failed" or result not in ("", "success"):
         return fail(f"{name} is {active} (result: {result})", f"journalctl -xeu {name}")
-    if restarts != "0":
+    if (restarts := found.get("NRestarts") or "0") != "0":
         text = f"{name} is {active} ({sub}), and systemd has restarted it {restarts} times"
         return (warn if active == "active" else fail)(text, f"journalctl -xeu {name}")
-    if look.unit.get("NeedDaemonReload") == "yes":
+    if found.get("NeedDaemonReload") == "yes":
         return warn(f"{name} has changed on disk since systemd read it", "sudo systemctl daemon-reload")
-    if look.service and active == "active" and pid != str(look.service.pid):
+    if look.service and active == "active" and (pid := found.get("MainPID") or "0") != str(look.service.pid):
         text = f"{look.name!r} runs as pid {look.service.pid}, which is not of {name} (pid {pid})"
         return warn(text, f"failstop status --name {look.name}")
-    if look.unit.get("UnitFileState") not in ("enabled", "enabled-runtime", "static"):
+    if found.get("UnitFileState") not in ("enabled", "enabled-runtime", "static"):
         return warn(f"{name} is {active} and not started at boot", f"sudo systemctl enable {name}")
     return ok(f"{name} is {active} ({sub}), started at boot")
 
@@ -166,18 +159,14 @@ def remove_ipc(look: Look) -> list[Finding]:
 
 
 def logind_removes(system: System) -> tuple[bool, str]:
-    """RemoveIPC and the file that says so, as logind reads its files: the first logind.conf there is, then the drop-ins
-    by name, those of /etc in the place of others' of the same name; the last word counts."""
-    files = [f"{folder}/systemd/logind.conf" for folder in LOGIND_FOLDERS]
-    files = [path for path in files if system.read(path) is not None][:1]
-    drop_ins: dict[str, str] = {}
-    for folder in reversed(LOGIND_FOLDERS):
-        place = f"{folder}/systemd/logind.conf.d"
-        drop_ins.update({name: f"{place}/{name}" for name in system.names(place) if name.endswith(".conf")})
-    found = True, ""
-    for path in (*files, *(drop_ins[name] for name in sorted(drop_ins))):
-        for line in (system.read(path) or "").splitlines():
-            key, _, value = line.partition("=")
-            if key.strip() == "RemoveIPC":
-                found = value.strip().lower() in ("yes", "true", "on", "1", "y", "t"), path
+    """RemoveIPC and the file that says so: the last word counts of all that logind reads, which systemd shows in order,
+    each file below a line `# PATH`."""
+    found, path = (True, ""), ""
+    shown = system.said("systemd-analyze", f"--root={system.root}", "cat-config", "systemd/logind.conf")
+    for line in (shown or "").splitlines():
+        key, _, value = line.partition("=")
+        if line.startswith("# /"):
+            path = line.removeprefix("# ")
+        elif key.strip() == "RemoveIPC":
+            found = value.strip().lower() in ("yes", "true", "on", "1", "y", "t"), path
     return found

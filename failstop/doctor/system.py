@@ -1,4 +1,4 @@
-"""The machine that doctor looks at: its files under a root of one's choice, processes, accounts, commands, and kernel.
+"""The machine that doctor looks at: its files under a root of one's choice, accounts, devices, processes and kernel.
 
 What is not there or not allowed is None or empty, never an error. A test has one of its own.
 """
@@ -6,24 +6,32 @@ What is not there or not allowed is None or empty, never an error. A test has on
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import dataclasses
+import grp
 import os
+import pwd
+import re
 import resource
-import struct
+import select
+import shutil
+import stat
 import subprocess
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
+from failstop import discovery
+from failstop.policy.processes import BY_NAME
 from failstop.shm import futex
 from failstop.supervisor import grant
 
 SHM = "/dev/shm"
-READINGS = 20_000
-STA_UNSYNC, STA_NANO = 0x0040, 0x2000
-_TIMEX = struct.Struct("=i4xqqqqi")
-"""The first fields of struct timex on 64-bit Linux (adjtimex(2)): modes, offset, freq, maxerror, esterror, status."""
-_TIMEX_BYTES = 512
+PSEUDO_MAJORS = range(136, 144)
+"""Of the pseudo-terminals (the kernel's list of devices)."""
+TICKS_S = 2.5
+"""For each of the two priorities."""
+PERIOD_S = 0.005
+"""Four moments for each of the gate's ticks."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +41,49 @@ class User:
     name: str
     uid: int
     gids: frozenset[int] = frozenset()
+
+
+@dataclasses.dataclass(frozen=True)
+class Node:
+    """A device's file."""
+
+    path: str
+    resolved: str
+    """The path behind all links."""
+    pseudo: bool
+    """A pseudo-terminal, as the simulated board's."""
+    mode: int
+    uid: int
+    gid: int
+    group: str
+    usb_id: str = ""
+    """vendor:product in hexadecimal; empty: nothing on USB."""
+    product: str = ""
+    modem_ignored: bool = False
+    """udev tells ModemManager to leave it, or the whole USB device, alone."""
+    accessible: bool = False
+    """This process may read and write it."""
+    link: str = ""
+    """The name that udev's rule gives this same device, if it is another; empty: none."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Holder:
+    """A process that has a device open."""
+
+    pid: int
+    name: str
+    unit: str = ""
+    """Its systemd service, if it is in one."""
+    instance: str = ""
+    """Whose service it belongs to, if it is one of failstop's processes."""
+
+    def __str__(self) -> str:
+        return f"{self.name} (pid {self.pid}{f', {self.unit}' if self.unit else ''})"
+
+    def end(self) -> str:
+        """The command that ends it."""
+        return f"sudo systemctl stop {self.unit}" if self.unit else f"sudo kill {self.pid}"
 
 
 class System:
@@ -52,16 +103,8 @@ class System:
     def read(self, path: str) -> str | None:
         """A file's text without the white space around it."""
         try:
-            with open(self.path(path), encoding="utf-8", errors="replace") as file:
-                return file.read().strip()
+            return Path(self.path(path)).read_text("utf-8", "replace").strip()
         except OSError:
-            return None
-
-    def number(self, path: str) -> int | None:
-        """A file that holds one whole number."""
-        try:
-            return int(self.read(path) or "")
-        except ValueError:
             return None
 
     def names(self, path: str) -> list[str]:
@@ -78,44 +121,90 @@ class System:
         except OSError:
             return ""
 
-    def free(self, path: str) -> int | None:
-        """How many bytes the file system of a path has free."""
+    def room(self, path: str) -> int | None:
+        """How many bytes may be put into a directory; None: none, or this process may not."""
         try:
-            found = os.statvfs(self.path(path))
+            return shutil.disk_usage(self.path(path)).free if os.access(self.path(path), os.W_OK | os.X_OK) else None
         except OSError:
             return None
-        return found.f_bavail * found.f_frsize
 
-    def writable(self, path: str) -> bool:
-        """This process may put files into a directory."""
-        return os.access(self.path(path), os.W_OK | os.X_OK)
+    def node(self, path: str) -> Node | None:
+        """A device's file; None when there is no character device."""
+        try:
+            found = os.stat(path)
+        except OSError:
+            return None
+        if not stat.S_ISCHR(found.st_mode):
+            return None
+        group = str(found.st_gid)
+        with contextlib.suppress(KeyError):
+            group = grp.getgrgid(found.st_gid).gr_name
+        resolved, link = os.path.realpath(path), self.path(discovery.LINK)
+        major, minor = os.major(found.st_rdev), os.minor(found.st_rdev)
+        return Node(
+            path,
+            resolved,
+            major in PSEUDO_MAJORS,
+            stat.S_IMODE(found.st_mode),
+            found.st_uid,
+            found.st_gid,
+            group,
+            *self.usb(f"/sys/dev/char/{major}:{minor}"),
+            os.access(path, os.R_OK | os.W_OK),
+            link if path != link and os.path.realpath(link) == resolved else "",
+        )
+
+    def usb(self, place: str) -> tuple[str, str, bool]:
+        """Of a node, whose place in sysfs is given: vendor:product and the product's name of the USB device above it,
+        both empty where there is none; and whether udev tells ModemManager to leave the node or that device alone."""
+        below = Path(self.path(f"{place}/device")).resolve()
+        above = next((at for at in (below, *below.parents) if (at / "idVendor").exists()), None)
+        device = f"/{os.path.relpath(above, self.root)}" if above else ""
+        of_node, of_device = self._udev(place), self._udev(device)
+        ignored = "E:ID_MM_PORT_IGNORE=1" in of_node or "E:ID_MM_DEVICE_IGNORE=1" in (*of_node, *of_device)
+        if not device:
+            return "", "", ignored
+        vendor, product, name = (self.read(f"{device}/{what}") or "" for what in ("idVendor", "idProduct", "product"))
+        return f"{vendor}:{product}", name, ignored
+
+    def _udev(self, place: str) -> list[str]:
+        """The lines of udev's database for a place in sysfs."""
+        number = self.read(f"{place}/dev")
+        return (self.read(f"/run/udev/data/c{number}") or "").splitlines() if number else []
 
     def pids(self) -> Iterator[int]:
         """Every process."""
         return (int(name) for name in self.names("/proc") if name.isdigit())
 
-    def comm(self, pid: int) -> str:
-        """A process's name."""
-        return self.read(f"/proc/{pid}/comm") or "?"
-
-    def unit(self, pid: int) -> str:
-        """The systemd service that a process belongs to; empty when there is none."""
-        groups = (self.read(f"/proc/{pid}/cgroup") or "").splitlines()
-        parts = [part for line in groups for part in reversed(line.rpartition(":")[2].split("/"))]
-        return next((part for part in parts if part.endswith(".service")), "")
-
     def open_files(self) -> Iterator[tuple[int, set[str] | None]]:
         """The paths of what each other process has open; None where that is hidden from this user."""
         for pid in self.pids():
-            folder = self.path(f"/proc/{pid}/fd")
+            found = set()
             try:
-                names = [] if pid == os.getpid() else os.listdir(folder)
+                for name in os.listdir(self.path(f"/proc/{pid}/fd")) if pid != os.getpid() else ():
+                    with contextlib.suppress(OSError):
+                        found.add(os.readlink(self.path(f"/proc/{pid}/fd/{name}")))
             except PermissionError:
                 yield pid, None
-                continue
             except OSError:
                 continue
-            yield pid, {_target(os.path.join(folder, name)) for name in names}
+            else:
+                yield pid, found
+
+    def holder(self, pid: int) -> Holder:
+        """A process, as one that has a device open."""
+        groups = re.split(r"[/\n]", self.read(f"/proc/{pid}/cgroup") or "")
+        unit = next((part for part in reversed(groups) if part.endswith(".service")), "")
+        words = (self.read(f"/proc/{pid}/cmdline") or "").split("\0")
+        ours = any(word.endswith("/supervisor/child.py") for word in words)
+        names = [word.removeprefix("name=") for word in words if ours and word.startswith("name=")]
+        return Holder(pid, self.read(f"/proc/{pid}/comm") or "?", unit, *names[:1])
+
+    def holders(self, path: str) -> tuple[tuple[Holder, ...], int]:
+        """The processes that have a device open, and how many could not be looked into."""
+        opened, resolved = list(self.open_files()), os.path.realpath(path)
+        found = tuple(self.holder(pid) for pid, paths in opened if paths and resolved in paths)
+        return found, sum(paths is None for _, paths in opened)
 
     def said(self, *words: str, timeout_s: float = 1.0) -> str | None:
         """What a command printed; None when it failed or did not answer."""
@@ -131,72 +220,56 @@ class System:
 
     def capable(self, capability: int) -> bool:
         """This process has a capability."""
-        for line in (self.read("/proc/self/status") or "").splitlines():
-            if line.startswith("CapEff:"):
-                return bool(int(line.split()[1], 16) >> capability & 1)
-        return False
+        found = re.search(r"^CapEff:\s*(\w+)", self.read("/proc/self/status") or "", re.MULTILINE)
+        return bool(found and int(found[1], 16) >> capability & 1)
 
-    def realtime(self) -> bool:
-        """The kernel gives this process real-time priority when it asks: whatever limits and capabilities say, a
-        container or a control group may refuse."""
-        policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    @contextlib.contextmanager
+    def realtime(self, priority: int = 1) -> Iterator[bool]:
+        """Whether the kernel gives this process real-time priority when it asks, and has it meanwhile: whatever limits
+        and capabilities say, a container or a control group may refuse."""
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
         try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         except OSError:
-            return False
-        os.sched_setscheduler(0, policy, parameters)
-        return True
+            yield False
+            return
+        try:
+            yield True
+        finally:
+            os.sched_setscheduler(0, *before)
 
-    def backward_ns(self) -> int:
-        """The furthest that CLOCK_MONOTONIC went back between two readings; 0: never."""
-        last, back = time.monotonic_ns(), 0
-        for _ in range(READINGS):
-            now = time.monotonic_ns()
-            back = max(back, last - now)
-            last = now
-        return back
-
-    def resolution_ns(self) -> int:
-        """Of CLOCK_MONOTONIC."""
-        return round(time.clock_getres(time.CLOCK_MONOTONIC) * 1e9)
-
-    def wall_clock(self) -> tuple[bool, float] | None:
-        """Whether the kernel holds the wall clock for synchronized, and what it still has to correct, s."""
-        buffer = ctypes.create_string_buffer(_TIMEX_BYTES)
-        with contextlib.suppress(AttributeError, OSError):
-            if ctypes.CDLL(None).adjtimex(buffer) >= 0:
-                _, offset, _, _, _, status = _TIMEX.unpack_from(buffer.raw)
-                return not status & STA_UNSYNC, offset / (1e9 if status & STA_NANO else 1e6)
-        return None
-
-
-def _target(link: str) -> str:
-    try:
-        return os.readlink(link)
-    except OSError:
-        return ""
+    def ticks(self, seconds: float = TICKS_S) -> list[tuple[bool, list[int]]]:
+        """How late this process is woken, ns, each time: at ordinary priority, and at the gate's (True) if it is given
+        that."""
+        found = [(False, late_ns(seconds))]
+        with self.realtime(BY_NAME["gate"].priority) as granted:
+            if granted:
+                found.append((True, late_ns(seconds)))
+        return found
 
 
 def user(uid: int) -> User:
-    """Somebody by number, with all groups."""
-    import grp
-    import pwd
-
+    """Somebody with all groups."""
     try:
         found = pwd.getpwuid(uid)
     except KeyError:
         return User(str(uid), uid)
-    gids = {found.pw_gid, *(group.gr_gid for group in grp.getgrall() if found.pw_name in group.gr_mem)}
+    gids = set(os.getgrouplist(found.pw_name, found.pw_gid))
     if uid == os.geteuid():
         gids |= {os.getegid(), *os.getgroups()}
     return User(found.pw_name, uid, frozenset(gids))
 
 
-def account(name: str) -> User | None:
-    """Somebody by name; None when there is no such account."""
-    import pwd
-
-    try:
-        return user(pwd.getpwnam(name).pw_uid)
-    except KeyError:
-        return None
+def late_ns(seconds: float) -> list[int]:
+    """Each time; moments that were missed altogether are left out, as the gate does."""
+    period_ns = round(PERIOD_S * 1e9)
+    due_ns = time.monotonic_ns() + period_ns
+    end_ns = due_ns + round(seconds * 1e9)
+    late = []
+    while due_ns < end_ns:
+        if (wait_ns := due_ns - time.monotonic_ns()) > 0:
+            select.select((), (), (), wait_ns / 1e9)
+        if (now_ns := time.monotonic_ns()) >= due_ns:
+            late.append(now_ns - due_ns)
+            due_ns = max(due_ns, now_ns - period_ns) + period_ns
+    return late

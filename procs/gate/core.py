@@ -14,26 +14,23 @@ from __future__ import annotations
 from math import isfinite
 
 from failstop.policy import causes
+from failstop.policy.causes import Cause
+from failstop.policy.kinematics import Wheels
 from failstop.policy.reply import Reply
-from failstop.procs.gate import remarks
-from failstop.procs.gate.attendance import Attendance
-from failstop.procs.gate.interlocks import Interlocks
-from failstop.procs.gate.scan import ScanGate
+from failstop.policy.settings import Settings
+from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
+from failstop.procs.gate.remarks import LeftOff
 from failstop.procs.gate.sources import PAD, Command, Sources
 from failstop.shm.blocks import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
 from failstop.shm.notes import Note
 from failstop.shm.records import CAUSE
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.causes import Cause
-    from failstop.policy.kinematics import Wheels
-    from failstop.policy.settings import Settings
-
-    Speeds = tuple[float, float, float, float]
+Vector = tuple[float, float, float]
+Speeds = tuple[float, float, float, float]
 
 STILL = (0.0, 0.0, 0.0, 0.0)
 REST = (0.0, 0.0, 0.0)
+IS_LATCHED = f"a stop is latched ({CAUSE})"
 LEAST_LIMIT = 5
 """Percent: a limit under it would be a stop without a word."""
 MOST_IGNORED = 64
@@ -67,9 +64,7 @@ class GateCore:
         self.speeds = STILL
         self.notes: list[Note] = []
         """What people are told, in order; whoever passes them on empties the list."""
-        self._halts = remarks.Budget(now_ns, remarks.HALTS_AT_ONCE, remarks.HALTS_EVERY_NS)
-        self._ends = remarks.Budget(now_ns, remarks.HALTS_AT_ONCE, remarks.HALTS_EVERY_NS)
-        """Of its own: a person at the keys must not hide the news of a program that fails."""
+        self._left_off = LeftOff(now_ns)
         self._ignored: set[tuple[int, str]] = set()
         self._stepped_ns = now_ns
         self._sent_ns = 0
@@ -90,13 +85,15 @@ class GateCore:
     def due_ns(self, now_ns: int) -> int | None:
         """When what moves the wheels now stops counting, so that they stop then and not at a later tick; None: nothing
         moves them."""
-        driving = self.sources.driving(now_ns) if self.enabled else None
-        if driving is None or (not driving.manual and self.scan.silent(now_ns)):
+        driving = self.sources.driving(now_ns)
+        if driving is None or self.blocked(now_ns):
             return None
-        stale_ns = self.sources.stale_ns(driving)
+        ends_ns = [self.sources.stale_ns(driving)]
         if self.attendance.on:
-            stale_ns = min(stale_ns, self.attendance.due_ns())
-        return stale_ns if driving.manual or not self.scan.on else min(stale_ns, self.scan.silent_ns())
+            ends_ns.append(self.attendance.due_ns())
+        if self.scan.on and not driving.manual:
+            ends_ns.append(self.scan.silent_ns())
+        return min(ends_ns)
 
     def take(self, command: Command, now_ns: int) -> Cause | None:
         """A new command. Returns the cause to stop for, None when it is a good one: non-finite values, a second
@@ -128,10 +125,7 @@ class GateCore:
         drove, that is told."""
         driving = self.sources.driving(now_ns)
         if driving and driving.session == session and any(self.velocity):
-            if parted:
-                self._tell(remarks.parted(driving), self._ends, now_ns)
-            else:
-                self._tell(remarks.gone(driving), self._halts, now_ns)
+            self.notes += self._left_off.gone(driving, now_ns, parted=parted)
         return self.sources.drop(session)
 
     def stop(self, cause: Cause, epoch: int) -> bool:
@@ -161,7 +155,7 @@ class GateCore:
     def refusal(self, missing: str, now_ns: int) -> Reply | None:
         """Why motion can't be enabled now; None when it can. `missing` names what is not ready."""
         if self.latch is not None:
-            return Reply(False, f"a stop is latched ({CAUSE})", self.latch)
+            return Reply(False, IS_LATCHED, self.latch)
         if missing:
             return Reply(False, f"not ready: {missing}")
         unmet = self.interlocks.unmet(now_ns) or self.attendance.unmet(now_ns)
@@ -209,10 +203,7 @@ class GateCore:
         if note := self.scan.note(now_ns, blocks=reason == NO_SCAN):
             self.notes.append(note)
         if reason == NO_COMMAND and any(self.velocity) and (silent := self.sources.last_driver()):
-            if silent.manual and silent.source != PAD:
-                self._tell(remarks.let_go(silent, now_ns), self._ends, now_ns)
-            else:
-                self._tell(remarks.silent(silent, now_ns), self._halts, now_ns)
+            self.notes += self._left_off.silent(silent, now_ns)
         driving, fell_back = self.sources.take_over(now_ns)
         if reason or driving is None:
             self.velocity = REST
@@ -225,13 +216,7 @@ class GateCore:
         self._sent_ns = now_ns
         return speeds
 
-    def _tell(self, note: Note, budget: remarks.Budget, now_ns: int) -> None:
-        if budget.spend(now_ns):
-            self.notes.append(note)
-
-    def _ramped(
-        self, wanted: tuple[float, float, float], elapsed_s: float, start: tuple[float, float, float]
-    ) -> tuple[float, float, float]:
+    def _ramped(self, wanted: Vector, elapsed_s: float, start: Vector) -> Vector:
         vx, vy, wz = (
             _toward(now, max(-limit, min(limit, want)), ramp * elapsed_s)
             for now, want, limit, ramp in zip(start, wanted, self._limits, self._ramps, strict=True)
@@ -241,6 +226,4 @@ class GateCore:
 
 def _toward(now: float, want: float, most: float) -> float:
     """Move from `now` to `want` by at most `most`."""
-    if want > now:
-        return min(want, now + most)
-    return max(want, now - most)
+    return max(now - most, min(now + most, want))

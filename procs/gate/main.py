@@ -6,28 +6,21 @@ import os
 
 from failstop.board.interface import BOARD
 from failstop.policy import causes, kinematics
-from failstop.policy.reply import Reply, asked_before
-from failstop.procs.gate.arm.core import LATCHED
+from failstop.policy.causes import Cause
+from failstop.policy.reply import Reply
+from failstop.procs.context import Context
 from failstop.procs.gate.arm.shell import Arm
-from failstop.procs.gate.clients import ClientTable, seen
-from failstop.procs.gate.core import GateCore
-from failstop.procs.gate.recorder import GateBox
-from failstop.procs.gate.remarks import Budget, of_request
-from failstop.procs.gate.resets import Resets
-from failstop.procs.gate.said import Said
+from failstop.procs.gate.clients import ClientTable, Slot, seen
+from failstop.procs.gate.core import IS_LATCHED, GateCore
+from failstop.procs.gate.remarks import Said
+from failstop.procs.gate.requests import Requests
 from failstop.procs.gate.sources import PAD, PAD_SESSION, Command
 from failstop.procs.loop import NEVER, READ, Loop
-from failstop.shm import bell, instance, layout, place, records
+from failstop.shm import bell, box, instance, layout, place, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import HeartbeatReader
-from failstop.shm.notes import Note
 from failstop.shm.packing import pack
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.causes import Cause
-    from failstop.procs.context import Context
-    from failstop.procs.gate.clients import Slot
+from failstop.shm.ring import RingWriter
 
 PUBLISH_NS = 80_000_000
 """State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
@@ -35,15 +28,41 @@ comes a little early leaves it to the next one: 120 ms at every other time (meas
 MS = 1_000_000
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
-NO_ARM = "this robot has no arm: its settings name no joints"
-ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
-ENDS = (records.DISABLE, records.ARM_HOLD)
-ARM_MOVES = (records.ARM_MOVE, records.ARM_DRIVE, records.ARM_TUCK)
-GIVES_WAY = {records.ENABLE: ENDS, **dict.fromkeys(ARM_MOVES, (*ENDS, *ARM_MOVES, records.ENABLE))}
-"""Requests after which something may move, and what each gives way to that was asked for after it and came before it;
-and all to a stop."""
 LOOK_AT_ALL_EVERY = 10
 """Ticks between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
+
+
+class GateBox:
+    """The gate's part of the black box: one record a tick, of the newest command and of what became of it."""
+
+    def __init__(self, ring: RingWriter) -> None:
+        self._ring = ring
+        self._newest: Command | None = None
+        self._count = 0
+
+    def command(self, command: Command) -> None:
+        """A command came, good or bad."""
+        self._newest = command
+        self._count += 1
+
+    def tick(self, now_ns: int, core: GateCore, epoch: int) -> None:
+        """The end of a tick."""
+        command = self._newest
+        flags = box.ENABLED if core.enabled else 0
+        age_us, source, who = box.LONGEST, b"", b""
+        velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
+        if command is not None:
+            age_us = min(max(0, now_ns - command.t_ns) // 1000, box.LONGEST)
+            velocity = tuple(map(box.single, command.velocity))
+            source, who = command.source.encode(), command.who.encode("utf-8", "replace")[:36]
+            flags |= (box.MANUAL if command.manual else 0) | (
+                box.DRIVES if core.sources.driving(now_ns) is command else 0
+            )
+        block = box.BLOCK.get(core.blocked(now_ns), 1)
+        numbers = (*velocity, *core.velocity, *core.speeds)
+        head = box.GATE.pack(epoch & box.LONGEST, block, flags, min(self._count, 255), age_us, *numbers, source)
+        self._ring.put(head + who, now_ns)
+        self._count = 0
 
 
 class Gate:
@@ -61,7 +80,6 @@ class Gate:
         self._max_rps = settings.max_wheel_rps() * 1.0005
         self._lease_ns = settings.ns("gate.lease_s")
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
-        self._budget = Budget(now_ns)
         self._said = Said(now_ns)
         self._barrier = Barrier()
         self._ticks = self._rings = 0
@@ -70,14 +88,12 @@ class Gate:
         self._attach(context)
         self._watch_others(context)
         self.epoch = self._epoch_word.get()
-        self._raised_ns = 0
+        self.raised_ns = 0
         """When the epoch was raised last."""
-        self._asked_ns: dict[int, int] = {}
-        """By verb: when what was last done was asked for."""
-        self._last = causes.UNKNOWN()
+        self.last = causes.UNKNOWN()
         """The cause of the last stop."""
-        self.core.limit_to(self._limit_word.get() or 100)
-        self._follow_latch()
+        self.requests = Requests(self, context, now_ns)
+        self.follow_latch()
         self.arm = Arm(self, context, self.loop.timer(), now_ns) if settings.servos() else None
         claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, self)
@@ -89,12 +105,8 @@ class Gate:
         self._stops = own.ring_writer("stops")
         self._notes = own.ring_writer("notes")
         self._state = own.latest_writer("state")
-        self._limit_word = own.word("limit")
         self._said_record = own.latest_writer("said")
         self._box = GateBox(own.ring_writer("box"))
-        self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
-        self._replied = [(0, 0)] * layout.CLIENT_SLOTS
-        """The session and the number of the last request that was answered there."""
         self._port_owner_bell = context.bell("port_owner_bell")
         self.supervisor_bell = context.bell("supervisor_bell")
 
@@ -102,10 +114,8 @@ class Gate:
         """What it reads, and what wakes it."""
         supervisor, telemetry = context.segment("supervisor"), context.segment("telemetry")
         self._epoch_word = supervisor.word("epoch")
-        self._ready_word = supervisor.word("ready")
         self._supervisor_heart = HeartbeatReader(supervisor)
         self._latch = supervisor.latest_reader("latch")
-        self._resets = Resets(context.own, supervisor, self.supervisor_bell)
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = seen(self._pad_command)
         self._pad_requests = telemetry.ring_reader("pad_requests")
@@ -114,20 +124,20 @@ class Gate:
         for fd in (*(each.fd for each in self._bells), self._client_bell):
             self.loop.watch(fd, READ)
 
-    def _follow_latch(self) -> None:
+    def follow_latch(self) -> None:
         """What is latched, by the supervisor's word, which a gate that was restarted reads too."""
         self._barrier()
         if entry := self._latch.read():
-            since, _, self._raised_ns, cause = records.LATCH.unpack(entry[2])
-            self._last = causes.read(cause)
-            self.core.follow(self._last if since else None, self.epoch)
+            since, _, self.raised_ns, cause = records.LATCH.unpack(entry[2])
+            self.last = causes.read(cause)
+            self.core.follow(self.last if since else None, self.epoch)
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
         now_ns = self._now_ns()
         bell.clear_rung(self._bells, ready)
         self._follow_epoch()
-        self._follow_resets(now_ns)
+        self.requests.follow_resets(now_ns)
         self.clients.lives_ended(ready, now_ns)
         if self._client_bell in ready:  # last: who joins may get the number of a descriptor that was closed above
             self._client_rang(now_ns)
@@ -143,7 +153,7 @@ class Gate:
         if self.arm:
             self.arm.turn(now_ns)
         self._tell()
-        self._publish(now_ns)
+        self.publish(now_ns)
         self.heartbeat.beat(now_ns, self.epoch)
 
     def _client_rang(self, now_ns: int) -> None:
@@ -214,9 +224,9 @@ class Gate:
         if epoch != self.epoch:
             self.epoch = epoch
             self.core.stand_still()
-            self._follow_latch()
+            self.follow_latch()
             if self.arm:
-                self.arm.stopped(LATCHED)
+                self.arm.core.stop(IS_LATCHED)
 
     def _follow_telemetry(self, now_ns: int) -> None:
         """The gamepad's sticks, and what telemetry asks for: a reset, or a frame that is not motion."""
@@ -228,7 +238,7 @@ class Gate:
         while request := self._pad_requests.next():
             kind, frame = records.PAD_REQUEST.unpack(request[2])
             if kind == records.PAD_RESET:
-                self._resets.ask((None, 0, 0, now_ns))
+                self.requests.ask_reset((None, 0, 0, now_ns))
             elif kind == records.PAD_FRAME:
                 self.send(records.OTHER, frame, now_ns)
 
@@ -237,37 +247,23 @@ class Gate:
         self._frames.put(records.FRAME.pack(self.epoch, kind, body), now_ns)
         self._port_owner_bell.ring()
 
-    def _follow_resets(self, now_ns: int) -> None:
-        """What the supervisor has decided: follow it, then tell who asked."""
-        if not self._resets.news():
-            return
-        self._follow_latch()
-        if decided := self._resets.decided():
-            (slot, session, number, _), reply = decided
-            if slot:
-                self.reply(slot, session, number, reply, now_ns)
-            who, pid = (slot.name, slot.pid) if slot else (PAD, 0)
-            self._remark(records.RESET, who, pid, reply, now_ns)
-
-    def reply(self, slot: Slot, session: int, number: int, reply: Reply, now_ns: int) -> None:
-        """Tell a client, once the state that it reads is that of after its request. What a later request of the same
-        session has given up is not told of: it would take the place of the answer to that one."""
-        last_session, last_number = self._replied[slot.index]
-        if session == last_session and number < last_number:
-            return
-        self._replied[slot.index] = session, number
-        self._publish(now_ns)
-        self._barrier()
-        self._replies[slot.index].write(reply.pack(session, number))
-
     def stop(self, cause: Cause, now_ns: int) -> None:
         """Latch a stop: burst at once, then the news to the supervisor, which raises the epoch."""
         if self.core.stop(cause, self.epoch):
-            self.send(records.STOP, b"", now_ns)
-            if self.arm:
-                self.arm.stopped(LATCHED)
+            self._stop_all(IS_LATCHED, now_ns)
             self._stops.put(records.STOPPED.pack(self.epoch, now_ns, 0, cause.pack()))
             self.supervisor_bell.ring()
+
+    def disable(self, now_ns: int) -> Reply:
+        """Forbid motion; what moves is stopped, and nothing latched."""
+        reply = self.core.disable()
+        self._stop_all(reply.text, now_ns)
+        return reply
+
+    def _stop_all(self, why: str, now_ns: int) -> None:
+        self.send(records.STOP, b"", now_ns)
+        if self.arm:
+            self.arm.core.stop(why)
 
     def client_command(self, command: Command, now_ns: int) -> None:
         """A new command moves the wheels at once, not at the next tick."""
@@ -279,86 +275,19 @@ class Gate:
 
     def client_holds(self, slot: Slot, now_ns: int) -> None:
         """What a client keeps asserting: the sensor's deliveries, interlocks."""
-        if sensed_ns := slot.sensed_ns():
-            self.core.scan.deliver(sensed_ns, now_ns)
-        asserted_ns, names = slot.interlocks()
-        if asserted_ns:
-            self.core.interlocks.hold(names, asserted_ns, now_ns)
+        core = self.core
+        if sensed := slot.latest("sensed"):
+            core.scan.deliver(sensed[0], now_ns)
+        if asserted := slot.latest("interlocks"):
+            core.interlocks.hold(asserted[1], asserted[0], now_ns)
         if found := slot.attended():
-            self._hear_operator(slot.session, *found, now_ns)
+            proven_ns, who = found
+            if proven_ns:
+                core.attendance.hear(slot.session, who, proven_ns, now_ns)
+            else:
+                core.attendance.leave(slot.session)
         if self.arm:
             self.arm.goal(slot, now_ns)
-
-    def _hear_operator(self, session: int, t_ns: int, who: str, now_ns: int) -> None:
-        if t_ns:
-            self.core.attendance.hear(session, who, t_ns, now_ns)
-        else:
-            self.core.attendance.leave(session)
-
-    def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
-        """Decide, act, reply; a reset is the supervisor's."""
-        enabled = self.core.enabled
-        if verb == records.RESET:
-            self._resets.ask((slot, slot.session, number, asked_ns))
-            return
-        if overtaken := self._overtaken(verb, asked_ns):
-            reply = overtaken
-        elif verb == records.ENABLE:
-            reply = self._enable(slot, number, now_ns)
-        elif verb == records.DISABLE:
-            reply = self.core.disable()
-            self.send(records.STOP, b"", now_ns)
-            if self.arm:
-                self.arm.stopped("motion disabled")
-        elif verb == records.LIMIT:
-            reply = self.core.limit_to(slot.speed_limit())
-            self._limit_word.set(self.core.limit)
-        elif verb in ARM_VERBS:
-            reply = self.arm.request(slot, number, verb, now_ns) if self.arm else Reply(False, NO_ARM)
-        else:
-            reply = Reply(False, f"unknown request {verb}")
-        if reply.done:
-            self._asked_ns[verb] = max(self._asked_ns.get(verb, 0), min(asked_ns, now_ns))
-        self.reply(slot, slot.session, number, reply, now_ns)
-        if reply.done != records.UNDER_WAY:
-            self._remark(verb, slot.name, slot.pid, reply, now_ns, enabled=enabled)
-
-    def _overtaken(self, verb: int, asked_ns: int) -> Reply | None:
-        """The refusal of what would move something, when a stop, or something that ends it, was asked for since."""
-        later = GIVES_WAY.get(verb)
-        if later is None:
-            return None
-        if asked_ns < self._raised_ns:
-            return asked_before(self._last)
-        if any(asked_ns < self._asked_ns.get(each, 0) for each in later):
-            return Reply(False, "a later request took its place: ask again")
-        return None
-
-    def _missing(self) -> str:
-        return "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
-
-    def _enable(self, slot: Slot, number: int, now_ns: int) -> Reply:
-        """Motion, if nothing is against it; with an arm that is to be folded, its way to the drive pose first."""
-        if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
-            return self.arm.enable(slot, number, now_ns) or self.core.enable(self.epoch, self._missing(), now_ns)
-        return self.core.enable(self.epoch, self._missing(), now_ns)
-
-    def enable_now(self, slot: Slot, number: int, now_ns: int) -> None:
-        """The arm is in the drive pose: enable, if still nothing is against it."""
-        reply = self.core.enable(self.epoch, self._missing(), now_ns)
-        if reply.done and self.arm:
-            self.arm.core.forget()
-        self.reply(slot, slot.session, number, reply, now_ns)
-        self._remark(records.ENABLE, slot.name, slot.pid, reply, now_ns)
-
-    def _remark(self, verb: int, who: str, pid: int, reply: Reply, now_ns: int, *, enabled: bool = False) -> None:
-        """Tell people who has asked for what, with what effect."""
-        note = of_request(verb, who, pid, reply, enabled=enabled)
-        if note and self._budget.spend(now_ns):
-            self.core.notes.append(note)
-            if unsaid := self._budget.unsaid:
-                self._budget.unsaid = 0
-                self.core.notes.append(Note("note", f"and {unsaid} more requests, too many to tell of each"))
 
     def client_gone(self, slot: Slot, now_ns: int) -> None:
         """It has left, or its claim is gone: if it was the one that drives, the wheels stand at once."""
@@ -368,7 +297,7 @@ class Gate:
         if self.arm:
             self.arm.client_gone(slot.session, now_ns)
 
-    def _publish(self, now_ns: int) -> None:
+    def publish(self, now_ns: int) -> None:
         """Publish the state when it has changed, and at least every PUBLISH_NS. The sensor's last delivery, which is
         new at every tick, waits for that: whoever reads the state would unpack it at every tick too."""
         core = self.core
@@ -400,8 +329,5 @@ class Gate:
 def run(context: Context) -> int:
     """Run forever: the gate dies with the supervisor."""
     gate = Gate(context)
-    context.runs()
-    ready: dict[int, int] = {}
-    while True:
-        gate.turn(ready)
-        ready = gate.loop.wait(gate.period_ns)
+    context.run(gate.turn, gate.loop, gate.period_ns)
+    return 0

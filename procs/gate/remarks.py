@@ -1,15 +1,15 @@
-"""Remarks: what people are told by the gate - who enabled, disabled, reset, was refused, left off driving. Pure."""
+"""Remarks: what people are told by the gate - who enabled, disabled, reset, was refused, left off driving; what clients
+say of themselves. Pure."""
 
 from __future__ import annotations
 
+from failstop.policy.reply import Reply
+from failstop.procs.gate.sources import PAD, Command
 from failstop.shm import records
 from failstop.shm.notes import Note
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.reply import Reply
-    from failstop.procs.gate.sources import Command
-    from failstop.shm.notes import Fields
+Row = tuple[int, int, str, int, str, str]
+"""Session, slot, who, when it was said (CLOCK_MONOTONIC ns), what it sees, what is wrong (may be empty)."""
 
 VERBS = {
     records.ENABLE: "enable",
@@ -36,7 +36,7 @@ def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) ->
     """What a request has changed, or that it was refused; None when it has changed nothing. `enabled`: as it was before
     it."""
     by = f"{who} (pid {pid})" if pid else who
-    fields: Fields = {"who": who, "pid": pid} if pid else {"who": who}
+    fields: dict[str, str | int | float] = {"who": who, "pid": pid} if pid else {"who": who}
     named = VERBS.get(verb, str(verb))
     if not reply.done:
         return Note("refused", f"refused to {named}, {by}: {reply}", {**fields, "verb": named, "reason": str(reply)})
@@ -53,36 +53,8 @@ def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) ->
     return None
 
 
-def silent(driver: Command, now_ns: int) -> Note:
-    """Who drove has sent nothing for its timeout: the wheels stand, and nothing is latched."""
-    silent_ms = (now_ns - driver.t_ns) / 1e6
-    text = f"{driver.who} fell silent while it drove: last command {silent_ms:.0f} ms ago, the wheels are stopped"
-    return Note("driver_silent", text, {"who": driver.who, "source": driver.source, "silent_ms": round(silent_ms, 1)})
-
-
-def gone(driver: Command) -> Note:
-    """Who drove has died, or ended without a word: the wheels stand, and nothing is latched."""
-    text = f"{driver.who} has gone while it drove: the wheels are stopped"
-    return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
-
-
-def let_go(driver: Command, now_ns: int) -> Note:
-    """A person's command has run out: somebody who drives by hand ends it so, by letting go of a key."""
-    silent_ms = (now_ns - driver.t_ns) / 1e6
-    text = f"{driver.who} let go: last command {silent_ms:.0f} ms ago, the wheels are stopped"
-    return Note("driver_ended", text, {"who": driver.who, "source": driver.source})
-
-
-def parted(driver: Command) -> Note:
-    """Who drove has given its client slot back, which ends its command at once."""
-    text = f"{driver.who} ended its command: the wheels are stopped"
-    return Note("driver_ended", text, {"who": driver.who, "source": driver.source})
-
-
 class Budget:
     """How many remarks people are told: some at once, then one at a time."""
-
-    __slots__ = ("_every_ns", "_left", "_most", "_ns", "unsaid")
 
     def __init__(self, now_ns: int, most: int = MOST_AT_ONCE, every_ns: int = EVERY_NS) -> None:
         self._most = self._left = most
@@ -101,3 +73,70 @@ class Budget:
             return False
         self._left -= 1
         return True
+
+
+class LeftOff:
+    """Who drove and left off: the wheels stand, and nothing is latched. What a person ends has a budget of its own: it
+    must not hide the news of a program that fails."""
+
+    def __init__(self, now_ns: int) -> None:
+        self._failed = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
+        self._ended = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
+
+    def silent(self, driver: Command, now_ns: int) -> list[Note]:
+        """It has sent nothing for its timeout. Somebody who drives by hand ends a command so, by letting go of a key;
+        not so the gamepad, which says where its sticks are for as long as it can be heard."""
+        silent_ms = (now_ns - driver.t_ns) / 1e6
+        last = f"last command {silent_ms:.0f} ms ago, the wheels are stopped"
+        if driver.manual and driver.source != PAD:
+            return self._note("driver_ended", driver, f"let go: {last}", now_ns)
+        text = f"fell silent while it drove: {last}"
+        return self._note("driver_silent", driver, text, now_ns, silent_ms=round(silent_ms, 1))
+
+    def gone(self, driver: Command, now_ns: int, *, parted: bool) -> list[Note]:
+        """It has died or ended without a word; or it has `parted`, given its slot back, which ends its command."""
+        if parted:
+            return self._note("driver_ended", driver, "ended its command: the wheels are stopped", now_ns)
+        return self._note("driver_gone", driver, "has gone while it drove: the wheels are stopped", now_ns)
+
+    def _note(self, kind: str, driver: Command, text: str, now_ns: int, **fields: float) -> list[Note]:
+        budget = self._ended if kind == "driver_ended" else self._failed
+        if not budget.spend(now_ns):
+            return []
+        return [Note(kind, f"{driver.who} {text}", {"who": driver.who, "source": driver.source, **fields})]
+
+
+class Said:
+    """The last words of each session, what it sees and what is wrong: for people, nothing depends on their truth."""
+
+    def __init__(self, now_ns: int) -> None:
+        self._rows: dict[int, Row] = {}
+        self._budget = Budget(now_ns)
+
+    def follow(self, rows: list[Row], now_ns: int) -> list[Note] | None:
+        """The words of all sessions that said something; returns what people are told of, None when nothing has
+        changed, not even when it was said."""
+        before, self._rows = self._rows, {row[0]: row for row in rows}
+        if before == self._rows:
+            return None
+        notes = [note for session, row in self._rows.items() if (note := _words(before.get(session), row))]
+        notes += [_gone(row) for session, row in before.items() if session not in self._rows]
+        return [note for note in notes if self._budget.spend(now_ns)]
+
+    def table(self) -> list[tuple[int, int, str, str]]:
+        """Slot, when, what it sees, what is wrong, of each."""
+        return [(slot, t_ns, sees, wrong) for _, slot, _, t_ns, sees, wrong in self._rows.values()]
+
+
+def _words(before: Row | None, row: Row) -> Note | None:
+    _, _, who, _, sees, wrong = row
+    if before and before[4:] == row[4:]:
+        return None
+    fields: dict[str, str | int | float] = {"who": who, "sees": sees, "wrong": wrong}
+    if wrong and (before is None or before[5] != wrong):
+        return Note("said", f"{who} says: {wrong}", fields, level="warning")
+    return Note("said", f"{who} says: {sees}", fields)
+
+
+def _gone(row: Row) -> Note:
+    return Note("said", f"{row[2]} has gone", {"who": row[2], "sees": "", "wrong": ""})

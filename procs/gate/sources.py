@@ -44,11 +44,10 @@ class Sources:
     """The last command of each source, and which of them drives."""
 
     def __init__(self, declared: dict[str, tuple[int, int]], pad_timeout_ns: int) -> None:
-        """`declared`: name -> (priority, timeout in ns)."""
-        rows = {**declared, PAD: (PAD_PRIORITY, pad_timeout_ns)}
-        self._rank = {name: rows[name][0] for name in sorted(rows, key=lambda name: -rows[name][0])}
-        """The priority of each, the highest first."""
-        self._timeout_ns = {name: rows[name][1] for name in rows}
+        """`declared`: name -> (priority, timeout in ns), the highest first."""
+        rows = {PAD: (PAD_PRIORITY, pad_timeout_ns), **declared}
+        self._rank = {name: priority for name, (priority, _) in rows.items()}
+        self._timeout_ns = {name: timeout_ns for name, (_, timeout_ns) in rows.items()}
         self._commands: dict[str, Command] = {}
         self._driver = ""
 

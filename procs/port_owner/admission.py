@@ -1,4 +1,5 @@
-"""Admission: may this motion frame go to the wire? Pure; the caller brings the time and the words of shared memory.
+"""Admission: may this motion frame go to the wire, or this frame to the arm's servos? Pure; the caller brings the time
+and the words of shared memory.
 
 The first row that does not hold decides. A cause is a stop of the port owner's own: it then refuses all motion until it
 sees a newer epoch than the one it stopped in.
@@ -14,30 +15,42 @@ sees a newer epoch than the one it stopped in.
     all hold                                                        WRITE
 
 BURST instead of DROP for a frame of speeds zero while the wheels may turn: to stand still is never too late.
+
+A frame for the servos is written only when these rows hold too:
+
+    check                                                    else
+    the robot has an arm, and the frame is a whole one for   stop
+      its servos within bounds (BOARD.check_servos)
+    no motion frame was written since the last stop          drop: an arm moves while the wheels stand
+    a question: nothing is before it, no servo moves         drop: a silent servo holds the receiver for 5 ms
+    the receiver is held for less than HELD_NS by what is    wait: it is what a stop may have to wait; those behind it
+      before it and itself                                   wait too, until they are too old
+
+A move that waits is late by a millisecond or two. Dropped, its joints would stand until the next one, a period later.
 """
 
 from __future__ import annotations
 
+from collections import deque
+
 from failstop.board.interface import BOARD
+from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, MOVE, READS
 from failstop.policy import causes
+from failstop.policy.causes import Cause
+from failstop.procs.loop import NEVER
 from failstop.shm import layout
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from failstop.policy.causes import Cause
 
 MS = 1_000_000
 WRITE, DROP, BURST, REQUEST = range(4)
 Motion = tuple[bytes, int, int]
 """A motion frame of the gate's, the epoch in which motion was enabled, and when it was made."""
+LONGEST_MOVE_NS = LONGEST_MOVE_MS * 1_000_000
+_COMMAND_AT = 4
+MOST_WAITING = 16
 
 
 class Admission:
     """The port owner's memory of its own stops, and its limits."""
-
-    __slots__ = ("_lease_ns", "_max_rps", "stopped_in", "wheels_move")
 
     def __init__(self, lease_ns: int, max_rps: float) -> None:
         self._lease_ns = lease_ns
@@ -54,19 +67,19 @@ class Admission:
         now_ns: int,
         gate_ns: int | None,
         supervisor_ns: int,
-        check: Callable[[bytes], Cause | None],
+        rules: Admission | ServoBus,
         *,
         requested: bool,
     ) -> int | Cause:
         """One of WRITE, DROP, BURST and REQUEST, or the cause of a stop. `gate_ns`, `supervisor_ns`: when they have
-        beaten last (None: no gate is watched); `check`: of the frame's content; `requested`: a stop request waits."""
+        beaten last (None: no gate is watched); `rules`: for the frame's content; `requested`: a stop request waits."""
         if gate_ns is None or not self.current(motion, epoch, now_ns):
             return BURST if self.wheels_move and motion[0] == BOARD.stop else DROP
         if requested:
             return REQUEST
         if lapse := self.lapsed(gate_ns, supervisor_ns, now_ns):
             return lapse
-        return check(motion[0]) or WRITE
+        return rules.check(motion[0]) or WRITE
 
     def check(self, frame: bytes) -> Cause | None:
         """The cause of a stop that a motion frame's content is; None: it may go out."""
@@ -93,3 +106,37 @@ class Admission:
         """It has stopped in this epoch, for a cause that the supervisor has not raised it for."""
         self.wheels_move = False
         self.stopped_in = max(self.stopped_in, epoch)
+
+
+class ServoBus:
+    """When the servos' bus is free, as far as this process has written to it, and what waits for that."""
+
+    def __init__(self, servos: tuple[int, ...]) -> None:
+        self.servos = servos
+        self._free_ns = 0
+        self._rest_ns = 0
+        self.waiting: deque[Motion] = deque(maxlen=MOST_WAITING)
+        """The gate's frames for the servos that are not yet written, in order; every stop ends them."""
+
+    def check(self, frame: bytes) -> Cause | None:
+        """The cause of a stop that this frame's content is; None: it may go out."""
+        fault = "this robot has no arm"
+        if self.servos:
+            fault = BOARD.check_servos(frame, self.servos, LONGEST_MOVE_MS)
+        return causes.BAD_FRAME(f"for the arm, {fault}") if fault else None
+
+    def due_ns(self, frame: bytes, now_ns: int, *, wheels_move: bool) -> int:
+        """When a frame without a fault may be written, now or soon; NEVER: it is dropped."""
+        if wheels_move:
+            return NEVER
+        if frame[_COMMAND_AT] in READS:
+            return now_ns if now_ns >= max(self._free_ns, self._rest_ns) else NEVER
+        return max(now_ns, self._free_ns + BOARD.servo_ns(frame) - HELD_NS)
+
+    def wrote(self, frame: bytes, now_ns: int) -> bool:
+        """It was written; True when a servo moves by it."""
+        self._free_ns = max(self._free_ns, now_ns) + BOARD.servo_ns(frame)
+        moves = frame[_COMMAND_AT] == MOVE
+        if moves:
+            self._rest_ns = now_ns + LONGEST_MOVE_NS
+        return moves

@@ -5,30 +5,20 @@ Nothing between noticing a cause and the burst can block, log or build bytes: BU
 
 from __future__ import annotations
 
-import os
-
 from failstop.board.interface import BOARD
 from failstop.policy import causes
-from failstop.procs.handover import Control
+from failstop.policy.causes import Cause
+from failstop.procs.context import Context
 from failstop.procs.loop import EDGE, GONE, NEVER, READ, WRITE, Loop, Timer
-from failstop.procs.peer import Peer
-from failstop.procs.port_owner import admission, repeats
-from failstop.procs.port_owner.admission import Admission
-from failstop.procs.port_owner.pings import Pings
-from failstop.procs.port_owner.servo_bus import ServoBus
+from failstop.procs.peer import Parent, Peer
+from failstop.procs.port_owner import admission, schedule
+from failstop.procs.port_owner.admission import Admission, Motion, ServoBus
+from failstop.procs.port_owner.schedule import Pings, Repeats
 from failstop.procs.port_owner.wire import Wire
-from failstop.procs.suspend import SuspendWatch
-from failstop.shm import bell, heartbeat, layout, records
+from failstop.procs.world import SuspendWatch
+from failstop.shm import bell, layout, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.lifeline import give_way
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from failstop.policy.causes import Cause
-    from failstop.procs.context import Context
-    from failstop.procs.port_owner.admission import Motion
 
 MS = 1_000_000
 TICK_NS = 20 * MS
@@ -54,7 +44,7 @@ class PortOwner:
         self.loop = Loop(context.world)
         self.admission = Admission(settings.ns("gate.lease_s"), settings.max_wheel_rps() * 1.001)
         self.bus = ServoBus(settings.servos())
-        self.repeats = repeats.Repeats(self.loop.timer(), self._now_ns())
+        self.repeats = Repeats(self.loop.timer(), self._now_ns())
         ping = self.loop.timer() if BOARD.pings else Timer()
         self.pings = Pings(len(BOARD.pings), settings.ns("link.ping_s"), ping, self._now_ns())
         self.suspend = SuspendWatch(context.world.gained_ns)
@@ -64,8 +54,6 @@ class PortOwner:
         """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
         self._arm_due = self.loop.timer()
         """When the arm's next frame may be written, that has to wait."""
-        self._leave = self.loop.timer()
-        """Once the supervisor has died."""
         self._tick = self.loop.timer()
         """When it looks at everything, if nothing happens before."""
         self._bytes_alone: dict[int, int] | None = None
@@ -79,7 +67,7 @@ class PortOwner:
         self._watched = (-1, 0)
         self.wire = Wire(context.fd("port"), context.world, self.bus.servos)
         self._attach(context)
-        self._watch_others(context, self.wire.early_stop)
+        self._watch_others(context)
         self.epoch = self._epoch_word.get()
         self._burst()
         self._stopped_word.set(self.epoch)
@@ -100,25 +88,20 @@ class PortOwner:
         self._supervisor_bell = context.bell("supervisor_bell")
         self._telemetry_bell = context.bell("telemetry_bell")
 
-    def _watch_others(self, context: Context, stop: Callable[[], None]) -> None:
-        """What it reads, and what wakes it; `stop`: what its threads do first at the early news of a death."""
+    def _watch_others(self, context: Context) -> None:
+        """What it reads, and what wakes it."""
         supervisor = context.segment("supervisor")
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_beat = supervisor.word("beat_ns")
         self._frames = context.segment("gate").ring_reader("frames")
         self._causes = context.segment("telemetry").ring_reader("causes")
-        self._bell = context.bell("bell")
+        self._bells = (context.bell("bell"), context.early.bell)
         self._stop_pipe = context.fd("stop")
-        self._control = Control(context.fd("control"))
-        self._early = context.early
-        self._supervisor_life = context.world.lifeline(context.parent)
-        self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 0, stop)
-        self._gate = Peer(layout.GATE, context, self.loop, stop)
-        self._peers = (
-            self._gate,
-            *(Peer(name, context, self.loop, stop) for name in (layout.TELEMETRY, layout.STOPPER)),
-        )
-        for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._stop_pipe, self._supervisor_life.fd):
+        self._parent = Parent(context, self.loop, 0, self.wire)
+        names = (layout.GATE, layout.TELEMETRY, layout.STOPPER)
+        self._peers = tuple(Peer(name, context, self.loop, self.wire) for name in names)
+        self._gate = self._peers[0]
+        for fd in (*(each.fd for each in self._bells), self._stop_pipe):
             self.loop.watch(fd, READ)
 
     def turn(self, ready: dict[int, int]) -> bool:
@@ -130,7 +113,7 @@ class PortOwner:
             return True
         self._tick.set(now_ns + TICK_NS)
         self._hear_requests(ready, now_ns)
-        bell.clear_rung((self._bell, self._early.bell), ready)
+        bell.clear_rung(self._bells, ready)
         self._hear_causes()
         self._answer_deaths(ready, now_ns)
         self._follow_epoch(now_ns)
@@ -144,7 +127,7 @@ class PortOwner:
         self._ping(now_ns)
         self._watch_port()
         self.heartbeat.beat(now_ns, self.epoch)
-        return not self._leave.due(now_ns)
+        return not self._parent.leave(now_ns)
 
     def stop(self, cause_ns: int, cause: Cause) -> None:
         """Stop on its own: burst, refuse motion until a newer epoch, publish the cause."""
@@ -213,24 +196,18 @@ class PortOwner:
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
         self.wire.heed()
         dead = [peer for peer in self._peers if peer.died(ready)]
-        orphaned = self._leave.ns == NEVER and self._supervisor_life.died(ready)
+        orphaned = self._parent.died(ready)
         if not dead and not orphaned:
             return
         self.wire.burst()
         written_ns = self._now_ns()
         # First, whoever's news came first: others die with it.
-        if orphaned or (self._leave.ns == NEVER and self._supervisor_life.dead()):
-            self._supervisor_died(now_ns, written_ns)
+        if orphaned or (not self._parent.orphaned_ns and self._parent.life.dead()):
+            self._own_stop(now_ns, written_ns, causes.DIED(layout.SUPERVISOR))
+            self._parent.drop(now_ns)
         for peer in dead:
             self._own_stop(now_ns, written_ns, peer.death)
             peer.drop()
-
-    def _supervisor_died(self, now_ns: int, written_ns: int) -> None:
-        """The end of this process too, when the stop has been repeated."""
-        self._leave.set(now_ns + repeats.LEAVE_AFTER_NS)
-        self._own_stop(now_ns, written_ns, causes.DIED(layout.SUPERVISOR))
-        self.loop.forget(self._supervisor_life.fd)
-        self.loop.forget(self._control.fd)
 
     def _follow_epoch(self, now_ns: int) -> None:
         """A raised epoch is a stop that somebody else noticed. The answer is always a burst, but for a stop of its own
@@ -309,7 +286,7 @@ class PortOwner:
         due_ns = NEVER
         while self.bus.waiting:
             move, now_ns = self.bus.waiting[0], self._now_ns()
-            verdict = self._decide(move, now_ns, self.bus.check)
+            verdict = self._decide(move, now_ns, self.bus)
             if verdict == admission.WRITE:
                 due_ns = self.bus.due_ns(move[0], now_ns, wheels_move=self.admission.wheels_move)
                 if now_ns < due_ns < NEVER:
@@ -342,13 +319,13 @@ class PortOwner:
         if not (before or self.wire.unsent or self.wire.lost):
             self._moving_word.set(0)
 
-    def _decide(self, motion: Motion, now_ns: int, check: Callable[[bytes], Cause | None]) -> int | Cause:
+    def _decide(self, motion: Motion, now_ns: int, rules: Admission | ServoBus) -> int | Cause:
         """The table of admission.py. The time is that of the write: a process that was held up since it woke must not
         pass what was young then."""
         requested = self._pipe_rests.ns != NEVER and self.loop.readable(self._stop_pipe)
         gate_ns = self._gate.heart.ns.get() if self._gate.life else None
         beat_ns = self._supervisor_beat.get()
-        return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, check, requested=requested)
+        return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, rules, requested=requested)
 
     def _obey(self, verdict: int | Cause, now_ns: int) -> None:
         """What is not written."""
@@ -361,7 +338,7 @@ class PortOwner:
 
     def _forward_motion(self, motion: Motion) -> None:
         now_ns = self._now_ns()
-        verdict = self._decide(motion, now_ns, self.admission.check)
+        verdict = self._decide(motion, now_ns, self.admission)
         if verdict == admission.WRITE:
             self._write_motion(motion)
         else:
@@ -409,15 +386,11 @@ class PortOwner:
 
     def _take_port(self, ready: dict[int, int], now_ns: int) -> None:
         """The supervisor has opened a port and stopped on it. The loss of the one before is a stop of its own, seen
-        here by now or not; one that is known already was sent twice."""
-        while self._control.fd in ready and (sent := self._control.receive()):
-            fd, number, path = sent
-            if number <= self._number:
-                os.close(fd)
-                continue
+        here by now or not."""
+        while sent := self._parent.new_port(ready, self._number + 1):
             if self.wire.fd >= 0:
                 self._port_lost(now_ns)
-            self._number, self._path = number, path
+            fd, self._number, self._path = sent
             self.wire.adopt(fd)
             self._stopped(self._now_ns())
             self._publish_port(now_ns)
@@ -451,9 +424,9 @@ class PortOwner:
 
     def _repeat(self, now_ns: int) -> None:
         due = self.repeats.take(now_ns)
-        if due == repeats.BURST:
+        if due == schedule.BURST:
             self.wire.burst()
-        elif due == repeats.ZERO:
+        elif due == schedule.ZERO:
             self.wire.frame(BOARD.stop)
 
     def _ping(self, now_ns: int) -> None:
@@ -471,10 +444,6 @@ class PortOwner:
 def run(context: Context) -> int:
     """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
     owner = PortOwner(context)
-    context.runs()
-    ready: dict[int, int] = {}
-    while owner.turn(ready):
-        ready = owner.loop.wait(TICK_NS)
-    context.heartbeat.state(heartbeat.STOPPING, context.world.now_ns())
+    context.run(owner.turn, owner.loop, TICK_NS)
     owner.wire.close()
     return 0

@@ -6,12 +6,9 @@ import os
 
 from failstop.board.interface import BOARD
 from failstop.board.stop_port import StopPort
+from failstop.procs.world import World
 from failstop.shm import box
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.world import World
-    from failstop.shm.ring import RingWriter
+from failstop.shm.ring import RingWriter
 
 DRAIN_NS = 100_000_000
 """A port that holds bytes back for this long does not drain: a stop cause."""
@@ -19,8 +16,6 @@ DRAIN_NS = 100_000_000
 
 class Wire(StopPort):
     """The port owner's. Nothing is written to it from when it is lost."""
-
-    __slots__ = ("_box", "_early", "_handed", "_held_since_ns", "_refused", "_select")
 
     def __init__(self, fd: int, world: World, servos: tuple[int, ...] = ()) -> None:
         super().__init__(fd, servos, world.unsent_bytes)

@@ -11,20 +11,13 @@ its way. It waits for the port owner's answer, but not long.
 
 from __future__ import annotations
 
-import os
-
 from failstop.board.stop_port import StopPort
 from failstop.procs import starved
-from failstop.procs.handover import Control
+from failstop.procs.context import Context
 from failstop.procs.loop import GONE, HANGUP, NEVER, READ, Loop
-from failstop.procs.peer import Peer
-from failstop.procs.port_owner.repeats import BURST_AFTER_NS, LEAVE_AFTER_NS
-from failstop.shm import bell, heartbeat, layout, records
+from failstop.procs.peer import BURST_AFTER_NS, Parent, Peer
+from failstop.shm import bell, layout, records
 from failstop.shm.barrier import Barrier
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.context import Context
 
 TICK_NS = 50_000_000
 FIRST_GO_NS = 3_000_000
@@ -47,29 +40,24 @@ class Stopper:
         self.loop = Loop(context.world)
         self._epoch_word = supervisor.word("epoch")
         self._port = StopPort(context.fd("port"), context.settings.servos(), context.world.unsent_bytes)
-        self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port.early_stop)
+        self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port)
         self._port_owner_written = port_owner.word("written_ns")
         self._port_owner_moving = port_owner.word("moving")
         self._barrier = Barrier()
         self._port_owner_bell = context.bell("port_owner_bell")
         self._port_record = port_owner.latest_reader("port")
         self._written_word = context.own.word("written_ns")
-        self._bell = context.bell("bell")
-        self._control = Control(context.fd("control"))
+        self._bells = (context.bell("bell"), context.early.bell)
         self._number = context.port_number
         self._number_word = context.own.word("port_number")
         self._number_word.set(self._number if self._port.fd >= 0 else 0)
         self._turned_ns = self._excused_ns = self._now_ns()
-        self._early = context.early
-        self._supervisor_life = context.world.lifeline(context.parent)
-        self._early.arm(self._supervisor_life, layout.SUPERVISOR_BLOCK, 1)
+        self._parent = Parent(context, self.loop, 1)
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""
-        self._orphaned_ns = 0
-        self._leave, self._first_go, self._look_again = (self.loop.timer() for _ in range(3))
-        self._repeat, self._hang = self.loop.timer(), self.loop.timer()
-        for fd in (self._bell.fd, self._early.bell.fd, self._control.fd, self._supervisor_life.fd):
-            self.loop.watch(fd, READ)
+        self._first_go, self._look_again, self._repeat, self._hang = (self.loop.timer() for _ in range(4))
+        for each in self._bells:
+            self.loop.watch(each.fd, READ)
         if self._port.fd >= 0:
             self.loop.watch(self._port.fd, HANGUP)
 
@@ -79,27 +67,24 @@ class Stopper:
         if now_ns - self._turned_ns > HELD_UP_NS:
             self._excused_ns = now_ns
         self._turned_ns = now_ns
-        bell.clear_rung((self._bell, self._early.bell), ready)
+        bell.clear_rung(self._bells, ready)
         self._answer_deaths(ready, now_ns)
         self._write_due(now_ns)
         if ready.get(self._port.fd, 0) & GONE or self._port.lost or self._is_given_up():
             self.close_port()
         self._adopt_port(ready)
-        if not self._orphaned_ns:
+        if not self._parent.orphaned_ns:
             self._follow_port_owner(now_ns)
         self.heartbeat.beat(now_ns, self._epoch_word.get())
-        return not self._leave.due(now_ns)
+        return not self._parent.leave(now_ns)
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
         """The port owner's at once. It has the first go at the supervisor's, which is the end of this process too."""
         if died := self._port_owner.died(ready):
             self._port_owner_died(died, now_ns)
             self._port_owner.drop()
-        if not self._orphaned_ns and self._supervisor_life.died(ready):
-            self._orphaned_ns = now_ns
-            self.loop.forget(self._supervisor_life.fd)
-            self.loop.forget(self._control.fd)
-            self._leave.set(now_ns + LEAVE_AFTER_NS)
+        if self._parent.died(ready):
+            self._parent.drop(now_ns)
             self._hang.set(NEVER)
             self._first_go.set(now_ns + FIRST_GO_NS if self._port_owner.life else now_ns)
 
@@ -127,13 +112,13 @@ class Stopper:
         """The burst after the port owner's first go, and the repeats of an earlier burst."""
         if self._first_go.ns != NEVER:
             self._look_again.set(now_ns + LOOK_AGAIN_NS)
-            if self._port_owner_written.get() >= self._orphaned_ns or self._first_go.due(now_ns):
+            if self._port_owner_written.get() >= self._parent.orphaned_ns or self._first_go.due(now_ns):
                 self._first_go.set(NEVER)
                 self._look_again.set(NEVER)
                 self._burst(now_ns)
         elif self._repeat.take(now_ns):
-            if self._orphaned_ns:
-                if self._port_owner_written.get() < self._orphaned_ns:
+            if self._parent.orphaned_ns:
+                if self._port_owner_written.get() < self._parent.orphaned_ns:
                     self._fence()
                 self._write()
             elif self._succeeded():
@@ -184,16 +169,12 @@ class Stopper:
         return records.port_state(self._port_record.read(), self._number) == records.PORT_LOST
 
     def _adopt_port(self, ready: dict[int, int]) -> None:
-        """One that it has already was sent twice."""
-        while self._control.fd in ready and (sent := self._control.receive()):
-            fd, number, _ = sent
-            if number < self._number + (self._port.fd >= 0):
-                os.close(fd)
-                continue
+        """Or the one that it had, where that is closed by now."""
+        while sent := self._parent.new_port(ready, self._number + (self._port.fd >= 0)):
             self.close_port()
+            fd, self._number, _ = sent
             self._port.adopt(fd)
-            self._number = number
-            self._number_word.set(number)
+            self._number_word.set(self._number)
             self.loop.watch(fd, HANGUP)
 
     def close_port(self) -> None:
@@ -207,10 +188,6 @@ class Stopper:
 def run(context: Context) -> int:
     """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
     stopper = Stopper(context)
-    context.runs()
-    ready: dict[int, int] = {}
-    while stopper.turn(ready):
-        ready = stopper.loop.wait(TICK_NS)
+    context.run(stopper.turn, stopper.loop, TICK_NS)
     stopper.close_port()  # an exit would wait for a port that does not drain
-    context.heartbeat.state(heartbeat.STOPPING, context.world.now_ns())
     return 0

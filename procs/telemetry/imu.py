@@ -8,11 +8,9 @@ from __future__ import annotations
 
 from math import pi, sqrt
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.settings import Settings
+from failstop.policy.settings import Settings
 
-    Vector = tuple[float, float, float]
+Vector = tuple[float, float, float]
 
 G_MPS2 = 9.80665
 RAD_PER_DEG = pi / 180
@@ -28,18 +26,9 @@ NOT_STATIONARY = "robot not stationary during gyro calibration"
 class Accelerometer:
     """Raw g to m/s2: (raw - offset) x scale x 9.80665."""
 
-    __slots__ = ("_offsets_g", "_scales")
-
-    def __init__(self, offsets_g: Vector, scales: Vector) -> None:
-        self._offsets_g = offsets_g
-        self._scales = tuple(scale * G_MPS2 for scale in scales)
-
-    @classmethod
-    def of(cls, settings: Settings) -> Accelerometer:
-        """With the robot's own offsets and scales."""
-        offset_x, offset_y, offset_z = (settings[f"imu.offset_{axis}_g"] for axis in "xyz")
-        scale_x, scale_y, scale_z = (settings[f"imu.scale_{axis}"] for axis in "xyz")
-        return cls((offset_x, offset_y, offset_z), (scale_x, scale_y, scale_z))
+    def __init__(self, settings: Settings) -> None:
+        self._offsets_g = [settings[f"imu.offset_{axis}_g"] for axis in "xyz"]
+        self._scales = [settings[f"imu.scale_{axis}"] * G_MPS2 for axis in "xyz"]
 
     def mps2(self, x_g: float, y_g: float, z_g: float) -> Vector:
         """The acceleration in m/s2."""
@@ -63,25 +52,17 @@ class GyroBias:
     with the time constant from the start, by 0.10 like this (40 seeds; docs/dev/telemetry.md).
     """
 
-    def __init__(
-        self,
-        *,
-        calibration_s: float,
-        std_dps: float,
-        rest_s: float,
-        band_dps: float,
-        tau_s: float,
-        tracks: bool,
-    ) -> None:
-        """`std_dps`: the most that counts as still; `tracks`: False never moves the bias after the calibration."""
-        self._calibration_ns = round(calibration_s * 1e9)
-        self._std_radps = std_dps * RAD_PER_DEG
-        self._rest_ns = round(rest_s * 1e9)
-        self._band_radps = band_dps * RAD_PER_DEG
-        self._tau_s = tau_s
-        self._averaged_s = tau_s
+    def __init__(self, settings: Settings) -> None:
+        self._calibration_ns = settings.ns("imu.calibration_s")
+        self._std_radps = settings["imu.calibration_std_dps"] * RAD_PER_DEG
+        """The most that counts as still."""
+        self._rest_ns = settings.ns("imu.tracking_rest_s")
+        self._band_radps = settings["imu.tracking_band_dps"] * RAD_PER_DEG
+        self._tau_s = settings["imu.tracking_tau_s"]
+        self._averaged_s = self._tau_s
         """How much of time the bias is an average of; tau_s once it is no plain average any more."""
-        self._tracks = tracks
+        self._tracks = settings.on("imu.tracking")
+        """Else the bias never moves after the calibration."""
         self._samples: list[Vector] | None = []
         self._since_ns = 0
         self._last_ns: int | None = None
@@ -90,18 +71,6 @@ class GyroBias:
         self.calibrated = False
         self.tracking = False
         """Whether the last sample moved the bias."""
-
-    @classmethod
-    def of(cls, settings: Settings) -> GyroBias:
-        """As the settings say."""
-        return cls(
-            calibration_s=settings["imu.calibration_s"],
-            std_dps=settings["imu.calibration_std_dps"],
-            rest_s=settings["imu.tracking_rest_s"],
-            band_dps=settings["imu.tracking_band_dps"],
-            tau_s=settings["imu.tracking_tau_s"],
-            tracks=settings.text("imu.tracking") == "on",
-        )
 
     @property
     def calibrating(self) -> bool:

@@ -5,31 +5,27 @@ from __future__ import annotations
 
 import os
 
+import msgpack
+
 from failstop.board import decoder, framing
 from failstop.board.interface import BOARD
+from failstop.policy import causes
+from failstop.policy.causes import Cause
+from failstop.procs.context import Context
 from failstop.procs.loop import READ, Loop
-from failstop.procs.telemetry import charger, imu, state_files
-from failstop.procs.telemetry.battery_log import HEADER, BatteryLog
-from failstop.procs.telemetry.charger import Charger
-from failstop.procs.telemetry.gate_state import GateState
+from failstop.procs.telemetry import battery, imu, state_files
+from failstop.procs.telemetry.battery import BatteryLog, Charger, LowBattery
 from failstop.procs.telemetry.imu import Accelerometer, GyroBias
-from failstop.procs.telemetry.noticer import Noticer
 from failstop.procs.telemetry.odometry import Odometry
-from failstop.procs.telemetry.pad import Pad
+from failstop.procs.telemetry.pad import PRESSES, Pad, Tones
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
-from failstop.procs.telemetry.tones import Tones
 from failstop.shm import box, records
 from failstop.shm.barrier import Barrier
+from failstop.shm.latest import LatestReader
 from failstop.shm.notes import Note
 from failstop.shm.packing import pack
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.causes import Cause
-    from failstop.procs.context import Context
-    from failstop.shm.notes import Fields
-    from failstop.shm.segment import Segment
+from failstop.shm.segment import Segment
 
 TICK_NS = 50_000_000
 ODOMETRY_NS = 20_000_000
@@ -39,6 +35,65 @@ BIAS_NS = 80_000_000
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
+SILENT_NS = 250_000_000
+"""The gate publishes at least every 100 ms. One that has been silent for this long is past its lease: the port owner
+has stopped the wheels, whatever it said last."""
+REST = (0.0, 0.0, 0.0)
+
+
+class GateState:
+    """What telemetry goes by of the gate's published state: whether the wheels are told to turn, may turn, are stopped.
+    Before the first: motion is disabled, the wheels stand, nothing is latched."""
+
+    def __init__(self, reader: LatestReader) -> None:
+        self._reader = reader
+        self._found: object = None
+        self._seq = 0
+        self._t_ns = 0
+        self.enabled = False
+        self.latched = False
+        self.epoch = 0
+        """Raised by every stop: a latch that came and went between two looks leaves a newer one."""
+        self.tucks = False
+        """The arm has announced that it goes to its tuck pose."""
+        self.velocity = REST
+        """m/s forward, m/s left, rad/s counter-clockwise."""
+        self.since_ns = 0
+        """When this state began, as far as is known."""
+
+    @property
+    def commanded(self) -> bool:
+        """Whether a velocity other than zero is commanded."""
+        return any(self.velocity)
+
+    def read(self, now_ns: int) -> bool:
+        """Look for news; True when there is some."""
+        entry = self._reader.read()
+        news = False
+        if entry and entry[0] != self._seq:
+            self._seq, self._t_ns = entry[0], entry[1]
+            news = self._take(entry[2], entry[1])
+        if now_ns - self._t_ns > SILENT_NS and (self.enabled or self.commanded):
+            self.enabled = False
+            self.velocity = REST
+            self.since_ns = now_ns
+            news = True
+        return news
+
+    def _take(self, payload: bytes, t_ns: int) -> bool:
+        try:
+            # Kept until the next: its keys are interned strings, and to intern and drop them at each turn has Python
+            # build its table of them again every few minutes.
+            found = self._found = msgpack.unpackb(payload)
+            vx, vy, wz = found["body_vel"]
+            velocity = float(vx), float(vy), float(wz)
+            enabled, latched, epoch = bool(found["enabled"]), found["estop"] is not None, int(found["epoch"])
+            tucks = bool(found["arm"]["tucks"]) if "arm" in found else False
+        except (ValueError, KeyError, TypeError):
+            return False
+        self.tucks = tucks
+        self.enabled, self.latched, self.epoch, self.velocity, self.since_ns = enabled, latched, epoch, velocity, t_ns
+        return True
 
 
 class Telemetry:
@@ -50,20 +105,19 @@ class Telemetry:
         self.heartbeat = context.heartbeat
         self.loop = Loop(context.world)
         self._decoder = decoder.Decoder()
-        self._noticer = Noticer(
-            int(settings["pad.mode_button"]), int(settings["key.stop"]), settings["battery.stop_mv"]
-        )
-        self._pad = Pad.of(settings, self._noticer)
+        self._stop_key = int(settings["key.stop"])
+        self._pad = Pad(settings)
         self._pad_mode = records.PAD_MODES[self._pad.mode]
         self._tones = Tones(on=settings.on("buzzer.tones"))
-        self._accelerometer = Accelerometer.of(settings)
-        self._gyro = GyroBias.of(settings)
-        self._odometry = Odometry.of(settings)
+        self._accelerometer = Accelerometer(settings)
+        self._gyro = GyroBias(settings)
+        self._odometry = Odometry(settings)
         self._still = StillJudge(settings["still.std_radps"])
         folder = state_files.state_directory(context.instance, os.environ, settings.text("battery.directory"))
         self._files = StateFiles(folder)
-        self._charger = Charger(settings["battery.step_mv"], self._known_charger_state())
-        self._log = BatteryLog(settings["battery.log_s"], on=settings.on("battery.log"))
+        self._low_battery = LowBattery(settings)
+        self._charger = Charger(settings, self._known_charger_state())
+        self._log = BatteryLog(settings)
         self._barrier = Barrier()
         self._port_seq = self._epoch_followed = self._odometry_ns = self._bias_ns = 0
         self._bias_flags = (False, False)
@@ -78,14 +132,10 @@ class Telemetry:
     def _attach(self, context: Context) -> None:
         """What it publishes, and whom it wakes for it."""
         own = context.own
-        self._records = {name: own.latest_writer(name) for name in ("imu", "bias", "odometry", "battery", "pad")}
-        self._command = own.latest_writer("pad_command")
-        self._arm_command = own.latest_writer("pad_arm")
-        self._buttons = own.ring_writer("buttons")
-        self._causes = own.ring_writer("causes")
-        self._pad_requests = own.ring_writer("pad_requests")
-        self._notes = own.ring_writer("notes")
-        self._servos = own.ring_writer("servos")
+        latest = ("imu", "bias", "odometry", "battery", "pad", "pad_command", "pad_arm")
+        self._latest = {name: own.latest_writer(name) for name in latest}
+        rings = ("buttons", "causes", "pad_requests", "notes", "servos")
+        self._rings = {name: own.ring_writer(name) for name in rings}
         self._box = own.ring_writer("box")
         self._still_word = own.word("still_ns")
         self._judged_word = own.word("judged_ns")
@@ -127,7 +177,7 @@ class Telemetry:
     def _known_charger_state(self) -> int:
         """What the run before this one has seen last."""
         name = self._files.read(CHARGER, CHARGER_FILE).strip()
-        return records.PLUGGED.index(name) if name in records.PLUGGED else charger.UNKNOWN
+        return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNKNOWN
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up."""
@@ -187,17 +237,19 @@ class Telemetry:
             found = self._odometry
             pose = (found.x_m, found.y_m, found.th_rad)
             twist = (found.vx_mps, found.vy_mps, found.wz_radps)
-            self._records["odometry"].write(records.ODOMETRY.pack(*pose, *twist, *found.twist_std), now_ns)
+            self._latest["odometry"].write(records.ODOMETRY.pack(*pose, *twist, *found.twist_std), now_ns)
         gyro = self._gyro
         flags = (gyro.tracking, gyro.calibrated)
         if now_ns - self._bias_ns >= BIAS_NS or flags != self._bias_flags:
             self._bias_ns = now_ns
             self._bias_flags = flags
-            self._records["bias"].write(records.BIAS.pack(*gyro.bias_radps, *flags), now_ns)
+            self._latest["bias"].write(records.BIAS.pack(*gyro.bias_radps, *flags), now_ns)
 
-    def _note(self, kind: str, text: str, fields: Fields | None = None, *, level: str = "") -> None:
+    def _note(
+        self, kind: str, text: str, fields: dict[str, str | int | float] | None = None, *, level: str = ""
+    ) -> None:
         """Tell people something; the supervisor passes it on."""
-        self._notes.put(Note(kind, text, fields, level=level).pack())
+        self._rings["notes"].put(Note(kind, text, fields, level=level).pack())
         self.supervisor_bell.ring()
 
     def _note_gyro(self, text: str) -> None:
@@ -212,14 +264,14 @@ class Telemetry:
             self._note("pad", f"gamepad mode: {mode}", {"mode": mode})
 
     def _request(self, kind: int, frame: bytes = b"") -> None:
-        self._pad_requests.put(records.PAD_REQUEST.pack(kind, frame))
+        self._rings["pad_requests"].put(records.PAD_REQUEST.pack(kind, frame))
         self._gate_bell.ring()
 
     def _raise(self, cause: Cause | None) -> None:
         """The port owner stops before anyone decides anything. Not by the pipe that everybody may write to: who pressed
         is what telemetry has seen, not what somebody says."""
         if cause:
-            self._causes.put(cause.pack())
+            self._rings["causes"].put(cause.pack())
             self._port_owner_bell.ring()
 
     def _on_imu(self, data: bytes, t_ns: int) -> None:
@@ -229,7 +281,7 @@ class Telemetry:
             note = self._gyro.take(raw_radps, t_ns)
             acceleration = self._accelerometer.mps2(ax, ay, az)
             rate_radps = self._gyro.corrected(raw_radps)
-            self._records["imu"].write(records.IMU.pack(*acceleration, *rate_radps), t_ns)
+            self._latest["imu"].write(records.IMU.pack(*acceleration, *rate_radps), t_ns)
             self._box.put(box.pack_imu(acceleration, rate_radps), t_ns)
             was_still = self._still.still_ns > 0
             self._still.take(raw_radps[0], raw_radps[1], t_ns)
@@ -240,40 +292,40 @@ class Telemetry:
 
     def _on_system(self, data: bytes, t_ns: int) -> None:
         if millivolts := decoder.battery_mv(data):
-            self._raise(self._noticer.battery(millivolts))
+            self._raise(self._low_battery.take(millivolts))
             if self._charger.take(millivolts, t_ns):
                 name = records.PLUGGED[self._charger.state]
                 self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")
                 text = f"charger {name}: the battery stepped to {millivolts} mV"
                 self._note("charger", text, {"state": name, "battery_mv": millivolts})
-            self._records["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
+            self._latest["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
             self._box.put(box.pack_battery(millivolts, self._charger.state), t_ns)
             if due := self._log.take(millivolts, self._gate.enabled, t_ns, self._unix_s()):
-                self._files.append(BATTERY_LOG, due[0], HEADER, due[1])
+                self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])
 
     def _on_pad(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.gamepad(data):
             news = self._pad.take(sample, data, t_ns)
             self._raise(news.cause)
             if news.command:
-                self._command.write(records.PAD_COMMAND.pack(*news.command), t_ns)
+                self._latest["pad_command"].write(records.PAD_COMMAND.pack(*news.command), t_ns)
                 self._gate_bell.ring()
             if news.arm:
-                self._arm_command.write(records.PAD_ARM.pack(*news.arm), t_ns)
+                self._latest["pad_arm"].write(records.PAD_ARM.pack(*news.arm), t_ns)
                 self._gate_bell.ring()
             if news.reset:
                 self._request(records.PAD_RESET)
                 self._note("pad", "gamepad: MODE was held, reset requested")
-            self._records["pad"].write(records.PAD.pack(*sample, self._pad.mode), t_ns)
+            self._latest["pad"].write(records.PAD.pack(*sample, self._pad.mode), t_ns)
             self._box.put(box.pack_pad(sample, self._pad.mode), t_ns)
             if news.cause:
-                self._buttons.put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
+                self._rings["buttons"].put(pack({"kind": "pad", "buttons": sample[0], "raw": data.hex()}), t_ns)
                 text = f"{news.cause}; last frames: {self._pad.recent()}"
                 self._note("pad", text, {"reason": str(news.cause)})
 
     def _on_servo(self, data: bytes, t_ns: int) -> None:
         if answer := decoder.servo_reply(framing.BUS_SERVO, data):
-            self._servos.put(records.SERVO.pack(*answer), t_ns)
+            self._rings["servos"].put(records.SERVO.pack(*answer), t_ns)
             self._box.put(box.pack_servo(*answer), t_ns)
             self._gate_bell.ring()
 
@@ -289,15 +341,13 @@ class Telemetry:
 
     def _on_key(self, data: bytes, t_ns: int) -> None:
         if sample := decoder.key(data):
-            self._raise(self._noticer.key(*sample))
-            self._buttons.put(pack({"kind": "key", "key": sample[0], "event": sample[1]}), t_ns)
+            key, event = sample
+            self._raise(causes.KEY(key) if key == self._stop_key and event in PRESSES else None)
+            self._rings["buttons"].put(pack({"kind": "key", "key": key, "event": event}), t_ns)
 
 
 def run(context: Context) -> int:
     """Run forever: telemetry dies with the supervisor."""
     telemetry = Telemetry(context)
-    context.runs()
-    ready: dict[int, int] = {}
-    while True:
-        telemetry.turn(ready)
-        ready = telemetry.loop.wait(TICK_NS)
+    context.run(telemetry.turn, telemetry.loop, TICK_NS)
+    return 0

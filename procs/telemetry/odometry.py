@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from math import cos, pi, remainder, sin
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.settings import Settings
+from failstop.policy.settings import Settings
 
 LONGEST_STEP_NS = 100_000_000
 """More time than this between two looks does not count: nobody knows what the wheels did in it."""
@@ -17,24 +15,15 @@ POSE_VARIANCE = 1e3
 class Odometry:
     """The pose since the start: x, y in m, th in rad from -pi to pi; and the twist in the robot's own frame."""
 
-    def __init__(self, forward_scale: float, sideways_scale: float, twist_std: tuple[float, float]) -> None:
-        """The scales say how much of a commanded speed mecanum wheels make good; they are in the odometry only, never
-        in what the motors are sent. `twist_std`: m/s of vx and vy, rad/s of wz, to publish with the twist."""
-        self._forward_scale = forward_scale
-        self._sideways_scale = sideways_scale
+    def __init__(self, settings: Settings) -> None:
+        # How much of a commanded speed mecanum wheels make good: here only, never in what the motors are sent.
+        self._forward_scale = settings["odometry.forward_scale"]
+        self._sideways_scale = settings["odometry.sideways_scale"]
+        self.twist_std = (settings["odometry.twist_std_mps"], settings["odometry.twist_std_radps"])
+        """m/s of vx and vy, rad/s of wz, to publish with the twist."""
         self._last_ns: int | None = None
-        self.twist_std = twist_std
         self.x_m = self.y_m = self.th_rad = 0.0
         self.vx_mps = self.vy_mps = self.wz_radps = 0.0
-
-    @classmethod
-    def of(cls, settings: Settings) -> Odometry:
-        """As the settings say."""
-        return cls(
-            settings["odometry.forward_scale"],
-            settings["odometry.sideways_scale"],
-            (settings["odometry.twist_std_mps"], settings["odometry.twist_std_radps"]),
-        )
 
     def inherit(self, x_m: float, y_m: float, th_rad: float) -> None:
         """Go on from where an earlier run of this process had come to."""

@@ -1,4 +1,5 @@
-"""The gamepad: buttons that stop, the modes, the sticks, the hold that asks for a reset. Pure.
+"""The gamepad: buttons that stop, the modes, the sticks, the hold that asks for a reset, what the buzzer says of it.
+Pure.
 
 locked --MODE--> drive --MODE--> locked ...     with a lockout between two changes
 any --any latch, any other button--> locked     and locked it stays while latched
@@ -6,18 +7,14 @@ any --any latch, any other button--> locked     and locked it stays while latche
 
 from __future__ import annotations
 
-from failstop.procs.telemetry.noticer import Noticer
+from failstop.board.peripherals import buzzer
+from failstop.policy import causes
+from failstop.policy.causes import Cause
+from failstop.policy.settings import Settings
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.causes import Cause
-    from failstop.policy.settings import Settings
+Velocity = tuple[float, float, float]
 
-    Velocity = tuple[float, float, float]
-
-LOCKED = 0
-DRIVE = 1
-JOINT = 2
+LOCKED, DRIVE, JOINT = range(3)
 """Indices of records.PAD_MODES. JOINT is there with an arm alone: the left stick, pushed to a side, chooses the joint,
 and the right one turns it."""
 CHOOSES = 0.7
@@ -32,15 +29,27 @@ RAW_FRAMES = 6
 """How many raw frames are kept for the log: what the pad sent just before a stop."""
 STANDSTILL = (0.0, 0.0, 0.0)
 
+PRESSES = frozenset((0x01, 0x02, 0x04, 0x20, 0x40, 0x80))
+"""Events of the board's keys that mean that a finger is or was on the key; releases (0x08, 0x10) are not."""
+
+OFF_MS = 100
+"""Between two beeps and after the last: an off time of 0 left a buzzer sounding forever."""
+LATCH = buzzer(1000, 400, OFF_MS, 2)
+"""Two long low beeps."""
+MODES = (buzzer(1500, 100, OFF_MS, 1), buzzer(2500, 100, OFF_MS, 2), buzzer(2500, 100, OFF_MS, 3))
+"""By the pad's mode. One short beep: locked; two short high ones: drive; three: joint."""
+TUCK = buzzer(2000, 50, OFF_MS, 4)
+"""Four short ones: the arm is about to move by itself."""
+
 
 class PadNews:
-    """What one frame means: a cause of a stop or None, a velocity to command (m/s, m/s, rad/s) or None, and whether to
-    request a reset."""
+    """What one frame means: a cause of a stop or None, a velocity to command (m/s, m/s, rad/s) or None, a joint to turn
+    with a share of its speed or None, and whether to request a reset."""
 
     __slots__ = ("arm", "cause", "command", "reset")
 
     def __init__(
-        self, cause: Cause | None, command: Velocity | None, reset: bool, arm: tuple[int, float] | None = None
+        self, cause: Cause | None, command: Velocity | None, reset: bool, arm: tuple[int, float] | None
     ) -> None:
         self.arm = arm
         self.cause = cause
@@ -51,49 +60,27 @@ class PadNews:
 class Pad:
     """What is remembered from frame to frame. A pad that falls silent in drive mode is left to the command timeout."""
 
-    def __init__(
-        self,
-        noticer: Noticer,
-        *,
-        mode_button: int,
-        dead_zone: float,
-        mode_lockout_s: float,
-        reset_hold_s: float,
-        limits: Velocity,
-        joints: int = 0,
-    ) -> None:
-        """`limits`: what a stick at its end commands, in m/s, m/s and rad/s."""
-        self._noticer = noticer
-        self._mode_button = mode_button
-        self._dead_zone = dead_zone
-        self._lockout_ns = round(mode_lockout_s * 1e9)
-        self._reset_hold_ns = round(reset_hold_s * 1e9)
-        self._limits = limits
+    def __init__(self, settings: Settings) -> None:
+        self._mode_button = int(settings["pad.mode_button"])
+        self._dead_zone = settings["pad.dead_zone"]
+        self._lockout_ns = settings.ns("pad.mode_lockout_s")
+        self._reset_hold_ns = settings.ns("pad.reset_hold_s")
+        self._limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
+        """What a stick at its end commands."""
+        self._joints = len(settings.servos())
         self._raw: list[tuple[int, bytes]] = []
+        self._buttons = 0
+        """Those of the last frame, so that a held one is one request."""
         self._last_ns: int | None = None
         self._changed_ns: int | None = None
         self._latched_ns: int | None = None
         self._hold_ns: int | None = None
         self._hold_frames_missing = 0
         self._hold_spent = False
-        self._joints = joints
         self._chose = False
         self.joint = 0
         """The chosen joint, by its place in the settings."""
         self.mode = LOCKED
-
-    @classmethod
-    def of(cls, settings: Settings, noticer: Noticer) -> Pad:
-        """As the settings say."""
-        return cls(
-            noticer,
-            mode_button=int(settings["pad.mode_button"]),
-            dead_zone=settings["pad.dead_zone"],
-            mode_lockout_s=settings["pad.mode_lockout_s"],
-            reset_hold_s=settings["pad.reset_hold_s"],
-            limits=(settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"]),
-            joints=len(settings.servos()),
-        )
 
     def follow(self, latched: bool, now_ns: int) -> None:
         """Whether a stop is latched, by whomever. A latch drops the pad to locked."""
@@ -112,7 +99,7 @@ class Pad:
         self._notice_silence(t_ns)
         self._raw = [*self._raw[1 - RAW_FRAMES :], (t_ns, raw)]
         buttons, _, lx, ly, rx, _ = sample
-        cause = self._noticer.pad(buttons)
+        cause = self._stops(buttons)
         was = self.mode
         if cause:
             self.mode = LOCKED
@@ -124,6 +111,12 @@ class Pad:
             command = STANDSTILL if was == DRIVE and not cause else None
         arm = self._turns_joint(lx, rx) if self.mode == JOINT else (self.joint, 0.0) if was == JOINT else None
         return PadNews(cause, command, self._reset_is_due(buttons, t_ns), arm)
+
+    def _stops(self, buttons: int) -> Cause | None:
+        """A button stops on its first frame: real taps last one frame only, so nothing may wait for a second."""
+        pressed = buttons & ~self._buttons & ~self._mode_button
+        self._buttons = buttons
+        return causes.BUTTON(pressed) if pressed else None
 
     def _turns_joint(self, lx: int, rx: int) -> tuple[int, float]:
         """The joint and the share of its speed."""
@@ -140,7 +133,7 @@ class Pad:
 
     def _notice_silence(self, t_ns: int) -> None:
         if self._last_ns is not None and t_ns - self._last_ns > SILENCE_NS:
-            self._noticer.forget_held()
+            self._buttons = 0  # one that was held then must not mask the next tap
             self._hold_ns = None
         self._last_ns = t_ns
 
@@ -181,3 +174,23 @@ class Pad:
         """-1 to 1 (the axis reaches -128), and 0 within the dead zone."""
         value = max(-1.0, min(1.0, raw / FULL_AXIS))
         return value if abs(value) >= self._dead_zone else 0.0
+
+
+class Tones:
+    """Remembers what it last saw, so that a tone sounds on the change alone; off, it never sounds."""
+
+    def __init__(self, *, on: bool) -> None:
+        self._on = on
+        self._seen = (True, LOCKED, False)
+        """Latched, mode and tucks. What is latched at the start was told by whoever was there when it happened."""
+
+    def follow(self, latched: bool, mode: int, *, tucks: bool = False) -> bytes:
+        """The frame to sound now, or none. A latch also locks the pad: then its tone alone is heard."""
+        (was_latched, was_mode, tucked), self._seen = self._seen, (latched, mode, tucks)
+        if not self._on:
+            return b""
+        if latched and not was_latched:
+            return LATCH
+        if tucks and not tucked:
+            return TUCK
+        return MODES[mode] if mode != was_mode and not latched else b""

@@ -16,7 +16,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    Job = tuple[str, Callable[[str, str, str], None], str, str, str]
+    Job = tuple[str, Callable[[], None]]
 
 SYSTEM_BASE = "/var/lib/failstop"
 STACK_BYTES = 256 * 1024
@@ -58,7 +58,7 @@ def append_line(path: str, header: str, line: str) -> None:
         os.close(fd)
 
 
-def write_whole(path: str, _header: str, text: str) -> None:
+def write_whole(path: str, text: str) -> None:
     """Replace a file's content: after a crash or power cut it is the old one or the new one. Raises OSError, and then
     the old one is there."""
     os.makedirs(os.path.dirname(path), exist_ok=True)
@@ -69,8 +69,6 @@ def write_whole(path: str, _header: str, text: str) -> None:
 
 class StateFiles:
     """Jobs for the thread, and what it has to say of them. Everything but _work runs in the loop's thread."""
-
-    __slots__ = ("_failing", "_jobs", "_notes", "folder", "running")
 
     def __init__(self, folder: str) -> None:
         self.folder = folder
@@ -97,11 +95,11 @@ class StateFiles:
 
     def append(self, what: str, name: str, header: str, line: str) -> None:
         """Append a line to a file soon; `what` names it in the journal."""
-        self._put((what, append_line, os.path.join(self.folder, name), header, line))
+        self._put(what, lambda: append_line(os.path.join(self.folder, name), header, line))
 
     def replace(self, what: str, name: str, text: str) -> None:
         """Replace a file's content soon."""
-        self._put((what, write_whole, os.path.join(self.folder, name), "", text))
+        self._put(what, lambda: write_whole(os.path.join(self.folder, name), text))
 
     def notes(self) -> list[str]:
         """Lines for the journal since the last call."""
@@ -112,24 +110,24 @@ class StateFiles:
         if self.running:
             self._jobs.put(None)
 
-    def _put(self, job: Job) -> None:
+    def _put(self, what: str, write: Callable[[], None]) -> None:
         if not self.running:
             try:
                 _thread.stack_size(STACK_BYTES)
                 _thread.start_new_thread(self._work, ())
             except RuntimeError as error:
-                self._say(job[0], f"no thread to write it: {error}")
+                self._say(what, f"no thread to write it: {error}")
                 return
             self.running = True
         if self._jobs.qsize() < MOST_WAITING:
-            self._jobs.put(job)
+            self._jobs.put((what, write))
 
     def _work(self) -> None:
         """The thread."""
         while job := self._jobs.get():
-            what, write, path, header, text = job
+            what, write = job
             try:
-                write(path, header, text)
+                write()
             except OSError as error:
                 self._say(what, f"{error}")
             else:

@@ -38,8 +38,6 @@ class StillJudge:
     What shakes less than the limit counts as still: on the robot a straight drive below some 0.08 m/s.
     """
 
-    __slots__ = ("_begun_ns", "_last_ns", "_limit", "_quiet_ns", "_samples", "_sums", "judged_ns", "still_ns")
-
     def __init__(self, std_radps: float) -> None:
         """`std_radps`: less on x and on y is quiet."""
         self._limit = (std_radps * UNITS_PER_RADPS) ** 2

@@ -110,7 +110,7 @@ def test_cause_and_ready_before_the_epoch(supervisor: SupervisorScene, trace: Tr
 
 def test_the_epoch_before_cause_and_ready(gate: gate_scene.Scene, trace: Trace) -> None:
     gate.turn()
-    trace.watch(cause=gate.gate._latch, ready=gate.gate._ready_word, epoch=gate.gate._epoch_word)
+    trace.watch(cause=gate.gate._latch, ready=gate.gate.requests._ready_word, epoch=gate.gate._epoch_word)
     gate.stop(2, "key1")
     gate.request(records.ENABLE)
     gate.tick()
@@ -125,14 +125,14 @@ def test_a_successor_sees_the_cause_of_the_epoch_that_it_sees(gate: gate_scene.S
     trace.done.clear()
     gate.start_gate()
     trace.watch(cause=gate.gate._latch)
-    gate.gate._follow_latch()
+    gate.gate.follow_latch()
     assert trace.done[:2] == ["barrier", "load cause"]
 
 
 def test_a_reset_s_time_before_its_number(gate: gate_scene.Scene, trace: Trace) -> None:
-    resets = gate.gate._resets
-    trace.watch(number=resets._asked_word, asked=resets._asked_ns_word)
-    resets.ask((None, 0, 0, gate.clock()))
+    requests = gate.gate.requests
+    trace.watch(number=requests._asked_word, asked=requests._asked_ns_word)
+    requests.ask_reset((None, 0, 0, gate.clock()))
     assert trace.has("store asked", "barrier", "store number")
 
 
@@ -150,8 +150,9 @@ def test_a_reset_s_number_before_its_time_and_what_became_of_it_before_that(
 def test_a_decided_reset_before_the_latch_and_what_became_of_it(gate: gate_scene.Scene, trace: Trace) -> None:
     gate.stop(2, "key1")
     gate.tick()
-    gate.gate._resets.ask((None, 0, 0, gate.clock()))
-    trace.watch(decided=gate.gate._resets._decided_word, latch=gate.gate._latch, record=gate.gate._resets._record)
+    requests = gate.gate.requests
+    requests.ask_reset((None, 0, 0, gate.clock()))
+    trace.watch(decided=requests._decided_word, latch=gate.gate._latch, record=requests._decided)
     gate.decide()
     assert trace.has("load decided", "barrier", "load latch", "barrier", "load record")
 
@@ -223,7 +224,7 @@ def test_a_later_entry_before_the_second_look_at_a_torn_one(trace: Trace) -> Non
 
 def test_the_state_before_the_reply(gate: gate_scene.Scene, trace: Trace) -> None:
     gate.turn()
-    trace.watch(state=gate.gate._state, reply=gate.gate._replies[0])
+    trace.watch(state=gate.gate._state, reply=gate.gate.requests._replies[0])
     gate.ask(records.ENABLE)
     assert trace.has("store state", "barrier", "store reply")
 

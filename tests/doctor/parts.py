@@ -5,14 +5,12 @@ from __future__ import annotations
 import dataclasses
 import resource
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
-from failstop.doctor.device import Node
-from failstop.doctor.look import Look, Service
-from failstop.doctor.machine import CLOCKS, PROCESSORS, RUNTIME
-from failstop.doctor.stop_test import StopPath, StopTest
-from failstop.doctor.system import System, User
-from failstop.doctor.ticks import Ticks
+from failstop.doctor.look import Look, Service, ok
+from failstop.doctor.machine import PROCESSORS, RUNTIME
+from failstop.doctor.system import Node, System, User
 from failstop.policy.settings import Settings
 from failstop.shm.layout import PROCESSES
 from failstop.version import VERSION
@@ -23,7 +21,6 @@ PERSON = User("anna", 1000, frozenset({1000, 20}))
 NODE = Node(
     path="/dev/ttyACM0",
     resolved="/dev/ttyACM0",
-    character=True,
     pseudo=False,
     mode=0o660,
     uid=0,
@@ -47,30 +44,29 @@ UNIT = {
     "MainPID": "100",
     "NRestarts": "0",
 }
-TICKS = (Ticks(False, 500, 60.0, 400.0, 3000.0), Ticks(True, 500, 20.0, 60.0, 300.0))
+TICKS = [(False, [60_000] * 500), (True, [20_000] * 500)]
 MIB = 1 << 20
 FILES = {
     RUNTIME: "950000",
-    f"{CLOCKS}/current_clocksource": "tsc",
-    f"{CLOCKS}/available_clocksource": "tsc hpet",
     f"{PROCESSORS}/cpu0/cpufreq/scaling_governor": "performance",
     f"{PROCESSORS}/cpu0/cpuidle/state1/name": "C1",
     f"{PROCESSORS}/cpu0/cpuidle/state1/latency": "2",
 }
 KERNEL: dict[str, Any] = {
-    "free": 1 << 30,
-    "writable": True,
-    "realtime": True,
+    "room": 1 << 30,
     "capable": False,
     "in_container": False,
     "early_news": True,
-    "backward_ns": 0,
-    "resolution_ns": 1,
-    "wall_clock": (True, 0.0001),
+    "ticks": TICKS,
 }
 """What the functions of System say, whatever they are asked."""
+SAYS: dict[str, str | None] = {"systemd-analyze": ""}
+"""What a command prints."""
 LIMITS = {resource.RLIMIT_RTPRIO: 40, resource.RLIMIT_MEMLOCK: -1}
 SHARED: dict[str, Any] = {
+    "quick": False,
+    "stop_wanted": False,
+    "device_path": None,
     "settings": ("", Settings(), ""),
     "service": SERVICE,
     "systemd": True,
@@ -80,12 +76,11 @@ SHARED: dict[str, Any] = {
     "device": ("/dev/ttyACM0", "the default of device.path"),
     "node": NODE,
     "holders": ((), 0),
-    "runs": ((), ()),
-    "commands": ("failstop", "failstop"),
-    "ticks": TICKS,
-    "stops": StopPath((StopTest("stop tool", True, 4.5),)),
+    "others": [],
+    "command": "failstop",
+    "stops": ok("stop tool: acknowledged"),
 }
-"""What checks share (Look)."""
+"""What was asked, and what checks share (Look)."""
 
 
 class Made(System):
@@ -97,6 +92,8 @@ class Made(System):
         owners: dict[str, str] | None = None,
         opens: dict[int, set[str]] | None = None,
         limits: dict[int, int] | None = None,
+        says: dict[str, str | None] | None = None,
+        realtime: bool = True,
         **kernel: Any,
     ) -> None:
         super().__init__("/nowhere")
@@ -104,6 +101,8 @@ class Made(System):
         self._owners = owners or {}
         self._opens = opens or {}
         self._limits = LIMITS | (limits or {})
+        self._says = SAYS | (says or {})
+        self._realtime = realtime
         for name, says in (KERNEL | kernel).items():
             setattr(self, name, lambda *_, says=says: says)
 
@@ -120,14 +119,21 @@ class Made(System):
     def open_files(self) -> Iterator[tuple[int, set[str] | None]]:
         return iter(self._opens.items())
 
+    def said(self, *words: str, timeout_s: float = 1.0) -> str | None:
+        return self._says[words[0]]
+
+    @contextmanager
+    def realtime(self, priority: int = 1) -> Iterator[bool]:
+        yield self._realtime
+
     def limit(self, which: int) -> int:
         return self._limits[which]
 
 
-def look(name: str = "failstop", *, stop_wanted: bool = False, **changed: Any) -> Look:
+def look(name: str = "failstop", **changed: Any) -> Look:
     """All is well but for this: what checks share, or what the system says."""
     system = Made(**{key: value for key, value in changed.items() if key not in SHARED})
-    made = Look(name, stop_wanted=stop_wanted, system=system)
+    made = Look(name, system=system)
     vars(made).update(SHARED | {key: value for key, value in changed.items() if key in SHARED})
     return made
 

@@ -13,9 +13,10 @@ import pytest
 from failstop.board.port import open_port
 from failstop.cli import style
 from failstop.cli.commands.doctor import ARROW, screen
-from failstop.doctor.finding import SKIP, WARN, Finding
+from failstop.doctor.look import LEVELS, SKIP, WARN, Finding
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, wait_for
+from failstop.version import VERSION
 from tests.support.commands import failstop
 
 
@@ -27,6 +28,9 @@ def doctor(*words: str) -> tuple[int, dict[str, list[dict[str, Any]]]]:
     found: dict[str, list[dict[str, Any]]] = {}
     for finding in result["findings"]:
         found.setdefault(finding["check"], []).append(finding)
+    levels = [finding["level"] for finding in result["findings"]]
+    assert result["worst"] == max(levels, key=LEVELS.index)
+    assert all(finding.keys() == {"check", "level", "text", "fix", "advice"} for finding in result["findings"])
     assert (done.returncode == 1) == (result["worst"] == "fail"), result
     return done.returncode, found
 
@@ -100,9 +104,10 @@ def test_the_stop_of_a_running_service(name: str) -> None:
         wait_for("the board's answer", lambda: trial.robot.state.device.link == "alive")
         _, found = doctor("--name", name)
         assert found["service"][0]["level"] == "ok"
+        assert found["version"][0]["text"] == f"service and command are failstop {VERSION}"
         assert trial.link in found["port"][0]["text"]
         assert stop_path(found)[0].startswith("skip: not tested: the service runs")
-        assert found["holders"][0]["level"] == "ok"
+        assert found["holders"][0]["level"] == "ok", found["holders"]
         assert trial.robot.state.last_stop is None or "doctor" not in trial.robot.state.last_stop.reason
 
         _, found = doctor("--name", name, "--stop-test")

@@ -11,17 +11,14 @@ import pytest
 
 from failstop import discovery
 from failstop.api.snapshot import Client, Starved
-from failstop.doctor import paste, port, stop_path
-from failstop.doctor.device import Holder
-from failstop.doctor.finding import FAIL, LEVELS, OK, SKIP, WARN, worst
-from failstop.doctor.leftovers import Leftover
-from failstop.doctor.look import NAMED, Look
-from failstop.doctor.machine import CLOCKS, PROCESSORS, RUNTIME
-from failstop.doctor.stop_test import StopPath, StopTest
-from failstop.doctor.table import CHECKS, as_records, examine
-from failstop.doctor.ticks import Ticks
+from failstop.doctor import look as of_look
+from failstop.doctor import port, stop_path
+from failstop.doctor.look import FAIL, LEVELS, OK, SKIP, WARN, Look, ok
+from failstop.doctor.machine import PROCESSORS, RUNTIME
+from failstop.doctor.system import Holder
+from failstop.doctor.table import CHECKS, examine, pasteable
 from failstop.policy.settings import Settings
-from tests.doctor.parts import FILES, NODE, PERSON, SERVER, SERVICE, STATE, UNIT, but, look, on, serving
+from tests.doctor.parts import NODE, PERSON, SERVER, SERVICE, STATE, TICKS, UNIT, but, look, on, serving
 from tests.support.states import arm
 
 UNRIGHTED = {name: but(row, realtime=False, memory_locked=False) for name, row in STATE.processes.items()}
@@ -41,18 +38,23 @@ def nodes(*users: str) -> dict[str, Any]:
     return {"files": files, "owners": {**owners, "/proc/7": users[-1]}}
 
 
-def answered(stop: StopTest) -> Look:
-    return look(stops=StopPath((stop,)))
+def answered(written: bool, answered_ms: float | None) -> Look:
+    return look(stops=stop_path.judged("stop tool", written, answered_ms, "failstop doctor"))
+
+
+def dead(**owners: str) -> dict[str, Any]:
+    """What is left of a run of each of these names, and whose it is."""
+    found = {f"/dev/shm/failstop.{name}.7.gate": owner for name, owner in owners.items()}
+    return {"files": dict.fromkeys(found, ""), "owners": found}
 
 
 CASES: tuple[tuple[str, Look, str, str], ...] = (
-    ("port", look(node=but(NODE, character=False)), FAIL, "no serial port"),
+    ("port", look(node=None, device=("/", "x")), FAIL, "no serial port"),
     ("port", look(node=but(NODE, link="/dev/failstop")), WARN, "that number may be another"),
     ("identity", look(node=but(NODE, usb_id="0403:6001")), FAIL, "0403:6001"),
-    ("identity", look(node=but(NODE, usb_id=None)), WARN, "no USB device"),
-    ("identity", look(node=but(NODE, usb_id=None), device=("/dev/ttyACM0", NAMED)), SKIP, "no USB device"),
+    ("identity", look(node=but(NODE, usb_id="")), WARN, "no USB device"),
+    ("identity", look(node=but(NODE, usb_id=""), device_path="/dev/ttyACM0"), SKIP, "no USB device"),
     ("permission", look(service_user=but(SERVER, gids=frozenset({998}))), FAIL, "failstop may not open"),
-    ("permission", look(service_user=but(SERVER, gids=frozenset()), node=but(NODE, acl=True)), WARN, "ACL"),
     ("permission", look(node=but(NODE, accessible=False)), SKIP, "need not"),
     ("permission", look(node=but(NODE, accessible=False), service=None), WARN, "anna"),
     ("permission", look(node=but(NODE, accessible=False), service_user=None, service=None), FAIL, "anna"),
@@ -68,7 +70,7 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("settings", look(settings=("x.toml", Settings(), "gate.lease_s = 9.0: allowed is")), FAIL, "gate.lease_s = 9.0"),
     ("deaths", look(early_news=False), WARN, "tells of a death late"),
     ("service", look(service=None), WARN, "no service named 'failstop' runs"),
-    ("service", look(service=None, unit={}, runs=((), ("left",))), WARN, "there is left"),
+    ("service", look(service=None, unit={}, others=["left"]), WARN, "there is left"),
     ("service", look(service=serving(device=but(PORT, link="deaf"))), FAIL, "does not answer"),
     ("service", look(service=serving(device=but(PORT, link="unproven"))), WARN, "not answered"),
     ("service", look(service=serving(waiting_for="the port")), WARN, "waits for the port"),
@@ -99,33 +101,21 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("memory lock", look(service=serving(processes=UNRIGHTED)), WARN, "swapped out"),
     ("memory lock", look(service=None, limits={resource.RLIMIT_MEMLOCK: (1 << 30) - 1}), WARN, "too little"),
     ("memory lock", look(service=None, **POOR), WARN, "64 KiB"),
-    ("clock", look(backward_ns=5), FAIL, "went back by 5 ns"),
-    ("clock", look(resolution_ns=1001), FAIL, "steps of 1001"),
-    ("clock", look(resolution_ns=4_000_000), FAIL, "steps of 4000000"),
-    ("clock", look(files={f"{CLOCKS}/current_clocksource": "hpet"}), WARN, "hpet"),
-    ("clock", look(files=dict.fromkeys(FILES)), WARN, "None"),
-    ("wall clock", look(wall_clock=(False, 0.0)), WARN, "not synchronized"),
-    ("wall clock", look(wall_clock=(True, 0.5)), WARN, "0.5 s"),
-    ("wall clock", look(wall_clock=(True, -2.5)), WARN, "-2.5 s"),
-    ("wall clock", look(wall_clock=None), SKIP, "does not say"),
-    ("shared memory", look(free=None), FAIL, "no /dev/shm"),
-    ("shared memory", look(writable=False), FAIL, "may not write"),
-    ("shared memory", look(free=1024, service=None), FAIL, "1 KiB free"),
-    ("leftovers", look(runs=((Leftover("old", 4096, "x", True),), ())), WARN, "old (4 KiB)"),
-    ("leftovers", look(runs=((Leftover("failstop", 9, "bob", False),), ())), FAIL, "bob"),
+    ("shared memory", look(room=None), FAIL, "no /dev/shm that this user may write"),
+    ("shared memory", look(room=1024, service=None), FAIL, "1 KiB free"),
+    ("leftovers", look(**dead(failstop="bob")), FAIL, "bob"),
     ("RemoveIPC", look(service_user=but(SERVER, uid=1001)), WARN, "logs out"),
     ("processor", look(files={f"{PROCESSORS}/cpu1/cpufreq/scaling_governor": "powersave"}), WARN, "powersave"),
     ("idle", look(files=C10), WARN, "C10 takes 890 us"),
-    ("ticks", look(ticks=()), SKIP, "not measured"),
-    ("ticks", look(ticks=(Ticks(True, 9, 1.0, 1.0, 41_000.0),)), FAIL, "40 ms and the lease runs out"),
-    ("ticks", look(ticks=(Ticks(True, 9, 1.0, 1.0, 6_000.0),)), WARN, "worst 6000 us"),
-    ("ticks", look(ticks=(Ticks(False, 9, 1.0, 1.0, 41_000.0),)), WARN, "ordinary priority"),
-    ("stop path", answered(StopTest("stop tool", True, None)), FAIL, "did not answer"),
-    ("stop path", answered(StopTest("stop tool", False, None)), FAIL, "could not be written"),
-    ("stop path", answered(StopTest("stop tool", True, 1.0, "stays latched")), FAIL, "stays latched"),
-    ("stop path", answered(StopTest("stop tool", True, 180.0)), WARN, "late"),
-    ("stop path", look(stops=StopPath((), "motion is enabled"), stop_wanted=True), WARN, "motion is enabled"),
-    ("stop path", look(stops=StopPath((), "the service runs")), SKIP, "not tested: the service runs"),
+    ("ticks", look(quick=True), SKIP, "not measured"),
+    ("ticks", look(ticks=[*TICKS, (True, [1000, 41_000_000])]), FAIL, "40 ms and the lease runs out"),
+    ("ticks", look(ticks=[*TICKS, (True, [1000, 6_000_000])]), WARN, "worst 6000 us"),
+    ("ticks", look(ticks=[(False, [1000, 41_000_000])]), WARN, "ordinary priority"),
+    ("stop path", answered(True, None), FAIL, "did not answer"),
+    ("stop path", answered(False, None), FAIL, "could not be written"),
+    ("stop path", answered(True, 180.0), WARN, "late"),
+    ("stop path", look(stops=None, service=serving(enabled=True), stop_wanted=True), WARN, "motion is enabled"),
+    ("stop path", look(stops=None), SKIP, "not tested: the service runs"),
 )
 
 
@@ -141,7 +131,8 @@ def said(given: Look, check: str) -> list[tuple[str, str, str]]:
 
 
 RUNS = "'failstop' runs (pid 100, user failstop), device open, the board answers"
-OPENED = ((Holder(101, "fs:port_owner", "failstop.service", ours=True),), 0)
+UNIT_LINE = "LimitRTPRIO=40, as the one of failstop install"
+OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
 
 
 @pytest.mark.parametrize(
@@ -157,7 +148,7 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", ours=True),), 0)
         ("service", look(service=serving(enabled=True)), f"{RUNS}, motion enabled"),
         ("RemoveIPC", look(), "RemoveIPC is on (the default); it does not concern failstop"),
         ("idle", look(), "the slowest idle state C1 takes 2 us to wake from"),
-        ("stop path", look(), "stop tool: acknowledged by the board after 4.5 ms"),
+        ("stop path", answered(True, 4.5), "stop tool: acknowledged by the board after 4.5 ms"),
     ],
 )
 def test_what_is_said_where_all_is_well(check: str, given: Look, says: str) -> None:
@@ -171,8 +162,7 @@ def test_what_is_said_where_all_is_well(check: str, given: Look, says: str) -> N
         ("holders", look(holders=((Holder(7, "x", "old.service"),), 0)), "sudo systemctl stop old.service", ""),
         ("version", look(service=but(SERVICE, version="0")), "sudo systemctl restart failstop.service", "it stops"),
         ("version", look(service=but(SERVICE, version="0"), unit={}), "sudo kill 100", "then start it again"),
-        ("clock", look(files={f"{CLOCKS}/current_clocksource": "hpet"}), "", "add clocksource=tsc"),
-        ("realtime", look(service=serving(processes=UNRIGHTED)), "", "LimitRTPRIO=40, as the one of failstop install"),
+        ("realtime", look(service=serving(processes=UNRIGHTED)), "", UNIT_LINE),
     ],
 )
 def test_the_remedy_fits_the_case(check: str, given: Look, fix: str, advice: str) -> None:
@@ -191,27 +181,27 @@ UNTOUCHED = but(NODE, accessible=False)
         ({"service": serving(enabled=True)}, "motion is enabled", "failstop disable --name failstop"),
         ({}, "the service runs, and would be stopped once and reset", "failstop doctor --stop-test --name failstop"),
         ({"service": None, "node": None}, "there is no port", ""),
-        ({"service": None, "node": but(NODE, character=False)}, "there is no port", ""),
         ({"service": None, "node": UNTOUCHED}, "this user may not open the port", ""),
         ({"service": None, "holders": ((Holder(7, "x"),), 0)}, "x (pid 7) has the port open", ""),
         (
-            {"service": None, "node": but(NODE, usb_id=None)},
+            {"service": None, "node": but(NODE, usb_id="")},
             "/dev/ttyACM0 may not be the board, and it is not written to",
             "failstop doctor --device /dev/ttyACM0",
         ),
     ],
 )
 def test_where_the_stop_path_is_left_alone(changed: dict[str, Any], why: str, fix: str) -> None:
-    assert stop_path.tried(look(**changed)) == StopPath((), why, fix)
+    given = look(stops=None, **changed)
+    assert said(given, "stop path") == [(f"not tested: {why}", fix, "" if fix else "see to that first")]
 
 
 @pytest.mark.parametrize(
     "changed",
-    [{}, {"node": but(NODE, usb_id=None, pseudo=True)}, {"node": but(NODE, usb_id=None), "device": ("/dev/x", NAMED)}],
+    [{}, {"node": but(NODE, usb_id="", pseudo=True)}, {"node": but(NODE, usb_id=""), "device_path": "/dev/x"}],
 )
 def test_where_it_is_tried(monkeypatch: pytest.MonkeyPatch, changed: dict[str, Any]) -> None:
-    monkeypatch.setattr(stop_path, "by_hand", lambda path: (path,))
-    assert stop_path.tried(look(service=None, **changed)) == StopPath((NODE.path,))  # type: ignore[arg-type]
+    monkeypatch.setattr(stop_path, "by_hand", lambda path, _: ok(path))
+    assert [text for text, *_ in said(look(stops=None, service=None, **changed), "stop path")] == [NODE.path]
 
 
 @pytest.mark.parametrize(
@@ -251,14 +241,14 @@ def test_a_service_that_runs_without_rights_is_judged_and_not_the_person_who_ask
     ("changed", "ignored"),
     [
         ({"systemd": False, "service_user": but(SERVER, uid=1001)}, ("RemoveIPC",)),
-        ({"free": 0}, ("shared memory",)),
+        ({"room": 0}, ("shared memory",)),
         ({"service": None, "limits": {resource.RLIMIT_MEMLOCK: -1}}, ("memory lock",)),
-        ({"files": {"/etc/systemd/logind.conf": "RemoveIPC=no"}, "service_user": PERSON}, ("RemoveIPC",)),
+        ({"says": {"systemd-analyze": "# /x\nRemoveIPC=no\n"}, "service_user": PERSON}, ("RemoveIPC",)),
         ({"files": on("ModemManager")}, ("grabbers",)),
         ({"files": on("ModemManager"), "node": but(NODE, pseudo=True, modem_ignored=False)}, ("grabbers",)),
-        ({"holders": ((Holder(101, "fs:port_owner", "failstop.service", ours=True),), 0)}, ("holders",)),
-        ({"node": but(NODE, pseudo=True, usb_id=None)}, ("identity",)),
-        ({"runs": ((Leftover("failstop", 4096, "x", True),), ())}, ("leftovers",)),
+        ({"holders": OPENED}, ("holders",)),
+        ({"node": but(NODE, pseudo=True, usb_id="")}, ("identity",)),
+        (dead(failstop="failstop"), ("leftovers",)),
         ({"files": {f"{PROCESSORS}/cpu0/cpuidle/state3/disable": "1", **C10}}, ("idle",)),
         ({**nodes("anna", "bob"), "files": {"/dev/shm/fastrtps_anna": ""}, "service": BRIDGED}, ("ROS 2",)),
         ({**nodes("bob"), "service": BRIDGED}, ("ROS 2",)),
@@ -290,7 +280,7 @@ def fixes(given: Look) -> dict[str, str]:
 
 
 def test_the_gravest_comes_first() -> None:
-    given = look(node=None, service=None, ticks=(), wall_clock=None, files={f"{CLOCKS}/current_clocksource": "hpet"})
+    given = look(node=None, service=None, quick=True)
     levels = [LEVELS.index(finding.level) for _, finding in examine(given)]
     assert levels == sorted(levels, reverse=True)
     assert set(levels) == set(range(len(LEVELS)))
@@ -304,7 +294,7 @@ def test_who_is_let_into_which_group() -> None:
     assert closed()["permission"] == "sudo usermod -aG dialout anna"
     private: dict[str, Any] = {"mode": 0o600, "gid": 0, "group": "root"}
     assert closed(**private)["permission"] == "sudo failstop install"
-    assert "permission" not in closed(**private, usb_id=None), "not root's group"
+    assert "permission" not in closed(**private, usb_id=""), "not root's group"
 
 
 def test_how_a_service_that_does_not_run_is_started() -> None:
@@ -318,16 +308,25 @@ def test_how_a_service_that_does_not_run_is_started() -> None:
 
 
 def test_commands_are_such_as_the_user_can_paste() -> None:
-    left = look(runs=((Leftover("old", 4096, "anna", True),), ()))
-    assert fixes(left)["leftovers"] == "failstop doctor --remove-leftovers"
-    others: dict[str, Any] = {"runs": ((Leftover("old", 4096, "bob", True),), ()), "commands": ("fs", "/v/fs")}
-    assert fixes(look(**others))["leftovers"] == "sudo /v/fs doctor --remove-leftovers"
-    assert fixes(look(**others, user=but(PERSON, name="root", uid=0)))["leftovers"] == "fs doctor --remove-leftovers"
+    absent: dict[str, Any] = {"unit": but(UNIT, LoadState="not-found"), "command": "/v/fs"}
+    assert fixes(look(**absent))["unit"] == "sudo /v/fs install"
+    assert fixes(look(**absent, user=but(PERSON, name="root", uid=0)))["unit"] == "/v/fs install"
+    assert fixes(look(quick=True, command="/v/fs"))["ticks"] == "/v/fs doctor"
     reload = but(UNIT, NeedDaemonReload="yes")
-    unit = look(unit=reload, user=but(PERSON, uid=0), commands=("/v/failstop", "/v/failstop"))
+    unit = look(unit=reload, user=but(PERSON, uid=0), command="/v/failstop")
     assert fixes(unit)["unit"] == "systemctl daemon-reload"
     stop = "sudo systemctl restart failstop.service"
-    assert paste.ready(stop, "/v/failstop", "/v/failstop", root=False) == stop, "no command of failstop's"
+    assert pasteable(stop, "/v/failstop", root=False) == stop, "no command of failstop's"
+
+
+def test_what_removes_what_a_dead_run_left() -> None:
+    assert fixes(look(**dead(failstop="anna")))["leftovers"] == "sudo rm /dev/shm/failstop.failstop.7.*"
+    assert "leftovers" not in fixes(look(**dead(left="anna"))), "another's"
+
+
+def test_ticks_in_numbers() -> None:
+    [(text, *_), _] = said(look(ticks=[(False, [n * 1000 for n in range(100, -1, -1)]), TICKS[1]]), "ticks")
+    assert text == "woken late at ordinary priority: median 50 us, 99 % 99 us, worst 100 us of 101"
 
 
 def test_how_failstop_is_called(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -335,21 +334,11 @@ def test_how_failstop_is_called(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
     own.parent.mkdir()
     own.touch(0o755)
     monkeypatch.setattr(sys, "executable", str(own.with_name("python3")))
-    assert paste.commands({"PATH": str(own.parent)}) == ("failstop", str(own)), "sudo does not know this path"
-    assert paste.commands({"PATH": "/usr/bin"})[0] == str(own)
+    assert Look().command == str(own), "sudo does not know this path"
+    monkeypatch.setattr(of_look, "SUDO_PATH", f"/usr/bin:{own.parent}")
+    assert Look().command == "failstop"
     own.unlink()
-    assert paste.commands({"PATH": str(own.parent)})[0] == f"{sys.executable} -m failstop"
-
-
-def test_the_worst_of_all() -> None:
-    assert worst([]) == OK
-    assert worst([OK, WARN]) == WARN
-    assert worst([WARN, FAIL, OK]) == FAIL
-    records = as_records(examine(look(node=None)))
-    assert worst(record["level"] for record in records) == FAIL
-    assert all(
-        set(record) == {"check", "level", "text", "fix", "advice"} and record["level"] in LEVELS for record in records
-    )
+    assert Look().command == f"{sys.executable} -m failstop"
 
 
 def test_rights_are_granted_by_who_starts_the_service() -> None:

@@ -21,7 +21,7 @@ from failstop.api.client import Client, run
 from failstop.board.burst import BURST
 from failstop.cli.main import main
 from failstop.lab.trial import Trial, wait_for
-from failstop.procs import limits
+from failstop.procs import rights
 from failstop.shm import cell, instance, layout, segment
 from failstop.supervisor.blackbox import MOST_SAVERS
 from tests.support.commands import FAILSTOP, failstop
@@ -62,7 +62,7 @@ def test_too_few_descriptors_for_the_service_are_one_line_after_the_stop(name: s
 
 
 def test_a_limit_that_may_be_raised_is_raised(name: str) -> None:
-    raised = "import resource; from failstop.procs import limits; limits.take_descriptors();"
+    raised = "import resource; from failstop.procs import rights; rights.take_descriptors();"
     found = subprocess.run(
         [
             "/bin/sh",
@@ -78,7 +78,7 @@ def test_a_limit_that_may_be_raised_is_raised(name: str) -> None:
         timeout=60,
         check=True,
     )
-    assert found.stdout == f"{limits.DESCRIPTORS}\n"
+    assert found.stdout == f"{rights.DESCRIPTORS}\n"
 
 
 def test_the_service_needs_no_more_descriptors_than_it_asks_for(trial: Trial) -> None:
@@ -90,7 +90,7 @@ def test_the_service_needs_no_more_descriptors_than_it_asks_for(trial: Trial) ->
         "the savers", lambda: len(psutil.Process(trial.service.pids()["supervisor"]).children()) == 4 + MOST_SAVERS
     )
     most = len(os.listdir(f"/proc/{trial.service.pids()['supervisor']}/fd"))
-    assert most + len(layout.PROCESSES) <= limits.DESCRIPTORS, "with those of a dead run's segments"
+    assert most + len(layout.PROCESSES) <= rights.DESCRIPTORS, "with those of a dead run's segments"
 
 
 def _reset(trial: Trial) -> bool:

@@ -23,7 +23,7 @@ from failstop.board.codec import motor_speeds
 from failstop.board.port import open_port
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial
-from failstop.procs.limits import DESCRIPTORS
+from failstop.procs.rights import DESCRIPTORS
 from failstop.shm import instance, root
 from tests.support.children import NOBODY, Child, needs_root
 from tests.support.commands import FAILSTOP
@@ -48,7 +48,7 @@ FULL = {
 
 
 OTHERS = 13
-"""Descriptors that the supervisor has now and then (limits.DESCRIPTORS): 5 of a dead run's, 2 for each of 4 savers."""
+"""Descriptors that the supervisor has now and then (rights.DESCRIPTORS): 5 of a dead run's, 2 for each of 4 savers."""
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from failstop.board.interface import BOARD
 from failstop.policy import causes
 from failstop.procs.gate.core import GateCore
-from failstop.procs.gate.recorder import GateBox
+from failstop.procs.gate.main import GateBox
 from failstop.procs.gate.sources import Command
 from failstop.procs.port_owner.wire import Wire
 from failstop.procs.world import World

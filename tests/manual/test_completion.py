@@ -17,7 +17,6 @@ from pathlib import Path
 import pytest
 
 from failstop import instances
-from failstop.cli import grammar
 from failstop.cli import main as cli
 from failstop.cli.commands import completion
 from failstop.incidents.files import SUFFIX
@@ -65,11 +64,11 @@ def asked(script: Path, *words: str, cwd: Path | None = None, environ: dict[str,
 
 
 def every_command() -> list[argparse.ArgumentParser]:
-    return [parser for parser in grammar.walk(grammar.whole()) if parser.prog != "failstop"]
+    return [parser for parser in completion.walk(completion.whole()) if parser.prog != "failstop"]
 
 
 def flags(parser: argparse.ArgumentParser) -> set[str]:
-    return {"-h", "--help"} | {flag for action in grammar.arguments(parser) for flag in action.option_strings}
+    return {"-h", "--help"} | {flag for action in completion.arguments(parser) for flag in action.option_strings}
 
 
 def test_bash_offers_every_command(bash_script: Path) -> None:
@@ -85,7 +84,7 @@ def test_bash_offers_every_option_and_choice(bash_script: Path) -> None:
     for parser in every_command():
         lines.append([*parser.prog.split(), "--"])
         expected.append({flag for flag in flags(parser) if flag.startswith("--")})
-        for action in grammar.arguments(parser):
+        for action in completion.arguments(parser):
             if action.option_strings and action.choices:
                 lines.append([*parser.prog.split(), action.option_strings[-1], ""])
                 expected.append(set(map(str, action.choices)))

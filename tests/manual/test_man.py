@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop.cli import grammar
 from failstop.cli import main as cli
+from failstop.cli.commands import completion
 from failstop.lab.pages import man
 
 PAGE = Path(__file__).resolve().parents[2] / "systemd" / "failstop.1"
@@ -33,8 +33,8 @@ def test_man_takes_the_page_without_a_warning() -> None:
     for name in cli.COMMANDS:
         assert name in words
     for name in cli.COMMANDS:
-        for parser in grammar.walk(cli.load(name)[0]):
-            flags = {flag for action in grammar.arguments(parser) for flag in action.option_strings}
+        for parser in completion.walk(cli.load(name)[0]):
+            flags = {flag for action in completion.arguments(parser) for flag in action.option_strings}
             assert flags <= {word.rstrip(",") for word in words}, parser.prog
 
 

@@ -73,7 +73,7 @@ PROCS: tuple[Reason, ...] = (
     Reason("procs/gate/core.py", r"\+\s+self\.latched_in = 1$", "it is set with every latch, and read while latched"),
     Reason("procs/gate/core.py", r"\+\s+self\.epoch = 1$", "it is set by enable, and read only while enabled"),
     Reason("procs/gate/core.py", r"\+\s+self\._sent_ns = 1$", "one nanosecond after the boot is as long ago"),
-    Reason("procs/gate/interlocks.py", r"\+.*\.get\(name, 1\)", "one nanosecond after the boot is as long ago"),
+    Reason("procs/gate/conditions.py", r"\+.*\.get\(name, 1\)", "one nanosecond after the boot is as long ago"),
 )
 
 SHM: tuple[Reason, ...] = (

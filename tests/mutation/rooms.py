@@ -15,14 +15,14 @@ class Room(NamedTuple):
 ROOMS = {
     "gate": Room(
         (
-            *(f"procs/gate/{name}.py" for name in ("attendance", "core", "interlocks", "scan", "sources")),
+            *(f"procs/gate/{name}.py" for name in ("conditions", "core", "requests", "sources")),
             "policy/kinematics.py",
         ),
         ("tests/procs/test_gate_*.py", "tests/procs/test_kinematics.py"),
     ),
     "arm": Room(
         (
-            *(f"procs/gate/arm/{name}.py" for name in ("core", "goals", "joints", "space", "tuck")),
+            *(f"procs/gate/arm/{name}.py" for name in ("core", "goals", "joints")),
             "policy/capsules.py",
         ),
         ("tests/procs/test_gate_arm*.py",),
@@ -31,19 +31,15 @@ ROOMS = {
         ("procs/peer.py", "procs/port_owner/*.py"),
         (
             "tests/procs/test_admission.py",
-            "tests/procs/test_pings.py",
             "tests/procs/test_port_owner*.py",
-            "tests/procs/test_repeats.py",
+            "tests/procs/test_schedule.py",
             "tests/procs/test_suspend.py",
             "tests/procs/test_wire.py",
         ),
     ),
     "telemetry": Room(
-        tuple(f"procs/telemetry/{name}.py" for name in ("charger", "noticer", "odometry", "pad", "still")),
-        (
-            "tests/procs/test_noticer.py",
-            *(f"tests/telemetry/test_{name}.py" for name in ("charger", "odometry", "pad", "still")),
-        ),
+        tuple(f"procs/telemetry/{name}.py" for name in ("battery", "odometry", "pad", "still")),
+        tuple(f"tests/telemetry/test_{name}.py" for name in ("battery", "odometry", "pad", "still", "tones")),
     ),
     "stopper": Room(
         ("procs/stopper/*.py", "failstop/stopping/*.py"),

@@ -17,7 +17,7 @@ from failstop.lab.sim.servos import Servos
 from failstop.policy.causes import Cause
 from failstop.policy.reply import Reply, unpack
 from failstop.procs.loop import NEVER
-from failstop.procs.port_owner.servo_bus import ServoBus
+from failstop.procs.port_owner.admission import ServoBus
 from failstop.shm import layout, records
 from tests.support.arm_settings import ARM, SERVOS
 from tests.support.gate_scene import GateStage

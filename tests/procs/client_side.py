@@ -89,7 +89,8 @@ class Service:
         """A gate starts, or starts again after its death."""
         slots = [segment.read_client_slot(self.name, i, INCARNATION) for i in range(layout.CLIENT_SLOTS)]
         self._read += slots
-        self.table = ClientTable(slots, self.claims_fd, self.loop, self.early, self)
+        self.requests = self
+        self.table = ClientTable(slots, self.claims_fd, self.loop, self.early, self)  # type: ignore[arg-type]
         self.told: list[tuple[object, ...]] = []
 
     def join(
@@ -109,9 +110,9 @@ class Service:
         self.commanded = command
 
     def client_holds(self, slot: Slot, now_ns: int) -> None:
-        self.held = (slot.sensed_ns(), slot.interlocks())
+        self.held = (slot.latest("sensed"), slot.latest("interlocks"))
 
-    def client_request(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
+    def take(self, slot: Slot, number: int, verb: int, asked_ns: int, now_ns: int) -> None:
         self.told.append(("request", slot.session, number, verb))
 
     def client_gone(self, slot: Slot, now_ns: int) -> None:

@@ -40,7 +40,7 @@ def decided(
     supervisor_ns: int = NOW,
     requested: bool = False,
 ) -> int | Cause:
-    return admission.decide(motion, epoch, NOW, gate_ns, supervisor_ns, admission.check, requested=requested)
+    return admission.decide(motion, epoch, NOW, gate_ns, supervisor_ns, admission, requested=requested)
 
 
 GATE, DEAD_EPOCH, OWN_STOP, OLD, ASKED, GATE_LEASE, SUPERVISOR_LEASE, CONTENT = ROWS = range(8)

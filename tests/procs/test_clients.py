@@ -388,12 +388,12 @@ def test_a_ring_that_was_taken_by_an_earlier_wake_up_is_nothing(service: Service
 def test_what_a_session_holds_is_read_with_its_time(service: Service) -> None:
     client = service.join()
     service.look()
-    assert service.held == (0, (0, []))
+    assert service.held == (None, None)
     client.segment.latest_writer("sensed").write(records.HELD.pack(11, []), 1234)
     client.segment.latest_writer("interlocks").write(records.HELD.pack(11, ["arm", "lid"]), 5678)
     service.look()
-    assert service.held == (1234, (5678, ["arm", "lid"]))
+    assert service.held == ((1234, []), (5678, ["arm", "lid"]))
     client.segment.latest_writer("sensed").write(records.HELD.pack(12, []), 9999)
     client.segment.latest_writer("interlocks").write(b"\xff")
     service.look()
-    assert service.held == (0, (0, [])), "another session's word, and damage"
+    assert service.held == (None, None), "another session's word, and damage"

@@ -78,6 +78,7 @@ def test_all_six_go_two_a_frame_and_none_is_dropped(scene: ArmScene) -> None:
 def test_what_it_is_to_do_is_in_the_black_box(scene: ArmScene) -> None:
     ring = scene.own.ring_reader("arm_box")
     follow(scene, 1.0, 0.3)
+    scene.run(0.1)
     scene.goal(JOG, {1: 0.1, 2: -0.1})
     scene.run(0.6)
     scene.travel({1: 0.5})
@@ -127,7 +128,7 @@ def test_a_goal_that_is_not_renewed_holds_the_arm(scene: ArmScene) -> None:
     assert scene.state()["mode"] == ""
 
 
-def test_trajectory_before_follow_before_jog(scene: ArmScene) -> None:
+def test_a_trajectory_before_a_stream_and_of_that_the_newest_goal(scene: ArmScene) -> None:
     scene.travel({1: 0.5}, 2.0)
     for _ in range(40):
         scene.goal(FOLLOW, {1: -0.5})
@@ -137,10 +138,12 @@ def test_trajectory_before_follow_before_jog(scene: ArmScene) -> None:
     for _ in range(100):
         scene.goal(FOLLOW, {1: 0.6})
         scene.run(0.02)
-        scene.goal(JOG, {1: -0.5})
-        scene.run(0.02)
     assert scene.state()["mode"] == "follow"
     assert scene.at(1) == pytest.approx(500 + 0.6 * PULSES_PER_RAD, abs=8)
+    scene.goal(JOG, {1: -0.5})
+    scene.run(0.3)
+    assert scene.state()["mode"] == "jog"
+    assert scene.at(1) < 500 + 0.55 * PULSES_PER_RAD, "at once, and not when the last angle has run out"
 
 
 BAD = [

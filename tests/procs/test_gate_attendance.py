@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.policy import causes
-from failstop.procs.gate.attendance import LEFT, NOBODY, Attendance
-from failstop.procs.gate.stamps import AHEAD_NS
+from failstop.procs.gate.conditions import AHEAD_NS, LEFT, NOBODY, Attendance
 from tests.procs.gate_bench import MS, T0, Gate
 from tests.support.why import told
 

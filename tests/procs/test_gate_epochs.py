@@ -47,7 +47,7 @@ def test_a_successor_finds_what_is_latched(gate_scene: Scene, resets: int) -> No
 def test_a_reset_that_its_predecessor_asked_for_is_nobody_s(gate_scene: Scene) -> None:
     gate_scene.stop(2, "key1")
     gate_scene.tick()
-    gate_scene.gate.client_request(gate_scene.gate.clients.slots[0], 1, records.RESET, gate_scene.clock(), 0)
+    gate_scene.gate.requests.take(gate_scene.gate.clients.slots[0], 1, records.RESET, gate_scene.clock(), 0)
     gate_scene.start_gate()
     gate_scene.decide()
     assert gate_scene.tick() is None, "but it is one all the same"
@@ -59,7 +59,7 @@ def test_resets_are_decided_one_after_the_other(gate_scene: Scene) -> None:
     gate_scene.stop(2, "key1")
     gate_scene.tick()
     for number in (7, 8):
-        gate_scene.gate.client_request(slot, number, records.RESET, gate_scene.clock(), gate_scene.clock())
+        gate_scene.gate.requests.take(slot, number, records.RESET, gate_scene.clock(), gate_scene.clock())
     assert gate_scene.own.word("resets_asked").get() == 1
     gate_scene.decide()
     assert gate_scene.own.word("resets_asked").get() == 2
@@ -72,8 +72,8 @@ def test_who_asks_for_resets_without_end_is_in_the_line_once(gate_scene: Scene) 
     gate_scene.stop(2, "key1")
     gate_scene.tick()
     for number in range(1000):
-        gate_scene.gate.client_request(mine, number, records.RESET, gate_scene.clock(), gate_scene.clock())
-    gate_scene.gate.client_request(other, 1, records.RESET, gate_scene.clock(), gate_scene.clock())
+        gate_scene.gate.requests.take(mine, number, records.RESET, gate_scene.clock(), gate_scene.clock())
+    gate_scene.gate.requests.take(other, 1, records.RESET, gate_scene.clock(), gate_scene.clock())
     gate_scene.decide()
     assert gate_scene.own.word("resets_asked").get() == 3
     assert gate_scene.replied() == (999, True, "no stop is latched")

@@ -7,9 +7,9 @@ import pytest
 from failstop.policy import kinematics
 from failstop.policy.kinematics import mecanum
 from failstop.policy.settings import Settings
+from failstop.procs.gate.conditions import AHEAD_NS
 from failstop.procs.gate.core import REST, STILL, GateCore
 from failstop.procs.gate.sources import PAD, PAD_PRIORITY, Command
-from failstop.procs.gate.stamps import AHEAD_NS
 from tests.support.why import told
 
 MS = 1_000_000

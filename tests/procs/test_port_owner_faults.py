@@ -299,7 +299,7 @@ def test_a_new_port_that_comes_before_the_loss_of_the_old_is_seen_is_a_device_lo
     scene.replug(2)
     if frame:
         scene.put()
-    scene.stays = scene.owner.turn({scene.owner._control.fd: 1})
+    scene.stays = scene.owner.turn({scene.owner._parent.control.fd: 1})
     assert MOTION not in scene.pty.read()
     assert scene.reasons() == ["device lost"]
     assert not scene.owner.admission.wheels_move

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.procs.gate.remarks import MOST_AT_ONCE
-from failstop.procs.gate.said import Said
+from failstop.procs.gate.remarks import MOST_AT_ONCE, Said
 from failstop.shm import records
 
 from .client_side import Service

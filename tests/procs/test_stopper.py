@@ -318,7 +318,7 @@ def test_the_supervisor_s_closed_socket_does_not_keep_it_awake(scene: Scene) -> 
     scene.control.close()
     scene.turn()
     scene.turn()
-    assert scene.stopper._control.fd not in scene.stopper.loop.wait(0)
+    assert scene.stopper._parent.control.fd not in scene.stopper.loop.wait(0)
 
 
 def test_the_fence_comes_before_the_burst(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

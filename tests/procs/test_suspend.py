@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from failstop.procs.suspend import SLEPT_NS, SuspendWatch
-from failstop.procs.world import World, gained_ns
+from failstop.procs.world import SLEPT_NS, SuspendWatch, World, gained_ns
 
 MS = 1_000_000
 

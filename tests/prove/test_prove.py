@@ -19,9 +19,8 @@ import pytest
 
 from failstop.api.errors import Refused
 from failstop.api.robot import Robot
-from failstop.doctor.device import node
 from failstop.doctor.system import System
-from failstop.lab.prove import run, session
+from failstop.lab.prove import run
 from failstop.lab.prove.run import Result, Run
 from failstop.lab.prove.session import check_free
 from failstop.lab.prove.stand import Stand
@@ -208,8 +207,8 @@ def test_a_service_on_another_board_does_not_hinder_a_simulated_one(
         done = prove("--name", name, "--device", board.link, said="no\n")
         assert (done.returncode, "no consent" in done.stderr) == (2, True), done.stderr
         # Of a robot's port it is not known whether the service is about to open it under another name.
-        real = dataclasses.replace(node(board.link, System()), pseudo=False)  # type: ignore[type-var]
-        monkeypatch.setattr(session, "node_of", lambda *_: real)
+        real = dataclasses.replace(System().node(board.link), pseudo=False)  # type: ignore[type-var]
+        monkeypatch.setattr(System, "node", lambda *_: real)
         with pytest.raises(Refused, match=f"the service '{name}' runs"):
             check_free(board.link, name)
 

@@ -16,7 +16,7 @@ from failstop.policy.causes import Cause
 from failstop.policy.kinematics import from_settings
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
-from failstop.procs.gate.recorder import GateBox
+from failstop.procs.gate.main import GateBox
 from failstop.procs.gate.sources import Command
 from failstop.shm import box, layout, records
 

@@ -14,7 +14,7 @@ class PlayedWorld(World):
 
     def __init__(self, **given: Any) -> None:
         super().__init__(**given)
-        self._parts: dict[str, Callable[..., Any]] = {name: getattr(self, name) for name in World.__slots__}
+        self._parts: dict[str, Callable[..., Any]] = dict(vars(self))
         for name in self._parts:
             setattr(self, name, partial(self._ask, name))
 

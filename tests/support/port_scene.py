@@ -108,8 +108,8 @@ class Scene(Stage):
 
     def close(self) -> None:
         self.owner.wire.close()
-        self.owner._control.close()
-        for life in (self.owner._supervisor_life, *(peer.life for peer in self.owner._peers)):
+        self.owner._parent.control.close()
+        for life in (self.owner._parent.life, *(peer.life for peer in self.owner._peers)):
             if life:
                 life.close()
         super().close()

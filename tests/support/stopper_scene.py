@@ -54,8 +54,8 @@ class Scene(Stage):
 
     def close(self) -> None:
         self.stopper.close_port()
-        self.stopper._control.close()
-        for life in (self.stopper._supervisor_life, self.stopper._port_owner.life):
+        self.stopper._parent.control.close()
+        for life in (self.stopper._parent.life, self.stopper._port_owner.life):
             if life:
                 life.close()
         super().close()

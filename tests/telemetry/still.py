@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from random import Random
 
+from failstop.policy.settings import Settings
 from failstop.procs.telemetry.imu import RAD_PER_DEG, GyroBias
 
 S = 1_000_000_000
@@ -16,10 +17,9 @@ OFFSETS_DPS = (0.4, -0.7, 0.25)
 Vector = tuple[float, float, float]
 
 
-def gyro(*, tracks: bool = True, **changed: float) -> GyroBias:
-    """With the defaults of behaviour and settings, but for what is changed."""
-    values = {"calibration_s": 3.0, "std_dps": 0.3, "rest_s": 1.0, "band_dps": 0.5, "tau_s": 20.0, **changed}
-    return GyroBias(**values, tracks=tracks)
+def gyro(**changed: object) -> GyroBias:
+    """With the settings' defaults, but for what is changed."""
+    return GyroBias(Settings({f"imu.{key}": value for key, value in changed.items()}))
 
 
 def dps(x: float, y: float, z: float) -> Vector:

@@ -19,7 +19,7 @@ WORST_SEEDS = (6, 38, 35, 3, 33)
 
 def resting(tau_s: float = 20.0) -> GyroBias:
     """Calibrated to zero, at rest for long."""
-    tested = gyro(tau_s=tau_s)
+    tested = gyro(tracking_tau_s=tau_s)
     tested.follow(True, 0)
     tested.inherit((0.0, 0.0, 0.0))
     tested.follow(False, 0)
@@ -93,7 +93,7 @@ def test_the_band_is_around_the_bias_and_not_around_zero() -> None:
 
 
 def test_off_it_never_moves() -> None:
-    tested = gyro(tracks=False)
+    tested = gyro(tracking="off")
     tested.follow(False, 0)
     for i in range(1000):
         tested.take(dps(0.0, 0.0, 0.1 if i < 400 else 0.2), i * PERIOD_NS)
@@ -153,7 +153,7 @@ def test_after_the_calibration_it_goes_on_as_the_mean_of_all_readings() -> None:
 def test_once_20_s_are_averaged_the_step_is_dt_over_tau(tau_s: float, settled_s: float) -> None:
     """Of which the calibration was 3. Just before, the step is still greater."""
     for early_s in (0.5, 0.0):
-        tested, t_ns = calibrated(tau_s=tau_s)
+        tested, t_ns = calibrated(tracking_tau_s=tau_s)
         count = round((settled_s - early_s) * 100)
         for i in range(1, count + 1):
             tested.take((0.0, 0.0, 0.0), t_ns + i * S // 100)
@@ -208,7 +208,7 @@ def test_heading_drifts_less_than_0_15_degrees_in_8_minutes_at_rest(seed: int) -
 
     def drift_deg(*, tracks: bool) -> float:
         run = samples(EIGHT_MINUTES_S, seed, ramp_dps=0.002, walk_dps=0.001)
-        return heading_drift_deg(gyro(tracks=tracks), run)
+        return heading_drift_deg(gyro(tracking="on" if tracks else "off"), run)
 
     with_deg, without_deg = drift_deg(tracks=True), drift_deg(tracks=False)
     assert with_deg < 0.15
@@ -219,6 +219,6 @@ def test_a_bias_that_moves_0_15_deg_per_s_costs_3_degrees_with_tracking_and_36_w
     """20 s x 0.15 deg/s; without, half of it over 480 s. The time constant is the price of not following the noise."""
     ramp = {"ramp_dps": 0.15, "walk_dps": 0.0, "noise_radps": 0.0}
     with_deg = heading_drift_deg(gyro(), samples(EIGHT_MINUTES_S, 0, **ramp))
-    without_deg = heading_drift_deg(gyro(tracks=False), samples(EIGHT_MINUTES_S, 0, **ramp))
+    without_deg = heading_drift_deg(gyro(tracking="off"), samples(EIGHT_MINUTES_S, 0, **ramp))
     assert with_deg == pytest.approx(3.0, rel=0.06)
     assert without_deg == pytest.approx(36.0, rel=0.03)

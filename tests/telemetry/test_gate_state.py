@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgpack
 import pytest
 
-from failstop.procs.telemetry.gate_state import GateState
+from failstop.procs.telemetry.main import GateState
 
 MS = 1_000_000
 

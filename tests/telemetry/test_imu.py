@@ -20,6 +20,11 @@ OFFSETS_G = (0.0460, -0.0635, -0.0501)
 SCALES = (1.0058, 0.9964, 1.0076)
 
 
+def accelerometer(offsets_g: Vector, scales: Vector) -> Accelerometer:
+    changed: dict[str, object] = {f"imu.offset_{axis}_g": offset for axis, offset in zip("xyz", offsets_g, strict=True)}
+    return Accelerometer(Settings(changed | {f"imu.scale_{a}": scale for a, scale in zip("xyz", scales, strict=True)}))
+
+
 def calibrate(tested: GyroBias, rates: list[Vector], *, start_ns: int = 0) -> list[str]:
     """Feed rates at 110 Hz; returns the lines for the journal."""
     notes = [tested.take(rate, start_ns + i * PERIOD_NS) for i, rate in enumerate(rates)]
@@ -32,7 +37,7 @@ def spread(std_dps: float, seconds: float = 3.1) -> list[Vector]:
 
 
 def test_g_is_9_80665() -> None:
-    assert Accelerometer((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)).mps2(1.0, 0.0, -2.0) == (9.80665, 0.0, -19.6133)
+    assert accelerometer((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)).mps2(1.0, 0.0, -2.0) == (9.80665, 0.0, -19.6133)
 
 
 def test_gyro_comes_in_degrees_and_leaves_in_rad_per_second() -> None:
@@ -41,7 +46,7 @@ def test_gyro_comes_in_degrees_and_leaves_in_rad_per_second() -> None:
 
 @given(raw=st.tuples(*[st.floats(-16, 16)] * 3))
 def test_acceleration_is_raw_less_offset_times_scale(raw: Vector) -> None:
-    found = Accelerometer(OFFSETS_G, SCALES).mps2(*raw)
+    found = accelerometer(OFFSETS_G, SCALES).mps2(*raw)
     wanted = [(r - o) * s * 9.80665 for r, o, s in zip(raw, OFFSETS_G, SCALES, strict=True)]
     assert found == pytest.approx(wanted)
 
@@ -49,7 +54,7 @@ def test_acceleration_is_raw_less_offset_times_scale(raw: Vector) -> None:
 def test_the_settings_are_used_axis_by_axis() -> None:
     changed: dict[str, object] = {"imu.offset_x_g": 0.1, "imu.offset_y_g": 0.2, "imu.offset_z_g": 0.3}
     changed |= {"imu.scale_x": 0.9, "imu.scale_y": 1.1, "imu.scale_z": 1.2}
-    found = Accelerometer.of(Settings(changed)).mps2(1.0, 1.0, 1.0)
+    found = Accelerometer(Settings(changed)).mps2(1.0, 1.0, 1.0)
     assert found == pytest.approx((0.9 * 0.9 * 9.80665, 0.8 * 1.1 * 9.80665, 0.7 * 1.2 * 9.80665))
 
 
@@ -108,14 +113,15 @@ def test_a_standard_deviation_over_0_3_deg_per_s_on_any_axis_is_not_stationary(a
 
 
 def test_exactly_the_standard_deviation_is_stationary() -> None:
-    tested = gyro(std_dps=0.0)
-    calibrate(tested, [dps(0.0, 0.0, 0.0)] * 400)
+    tested = gyro(calibration_s=0.1, calibration_std_dps=0.25)
+    for z_dps, t_ns in ((-0.25, 0), (0.25, S // 10)):
+        tested.take(dps(0.0, 0.0, z_dps), t_ns)
     assert tested.calibrated
 
 
 def test_the_settings_are_those_of_the_bias() -> None:
     changed: dict[str, object] = {"imu.calibration_s": 1.0, "imu.calibration_std_dps": 1.0, "imu.tracking_rest_s": 2.0}
-    tested = GyroBias.of(Settings(changed | {"imu.tracking_band_dps": 5.0, "imu.tracking_tau_s": 10.0}))
+    tested = GyroBias(Settings(changed | {"imu.tracking_band_dps": 5.0, "imu.tracking_tau_s": 10.0}))
     tested.follow(False, 0)
     rates = [dps(0.0, 0.0, 0.9 if i % 2 else -0.9) for i in range(101)]
     assert [i for i, rate in enumerate(rates) if tested.take(rate, i * S // 100)] == [100]
@@ -126,7 +132,7 @@ def test_the_settings_are_those_of_the_bias() -> None:
     assert tested.bias_radps == (0.0, 0.0, 0.0)
     tested.take(dps(0.0, 0.0, 4.0), 2 * S - 1 + S // 10)
     assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.04))
-    off = GyroBias.of(Settings({"imu.tracking": "off"}))
+    off = GyroBias(Settings({"imu.tracking": "off"}))
     off.inherit((0.0, 0.0, 0.0))
     off.follow(True, 0)
     off.follow(False, 0)

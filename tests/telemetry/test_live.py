@@ -12,7 +12,7 @@ import pytest
 from failstop.api.client import attach
 from failstop.board.framing import BUZZER
 from failstop.lab.trial import Trial, wait_for
-from failstop.procs.telemetry import tones
+from failstop.procs.telemetry import pad
 from failstop.shm import records
 from failstop.shm.layout import TELEMETRY
 
@@ -43,9 +43,9 @@ def test_bias_charger_log_and_tones_on_a_running_service(tmp_path: Path) -> None
         trial.board.battery(11_800)
 
         trial.board.pad(MODE)
-        trial.board.wait_for(lambda event: event.func == BUZZER and event.data == tones.MODES[1][4:-1], 5.0)
+        trial.board.wait_for(lambda event: event.func == BUZZER and event.data == pad.MODES[1][4:-1], 5.0)
         trial.board.pad(0x0100)
-        trial.board.wait_for(lambda event: event.func == BUZZER and event.data == tones.LATCH[4:-1], 5.0)
+        trial.board.wait_for(lambda event: event.func == BUZZER and event.data == pad.LATCH[4:-1], 5.0)
         wait_for("the button's raw frames in the log", lambda: "last frames: 0020" in trial.service.said())
 
         wait_for("the calibration", lambda: bias_dps(trial) is not None)

@@ -18,7 +18,7 @@ VELOCITY = st.tuples(SPEED, SPEED, SPEED)
 
 
 def driven(velocity: tuple[float, float, float], duration_s: float, *, step_ms: int = 20) -> Odometry:
-    tested = Odometry.of(Settings())
+    tested = Odometry(Settings())
     tested.follow(velocity, 0)
     for t_ms in range(step_ms, round(duration_s * 1000) + 1, step_ms):
         tested.advance(t_ms * MS)
@@ -26,7 +26,7 @@ def driven(velocity: tuple[float, float, float], duration_s: float, *, step_ms: 
 
 
 def unscaled() -> Odometry:
-    return Odometry(1.0, 1.0, (0.05, 0.2))
+    return Odometry(Settings({"odometry.forward_scale": 1.0, "odometry.sideways_scale": 1.0}))
 
 
 def pose(tested: Odometry) -> tuple[float, float, float]:
@@ -44,7 +44,7 @@ def test_sideways_is_scaled_by_0_765() -> None:
 
 
 def test_the_scales_are_the_settings() -> None:
-    tested = Odometry.of(Settings({"odometry.forward_scale": 0.9, "odometry.sideways_scale": 0.5}))
+    tested = Odometry(Settings({"odometry.forward_scale": 0.9, "odometry.sideways_scale": 0.5}))
     tested.follow((0.2, 0.2, 0.0), 0)
     tested.advance(100 * MS)
     assert pose(tested) == pytest.approx((0.018, 0.01, 0.0))
@@ -118,9 +118,9 @@ def test_a_successor_goes_on_from_the_pose() -> None:
 
 
 def test_the_twist_s_std_is_0_05_m_per_s_and_0_2_rad_per_s_and_the_settings() -> None:
-    assert Odometry.of(Settings()).twist_std == (0.05, 0.2)
+    assert Odometry(Settings()).twist_std == (0.05, 0.2)
     changed = Settings({"odometry.twist_std_mps": 0.1, "odometry.twist_std_radps": 0.3})
-    assert Odometry.of(changed).twist_std == (0.1, 0.3)
+    assert Odometry(changed).twist_std == (0.1, 0.3)
 
 
 def test_the_pose_s_variance_is_1e3_on_x_y_and_yaw() -> None:
@@ -131,7 +131,7 @@ def test_the_pose_s_variance_is_1e3_on_x_y_and_yaw() -> None:
 def test_it_never_goes_further_than_speed_times_bounded_time(
     steps: list[tuple[int, tuple[float, float, float]]],
 ) -> None:
-    tested = Odometry.of(Settings())
+    tested = Odometry(Settings())
     t_ms, way_m, speed_mps = 0, 0.0, 0.0
     tested.follow((0.0, 0.0, 0.0), 0)
     for ms, velocity in steps:

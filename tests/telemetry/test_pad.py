@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.board.decoder import BUTTONS
+from failstop.policy import causes
 from failstop.policy.settings import Settings
-from failstop.procs.telemetry.noticer import Noticer
 from failstop.procs.telemetry.pad import DRIVE, JOINT, LOCKED, Pad, PadNews
 from failstop.shm import records
 
@@ -21,8 +22,7 @@ class Held:
     """A pad in somebody's hands: frames, 20 a second."""
 
     def __init__(self, **changed: object) -> None:
-        settings = Settings(dict(changed))
-        self.pad = Pad.of(settings, Noticer(int(settings["pad.mode_button"]), int(settings["key.stop"])))
+        self.pad = Pad(Settings(dict(changed)))
         self.now_ns = 1_000_000 * MS
 
     def frame(self, buttons: int = 0, lx: int = 0, ly: int = 0, rx: int = 0, ry: int = 0) -> PadNews:
@@ -71,6 +71,40 @@ def test_any_button_but_mode_stops_on_its_first_frame(held: Held) -> None:
 
 def test_the_first_frame_of_all_stops_too() -> None:
     assert str(Held().frame(X).cause) == "gamepad button 0x0100"
+
+
+@pytest.mark.parametrize("button", BUTTONS.values(), ids=BUTTONS.keys())
+def test_every_known_button_stops(held: Held, button: int) -> None:
+    assert held.frame(button).cause == causes.BUTTON(button)
+
+
+def test_only_mode_does_not_stop(held: Held) -> None:
+    assert held.frame(MODE).cause is None
+    assert str(held.frame(MODE | X).cause) == "gamepad button 0x0100"
+
+
+def test_mode_is_the_setting_s() -> None:
+    held = Held(**{"pad.mode_button": 0x0008})
+    assert held.frame(0x0008).cause is None
+    assert str(held.frame(0x2008).cause) == "gamepad button 0x2000"
+
+
+def test_sticks_alone_do_not_stop(held: Held) -> None:
+    assert held.frame(lx=127, ly=-128).cause is None
+
+
+def test_a_held_button_is_one_request(held: Held) -> None:
+    assert [bool(news.cause) for news in held.frames(3, X)] == [True, False, False]
+
+
+def test_each_tap_is_a_request(held: Held) -> None:
+    assert [bool(held.frame(buttons).cause) for buttons in (1, 0, 1, 0, 1)] == [True, False, True, False, True]
+
+
+def test_another_button_while_one_is_held_is_a_request(held: Held) -> None:
+    assert held.frame(X).cause
+    assert str(held.frame(X | 0x0002).cause) == "gamepad button 0x0002"
+    assert held.frame(0x0002).cause is None
 
 
 def test_the_last_raw_frames_are_kept_for_the_log(held: Held) -> None:

@@ -10,20 +10,28 @@ import msgpack
 import pytest
 
 from failstop.board import framing
+from failstop.board.decoder import KEY_EVENTS
 from failstop.policy import causes
-from failstop.procs.telemetry import tones
-from failstop.procs.telemetry.noticer import LOW_READINGS
+from failstop.procs.telemetry import pad
+from failstop.procs.telemetry.battery import LOW_READINGS
 from failstop.shm import records
 from tests.support.telemetry_scene import MS, Scene
 from tests.support.waiting import until
 
 MODE = 0x2000
 X = 0x0100
+STOPPING_EVENTS = {"pressed", "long", "long-repeat", "click", "double", "triple"}
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    made = Scene(tmp_path, monkeypatch)
+def changed() -> dict[str, object]:
+    """Settings that are not the defaults."""
+    return {}
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changed: dict[str, object]) -> Iterator[Scene]:
+    made = Scene(tmp_path, monkeypatch, **changed)
     yield made
     made.close()
 
@@ -215,7 +223,7 @@ def test_tones_are_requests_for_frames_that_are_not_motion(sounding: Scene) -> N
     sounding.gate["estop"] = causes.KEY(1).pack()
     sounding.turn(elapsed_ns=20 * MS)
     requests = [records.PAD_REQUEST.unpack(request) for request in sounding.told("pad_requests")]
-    assert requests == [(records.PAD_FRAME, tones.MODES[1]), (records.PAD_FRAME, tones.LATCH)]
+    assert requests == [(records.PAD_FRAME, pad.MODES[1]), (records.PAD_FRAME, pad.LATCH)]
     assert all(frame[2] == framing.BUZZER for _, frame in requests)
     assert sounding.rung("gate_bell")
 
@@ -225,6 +233,26 @@ def test_off_by_default_nothing_sounds(scene: Scene) -> None:
     scene.gate["estop"] = causes.KEY(1).pack()
     scene.turn(elapsed_ns=20 * MS)
     assert scene.told("pad_requests") == []
+
+
+@pytest.mark.parametrize(("event", "name"), KEY_EVENTS.items(), ids=KEY_EVENTS.values())
+def test_the_stop_key_s_presses_stop_and_its_releases_do_not(scene: Scene, event: int, name: str) -> None:
+    scene.key(1, event)
+    assert scene.told("causes") == ([causes.KEY(1).pack()] if name in STOPPING_EVENTS else [])
+
+
+def test_other_keys_do_not_stop(scene: Scene) -> None:
+    for key in (0, 2, 255):
+        for event in KEY_EVENTS:
+            scene.key(key, event)
+    assert scene.told("causes") == []
+
+
+@pytest.mark.parametrize("changed", [{"key.stop": 2}])
+def test_the_stop_key_is_the_setting_s(scene: Scene) -> None:
+    scene.key(1, 0x01)
+    scene.key(2, 0x01)
+    assert scene.told("causes") == [causes.KEY(2).pack()]
 
 
 def test_the_charger_is_seen_told_and_remembered(scene: Scene) -> None:

@@ -104,8 +104,8 @@ def test_a_planted_link_gets_no_line(tmp_path: Path) -> None:
 
 def test_replaced_whole(tmp_path: Path) -> None:
     path = tmp_path / "new" / "charger"
-    write_whole(str(path), "", "plugged\n")
-    write_whole(str(path), "", "unplugged\n")
+    write_whole(str(path), "plugged\n")
+    write_whole(str(path), "unplugged\n")
     assert path.read_text() == "unplugged\n"
     assert os.listdir(path.parent) == ["charger"]
 
@@ -120,7 +120,7 @@ def test_whatever_fails_the_old_content_is_there(tmp_path: Path, monkeypatch: py
 
     monkeypatch.setattr(os, step, fail)
     with pytest.raises(OSError, match="Input/output error"):
-        write_whole(str(path), "", "unplugged\n")
+        write_whole(str(path), "unplugged\n")
     monkeypatch.undo()
     assert path.read_text() == "plugged\n"
     assert os.listdir(tmp_path) == ["charger"]
@@ -140,7 +140,7 @@ def test_it_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(os, "fsync", fsync)
     monkeypatch.setattr(os, "rename", rename)
-    write_whole(str(tmp_path / "charger"), "", "plugged\n")
+    write_whole(str(tmp_path / "charger"), "plugged\n")
     assert done == [str(tmp_path / "charger.new"), "rename", str(tmp_path)]
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from failstop.board.framing import BUZZER
 from failstop.policy.settings import Settings
-from failstop.procs.telemetry import pad, tones
-from failstop.procs.telemetry.tones import Tones
+from failstop.procs.telemetry import pad
+from failstop.procs.telemetry.pad import Tones
 from failstop.shm import records
 
 
@@ -28,25 +28,25 @@ def test_off_by_default() -> None:
 
 
 def test_a_trip_sounds_once(sounding: Tones) -> None:
-    assert [sounding.follow(True, pad.LOCKED) for _ in range(3)] == [tones.LATCH, b"", b""]
+    assert [sounding.follow(True, pad.LOCKED) for _ in range(3)] == [pad.LATCH, b"", b""]
 
 
 def test_each_trip_sounds(sounding: Tones) -> None:
     sounding.follow(True, pad.LOCKED)
     assert sounding.follow(False, pad.LOCKED) == b""
-    assert sounding.follow(True, pad.LOCKED) == tones.LATCH
+    assert sounding.follow(True, pad.LOCKED) == pad.LATCH
 
 
 def test_each_mode_has_its_tone(sounding: Tones) -> None:
-    assert sounding.follow(False, pad.DRIVE) == tones.MODES[pad.DRIVE]
+    assert sounding.follow(False, pad.DRIVE) == pad.MODES[pad.DRIVE]
     assert sounding.follow(False, pad.DRIVE) == b""
-    assert sounding.follow(False, pad.LOCKED) == tones.MODES[pad.LOCKED]
-    assert len({tones.LATCH, *tones.MODES.values()}) == 1 + len(records.PAD_MODES)
+    assert sounding.follow(False, pad.LOCKED) == pad.MODES[pad.LOCKED]
+    assert len({pad.LATCH, *pad.MODES}) == 1 + len(records.PAD_MODES)
 
 
 def test_a_trip_that_locks_the_pad_sounds_as_a_trip(sounding: Tones) -> None:
     sounding.follow(False, pad.DRIVE)
-    assert sounding.follow(True, pad.LOCKED) == tones.LATCH
+    assert sounding.follow(True, pad.LOCKED) == pad.LATCH
     assert sounding.follow(False, pad.LOCKED) == b""
 
 
@@ -54,7 +54,7 @@ def test_what_was_latched_before_the_start_is_not_told_again() -> None:
     assert Tones(on=True).follow(True, pad.LOCKED) == b""
 
 
-@pytest.mark.parametrize("frame", [tones.LATCH, *tones.MODES.values()])
+@pytest.mark.parametrize("frame", [pad.LATCH, *pad.MODES])
 def test_every_tone_ends(frame: bytes) -> None:
     """An off time of 0 left one sounding forever: 100 ms."""
     assert frame[2] == BUZZER

@@ -9,6 +9,7 @@ from argparse import ArgumentParser, Namespace
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
 from failstop.cli.commands import add_name
+from failstop.cli.commands.requests import REPEAT_S, say
 from failstop.cli.screen import arm as shown
 from failstop.supervisor.fold import fitted
 
@@ -23,53 +24,44 @@ failstop arm release                   # torque off: it falls
 """
 
 VERBS = ("status", "move", "jog", "drive", "tuck", "hold", "release", "read")
-REPEAT_S = 0.05
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop arm`."""
-    parser.add_argument("verb", nargs="?", default="status", choices=VERBS, help="default: status")
-    parser.add_argument("joints", nargs="*", metavar="JOINT=VALUE", help="rad (move) or rad/s (jog)")
-    parser.add_argument("--over", type=float, default=0.0, metavar="S", help="move: how long it takes")
-    parser.add_argument(
-        "--for", dest="seconds", type=float, default=1.0, metavar="S", help="jog: how long (default: 1)"
-    )
-    parser.add_argument("--json", action="store_true", help="status: the same for programs")
+    add = parser.add_argument
+    add("verb", nargs="?", default="status", choices=VERBS, help="default: status")
+    add("joints", nargs="*", metavar="JOINT=VALUE", help="rad (move) or rad/s (jog)")
+    add("--over", type=float, default=0.0, metavar="S", help="move: how long it takes")
+    add("--for", dest="seconds", type=float, default=1.0, metavar="S", help="jog: how long (default: 1)")
+    add("--json", action="store_true", help="status: the same for programs")
     add_name(parser)
 
 
 def main(arguments: Namespace) -> int:
     """Ask; a refusal is raised as Refused."""
+    verb = arguments.verb
     with Robot(arguments.name, client="failstop arm") as robot:
-        arm = robot.arm
-        values = _values(arguments.joints)
-        if arguments.verb in ("move", "jog") and not values:
-            raise FailstopError(
-                f"failstop arm {arguments.verb}: which joint? One of {', '.join(arm.joints)}, as NAME=VALUE"
-            )
+        arm, values = robot.arm, _values(arguments.joints)
+        if verb in ("move", "jog") and not values:
+            raise FailstopError(f"failstop arm {verb}: which joint? One of {', '.join(arm.joints)}, as NAME=VALUE")
+        verbs = {
+            "move": lambda: arm.move(values, arguments.over, told=say),
+            "jog": lambda: _jog(robot, values, arguments.seconds),
+            "drive": lambda: arm.pose("drive", told=say),
+            "tuck": lambda: arm.pose("tuck", told=say),
+            "hold": arm.hold,
+            "release": arm.release,
+        }
         try:
-            if arguments.verb == "move":
-                text = arm.move(values, arguments.over, told=_say)
-            elif arguments.verb == "jog":
-                text = _jog(robot, values, arguments.seconds)
-            elif arguments.verb in ("drive", "tuck"):
-                text = arm.pose(arguments.verb, told=_say)
-            elif arguments.verb in ("hold", "release"):
-                text = arm.hold() if arguments.verb == "hold" else arm.release()
-            else:
-                if arguments.verb == "read":
-                    arm.read()
-                text = json.dumps(arm.state, indent=2) if arguments.json else "\n".join(shown.lines(arm.state))
-                print(text)
+            if verb in verbs:
+                print(fitted(verbs[verb](), 1, 2))
                 return 0
+            if verb == "read":
+                arm.read()
         except ValueError as error:
             raise FailstopError(str(error)) from None
-        print(fitted(text, 1, 2))
+        print(json.dumps(arm.state, indent=2) if arguments.json else "\n".join(shown.lines(arm.state)))
     return 0
-
-
-def _say(text: str) -> None:
-    print(text, flush=True)
 
 
 def _jog(robot: Robot, rates: dict[str, float], seconds: float) -> str:
@@ -85,11 +77,9 @@ def _jog(robot: Robot, rates: dict[str, float], seconds: float) -> str:
 def _values(words: list[str]) -> dict[str, float]:
     found = {}
     for word in words:
-        name, equals, value = word.partition("=")
+        name, _, value = word.partition("=")
         try:
             found[name] = float(value)
         except ValueError:
             raise FailstopError(f"{word!r}: write JOINT=VALUE, as in base=0.5") from None
-        if not equals:
-            raise FailstopError(f"{word!r}: write JOINT=VALUE, as in base=0.5")
     return found

@@ -1,10 +1,15 @@
-"""`failstop completion`: the script that makes a shell complete what is typed after `failstop`."""
+"""`failstop completion`: the script that makes a shell complete what is typed after `failstop`; and the whole command
+line as one parser, of which the man page is made too."""
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from argparse import SUPPRESS, ArgumentParser, Namespace
+from collections.abc import Iterator
+
+from failstop.cli import main as cli
 
 SHELLS = ("bash", "zsh", "fish")
 
@@ -53,16 +58,14 @@ def script(shell: str) -> str:
     """The completion script for one of SHELLS."""
     import shtab
 
-    from failstop.cli import grammar
-
     files = dict.fromkeys(("FILE", "PATH", "LINK", "F", "F.PNG", "F.MCAP"), shtab.FILE) | {"DIR": shtab.DIRECTORY}
     lists = {"name": _asked("services"), "id": _asked("incidents")}
-    whole = grammar.whole()
-    for parser in grammar.walk(whole):
-        for action in grammar.arguments(parser):
-            if found := lists.get(action.dest) or files.get(grammar.value(action)):
+    parsers = whole()
+    for parser in walk(parsers):
+        for action in arguments(parser):
+            if found := lists.get(action.dest) or files.get(value(action)):
                 action.complete = found  # type: ignore[attr-defined]
-    return str(shtab.complete(whole, shell)) + (EQUALS if shell == "bash" else "")
+    return str(shtab.complete(parsers, shell)) + (EQUALS if shell == "bash" else "")
 
 
 def _asked(what: str) -> dict[str, str | dict[str, str]]:
@@ -72,3 +75,45 @@ def _asked(what: str) -> dict[str, str | dict[str, str]]:
     zsh = f'_failstop_{what}() {{ compadd -- ${{(f)"$({ask % "zsh"})"}} }}'
     name = f"_failstop_{what}"
     return {"bash": name, "zsh": name, "fish": f"({ask % 'fish'})", "preamble": {"bash": bash, "zsh": zsh}}
+
+
+def whole() -> ArgumentParser:
+    """`failstop` with all commands that are installed, in the order of `failstop --help`."""
+    parser = ArgumentParser(prog="failstop")
+    parser.add_argument("-V", "--version", action="store_true", help="the version")
+    below = parser.add_subparsers()
+    for name in filter(cli.here, cli.COMMANDS):
+        below.add_parser(name, help=cli.COMMANDS[name][1])
+        below.choices[name], _ = cli.load(name)
+    named = list(below.choices)
+    below.add_parser("help", help="what a command does").add_argument("command", nargs="?", choices=named)
+    return parser
+
+
+def walk(parser: ArgumentParser) -> Iterator[ArgumentParser]:
+    """It, and the parsers of the commands below it, each with a description."""
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            helps = {choice.dest: choice.help for choice in action._choices_actions}
+            for word, below in action.choices.items():
+                below.description = below.description or helps[word]
+                yield from walk(below)
+
+
+def arguments(parser: ArgumentParser) -> list[argparse.Action]:
+    """The arguments that its help shows, positional ones first, without the help itself and the commands below."""
+    shown = [action for action in parser._actions if action.help != SUPPRESS]
+    kinds = (argparse._HelpAction, argparse._SubParsersAction)
+    return sorted((action for action in shown if not isinstance(action, kinds)), key=lambda it: bool(it.option_strings))
+
+
+def value(action: argparse.Action) -> str:
+    """What the help calls its value; empty: it has none."""
+    if action.nargs == 0:
+        return ""
+    if isinstance(action.metavar, str):
+        return action.metavar
+    if action.choices:
+        return f"{{{','.join(map(str, action.choices))}}}"
+    return action.dest.upper() if action.option_strings else action.dest

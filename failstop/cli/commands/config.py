@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
+from argparse import ArgumentParser, Namespace
+from itertools import groupby
 from shutil import get_terminal_size
+from textwrap import indent
 
 from failstop import config
 from failstop.cli import style
-from failstop.policy.settings import (
-    BY_KEY,
-    FIRST_SOURCE,
-    Setting,
-    Settings,
-    declaration,
-)
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-
-    from failstop.cli.style import Line
+from failstop.policy.settings import BY_KEY, FIRST_SOURCE, Setting, Settings, declaration
 
 EXAMPLES = """\
 failstop config                         # every value, unit and origin
@@ -66,18 +58,15 @@ HEAD = """\
 ALWAYS_SET = ("device.path",)
 """Settings that the example sets although they have a default: no two robots need be alike in them."""
 
-# Named tables that nobody has until they write them.
-SAMPLES = (
-    ("sources.teleop.priority", 10),
-    ("sources.teleop.timeout_s", 0.3),
-    ("joints.shoulder.servo", 2),
-    ("joints.shoulder.tuck", 963),
-    ("joints.shoulder.drive", 793),
-    ("interlocks.arm.timeout_s", 0.5),
-    ("interlocks.arm.refusal", "arm is not in the drive pose"),
-    ("interlocks.ros2.timeout_s", 0.3),
-    ("interlocks.ros2.refusal", "the ROS 2 bridge is away, or two nodes publish cmd_vel"),
-)
+SAMPLES: dict[str, dict[str, dict[str, float | str]]] = {
+    "sources": {"teleop": {"priority": 10, "timeout_s": 0.3}},
+    "joints": {"shoulder": {"servo": 2, "tuck": 963, "drive": 793}},
+    "interlocks": {
+        "arm": {"timeout_s": 0.5, "refusal": "arm is not in the drive pose"},
+        "ros2": {"timeout_s": 0.3, "refusal": "the ROS 2 bridge is away, or two nodes publish cmd_vel"},
+    },
+}
+"""Named tables that nobody has until they write them."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -99,70 +88,56 @@ def main(arguments: Namespace) -> int:
     if arguments.example:
         sys.stdout.write(example())
     elif arguments.check is not None:
-        sys.stdout.write(check(arguments.check) + "\n")
+        read = config.read(arguments.check)
+        config.checked(read)
+        count = sum(value != {} for value in read.values())
+        print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}")
     else:
         found = rows(arguments.config, arguments.device)
         if arguments.json:
-            sys.stdout.write(_json(found) + "\n")
+            print(json.dumps(found, indent=2, ensure_ascii=False))
         else:
             style.show(table(found, get_terminal_size((120, 24)).columns))
     return 0
 
 
-def check(path: str) -> str:
-    """One line on a file that is right. Raises SettingError on one that is not."""
-    read = config.read(path)
-    config.checked(read)
-    count = sum(value != {} for value in read.values())
-    return f"{path} is right; it sets {count} value{'' if count == 1 else 's'}"
-
-
-def rows(path: str | None, device: str | None) -> list[tuple[str, float | str, Setting, str]]:
-    """(whole key, value, declaration, origin) of every setting; the origin is "default", the file's path or
-    "--device". Raises SettingError."""
+def rows(path: str | None, device: str | None) -> dict[str, dict[str, float | str]]:
+    """Of every setting, by its whole key: value, unit, origin and what is allowed; the origin is "default", the file's
+    path or "--device". Raises SettingError."""
     changed: dict[str, object] = {"device.path": device} if device else {}
     read = config.read(path)
-    settings = config.checked({**read, **changed})
     origins = {**dict.fromkeys(read, path or ""), **dict.fromkeys(changed, "--device")}
-    return [(key, value, declaration(key), origins.get(key, "default")) for key, value in settings.flat().items()]
+    return {
+        key: {
+            "value": value,
+            "unit": (setting := declaration(key)).unit,
+            "origin": origins.get(key, "default"),
+            "allowed": setting.range(),
+        }
+        for key, value in config.checked({**read, **changed}).flat().items()
+    }
 
 
-def table(found: list[tuple[str, float | str, Setting, str]], columns: int) -> list[Line]:
+def table(found: dict[str, dict[str, float | str]], columns: int) -> list[style.Line]:
     """The rows as lines, an empty one between two groups."""
     wide = columns >= WIDE
-    cells = [
-        [key, f" {_shown(setting, value)}", setting.unit, os.path.basename(origin), *([setting.doc] if wide else [])]
-        for key, value, setting, origin in found
-    ]
-    indent = sum(max(len(row[column].strip()) for row in cells) + 2 for column in range(4))
-    lines: list[Line] = []
-    group = found[0][0].partition(".")[0]
-    for row, line in zip(cells, style.table([[(cell, style.PLAIN) for cell in row] for row in cells]), strict=True):
-        if row[0].partition(".")[0] != group:
-            group = row[0].partition(".")[0]
-            lines.append([])
-        lines += style.wrap(line, columns, indent) if wide else [line]
+    cells = []
+    for key, row in found.items():
+        setting = declaration(key)
+        value = row["value"] if row["value"] and isinstance(row["value"], str) else literal(setting, row["value"])
+        doc = [setting.doc] if wide else []
+        cells.append([key, f" {value}", setting.unit, os.path.basename(str(row["origin"])), *doc])
+    left = sum(max(len(row[column].strip()) for row in cells) + 2 for column in range(4))
+    aligned = style.table([[(cell, style.PLAIN) for cell in row] for row in cells])
+    lines: list[style.Line] = []
+    for _, group in groupby(zip(found, aligned, strict=True), key=lambda pair: pair[0].partition(".")[0]):
+        lines += [[]] if lines else []
+        for _, line in group:
+            lines += style.wrap(line, columns, left) if wide else [line]
     if not wide:
         more = f"What each of them means: from {WIDE} columns on, or `failstop config --example`."
         lines += [[], [(more, style.PLAIN)]]
     return lines
-
-
-def _shown(setting: Setting, value: float | str) -> str:
-    return value if isinstance(value, str) and value else literal(setting, value)
-
-
-def _json(found: list[tuple[str, float | str, Setting, str]]) -> str:
-    import json
-
-    return json.dumps(
-        {
-            key: {"value": value, "unit": setting.unit, "origin": origin, "allowed": setting.range()}
-            for key, value, setting, origin in found
-        },
-        indent=2,
-        ensure_ascii=False,
-    )
 
 
 def example() -> str:
@@ -170,34 +145,29 @@ def example() -> str:
     they are of; what is only a sample is commented out as well."""
     parts = [HEAD]
     for group, what in GROUPS.items():
-        declared = [(key, setting.default) for key, setting in BY_KEY.items() if key.partition(".")[0] == group]
+        declared = {
+            key.partition(".")[2]: setting.default for key, setting in BY_KEY.items() if key.startswith(f"{group}.")
+        }
         parts.append(f"\n# {what}\n")
         if declared:
-            parts.append(_toml(group, declared, defaults=True))
+            parts.append(_toml(group, declared, "#"))
         if group == "sources":
             # Its timeout is left out: a copy of the command timeout would hide a change of that one.
-            priority = f"sources.{FIRST_SOURCE}.priority"
-            parts.append(_toml(f"sources.{FIRST_SOURCE}", [(priority, Settings().flat()[priority])], defaults=True))
-        for name in dict.fromkeys(key.split(".")[1] for key, _ in SAMPLES if key.startswith(f"{group}.")):
-            prefix = f"{group}.{name}"
-            values = [(key, value) for key, value in SAMPLES if key.startswith(f"{prefix}.")]
-            sample = _toml(prefix, values, defaults=False)
-            parts.append(("\n" if group == "sources" else "") + "".join(f"# {line}\n" for line in sample.splitlines()))
+            first = f"sources.{FIRST_SOURCE}"
+            parts.append(_toml(first, {"priority": Settings().flat()[f"{first}.priority"]}, "#") + "\n")
+        for name, values in SAMPLES.get(group, {}).items():
+            parts.append(indent(_toml(f"{group}.{name}", values, ""), "# "))
     return "".join(parts)
 
 
-def _toml(name: str, values: list[tuple[str, float | str]], *, defaults: bool) -> str:
+def _toml(name: str, values: dict[str, float | str], mark: str) -> str:
     lines = [f"[{name}]"]
-    for key, value in values:
-        setting = declaration(key)
-        lines.append(f"# {setting.doc[0].upper()}{setting.doc[1:]} [{_allowed(setting)}]")
-        mark = "#" if defaults and key not in ALWAYS_SET else ""
-        lines.append(f"{mark}{key.rpartition('.')[2]} = {literal(setting, value)}")
+    for key, value in values.items():
+        setting = declaration(f"{name}.{key}")
+        what = "" if setting.allowed or not isinstance(setting.default, str) else "text, "
+        lines.append(f"# {setting.doc[0].upper()}{setting.doc[1:]} [{what}{setting.range()}]")
+        lines.append(f"{'' if setting.key in ALWAYS_SET else mark}{key} = {literal(setting, value)}")
     return "\n".join(lines) + "\n"
-
-
-def _allowed(setting: Setting) -> str:
-    return setting.range() if setting.allowed or not isinstance(setting.default, str) else f"text, {setting.range()}"
 
 
 def literal(setting: Setting, value: float | str) -> str:

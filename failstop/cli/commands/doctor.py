@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import sys
@@ -10,15 +11,10 @@ from argparse import ArgumentParser, Namespace
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.style import PLAIN
-from failstop.doctor import leftovers, table
-from failstop.doctor.finding import FAIL, OK, SKIP, WARN, Finding, worst
-from failstop.doctor.look import Look
-from failstop.doctor.system import System
+from failstop.doctor import table
+from failstop.doctor.look import FAIL, OK, SKIP, WARN, Finding, Look
 from failstop.machine import facts as machine_facts
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.cli.style import Line
+from failstop.shm.instance import check_name
 
 EXAMPLES = """\
 failstop doctor                         # everything; takes 5 s
@@ -30,8 +26,15 @@ failstop doctor --json | jq '.findings[] | select(.level != "ok")'
 LEVEL_COLUMNS = 6
 GAP = 2
 ARROW = "-> "
-ROLES = {OK: style.OK, SKIP: style.DIM, WARN: style.WARN, FAIL: style.FAIL}
-COUNTED = ((FAIL, "failed"), (WARN, "warned"), (SKIP, "not known"), (OK, "fine"))
+SHOWN = {
+    FAIL: (style.FAIL, "failed"),
+    WARN: (style.WARN, "warned"),
+    SKIP: (style.DIM, "not known"),
+    OK: (style.OK, "fine"),
+}
+"""The colour of a level, and what those of it are counted as."""
+UNBROKEN = 1 << 16
+"""As many columns as leave a finding on one line, and each remedy."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -41,74 +44,50 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--device", metavar="PATH", help="the board's port (default: the running service's, else device.path)")
     add("--quick", action="store_true", help="without the timing self-test, which takes 5 s")
     add("--stop-test", action="store_true", help="consent: a running service may be stopped once and reset")
-    add("--remove-leftovers", action="store_true", help="remove the shared memory of dead runs, and do nothing else")
     add("--json", action="store_true", help="for programs")
     add_name(parser)
 
 
 def main(arguments: Namespace) -> int:
     """Print the findings; exit code 1 when one is a failure."""
-    if arguments.remove_leftovers:
-        return _remove_leftovers()
-    look = Look(
-        arguments.name,
-        arguments.config,
-        arguments.device,
-        quick=arguments.quick,
-        stop_wanted=arguments.stop_test,
-    )
-    found = table.examine(look)
-    level = worst(finding.level for _, finding in found)
+    name = check_name(arguments.name)
+    found = table.examine(Look(name, arguments.config, arguments.device, arguments.quick, arguments.stop_test))
+    worst = found[0][1].level
     if arguments.json:
-        print(json.dumps({"worst": level, **machine_facts(), "findings": table.as_records(found)}, indent=2))
+        records = [{"check": check, **dataclasses.asdict(finding)} for check, finding in found]
+        print(json.dumps({"worst": worst, **machine_facts(), "findings": records}, indent=2))
     else:
-        style.show(screen(found, style.width() if sys.stdout.isatty() else None))
-    return 1 if level == FAIL else 0
+        style.show(screen(found, style.width() if sys.stdout.isatty() else UNBROKEN))
+    return 1 if worst == FAIL else 0
 
 
-def screen(found: list[tuple[str, Finding]], columns: int | None = None) -> list[Line]:
-    """For people, wrapped to so many columns; None: one line for each finding and each remedy."""
+def screen(found: list[tuple[str, Finding]], columns: int = UNBROKEN) -> list[style.Line]:
+    """For people, wrapped to so many columns."""
     width = max(len(name) for name, _ in found)
     indent = LEVEL_COLUMNS + width + GAP
-    lines: list[Line] = []
+    lines: list[style.Line] = []
     shown = ("", "")
     for name, finding in found:
         title = name if (name, finding.level) != shown else ""
-        head: Line = [(f"{finding.level:<{LEVEL_COLUMNS}}", ROLES[finding.level]), (f"{title:<{width + GAP}}", PLAIN)]
-        lines += _wrapped([*head, (finding.text, PLAIN)], columns, indent)
+        role = SHOWN[finding.level][0]
+        head = [(f"{finding.level:<{LEVEL_COLUMNS}}", role), (f"{title:<{width + GAP}}", PLAIN)]
+        lines += style.wrap([*head, (finding.text, PLAIN)], columns, indent)
         if finding.fix:
             lines += _command(finding.fix, columns, indent)
         if finding.advice:
-            lines += _wrapped([(" " * indent, PLAIN), (finding.advice, style.DIM)], columns, indent)
+            lines += style.wrap([(" " * indent, PLAIN), (finding.advice, style.DIM)], columns, indent)
         shown = (name, finding.level)
-    counts = [(sum(finding.level == level for _, finding in found), words) for level, words in COUNTED]
+    counts = [(sum(finding.level == level for _, finding in found), words) for level, (_, words) in SHOWN.items()]
     return [*lines, [], [(", ".join(f"{count} {words}" for count, words in counts if count), PLAIN)]]
 
 
-def _command(fix: str, columns: int | None, indent: int) -> list[Line]:
+def _command(fix: str, columns: int, indent: int) -> list[style.Line]:
     """As it can be pasted: a line may end only where the shell waits for the rest, after a pipe or an `&&`. What is
     longer stands further left, and is then the terminal's to break."""
     room = len(ARROW) + len(fix)
-    if columns is None or indent + room <= columns:
+    if indent + room <= columns:
         return [[(" " * indent + ARROW, PLAIN), (fix, style.STRONG)]]
     parts = [fix] if LEVEL_COLUMNS + room <= columns else re.split(r"(?<=\|) |(?<=&&) ", fix)
     marks = [ARROW] + [" " * len(ARROW)] * (len(parts) - 1)
     left = " " * max(0, min(LEVEL_COLUMNS, columns - len(ARROW) - max(map(len, parts))))
     return [[(left + mark, PLAIN), (part, style.STRONG)] for mark, part in zip(marks, parts, strict=True)]
-
-
-def _wrapped(line: Line, columns: int | None, indent: int) -> list[Line]:
-    return [line] if columns is None else style.wrap(line, columns, indent)
-
-
-def _remove_leftovers() -> int:
-    removed, left = leftovers.remove(System())
-    if not (removed or left):
-        print("no shared memory of dead runs")
-    if removed:
-        size = sum(row.size for row in removed) // 1024
-        print(f"removed the shared memory of {', '.join(row.instance for row in removed)} ({size} KiB)")
-    if left:
-        owners = ", ".join(sorted({row.owner for row in left}))
-        print(f"failstop doctor: that of {len(left)} more stays, it is of {owners}: try sudo", file=sys.stderr)
-    return 1 if left else 0

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import getpass
+import json
+import secrets
 import signal
+import socket
 import time
-from argparse import SUPPRESS
+from argparse import SUPPRESS, ArgumentParser, Namespace
+from collections.abc import Callable
+from contextlib import closing
 
+from failstop.cli import standard, style
 from failstop.cli.commands import add_name
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-    from types import FrameType
-
-    from failstop.fleet.settings import FleetSettings
+from failstop.cli.screen.terminal import Terminal
+from failstop.fleet import FleetError, publisher, report, settings, signed, topics, view
+from failstop.fleet.broker import ANYHOW, Broker
+from failstop.fleet.roster import Roster
+from failstop.fleet.sender import Sender
+from failstop.fleet.settings import FleetSettings
+from failstop.shm import instance
 
 EXAMPLES = """\
 failstop fleet                       # every robot, live
@@ -31,91 +38,57 @@ LIST_S = 1.5
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop fleet`."""
-    actions = parser.add_subparsers(dest="action", metavar="ACTION")
-    watch = actions.add_parser("watch", help="every robot, live; the same as `failstop fleet`")
-    listing = actions.add_parser("list", help="every robot, once")
-    listing.add_argument("--json", action="store_true", help="for programs")
-    stop = actions.add_parser("stop", help="stop all of them, and say who has not confirmed")
-    stop.add_argument("reason", nargs="*", help="why; each robot shows it")
-    stop.add_argument("--by", metavar="NAME", help="who stops them (default: USER@HOST)")
-    stop.add_argument("--wait", type=float, default=5.0, metavar="S", help="how long to try (default: 5)")
-    stop.add_argument("--json", action="store_true", help="for programs")
-    publish = actions.add_parser("publish", help="publish this robot, and obey a stop of the fleet")
-    add_name(publish)
-    key = actions.add_parser("key", help="make the fleet's key, once")
-    forget = actions.add_parser("forget", help="take a robot that is gone for good off the broker")
-    forget.add_argument("robot", help="its name in the fleet")
-    config = actions.add_parser("config", help="a file of settings, every value its default")
-    for action in (parser, watch, listing, stop, publish, key, forget):
-        default = None if action is parser else SUPPRESS
+    below = parser.add_subparsers(dest="action", metavar="ACTION")
+    actions = {name: below.add_parser(name, help=what) for name, (_, what) in ACTIONS.items()}
+    stop = actions["stop"].add_argument
+    stop("reason", nargs="*", help="why; each robot shows it")
+    stop("--by", metavar="NAME", help="who stops them (default: USER@HOST)")
+    stop("--wait", type=float, default=5.0, metavar="S", help="how long to try (default: 5)")
+    for name in ("list", "stop"):
+        actions[name].add_argument("--json", action="store_true", help="for programs")
+    actions["forget"].add_argument("robot", help="its name in the fleet")
+    add_name(actions["publish"])
+    del actions["config"]
+    for name, action in {"": parser, **actions}.items():
+        default = SUPPRESS if name else None
         action.add_argument("--config", metavar="FILE", default=default, help="settings of the fleet, as TOML")
-        if action is not key:
+        if name != "key":
             action.add_argument("--broker", metavar="HOST[:PORT]", default=default, help="where the broker is")
-    del config
 
 
 def main(arguments: Namespace) -> int:
     """Carry out one action. Raises FleetError, SettingError."""
-    return {
-        None: _watch,
-        "watch": _watch,
-        "list": _list,
-        "stop": _stop,
-        "publish": _publish,
-        "key": _key,
-        "forget": _forget,
-        "config": _config,
-    }[arguments.action](arguments)
+    return ACTIONS[arguments.action or "watch"][0](arguments)
 
 
 def _settings(arguments: Namespace) -> FleetSettings:
-    from failstop.fleet import settings
-
     changed: dict[str, object] = {}
     if broker := getattr(arguments, "broker", None):
         host, colon, port = broker.rpartition(":")
         if colon and port.isdigit():
-            changed["broker.port"] = int(port)
-            changed["broker.host"] = host.strip("[]")
+            changed = {"broker.host": host.strip("[]"), "broker.port": int(port)}
         else:
-            changed["broker.host"] = broker
+            changed = {"broker.host": broker}
     return settings.load(arguments.config, changed)
 
 
 def _publish(arguments: Namespace) -> int:
-    from failstop.cli import standard
-    from failstop.fleet import publisher
-    from failstop.shm import instance
-
     found = _settings(arguments)
     instance.check_name(arguments.name)
     service = publisher.Service(arguments.name)
     robot = found.robot_id(arguments.name)
     publishing = publisher.Publisher(found, arguments.name, service, robot, publisher.store(arguments.name))
-    ended = _Ended()
+    ended: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda by, _: ended.append(by))
     standard.say(f"publishing {arguments.name!r} as {robot} at {publishing.broker.where}")
-    while not ended.by:
+    while not ended:
         publishing.turn()
     publishing.close()
     return 0
 
 
-class _Ended:
-    """The signal that asked to end; 0: none has."""
-
-    def __init__(self) -> None:
-        self.by = 0
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._note)
-
-    def _note(self, number: int, _frame: FrameType | None) -> None:
-        self.by = number
-
-
 def _key(arguments: Namespace) -> int:
-    from failstop.cli import standard
-    from failstop.fleet import signed
-
     path = _settings(arguments).text("stop.key_file")
     signed.make_key(path)
     standard.tell(f"{path} is the fleet's key: copy it to every robot, and to who may stop them")
@@ -123,69 +96,50 @@ def _key(arguments: Namespace) -> int:
 
 
 def _config(_: Namespace) -> int:
-    from failstop.fleet import settings
-
     print(settings.example(), end="")
     return 0
 
 
-class _Seen:
-    """A connection that fills a roster."""
+def _seen(found: FleetSettings) -> tuple[Roster, Broker]:
+    """A roster, and the connection that fills it."""
+    roster = Roster()
 
-    def __init__(self, found: FleetSettings) -> None:
-        import secrets
+    def hear(topic: str, payload: bytes, retained: bool) -> None:
+        roster.hear(topic, payload, time.monotonic(), retained=retained)
 
-        from failstop.fleet import topics
-        from failstop.fleet.broker import ANYHOW, Broker
-        from failstop.fleet.roster import Roster
+    manufacturer = found.text("robot.manufacturer")
+    wanted = [topics.of_robot(manufacturer, topics.ANY, last) for last in (topics.CONNECTION, topics.STATE)]
+    return roster, Broker(found, f"failstop-view-{secrets.token_hex(6)}", dict.fromkeys(wanted, ANYHOW), hear)
 
-        manufacturer = found.text("robot.manufacturer")
-        wanted = [topics.of_robot(manufacturer, topics.ANY, last) for last in (topics.CONNECTION, topics.STATE)]
-        self.roster = Roster()
-        self.broker = Broker(found, f"failstop-view-{secrets.token_hex(6)}", dict.fromkeys(wanted, ANYHOW), self._hear)
 
-    def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        self.roster.hear(topic, payload, time.monotonic(), retained=retained)
+def _listen(broker: Broker, seconds: float, enough: Callable[[], bool] = lambda: False) -> None:
+    until_s = time.monotonic() + seconds
+    while not enough() and (left_s := until_s - time.monotonic()) > 0:
+        broker.turn(min(0.1, left_s))
 
 
 def _watch(arguments: Namespace) -> int:
-    from failstop.cli.screen.terminal import Terminal
-    from failstop.fleet import view
-
-    seen = _Seen(_settings(arguments))
-    with Terminal() as terminal:
+    roster, broker = _seen(_settings(arguments))
+    with closing(broker), Terminal() as terminal:
         while not terminal.ended:
             if b"q" in terminal.wait(0.0).lower():
                 break
             if terminal.stopped:
                 terminal.suspend()
-            until_s = time.monotonic() + WATCH_S
-            while (now_s := time.monotonic()) < until_s:
-                seen.broker.turn(until_s - now_s)
-            robots = seen.roster.sorted()
-            broker = seen.broker
-            shown = view.lines(
-                robots, broker.where, broker.problem, now_s, time.time(), terminal.columns, terminal.rows
-            )
-            terminal.draw(shown)
-    seen.broker.close()
+            _listen(broker, WATCH_S)
+            now = time.monotonic(), time.time()
+            size = terminal.columns, terminal.rows
+            terminal.draw(view.lines(roster.sorted(), broker.where, broker.problem, *now, *size))
     return 128 + terminal.ended if terminal.ended else 0
 
 
 def _list(arguments: Namespace) -> int:
-    import json
-
-    from failstop.cli import style
-    from failstop.fleet import FleetError, view
-
-    seen = _Seen(_settings(arguments))
-    until_s = time.monotonic() + LIST_S
-    while (now_s := time.monotonic()) < until_s:
-        seen.broker.turn(min(0.1, until_s - now_s))
-    seen.broker.close()
-    if seen.broker.problem and not seen.roster.robots:
-        raise FleetError(seen.broker.problem)
-    robots, unix_s = seen.roster.sorted(), time.time()
+    roster, broker = _seen(_settings(arguments))
+    with closing(broker):
+        _listen(broker, LIST_S)
+    if broker.problem and not roster.robots:
+        raise FleetError(broker.problem)
+    robots, now_s, unix_s = roster.sorted(), time.monotonic(), time.time()
     if arguments.json:
         rows = [
             {**vars(robot), "word": view.word(robot), "age_s": robot.age_s(now_s, unix_s), "heard_s": None}
@@ -198,14 +152,6 @@ def _list(arguments: Namespace) -> int:
 
 
 def _stop(arguments: Namespace) -> int:
-    import getpass
-    import json
-    import socket
-
-    from failstop.cli import style
-    from failstop.fleet import report
-    from failstop.fleet.sender import Sender
-
     by = arguments.by or f"{getpass.getuser()}@{socket.gethostname()}"
     sender = Sender(_settings(arguments), " ".join(arguments.reason), by)
     done = sender.run(arguments.wait)
@@ -217,26 +163,29 @@ def _stop(arguments: Namespace) -> int:
 
 
 def _forget(arguments: Namespace) -> int:
-    from failstop.cli import standard
-    from failstop.fleet import FleetError, topics
-
-    found = _settings(arguments)
-    seen = _Seen(found)
-    until_s = time.monotonic() + LIST_S
-    while arguments.robot not in seen.roster.robots and time.monotonic() < until_s:
-        seen.broker.turn(0.1)
-    if seen.broker.problem:
-        raise FleetError(seen.broker.problem)
-    robot = seen.roster.robots.get(arguments.robot)
-    if robot is None:
-        raise FleetError(f"no robot {arguments.robot!r} is known to the broker at {seen.broker.where}")
-    if not robot.lost():
-        raise FleetError(f"{arguments.robot} is connected: end its publisher first, or it is back at its next message")
-    for last in (topics.CONNECTION, topics.STATE, topics.EVENT):
-        seen.broker.say(topics.of_robot(found.text("robot.manufacturer"), arguments.robot, last), b"", retain=True)
-    until_s = time.monotonic() + LIST_S
-    while arguments.robot in seen.roster.robots and time.monotonic() < until_s:
-        seen.broker.turn(0.1)
-    seen.broker.close()
-    standard.tell(f"{arguments.robot} is forgotten: a fleet stop does not miss it any more")
+    found, name = _settings(arguments), arguments.robot
+    roster, broker = _seen(found)
+    with closing(broker):
+        _listen(broker, LIST_S, lambda: name in roster.robots)
+        if broker.problem:
+            raise FleetError(broker.problem)
+        if not (robot := roster.robots.get(name)):
+            raise FleetError(f"no robot {name!r} is known to the broker at {broker.where}")
+        if not robot.lost():
+            raise FleetError(f"{name} is connected: end its publisher first, or it is back at its next message")
+        for last in (topics.CONNECTION, topics.STATE, topics.EVENT):
+            broker.say(topics.of_robot(found.text("robot.manufacturer"), name, last), b"", retain=True)
+        _listen(broker, LIST_S, lambda: name not in roster.robots)
+    standard.tell(f"{name} is forgotten: a fleet stop does not miss it any more")
     return 0
+
+
+ACTIONS: dict[str, tuple[Callable[[Namespace], int], str]] = {
+    "watch": (_watch, "every robot, live; the same as `failstop fleet`"),
+    "list": (_list, "every robot, once"),
+    "stop": (_stop, "stop all of them, and say who has not confirmed"),
+    "publish": (_publish, "publish this robot, and obey a stop of the fleet"),
+    "key": (_key, "make the fleet's key, once"),
+    "forget": (_forget, "take a robot that is gone for good off the broker"),
+    "config": (_config, "a file of settings, every value its default"),
+}

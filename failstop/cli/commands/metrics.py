@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import signal
 import sys
+from argparse import ArgumentParser, Namespace
 
 from failstop.cli import standard
 from failstop.cli.commands import add_name
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
+from failstop.fleet import exposition
 
 EXAMPLES = """\
 failstop metrics                         # one print
@@ -27,8 +25,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Print, or serve. Raises FleetError. Without a service it is `failstop_up 0`, and no error."""
-    from failstop.fleet import exposition
-
     if arguments.serve is None:
         sys.stdout.write(exposition.text(arguments.name))
         return 0

@@ -1,12 +1,16 @@
-"""`failstop enable`, `disable` and `reset`: one request, its answer."""
+"""`failstop enable`, `disable`, `reset`, `limit` and `drive`: one request to the service, and its answer."""
 
 from __future__ import annotations
 
+import time
 from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
 
 from failstop.api.errors import Refused
 from failstop.api.robot import Robot
+from failstop.api.state import StateReader
 from failstop.api.verdict import next_step
+from failstop.api.words import limited, velocity
 from failstop.cli.commands import add_name
 from failstop.supervisor.fold import fitted
 
@@ -23,28 +27,99 @@ failstop disable --name left
 failstop reset               # moves nothing
 failstop reset && failstop enable
 """,
+    "limit": """\
+failstop limit 30   # of every driver, until another is set
+failstop limit 100  # lift it
+failstop limit      # what it is now
+""",
+    "drive": """\
+failstop drive 0.1 0 0             # 0.1 m/s forward for 1 s
+failstop drive 0 0.1 0 --for 2     # to the left
+failstop drive 0.1 0 -0.5 --for 3  # forward, turning right
+""",
 }
+
+REPEAT_S = 0.05
+RESTARTED_S = 1.0
+POLL_S = 0.01
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of the three."""
+    """Options of one of them, whose name ends the parser's."""
+    add, command = parser.add_argument, parser.prog.rpartition(" ")[2]
+    if command == "limit":
+        add("percent", nargs="?", type=float, metavar="PERCENT", help="5 to 100")
+    if command == "drive":
+        add("vx", type=float, help="m/s forward")
+        add("vy", type=float, help="m/s left")
+        add("wz", type=float, help="rad/s counter-clockwise")
+        add("--for", dest="seconds", type=float, default=1.0, metavar="S", help="how long (default: 1)")
     add_name(parser)
-
-
-def _say(text: str) -> None:
-    """How far it is: with an arm, enabling takes its time."""
-    print(text, flush=True)
 
 
 def main(arguments: Namespace) -> int:
     """Ask; a refusal is raised as Refused, with what to do first."""
-    with Robot(arguments.name, client="failstop " + arguments.command, disable_on_exit=False) as robot:
-        verbs = {"enable": lambda: robot.enable(_say), "disable": robot.disable, "reset": robot.reset}
+    command = arguments.command
+    if command == "limit" and arguments.percent is None:
+        share = StateReader(arguments.name).read().speed_limit
+        print(limited(share) if share < 1 else "no speed limit but the settings'")
+        return 0
+    with Robot(arguments.name, client=f"failstop {command}", disable_on_exit=command == "drive") as robot:
+        verbs: dict[str, Callable[[], str]] = {
+            "enable": lambda: robot.enable(say),
+            "disable": robot.disable,
+            "reset": robot.reset,
+            "limit": lambda: robot.limit_speed(arguments.percent / 100),
+            "drive": lambda: _drive(robot, (arguments.vx, arguments.vy, arguments.wz), arguments.seconds),
+        }
         try:
-            print(fitted(verbs[arguments.command](), 1, 2))
+            print(fitted(verbs[command](), 1, 2))
         except Refused as refused:
             state = robot.state
-            if state.estop or state.waiting_for:
+            if command != "drive" and (state.estop or state.waiting_for):
                 raise Refused(f"{refused.args[0]}; next: {next_step(state)}") from None
             raise
     return 0
+
+
+def say(text: str) -> None:
+    """How far it is: with an arm, enabling takes its time."""
+    print(text, flush=True)
+
+
+def _drive(robot: Robot, asked: tuple[float, float, float], seconds: float) -> str:
+    """A velocity for a while, then zero. A person types it, so it is a manual command. Raises Refused as soon as
+    something blocks the wheels."""
+    until_s = time.monotonic() + seconds
+    if reason := _blocked(robot):
+        raise Refused(reason)
+    if asked[1] and robot.settings["wheels.layout"] == "differential":
+        raise Refused(f"a differential base can't move sideways: {asked[1]:g} m/s left is not for it; give 0")
+    reached = asked
+    while time.monotonic() < until_s:
+        robot.drive(*asked, manual=True)
+        time.sleep(min(REPEAT_S, max(0.0, until_s - time.monotonic())))
+        if reason := _blocked(robot):
+            raise Refused(_settled(robot) or reason)
+        reached = robot.state.body_vel
+    less = any(abs(got) < 0.98 * abs(wanted) for got, wanted in zip(reached, asked, strict=True))
+    held = f", no faster than {velocity(*reached) or 'zero'} (limits and ramp)" if less else ""
+    return f"drove for {seconds:g} s{held}; the wheels stop"
+
+
+def _settled(robot: Robot) -> str:
+    """What blocks when the process that died is there again, which is quick: nobody needs to be told to wait for it."""
+    until_s = time.monotonic() + RESTARTED_S
+    while robot.state.waiting_for and time.monotonic() < until_s:
+        time.sleep(POLL_S)
+    return _blocked(robot)
+
+
+def _blocked(robot: Robot) -> str:
+    """Why driving is pointless, with the command that helps."""
+    state = robot.state
+    if state.estop:
+        return f"a stop is latched ({state.cause}); next: {next_step(state)}"
+    if not state.enabled:
+        return f"motion is disabled; next: {next_step(state)}"
+    return ""

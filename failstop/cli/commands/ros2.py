@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import glob
 import os
 import sys
+from argparse import REMAINDER, ArgumentParser, Namespace
 from importlib import import_module
 
 from failstop.api.errors import FailstopError
 from failstop.cli.commands import add_name
 from failstop.ros2 import transport
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
 
 EXAMPLES = """\
 . /opt/ros/humble/setup.sh; failstop ros2
@@ -25,13 +21,8 @@ failstop ros2 --ros-args -r cmd_vel:=/base/cmd_vel -p cmd_vel_type:=stamped
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop ros2`."""
     add_name(parser)
-    parser.add_argument(
-        "--ros-args",
-        nargs=argparse.REMAINDER,
-        default=[],
-        metavar="ARG",
-        help="all that follows is ROS's: -r FROM:=TO, -p NAME:=VALUE, --params-file FILE, ...",
-    )
+    words = "all that follows is ROS's: -r FROM:=TO, -p NAME:=VALUE, --params-file FILE, ..."
+    parser.add_argument("--ros-args", nargs=REMAINDER, default=[], metavar="ARG", help=words)
 
 
 def main(arguments: Namespace) -> int:
@@ -52,14 +43,10 @@ def find_rclpy() -> None:
     try:
         import_module("rclpy")
     except ImportError as error:
-        raise FailstopError(_advice(error)) from None
-
-
-def _advice(error: ImportError) -> str:
-    version = f"Python {sys.version_info[0]}.{sys.version_info[1]}"
-    setups = sorted(glob.glob("/opt/ros/*/setup.sh"))
-    if not setups:
-        return "there is no ROS 2 here (no /opt/ros/*/setup.sh): install it, or source its setup.sh where it is"
-    if "AMENT_PREFIX_PATH" not in os.environ:
-        return f"rclpy can't be imported: first type `. {setups[-1]}`"
-    return f"rclpy can't be imported by this {version} ({error}): install failstop for ROS's own Python"
+        this = f"rclpy can't be imported by this Python {sys.version_info[0]}.{sys.version_info[1]} ({error})"
+        advice = f"{this}: install failstop for ROS's own Python"
+        if not (setups := sorted(glob.glob("/opt/ros/*/setup.sh"))):
+            advice = "there is no ROS 2 here (no /opt/ros/*/setup.sh): install it, or source its setup.sh where it is"
+        elif "AMENT_PREFIX_PATH" not in os.environ:
+            advice = f"rclpy can't be imported: first type `. {setups[-1]}`"
+        raise FailstopError(advice) from None

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentParser, Namespace
+
 from failstop import config, instances
 from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
 from failstop.cli.commands import add_name
 from failstop.policy.settings import BY_KEY, SettingError
-from failstop.procs import limits
+from failstop.procs import rights
 from failstop.shm import instance
 from failstop.supervisor import starter
 from failstop.supervisor.port import OwnPort
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-
-
 DEVICE = "device.path"
-REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError, ImportError)
-"""What can keep the service from starting; ImportError where no file can be opened any more."""
+REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError)
+"""What can keep the service from starting."""
 
 EXAMPLES = """\
 failstop run                             # /dev/ttyACM0, default settings
@@ -36,10 +33,15 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Stop first, then become the supervisor. Raises what cli.py turns into one line."""
-    read = None if arguments.device else _read(arguments.config)
-    device = arguments.device or _device(read or {})
-    port, lost = _stop(device, arguments.name)
+    """Stop first, then become the supervisor. Raises what main.py turns into one line."""
+    device, read = (arguments.device, None) if arguments.device else _device(arguments.config)
+    port, lost = None, None
+    try:
+        port = OwnPort.open_and_stop(device, lambda: instances.refuse_locked(arguments.name))
+    except PortError as error:
+        if error.kind == "busy":
+            instances.refuse_listening(arguments.name)
+        lost = error
     try:
         _start(arguments, read, port)
     except REFUSALS as error:
@@ -52,37 +54,20 @@ def main(arguments: Namespace) -> int:
     raise FailstopError(f"{lost}{_others(lost)}")
 
 
-def _read(path: str | None) -> dict[str, object] | None:
-    """What the settings file says, as it comes; None: it can't be read, and the stop does not wait for the reason."""
+def _device(path: str | None) -> tuple[str, dict[str, object] | None]:
+    """Where the stop goes: what a file says, whatever else is wrong in it, else the default. And what the file sets, as
+    it comes; None: it can't be read, and the stop does not wait for the reason."""
+    declared, read = BY_KEY[DEVICE], None
     try:
-        return config.read(path)
+        read = config.read(path)
+        return str(declared.check(read.get(DEVICE, declared.default))), read
     except Exception:
-        return None
-
-
-def _device(read: dict[str, object]) -> str:
-    """Where the stop goes: what a file says, whatever else is wrong in it; else the default."""
-    declared = BY_KEY[DEVICE]
-    try:
-        return str(declared.check(read.get(DEVICE, declared.default)))
-    except SettingError:
-        return str(declared.default)
-
-
-def _stop(device: str, name: str) -> tuple[OwnPort | None, PortError | None]:
-    """Open the port and write the stop; else (None, why not). Raises InstanceError when that is because a living
-    service of this name has the port."""
-    try:
-        return OwnPort.open_and_stop(device, lambda: instances.refuse_locked(name)), None
-    except PortError as error:
-        if error.kind == "busy":
-            instances.refuse_listening(name)
-        return None, error
+        return str(declared.default), read
 
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
     """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
-    limits.take_descriptors()
+    rights.take_descriptors()
     given = {DEVICE: arguments.device} if arguments.device else {}
     settings = config.checked({**(config.read(arguments.config) if read is None else read), **given})
     instance.check_name(arguments.name)
@@ -94,12 +79,6 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
 
 
 def _why(error: Exception) -> str:
-    """The reason of a refusal. Its port is closed, so that there is a descriptor again for what was missing."""
-    if isinstance(error, (OSError, ImportError)):
-        try:
-            limits.take_descriptors()
-        except OSError as short:
-            return str(short)
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)

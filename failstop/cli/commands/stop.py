@@ -235,11 +235,10 @@ class Port:
         if error.kind != "busy":
             return str(error)
         # Only here: it looks at every process.
-        from failstop.doctor.device import holders as holders_of
         from failstop.doctor.system import System
 
         device = self.device()
-        holders, _ = holders_of(os.path.realpath(device), set(), System())
+        holders, _ = System().holders(device)
         services = dict.fromkeys(holder.instance for holder in holders if holder.instance)
         others = [f"{holder.name} (pid {holder.pid})" for holder in holders if not holder.instance]
         who = ", ".join([f"the service {name!r}" for name in services] or others or ["another process"])

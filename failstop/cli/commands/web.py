@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import os
+from argparse import ArgumentParser, Namespace
 
 from failstop import config
 from failstop.api.errors import FailstopError
 from failstop.cli.commands import add_name
+from failstop.policy.settings import Settings
 from failstop.shm import instance
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-    from typing import Any
-
-    from failstop.policy.settings import Settings
 
 EXAMPLES = """\
 failstop web                          # http://127.0.0.1:8477/
@@ -23,16 +18,16 @@ failstop web pair                     # a code, and as a picture to photograph
 failstop web devices                  # which devices are paired
 failstop web revoke 1a2b3c4d          # not that one any more
 """
-ACTIONS = ("serve", "pair", "devices", "revoke")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop web`."""
-    parser.add_argument("action", nargs="?", choices=ACTIONS, default="serve", help="what to do (default: serve)")
-    parser.add_argument("device", nargs="?", metavar="ID", help="the device to revoke, as `failstop web devices` says")
-    parser.add_argument("--listen", metavar="ADDRESS", help="where to listen (default: the setting web.address)")
-    parser.add_argument("--port", type=int, metavar="N", help="on which port, 0: any (default: the setting web.port)")
-    parser.add_argument("--config", metavar="FILE", help="TOML file with settings (default: the installed service's)")
+    add = parser.add_argument
+    add("action", nargs="?", choices=tuple(ACTIONS), default="serve", help="what to do (default: serve)")
+    add("device", nargs="?", metavar="ID", help="the device to revoke, as `failstop web devices` says")
+    add("--listen", metavar="ADDRESS", help="where to listen (default: the setting web.address)")
+    add("--port", type=int, metavar="N", help="on which port, 0: any (default: the setting web.port)")
+    add("--config", metavar="FILE", help="TOML file with settings (default: the installed service's)")
     add_name(parser)
 
 
@@ -43,8 +38,7 @@ def main(arguments: Namespace) -> int:
         import tornado  # noqa: F401  # what every action needs
     except ImportError:
         raise FailstopError("the page needs tornado: pip install 'failstop[web]'") from None
-    actions = {"serve": _serve, "pair": _pair, "devices": _devices, "revoke": _revoke}
-    return actions[arguments.action](arguments)
+    return ACTIONS[arguments.action](arguments)
 
 
 def _serve(arguments: Namespace) -> int:
@@ -82,7 +76,7 @@ def _devices(arguments: Namespace) -> int:
 
     from failstop.web import control
 
-    rows: list[dict[str, Any]] = control.ask(arguments.name, os.environ, "GET", "/devices")["devices"]
+    rows = control.ask(arguments.name, os.environ, "GET", "/devices")["devices"]
     for row in rows:
         print(f"{row['id']}  {time.strftime('%Y-%m-%d %H:%M', time.localtime(row['made']))}  {row['name']}")
     if not rows:
@@ -100,3 +94,6 @@ def _revoke(arguments: Namespace) -> int:
         raise FailstopError(f"no device {arguments.device!r}: `failstop web devices` lists them")
     print(f"{name} may see and stop, and nothing else any more")
     return 0
+
+
+ACTIONS = {"serve": _serve, "pair": _pair, "devices": _devices, "revoke": _revoke}

@@ -10,11 +10,9 @@ import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 
-from failstop import config
+from failstop import config, instances
 from failstop.api.errors import FailstopError, Refused
-from failstop.doctor import leftovers
 from failstop.doctor.look import settings_of
-from failstop.doctor.system import System, User
 from failstop.lab.commands import check_json, matching
 from failstop.lab.prove import campaign, report
 from failstop.lab.prove.campaign import Draw
@@ -36,9 +34,8 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
     chosen = _chosen(arguments.only)
     if not os.path.exists(device):
         raise FailstopError(f"no device {device}: plug the board in, or name another")
-    path, _ = settings_of(DEFAULT_NAME, arguments.config, System())
-    _, living = leftovers.look(User("", os.geteuid()), System())
-    check_free(device, DEFAULT_NAME, *living)
+    path, _ = settings_of(DEFAULT_NAME, arguments.config)
+    check_free(device, DEFAULT_NAME, *instances.listening())
     check_json(arguments.json)
     sys.stderr.write(WARNING.format(device=device))
     print(f"seed {seed}, {len(chosen)} stop paths", file=sys.stderr, flush=True)

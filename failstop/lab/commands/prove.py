@@ -14,7 +14,6 @@ from failstop.api.errors import FailstopError, Refused
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.doctor.look import settings_of
-from failstop.doctor.system import System
 from failstop.lab.prove import report, table
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.session import check_free, interruptible, session
@@ -90,7 +89,7 @@ def main(arguments: Namespace) -> int:
             with SimBoard(link) as board:
                 evidence = taken(link, config.read(arguments.config), board)
         else:
-            path, settings = settings_of(arguments.name, arguments.config, System())
+            path, settings = settings_of(arguments.name, arguments.config)
             device = arguments.device or settings.text("device.path")
             check_free(device, arguments.name)
             evidence = taken(device, config.read(path), None)

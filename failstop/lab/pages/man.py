@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from failstop.cli import grammar, shape
 from failstop.cli import main as cli
+from failstop.cli.commands import completion
 from failstop.shm import root
 from failstop.version import VERSION
 
@@ -76,11 +76,11 @@ def page() -> str:
     for index, text in enumerate(DESCRIPTION):
         lines += [".PP"] * (index > 0)
         lines.append(_escaped(text).replace("\x01", "\\fB").replace("\x02", "\\fR"))
-    for title, names in cli.groups():
+    for title, names in cli.GROUPS.items():
         if installed := [name for name in names if cli.here(name)]:
             lines.append(f".SH COMMANDS: {title.upper()}")
             for name in installed:
-                for parser in grammar.walk(cli.load(name)[0]):
+                for parser in completion.walk(cli.load(name)[0]):
                     lines += command(parser)
     lines += _table("EXIT STATUS", EXITS) + _table("FILES", FILES) + _table("ENVIRONMENT", ENVIRONMENT)
     lines += [".SH SEE ALSO", _escaped(SEE_ALSO)]
@@ -91,7 +91,7 @@ def command(parser: argparse.ArgumentParser) -> list[str]:
     """The lines of one command."""
     what = " ".join((parser.description or "").split())
     lines = [f".SS {_escaped(parser.prog)}", _escaped(f"{what[:1].upper()}{what[1:].rstrip('.')}.")]
-    arguments = grammar.arguments(parser)
+    arguments = completion.arguments(parser)
     if parser._subparsers is None:
         lines += [".PP", _synopsis(parser.prog, arguments)]
     formatter = parser._get_formatter()
@@ -99,7 +99,7 @@ def command(parser: argparse.ArgumentParser) -> list[str]:
         text = " ".join(formatter._expand_help(action).split()) if action.help else ""
         lines += [".TP", _head(action), _escaped(text) or "\\&"]
     if parser.epilog:
-        examples = [line.strip() for line in parser.epilog.removeprefix(shape.EXAMPLES).splitlines()]
+        examples = [line.strip() for line in parser.epilog.removeprefix(cli.EXAMPLES).strip().splitlines()]
         lines += [".PP", "Examples:", ".PP", ".RS", ".nf", *map(_escaped, examples), ".fi", ".RE"]
     return lines
 
@@ -118,7 +118,7 @@ def _synopsis(prog: str, arguments: list[argparse.Action]) -> str:
 
 def _head(action: argparse.Action) -> str:
     flags = ", ".join(f"\\fB{_escaped(flag)}\\fR" for flag in action.option_strings)
-    shown = grammar.value(action)
+    shown = completion.value(action)
     return " ".join(filter(None, (flags, shown and f"\\fI{_escaped(shown)}\\fR")))
 
 

@@ -14,8 +14,6 @@ from types import FrameType
 from failstop.api.errors import FailstopError, NoService, Refused
 from failstop.api.robot import Robot
 from failstop.cli import style
-from failstop.doctor.device import holders as holders_of
-from failstop.doctor.device import node as node_of
 from failstop.doctor.system import System
 from failstop.install.layout import unit_of
 from failstop.lab.prove import report
@@ -104,7 +102,7 @@ def _characterize(stand: Stand, velocities: Sequence[Velocity], *, quick: bool) 
 def check_free(device: str, *names: str) -> None:
     """Nobody else drives this board, a service of one of these names least of all. Raises Refused with the command that
     ends whoever does."""
-    node = node_of(device, System())
+    node = System().node(device)
     for name in names:
         with contextlib.suppress(NoService):
             served = Robot(name).state.device.path
@@ -114,10 +112,9 @@ def check_free(device: str, *names: str) -> None:
                 raise Refused(f"the service {name!r} runs, and this test kills what it runs: {end}")
     if node is None:
         return  # the run says it, with the devices that are there
-    holders, _ = holders_of(node.resolved, set(), System())
+    holders, _ = System().holders(node.resolved)
     for holder in holders:
-        end = f"sudo systemctl stop {holder.unit}" if holder.unit else f"kill {holder.pid}"
-        raise Refused(f"{holder.name} (pid {holder.pid}) has {device} open: {end}")
+        raise Refused(f"{holder} has {device} open: {holder.end()}")
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ from failstop.api.client import attach
 from failstop.board import decoder, framing, servos
 from failstop.board.interface import BOARD
 from failstop.board.port import PortError, open_port
-from failstop.doctor.tap import Tap
+from failstop.doctor.stop_path import Tap
 from failstop.lab.prove.shake import Sample
 from failstop.procs.telemetry.imu import RAD_PER_DEG
 from failstop.shm import layout, records

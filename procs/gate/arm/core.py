@@ -8,25 +8,19 @@ moves again.
 
 from __future__ import annotations
 
+from math import inf
+
 from failstop.board.interface import BOARD
 from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, MOVE_NS
+from failstop.policy.capsules import Model, would_hit
+from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Journey
-from failstop.procs.gate.arm.joints import from_settings
+from failstop.procs.gate.arm.joints import Joint, from_settings
 from failstop.procs.gate.arm.reader import QUIET_NS, Reader
-from failstop.procs.gate.arm.space import Space
-from failstop.shm.records import CAUSE
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
-
-    from failstop.policy.settings import Settings
-    from failstop.procs.gate.arm.joints import Joint
-    from failstop.procs.gate.core import GateCore
+from failstop.procs.gate.core import IS_LATCHED, GateCore
 
 ENABLED = "wheels enabled"
-LATCHED = f"a stop is latched ({CAUSE})"
 ENDED = "the goals before it were ended: pause first"
 SERVICE = 0
 """The session of the service's own journeys: to the drive pose, to the tuck pose."""
@@ -40,6 +34,33 @@ LATE_S = 2.0
 """A journey that is not there so long after its time has lost its way."""
 FIND_S = 4.0
 MOVES_NS = LONGEST_MOVE_MS * 1_000_000
+
+
+class Space:
+    """May the joints go on to where they are to be next, or would the arm hit something? What is looked at is where
+    each move ends, before it is sent: a servo that is sent no further move stands where the last one ended, which was
+    looked at before. A touch that is there already, by the model, may become less."""
+
+    def __init__(self, settings: Settings, joints: list[Joint]) -> None:
+        self._joints = joints
+        self._model = Model(settings) if settings.on("arm.collision") else None
+        """None: nothing is looked at."""
+        self._gap_m = inf
+
+    def wanted(self, joints: list[Joint]) -> list[Joint]:
+        """Whose place must be known before these move; silent ones count where they were last."""
+        return [joint for joint in self._joints if not joint.silent or joint in joints] if self._model else joints
+
+    def hit(self, *, begins: bool = False) -> str:
+        """What the arm would hit where its joints are to be now; empty: nothing. Then they go on from there. `begins`:
+        they stand there, whatever they touch."""
+        if self._model is None:
+            return ""
+        gap_m, name, other = self._model.nearest({joint.name: joint.rad(joint.position) for joint in self._joints})
+        if gap_m < min(0.0, self._gap_m) and not begins:
+            return would_hit(name, other)
+        self._gap_m = gap_m
+        return ""
 
 
 class ArmCore:
@@ -57,7 +78,8 @@ class ArmCore:
         self._reader = Reader(self.joints, now_ns)
         self._space = Space(settings, self.joints)
         self._journey: Journey | None = None
-        self._goals: dict[str, Goal] = {}
+        self._goal: Goal | None = None
+        """The newest of a stream."""
         self._ended: dict[int, int] = {}
         """The last goal of each session whose stream a stop or an enable has ended, and that goes on all the same."""
         self._schedule: list[tuple[int, list[Joint]]] = []
@@ -70,13 +92,13 @@ class ArmCore:
         self.released = False
         self.refused = ""
         """Why the last goal of a stream was not taken."""
-        self._blocked: dict[int, str] = {}
+        self._blocked: dict[Joint, str] = {}
         """Why the joints of a frame, by its first, do not go on toward the goal of a stream."""
 
     @property
     def closed(self) -> str:
         """Why the arm takes no goal now; empty when it does."""
-        return LATCHED if self._gate.latch is not None else ENABLED if self._gate.enabled else ""
+        return IS_LATCHED if self._gate.latch is not None else ENABLED if self._gate.enabled else ""
 
     # What it is asked for.
 
@@ -85,53 +107,43 @@ class ArmCore:
         """The journey, until it is over."""
         return self._journey if self._journey and not self._journey.done else None
 
-    def _goal(self) -> Goal | None:
-        """The goal of the highest mode, but for a journey."""
-        return self._goals.get(goals.FOLLOW) or self._goals.get(goals.JOG)
-
-    def mode(self) -> str:
-        """Whose goal it follows: trajectory, follow, jog, or nothing."""
-        followed = self.way or self._goal()
-        return followed.mode if followed else ""
-
-    def mover(self) -> str:
-        """For whom it moves, or is about to; empty: for nobody."""
-        followed = self.way or self._goal()
-        return followed.who if followed else ""
+    @property
+    def followed(self) -> Journey | Goal | None:
+        """What of all that it is asked for it follows."""
+        return self.way or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
         """Another client whose goal counts now; empty when there is none."""
         if (way := self.way) and way.session not in (SERVICE, session):
             return way.who
-        rivals = (goal for goal in self._goals.values() if goal.session != session and self._fresh(goal, now_ns))
-        return next((goal.who for goal in rivals), "")
+        goal = self._goal
+        return goal.who if goal and goal.session != session and self._fresh(goal, now_ns) else ""
 
     def moved_by(self, session: int) -> bool:
         """What it has asked for is followed, or would be."""
-        return any(asked and asked.session == session for asked in (self.way, *self._goals.values()))
+        return any(asked and asked.session == session for asked in (self.way, self._goal))
 
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
         return now_ns - goal.t_ns <= self._timeout_ns
 
-    def take(self, goal: Goal, now_ns: int) -> str:
-        """A goal of a stream. Returns why it is not taken; that of another publisher is the gate's to look for."""
+    def take(self, goal: Goal, now_ns: int) -> None:
+        """A goal of a stream; `refused` says why it is not taken. That of another publisher is the gate's to look
+        for."""
         goal.t_ns = min(goal.t_ns, now_ns)
         check = goals.too_far if goal.mode == goals.FOLLOW else goals.too_fast
-        self.refused = self._shut(goal) or check(goal.joints, goal.values)
+        self.refused = self._shut(goal) or check(goal.ends)
         if self.refused:
-            return self.refused
+            return
         if (way := self.way) and way.session == SERVICE:
             self.drop("preempted")
         if goal.mode == goals.FOLLOW:
-            goal.values = tuple(joint.pulses(angle) for joint, angle in zip(goal.joints, goal.values, strict=True))
+            goal.ends = {joint: joint.pulses(angle) for joint, angle in goal.ends.items()}
         else:
-            scale = [joint.pulses(1.0) - joint.zero for joint in goal.joints]
-            goal.values = tuple(rate * by for rate, by in zip(goal.values, scale, strict=True))
-        if goal.mode not in self._goals:
+            goal.ends = {joint: rate * (joint.pulses(1.0) - joint.zero) for joint, rate in goal.ends.items()}
+        if self._goal is None:
             self._reader.hurry(now_ns)
-        self._goals[goal.mode] = goal
+        self._goal = goal
         self.active_ns, self.released = now_ns, False
-        return ""
 
     def _shut(self, goal: Goal) -> str:
         """Why no goal of its stream counts now. One that goes on through a stop and a reset must not move the arm by
@@ -159,9 +171,12 @@ class ArmCore:
 
     def pose(self, purpose: str, session: int, who: str) -> Journey | None:
         """The way to a pose of the settings, drive or tuck, which travel() begins; None: no joint is part of it."""
-        joints = [joint for joint in self.joints if getattr(joint, purpose) >= 0]
-        rows = [(0.0, _ends(joints, purpose))]
-        return Journey(purpose, session, who, joints, rows, self._pose_speed) if joints else None
+        ends = self._ends(purpose)
+        return Journey(purpose, session, who, list(ends), [(0.0, ends)], self._pose_speed) if ends else None
+
+    def _ends(self, purpose: str) -> dict[Joint, float]:
+        """Where the joints are that are part of a pose."""
+        return {joint: float(end) for joint in self.joints if (end := getattr(joint, purpose)) >= 0}
 
     # Ends.
 
@@ -170,7 +185,7 @@ class ArmCore:
         was = self.streaming()
         if way := self.way:
             way.finish(why, dropped=True)
-        self._goals.clear()
+        self._goal = None
         self._load_ns = 0
         self._end_stream()
         return was
@@ -183,7 +198,8 @@ class ArmCore:
 
     def end_streams(self, but: int | None = None) -> None:
         """Those of all sessions but one: they count again after a pause."""
-        self._ended |= {goal.session: goal.t_ns for goal in self._goals.values() if goal.session != but}
+        if self._goal and self._goal.session != but:
+            self._ended[self._goal.session] = self._goal.t_ns
 
     def forget(self) -> None:
         """Nobody reads from here on: where the joints are must be read again before they move."""
@@ -244,10 +260,9 @@ class ArmCore:
 
     def _to_stream(self) -> list[Joint]:
         """The joints that a goal wants to move now."""
-        if way := self.way:
-            return way.joints if way.phase in (goals.LOADING, goals.UNDER_WAY) else []
-        goal = self._goal()
-        return goal.joints if goal else []
+        if (way := self.way) and way.phase not in (goals.LOADING, goals.UNDER_WAY):
+            return []
+        return list(self.followed.ends) if self.followed else []
 
     def due_ns(self) -> int:
         """When to step again."""
@@ -258,13 +273,11 @@ class ArmCore:
         return min(self._load_ns, self._reader.due_ns()) if self._load_ns else self._reader.due_ns()
 
     def _end_stale(self, now_ns: int) -> bool:
-        """Goals that were not renewed are forgotten; True when the arm was moved by them."""
-        stale = [mode for mode, goal in self._goals.items() if not self._fresh(goal, now_ns)]
-        if not stale:
+        """A goal that was not renewed is forgotten; True when the arm was moved by it."""
+        if self._goal is None or self._fresh(self._goal, now_ns):
             return False
-        for mode in stale:
-            del self._goals[mode]
-        if self.mode():
+        self._goal = None
+        if self.way:
             return False
         was = self.streaming()
         self._end_stream()
@@ -286,7 +299,7 @@ class ArmCore:
         if journey.phase == goals.FINDING:
             if unknown := [joint for joint in journey.joints if not joint.known]:
                 return _read_first(journey, unknown, now_ns)
-            if not journey.travels:
+            if not journey.ends:
                 journey.finish()
                 return []
             journey.phase = goals.LOADING
@@ -299,7 +312,7 @@ class ArmCore:
         return []
 
     def _watch_end(self, journey: Journey, now_ns: int) -> None:
-        ends = zip(journey.joints, journey.ends, strict=True)
+        ends = journey.ends.items()
         there = all(abs(joint.position - end) <= NEAR and not round(joint.velocity) for joint, end in ends)
         if journey.left_s(now_ns) <= 0.0 and there:
             self._end_stream()
@@ -313,12 +326,12 @@ class ArmCore:
         """Read back: each joint twice since it stands."""
         if unread := [joint for joint in journey.joints if joint.measured_ns < journey.since_ns]:
             return _read_first(journey, unread, now_ns)
-        journey.finish(self.off(journey.joints, journey.ends))
+        journey.finish(self.off(journey.ends))
         return []
 
-    def off(self, joints: list[Joint], ends: tuple[float, ...]) -> str:
+    def off(self, ends: dict[Joint, float]) -> str:
         """Which joint is not where it should be, by how much, of what was read; empty when each is."""
-        for joint, end in zip(joints, ends, strict=True):
+        for joint, end in ends.items():
             if joint.measured is None or abs(joint.measured - end) > self.tolerance:
                 by = "was not read" if joint.measured is None else f"is {abs(joint.measured - end):.0f} pulses off"
                 return f"joint {joint.name} (servo {joint.servo}) {by}"
@@ -350,7 +363,7 @@ class ArmCore:
                 return
             journey.phase = goals.UNDER_WAY
         self._load_ns = 0
-        self._space.begin()
+        self._space.hit(begins=True)
         self._blocked.clear()
         groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]
         step_ns = self._period_ns // len(groups)
@@ -367,40 +380,32 @@ class ArmCore:
         # From when it was due, so that a late wake-up shifts one frame and not all that follow.
         again_ns = due_ns + self._period_ns
         self._schedule = [*self._schedule[1:], (again_ns if again_ns > now_ns else now_ns + self._period_ns, group)]
-        journey = self.way
-        targets = self._targets(journey, now_ns + self._period_ns)
         before = [joint.position for joint in group]
-        for joint in group:
-            self._advance(joint, targets, journey.share if journey else 1.0, now_ns)
+        self._advance(group, now_ns)
         if hit := self._space.hit():
             for joint, position in zip(group, before, strict=True):
                 joint.position, joint.velocity = position, 0.0
-            if journey:
+            if journey := self.way:
                 journey.finish(hit)
                 self._end_stream()
                 return None
-        self._blocked[group[0].index] = hit
+        self._blocked[group[0]] = hit
         self.active_ns = now_ns
         self._reader.moved(now_ns)
         moves = [(joint.servo, round(joint.position)) for joint in group]
         return BOARD.servo_move(moves, self._move_ms, LONGEST_MOVE_MS)
 
-    def _targets(self, journey: Journey | None, then_ns: int) -> dict[int, tuple[str, float]]:
-        """What each joint is to do until the end of its next move: (mode, value)."""
-        if journey:
-            rows = zip(journey.joints, journey.at(then_ns), strict=True)
-            return {joint.index: (goals.FOLLOW, value) for joint, value in rows}
-        goal = self._goal()
-        return {joint.index: (goal.mode, value) for joint, value in goal.rows()} if goal else {}
-
-    def _advance(self, joint: Joint, targets: dict[int, tuple[str, float]], share: float, now_ns: int) -> None:
-        elapsed_ns = min(now_ns - joint.stepped_ns, MOVES_NS) if joint.stepped_ns else self._period_ns
-        joint.stepped_ns = now_ns
-        mode, value = targets.get(joint.index, (goals.JOG, 0.0))
-        if mode == goals.FOLLOW:
-            joint.follow(value, share, elapsed_ns * 1e-9)
-        else:
-            joint.jog(value, elapsed_ns * 1e-9)
+    def _advance(self, group: list[Joint], now_ns: int) -> None:
+        """Each joint on to where it is to be at the end of its next move; one that no goal names slows down."""
+        followed = self.followed
+        targets = followed.targets(now_ns + self._period_ns) if followed else {}
+        for joint in group:
+            elapsed_ns = min(now_ns - joint.stepped_ns, MOVES_NS) if joint.stepped_ns else self._period_ns
+            joint.stepped_ns = now_ns
+            if followed and followed.mode != goals.JOG and joint in targets:
+                joint.follow(targets[joint], followed.share, elapsed_ns * 1e-9)
+            else:
+                joint.jog(targets.get(joint, 0.0), elapsed_ns * 1e-9)
 
     # News.
 
@@ -413,57 +418,21 @@ class ArmCore:
     def pose_name(self) -> str:
         """The pose that it was read to be in, drive or tuck; empty: another, or not known."""
         for purpose in (goals.DRIVE, goals.TUCK):
-            joints = self._judged(purpose)
-            if joints and all(joint.known for joint in joints) and not self.off_pose(purpose):
+            judged = self._judged(purpose)
+            if judged and all(joint.known for joint in judged) and not self.off(judged):
                 return purpose
         return ""
 
-    def _judged(self, purpose: str) -> list[Joint]:
-        return [joint for joint in self.joints if getattr(joint, purpose) >= 0 and joint.judged]
+    def _judged(self, purpose: str) -> dict[Joint, float]:
+        return {joint: end for joint, end in self._ends(purpose).items() if joint.judged}
 
     def off_pose(self, purpose: str) -> str:
-        """The same of a pose of the settings, for the joints that are judged."""
-        joints = self._judged(purpose)
-        return self.off(joints, _ends(joints, purpose))
+        """As off(), of a pose of the settings, for the joints that are judged."""
+        return self.off(self._judged(purpose))
 
-    def state(self) -> dict[str, Any]:
-        """What people and programs are told."""
-        way = self.way
-        return {
-            "mode": self.mode(),
-            "phase": way.phase if way else "",
-            "moving": self.streaming(),
-            "by": self.mover(),
-            "refused": self.refused or next(filter(None, self._blocked.values()), ""),
-            "released": self.released,
-            "silent": [joint.servo for joint in self.joints if joint.silent],
-            "joints": [
-                (
-                    joint.name,
-                    joint.servo,
-                    round(joint.position, 2) if joint.known else None,
-                    joint.measured,
-                    joint.measured_ns,
-                    joint.loaded,
-                    joint.temperature_c,
-                    joint.supply_mv,
-                )
-                for joint in self.joints
-            ],
-        }
-
-    def aims(self) -> list[tuple[int, float]]:
-        """Of each servo that is to move: where its trajectory ends, where it is to follow to, or its rate."""
-        if way := self.way:
-            ends = way.ends if way.travels else ()
-            return [(joint.servo, end) for joint, end in zip(way.joints, ends, strict=False)]
-        goal = self._goal()
-        return [(joint.servo, value) for joint, value in goal.rows()] if goal else []
-
-
-def _ends(joints: list[Joint], purpose: str) -> tuple[float, ...]:
-    """Where they are in a pose of the settings."""
-    return tuple(float(getattr(joint, purpose)) for joint in joints)
+    def why_not(self) -> str:
+        """Why the last goal of a stream was not taken, or is not followed further."""
+        return self.refused or next(filter(None, self._blocked.values()), "")
 
 
 def _read_first(journey: Journey, joints: list[Joint], now_ns: int) -> list[Joint]:

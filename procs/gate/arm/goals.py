@@ -1,7 +1,7 @@
 """Goals: what the arm is asked to do, and for whom. Pure.
 
-Modes, the first that has a goal wins: trajectory (a Journey), follow, jog. A journey is a way with an end, which is
-read back; follow and jog are goals that a client renews, and that count for the settings' arm.goal_timeout_s.
+A journey is a way with an end, which is read back. Follow and jog are goals that a client renews, and that count for
+the settings' arm.goal_timeout_s, the newest of them, while there is no journey.
 """
 
 from __future__ import annotations
@@ -11,13 +11,7 @@ from itertools import pairwise
 from math import isfinite
 from operator import itemgetter
 
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from failstop.procs.gate.arm.joints import Joint
+from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
 
 FOLLOW = "follow"
 JOG = "jog"
@@ -32,28 +26,25 @@ UNDER_WAY = "on its way"
 SETTLING = "settling"
 CHECKING = "reading back where it is"
 
-Row = tuple[float, tuple[float, ...]]
+Row = tuple[float, dict[Joint, float]]
 """When (s from the begin), and the pulses of each joint of the goal."""
 
 
 class Goal:
     """Follow or jog: a target of each joint, in pulses or pulses/s."""
 
-    __slots__ = ("joints", "mode", "session", "t_ns", "values", "who")
+    share = 1.0
 
-    def __init__(
-        self, mode: str, session: int, who: str, t_ns: int, joints: list[Joint], values: tuple[float, ...]
-    ) -> None:
+    def __init__(self, mode: str, session: int, who: str, t_ns: int, ends: dict[Joint, float]) -> None:
         self.mode = mode
         self.session = session
         self.who = who
         self.t_ns = t_ns
-        self.joints = joints
-        self.values = values
+        self.ends = ends
 
-    def rows(self) -> zip[tuple[Joint, float]]:
-        """Each joint with its target."""
-        return zip(self.joints, self.values, strict=True)
+    def targets(self, _then_ns: int) -> dict[Joint, float]:
+        """The targets or rates that hold until then."""
+        return self.ends
 
 
 class Journey:
@@ -80,14 +71,9 @@ class Journey:
         self.outcome = ""
 
     @property
-    def travels(self) -> bool:
-        """It leads somewhere, and does not only read where the joints are."""
-        return bool(self._rows)
-
-    @property
-    def ends(self) -> tuple[float, ...]:
-        """Where each joint is to be at the end."""
-        return self._rows[-1][1]
+    def ends(self) -> dict[Joint, float]:
+        """Where each joint is to be at the end; empty: it only reads where they are."""
+        return self._rows[-1][1] if self._rows else {}
 
     @property
     def length_s(self) -> float:
@@ -96,27 +82,24 @@ class Journey:
 
     def begin(self, now_ns: int) -> str:
         """All of its joints are known: it begins where they are. Returns why it can't."""
-        start = tuple(joint.position for joint in self.joints)
-        rows = self._rows if self._rows[0][0] > 0.0 else [(self._least_s(start, self._rows[0][1]), self._rows[0][1])]
-        self._rows = [(0.0, start), *rows]
+        start = {joint: joint.position for joint in self.joints}
+        t_s, first = self._rows[0]
+        if not t_s:
+            # Until the slowest joint is there, ramps left to follow.
+            t_s = max(0.1, *(abs(end - start[joint]) / (joint.speed * self.share) for joint, end in first.items()))
+        self._rows = [(0.0, start), (t_s, first), *self._rows[1:]]
         self.begun_ns = now_ns
-        return too_fast_between(self.joints, self._rows)
+        return too_fast_between(self._rows)
 
-    def _least_s(self, start: tuple[float, ...], end: tuple[float, ...]) -> float:
-        """Until the slowest joint is there, ramps left to follow."""
-        return max(
-            0.1, *(abs(b - a) / (joint.speed * self.share) for joint, a, b in zip(self.joints, start, end, strict=True))
-        )
-
-    def at(self, now_ns: int) -> tuple[float, ...]:
-        """Where each joint is to be now."""
-        t_s = (now_ns - self.begun_ns) * 1e-9
+    def targets(self, then_ns: int) -> dict[Joint, float]:
+        """Where each joint is to be then."""
+        t_s = (then_ns - self.begun_ns) * 1e-9
         after = bisect_right(self._rows, t_s, key=itemgetter(0))
         if after == len(self._rows):
             return self.ends
         (t0, begin), (t1, end) = self._rows[after - 1], self._rows[after]
         share = (t_s - t0) / (t1 - t0)
-        return tuple(a + share * (b - a) for a, b in zip(begin, end, strict=True))
+        return {joint: a + share * (end[joint] - a) for joint, a in begin.items()}
 
     def left_s(self, now_ns: int) -> float:
         """Until its end."""
@@ -132,31 +115,31 @@ class Journey:
         return f"arm, {self.purpose}: {self.phase}" + (f", {left_s:.1f} s left" if left_s > 0.0 else "")
 
 
-def too_far(joints: list[Joint], angles: Sequence[float]) -> str:
+def too_far(angles: dict[Joint, float]) -> str:
     """Which joint is not to be sent there, with its range; empty when each may."""
-    for joint, angle in zip(joints, angles, strict=True):
+    for joint, angle in angles.items():
         low, high = joint.range_rad()
         if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:
             return f"joint {joint.name} to {angle:g} rad: allowed is {low:.3f} to {high:.3f}"
     return ""
 
 
-def too_fast(joints: list[Joint], rates: tuple[float, ...]) -> str:
+def too_fast(rates: dict[Joint, float]) -> str:
     """Which joint is not to turn at that rate, with its limit; empty when each may."""
-    for joint, rate in zip(joints, rates, strict=True):
+    for joint, rate in rates.items():
         most = joint.speed / PULSES_PER_RAD
         if not isfinite(rate) or abs(rate) > most * 1.000001:
             return f"joint {joint.name} at {rate:g} rad/s: allowed is up to {most:g}"
     return ""
 
 
-def too_fast_between(joints: list[Joint], rows: list[Row]) -> str:
+def too_fast_between(rows: list[Row]) -> str:
     """Which joint would be asked for more than its speed between two rows of a trajectory, and when."""
     for (t0, begin), (t1, end) in pairwise(rows):
         if t1 <= t0:
             return f"the times do not go up: {t0:g} s, then {t1:g} s"
-        for joint, a, b in zip(joints, begin, end, strict=True):
-            rate = abs(b - a) / (t1 - t0)
+        for joint, a in begin.items():
+            rate = abs(end[joint] - a) / (t1 - t0)
             if rate > joint.speed * 1.000001:
                 most, asked = joint.speed / PULSES_PER_RAD, rate / PULSES_PER_RAD
                 return f"joint {joint.name} at {asked:.3f} rad/s between {t0:g} and {t1:g} s: allowed is up to {most:g}"

@@ -6,10 +6,7 @@ from __future__ import annotations
 from math import copysign, pi, sqrt
 
 from failstop.board.servos import PULSES_PER_REVOLUTION
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.settings import Settings
+from failstop.policy.settings import Settings
 
 PULSES_PER_RAD = PULSES_PER_REVOLUTION / (2 * pi)
 MOST_MISSES = 4
@@ -19,35 +16,8 @@ MOST_MISSES = 4
 class Joint:
     """One joint: its bounds, and what is known of it."""
 
-    __slots__ = (
-        "acceleration",
-        "drive",
-        "high",
-        "index",
-        "judged",
-        "known",
-        "loaded",
-        "low",
-        "measured",
-        "measured_ns",
-        "misses",
-        "name",
-        "position",
-        "servo",
-        "sign",
-        "speed",
-        "stepped_ns",
-        "supply_mv",
-        "temperature_c",
-        "tuck",
-        "unpaired",
-        "velocity",
-        "zero",
-    )
-
-    def __init__(self, index: int, name: str, table: dict[str, float | str]) -> None:
+    def __init__(self, name: str, table: dict[str, float | str]) -> None:
         number = {key: float(value) for key, value in table.items() if not isinstance(value, str)}
-        self.index = index
         self.name = name
         self.servo = int(number["servo"])
         self.zero = number["zero"]
@@ -91,6 +61,12 @@ class Joint:
         low, high = sorted((self.rad(self.low), self.rad(self.high)))
         return low, high
 
+    def state(self) -> tuple[str, int, float | None, int | None, int, bool, int, int]:
+        """What people and programs are told of it."""
+        position = round(self.position, 2) if self.known else None
+        read = (self.measured, self.measured_ns, self.loaded, self.temperature_c, self.supply_mv)
+        return (self.name, self.servo, position, *read)
+
     def forget(self) -> None:
         """It was stopped, or let go, on its way: where it is must be read again."""
         self.known = False
@@ -122,7 +98,7 @@ class Joint:
 
 def from_settings(settings: Settings) -> list[Joint]:
     """The arm's joints in the order of the settings; none without an arm."""
-    joints = [Joint(index, name, table) for index, (name, table) in enumerate(settings.named["joints"].items())]
+    joints = [Joint(name, table) for name, table in settings.named["joints"].items()]
     for joint in joints:
         if joint.servo == int(settings["arm.base_servo"]):
             pan = int(settings["arm.drive_pan"])

@@ -8,11 +8,7 @@ counts when two in a row agree.
 from __future__ import annotations
 
 from failstop.board.servos import LONGEST_MOVE_MS, POSITION, SILENT_NS, SUPPLY, TEMPERATURE, TORQUE
-from failstop.procs.gate.arm.joints import MOST_MISSES
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.procs.gate.arm.joints import Joint
+from failstop.procs.gate.arm.joints import MOST_MISSES, Joint
 
 LATE_NS = 3_000_000
 """By how much the port owner may come later to one frame than to the next, on a busy machine: what is too near to the
@@ -33,8 +29,6 @@ _OTHERS = (TEMPERATURE, TORQUE, SUPPLY)
 
 class Reader:
     """Which question is out, and which is next."""
-
-    __slots__ = ("_asked", "_asked_ns", "_distrust", "_idle", "_joints", "_next_ns", "_quiet_ns", "_turn")
 
     def __init__(self, joints: list[Joint], now_ns: int) -> None:
         self._joints = joints

@@ -7,46 +7,30 @@ from __future__ import annotations
 
 from failstop.policy import causes
 from failstop.policy.reply import Reply
+from failstop.procs.context import Context
 from failstop.procs.gate.arm import goals
-from failstop.procs.gate.arm.core import ENABLED, LATCHED, SERVICE, ArmCore
+from failstop.procs.gate.arm.core import ENABLED, SERVICE, ArmCore
 from failstop.procs.gate.arm.goals import Goal, Journey
-from failstop.procs.gate.arm.joints import PULSES_PER_RAD, Joint
-from failstop.procs.gate.arm.tuck import ANNOUNCE, GO, AutoTuck
-from failstop.procs.gate.clients import seen
-from failstop.procs.gate.recorder import ArmBox
+from failstop.procs.gate.arm.joints import PULSES_PER_RAD
+from failstop.procs.gate.clients import Slot, seen
+from failstop.procs.gate.core import IS_LATCHED
 from failstop.procs.gate.sources import PAD
-from failstop.shm import records
+from failstop.procs.loop import Timer
+from failstop.shm import box, records
 from failstop.shm.notes import Note
 from failstop.shm.records import CAUSE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Any, Protocol
+    from typing import Any
 
-    from failstop.policy.causes import Cause
-    from failstop.procs.context import Context
-    from failstop.procs.gate.clients import Slot
-    from failstop.procs.gate.core import GateCore
-    from failstop.procs.loop import Timer
-
-    class Owner(Protocol):
-        """What the gate does for the arm."""
-
-        core: GateCore
-        epoch: int
-
-        def stop(self, cause: Cause, now_ns: int) -> None: ...
-
-        def reply(self, slot: Slot, session: int, number: int, reply: Reply, now_ns: int) -> None: ...
-
-        def send(self, kind: int, body: bytes, now_ns: int) -> None: ...
-
-        def enable_now(self, slot: Slot, number: int, now_ns: int) -> None: ...
-
+    from failstop.procs.gate.main import Gate
 
 NOT_IN_POSE = "arm is not in the drive pose"
 TELL_NS = 200_000_000
 """How often who waits is told how far it is."""
+BOX_NS = 100_000_000
+"""How often the black box is told what it is to do, while it does anything."""
 MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
 LONGEST_S = 600.0
 PAD_PUBLISHER = -1
@@ -55,8 +39,6 @@ PAD_PUBLISHER = -1
 
 class Waiter:
     """A client that waits for the end of a journey, and whether it wants motion to be enabled then."""
-
-    __slots__ = ("enables", "journey", "number", "session", "slot", "told_ns")
 
     def __init__(self, slot: Slot, number: int, journey: Journey, *, enables: bool = False) -> None:
         self.slot = slot
@@ -70,11 +52,14 @@ class Waiter:
 class Arm:
     """The arm of a gate whose robot has one."""
 
-    def __init__(self, owner: Owner, context: Context, due: Timer, now_ns: int) -> None:
+    def __init__(self, gate: Gate, context: Context, due: Timer, now_ns: int) -> None:
         """`due`: when to turn without any news."""
-        self.core = ArmCore(context.settings, owner.core, now_ns)
-        self._owner = owner
-        self._box = ArmBox(context.own.ring_writer("arm_box"))
+        settings = context.settings
+        self.core = ArmCore(settings, gate.core, now_ns)
+        self._gate = gate
+        self._box = context.own.ring_writer("arm_box")
+        self._boxed, self._boxed_ns = ("", ""), 0
+        """What the black box was told last, and when."""
         telemetry = context.segment("telemetry")
         self._answers = telemetry.ring_reader("servos")
         self._pad = telemetry.latest_reader("pad_arm")
@@ -82,11 +67,12 @@ class Arm:
         self._pad_joint = ""
         self._by_servo = {joint.servo: joint for joint in self.core.joints}
         self._waiter: Waiter | None = None
-        self._tuck = AutoTuck(context.settings)
+        self._tucks = settings.on("arm.auto_tuck")
+        self._tuck_after_ns, self._notice_s = settings.ns("arm.auto_tuck_s"), settings["arm.tuck_notice_s"]
+        self._tuck_announced = False
         self._tucking: Journey | None = None
         """Its way, until people have been told how it ended."""
-        self._notice_s = context.settings["arm.tuck_notice_s"]
-        self._hot_c, self._low_mv = int(context.settings["arm.hot_c"]), int(context.settings["arm.low_mv"])
+        self._hot_c, self._low_mv = int(settings["arm.hot_c"]), int(settings["arm.low_mv"])
         self._told: dict[str, str] = {}
         """What people were told last of each joint."""
         self._due = due
@@ -95,7 +81,7 @@ class Arm:
 
     def turn(self, now_ns: int) -> None:
         """Answers of the servos, then whatever is due."""
-        core, gate = self.core, self._owner.core
+        core, gate = self.core, self._gate.core
         while entry := self._answers.next():
             core.answer(*records.SERVO.unpack(entry[2]), entry[1])
         self._follow_pad(now_ns)
@@ -104,25 +90,30 @@ class Arm:
         self._answer_waiter(now_ns)
         self._follow_tuck(now_ns)
         self._tell_joints()
-        self._box.follow(now_ns, core)
+        self._keep(now_ns)
         self._due.set(now_ns + TELL_NS if gate.enabled else max(core.due_ns(), now_ns + 1))
+
+    def _keep(self, now_ns: int) -> None:
+        """For the black box: what it is to do, at each change of mode and mover, and ten times a second meanwhile."""
+        followed = self.core.followed
+        what = (followed.mode, followed.who) if followed else ("", "")
+        if what != self._boxed or (followed and now_ns - self._boxed_ns >= BOX_NS):
+            self._boxed, self._boxed_ns = what, now_ns
+            ends = followed.ends.items() if followed else ()
+            self._box.put(box.pack_arm(*what, [(joint.servo, end) for joint, end in ends]), now_ns)
 
     def _step(self, now_ns: int) -> None:
         frame, hold = self.core.step(now_ns)
         if hold:
             self._hold(now_ns)
         if frame:
-            self._owner.send(records.ARM, frame, now_ns)
+            self._gate.send(records.ARM, frame, now_ns)
 
     def _hold(self, now_ns: int) -> None:
         """Stop it where it is, by the write that stops everything: the wheels stand while an arm moves."""
-        self._owner.send(records.STOP, b"", now_ns)
+        self._gate.send(records.STOP, b"", now_ns)
 
     # News.
-
-    def stopped(self, reason: str) -> None:
-        """A stop, whose write has stopped the arm: nobody moves it any more."""
-        self.core.stop(reason)
 
     def client_gone(self, session: int, now_ns: int) -> None:
         """A client has left or died: what it moved is held, what it waited for is given up."""
@@ -139,7 +130,7 @@ class Arm:
 
     def goal(self, slot: Slot, now_ns: int) -> None:
         """A new goal of a stream, if the slot has one."""
-        if (found := slot.new_arm_goal()) is None:
+        if (found := slot.new("arm_goal")) is None:
             return
         t_ns, mode, values = found
         if mode not in MODES or not set(values) <= set(self._by_servo):
@@ -147,8 +138,8 @@ class Arm:
             return
         if self._rivals(slot.session, slot.who(), now_ns):
             return
-        joints = [self._by_servo[servo] for servo in values]
-        self.core.take(Goal(MODES[mode], slot.session, slot.who(), t_ns, joints, tuple(values.values())), now_ns)
+        ends = {self._by_servo[servo]: value for servo, value in values.items()}
+        self.core.take(Goal(MODES[mode], slot.session, slot.who(), t_ns, ends), now_ns)
 
     def _follow_pad(self, now_ns: int) -> None:
         """The gamepad in its joint mode is a publisher like any other. A joint that it lets go of is held."""
@@ -163,7 +154,7 @@ class Arm:
         self._pad_joint = joint.name
         if not share:
             self.core.pause(PAD_PUBLISHER)
-        goal = Goal(goals.JOG, PAD_PUBLISHER, PAD, t_ns, [joint], (share * joint.speed / PULSES_PER_RAD,))
+        goal = Goal(goals.JOG, PAD_PUBLISHER, PAD, t_ns, {joint: share * joint.speed / PULSES_PER_RAD})
         if share and not self._rivals(PAD_PUBLISHER, PAD, now_ns):
             self.core.take(goal, now_ns)
         elif not share and self.core.moved_by(PAD_PUBLISHER):
@@ -173,11 +164,11 @@ class Arm:
         """A second publisher of goals latches."""
         other = self.core.publisher(session, now_ns)
         if other and not self.core.closed:
-            self._owner.stop(causes.TWO_MOVE_THE_ARM(other, who), now_ns)
+            self._gate.stop(causes.TWO_MOVE_THE_ARM(other, who), now_ns)
         return bool(other)
 
     def _said(self, done: int, text: str) -> Reply:
-        return Reply(done, text, self._owner.core.latch if CAUSE in text else None)
+        return Reply(done, text, self._gate.core.latch if CAUSE in text else None)
 
     def request(self, slot: Slot, number: int, verb: int, now_ns: int) -> Reply:
         """A client's request about the arm."""
@@ -190,7 +181,7 @@ class Arm:
         if closed := self.core.closed:
             return self._said(records.REFUSED, closed)
         if self._rivals(slot.session, slot.who(), now_ns):
-            return self._said(records.REFUSED, LATCHED)
+            return self._said(records.REFUSED, IS_LATCHED)
         if verb == records.ARM_RELEASE:
             self._hold(now_ns)
             self.core.release(now_ns)
@@ -209,21 +200,21 @@ class Arm:
         if verb in (records.ARM_DRIVE, records.ARM_TUCK):
             purpose = goals.DRIVE if verb == records.ARM_DRIVE else goals.TUCK
             return self.core.pose(purpose, slot.session, slot.who()) or f"the settings have no {purpose} pose"
-        if verb != records.ARM_MOVE or (path := slot.arm_path()) is None:
+        if verb != records.ARM_MOVE or (path := slot.latest("arm_path")) is None:
             return "no trajectory came with the request"
-        share, servos, rows = path
+        _, share, servos, rows = path
         if not set(servos) <= set(self._by_servo) or len(set(servos)) < len(servos) or not 0.0 < share <= 1.0:
             return "a trajectory for joints that the arm does not have"
         if not all(0.0 <= t_s <= LONGEST_S for t_s, _ in rows) or (len(rows) > 1 and not rows[0][0]):
             return f"a trajectory's times go up from more than 0 to {LONGEST_S:g} s"
         joints = [self._by_servo[servo] for servo in servos]
+        way: list[goals.Row] = []
         for t_s, angles in rows:
-            if fault := goals.too_far(joints, angles):
+            aims = dict(zip(joints, angles, strict=True))
+            if fault := goals.too_far(aims):
                 return fault if len(rows) == 1 else f"{fault} (at {t_s:g} s)"
-        pulses = [(t_s, tuple(map(Joint.pulses, joints, angles))) for t_s, angles in rows]
-        if fault := goals.too_fast_between(joints, pulses):
-            return fault
-        return Journey(goals.MOVE, slot.session, slot.who(), joints, pulses, share)
+            way.append((t_s, {joint: joint.pulses(angle) for joint, angle in aims.items()}))
+        return goals.too_fast_between(way) or Journey(goals.MOVE, slot.session, slot.who(), joints, way, share)
 
     def _travel(self, waiter: Waiter, why: str, now_ns: int) -> Reply:
         """Begin a journey for who waits; `why`: what whoever moved the arm before is told."""
@@ -254,7 +245,7 @@ class Arm:
             self._answer(waiter, self._said(done, journey.outcome or "arm is there"), now_ns)
 
     def _answer(self, waiter: Waiter, reply: Reply, now_ns: int) -> None:
-        self._owner.reply(waiter.slot, waiter.session, waiter.number, reply, now_ns)
+        self._gate.requests.reply(waiter.slot, waiter.session, waiter.number, reply, now_ns)
 
     # Enabling motion.
 
@@ -284,7 +275,7 @@ class Arm:
             hint = '; without the arm: arm.absent = "ignore"' if absent else ""
             self._answer(waiter, Reply(records.REFUSED, f"{NOT_IN_POSE}: {fault}{hint}"), now_ns)
         else:
-            self._owner.enable_now(waiter.slot, waiter.number, now_ns)
+            self._gate.requests.enable_now(waiter.slot, waiter.number, now_ns)
 
     # For people.
 
@@ -295,22 +286,30 @@ class Arm:
             if self._tucking.outcome and not self._tucking.dropped:
                 self._tell(f"the arm did not tuck itself: {self._tucking.outcome}", "warning")
             self._tucking = None
-        if core.active_ns and (core.closed or core.mode()):
+        if core.active_ns and (core.closed or core.followed):
             core.active_ns = now_ns
-        due = self._tuck.follow(core.active_ns, now_ns)
-        if not due or not (journey := core.pose(goals.TUCK, SERVICE, "auto-tuck")):
+        left_s = self._tuck_left_s(now_ns)
+        if left_s is None or left_s > self._notice_s:
+            self._tuck_announced = False
+        elif not (journey := core.pose(goals.TUCK, SERVICE, "auto-tuck")):
             return
-        if not core.off(journey.joints, journey.ends):
+        elif not core.off(journey.ends):
             core.active_ns = 0  # it is there
-        elif due == ANNOUNCE:
+        elif not self._tuck_announced:
+            self._tuck_announced = True
             self._tell(f"the arm was left alone: it goes to its tuck pose in {self._notice_s:g} s")
-        elif due == GO:
+        elif left_s <= 0.0:
             core.travel(journey, now_ns)
             core.active_ns = 0
             self._tucking = journey
 
+    def _tuck_left_s(self, now_ns: int) -> float | None:
+        """Until it tucks itself; None: it does not, since it was not used, or it is switched off."""
+        active_ns = self.core.active_ns
+        return max(0.0, (active_ns + self._tuck_after_ns - now_ns) * 1e-9) if self._tucks and active_ns else None
+
     def _tell(self, text: str, level: str = "") -> None:
-        self._owner.core.notes.append(Note("arm", text, level=level))
+        self._gate.core.notes.append(Note("arm", text, level=level))
 
     def _tell_joints(self) -> None:
         """What is wrong with a servo, once, and that it is well again."""
@@ -329,18 +328,25 @@ class Arm:
                 )
 
     def state(self, now_ns: int) -> dict[str, Any]:
-        """Its part of the gate's state."""
-        left_s, pose = self._tuck.left_s(self.core.active_ns, now_ns), self.core.pose_name()
-        told = self.core.state()
+        """Its part of the gate's state: what people and programs are told."""
+        core = self.core
+        way, followed = core.way, core.followed
+        left_s, pose = self._tuck_left_s(now_ns), core.pose_name()
         return {
-            **told,
-            "refused": _without_cause(told["refused"]),
-            "closed": _without_cause(self.core.closed),
-            "auto_tuck_s": None if left_s is None or self.core.mode() or pose == goals.TUCK else round(left_s),
+            "mode": followed.mode if followed else "",
+            "phase": way.phase if way else "",
+            "moving": core.streaming(),
+            "by": followed.who if followed else "",
+            "refused": _without_cause(core.why_not()),
+            "closed": _without_cause(core.closed),
+            "released": core.released,
+            "silent": [joint.servo for joint in core.joints if joint.silent],
+            "joints": [joint.state() for joint in core.joints],
+            "auto_tuck_s": None if left_s is None or followed or pose == goals.TUCK else round(left_s),
             "wrong": [f"joint {name} {text}" for name, text in self._told.items() if text],
             "pose": pose,
-            "pad_joint": self._pad_joint if self.core.moved_by(PAD_PUBLISHER) else None,
-            "tucks": left_s is not None and left_s <= self._notice_s and not self.core.mode(),
+            "pad_joint": self._pad_joint if core.moved_by(PAD_PUBLISHER) else None,
+            "tucks": left_s is not None and left_s <= self._notice_s and not followed,
         }
 
 

@@ -1,4 +1,4 @@
-"""Charger detection: steps of the battery voltage, at rest only."""
+"""The battery: a low one stops, steps of the voltage at rest are the charger, and the log has a line every 10 s."""
 
 from __future__ import annotations
 
@@ -7,17 +7,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.policy.settings import Settings
-from failstop.procs.telemetry.charger import PLUGGED, UNKNOWN, UNPLUGGED, Charger
+from failstop.procs.telemetry.battery import (
+    HEADER,
+    LOW_READINGS,
+    PLUGGED,
+    UNKNOWN,
+    UNPLUGGED,
+    BatteryLog,
+    Charger,
+    LowBattery,
+)
 from failstop.shm import records
 
 MS = 1_000_000
 S = 1_000 * MS
 READING_NS = 1_050 * MS
+NOON = 1_773_662_400.0
+"""2026-03-16 12:00:00 UTC."""
 
 
 def charger(state: int = UNKNOWN) -> Charger:
     """Disabled since long, with the setting's default."""
-    made = Charger(Settings()["battery.step_mv"], state)
+    made = Charger(Settings(), state)
     made.follow(False, -100 * S)
     return made
 
@@ -142,7 +153,7 @@ def test_a_step_is_told_once() -> None:
 
 
 def test_the_setting_is_the_step() -> None:
-    tested = Charger(Settings({"battery.step_mv": 500})["battery.step_mv"])
+    tested = Charger(Settings({"battery.step_mv": 500}))
     tested.follow(False, -100 * S)
     next_ns = readings(tested, *[11_800] * 8)
     assert not tested.take(12_299, next_ns)
@@ -177,3 +188,67 @@ def test_a_flood_of_readings_is_forgotten() -> None:
     tested = charger()
     readings(tested, *[11_800] * 5_000, every_ns=1_000)
     assert len(tested._readings) <= 65
+
+
+def test_a_battery_that_stays_low_stops_once_until_it_was_charged() -> None:
+    tested = LowBattery(Settings({"battery.stop_mv": 10_500}))
+    readings = (
+        [10_400] * (LOW_READINGS - 1) + [10_500] + [10_499] * (2 * LOW_READINGS) + [11_000] + [9_000] * LOW_READINGS
+    )
+    stops = [at for at, millivolts in enumerate(readings) if tested.take(millivolts)]
+    assert stops == [2 * LOW_READINGS - 1, len(readings) - 1]
+
+
+def test_without_its_setting_no_battery_stops() -> None:
+    tested = LowBattery(Settings())
+    assert [tested.take(0) for _ in range(2 * LOW_READINGS)] == [None] * (2 * LOW_READINGS)
+
+
+def log(**changed: object) -> BatteryLog:
+    settings = Settings({f"battery.{key}": value for key, value in changed.items()})
+    return BatteryLog(settings)
+
+
+def test_a_line_is_unix_time_mv_wheels_enabled() -> None:
+    assert log().take(11_832, True, 0, NOON) == ("battery-2026-03-16.csv", "1773662400.0,11832,1\n")
+    assert log().take(11_832, False, 0, NOON + 0.25) == ("battery-2026-03-16.csv", "1773662400.2,11832,0\n")
+    assert HEADER == "unix_s,battery_mv,enabled\n"
+
+
+def test_a_line_every_10_s() -> None:
+    tested = log()
+    taken = [bool(tested.take(11_800, False, i * READING_NS, NOON)) for i in range(600)]
+    assert sum(taken) == 63, "in 629 s, the first at once"
+    at_s = [i * 1.05 for i, line in enumerate(taken) if line]
+    for n, t_s in enumerate(at_s):
+        assert 10 * n <= t_s < 10 * n + 1.05
+
+
+def test_not_sooner() -> None:
+    tested = log()
+    assert tested.take(11_800, False, 5 * S, NOON)
+    assert not tested.take(11_800, False, 15 * S - 1, NOON)
+    assert tested.take(11_800, False, 15 * S, NOON)
+
+
+def test_after_a_silence_lines_are_not_made_up_for() -> None:
+    tested = log()
+    tested.take(11_800, False, 0, NOON)
+    assert tested.take(11_800, False, 95 * S, NOON)
+    assert not tested.take(11_800, False, 104 * S, NOON)
+    assert tested.take(11_800, False, 105 * S, NOON)
+
+
+def test_one_file_a_day() -> None:
+    tested = log()
+    names = [(tested.take(1, False, i * 10 * S, NOON + i * 10) or ("", ""))[0] for i in range(8_640)]
+    assert sorted(set(names)) == ["battery-2026-03-16.csv", "battery-2026-03-17.csv"]
+    assert names.index("battery-2026-03-17.csv") == 12 * 360
+
+
+def test_the_settings_change_the_period_and_switch_it_off() -> None:
+    tested = log(log_s=60.0)
+    tested.take(1, False, 0, NOON)
+    assert not tested.take(1, False, 59 * S, NOON)
+    assert tested.take(1, False, 60 * S, NOON)
+    assert log(log="off").take(1, False, 0, NOON) is None

@@ -13,7 +13,8 @@ from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
 from failstop.api.state import Stop
 from failstop.board.stop_port import StopPort
-from failstop.doctor import stop_test
+from failstop.doctor import stop_path
+from failstop.doctor.look import FAIL, OK
 from failstop.lab.trial import Trial
 from failstop.policy import causes
 from failstop.supervisor.port import OwnPort
@@ -27,16 +28,17 @@ def test_a_latch_that_the_test_could_not_clear_is_told(monkeypatch: pytest.Monke
 
     with Trial(f"doctor-{os.getpid()}-latch") as trial, monkeypatch.context() as patch:
         patch.setattr(Robot, "reset", refuse)
-        (found,) = stop_test.by_service(trial.name)
-    assert found.problem == "the stop of the test stays latched (no right): failstop reset"
+        (found,) = stop_path.by_service(trial.name, "failstop doctor")
+    assert found.level == FAIL
+    assert "the stop of the test stays latched (no right): failstop reset" in found.text
 
 
 def test_a_duplicate_that_writes_nothing_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     with new_pty() as pty:
         own = OwnPort(pty.slave)
-        assert stop_test._on_duplicate(own, pty.link)
+        assert stop_path.on_duplicate(own)
         monkeypatch.setattr(StopPort, "burst", lambda _: False)
-        assert not stop_test._on_duplicate(own, pty.link)
+        assert not stop_path.on_duplicate(own)
 
 
 class Told:
@@ -63,9 +65,9 @@ class Told:
 
 
 def test_the_answer_is_waited_for_from_before_the_stop_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = [causes.REQUESTED(words, "failstop doctor", 7) for words in (stop_test.REASON, "another's")]
+    asked = [causes.REQUESTED(words, "failstop doctor", 7) for words in (stop_path.REASON, "another's")]
     ours = dataclasses.replace(stop(asked[0]), written_s=3e-4, acknowledged_s=None)
     stops = [None, stop(asked[1]), ours, dataclasses.replace(ours, acknowledged_s=1.5e-3)]
-    monkeypatch.setattr(stop_test, "Robot", lambda *_, **__: Told(stops))
-    (found,) = stop_test.by_service("any")
-    assert (found.written, found.answered_ms, found.problem) == (True, 1.5, "")
+    monkeypatch.setattr(stop_path, "Robot", lambda *_, **__: Told(stops))
+    (found,) = stop_path.by_service("any", "failstop doctor")
+    assert (found.level, found.text) == (OK, f"{stop_path.REQUEST}: acknowledged by the board after 1.5 ms")

@@ -1,0 +1,128 @@
+"""Conditions: what somebody must go on asserting for motion: the obstacle sensor, interlocks, an operator. Pure; each
+is told when it was asserted, by the clock of whoever asserts it."""
+
+from __future__ import annotations
+
+from failstop.policy import causes
+from failstop.policy.causes import Cause
+from failstop.shm.notes import Note
+
+MS = 1_000_000
+AHEAD_NS = 20 * MS
+"""A record may be written after the turn that reads it began. What is stamped further ahead comes from a clock that is
+not this machine's, and would stay fresh for as long as it is ahead."""
+NOBODY = "nobody attends: press ATTEND on the page, or run `failstop attend`"
+LEFT = "left"
+
+
+def believed_ns(t_ns: int, now_ns: int) -> int:
+    """The time that counts for a condition which is looked at again and again: never later than now; 0, which is older
+    than any timeout allows, for a stamp from the future."""
+    return min(t_ns, now_ns) if t_ns <= now_ns + AHEAD_NS else 0
+
+
+class ScanGate:
+    """A sensor-validity interlock: software commands move the wheels only while the obstacle sensor delivers; manual
+    ones are exempt. It blocks without latching: motion resumes by itself, from zero."""
+
+    def __init__(self, timeout_ns: int, *, on: bool) -> None:
+        self._timeout_ns = timeout_ns
+        self.on = on
+        self._blocks = False
+        self.delivered_ns = 0
+        """When the sensor delivered last; 0: never yet."""
+
+    def deliver(self, t_ns: int, now_ns: int) -> None:
+        """The sensor delivered."""
+        self.delivered_ns = max(self.delivered_ns, believed_ns(t_ns, now_ns))
+
+    def silent(self, now_ns: int) -> bool:
+        """True when software commands must not move the wheels."""
+        return self.on and (not self.delivered_ns or now_ns - self.delivered_ns > self._timeout_ns)
+
+    def silent_ns(self) -> int:
+        """When the last delivery stops counting."""
+        return self.delivered_ns + self._timeout_ns + 1
+
+    def note(self, now_ns: int, *, blocks: bool) -> Note | None:
+        """What people are told when the block comes or goes, with the sensor's age; else None. While something else
+        holds the wheels a silent sensor is not back."""
+        if blocks == self._blocks or (not blocks and self.silent(now_ns)):
+            return None
+        self._blocks = blocks
+        age_s = (now_ns - self.delivered_ns) * 1e-9 if self.delivered_ns else 0.0
+        if not blocks:
+            text = f"scan is back (age {age_s:.2f} s): motion resumes by itself"
+            return Note("scan", text, {"state": "back", "age_s": age_s}, level="info")
+        if not self.delivered_ns:
+            return Note("scan", "no scan yet: wheels stand", {"state": "silent"})
+        return Note("scan", f"no scan for {age_s:.2f} s: wheels stopped", {"state": "silent", "age_s": age_s})
+
+
+class Interlocks:
+    """Named conditions that a client asserts, such as an arm in its drive pose. Enabling motion needs all of them, and
+    losing one disables."""
+
+    def __init__(self, declared: dict[str, tuple[int, str]]) -> None:
+        """`declared`: name -> (timeout in ns, the refusal's text)."""
+        self._declared = declared
+        self._asserted_ns: dict[str, int] = {}
+
+    def hold(self, names: list[str], t_ns: int, now_ns: int) -> None:
+        """A client says that these hold; names that no setting declares mean nothing."""
+        for name in names:
+            if name in self._declared:
+                self._asserted_ns[name] = max(self._asserted_ns.get(name, 0), believed_ns(t_ns, now_ns))
+
+    def unmet(self, now_ns: int) -> str:
+        """The refusal's text of the first condition that does not hold; empty when all do."""
+        for name, (timeout_ns, refusal) in self._declared.items():
+            asserted_ns = self._asserted_ns.get(name)
+            if asserted_ns is None or now_ns - asserted_ns > timeout_ns:
+                return refusal
+        return ""
+
+
+class Attendance:
+    """The operators who are there, where motion needs one (setting attend.required): who was there last, and when, by
+    the session that says so. An operator's device proves again and again that it was there at some moment; what counts
+    is that moment, and not when the proof came."""
+
+    def __init__(self, lease_ns: int, *, on: bool) -> None:
+        self.on = on
+        self._lease_ns = lease_ns
+        self._there: dict[int, tuple[int, str]] = {}
+        self._last = ("", LEFT)
+        """Who was there last, and how that ended."""
+
+    def hear(self, session: int, who: str, t_ns: int, now_ns: int) -> None:
+        """An operator was there at `t_ns`; a proof that is older than the last one, or than the lease, changes
+        nothing."""
+        proven_ns = believed_ns(t_ns, now_ns)
+        if self.on and max(self._there.get(session, (0, ""))[0], now_ns - self._lease_ns - 1) < proven_ns:
+            self._there[session] = proven_ns, who
+
+    def leave(self, session: int) -> None:
+        """That session's operator is there no more, by its own word or by its death."""
+        if found := self._there.pop(session, None):
+            self._last = found[1], LEFT
+
+    def names(self, now_ns: int) -> list[str]:
+        """Who is there now; who is not any more is forgotten."""
+        for session, (proven_ns, who) in tuple(self._there.items()):
+            if now_ns - proven_ns > self._lease_ns:
+                del self._there[session]
+                self._last = who, f"was not heard for {(now_ns - proven_ns) // MS} ms"
+        return [who for _, who in self._there.values()]
+
+    def due_ns(self) -> int:
+        """When the last of them counts no more, if nothing is heard."""
+        return max((proven_ns for proven_ns, _ in self._there.values()), default=0) + self._lease_ns + 1
+
+    def unmet(self, now_ns: int) -> str:
+        """Why motion may not be enabled; empty when it may."""
+        return NOBODY if self.on and not self.names(now_ns) else ""
+
+    def gone(self, now_ns: int) -> Cause | None:
+        """Why motion may not go on."""
+        return causes.OPERATOR_GONE(*self._last) if self.unmet(now_ns) else None

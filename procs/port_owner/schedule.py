@@ -1,0 +1,80 @@
+"""Schedule: what goes out by the clock. Pure.
+
+After a cause the burst is repeated after 20 and 100 ms, in case the board lost the first. While stopped a zero frame
+goes out at 5 Hz, so that a board that restarts or wakes hears a stop soon.
+
+Pings ask the board whether it hears. It handles frames in order, so an answer to a ping that went out after a stop
+proves that its receiver was in step when the stop had passed it. One goes out right after each stop, and otherwise with
+a period.
+"""
+
+from __future__ import annotations
+
+from failstop.procs.loop import NEVER, Timer
+from failstop.procs.peer import BURST_AFTER_NS
+
+BURST = 1
+ZERO = 2
+ZERO_EVERY_NS = 200_000_000
+GAP_NS = 50_000_000
+"""Two pings are at least this far apart, so that one index (of four) is used again only when its answer, which takes a
+few milliseconds, is long due."""
+
+
+class Repeats:
+    """What is written again after the last stop, and when; `due`: of what is next."""
+
+    def __init__(self, due: Timer, now_ns: int) -> None:
+        self._bursts = 0
+        self._due = due
+        due.set(now_ns)
+
+    def restart(self, now_ns: int) -> None:
+        """A stop was just written."""
+        self._bursts = len(BURST_AFTER_NS)
+        self._due.set(*(now_ns + after for after in (*BURST_AFTER_NS, ZERO_EVERY_NS)))
+
+    def motion(self) -> None:
+        """Motion was written: an earlier stop is over and must not cut into it. No zeros before the next."""
+        self._due.set(NEVER)
+
+    def take(self, now_ns: int) -> int:
+        """BURST, ZERO or 0: what is to be written now. Asking takes it off the schedule."""
+        if not self._due.take(now_ns):
+            return 0
+        if self._bursts:
+            self._bursts -= 1
+            return BURST
+        self._due.set(now_ns + ZERO_EVERY_NS)
+        return ZERO
+
+
+class Pings:
+    """When to ask; `index` is that of the next ping."""
+
+    def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int) -> None:
+        """`count` different pings; 0: this board has none, and nobody may wait for `due`, when the next is."""
+        self._count = count
+        self._period_ns = period_ns
+        self._sent_ns = now_ns - GAP_NS
+        self._due = due
+        self._due.set(now_ns)
+        self.index = 0
+
+    def stopped(self, now_ns: int) -> None:
+        """A stop was written: ask whether it was heard."""
+        self._due.set(max(now_ns, self._sent_ns + GAP_NS))
+
+    def due(self, now_ns: int) -> bool:
+        """True when the ping `index` is to be written now."""
+        return self._count > 0 and self._due.due(now_ns)
+
+    def sent(self, now_ns: int) -> None:
+        """It was written."""
+        self._sent_ns = now_ns
+        self._due.set(now_ns + self._period_ns)
+        self.index = (self.index + 1) % self._count
+
+    def failed(self, now_ns: int) -> None:
+        """The port takes nothing now: try again after the gap."""
+        self._due.set(now_ns + GAP_NS)
