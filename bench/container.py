@@ -25,7 +25,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
-from failstop.install import layout, rows
+from failstop import config
+from failstop.install import rows, system
 from failstop.lab.trial import TrialError, wait_for
 
 SYSTEMD = "/lib/systemd/systemd"
@@ -55,8 +56,8 @@ WANTED = {
 }
 
 INSTALLED = (
-    *(layout.PREFIX, layout.CONFIGURATION, layout.STATE, layout.COMMAND_LINK),
-    *(row.place for row in rows.ROWS if not row.place.startswith(layout.UNITS)),
+    *(system.PREFIX, config.FOLDER, system.STATE, rows.COMMAND_LINK),
+    *(row.place for row in rows.ROWS if not row.place.startswith(rows.UNITS)),
 )
 ANEW = f"""
 [ ! -e "$root/var/lib/dpkg/info/failstop.list" ] || chroot "$root" dpkg --purge failstop

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 
 from failstop.policy.settings import SettingError, Settings, shortened, shown
 from failstop.shm import durable, root
@@ -48,7 +49,13 @@ def read(path: str | None) -> dict[str, object]:
     if not path:
         return {}
     try:
-        return dict(_flat("", _parse(_text(path))))
+        # Only a run with a file pays for the parser.
+        if sys.version_info >= (3, 11):
+            import tomllib
+        else:
+            import tomli as tomllib
+
+        return dict(_flat("", tomllib.loads(_text(path))))
     except SettingError:
         raise
     except OSError as error:
@@ -80,19 +87,6 @@ def _text(path: str) -> str:
         if len(line) > LONGEST_LINE:
             raise ValueError(f"line {number} has more than {LONGEST_LINE} characters")
     return text
-
-
-def _parse(text: str) -> dict[str, object]:
-    # Only a run with a file pays for the parser.
-    import sys
-
-    if sys.version_info >= (3, 11):
-        import tomllib
-    else:
-        import tomli as tomllib
-
-    table: dict[str, object] = tomllib.loads(text)
-    return table
 
 
 def _flat(prefix: str, table: dict[str, object]) -> list[tuple[str, object]]:

@@ -15,6 +15,11 @@ _NOT_FOR_US = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOTD
 """Why a place is another user's, or not there: the next one is tried."""
 
 
+def unit_of(name: str) -> str:
+    """The systemd unit of an instance."""
+    return "failstop.service" if name == instance.DEFAULT_NAME else f"failstop@{name}.service"
+
+
 def make_runtime_dir(name: str) -> str:
     """Make, or take over, the runtime directory of an instance and return its path. Raises InstanceError.
 

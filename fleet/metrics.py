@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from failstop.api import verdict
 from failstop.shm import blocks, records
-from failstop.supervisor.link import ALIVE, DEAF, UNPROVEN
+from failstop.supervisor.stops import ALIVE, DEAF, UNPROVEN
 from failstop.version import VERSION
 
 TYPE_CHECKING = False

@@ -375,7 +375,7 @@ raise:
   d_step { kill_gate() }                        /* PR_SET_PDEATHSIG */
 }
 
-/* ---- supervisor/opener.py: a thread of the supervisor's, which stops the board before anybody hears of the port */
+/* ---- supervisor/port_handover.py: a thread of the supervisor's, which stops the board before anybody hears of the port */
 
 proctype opener() provided (awake(SUP))
 {

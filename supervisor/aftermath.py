@@ -1,39 +1,36 @@
-"""Aftermath: what is to be seen after a stop was written - the board's answers, the IMU's verdict - and the link.
+"""Aftermath: what people are told of a stop, and what is to be seen after it was written - the board's answers, the
+IMU's verdict - and the link.
 
-The decisions are in stops.py and link.py; here are the words of shared memory that they are made of.
+What counts for the stop is decided in stops.py; here are the words of shared memory that it is made of.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable
 
 from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.shm import layout, records
 from failstop.shm.barrier import Barrier
 from failstop.shm.packing import pack
-from failstop.supervisor.link import ALIVE, DEAF, Link
-from failstop.supervisor.stops import UNSTILL, Stop
-from failstop.supervisor.written import BY_SUPERVISOR
+from failstop.supervisor.latch import Latch
+from failstop.supervisor.run import Run
+from failstop.supervisor.stops import ALIVE, BY_SUPERVISOR, DEAF, NOT_SENT, UNPROVEN, Link, Stop
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from failstop.policy.causes import Cause
-    from failstop.supervisor.latch import Latch
-    from failstop.supervisor.run import Run
+MOST_SAID = 64
 
 
 class Aftermath:
-    """Follows the last stop, and the link. One follow() a turn."""
+    """Tells of stops, follows the last one, and the link. One follow() a turn. `heard`: of the newest ping that was
+    answered, when it was sent, and when the answer came."""
 
     def __init__(self, run: Run, latch: Latch, holds: Callable[[], bool]) -> None:
         """`holds`: whether the kernel holds bytes for the board."""
-        self._world = run.world
-        self._events = run.events
+        self._run = run
         self._holds = holds
-        port_owner, telemetry, settings = run.views[layout.PORT_OWNER], run.views[layout.TELEMETRY], run.settings
+        port_owner, telemetry = run.views[layout.PORT_OWNER], run.views[layout.TELEMETRY]
         self._record = run.own.latest_writer("stop")
         self._link_record = run.own.latest_writer("link")
         self._pings = [port_owner.word(f"ping_{index}") for index in range(layout.PINGS)]
@@ -42,28 +39,79 @@ class Aftermath:
         self._judged = telemetry.word("judged_ns")
         self._barrier = Barrier()
         self._latch = latch
-        self._after_ns = settings.ns("still.after_s")
-        self._command = settings.text("still.command")
+        self._after_ns = run.settings.ns("still.after_s")
+        self._command = run.settings.text("still.command")
         self._command_pids: list[int] = []
         """Those that have not ended, the newest last."""
         self._command_ran = False
         self._seen_pong = 0
-        self._heard = (0, 0)
-        """The newest ping that was answered: when it was sent, and when the answer came."""
-        self.link = Link(settings.ns("link.deaf_s"))
+        self.heard = (0, 0)
+        self.link = Link(run.settings.ns("link.deaf_s"))
         self._published = ""
         self._last: Stop | None = None
+        self._said: set[Cause] = set()
+        """Those that were told of since the latch."""
 
-    def written(self, stop: Stop, written_ns: int, by: str, latched: Cause, epoch: int) -> None:
-        """A stop was written (`written_ns` 0: it could not be): follow it from now on. What comes while one is latched
-        belongs to that: the first is the one that people look for."""
+    def latched(self, stop: Stop) -> None:
+        """A cause is the first since a reset: everything that follows may be news again."""
+        self._said = {stop.cause}
+
+    def _news_of(self, cause: Cause) -> bool:
+        """True when this cause was not told of since the latch; several processes notice the same. Of more causes
+        than are remembered the older may be told of again."""
+        if cause in self._said:
+            return False
+        if len(self._said) >= MOST_SAID:
+            self._said.clear()
+        self._said.add(cause)
+        return True
+
+    def also(self, stop: Stop) -> None:
+        """A cause that came together with others, or before their stop was answered."""
+        if self._news_of(stop.cause):
+            fields = {**stop.cause.fields(), "noticed_by": stop.noticed_by}
+            self._run.events.tell("stop_also", f"also: {stop.cause}", fields)
+
+    def answered(self, stop: Stop, *, ending: bool) -> None:
+        """A stop was answered, written or not. `ending`: it is that of the service's end."""
+        self._follow_next(stop)
+        # Held for a moment is any burst; behind one that the board has not taken for long it goes nowhere.
+        held = causes.STUCK in (stop.cause.kind, (stop.behind or stop).cause.kind) and self._holds()
+        written_us = max(0, stop.written_ns - stop.t_ns) / 1000
+        how = f"by the {stop.by} after {written_us:.0f} us"
+        if not stop.written_ns:
+            wrote, level = "stop frame NOT written", "critical"
+        elif held:
+            wrote, level = f"stop frame handed over {how}, {NOT_SENT}", "critical"
+        else:
+            wrote, level = f"stop frame written {how}", ""
+        fields = {
+            **stop.cause.fields(),
+            "noticed_by": stop.noticed_by,
+            "written_by": stop.by if stop.written_ns else "nobody",
+            "latency_us": round(written_us, 1) if stop.written_ns else None,
+            "epoch": stop.epoch,
+        }
+        if ending:
+            self._run.events.tell("stopping", f"{stop.cause}; {wrote}", fields, level=level)
+        elif stop.behind is None:
+            todo = f"{self._run.events.command('reset')}, then {self._run.events.command('enable')}"
+            text = f"STOP latched: {stop.cause}; {wrote}; next: {todo}"
+            self._run.events.tell("stop", text, fields, level=level)
+        elif self._news_of(stop.cause):
+            text = f"stopped again: {stop.cause}; {wrote}; latched is still: {stop.behind.cause}"
+            self._run.events.tell("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
+
+    def _follow_next(self, stop: Stop) -> None:
+        """From now on, unless one is latched: what comes then belongs to that, the one that people look for."""
         last = self._last
         if last and last.written_ns and self._latch.reset_epoch < last.epoch:
             return
-        self._tell()
-        stop.answered_by(by, written_ns, latched, epoch, self._after_ns, self._world.unix_s())
+        if last and not last.told:
+            self._tell_outcome(last)  # with what is known
+        stop.follow(self._after_ns, self._run.world.unix_s())
         self._last = stop
-        self._publish()
+        self._publish(stop)
 
     def follow(self, now_ns: int, *, listening: bool) -> list[Stop]:
         """Look at everything once; returns the stops that this brings. `listening`: telemetry runs, which decodes the
@@ -75,7 +123,8 @@ class Aftermath:
             self.link.listen(newest_ns)
         elif self.link.silent(newest_ns, now_ns):
             stops.append(Stop(now_ns, layout.SUPERVISOR, causes.DEAF()))
-        if self._follow_wheels(now_ns):
+        self._reap_command()
+        if self._last and self._unstill(self._last, now_ns):
             stops.append(Stop(now_ns, layout.SUPERVISOR, causes.UNSTILL()))
         if self._last and self._last.complete(now_ns):
             self._tell_outcome(self._last)
@@ -85,17 +134,13 @@ class Aftermath:
             self._link_record.write(self._published.encode())
         return stops
 
-    def heard_ns(self, since_ns: int) -> int:
-        """When the board answered a ping that was sent at `since_ns` or later; 0: it has not."""
-        sent_ns, arrival_ns = self._heard
-        return arrival_ns if sent_ns >= since_ns else 0
-
     def opened(self, written_ns: int) -> None:
         """A port was opened again, perhaps another board's; the supervisor's burst on it was at `written_ns`."""
         self.link.opened()
-        if self._last and not self._last.written_ns and written_ns > self._last.t_ns:
-            self._last.written_at_last(written_ns, BY_SUPERVISOR)
-            self._publish()
+        last = self._last
+        if last and not last.written_ns and written_ns > last.t_ns:
+            last.written_at_last(written_ns, BY_SUPERVISOR)
+            self._publish(last)
 
     def _take_answer(self) -> None:
         word = self._pong.get()
@@ -107,16 +152,12 @@ class Aftermath:
         if not sent_ns or sent_ns > arrival_ns:
             return  # an answer to a question that nobody has asked, or that was asked again meanwhile
         self.link.answered(sent_ns)
-        self._heard = max(self._heard, (sent_ns, arrival_ns))
+        self.heard = max(self.heard, (sent_ns, arrival_ns))
         if self._last and self._last.ponged(sent_ns, arrival_ns):
-            self._publish()
+            self._publish(self._last)
 
-    def _follow_wheels(self, now_ns: int) -> bool:
+    def _unstill(self, last: Stop, now_ns: int) -> bool:
         """True when the wheels should be still and are not. A reset ends the question: people see to it then."""
-        last = self._last
-        self._reap()
-        if last is None:
-            return False
         if self._latch.reset_epoch >= last.epoch:
             self._command_ran = False
             return False
@@ -130,71 +171,76 @@ class Aftermath:
         unstill = last.judged(still_ns, judged_ns, now_ns)
         if last.observed_ns is not None and not known:
             self._command_ran = False
-            self._publish()
+            self._publish(last)
         if unstill:
             text = f"CRITICAL: {causes.UNSTILL()} ({last.cause}; {(now_ns - last.t_ns) / 1e9:.1f} s ago)"
-            self._events.tell("unstill", text, {"reason": str(last.cause), "epoch": last.epoch})
-            self._run_command()
+            self._run.events.tell("unstill", text, {"reason": str(last.cause), "epoch": last.epoch})
+            if self._command and not self._command_ran:
+                self._run_command()
         return unstill
 
     def _run_command(self) -> None:
-        """Once, until the wheels have been seen still or people have reset."""
-        if not self._command or self._command_ran:
-            return
-        self._end_command()
-        self._command_ran = True
-        try:
-            words = ["/bin/sh", "-c", self._command]
-            self._command_pids.append(self._world.spawn(words, os.environ))
-        except OSError as error:
-            text = f"cannot run still.command ({self._command}): {error}"
-            self._events.tell("command", text, {"state": "failed", "reason": str(error)}, level="error")
-        else:
-            pid = self._command_pids[-1]
-            text = f"still.command runs (pid {pid}): {self._command}"
-            self._events.tell("command", text, {"state": "runs", "pid": pid})
-
-    def _end_command(self) -> None:
-        """What an earlier stop has run, and has not ended: it hangs, and must not keep this stop from its own."""
+        """Once, until the wheels have been seen still or people have reset. What an earlier stop has run and has not
+        ended hangs, and must not keep this stop from its own."""
         for pid in self._command_pids:
             try:
-                self._world.kill(-pid, signal.SIGKILL)
+                self._run.world.kill(-pid, signal.SIGKILL)
                 how = "killed"
             except OSError as error:  # of another user's rights, by sudo
                 how = f"cannot be killed ({error.strerror})"
             text = f"still.command (pid {pid}) has not ended since an earlier stop: {how}, and run again"
-            self._events.tell("command", text, {"state": "hangs", "pid": pid}, level="error")
+            self._tell_command(text, "hangs", pid=pid)
+        self._command_ran = True
+        try:
+            pid = self._run.world.spawn(["/bin/sh", "-c", self._command], os.environ)
+        except OSError as error:
+            self._tell_command(f"cannot run still.command ({self._command}): {error}", "failed", reason=str(error))
+        else:
+            self._command_pids.append(pid)
+            self._tell_command(f"still.command runs (pid {pid}): {self._command}", "runs", pid=pid)
 
-    def _reap(self) -> None:
+    def _reap_command(self) -> None:
         for pid in tuple(self._command_pids):
-            if (code := self._world.reap(pid)) is not None:
+            if (code := self._run.world.reap(pid)) is not None:
                 self._command_pids.remove(pid)
-                text = f"still.command (pid {pid}) ended with code {code}"
-                self._events.tell("command", text, {"state": "ended", "pid": pid, "code": code})
+                self._tell_command(f"still.command (pid {pid}) ended with code {code}", "ended", pid=pid, code=code)
 
-    def _tell(self) -> None:
-        """A stop that another one follows is told of with what is known."""
-        if self._last and not self._last.told:
-            self._tell_outcome(self._last)
+    def _tell_command(self, text: str, state: str, **fields: str | int) -> None:
+        level = "error" if state in ("hangs", "failed") else ""
+        self._run.events.tell("command", text, {"state": state, **fields}, level=level)
 
     def _tell_outcome(self, stop: Stop) -> None:
         link = self.link.state
         stop.held = stop.written_ns > 0 and stop.acknowledged_ns is None and self._holds()
         if stop.held and stop is self._last:
-            self._publish()
-        level = "error" if stop.held or stop.state == UNSTILL else ""
-        self._events.tell("stop_outcome", stop.outcome(link), stop.fields(link), level=level)
+            self._publish(stop)
+        level = "error" if stop.held or stop.unstill else ""
+        self._run.events.tell("stop_outcome", stop.outcome(link), stop.fields(link), level=level)
+
+    def ended(self, heard_ns: int, link: str, *, written: bool, sent: bool) -> None:
+        """The service has ended. `heard_ns`: how long after the first stop the board acknowledged it, 0 for not; `link`
+        as of stops.py; `written`: the kernel took the second stop; `sent`: it has passed it on."""
+        told = "the stop was written twice" if sent else "the second stop could NOT be written"
+        if written and not sent:
+            told = f"the second stop was handed over, {NOT_SENT}"
+        fields = {"link": link, "acknowledged_us": round(heard_ns / 1e3, 1) if heard_ns else None}
+        if heard_ns:
+            heard, level = f"acknowledged by the board after {heard_ns / 1e6:.1f} ms", ""
+        elif link == UNPROVEN:
+            heard, level = "whether the board hears is not known (link unproven)", "warning"
+        else:
+            heard, level = f"NOT acknowledged by the board (link {link}); wheels that turn: POWER SWITCH", "critical"
+        self._run.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if sent else "critical")
 
     def _tell_link(self, before: str, state: str) -> None:
         if state == DEAF:
-            self._events.tell("link", "the board answers no more", {"state": state}, level="critical")
+            self._run.events.tell("link", "the board answers no more", {"state": state}, level="critical")
         elif state == ALIVE:
             again = " again" if before == DEAF else ""
-            self._events.tell("link", f"the board answers{again}", {"state": state})
+            self._run.events.tell("link", f"the board answers{again}", {"state": state})
         elif before:
             text = "whether the board hears is not known until it answers"
-            self._events.tell("link", text, {"state": state}, level="info")
+            self._run.events.tell("link", text, {"state": state}, level="info")
 
-    def _publish(self) -> None:
-        if self._last:
-            self._record.write(pack(self._last.as_record()))
+    def _publish(self, stop: Stop) -> None:
+        self._record.write(pack(stop.as_record()))

@@ -6,6 +6,8 @@ waits for it but the end of the service, and that no longer than FINISH_S.
 
 from __future__ import annotations
 
+import _socket
+import contextlib
 import os
 
 import msgpack
@@ -14,10 +16,7 @@ from failstop.shm import box, layout, records
 from failstop.supervisor.starter import environment, script_command
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from typing import Any
-
+if TYPE_CHECKING:  # for the saver, which has a constant of here and needs no more
     from failstop.supervisor.run import Run
     from failstop.supervisor.stops import Stop
 
@@ -35,61 +34,28 @@ FINISH_S = 1.0
 NEXT = "next: look at the disk and at the state directory"
 
 
-class Saver:
-    """A saver that runs."""
-
-    __slots__ = ("_hurry", "_result", "of_dead_run", "pid")
-
-    def __init__(self, pid: int, hurry: int, result: int, *, of_dead_run: bool) -> None:
-        """`hurry`: closed to have it copy now; `result`: what it has to say."""
-        self.pid = pid
-        self._hurry = hurry
-        self._result = result
-        self.of_dead_run = of_dead_run
-
-    def hasten(self) -> None:
-        """Have it copy now."""
-        if self._hurry >= 0:
-            os.close(self._hurry)
-            self._hurry = -1
-
-    def last_word(self) -> dict[str, Any] | None:
-        """Of one that has ended: what it has saved, if anything, or what is `wrong`; None: it said nothing. Its
-        descriptors are given back."""
-        try:
-            told = msgpack.unpackb(os.read(self._result, 4096))
-        except (OSError, ValueError):
-            told = None
-        self.hasten()
-        os.close(self._result)
-        return told if isinstance(told, dict) else None
-
-
 class BlackBox:
     """One turn: follow(). begin() once, when the other processes are started."""
 
     def __init__(self, run: Run) -> None:
-        resources, settings = run.resources, run.settings
-        self._now_ns, self._world = run.world.now_ns, run.world
-        self._events = run.events
-        self._readable = resources.readable
-        self._on = settings.on("incidents.save")
-        self._words = {
-            "name": resources.name,
-            "keep": str(int(settings["incidents.keep"])),
-            "max_mb": str(int(settings["incidents.max_mb"])),
-        }
-        self._environment = environment(settings)
+        self._run = run
+        self._now_ns, self._world, self._events = run.world.now_ns, run.world, run.events
+        self._on = run.settings.on("incidents.save")
+        keep, max_mb = int(run.settings["incidents.keep"]), int(run.settings["incidents.max_mb"])
+        self._words = {"name": run.name, "keep": keep, "max_mb": max_mb}
+        self._environment = environment(run.settings)
         self._ring = run.own.ring_writer("box")
         self._beats = [run.views[which].word("beat_ns") for which in layout.PROCESSES]
         self._ages_ns = [0] * len(self._beats)
         """The longest silence of each process since the last sample."""
         self._seen_ns = [0] * len(self._beats)
         """And when that was seen."""
-        self._left = resources.left
-        self._waiting: list[tuple[int, dict[str, str]]] = []
+        self._waiting: list[tuple[int, dict[str, object]]] = []
         """When to start a saver, and with what."""
-        self._savers: list[Saver] = []
+        self._savers: dict[int, _socket.socket] = {}
+        """The socket to each that runs, by its pid: its end has it copy now, and what it has to say comes back."""
+        self._for_dead_run = 0
+        """The pid of the one that waits for this run to be ready; 0: none does."""
         self._sampled_ns = 0
 
     def wrote(self, now_ns: int) -> None:
@@ -100,8 +66,8 @@ class BlackBox:
         """A stop is latched, the news is out: save what led to it, and what follows."""
         self._sample(self._now_ns())
         if self._on and len(self._waiting) + len(self._savers) < MOST_SAVERS:
-            words = {"cause_ns": str(stop.t_ns), "epoch": str(epoch), "cause": stop.cause.pack().hex()}
-            self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": str(stop.t_ns + COPY_NS)}))
+            words = {"cause_ns": stop.t_ns, "epoch": epoch, "cause": stop.cause.pack().hex()}
+            self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": stop.t_ns + COPY_NS}))
 
     def follow(self, now_ns: int, *, ready: bool) -> None:
         """Once a turn, at its end, and before the supervisor's own beat."""
@@ -111,10 +77,10 @@ class BlackBox:
                 self._ages_ns[index], self._seen_ns[index] = age_ns, now_ns
         if now_ns - self._sampled_ns >= SAMPLE_NS:
             self._sample(now_ns)
+        if ready and self._for_dead_run:
+            self._hasten(self._for_dead_run)
+            self._for_dead_run = 0
         if self._savers:
-            for saver in self._savers:
-                if ready and saver.of_dead_run:
-                    saver.hasten()
             self._reap()
         if self._waiting and now_ns >= self._waiting[0][0]:
             self._save_live()
@@ -128,45 +94,53 @@ class BlackBox:
     def begin(self) -> None:
         """Start the saver for a run before this one that was not ended in order. It copies nothing, and takes no
         processor time from anybody, before this run is ready: but by then nobody wants to be held up for its start."""
-        left, self._left = self._left, {}
-        try:
-            if self._on and len(left) == len(layout.PROCESSES):
-                self._start({"until_ns": str(self._now_ns() + PATIENCE_NS)}, left, of_dead_run=True)
-        finally:
-            self._close(left.values())
+        left = self._run.left
+        if self._on and len(left) == len(layout.PROCESSES):
+            self._for_dead_run = self._start({"until_ns": self._now_ns() + PATIENCE_NS}, left)
+        while left:
+            os.close(left.popitem()[1])
 
     def _save_live(self) -> None:
         _, words = self._waiting.pop(0)
-        self._start(words, self._readable, of_dead_run=False)
+        self._start(words, self._run.readable)
 
-    def _start(self, words: dict[str, str], fds: dict[str, int], *, of_dead_run: bool) -> None:
-        """Start a saver. A machine that is out of descriptors or processes has none, and that is all."""
-        pipes: list[int] = []
+    def _start(self, words: dict[str, object], fds: dict[str, int]) -> int:
+        """Start a saver and return its pid. A machine that is out of descriptors or processes has none (0), and that is
+        all."""
+        ends: list[_socket.socket] = []
         try:
-            pipes += os.pipe()
-            pipes += os.pipe()
-            hurry, hasten, told, result = pipes
-            os.set_blocking(told, False)
-            pid = self._spawn(words | {"hurry": str(hurry), "result": str(result)}, fds, (hurry, result))
+            ends += _socket.socketpair()
+            ends[0].setblocking(False)
+            theirs = ends[1].fileno()
+            listed = ",".join(f"{which}:{fd}" for which, fd in fds.items())
+            words = {**self._words, **words, "fds": listed, "hurry": theirs, "result": theirs}
+            arguments = script_command(("incidents", "saver.py"), words=words)
+            pid = self._world.spawn(arguments, self._environment, [theirs, *fds.values()])
+            self._savers[pid] = ends.pop(0)
         except OSError as error:
-            self._close(pipes)
+            pid = 0
             self._not_saved(f"cannot start the saver: {error}; {NEXT}")
-        else:
-            self._close((hurry, result))
-            self._savers.append(Saver(pid, hasten, told, of_dead_run=of_dead_run))
+        for end in ends:
+            end.close()
+        return pid
 
-    def _spawn(self, words: dict[str, str], fds: dict[str, int], pipes: tuple[int, int]) -> int:
-        words = self._words | words | {"fds": ",".join(f"{which}:{fd}" for which, fd in fds.items())}
-        arguments = script_command(("incidents", "saver.py"), words=words)
-        return self._world.spawn(arguments, self._environment, [*pipes, *fds.values()])
+    def _hasten(self, pid: int) -> None:
+        """Have a saver copy now, if it still runs."""
+        with contextlib.suppress(OSError, KeyError):
+            self._savers[pid].shutdown(_socket.SHUT_WR)
 
     def _reap(self) -> None:
-        for saver in tuple(self._savers):
-            if (code := self._world.reap(saver.pid)) is not None:
-                self._savers.remove(saver)
-                self._tell(code, saver.last_word())
+        for pid, saver in tuple(self._savers.items()):
+            if (code := self._world.reap(pid)) is not None:
+                try:
+                    told = msgpack.unpackb(saver.recv(4096))
+                except (OSError, ValueError):
+                    told = None
+                self._savers.pop(pid).close()
+                self._tell(code, told if isinstance(told, dict) else None)
 
-    def _tell(self, code: int, told: dict[str, Any] | None) -> None:
+    def _tell(self, code: int, told: dict[str, str | float] | None) -> None:
+        """Of one that has ended: what it has saved, if anything, or what is `wrong`; None: it said nothing."""
         if not code and told == {}:
             return
         told = told or {}
@@ -181,20 +155,15 @@ class BlackBox:
     def _not_saved(self, why: str) -> None:
         self._events.tell("incident", f"incident not saved: {why}", {"reason": why}, level="warning")
 
-    @staticmethod
-    def _close(fds: Iterable[int]) -> None:
-        for fd in fds:
-            os.close(fd)
-
     def finish(self) -> None:
         """The end of the service, its stops written: what is being saved is saved now."""
         while self._waiting:
             self._save_live()
         until_ns = self._now_ns() + round(FINISH_S * 1e9)
-        for saver in self._savers:
-            saver.hasten()
+        for pid in self._savers:
+            self._hasten(pid)
             try:
-                life = self._world.lifeline(saver.pid)
+                life = self._world.lifeline(pid)
             except OSError:
                 continue
             life.wait(max(0, until_ns - self._now_ns()) * 1e-9)

@@ -24,25 +24,20 @@ def main(argv: list[str]) -> int:
     sys.path[:] = os.environ[PATH_VARIABLE].split(os.pathsep)
     words = dict(word.split("=", 1) for word in argv[2:])
     try:
-        return _run(argv[1], words)
+        if argv[1] == "supervisor":
+            from failstop.supervisor import entry
+
+            return entry.start(words)
+        from failstop.policy.processes import BY_NAME
+        from failstop.procs.context import Context
+
+        _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # an end at once, as by any other signal
+        row = BY_NAME[argv[1]]
+        context = Context(row.name, words, row.priority, outlives_parent=row.outlives_supervisor)
+        code: int = __import__(row.module, fromlist=["run"]).run(context)
+        return code
     except Exception as error:
         fail(error)
-
-
-def _run(process: str, words: dict[str, str]) -> int:
-    if process == "supervisor":
-        from failstop.supervisor import entry
-
-        return entry.start(words)
-    from failstop.policy.processes import BY_NAME
-    from failstop.procs.context import Context
-
-    _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # an end at once, as by any other signal
-    row = BY_NAME[process]
-    context = Context(row.name, words, row.priority, outlives_parent=row.outlives_supervisor)
-    module = __import__(row.module, fromlist=["run"])
-    code: int = module.run(context)
-    return code
 
 
 def fail(error: Exception) -> NoReturn:

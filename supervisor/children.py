@@ -1,24 +1,21 @@
-"""Children: what the supervisor knows of each process of the table: above all its state, and what changes that."""
+"""Children: what the supervisor knows of each process of the table: its state and what changes that, its deaths and
+restarts, its silence."""
 
 from __future__ import annotations
 
 import signal
 
+from failstop.policy.processes import Process
 from failstop.procs.loop import NEVER, Timer
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.processes import Process
-    from failstop.procs.world import World
-    from failstop.shm.heartbeat import HeartbeatReader
-    from failstop.shm.lifeline import Lifeline
-    from failstop.supervisor.fence import Fence
-    from failstop.supervisor.restarts import Restarts
+from failstop.procs.world import World
+from failstop.shm.heartbeat import HeartbeatReader
+from failstop.shm.lifeline import Lifeline
 
 _SIGNALS = {found.value: found.name for found in signal.Signals}
 _SIGNALS[signal.SIGXCPU] += " (it ran on and on at real-time priority)"
 STARTING_NS = 5_000_000_000
 """A process that does not say that it runs within this time is killed."""
+LONGEST_WAIT_NS = 2_000_000_000
 
 # The states of a process, in the words that people read.
 WAITING = "waiting"  # to be started
@@ -46,14 +43,55 @@ NEXT = {
 die of it."""
 
 
+class Fence:
+    """The record of a hung process that was killed, so that nothing that it still wanted to do can happen: when the
+    hang was noticed, the process killed, the stop written on the supervisor's own descriptor (0: by the port owner, or
+    not at all), its end noticed, and the stop written again for that (0: as before), CLOCK_MONOTONIC; and how long it
+    had been silent. All in ns."""
+
+    STEPS = (("kill", "killed"), ("burst", "stop written"), ("gone", "gone"), ("again", "stop again"))
+
+    def __init__(
+        self, noticed_ns: int, kill_ns: int, burst_ns: int, silent_ns: int = 0, *, was_starved: bool = False
+    ) -> None:
+        self.was_starved = was_starved
+        """The machine did not run it: no fault of its own."""
+        self.kill_ns = kill_ns
+        self._noticed_ns = noticed_ns
+        self._silent_ns = silent_ns
+        self._times_ns = {"kill": kill_ns, "burst": burst_ns, "gone": 0, "again": 0}
+
+    def gone(self, gone_ns: int, again_ns: int) -> None:
+        """It is gone; `again_ns`: when the burst for that was written."""
+        self._times_ns |= {"gone": gone_ns, "again": again_ns}
+
+    def _us(self, step: str) -> float:
+        return (self._times_ns[step] - self._noticed_ns) / 1e3
+
+    def story(self, name: str) -> str:
+        """In words, in ms from the notice."""
+        steps = [f"{told} after {self._us(step) / 1e3:.1f} ms" for step, told in self.STEPS if self._times_ns[step]]
+        return f"{name} was fenced: {', '.join(steps)}"
+
+    def fields(self) -> dict[str, float]:
+        """The same for programs: us from the notice."""
+        times = {f"{step}_us": self._us(step) for step, _ in self.STEPS if self._times_ns[step]}
+        return {"silent_ms": round(self._silent_ns / 1e6, 1), **times}
+
+
 class Child:
     """One row of the process table as it is now."""
 
-    def __init__(self, world: World, row: Process, beat: HeartbeatReader, restarts: Restarts, restart: Timer) -> None:
+    def __init__(
+        self, world: World, row: Process, beat: HeartbeatReader, restart: Timer, limits: tuple[int, int, int]
+    ) -> None:
+        """`limits`: the settings restart.deaths, window_s and backoff_s, the latter in ns."""
         self._world = world
         self.row = row
         self.beat = beat
-        self.restarts = restarts
+        self._limits = limits
+        self._deaths: list[int] = []
+        """When it died, as long as that counts."""
         self.state = WAITING
         self.pid = 0
         """0: there is none, since it waits or is down."""
@@ -76,8 +114,8 @@ class Child:
         """One of EVENTS has happened to it."""
         self.state = NEXT[self.state].get(event, self.state)
 
-    def started(self, pid: int, block: int, now_ns: int) -> None:
-        """It was just started. Raises OSError, and then nothing is changed."""
+    def started(self, pid: int, block: int, now_ns: int) -> Lifeline:
+        """It was just started; returns the news of its death. Raises OSError, and then nothing is changed."""
         self.life = self._world.lifeline(pid)
         self.pid = pid
         self.block = block
@@ -86,6 +124,22 @@ class Child:
         self.restart.set(NEVER)
         self._spared_ns = 0
         self.on(STARTED)
+        return self.life
+
+    def restart_wait_ns(self, now_ns: int) -> int | None:
+        """It has died: the first time in the window it is restarted at once, the next after a doubling wait, and after
+        the limit (None) it is down, and the service stopped, until people reset, rather than loop."""
+        most, window_ns, backoff_ns = self._limits
+        self._deaths = [t for t in self._deaths if now_ns - t < window_ns] + [now_ns]
+        count = len(self._deaths)
+        if count >= most:
+            return None
+        return 0 if count == 1 else min(backoff_ns << min(count - 2, 16), LONGEST_WAIT_NS)
+
+    def recalled(self) -> None:
+        """People have seen to it."""
+        self._deaths.clear()
+        self.on(RECALLED)
 
     def running(self) -> bool:
         """True when it has said that it runs, whether or not the machine lets it."""
@@ -112,11 +166,6 @@ class Child:
             self._spared_ns = 0
             self.on(BEATS)
         return silent_ns
-
-    def fenced(self, fence: Fence) -> None:
-        """It hung, and was killed for that."""
-        self.fence = fence
-        self.on(KILLED)
 
     def overdue_ns(self) -> int:
         """When it counts as hanging unless it beats before; NEVER: there is nothing to wait for."""

@@ -12,13 +12,11 @@ from failstop.procs import rights
 from failstop.procs.world import World
 from failstop.shm.instance import InstanceError
 from failstop.shm.segment import AttachError
-from failstop.supervisor import main
-from failstop.supervisor.datagram import Outbox
-from failstop.supervisor.events import Events
-from failstop.supervisor.journal import SOCKET, is_stderr
-from failstop.supervisor.notify import Notify
+from failstop.supervisor.events import JOURNAL, Events, Outbox, is_journal
+from failstop.supervisor.main import Supervisor
 from failstop.supervisor.port import OwnPort
-from failstop.supervisor.resources import Resources
+from failstop.supervisor.run import Run
+from failstop.supervisor.status import Notify
 
 SUPERVISOR_COMM = "fs:supervisor"
 """What the kernel shows as the supervisor's name."""
@@ -27,16 +25,19 @@ SUPERVISOR_COMM = "fs:supervisor"
 def start(words: dict[str, str]) -> int:
     """Run the service; returns the exit code."""
     rights.name_process(SUPERVISOR_COMM)
-    _take_signals()
+    # What a parent may have left, and exec hands on: without SIGCHLD no child can be collected, and what is blocked
+    # can't end the service. SIGHUP stays ignored where it is: whoever uses nohup wants that.
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
     world = World()
     fd = _take_descriptors(int(words["lock"]), int(words["port"]))
     port = OwnPort(fd, settings.servos(), world.unsent_bytes)
     notify = Notify.taken_from(os.environ, os.getpid())
-    journal = Outbox(SOCKET) if is_stderr(os.environ.pop("JOURNAL_STREAM", "")) else None
+    journal = Outbox(JOURNAL) if is_journal(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:
         rights.take_descriptors()
-        resources = Resources(words["name"], words["dir"])
+        run = Run(world, settings, words["name"], words["dir"], journal)
     except (AttachError, InstanceError, OSError) as error:
         events = Events(world, words["name"], journal=journal)
         events.tell("not_started", str(error), {"reason": str(error)})
@@ -45,17 +46,27 @@ def start(words: dict[str, str]) -> int:
         port.close()
         return 1
     # Not where it fails: then every moment counts, and the next run saves what is left behind.
-    code = main.run(world, resources, port, settings, notify, journal)
-    resources.remove()
+    code = _serve(Supervisor(run, port, notify))
+    run.remove()
     port.close()  # an exit would wait for a port that does not drain
     return code
 
 
-def _take_signals() -> None:
-    """Undo what a parent may have left, which exec hands on: without SIGCHLD no child can be collected, and what is
-    blocked can't end the service. SIGHUP stays ignored where it is: whoever uses nohup wants that."""
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_SETMASK, ())
+def _serve(supervisor: Supervisor) -> int:
+    """Serve until SIGTERM or SIGINT, or until it can't go on; returns the exit code."""
+    supervisor.handover.opener.begin()
+    signal.signal(signal.SIGTERM, supervisor.end)
+    signal.signal(signal.SIGINT, supervisor.end)
+    for child in supervisor.children:
+        supervisor.processes.start(child)
+    supervisor.blackbox.begin()
+    rights.settle()
+    ready: dict[int, int] = {}
+    while not supervisor.ending:
+        supervisor.turn(ready)
+        ready = supervisor.rest()
+    well = supervisor.finish()
+    return int(supervisor.broken or not well)
 
 
 def _take_descriptors(lock: int, port: int) -> int:

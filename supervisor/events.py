@@ -5,48 +5,75 @@ Told is not yet sent: events wait for flush(), which comes at the end of a turn,
 
 from __future__ import annotations
 
+import _socket
 import os
 import select
+from collections import Counter
+from collections.abc import Iterable, Mapping
 
 from failstop.policy import causes
+from failstop.procs.world import World
 from failstop.shm import instance, layout
 from failstop.shm.notes import fitting
-from failstop.supervisor.allowance import ASKED_BYTES, OWN_BYTES, Allowance
+from failstop.shm.ring import RingWriter
 from failstop.supervisor.fold import PREFIX, fitted
-from failstop.supervisor.journal import encode
 from failstop.supervisor.kinds import BY_NAME, LEVELS
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from failstop.procs.world import World
-    from failstop.shm.ring import RingWriter
-    from failstop.supervisor.datagram import Outbox
-    from failstop.supervisor.journal import Value
-
-    Told = tuple[int, float, str, str, str, dict[str, Value]]
-    Sort = tuple[str, str, bool]
-
+Value = str | int | float
+Told = tuple[int, float, str, str, str, dict[str, Value]]
+Sort = tuple[str, str, bool]
+JOURNAL = "/run/systemd/journal/socket"
+STDERR = 2
 LONGEST_HOLD_NS = 50_000_000
 """Events wait at most this long for a stop's bytes, which are out within 5 ms where they can be written at all."""
 MOST_WAITING = 256
 CUTS = ((280, 280), (200, 60), (120, 24))
 """As notes.CUTS."""
+ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name, causes.FLEET.name))
 AGAIN = frozenset(("stop_again", "stop_also"))
 """What anybody can bring about without end; a stop that is latched again takes somebody who resets."""
-ROOM = layout.BY_NAME[layout.SUPERVISOR].records["events"].capacity
+MINUTE_NS = 60_000_000_000
+OWN_BYTES = 65536
+"""What is told in a minute of each kind and level, whoever brings it about: a dozen stops a second for half of it."""
+ASKED_BYTES = 8192
+"""Of requests that repeat what is latched: everybody may make them, without end, and they change nothing."""
 
 
 def say(text: str) -> None:
     """Write one line to stderr, broken at words on a terminal. A log that can't be written is no reason to stop
     working, nor one that nobody reads (a full pipe, a terminal held by Ctrl-S): the line is dropped then."""
     try:
-        if select.select((), (2,), (), 0)[1]:
-            os.write(2, f"{fitted(PREFIX + text, 2)}\n".encode("utf-8", "replace"))
+        if select.select((), (STDERR,), (), 0)[1]:
+            os.write(STDERR, f"{fitted(PREFIX + text, STDERR)}\n".encode("utf-8", "replace"))
     except OSError:
         return
+
+
+class Outbox:
+    """Datagrams for a Unix socket that somebody else keeps, never waited for."""
+
+    def __init__(self, address: str | bytes) -> None:
+        self._address = address
+        self._socket: _socket.socket | None = None
+
+    def send(self, data: bytes) -> bool:
+        """Send one datagram; False when it could not be handed over at once: nobody is there, or the queue is full."""
+        try:
+            if self._socket is None:
+                kind = _socket.SOCK_DGRAM | _socket.SOCK_CLOEXEC | _socket.SOCK_NONBLOCK
+                self._socket = _socket.socket(_socket.AF_UNIX, kind)
+            # By its address each time: whoever was restarted may have another socket there.
+            self._socket.sendto(data, self._address)
+        except (OSError, ValueError):
+            return False
+        return True
+
+    def close(self) -> None:
+        """Let the socket go."""
+        if self._socket:
+            self._socket.close()
+            self._socket = None
 
 
 class Events:
@@ -67,9 +94,12 @@ class Events:
         self._journal = journal
         self._published = published
         self._waiting: list[Told] = []
-        self._allowances: dict[Sort, Allowance] = {}
-        self._short: set[Sort] = set()
-        """Sorts of which events were left out, and that was not told yet."""
+        self._minute_ns = 0
+        """When the minute began of which the allowances are."""
+        self._spent: Counter[Sort] = Counter()
+        """Bytes of each sort in it."""
+        self._left_out: Counter[Sort] = Counter()
+        """How many events of a sort were left out, where that was not told yet."""
 
     def tell(self, kind: str, text: str, fields: Mapping[str, Value | None] | None = None, *, level: str = "") -> None:
         """An event of a kind of kinds.py (any other becomes a note), at its kind's level or another; a field that is
@@ -80,9 +110,7 @@ class Events:
         if len(self._waiting) < MOST_WAITING:
             self._waiting.append((now_ns, self._unix_s(), known.name, level, text, given))
         else:
-            sort = known.name, level, _asked(known.name, given)
-            self._allowance(sort, now_ns).left_out += 1
-            self._short.add(sort)
+            self._left_out[known.name, level, _asked(known.name, given)] += 1
 
     def command(self, words: str) -> str:
         """A command to type next, in backquotes, for this instance."""
@@ -90,12 +118,12 @@ class Events:
 
     def flush(self, now_ns: int = 0, *, hold: bool = False) -> None:
         """Send what was told. `hold`: a stop's bytes are not out yet; then only what has waited for long. `now_ns` 0:
-        the end, and what was left out is told of now."""
+        the end. What was left out is told of when the minute is over, or now."""
+        over = bool(self._left_out) and now_ns - self._minute_ns >= MINUTE_NS
         if self._waiting and not (hold and now_ns - self._waiting[0][0] < LONGEST_HOLD_NS):
             self._send_waiting()
-        for sort in tuple(self._short):
-            if not now_ns or self._allowances[sort].reopens(self._now_ns()):
-                self._tell_left_out(sort)
+        if (over and not self._waiting) or not now_ns:
+            self._tell_left_out()
         if not now_ns:
             self._send_waiting()
 
@@ -108,29 +136,31 @@ class Events:
 
     def _send(self, t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value]) -> None:
         """To everybody, unless there was too much of its sort."""
-        datagram = encode(entry(self._name, t_ns, kind, level, text, fields)) if self._journal else b""
+        datagram = journal_entry(self._name, t_ns, kind, level, text, fields) if self._journal else b""
         size = len(datagram) or len(f"{PREFIX}{text}\n".encode("utf-8", "replace"))
         sort = kind, level, _asked(kind, fields)
-        if not self._allowance(sort, t_ns).spend(size, t_ns):
-            self._short.add(sort)
+        if not self._may_spend(sort, size, t_ns):
+            self._left_out[sort] += 1
             return
         if self._ring:
             self._ring.put(pack(t_ns, unix_s, kind, level, text, fields), t_ns)
         if not self._journal or not self._journal.send(datagram):
             say(text)
 
-    def _allowance(self, sort: Sort, now_ns: int) -> Allowance:
-        if sort not in self._allowances:
-            self._allowances[sort] = Allowance(ASKED_BYTES if sort[2] else OWN_BYTES, now_ns)
-        return self._allowances[sort]
+    def _may_spend(self, sort: Sort, size: int, t_ns: int) -> bool:
+        """True while there is room. Once there is none nothing more of this sort is told in this minute: a flood is a
+        few lines and a number, not every other line of it."""
+        if t_ns - self._minute_ns >= MINUTE_NS:
+            self._minute_ns, self._spent = t_ns, Counter()
+        self._spent[sort] += size
+        return self._spent[sort] <= (ASKED_BYTES if sort[2] else OWN_BYTES)
 
-    def _tell_left_out(self, sort: Sort) -> None:
-        self._short.discard(sort)
-        kind, level, asked = sort
-        count = self._allowances[sort].reopen()
-        what = "stop requests while a stop was latched" if asked else f"events of the kind {kind}"
-        text = f"{count} {what} were left out: too many to tell of each"
-        self.tell("left_out", text, {"of": kind, "count": count}, level=level)
+    def _tell_left_out(self) -> None:
+        left_out, self._left_out = self._left_out, Counter()
+        for (kind, level, asked), count in left_out.items():
+            what = "stop requests while a stop was latched" if asked else f"events of the kind {kind}"
+            text = f"{count} {what} were left out: too many to tell of each"
+            self.tell("left_out", text, {"of": kind, "count": count}, level=level)
 
 
 def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
@@ -138,21 +168,44 @@ def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
     return kind in AGAIN and fields.get("cause") in ASKED
 
 
-def entry(name: str, t_ns: int, kind: str, level: str, text: str, fields: dict[str, Value]) -> list[tuple[str, Value]]:
-    """The journal's fields of one event of the instance `name`."""
-    return [
-        ("MESSAGE", text),
-        ("PRIORITY", LEVELS[level]),
-        ("MESSAGE_ID", BY_NAME[kind].message_id),
-        ("SYSLOG_IDENTIFIER", "failstop"),
-        ("FAILSTOP_EVENT", kind),
-        ("FAILSTOP_NAME", name),
-        ("FAILSTOP_MONOTONIC_NS", t_ns),
-        *((f"FAILSTOP_{key.upper()}", value) for key, value in fields.items()),
-    ]
-
-
 def pack(t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value]) -> bytes:
     """One event for the ring, as a msgpack map."""
     told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level}
     return fitting(ROOM, CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
+
+
+def journal_entry(name: str, t_ns: int, kind: str, level: str, text: str, fields: dict[str, Value]) -> bytes:
+    """One event of the instance `name` for systemd's journal, in its native protocol."""
+    told: dict[str, Value] = {
+        "MESSAGE": text,
+        "PRIORITY": LEVELS[level],
+        "MESSAGE_ID": BY_NAME[kind].message_id,
+        "SYSLOG_IDENTIFIER": "failstop",
+        "FAILSTOP_EVENT": kind,
+        "FAILSTOP_NAME": name,
+        "FAILSTOP_MONOTONIC_NS": t_ns,
+    }
+    return encode((*told.items(), *((f"FAILSTOP_{key.upper()}", value) for key, value in fields.items())))
+
+
+def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
+    """The datagram of a journal entry. `NAME=value` and a line break; a value with a line break in it goes as the name,
+    a line break, its length as a little-endian u64, the value, a line break."""
+    parts = []
+    for name, value in fields:
+        data = str(value).encode("utf-8", "replace")
+        if b"\n" in data:
+            parts.append(b"%s\n%s%s\n" % (name.encode("ascii"), len(data).to_bytes(8, "little"), data))
+        else:
+            parts.append(b"%s=%s\n" % (name.encode("ascii"), data))
+    return b"".join(parts)
+
+
+def is_journal(stream: str) -> bool:
+    """True when `stream`, the DEVICE:INODE of $JOURNAL_STREAM, is this process's stderr: then the journal is where its
+    lines go. A stderr that was redirected since has another device or inode."""
+    try:
+        found = os.fstat(STDERR)
+    except OSError:
+        return False
+    return stream == f"{found.st_dev}:{found.st_ino}"

@@ -11,14 +11,8 @@ LEAST_COLUMNS = 40
 """Below this a hanging indent leaves too little."""
 PREFIX = "failstop: "
 """What the lines of the service and the errors of the commands begin with."""
-
-
-def columns(fd: int) -> int:
-    """Columns of the terminal that a descriptor is; 0 when it is none."""
-    try:
-        return os.get_terminal_size(fd).columns
-    except (OSError, ValueError):
-        return 0
+JOINED = "\0"
+"""In the place of a space that is no place to break at."""
 
 
 def fold(text: str, width: int, indent: int) -> str:
@@ -27,8 +21,7 @@ def fold(text: str, width: int, indent: int) -> str:
     if len(text) <= width or width < LEAST_COLUMNS:
         return text
     rows, row = [], ""
-    room = width - indent
-    for word in _words(text, room):
+    for word in _words(text, width - indent):
         if row and len(row) + 1 + len(word) > width:
             rows.append(row)
             row = " " * indent + word
@@ -39,18 +32,17 @@ def fold(text: str, width: int, indent: int) -> str:
 
 def _words(text: str, room: int) -> list[str]:
     """What may not be broken: words, and commands in backquotes with what is written against them."""
+    parts = text.split("`")
+    parts[1:-1:2] = [command.replace(" ", JOINED) for command in parts[1:-1:2]]
     found: list[str] = []
-    quoted: list[str] = []
-    for word in text.split(" "):
-        quoted.append(word)
-        if sum(part.count("`") for part in quoted) % 2 == 0:
-            whole = " ".join(quoted)
-            found += [whole] if len(whole) <= room else quoted
-            quoted = []
-    return found + quoted
+    for word in "`".join(parts).split(" "):
+        found += [word.replace(JOINED, " ")] if len(word) <= room else word.split(JOINED)
+    return found
 
 
 def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:
-    """The text as it is to be written to this descriptor."""
-    width = columns(fd)
-    return fold(text, width, indent) if width else text
+    """The text as it is to be written to this descriptor, a terminal or not."""
+    try:
+        return fold(text, os.get_terminal_size(fd).columns, indent)
+    except (OSError, ValueError):
+        return text

@@ -9,44 +9,26 @@ from __future__ import annotations
 import os
 import signal
 
-from failstop.board.finder import Finder
+import msgpack
+
 from failstop.policy import causes
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.procs import rights, starved
-from failstop.procs.loop import NEVER, READ, Loop
-from failstop.shm import bell, heartbeat, layout, records, segment
+from failstop.procs.loop import NEVER, READ
+from failstop.shm import bell, heartbeat, layout, records
+from failstop.shm.barrier import Barrier
 from failstop.shm.heartbeat import Heartbeat
-from failstop.shm.lifeline import pid_namespace
-from failstop.shm.packing import pack
-from failstop.supervisor import grant, written
+from failstop.supervisor import grant
 from failstop.supervisor.aftermath import Aftermath
 from failstop.supervisor.blackbox import BlackBox
-from failstop.supervisor.children import ALIVE, DIED, RUNNING
-from failstop.supervisor.epochs import Epochs
-from failstop.supervisor.events import Events
-from failstop.supervisor.fence import Fence
-from failstop.supervisor.herald import Herald
-from failstop.supervisor.link import UNPROVEN
-from failstop.supervisor.names import Names
-from failstop.supervisor.notify import Notify
-from failstop.supervisor.opener import Opener
+from failstop.supervisor.children import ALIVE, DIED, KILLED, RUNNING, Child, Fence
+from failstop.supervisor.latch import Epochs
+from failstop.supervisor.port import OwnPort
 from failstop.supervisor.port_handover import PortHandover
 from failstop.supervisor.process_table import ProcessTable
-from failstop.supervisor.readiness import Readiness
 from failstop.supervisor.run import Run
-from failstop.supervisor.silence import Silence
-from failstop.supervisor.stops import Stop
-from failstop.supervisor.teller import Teller
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.settings import Settings
-    from failstop.procs.world import World
-    from failstop.shm.bell import EventBell
-    from failstop.supervisor.children import Child
-    from failstop.supervisor.datagram import Outbox
-    from failstop.supervisor.port import OwnPort
-    from failstop.supervisor.resources import Resources
+from failstop.supervisor.status import Notify, Status
+from failstop.supervisor.stops import UNPROVEN, Stop
 
 MS = 1_000_000
 TICK_NS = 20 * MS
@@ -75,50 +57,32 @@ END_S = 2.0
 class Supervisor:
     """The parent's state; one turn() a wake-up."""
 
-    def __init__(
-        self,
-        world: World,
-        resources: Resources,
-        port: OwnPort,
-        settings: Settings,
-        notify: Notify | None = None,
-        journal: Outbox | None = None,
-    ) -> None:
-        name, memory, incarnation = resources.name, resources.memory, resources.incarnation
-        own = segment.attach(memory, layout.SUPERVISOR, incarnation, write=True)
-        views = {process: segment.attach(memory, process, incarnation) for process in layout.PROCESSES}
-        own.latest_writer("rules").write(pack(_rules(settings)))
-        own.latest_writer("settings").write(pack(settings.flat()))
-        self._now_ns, self._sleep, self._kill = world.now_ns, world.sleep, world.kill
-        self._port = port
-        self.loop = Loop(world)
+    def __init__(self, run: Run, port: OwnPort, notify: Notify) -> None:
+        self._run, self._port = run, port
+        self._now_ns, self._sleep, self._kill = run.world.now_ns, run.world.sleep, run.world.kill
+        self._starved = run.world.starved
+        self.loop, self._events = run.loop, run.events
         self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
-        self.heartbeat = Heartbeat(own, os.getpid(), self._granted, self._now_ns())
-        self._events = Events(world, name, own.ring_writer("events"), journal, resources.published)
-        advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=bool(notify and notify.active))
-        self.teller = Teller(name, self._events, views, advice)
-        run = Run(world, resources, settings, own, views, self.loop, self._events)
-        self._silence = Silence(run, advice)
-        self.processes = ProcessTable(run, segment.attach_unmapped(memory, "lifelines", incarnation))
+        self.heartbeat = Heartbeat(run.own, os.getpid(), self._granted, self._now_ns())
+        self._advice = grant.advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
+        self.processes = ProcessTable(run, port, self._advice)
         self.children = self.processes.children
         self.epochs = Epochs(run)
         self.aftermath = Aftermath(run, self.epochs.latch, port.holds)
         self.blackbox = BlackBox(run)
-        opener = Opener(world, Finder(settings.text("device.path")), resources.bells[layout.SUPERVISOR])
-        self.handover = PortHandover(run, port, opener, self.processes)
-        self.readiness = Readiness(own.latest_writer("processes"), self.epochs, self.handover, self._silence)
-        self.herald = Herald(notify or Notify(), self.processes, self.epochs.latch, views)
-        self._names = Names(resources.named, self._events)
-        self._written_word = own.word("written_ns")
-        self._port_owner_written = views[layout.PORT_OWNER].word("written_ns")
-        self._stops = views[layout.PORT_OWNER].ring_reader("stops")
-        self._gate_stops = views[layout.GATE].ring_reader("stops")
-        self._begin(resources.bells[layout.SUPERVISOR])
+        self.handover = PortHandover(run, port, self.processes)
+        self.status = Status(run, notify, self.processes, self.epochs, self.handover)
+        self._gate_record = run.views[layout.GATE].latest_reader("state")
+        self._moving_word = run.views[layout.PORT_OWNER].word("moving")
+        self._barrier = Barrier()
+        self._written_word = run.own.word("written_ns")
+        self._port_owner_written = run.views[layout.PORT_OWNER].word("written_ns")
+        self._stops = run.views[layout.PORT_OWNER].ring_reader("stops")
+        self._gate_stops = run.views[layout.GATE].ring_reader("stops")
+        self._begin()
 
-    def _begin(self, own_bell: EventBell) -> None:
+    def _begin(self) -> None:
         """Nothing has happened yet."""
-        self._told: Stop | None = None
-        """The last that was latched, and told of: a reset may have ended it."""
         self._unanswered: Stop | None = None
         self._answer_by = self.loop.timer()
         self._overdue = self.loop.timer()
@@ -133,7 +97,7 @@ class Supervisor:
         self.ending = False
         self.broken = False
         """It can't go on, and ends by itself, when its stop is answered."""
-        self._bells = (own_bell, self.processes.early.bell)
+        self._bells = (self._run.bells[layout.SUPERVISOR], self.processes.early.bell)
         for each in self._bells:
             self.loop.watch(each.fd, READ)
 
@@ -154,18 +118,18 @@ class Supervisor:
         self._stop_for_news(ready, now_ns)
         self._follow_aftermath(now_ns)
         self.processes.reap(ready, now_ns)
-        self.processes.arm(self._port)
+        self.processes.arm()
         self._follow_port(ready, now_ns)
         self._follow_answer(now_ns)
         self._follow_reset(now_ns)
-        self._silence.follow(self.children, now_ns)
+        self.processes.follow_spared(now_ns)
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
         self._follow_names(now_ns)
-        self.processes.restart_due(self._port, now_ns)
-        self.teller.pass_notes()
+        self.processes.restart_due(now_ns)
+        self.processes.pass_notes()
         self._publish(now_ns)
-        self.blackbox.follow(now_ns, ready=self.readiness.ever)
+        self.blackbox.follow(now_ns, ready=self.status.ever)
         self.heartbeat.beat(now_ns, self.epoch)
         self._events.flush(now_ns, hold=self._unanswered is not None)
 
@@ -189,13 +153,10 @@ class Supervisor:
         for child in dead:
             if child.fence:
                 child.fence.gone(now_ns, written_ns if child is port_owner else 0)
-        stops = self._collect(dead, now_ns, written_ns) + self._held_up(now_ns)
-        if stops:
-            self._raise_epoch(stops)
+        self._raise_epoch(self._collect(dead, now_ns, written_ns) + self._held_up(now_ns))
 
     def _follow_aftermath(self, now_ns: int) -> None:
-        if stops := self.aftermath.follow(now_ns, listening=self._listening(now_ns)):
-            self._raise_epoch(stops)
+        self._raise_epoch(self.aftermath.follow(now_ns, listening=self._listening(now_ns)))
 
     def _burst(self) -> int:
         """The burst on its own descriptor; returns when it was written, 0 when it was not."""
@@ -234,16 +195,16 @@ class Supervisor:
         if gap_ns >= EXCUSE_NS:
             for child in self.children:
                 child.excused_ns = now_ns
-        if gap_ns < HELD_UP_NS or not self.readiness.ever:
+        if gap_ns < HELD_UP_NS or not self.status.ever:
             return []
-        if not self._silence.motion(self.epoch):
-            self._silence.over(layout.SUPERVISOR, gap_ns, now_ns)
+        if not self._motion():
+            self.processes.tell_starved(layout.SUPERVISOR, gap_ns, now_ns)
             return []
         return [Stop(now_ns, layout.SUPERVISOR, causes.HELD_UP(gap_ns // MS))]
 
     def _follow_names(self, now_ns: int) -> None:
         """A stop, and the end, for a service that others can't find any more."""
-        if cause := self._names.lost(now_ns):
+        if cause := self._run.lost(now_ns):
             self.broken = True
             self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, cause)])
         self.ending |= self.broken and self._unanswered is None
@@ -255,7 +216,7 @@ class Supervisor:
             return False
         # Who was held up comes late to an answer. While motion is enabled that is no excuse.
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
-        return now_ns - heard_ns < LATE_NS or self._silence.motion(self.epoch)
+        return now_ns - heard_ns < LATE_NS or self._motion()
 
     def _collect(self, dead: list[Child], now_ns: int, burst_ns: int) -> list[Stop]:
         """Every stop that this wake-up brings: what others noticed, and deaths; `burst_ns`: when the port owner's
@@ -273,26 +234,22 @@ class Supervisor:
         return stops
 
     def _raise_epoch(self, stops: list[Stop]) -> None:
-        """A stop, for which the port owner is given a moment to answer."""
+        """Stops that came together, if any, for which the port owner is given a moment to answer."""
+        if not stops:
+            return
         self.epochs.raise_for(stops, self._now_ns())
         self._owed_ns = self._owed_ns or self._now_ns()
         if self._unanswered is None:
             self._unanswered = min(stops, key=lambda stop: stop.t_ns)
             self._answer_by.set(self._now_ns() + ANSWER_NS)
-        self._tell_latch()
+        latch = self.epochs.latch
+        if latch.stop and latch.since == self.epoch:
+            self.aftermath.latched(latch.stop)
+            if not self.ending:
+                self.blackbox.latched(latch.stop, self.epoch)
         for stop in stops:
             if stop is not self._unanswered:
-                self.teller.also(stop)
-
-    def _tell_latch(self) -> None:
-        """Once for each stop that is latched."""
-        latched = self.epochs.latch.stop
-        if latched is None or latched is self._told:
-            return
-        self._told = latched
-        self.teller.latched(latched)
-        if not self.ending:
-            self.blackbox.latched(latched, self.epochs.latch.since)
+                self.aftermath.also(stop)
 
     def _follow_reset(self, now_ns: int) -> None:
         """Once the last stop is carried out."""
@@ -306,8 +263,7 @@ class Supervisor:
         if stop is None:
             return
         port_owner = self.processes[layout.PORT_OWNER]
-        found = written.who_wrote(
-            stop,
+        found = stop.who_wrote(
             answered=self.epochs.answered(),
             may_answer=port_owner.state in ALIVE and not self._answer_by.due(now_ns),
             port_owner_ns=self._port_owner_written.get(),
@@ -318,32 +274,44 @@ class Supervisor:
         by, written_ns = found
         self._unanswered = None
         self._stop_ns = written_ns or self._burst()
-        self._tell_stop(stop, self._stop_ns, by)
+        stop.answered_by(by, self._stop_ns, self.epochs.latch.stop or stop, self.epoch)
+        self.aftermath.answered(stop, ending=self.ending)
 
-    def _tell_stop(self, stop: Stop, written_ns: int, by: str) -> None:
-        """Publish the stop for people, and log it."""
-        latched = self.epochs.latch.stop or stop
-        self.aftermath.written(stop, written_ns, by, latched.cause, self.epoch)
-        # Held for a moment is any burst; behind one that the board has not taken for long it goes nowhere.
-        held = causes.STUCK in (stop.cause.kind, latched.cause.kind) and self._port.holds()
-        self.teller.stopped(stop, written_ns, by, latched, self.epoch, ending=self.ending, held=held)
+    def _motion(self) -> bool:
+        """True while motion is enabled in this epoch, or the wheels were last told to turn. Read after whatever it is
+        to be compared with: the port owner says that it moves before it looks at the epoch for the last time."""
+        self._barrier()
+        if self._moving_word.get():
+            return True
+        entry = self._gate_record.read()
+        gate = msgpack.unpackb(entry[2]) if entry else {}
+        return bool(gate.get("enabled")) and gate["epoch"] == self.epoch
 
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline: at that moment, not at a tick after it."""
         for child in self.children:
             if now_ns >= child.overdue_ns():
-                is_starved = self._silence.starved(child)
+                is_starved = self._starved(child.pid, child.beat, child.allowed_ns(), self._run.bells[child.row.name])
                 silent_ns = now_ns - child.heard_ns()
                 if now_ns >= child.overdue_ns():  # else it has just beaten
                     self._answer_silence(child, now_ns, silent_ns, is_starved=is_starved)
         self._overdue.set(min(child.overdue_ns() for child in self.children))
 
     def _answer_silence(self, child: Child, now_ns: int, silent_ns: int, *, is_starved: bool) -> None:
-        """The table of silence.py. Who hangs is stopped for and killed; its death does the rest."""
+        """A stop is right whatever the reason, a kill is not: what the machine did not run is run again, and a process
+        that is restarted on a machine that starves it is silent again. While motion is disabled there is nothing to
+        stop. Who hangs is stopped for and killed; its death does the rest.
+
+            motion    starved: port owner    starved: another             hangs
+            enabled   stopped, killed        stopped, latched             stopped, killed, latched
+            disabled  told                   told                         stopped, killed, latched
+
+        Whoever is starved beyond starved.LONGEST_NS is killed too, but its death counts for no crash loop.
+        """
         name = child.row.name
         kind = causes.STARVED if is_starved else causes.HANGS
         stop = Stop(now_ns, layout.SUPERVISOR, kind(name, silent_ns // MS))
-        motion = self._silence.motion(self.epoch)
+        motion = self._motion()
         spared = is_starved and silent_ns < child.allowed_ns() + starved.LONGEST_NS
         if spared and not (motion and name == layout.PORT_OWNER):
             child.spare(now_ns, silent_ns)
@@ -355,19 +323,20 @@ class Supervisor:
         kill_ns = self._now_ns()
         stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0
         self._raise_epoch([stop])
-        child.fenced(Fence(now_ns, kill_ns, stop.written_ns, silent_ns, was_starved=is_starved))
+        child.fence = Fence(now_ns, kill_ns, stop.written_ns, silent_ns, was_starved=is_starved)
+        child.on(KILLED)
 
     def _publish(self, now_ns: int) -> None:
         """What motion waits for, and the service manager's part."""
-        missing = self.readiness.missing(self.children, stopping=self._unanswered is not None)
-        if self.readiness.publish(missing, self.children):
+        missing = self.status.missing(stopping=self._unanswered is not None)
+        if self.status.publish(missing):
             self.heartbeat.state(heartbeat.RUNNING, now_ns)
-            self.teller.ready(self._granted)
-            self.herald.notify.ready()
-        self.teller.missing(missing, now_ns)
+            for what, text in grant.lacking(self._granted, self._advice):
+                self._events.tell("rights", text, {"what": what})
+        self.status.tell_people(missing, now_ns)
         if self.epochs.answered():
             self._owed_ns = 0
-        self.herald.follow(now_ns, missing, self._owed_ns, port_open=self._port.fd >= 0)
+        self.status.tell_manager(now_ns, missing, self._owed_ns if self._port.fd >= 0 else 0)
 
     def finish(self) -> bool:
         """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
@@ -378,14 +347,14 @@ class Supervisor:
             self._follow_answer(self._now_ns())
         heard_ns = self._hear()
         link = self.aftermath.link.state
-        self.herald.notify.stopping("the stop is written; ending every process")
+        self.status.notify.stopping("the stop is written; ending every process")
         self.heartbeat.state(heartbeat.STOPPING, self._now_ns())
         for child in reversed(self.children):
             child.kill(END_S)
         self._follow_port({}, self._now_ns())  # it may have come back meanwhile
         written = self._burst() > 0
         sent = written and self._port.drain()
-        self.teller.ended(heard_ns, link, written=written, sent=sent)
+        self.aftermath.ended(heard_ns, link, written=written, sent=sent)
         self._events.flush()
         self.blackbox.finish()
         return sent and (heard_ns > 0 or link == UNPROVEN)
@@ -396,39 +365,10 @@ class Supervisor:
         until_ns = self._now_ns() + HEAR_NS
         while self._stop_ns and (now_ns := self._now_ns()) < until_ns and self._listening(now_ns):
             self.aftermath.follow(now_ns, listening=True)
-            if heard_ns := self.aftermath.heard_ns(self._stop_ns):
-                return heard_ns - self._stop_ns
+            sent_ns, arrival_ns = self.aftermath.heard
+            if sent_ns >= self._stop_ns:
+                return arrival_ns - self._stop_ns
             self._watched_ns = now_ns
             self.heartbeat.beat(now_ns, self.epoch)
             self._sleep(HURRY_NS / 1e9)
         return 0
-
-
-def _rules(settings: Settings) -> dict[str, object]:
-    """What clients need of the settings, and where the supervisor's pid is its own."""
-    return {
-        "sources": list(settings.sources()),
-        "interlocks": list(settings.interlocks()),
-        "lease_ns": settings.ns("gate.lease_s"),
-        "pid_namespace": pid_namespace(),
-    }
-
-
-def run(
-    world: World, resources: Resources, port: OwnPort, settings: Settings, notify: Notify, journal: Outbox | None
-) -> int:
-    """Run the service until SIGTERM or SIGINT, or until it can't go on; returns the exit code."""
-    supervisor = Supervisor(world, resources, port, settings, notify, journal)
-    supervisor.handover.opener.begin()
-    signal.signal(signal.SIGTERM, supervisor.end)
-    signal.signal(signal.SIGINT, supervisor.end)
-    for child in supervisor.children:
-        supervisor.processes.start(child, port)
-    supervisor.blackbox.begin()
-    rights.settle()
-    ready: dict[int, int] = {}
-    while not supervisor.ending:
-        supervisor.turn(ready)
-        ready = supervisor.rest()
-    well = supervisor.finish()
-    return int(supervisor.broken or not well)

@@ -5,13 +5,10 @@ from __future__ import annotations
 import os
 import stat
 import time
+from collections.abc import Callable
 
 from failstop.board import port
 from failstop.board.stop_port import StopPort
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 BUSY_S = 1.0
 """How long a port that a dead run's processes are just letting go of is waited for."""

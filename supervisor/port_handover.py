@@ -6,36 +6,102 @@ has gone.
 
 from __future__ import annotations
 
+import _thread
+import os
+import signal
+
+from failstop.board.finder import Finder
+from failstop.board.stop_port import StopPort
 from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP
+from failstop.procs.world import World
 from failstop.shm import layout, records
+from failstop.shm.bell import EventBell
+from failstop.supervisor.port import OwnPort
+from failstop.supervisor.process_table import ProcessTable
+from failstop.supervisor.run import Run
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.supervisor.opener import Opener
-    from failstop.supervisor.port import OwnPort
-    from failstop.supervisor.process_table import ProcessTable
-    from failstop.supervisor.run import Run
-
+LOOK_NS = 5_000_000
+"""How often a lost port is looked for."""
 SHARE_NS = 100_000_000
 """How often a process is sent the port until it has it."""
+
+
+class Opener:
+    """A thread of the supervisor's that opens a lost port when it is back, and writes the burst on it.
+
+    An open may take seconds, of a board that is slow to wake up: it holds nobody up here. The burst does not wait for
+    the supervisor's loop either; what follows from it does. `finder` is the thread's from look() until take() has
+    returned something, and the loop's else.
+    """
+
+    def __init__(self, world: World, finder: Finder, bell: EventBell) -> None:
+        """`bell` rings when the port is open."""
+        self._now_ns, self._sleep = world.now_ns, world.sleep
+        self.finder = finder
+        self._bell = bell
+        self._asked = _thread.allocate_lock()
+        self._asked.acquire()
+        self._found: tuple[int, int] | None = None
+        self._spare = -1
+        self._reserve()
+
+    def begin(self) -> None:
+        """Start the thread, which lives as long as the process: at a loss there may be none to be had."""
+        _thread.start_new_thread(self._live, (os.sched_getscheduler(0), os.sched_getparam(0)))
+
+    def look(self) -> None:
+        """The port was lost: open it when it is back."""
+        self._asked.release()
+
+    def take(self) -> tuple[int, int] | None:
+        """The opened port, once: its descriptor, and when the burst on it was written (0: it was not)."""
+        found, self._found = self._found, None
+        return found
+
+    def attempt(self) -> bool:
+        """One look. A descriptor number was kept for it: those that are free now may be gone by then."""
+        if self._spare >= 0:
+            os.close(self._spare)
+        fd = self.finder.open(self._now_ns())
+        if fd >= 0:
+            written = StopPort(fd).burst()
+            self._found = (fd, self._now_ns() if written else 0)
+            self._bell.ring()
+        self._reserve()
+        return fd >= 0
+
+    def _reserve(self) -> None:
+        try:
+            self._spare = os.dup(self._bell.fd)
+        except OSError:
+            self._spare = -1
+
+    def _live(self, policy: int, priority: os.sched_param) -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are for the loop
+        # A thread does not inherit what SCHED_RESET_ON_FORK takes away.
+        os.sched_setscheduler(0, policy, priority)
+        while True:
+            self._asked.acquire()
+            while not self.attempt():
+                self._sleep(LOOK_NS / 1e9)
 
 
 class PortHandover:
     """The supervisor's part of it; `controls`: its ends of the control sockets."""
 
-    def __init__(self, run: Run, port: OwnPort, opener: Opener, processes: ProcessTable) -> None:
+    def __init__(self, run: Run, port: OwnPort, processes: ProcessTable) -> None:
         self._port = port
-        self.opener = opener
-        opener.finder.learn(port.fd)
+        self.opener = Opener(run.world, Finder(run.settings.text("device.path")), run.bells[layout.SUPERVISOR])
+        self.opener.finder.learn(port.fd)
         self._loop = run.loop
         self._processes = processes
         self._events = run.events
-        self._bell = run.resources.bells[layout.STOPPER]
+        self._bell = run.bells[layout.STOPPER]
         self._record = run.views[layout.PORT_OWNER].latest_reader("port")
         self._stopper_port = run.views[layout.STOPPER].word("port_number")
         self._shared_ns = self._lost_ns = 0
-        self.controls = {process: Control(fds[0]) for process, fds in run.resources.controls.items()}
+        self.controls = {process: Control(fds[0]) for process, fds in run.controls.items()}
         run.loop.watch(port.fd, HANGUP)
 
     def lost(self, ready: dict[int, int], now_ns: int) -> bool:
@@ -72,7 +138,7 @@ class PortHandover:
         """A descriptor is lost on its way to a process that has no free number for it: it is sent again."""
         if self._port.fd >= 0 and now_ns - self._shared_ns >= SHARE_NS:
             self._share(
-                [name for name in self.controls if not self.has(name) and self._processes[name].running()], now_ns
+                [name for name in self.controls if self._processes[name].running() and not self.has(name)], now_ns
             )
 
     def _share(self, names: list[str], now_ns: int) -> None:

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+import os
 import signal
 
-from failstop.policy.processes import PROCESSES
+from failstop.policy.processes import PROCESSES, Process
 from failstop.procs.loop import READ
-from failstop.shm import layout, records
+from failstop.shm import layout, records, segment
 from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.heartbeat import HeartbeatReader
-from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RECALLED, RUNS, STARTING, Child
-from failstop.supervisor.restarts import Restarts
-from failstop.supervisor.starter import Starter
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.shm.segment import Segment
-    from failstop.supervisor.port import OwnPort
-    from failstop.supervisor.run import Run
+from failstop.shm.notes import Note
+from failstop.supervisor import starter
+from failstop.supervisor.children import DEAD, DOWN, GIVEN_UP, RUNS, STARTING, Child
+from failstop.supervisor.port import OwnPort
+from failstop.supervisor.run import Run
 
 TRY_AGAIN_NS = 500_000_000
+STARVED_EVERY_NS = 10_000_000_000
 GATE_AGAIN_NS = 60_000_000_000
 """A gate that died too often is tried again: it is the one that hears a reset."""
 
@@ -27,32 +25,28 @@ GATE_AGAIN_NS = 60_000_000_000
 class ProcessTable:
     """Every process of the table as it is now. The early news of their deaths ring `early.bell`."""
 
-    def __init__(self, run: Run, lifelines: Segment) -> None:
-        """Holds the supervisor's own block from here on."""
-        resources, settings = run.resources, run.settings
-        self._world = run.world
-        self._now_ns = run.world.now_ns
-        self._resources = resources
-        self._events = run.events
-        self._loop = run.loop
-        self._bells = resources.bells
+    def __init__(self, run: Run, port: OwnPort, advice: str) -> None:
+        """Holds the supervisor's own block from here on. `advice`: what to do against starving, for people."""
+        self._run, self._port = run, port
+        self._world, self._now_ns = run.world, run.world.now_ns
+        self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
+        lifelines = segment.attach_unmapped(run.memory, "lifelines", run.incarnation)
         self._held = lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK, write=True).hold(PER_BLOCK)
         self._block = layout.SUPERVISOR_BLOCK
         self.early = run.world.early_news(lifelines)
-        self._starter = Starter(run.world, resources.name, resources.incarnation, resources.runtime_dir, settings)
-        deaths, window_ns = int(settings["restart.deaths"]), settings.ns("restart.window_s")
-        backoff_ns = settings.ns("restart.backoff_s")
+        self._words = {"name": run.name, "run": f"{run.incarnation:x}", "dir": run.runtime_dir, "parent": os.getpid()}
+        self._environment = starter.environment(run.settings)
+        restart = run.settings.ns("restart.window_s"), run.settings.ns("restart.backoff_s")
+        limits = int(run.settings["restart.deaths"]), *restart
         self.children = [
-            Child(
-                run.world,
-                row,
-                HeartbeatReader(run.views[row.name]),
-                Restarts(deaths, window_ns, backoff_ns),
-                run.loop.timer(),
-            )
-            for row in PROCESSES
+            Child(run.world, row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits) for row in PROCESSES
         ]
+        self._advice = advice
+        self._starved_told_ns = self._starved_times = self._starved_ms = 0
+        self._starved = ""
+        """The one that the machine did not run for longest, for so many ms."""
+        self._notes = {name: run.views[name].ring_reader("notes") for name in (layout.GATE, layout.TELEMETRY)}
         self._by_name = {child.row.name: child for child in self.children}
 
     def __getitem__(self, name: str) -> Child:
@@ -83,7 +77,7 @@ class ProcessTable:
     def _plan_restart(self, child: Child, now_ns: int) -> None:
         name = child.row.name
         starved = child.fence is not None and child.fence.was_starved
-        wait_ns = TRY_AGAIN_NS if starved else child.restarts.died(now_ns)
+        wait_ns = TRY_AGAIN_NS if starved else child.restart_wait_ns(now_ns)
         if wait_ns is not None:
             self._restart_in(child, wait_ns, now_ns)
             return
@@ -104,11 +98,10 @@ class ProcessTable:
         """Restart those that are down, after a reset by people who know of it."""
         for child in self.children:
             if child.state == DOWN:
-                child.on(RECALLED)
-                child.restarts.forget()
+                child.recalled()
                 self._restart_in(child, 0, now_ns)
 
-    def arm(self, port: OwnPort) -> None:
+    def arm(self) -> None:
         """A process that runs holds its block: wait for the early news of its death, which stops at once on the port
         when it is the port owner's."""
         for child in self.children:
@@ -116,7 +109,7 @@ class ProcessTable:
                 child.on(RUNS)
                 self._tell_watchers()
                 if child.life:
-                    stop = port.early_stop if child.row.name == layout.PORT_OWNER else None
+                    stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None
                     self.early.arm(child.life, child.block, 0, stop, child.row.priority)
 
     def _tell_watchers(self) -> None:
@@ -124,41 +117,72 @@ class ProcessTable:
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.STOPPER].ring()
 
-    def restart_due(self, port: OwnPort, now_ns: int) -> None:
-        """Start those whose time has come, with the port to inherit."""
+    def restart_due(self, now_ns: int) -> None:
+        """Start those whose time has come."""
         for child in self.children:
             if child.restart.due(now_ns):
                 child.times_restarted += 1
-                self.start(child, port)
+                self.start(child)
 
-    def start(self, child: Child, port: OwnPort) -> None:
-        """Start a process and name it to those who watch it."""
-        name = child.row.name
-        block = self._free_block()
+    def start(self, child: Child) -> None:
+        """Start a process, which inherits the port, and name it to those who watch it."""
+        name, block, pid = child.row.name, self._free_block(), 0
         try:
-            pid = self._spawn(child, block, port)
+            pid = self._spawn(child.row, block)
+            self._loop.watch(child.started(pid, block, self._now_ns()).fd, READ)
         except OSError as error:
+            if pid:  # out of descriptors: without its pidfd nobody would know of its death
+                self._world.kill(pid, signal.SIGKILL)
+                self._world.reap(pid, 0)
             text = f"cannot start {name}: {error}; trying again"
             self._events.tell("start_failed", text, {"process": name, "reason": str(error)})
             child.restart.set(self._now_ns() + TRY_AGAIN_NS)
-            return
-        if child.life:
-            self._loop.watch(child.life.fd, READ)
-        self._life_words[name].set(records.life(pid, block))
-        self._tell_watchers()
+        else:
+            self._life_words[name].set(records.life(pid, block))
+            self._tell_watchers()
 
-    def _spawn(self, child: Child, block: int, port: OwnPort) -> int:
-        """Start a process and take it under watch; returns its pid. Raises OSError, and then there is none."""
-        descriptors = self._resources.descriptors(child.row.name, port.fd)
-        pid = self._starter.start(child.row, block, port.number, descriptors)
-        try:
-            child.started(pid, block, self._now_ns())
-        except OSError:
-            # Out of descriptors: without its pidfd nobody would know of its death.
-            self._world.kill(pid, signal.SIGKILL)
-            self._world.reap(pid, 0)
-            raise
-        return pid
+    def _spawn(self, row: Process, block: int) -> int:
+        """Start a process with its block of futexes, its descriptors (-1: none) and the number in this run of the port
+        that is among them; returns its pid. Raises OSError."""
+        known = self._run.descriptors(row.name, self._port.fd)
+        given = {key: known[key] for key in row.descriptors}
+        words = {**self._words, "block": block, "number": self._port.number, **given}
+        arguments = starter.script_command(starter.CHILD, row.name, words=words)
+        return self._world.spawn(arguments, self._environment, [fd for fd in given.values() if fd >= 0])
+
+    def pass_notes(self) -> None:
+        """Remarks that the processes have for people."""
+        for process, ring in self._notes.items():
+            while entry := ring.next():
+                try:
+                    note = Note.unpack(entry[2])
+                except ValueError:
+                    continue  # a damaged one: nothing depends on it
+                self._events.tell(note.kind, note.text, {"process": process, **note.fields}, level=note.level)
+
+    def follow_spared(self, now_ns: int) -> None:
+        """Once a turn: who was spared and has beaten again is told of."""
+        for child in self.children:
+            if silent_ns := child.beaten():
+                self.tell_starved(child.row.name, silent_ns, now_ns)
+
+    def tell_starved(self, name: str, silent_ns: int, now_ns: int) -> None:
+        """The machine did not run a process for so long; told at once, then at most every ten seconds."""
+        self._starved_times += 1
+        silent_ms = round(silent_ns / 1e6)
+        if silent_ms > self._starved_ms:
+            self._starved_ms, self._starved = silent_ms, name
+        if self._starved_told_ns and now_ns - self._starved_told_ns < STARVED_EVERY_NS:
+            return
+        self._starved_told_ns = now_ns
+        text = f"the machine starves the service: {name} was not run for {silent_ms} ms; {self._advice}"
+        self._events.tell("starved", text, {"process": name, "silent_ms": silent_ms, "times": self._starved_times})
+
+    def starved_record(self) -> dict[str, int | str] | None:
+        """For clients; None: the machine has run everybody in this run."""
+        if not self._starved_times:
+            return None
+        return {"times": self._starved_times, "longest_ms": self._starved_ms, "process": self._starved}
 
     def _free_block(self) -> int:
         """The next block that no living process holds."""

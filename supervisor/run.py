@@ -1,36 +1,159 @@
-"""Run: what the parts of the supervisor have in common."""
+"""Run: what a run of the service makes before its first process starts, what its parts share, and how it goes again.
+
+Whoever has a segment attached goes on working when its name is taken away, as logind's RemoveIPC=yes does when the
+service's user logs out. But no process can be started again from then on, no client can come, and without the name of
+the stop pipe nobody can ask for a stop. Nothing here can mend that: the next run makes its own.
+"""
 
 from __future__ import annotations
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.settings import Settings
-    from failstop.procs.loop import Loop
-    from failstop.procs.world import World
-    from failstop.shm.segment import Segment
-    from failstop.supervisor.events import Events
-    from failstop.supervisor.resources import Resources
+import grp
+import os
+
+from failstop.policy import causes
+from failstop.policy.causes import Cause
+from failstop.policy.settings import Settings
+from failstop.procs import handover
+from failstop.procs.loop import Loop
+from failstop.procs.world import World
+from failstop.shm import bell, claim, instance, layout, segment
+from failstop.shm.bell import EventBell
+from failstop.shm.lifeline import pid_namespace
+from failstop.shm.packing import pack
+from failstop.shm.segment import Segment
+from failstop.supervisor.events import Events, Outbox
+
+GROUP = "failstop"
+"""Whoever is in this group may drive; everyone may stop."""
+SHARED_MEMORY = "shared memory "
+A_SLOT = f"{SHARED_MEMORY}client."
+"""What the service can go on without."""
+LOOK_EVERY_NS = 1_000_000_000
+
+
+def client_gid() -> int:
+    """The group whose members may drive; -1 (the service's own) where it does not exist, or this user may give nothing
+    to it."""
+    try:
+        gid = grp.getgrnam(GROUP).gr_gid
+    except KeyError:
+        return -1
+    return gid if os.geteuid() == 0 or gid in os.getgroups() else -1
 
 
 class Run:
-    """`own`: the supervisor's segment, to write; `views`: every process's, to read."""
-
-    __slots__ = ("events", "loop", "own", "resources", "settings", "views", "world")
+    """Shared memory, pipes, claims, bells and control sockets of one run; its settings, loop and events."""
 
     def __init__(
-        self,
-        world: World,
-        resources: Resources,
-        settings: Settings,
-        own: Segment,
-        views: dict[str, Segment],
-        loop: Loop,
-        events: Events,
+        self, world: World, settings: Settings, name: str, runtime_dir: str, journal: Outbox | None = None
     ) -> None:
+        """The caller holds the instance's lock: whatever is found there is a dead run's. Raises segment.AttachError,
+        instance.InstanceError, OSError, and leaves what it found then, and nothing else."""
         self.world = world
-        self.resources = resources
         self.settings = settings
-        self.own = own
-        self.views = views
-        self.loop = loop
-        self.events = events
+        self.name = name
+        self.runtime_dir = runtime_dir
+        self.incarnation = int.from_bytes(os.urandom(8), "little")
+        self.memory = segment.memory(name, self.incarnation)
+        """What the segments are named after."""
+        self._refuse_living()
+        dead = segment.dead_runs(name)
+        self.left = segment.open_all(dead[-1]) if dead else {}
+        """The segments of a run that was not ended in order: its black box. They go when this run has its own."""
+        self._segments: list[Segment] = []
+        self.readable: dict[str, int] = {}
+        """Of the processes' segments, for the black box: they can be copied whatever becomes of their names."""
+        try:
+            self._make(client_gid())
+            self.own = segment.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
+            self.views = {each: segment.attach(self.memory, each, self.incarnation) for each in layout.PROCESSES}
+            self._tell_settings()
+            self.loop = Loop(world)
+        except BaseException:
+            self.remove()
+            raise
+        for run in dead:
+            segment.unlink_all(run)
+        self.events = Events(world, name, self.own.ring_writer("events"), journal, self.published)
+        self._looked_ns = 0
+
+    def _refuse_living(self) -> None:
+        """Whatever became of the lock's file: what a living run has is not taken from it."""
+        try:
+            incarnation, _ = instance.run(self.runtime_dir)
+        except instance.NoService:
+            return
+        if segment.living(segment.memory(self.name, incarnation)):
+            raise instance.already_running(self.name, "unknown")
+
+    def _make(self, gid: int) -> None:
+        # One after the other: what is there is known, whichever can't be made.
+        for spec in layout.SEGMENTS:
+            self._segments.append(segment.create(self.memory, spec.name, self.incarnation, gid))
+        self.readable = segment.open_all(self.memory)
+        if missing := [process for process in layout.PROCESSES if process not in self.readable]:
+            raise segment.AttachError("absent", f"shared memory {missing[0]} was there and can't be opened: try again")
+        self.published = instance.publish(self.runtime_dir, self.incarnation)
+        # For writing alone: whoever could read them could take away the requests of others.
+        bell.make_pipe(instance.stop_path(self.runtime_dir), 0o622)
+        bell.make_pipe(instance.bell_path(self.runtime_dir), 0o620, gid)
+        os.close(claim.open_claims(instance.claims_path(self.runtime_dir), create=True, mode=0o660, gid=gid))
+        self.stop_pipe = bell.open_pipe(instance.stop_path(self.runtime_dir))
+        self.client_bell = bell.open_pipe(instance.bell_path(self.runtime_dir))
+        self.named = {f"{SHARED_MEMORY}{made.spec.name}": made.fileno() for made in self._segments}
+        """A descriptor of whatever others find by its name."""
+        self.named |= {
+            "the stop pipe": self.stop_pipe,
+            "the bell of the clients": self.client_bell,
+            "the name of the run": self.published,
+        }
+        self.bells = {process: EventBell.create() for process in layout.PROCESSES}
+        self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER)}
+
+    def _tell_settings(self) -> None:
+        """For clients: what they need of the settings, and where this process's pid is its own; all settings."""
+        rules = {
+            "sources": list(self.settings.sources()),
+            "interlocks": list(self.settings.interlocks()),
+            "lease_ns": self.settings.ns("gate.lease_s"),
+            "pid_namespace": pid_namespace(),
+        }
+        self.own.latest_writer("rules").write(pack(rules))
+        self.own.latest_writer("settings").write(pack(self.settings.flat()))
+
+    def descriptors(self, process: str, port_fd: int) -> dict[str, int]:
+        """Every descriptor that a process of the table may be given, by the name it has there."""
+        found = {f"{other}_bell": found.fd for other, found in self.bells.items()}
+        found |= {"bell": self.bells[process].fd, "port": port_fd}
+        found |= {"stop": self.stop_pipe, "client_bell": self.client_bell}
+        if process in self.controls:
+            found["control"] = self.controls[process][1]
+        return found
+
+    def lost(self, now_ns: int) -> Cause | None:
+        """Why the service can't go on, as others can't find what they need any more; None while it can. What was taken
+        away is told of. Looks once a second."""
+        if now_ns - self._looked_ns < LOOK_EVERY_NS:
+            return None
+        self._looked_ns = now_ns
+        gone = [name for name, fd in self.named.items() if not os.fstat(fd).st_nlink]
+        for name in gone:
+            del self.named[name]
+        if vital := [name for name in gone if not name.startswith(A_SLOT)]:
+            text = f"{', '.join(vital)}: removed; ending, for a new run to make it again"
+            doubt = "next: is RemoveIPC=yes in logind.conf? `failstop doctor` looks"
+            self.events.tell("note", f"{text}; {doubt}", level="error")
+            return causes.REMOVED(vital[0])
+        for name in gone:
+            text = f"{name} was removed: that client slot is out of use; next: restart the service when it may stop"
+            self.events.tell("note", text, level="warning")
+        return None
+
+    def remove(self) -> None:
+        """Take away every name; descriptors and mappings end with their processes."""
+        for made in self._segments:
+            made.close()
+        while self.readable:
+            os.close(self.readable.popitem()[1])
+        segment.unlink_all(self.memory)
+        instance.clear(self.runtime_dir)

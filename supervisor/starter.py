@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Mapping
 
-from failstop.policy.settings import SETTINGS_VARIABLE
+from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.shm import root
 from failstop.supervisor.child import PATH_VARIABLE
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from failstop.policy.processes import Process
-    from failstop.policy.settings import Settings
-    from failstop.procs.world import World
-
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+CHILD = ("supervisor", "child.py")
+"""Where a process of the service starts."""
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
 """One heap for all threads: a second one costs 200 kB at the first job of a thread, minutes after the start."""
 PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
@@ -28,12 +25,7 @@ TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_
 """What the service manager hands over: it speaks with the supervisor alone, which takes them out of its environment."""
 
 
-def command(process: str, words: dict[str, str]) -> list[str]:
-    """The command line of a process."""
-    return script_command(("supervisor", "child.py"), process, words=words)
-
-
-def script_command(script: tuple[str, ...], *arguments: str, words: dict[str, str]) -> list[str]:
+def script_command(script: tuple[str, ...], *arguments: str, words: Mapping[str, object]) -> list[str]:
     """The command line of a script of this package, by its path from there."""
     path = os.path.join(_PACKAGE, *script)
     return [sys.executable, "-I", "-S", path, *arguments, *(f"{key}={value}" for key, value in words.items())]
@@ -51,27 +43,7 @@ def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int
     line's own imports would double its size. Raises OSError."""
     for fd in (lock, port):
         os.set_inheritable(fd, True)
-    words = {"name": name, "dir": runtime_dir, "lock": str(lock), "port": str(port)}
-    arguments = command("supervisor", words)
+    words = {"name": name, "dir": runtime_dir, "lock": lock, "port": port}
+    arguments = script_command(CHILD, "supervisor", words=words)
     handed = {name: os.environ[name] for name in TO_THE_SUPERVISOR if name in os.environ}
     os.execve(arguments[0], arguments, environment(settings) | handed)
-
-
-class Starter:
-    """Starts children; knows what every start has in common."""
-
-    __slots__ = ("_common", "_environment", "_spawn")
-
-    def __init__(self, world: World, name: str, incarnation: int, runtime_dir: str, settings: Settings) -> None:
-        self._spawn = world.spawn
-        self._common = {"name": name, "run": f"{incarnation:x}", "dir": runtime_dir, "parent": str(os.getpid())}
-        self._environment = environment(settings)
-
-    def start(self, row: Process, block: int, port_number: int, descriptors: dict[str, int]) -> int:
-        """Start a process with its block of futexes and descriptors (-1: none), and the number in this run of the port
-        that is among them; returns its pid. Raises OSError."""
-        given = {key: descriptors[key] for key in row.descriptors}
-        passed = [fd for fd in given.values() if fd >= 0]
-        numbers = {"block": block, "number": port_number, **given}
-        arguments = command(row.name, {**self._common, **{key: str(value) for key, value in numbers.items()}})
-        return self._spawn(arguments, self._environment, passed)

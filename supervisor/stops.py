@@ -1,9 +1,10 @@
-"""A stop and its life, from the moment somebody noticed a cause until all that can be known of it is known. Pure.
+"""A stop and its life, from the moment somebody noticed a cause until all that can be known of it is known; and the
+link, which is what the board's answers prove. Pure.
 
-    RAISED         its cause was noticed
-    WRITTEN        its bytes were handed to the kernel (UNWRITTEN: they were not; held: it has not passed them on)
-    ACKNOWLEDGED   the board answered a ping that was written after it: its receiver was in step by then
-    OBSERVED       the IMU says that the wheels are still (UNSTILL: they are not)
+    raised         its cause was noticed
+    written        its bytes were handed to the kernel (or they were not; held: it has not passed them on)
+    acknowledged   the board answered a ping that was written after it: its receiver was in step by then
+    observed       the IMU says that the wheels are still (unstill: they are not)
 
 The last three are levels of proof, kept apart everywhere. What was not written may be written later, by whoever gets
 the port back; the board may be silent while the IMU sees the wheels come to rest.
@@ -11,18 +12,18 @@ the port back; the board may be silent while the IMU sees the wheels come to res
 
 from __future__ import annotations
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
+from failstop.policy.causes import Cause
+from failstop.shm import layout
 
-    from failstop.policy.causes import Cause
-
-RAISED = "raised"
-UNWRITTEN = "unwritten"
-WRITTEN = "written"
-ACKNOWLEDGED = "acknowledged"
-OBSERVED = "observed"
-UNSTILL = "unstill"
+UNPROVEN = "unproven"
+ALIVE = "alive"
+DEAF = "deaf"
+ANSWER_NS = 20_000_000
+"""A ping as young as this may still be answered; a stop's ping and the next are further apart (schedule.py)."""
+BY_PORT_OWNER = "port owner"
+BY_SUPERVISOR = "supervisor"
+SOONER_NS = 20_000_000
+"""The port owner may have noticed the cause this much sooner; its burst from before that is none for this cause."""
 ACKNOWLEDGE_NS = 1_500_000_000
 """A stop that the board has not acknowledged by then is told of without."""
 JUDGED_AFTER_NS = 800_000_000
@@ -64,47 +65,65 @@ class Stop:
         """Who wrote it; empty while nobody has answered it."""
         self.epoch = 0
         """That was raised for it."""
-        self.latched = cause
-        """The cause that was latched then: this one, or the first before it."""
+        self.behind: Stop | None = None
+        """The one that was latched when it was answered; None: this one itself."""
         self.unix_s = 0.0
+        """The wall clock when it was answered, for people."""
         self.acknowledged_ns: int | None = None
         """From the cause to the board's answer."""
         self.observed_ns: int | None = None
         """From the cause until the wheels were still; 0: the IMU saw no shaking before it either."""
-        self.unstill = False
-        """They were found not to be still when they should be."""
+        self._found_unstill = False
         self.held = False
         """Its bytes were still in the kernel when it was told of: the board takes none."""
         self.told = False
         """All that can be known of it was told."""
         self._was_still = True
-        self._looked_ns = self._after_ns = self._proved_ns = self._again_ns = 0
+        self._looked_ns = self._after_ns = self._again_ns = 0
         self._since_ns = t_ns
         """What the board is given to obey and to answer counts from here."""
 
     @property
-    def state(self) -> str:
-        """How far it has come: RAISED or one of those after it."""
-        if not self.by:
-            return RAISED
-        if self.observed_ns is not None:
-            return OBSERVED
-        if self.unstill:
-            return UNSTILL
-        if not self.written_ns:
-            return UNWRITTEN
-        return WRITTEN if self.acknowledged_ns is None else ACKNOWLEDGED
+    def unstill(self) -> bool:
+        """The wheels were found not to be still when they should be, and not seen still since."""
+        return self._found_unstill and self.observed_ns is None
 
-    def answered_by(self, by: str, written_ns: int, latched: Cause, epoch: int, after_ns: int, unix_s: float) -> None:
-        """It was written (`written_ns` 0: it could not be): from here on it is followed. `after_ns`: how long the
-        wheels may take to be still; `unix_s`: the wall clock, for people."""
+    def who_wrote(self, *, answered: bool, may_answer: bool, port_owner_ns: int) -> tuple[str, int] | None:
+        """Return (by whom, when in ns; 0: the supervisor is to write it now), or None to wait. `answered`: the port
+        owner has answered the epoch; `may_answer`: it lives and has had little time; `port_owner_ns`: its last burst.
+
+        | the cause came with the time of its stop | the port owner has answered the epoch    | the stop is            |
+        |------------------------------------------|------------------------------------------|------------------------|
+        | any                                      | not yet, and it still may                | waited for             |
+        | yes                                      | any                                      | that of who noticed it |
+        | no                                       | no: it is dead, or late                  | still to be written    |
+        | no                                       | yes; the cause is its own                | still to be written    |
+        | no                                       | yes, with a stop about as old or younger | that of the port owner |
+        | no                                       | yes, with a stop from long before        | still to be written    |
+
+        Who publishes a cause of its own without a time could not write. What is still to be written, the supervisor
+        writes.
+        """
+        if may_answer and not answered:
+            return None
+        own = self.noticed_by == layout.PORT_OWNER
+        if self.written_ns:
+            return (BY_PORT_OWNER if own else BY_SUPERVISOR), self.written_ns
+        if answered and not own and port_owner_ns >= self.t_ns - SOONER_NS:
+            return BY_PORT_OWNER, port_owner_ns
+        return BY_SUPERVISOR, 0
+
+    def answered_by(self, by: str, written_ns: int, latched: Stop, epoch: int) -> None:
+        """Somebody has written it, while `latched` was; `written_ns` 0: it could not be written."""
         self.by = by
         self.written_ns = written_ns
-        self.latched = latched
+        self.behind = None if latched is self else latched  # nobody collects what refers to itself
         self.epoch = epoch
+
+    def follow(self, after_ns: int, unix_s: float) -> None:
+        """From here on it is followed. `after_ns`: how long the wheels may take to be still."""
         self.unix_s = unix_s
         self._after_ns = after_ns
-        self._proved_ns = written_ns or self.t_ns
         self._again_ns = self.t_ns + after_ns
 
     def written_at_last(self, written_ns: int, by: str) -> None:
@@ -112,12 +131,12 @@ class Stop:
         self.written_ns = written_ns
         self.by = by
         self.told = False
-        self._proved_ns = self._since_ns = written_ns
+        self._since_ns = written_ns
         self._again_ns = written_ns + self._after_ns
 
     def ponged(self, sent_ns: int, arrival_ns: int) -> bool:
         """A ping was answered; True when this acknowledges the stop."""
-        if self.acknowledged_ns is not None or sent_ns < self._proved_ns or not self.written_ns:
+        if self.acknowledged_ns is not None or sent_ns < self.written_ns or not self.written_ns:
             return False
         self.acknowledged_ns = arrival_ns - self.t_ns
         return True
@@ -133,7 +152,7 @@ class Stop:
             self._was_still = False
             if now_ns >= self._again_ns:
                 self._again_ns = now_ns + self._after_ns
-                self.unstill = True
+                self._found_unstill = True
                 return True
         elif not self._was_still or (late and still_ns > self.t_ns):
             # A window may begin before the cause: they turned all the same.
@@ -153,11 +172,11 @@ class Stop:
         return not before
 
     def outcome(self, link: str) -> str:
-        """What became of it, for the journal; `link` as of link.py."""
+        """What became of it, for the journal; `link`: what the board's answers prove."""
         heard = f"acknowledged by the board after {self.acknowledged_ns / 1e6:.1f} ms" if self.acknowledged_ns else ""
         heard = heard or (f"handed over, {NOT_SENT}" if self.held else f"not acknowledged (link {link})")
         if self.observed_ns is None:
-            seen = "wheels NOT seen still" if self.state == UNSTILL else "not observed"
+            seen = "wheels NOT seen still" if self.unstill else "not observed"
         else:
             seen = wheels_seen(self.observed_ns / 1e9)
         return f"{self.cause}: {heard}, {seen}"
@@ -171,21 +190,20 @@ class Stop:
             "link": link,
             "sent": not self.held,
             **self._proofs(),
-            "wheels": "unstill" if self.state == UNSTILL else seen,
+            "wheels": "unstill" if self.unstill else seen,
         }
 
-    def as_record(self) -> dict[str, Any]:
+    def as_record(self) -> dict[str, object]:
         """What clients see."""
-        written_ns = max(0, self.written_ns - self.t_ns) if self.written_ns else None
         return {
             "cause": self.cause.pack(),
-            "latched": self.latched.pack(),
+            "latched": (self.behind or self).cause.pack(),
             "noticed_by": self.noticed_by,
             "written_by": self.by,
             "t": self.unix_s,
             "epoch": self.epoch,
             "sent": not self.held or self.acknowledged_ns is not None,
-            "written_us": None if written_ns is None else written_ns / 1e3,
+            "written_us": max(0, self.written_ns - self.t_ns) / 1e3 if self.written_ns else None,
             **self._proofs(),
         }
 
@@ -194,3 +212,52 @@ class Stop:
             "acknowledged_us": None if self.acknowledged_ns is None else self.acknowledged_ns / 1e3,
             "observed_ms": None if self.observed_ns is None else self.observed_ns / 1e6,
         }
+
+
+class Link:
+    """What is known of one opened port's board: does it hear what is written to it? Pure.
+
+    unproven   it has never answered a ping since the port was opened: nothing is known, nothing is stopped for
+    alive      it answers
+    deaf       it has answered before and is silent: a stop cause, once, until it answers again
+
+    A board can go deaf while its telemetry goes on, so only answers count.
+    """
+
+    def __init__(self, deaf_ns: int) -> None:
+        self._deaf_ns = deaf_ns
+        self.state = UNPROVEN
+        self._answered_ns = 0
+        """When the newest answered ping was sent."""
+        self._asked_ns = 0
+        """When the oldest ping after it was sent; 0: none yet."""
+
+    def opened(self) -> None:
+        """Another port, perhaps another board: nothing is known of it."""
+        self.state = UNPROVEN
+        self._answered_ns = self._asked_ns = 0
+
+    def listen(self, newest_ping_ns: int) -> None:
+        """Nobody could have heard an answer until now: a silence begins with the next ping at the earliest."""
+        self._asked_ns = 0
+        self._answered_ns = max(self._answered_ns, newest_ping_ns)
+
+    def answered(self, sent_ns: int) -> None:
+        """A ping that was sent at `sent_ns` was answered."""
+        self.state = ALIVE
+        self._answered_ns = max(self._answered_ns, sent_ns)
+        self._asked_ns = 0
+
+    def silent(self, newest_ping_ns: int, now_ns: int) -> bool:
+        """True when the board has just become deaf; `newest_ping_ns`: when the last ping was sent."""
+        if self._asked_ns == 0 and newest_ping_ns > self._answered_ns:
+            self._asked_ns = newest_ping_ns
+        if self.state != ALIVE or not self._asked_ns:
+            return False
+        # Half of it since a ping that it should have answered: a ping period before, it had nothing to answer.
+        if now_ns - self._answered_ns < self._deaf_ns or now_ns - self._asked_ns < self._deaf_ns // 2:
+            return False
+        if now_ns - newest_ping_ns < ANSWER_NS:
+            return False
+        self.state = DEAF
+        return True

@@ -18,7 +18,7 @@ from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.doctor.system import Holder, Node, System, User, user
-from failstop.install.layout import unit_of
+from failstop.instances import unit_of
 from failstop.policy.settings import SettingError, Settings
 from failstop.shm import layout, segment
 from failstop.shm.instance import DEFAULT_NAME, option

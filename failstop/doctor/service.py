@@ -7,7 +7,7 @@ import shlex
 from failstop.api import words
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import SHM, System
-from failstop.install.layout import unit_of
+from failstop.instances import unit_of
 from failstop.ros2 import transport
 from failstop.shm.instance import option
 from failstop.version import VERSION

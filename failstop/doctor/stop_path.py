@@ -12,6 +12,7 @@ import select
 import time
 from collections.abc import Callable
 
+from failstop import stopping
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
 from failstop.board.decoder import Decoder
@@ -20,7 +21,6 @@ from failstop.board.port import PortError, release_exclusive
 from failstop.board.stop_port import StopPort
 from failstop.doctor.look import FAIL, Finding, Look, fail, ok, skip, warn
 from failstop.doctor.port import BOARD_USB
-from failstop.stopping import tool
 from failstop.supervisor.port import OwnPort
 
 ANSWER_S = 0.5
@@ -183,7 +183,7 @@ def on_duplicate(own: OwnPort) -> bool:
 def _with_tool(own: OwnPort, path: str) -> bool:
     # It opens the port as ExecStopPost does, when the service has let it go.
     release_exclusive(own.fd)
-    tool.stop(path, lambda _: 0.0, lambda _: None)
+    stopping.stop(path, lambda _: 0.0, lambda _: None)
     return True
 
 

@@ -1,4 +1,5 @@
-"""Steps done in their order; when one fails, everything that was done is undone, the last first.
+"""The steps that installing and uninstalling are made of, done in their order; when one fails, everything that was done
+is undone, the last first.
 
 What undoes a step is noted before the step begins, so that one that was cut short is undone too.
 """
@@ -6,198 +7,175 @@ What undoes a step is noted before the step begins, so that one that was cut sho
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import errno
 import os
 import shutil
 import signal
 import stat
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from failstop.install import InstallError
-from failstop.install.layout import MANIFEST_NAME, RUNTIME, STATE
-from failstop.install.machine import Machine
-from failstop.install.steps import Command, Directory, File, Link, Remove, Start, Step, Tree
+from failstop.install.system import Content, System, content
 from failstop.install.tree import Environment
 
 NEW = ".new-by-install"
 OLD = ".old-by-install"
-
 STAYS = (errno.ENOENT, errno.ENOTEMPTY, errno.EBUSY)
 """Why a directory is not removed where that is well."""
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-Undo = Callable[[], None]
+Act = Callable[[], object]
+
+
+@dataclasses.dataclass(frozen=True)
+class Step:
+    """A verb, what it is done to (a path, a unit, or words for people), a remark. Without a verb it is not shown."""
+
+    verb: str
+    subject: str
+    remark: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Put(Step):
+    """Have a file, mode 0644, a link, the Python environment, or none of them at a path. Directories on the way are
+    made, mode 0755."""
+
+    content: Content | Environment = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Discard(Step):
+    """Remove a whole directory, which nothing brings back: when every other step is done."""
+
+    only_empty: bool = False
+    """One that still holds something stays."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Run(Step):
+    """Run a program of the system."""
+
+    words: tuple[str, ...] = ()
+    """Empty: nothing now; there is only something to undo."""
+    undo: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
+    """Files that it may write, and directories that it may make; they are put back as they were when it is undone."""
+    accepted: tuple[int, ...] = (0,)
+    """Exit codes that are well."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Start(Run):
+    """Start a unit and wait until it is ready."""
 
 
 class Doer:
-    """Does steps in the system whose root directory is `root`."""
+    """Does steps in a system."""
 
-    def __init__(self, root: str, machine: Machine, environment: Environment | None = None) -> None:
-        self._root = root
-        self._machine = machine
-        self._environment = environment
-        self._undos: list[Undo] = []
-        self._last: list[Undo] = []
+    def __init__(self, system: System) -> None:
+        self._system = system
+        self._undos: list[Act] = []
+        self._last: list[Act] = []
 
     def do(self, steps: Sequence[Step], done: Callable[[Step], None] = lambda step: None) -> list[str]:
         """Do all of them, calling `done` after each; or none. Returns what is left lying about although all is done.
         Raises InstallError, after everything is as it was."""
         doing: Step | None = None
         try:
-            for step in steps:
-                doing = step
-                self._do(step)
-                done(step)
+            for doing in steps:
+                self._do(doing)
+                done(doing)
         except BaseException as error:
-            with _uninterrupted():
-                left = _all_of(self._undos[::-1])
+            left = _all_of(self._undos[::-1])
             if not isinstance(error, (InstallError, OSError, KeyboardInterrupt)):
                 raise
-            raise InstallError(_said(doing, error, left)) from error
-        with _uninterrupted():
-            return _all_of(self._last)
-
-    def _at(self, path: str) -> str:
-        return os.path.join(self._root, path.lstrip("/"))
+            what = f"{doing.verb} {doing.subject}".strip() if doing else "beginning"
+            why = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
+            end = f"this could NOT be changed back: {'; '.join(left)}" if left else "everything is as it was before"
+            raise InstallError(f"{what}: {why}; {end}") from error
+        return _all_of(self._last)
 
     def _do(self, step: Step) -> None:
-        path = self._at(step.subject)
+        path = self._system.at(step.subject)
         match step:
-            case Directory():
-                self._directory(path)
-            case File(data=data):
-                self._put(path, partial(_write, data=data))
-            case Link(target=target):
-                self._put(path, partial(os.symlink, target))
-            case Tree(manifest=manifest):
-                self._put(path, partial(self._tree, manifest))
-            case Remove(only_empty=True):
-                # It may be empty only when what was moved aside is removed.
-                self._last.append(partial(_remove_empty, path, *STAYS))
-            case Remove():
-                self._aside(path)
-            case Command():
-                self._command(step)
-            case Start():
-                self._start(step.subject)
+            case Put():
+                # What an installation that lost its power has left.
+                remove(path + NEW)
+                remove(path + OLD)
+                self._keep([path])
+                put(path, step.content)
+                self._last.append(partial(remove, path + OLD))
+            case Discard():
+                self._last.append(partial(_remove_empty, path, *STAYS) if step.only_empty else partial(remove, path))
+            case Run():
+                paths = [self._system.at(path) for path in step.changes]
+                left_as = self._keep(paths)
+                if step.undo:
+                    self._undos.append(partial(self._system.run, step.undo))
+                if isinstance(step, Start):
+                    self._system.start(step.subject)
+                elif step.words:
+                    self._system.run(step.words, step.accepted)
+                left_as.update({path: content(path) for path in paths})
             case _:
                 raise AssertionError(f"no such step: {step}")
 
-    def _directory(self, path: str) -> None:
-        if not os.path.isdir(path):
-            self._undos.append(partial(_remove_empty, path, errno.ENOENT))
-            os.mkdir(path, 0o755)
-            os.chmod(path, 0o755)
-
-    def _put(self, path: str, make: Callable[[str], None]) -> None:
-        """Made beside, then renamed: what is there is whole at any time."""
-        new = path + NEW
-        # What an installation that lost its power has left.
-        _remove(new)
-        self._undos.append(partial(_remove, new))
-        make(new)
-        if os.path.isdir(new) and not os.path.islink(new):
-            self._aside(path)
-            self._undos.append(partial(_remove, path))
-        else:
-            self._undos.append(_restorer(path))
-        os.replace(new, path)
-
-    def _tree(self, manifest: bytes, path: str) -> None:
-        assert self._environment is not None
-        self._environment.write(path)
-        _write(os.path.join(path, MANIFEST_NAME), manifest)
-
-    def _aside(self, path: str) -> None:
-        """Move what is at a path out of the way; it is removed when everything is done."""
-        old = path + OLD
-        _remove(old)
-        if not os.path.lexists(path):
-            return
-        self._undos.append(partial(_move_back, path))
-        self._last.append(partial(_remove, old))
-        try:
-            os.rename(path, old)
-        except OSError as error:
-            if error.errno not in (errno.EBUSY, errno.EXDEV) or not os.path.isdir(path):
-                raise
-            # A mount point stays where it is: what it holds is moved aside in it, and can be moved back there.
-            for name in os.listdir(path):
-                self._aside(os.path.join(path, name))
-            self._last.append(partial(_remove_emptied, path))
-
-    def _command(self, step: Command) -> None:
-        if step.undo:
-            self._undos.append(partial(self._machine.run, step.undo))
-        paths = [self._at(path) for path in step.touches]
-        after: dict[str, bytes | None] = {}
-        for path in _missing_parents(paths):
-            self._undos.append(partial(_remove_empty, path, *STAYS))
-        for path in paths:
-            self._undos.append(partial(_restore_unless_changed, path, _restorer(path), after))
-        if step.words:
-            self._machine.run(step.words, step.accepted)
-            after.update({path: _content(path) for path in paths})
-
-    def _start(self, unit: str) -> None:
-        # systemd makes these for the service, and leaves them.
-        for path in map(self._at, (STATE, RUNTIME)):
-            if not os.path.isdir(path):
-                self._undos.append(partial(_remove, path))
-        self._undos.append(partial(self._machine.run, ("systemctl", "stop", unit)))
-        self._machine.start(unit)
+    def _keep(self, paths: Sequence[str]) -> dict[str, Content]:
+        """Have what is at these paths put back, and directories that are missing on the way removed again. What is
+        returned is to be told how a program has left them: somebody else's change since then is not thrown away."""
+        left_as: dict[str, Content] = {}
+        self._undos += [partial(_remove_empty, folder, errno.ENOENT) for folder in _missing_parents(paths)]
+        self._undos += [partial(_restore, path, _restorer(path), left_as) for path in paths]
+        return left_as
 
 
-def _write(path: str, data: bytes) -> None:
-    with open(path, "wb") as file:
-        file.write(data)
-        os.fchmod(file.fileno(), 0o644)
-        os.fsync(file.fileno())
-
-
-@contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """A second Ctrl-C does not leave half of it, and does not keep what is to be said from being said."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+def put(path: str, new: Content | Environment, owner: tuple[int, int] | None = None, mode: int = 0o644) -> None:
+    """Have it at a path, whole at any time; a directory that is in its place is moved aside."""
+    if content(path) == new:
+        return
+    for folder in _missing_parents([path]):
+        os.mkdir(folder)
+        os.chmod(folder, 0o755)
+    beside = path + NEW
     try:
-        yield
-    finally:
-        while signal.sigtimedwait(ENDING, 0):
-            pass
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if new is None:
+            remove(path)
+            return
+        if isinstance(new, Environment):
+            new.write(beside)
+            if os.path.isdir(path):
+                os.rename(path, path + OLD)
+        elif isinstance(new, str):
+            os.symlink(new, beside)
+        else:
+            # Not for others to read before it has its owner.
+            with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+                file.write(new)
+                if owner:
+                    os.fchown(file.fileno(), *owner)
+                os.fchmod(file.fileno(), mode)
+                os.fsync(file.fileno())
+        os.replace(beside, path)
+    except BaseException:
+        remove(beside)
+        raise
 
 
-def _all_of(acts: Sequence[Undo]) -> list[str]:
-    """Do all of them; returns what went wrong."""
-    wrong = []
-    for act in acts:
-        try:
-            act()
-        except (OSError, InstallError) as error:
-            wrong.append(str(error))
-    return wrong
-
-
-def _said(step: Step | None, error: BaseException, left: list[str]) -> str:
-    what = f"{step.verb} {step.subject}".strip() if step else "beginning"
-    why = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
-    end = f"; this could NOT be changed back: {'; '.join(left)}" if left else "; everything is as it was before"
-    return f"{what}: {why}{end}"
-
-
-def _move_back(path: str) -> None:
-    with contextlib.suppress(FileNotFoundError):
-        os.rename(path + OLD, path)
-
-
-def _missing_parents(paths: Sequence[str]) -> list[str]:
-    """Directories on the way to these paths that are not there, the outermost first."""
-    found: set[str] = set()
-    for path in paths:
-        while not os.path.isdir(path := os.path.dirname(path)):
-            found.add(path)
-    return sorted(found, key=len)
+def remove(path: str) -> None:
+    """Whatever is there. Raises InstallError where it is a mount of its own: that is emptied."""
+    try:
+        if os.path.isdir(path) and not os.path.islink(path):
+            shutil.rmtree(path)
+        else:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(path)
+    except OSError as error:
+        if error.errno != errno.EBUSY:
+            raise
+        raise InstallError(f"{path} is empty, but a mount of its own") from None
 
 
 def _remove_empty(path: str, *accepted: int) -> None:
@@ -209,57 +187,49 @@ def _remove_empty(path: str, *accepted: int) -> None:
             raise
 
 
-def _remove_emptied(path: str) -> None:
-    """A directory that could not be moved aside. Raises InstallError where it can't be removed either."""
-    try:
-        os.rmdir(path)
-    except OSError as error:
-        if error.errno != errno.EBUSY:
-            raise
-        raise InstallError(f"{path} is empty, but a mount of its own") from None
+def _missing_parents(paths: Sequence[str]) -> list[str]:
+    """Directories on the way to these paths that are not there, the outermost first."""
+    found: set[str] = set()
+    for path in paths:
+        while not os.path.isdir(path := os.path.dirname(path)):
+            found.add(path)
+    return sorted(found, key=len)
 
 
-def _content(path: str) -> bytes | None:
-    try:
-        with open(path, "rb") as file:
-            return file.read()
-    except FileNotFoundError:
-        return None
+def _restorer(path: str) -> Act:
+    """What puts back a file, a link, or a directory that is moved aside, or removes what is not there yet."""
+    if not os.path.lexists(path):
+        return partial(remove, path)
+    found = os.lstat(path)
+    if stat.S_ISDIR(found.st_mode):
+        return partial(_move_back, path)
+    return partial(put, path, content(path), (found.st_uid, found.st_gid), stat.S_IMODE(found.st_mode))
 
 
-def _restore_unless_changed(path: str, restore: Undo, after: dict[str, bytes | None]) -> None:
-    """Undo what a program wrote into a file of the system's; somebody else's change since then is not thrown away."""
-    if after and _content(path) != after[path]:
+def _move_back(path: str) -> None:
+    if os.path.isdir(path + OLD):
+        remove(path)
+        os.rename(path + OLD, path)
+
+
+def _restore(path: str, restore: Act, left_as: Mapping[str, Content]) -> None:
+    if path in left_as and content(path) != left_as[path]:
         raise InstallError(f"{path} was changed by somebody else meanwhile and stays")
     restore()
 
 
-def _restorer(path: str) -> Undo:
-    """What puts a file or link back as it is now, or removes it if it is not there."""
-    if os.path.islink(path):
-        return partial(_relink, path, os.readlink(path))
-    data = _content(path)
-    return partial(_remove, path) if data is None else partial(_rewrite, path, data, os.stat(path))
-
-
-def _relink(path: str, target: str) -> None:
-    _remove(path)
-    os.symlink(target, path)
-
-
-def _rewrite(path: str, data: bytes, was: os.stat_result) -> None:
-    if _content(path) != data:
-        with open(path + NEW, "wb") as file:
-            file.write(data)
-            os.fchown(file.fileno(), was.st_uid, was.st_gid)
-            os.fchmod(file.fileno(), stat.S_IMODE(was.st_mode))
-        os.replace(path + NEW, path)
-
-
-def _remove(path: str) -> None:
-    """Whatever is there."""
-    if os.path.isdir(path) and not os.path.islink(path):
-        shutil.rmtree(path)
-    else:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(path)
+def _all_of(acts: Sequence[Act]) -> list[str]:
+    """Do all of them; returns what went wrong. A second Ctrl-C does not leave half of it, and does not keep what is to
+    be said from being said."""
+    before, wrong = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING), []
+    try:
+        for act in acts:
+            try:
+                act()
+            except (OSError, InstallError) as error:
+                wrong.append(str(error))
+    finally:
+        while signal.sigtimedwait(ENDING, 0):
+            pass
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return wrong

@@ -20,29 +20,29 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from failstop.install import InstallError, layout, rows, tree
-from failstop.install.layout import PREFIX
-from failstop.install.rows import EXTRAS, LATE, OWN, ROWS, SETTINGS, SYSUSERS
+from failstop import config
+from failstop.install import InstallError, rows, system, tree
+from failstop.install.rows import EXTRAS, LATE, OWN, ROWS, SETTINGS
+from failstop.install.system import PREFIX
 from failstop.shm.instance import DEFAULT_NAME
 from failstop.version import VERSION
 
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent.parent
 SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
-CONFIGURATION = layout.configuration_of(DEFAULT_NAME).lstrip("/")
+CONFIGURATION = config.file_of(DEFAULT_NAME).lstrip("/")
 LABORATORY = "failstop-lab"
 LAB = f"{tree.SITE}/failstop/lab/"
 NOBODY = "failstop developers <root@localhost>"
-DOC = "usr/share/doc/failstop"
 WORDS = {
     "@BOOT@": " ".join(row.source for row in OWN if row.boot),
     "@EXTRAS@": " ".join(extra.source for extra in EXTRAS),
     "@LATE@": LATE.replace("@", "@*"),
-    "@SYSUSERS@": next(row.package for row in ROWS if row.source == SYSUSERS),
-    "@CONFIGURATION@": layout.CONFIGURATION,
-    "@STATE@": layout.STATE,
-    "@RUNTIME@": layout.RUNTIME,
-    "@MANIFEST@": layout.MANIFEST,
+    "@SYSUSERS@": next(row.package for row in ROWS if row.place == rows.SYSUSERS),
+    "@CONFIGURATION@": config.FOLDER,
+    "@STATE@": system.STATE,
+    "@RUNTIME@": system.RUNTIME,
+    "@MANIFEST@": system.MANIFEST,
 }
 """What the scripts of the package say of the installation's rows and places."""
 
@@ -68,65 +68,47 @@ def main() -> int:
     return 0
 
 
-def build(directory: Path, out: Path, interpreter: str) -> tuple[Path, Path]:
-    """Lay the packages out in a directory and pack them; returns their paths."""
+def build(directory: Path, out: Path, interpreter: str) -> list[Path]:
+    """Lay the packages out in a directory and pack them; returns their paths, the robot's first."""
     whole = tree.running(PREFIX, interpreter, [extra.needs for extra in EXTRAS if extra.needs])
-    inside = {entry for entry in whole.entries if entry.path.startswith(LAB)}
-    robots = dataclasses.replace(whole, entries=tuple(entry for entry in whole.entries if entry not in inside))
-    laboratory = dataclasses.replace(whole, entries=tuple(inside))
-    return (
-        _robots(robots, directory / "failstop", out),
-        _laboratory(laboratory, directory / "failstop-lab", out),
-    )
+    inside = [entry for entry in whole.entries if entry.path.startswith(LAB)]
+    scripts = {f"DEBIAN/{name}": script(name) for name in SCRIPTS} | {"DEBIAN/conffiles": f"/{CONFIGURATION}\n"}
+    layouts = {
+        "failstop": ([entry for entry in whole.entries if entry not in inside], files(rows.texts()) | scripts),
+        LABORATORY: (inside, papers(LABORATORY)),
+    }
+    packed = []
+    for name, (entries, texts) in layouts.items():
+        root = directory / name
+        (root / "opt").mkdir(parents=True)
+        dataclasses.replace(whole, entries=tuple(entries)).write(str(root / PREFIX.lstrip("/")))
+        for path, text in texts.items():
+            _write(root / path, text)
+        if name != LABORATORY:
+            (root / "usr/bin").mkdir(parents=True)
+            (root / "usr/bin/failstop").symlink_to(f"{PREFIX}/bin/failstop")
+        _control(root, name, os.path.basename(interpreter))
+        for folder, _, _ in os.walk(root):
+            os.chmod(folder, 0o755)
+        # gzip: much faster than xz, and every dpkg reads it. The directory as target: dpkg-deb names the file.
+        said = _said("dpkg-deb", "--root-owner-group", "-Zgzip", "-z4", "--build", str(root), str(out))
+        packed.append(out / os.path.basename(said.split("'")[-2]))
+    return packed
 
 
-def _robots(environment: tree.Environment, root: Path, out: Path) -> Path:
-    (root / "opt").mkdir(parents=True)
-    environment.write(str(root / PREFIX.lstrip("/")))
-    for path, text in files(rows.texts()).items():
-        _write(root / path, text)
-    (root / "usr/bin").mkdir(parents=True)
-    (root / "usr/bin/failstop").symlink_to(f"{PREFIX}/bin/failstop")
-    _control(
-        root,
-        "control.in",
-        architecture=_said("dpkg", "--print-architecture"),
-        python=os.path.basename(environment.interpreter),
-        libc=newest_libc(root),
-    )
-    _write(root / "DEBIAN/conffiles", f"/{CONFIGURATION}\n")
-    for name in SCRIPTS:
-        _write(root / "DEBIAN" / name, script(name))
-        os.chmod(root / "DEBIAN" / name, 0o755)
-    return _packed(root, out)
-
-
-def _laboratory(environment: tree.Environment, root: Path, out: Path) -> Path:
-    (root / "opt").mkdir(parents=True)
-    environment.write(str(root / PREFIX.lstrip("/")))
-    _write(root / f"usr/share/doc/{LABORATORY}/copyright", (CHECKOUT / "LICENSE").read_text())
-    _write(root / f"usr/share/doc/{LABORATORY}/changelog.gz", changelog(LABORATORY))
-    _control(root, "control-lab.in", architecture="all")
-    return _packed(root, out)
-
-
-def _packed(root: Path, out: Path) -> Path:
-    for folder, _, _ in os.walk(root):
-        os.chmod(folder, 0o755)
-    # gzip: much faster than xz, and every dpkg reads it. The directory as target: dpkg-deb names the file.
-    said = _said("dpkg-deb", "--root-owner-group", "-Zgzip", "-z4", "--build", str(root), str(out))
-    return out / os.path.basename(said.split("'")[-2])
+def papers(package: str) -> dict[str, str]:
+    """What Debian wants to see in each package, by path."""
+    licences = f"\nThe packages below {PREFIX} have licences of their own, in their .dist-info directories.\n"
+    return {
+        f"usr/share/doc/{package}/changelog.gz": changelog(package),
+        f"usr/share/doc/{package}/copyright": (CHECKOUT / "LICENSE").read_text() + licences,
+    }
 
 
 def files(texts: Mapping[str, str]) -> dict[str, str]:
-    """The texts of the package but for the environment, by path; compressed where it ends in .gz."""
-    return {
-        CONFIGURATION: texts[SETTINGS],
-        **{row.package.lstrip("/"): texts[row.source] for row in ROWS},
-        f"{DOC}/changelog.gz": changelog(),
-        f"{DOC}/copyright": (CHECKOUT / "LICENSE").read_text()
-        + f"\nThe packages below {PREFIX} have licences of their own, in their .dist-info directories.\n",
-    }
+    """The texts of the robot's package but for the environment, by path; compressed where it ends in .gz."""
+    placed = {row.package.lstrip("/"): texts[row.source] for row in ROWS}
+    return {CONFIGURATION: texts[SETTINGS]} | placed | papers("failstop")
 
 
 def script(name: str) -> str:
@@ -152,7 +134,7 @@ def _git(key: str, folder: Path) -> str:
     return done.stdout.strip()
 
 
-def changelog(package: str = "failstop") -> str:
+def changelog(package: str) -> str:
     """What Debian wants to see of a version."""
     who = maintainer(os.environ)
     date = email.utils.formatdate(int(os.environ.get("SOURCE_DATE_EPOCH", time.time())))
@@ -167,16 +149,19 @@ def newest_libc(root: Path) -> str:
     return "{}.{}".format(*max(found))
 
 
-def _control(root: Path, template: str, **words: str) -> None:
+def _control(root: Path, package: str, python: str) -> None:
     """DEBIAN/: the control file from its template, and the checksums."""
     regular = sorted(path for path in root.rglob("*") if path.is_file() and not path.is_symlink())
-    size = sum(path.stat().st_size for path in regular) // 1024 + 1
-    control = (
-        (HERE / template)
-        .read_text()
-        .format(version=VERSION, maintainer=maintainer(os.environ), installed_kib=size, **words)
-    )
-    _write(root / "DEBIAN/control", control)
+    regular = [path for path in regular if path.parent.name != "DEBIAN"]
+    words = {
+        "version": VERSION,
+        "maintainer": maintainer(os.environ),
+        "installed_kib": sum(path.stat().st_size for path in regular) // 1024 + 1,
+        "architecture": _said("dpkg", "--print-architecture"),
+        "python": python,
+        "libc": newest_libc(root),
+    }
+    _write(root / "DEBIAN/control", (HERE / f"{package}.control").read_text().format(**words))
     sums = [f"{hashlib.md5(path.read_bytes()).hexdigest()}  {path.relative_to(root)}\n" for path in regular]
     _write(root / "DEBIAN/md5sums", "".join(line for line in sums if not line.endswith(f"{CONFIGURATION}\n")))
 
@@ -185,7 +170,7 @@ def _write(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     data = text.encode()
     path.write_bytes(gzip.compress(data, 9, mtime=0) if path.suffix == ".gz" else data)
-    os.chmod(path, 0o644)
+    os.chmod(path, 0o755 if path.name in SCRIPTS else 0o644)
 
 
 def _said(*words: str) -> str:

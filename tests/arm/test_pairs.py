@@ -166,9 +166,8 @@ def test_moving_before_the_last_look_at_the_epoch(port: port_scene.Scene, trace:
 
 
 def test_the_epoch_and_the_look_before_moving(watching: Watching, trace: Trace) -> None:
-    silence = watching.supervisor._silence
-    trace.watch(moving=silence._moving_word)
-    silence.motion(1)
+    trace.watch(moving=watching.supervisor._moving_word)
+    watching.supervisor._motion()
     assert trace.done == ["barrier", "load moving"]
 
 

@@ -16,7 +16,7 @@ import pytest
 from failstop.doctor import machine, port, service, stop_path, table
 from failstop.doctor.look import Look
 from failstop.doctor.system import Holder, System, User
-from failstop.install.layout import unit_of
+from failstop.instances import unit_of
 from failstop.shm import claim, layout, segment
 
 

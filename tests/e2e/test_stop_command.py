@@ -14,13 +14,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from failstop import config, instances
+from failstop import config, instances, stopping
 from failstop.board.burst import BURST
+from failstop.board.interface import BOARD
 from failstop.board.port import PortError
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
 from failstop.shm import instance, root
-from failstop.stopping import rest, tool
 from tests.support.commands import FAILSTOP, failstop
 
 Waits = list[tuple[str, float]]
@@ -62,7 +62,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Waits:
         found.append((path, wait(PortError("absent", f"no device {path}"))))
         return 0.0
 
-    monkeypatch.setattr(tool, "stop", stopped)
+    monkeypatch.setattr(stopping, "stop", stopped)
     return found
 
 
@@ -168,8 +168,8 @@ def service(monkeypatch: pytest.MonkeyPatch, asked: Waits) -> list[object]:
         return 2, 0
 
     monkeypatch.setenv("SERVICE_RESULT", "watchdog")
-    monkeypatch.setattr(rest, "of_a_service", lambda: True)
-    monkeypatch.setattr(rest, "kill", kill)
+    monkeypatch.setattr(stopping, "of_a_service", lambda: True)
+    monkeypatch.setattr(stopping, "kill_rest", kill)
     return done
 
 
@@ -197,7 +197,7 @@ def test_at_the_end_of_the_service_a_port_that_takes_nothing_is_left_to_another_
         waits.append(wait(PortError("io", f"{path} takes no bytes")))
         return 0.0
 
-    monkeypatch.setattr(tool, "stop", stalled)
+    monkeypatch.setattr(stopping, "stop", stalled)
     assert cli.main(["stop", "--end-service", "--device", "/dev/board"]) == 0
     assert cli.main(["stop", "--device", "/dev/board", "--wait", "3600"]) == 0
     assert waits == [stop.STALLED_S, 3600.0], "that unit goes on for as long as it is told to"
@@ -211,7 +211,7 @@ def test_a_shorter_wait_stays(service: list[object], asked: Waits) -> None:
 def test_what_does_not_end_is_said(
     service: list[object], asked: Waits, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rest, "kill", lambda timeout_s: (3, 1))
+    monkeypatch.setattr(stopping, "kill_rest", lambda timeout_s: (3, 1))
     assert cli.main(["stop", "--end-service"]) == 0
     assert "1 of them have not ended within 1 s" in capsys.readouterr().err
     assert len(asked) == 1, "the stop is tried all the same"
@@ -223,7 +223,7 @@ def test_a_group_that_cannot_be_read_costs_no_stop(
     def fails(*_: object) -> tuple[int, int]:
         raise PermissionError(13, "Permission denied", "/proc/self/cgroup")
 
-    monkeypatch.setattr(rest, "kill", fails)
+    monkeypatch.setattr(stopping, "kill_rest", fails)
     assert cli.main(["stop", "--end-service"]) == 0
     assert "cannot kill what is left of the service" in capsys.readouterr().err
     assert len(asked) == 1
@@ -241,7 +241,7 @@ def test_by_hand_it_ends_nothing(
     """It would kill the caller's whole login."""
     if result is None:
         monkeypatch.delenv("SERVICE_RESULT")
-    monkeypatch.setattr(rest, "of_a_service", lambda: in_service)
+    monkeypatch.setattr(stopping, "of_a_service", lambda: in_service)
     assert cli.main(["stop", "--end-service"]) == 1
     assert (service, len(asked)) == ([], 1), "nothing killed, and stopped all the same"
     assert "by hand use `failstop stop` without it" in capsys.readouterr().err
@@ -258,6 +258,19 @@ def test_the_burst_goes_to_the_port_of_the_file(board: tuple[str, int], file: Pa
     sent = f"stop frame sent (after 0.0 s), directly to {link}\n"
     assert (result.returncode, result.stdout, result.stderr) == (0, sent, "")
     assert os.read(master, 4096) == BURST
+
+
+@pytest.mark.parametrize("named", [True, False], ids=["port named", "port of the file"])
+def test_the_arm_is_stopped_after_the_wheels_with_the_servos_that_can_be(
+    named: bool, board: tuple[str, int], file: Path
+) -> None:
+    link, master = board
+    servos = {"a": "3", "b": "1", "c": "0", "d": "[2]", "e": "1.5", "f": "true", "g": "3"}
+    lines = [f'device.path = "{link}"', *(f"joints.{name}.servo = {value}" for name, value in servos.items())]
+    file.write_text("\n".join(lines))
+    result = failstop("stop", "--config", str(file), *(["--device", link] if named else []))
+    assert (result.returncode, result.stderr) == (0, "")
+    assert os.read(master, 4096) == BURST + BOARD.burst_with((1, 3))
 
 
 BAD_FILES: dict[str, Callable[[Path], object]] = {

@@ -17,7 +17,7 @@ from failstop.lab.trial import Trial, judge, wait_for
 from failstop.policy import causes
 from failstop.shm import instance
 from failstop.shm.records import ASKED_BYTES
-from failstop.supervisor.allowance import ASKED_BYTES as ASKED_ROOM
+from failstop.supervisor.events import ASKED_BYTES as ASKED_ROOM
 from tests.support.children import NOBODY, become
 from tests.support.commands import failstop
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import errno
 import os
 import signal
 import threading
@@ -12,29 +10,30 @@ from pathlib import Path
 import pytest
 
 from failstop.install import InstallError
-from failstop.install.do import NEW, OLD, Doer
-from failstop.install.found import Request
-from failstop.install.looking import look
-from failstop.install.plan import install, uninstall
-from failstop.install.steps import Command, Directory, File, Link, Plan, Remove, Start, Step, Tree
-from tests.install.scene import GROUP, PASSWD, TEXTS, NotingMachine, environment, snapshot
+from failstop.install.do import NEW, OLD, Discard, Doer, Put, Run, Start, Step
+from failstop.install.plan import Plan, uninstall
+from tests.install.scene import (
+    GROUP,
+    INSTALLED,
+    PASSWD,
+    TEXTS,
+    PlayedSystem,
+    planned,
+    snapshot,
+)
 
 
-def plan_for(root: Path, version: str = "1.0", units: tuple[str, ...] = (), live: bool = True) -> Plan:
-    """The plan of an installation into a directory, as if the system there ran and these units with it."""
-    request = Request(root=str(root), live=live)
-    found = look(dataclasses.replace(request, live=False))
+def plan_for(root: Path, version: str = "1.0", units: tuple[str, ...] = ()) -> Plan:
+    """The plan of an installation into a directory, as if these units ran there."""
     changed = {name: f"# {version}\n{text}" for name, text in TEXTS.items() if name.endswith(".service")}
     changed["failstop.catalog"] = f"{TEXTS['failstop.catalog']}{version}\n"
-    return install(
-        TEXTS | changed, request, environment(version).digest(), dataclasses.replace(found, active=units, udev=True)
-    )
+    return planned(PlayedSystem(root, running=units), texts=TEXTS | changed, version=version)
 
 
-def do(root: Path, plan: Plan, version: str = "1.0", machine: NotingMachine | None = None) -> NotingMachine:
-    machine = machine or NotingMachine()
-    assert Doer(str(root), machine, environment(version)).do(plan.steps) == []
-    return machine
+def do(root: Path, steps: tuple[Step, ...], system: PlayedSystem | None = None) -> PlayedSystem:
+    system = system or PlayedSystem(root)
+    assert Doer(system).do(steps) == []
+    return system
 
 
 @pytest.fixture
@@ -42,60 +41,39 @@ def root(tmp_path: Path) -> Path:
     """A system with a user database, and an administrator's own things."""
     (tmp_path / "etc/systemd/system").mkdir(parents=True)
     (tmp_path / "etc/systemd/system/own.service").write_text("[Service]\n")
-    (tmp_path / "etc/passwd").write_bytes(PASSWD)
-    (tmp_path / "etc/group").write_bytes(GROUP)
+    (tmp_path / "etc/passwd").write_text(PASSWD)
+    (tmp_path / "etc/group").write_text(GROUP)
     return tmp_path
 
 
 def test_what_is_installed_and_nothing_else(root: Path) -> None:
     before = snapshot(root)
-    machine = do(root, plan_for(root))
+    system = do(root, plan_for(root).steps)
     after = snapshot(root)
     assert {path: found for path, found in after.items() if path in before} == before
     files = {path for path, (kind, _, _) in after.items() if kind == "-" and path not in before}
-    assert {path for path in files if not path.endswith(".pyc")} == {
-        "etc/failstop/failstop.toml",
-        "etc/systemd/system/failstop.service",
-        "etc/systemd/system/failstop@.service",
-        "etc/systemd/system/failstop-sleep.service",
-        "etc/systemd/system/failstop-late@.service",
-        "etc/sysusers.d/failstop.conf",
-        "etc/udev/rules.d/90-failstop.rules",
-        "opt/failstop/bin/failstop",
-        "opt/failstop/install.json",
-        "opt/failstop/lib/module.py",
-        "usr/local/lib/systemd/catalog/failstop.catalog",
-        "usr/local/share/bash-completion/completions/failstop",
-        "usr/local/share/fish/vendor_completions.d/failstop.fish",
-        "usr/local/share/man/man1/failstop.1",
-        "usr/local/share/zsh/site-functions/_failstop",
-    }
+    assert {path for path in files if not path.endswith(".pyc")} == INSTALLED
     assert len([path for path in files if path.endswith(".pyc")]) == 1, "compiled: the service may not write there"
     assert after["opt/failstop/bin/failstop"][1] == 0o755
     assert all(mode == 0o755 for path, (kind, mode, _) in after.items() if kind == "d" and path not in before)
     assert after["usr/local/bin/failstop"] == ("l", 0o777, b"/opt/failstop/bin/failstop")
-    assert machine.ran[-1] == "start failstop.service"
+    assert system.ran[-1] == "start failstop.service"
 
 
 def test_installed_again_it_is_nothing_and_uninstalled_it_is_as_before(root: Path) -> None:
     before = snapshot(root)
-    do(root, plan_for(root))
+    do(root, plan_for(root).steps)
     assert plan_for(root, units=("failstop.service",)).steps == ()
-    request = Request(root=str(root), live=False)
-    do(root, uninstall(request, look(request)))
+    do(root, uninstall(PlayedSystem(root)).steps)
     assert {path for path in snapshot(root) if path not in before} == {"etc/failstop", "etc/failstop/failstop.toml"}
-    request = Request(root=str(root), live=False)
-    do(
-        root,
-        Plan(tuple(s for s in uninstall(request, look(request), True).steps if isinstance(s, Remove))),
-    )
+    do(root, uninstall(PlayedSystem(root), purge=True).steps)
     assert snapshot(root) == before
 
 
 def test_an_umask_does_not_hide_it_from_the_service(root: Path) -> None:
     mask = os.umask(0o077)
     try:
-        do(root, plan_for(root))
+        do(root, plan_for(root).steps)
     finally:
         os.umask(mask)
     assert all(mode & 0o044 == 0o044 for path, (_, mode, _) in snapshot(root).items() if path.startswith("opt/"))
@@ -106,7 +84,7 @@ def test_an_umask_does_not_hide_it_from_the_service(root: Path) -> None:
 def test_a_failure_after_any_step_leaves_everything_as_it_was(root: Path, upgrade: bool) -> None:
     units: tuple[str, ...] = ()
     if upgrade:
-        do(root, plan_for(root))
+        do(root, plan_for(root).steps)
         units = ("failstop.service",)
     before = snapshot(root)
     plan = plan_for(root, "2.0", units)
@@ -118,9 +96,9 @@ def test_a_failure_after_any_step_leaves_everything_as_it_was(root: Path, upgrad
                 raise OSError("injected")
 
         with pytest.raises(InstallError, match="injected; everything is as it was before"):
-            Doer(str(root), NotingMachine(), environment("2.0")).do(plan.steps, fail)
+            Doer(PlayedSystem(root)).do(plan.steps, fail)
         assert snapshot(root) == before, failing
-    do(root, plan, "2.0")
+    do(root, plan.steps)
     assert snapshot(root) != before
 
 
@@ -145,14 +123,14 @@ class FullDisk:
 
 @pytest.mark.parametrize("name", ["replace", "rename", "symlink", "mkdir", "fsync", "fchmod"])
 def test_a_failure_within_any_step_too(root: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    do(root, plan_for(root))
+    do(root, plan_for(root).steps)
     before = snapshot(root)
     plan = plan_for(root, "2.0", ("failstop.service",))
     for allowed in range(100):
         with monkeypatch.context() as patched:
             disk = FullDisk(patched, name, allowed)
             try:
-                Doer(str(root), NotingMachine(), environment("2.0")).do(plan.steps)
+                Doer(PlayedSystem(root)).do(plan.steps)
             except InstallError as failure:
                 said = str(failure)
         if not disk.failed:
@@ -164,14 +142,14 @@ def test_a_failure_within_any_step_too(root: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_a_failing_command_undoes_what_was_before_it_and_starts_the_old_service_again(root: Path) -> None:
-    do(root, plan_for(root))
+    do(root, plan_for(root).steps)
     before = snapshot(root)
-    machine = NotingMachine("start failstop.service")
+    system = PlayedSystem(root, failing="start failstop.service")
     with pytest.raises(InstallError, match=r"^start failstop.service: start: no; everything is as it was before$"):
-        do(root, plan_for(root, "2.0", ("failstop.service",)), "2.0", machine)
+        do(root, plan_for(root, "2.0", ("failstop.service",)).steps, system)
     assert snapshot(root) == before
-    assert machine.ran[0] == "systemctl stop failstop.service"
-    told = machine.ran[machine.ran.index("start failstop.service") + 1 :]
+    assert system.ran[0] == "systemctl stop failstop.service"
+    told = system.ran[system.ran.index("start failstop.service") + 1 :]
     assert told == [
         "systemctl stop failstop.service",
         "systemctl daemon-reload",
@@ -183,24 +161,23 @@ def test_ctrl_c_is_a_failure_too(root: Path) -> None:
     before = snapshot(root)
 
     def interrupt(step: Step) -> None:
-        if isinstance(step, Tree):
+        if step.subject == "/opt/failstop":
             raise KeyboardInterrupt
 
     with pytest.raises(InstallError, match="interrupted; everything is as it was before"):
-        Doer(str(root), NotingMachine(), environment()).do(plan_for(root).steps, interrupt)
+        Doer(PlayedSystem(root)).do(plan_for(root).steps, interrupt)
     assert snapshot(root) == before
 
 
 def test_what_cannot_be_changed_back_is_named(root: Path) -> None:
     steps = (
-        Directory("create", "/new"),
-        Command("run", "something", words=("true",), undo=("undo-it",)),
-        Start("start", "x"),
+        Put("create", "/new/file", content=b""),
+        Run("run", "something", words=("true",), undo=("undo-it",)),
+        Start("start", "undo-it-too"),
     )
-    machine = NotingMachine("undo-it")
-    machine.start = lambda unit: machine.run(("undo-it",))  # type: ignore[method-assign]
-    with pytest.raises(InstallError, match=r"^start x: undo-it: no; this could NOT be changed back: undo-it: no$"):
-        Doer(str(root), machine).do(steps)
+    said = r"^start undo-it-too: start: no; this could NOT be changed back: undo-it: no$"
+    with pytest.raises(InstallError, match=said):
+        Doer(PlayedSystem(root, failing="undo-it")).do(steps)
     assert not (root / "new").exists(), "the rest is"
 
 
@@ -210,68 +187,80 @@ def test_a_new_directory_that_somebody_else_has_filled_is_named(root: Path) -> N
         raise OSError("injected")
 
     with pytest.raises(InstallError, match=r"could NOT be changed back: .*not empty.*/new"):
-        Doer(str(root), NotingMachine()).do([Directory("create", "/new")], fill)
-    assert (root / "new/theirs").exists()
+        Doer(PlayedSystem(root)).do([Put("create", "/new/file", content=b"")], fill)
+    assert os.listdir(root / "new") == ["theirs"]
 
 
 def test_a_users_file_that_somebody_else_changed_meanwhile_stays(root: Path) -> None:
     passwd = root / "etc/passwd"
-
-    class Adding(NotingMachine):
-        def run(self, words: object, accepted: object = (0,)) -> None:
-            with passwd.open("a") as file:
-                file.write("failstop:x:\n")
 
     def other(step: Step) -> None:
         with passwd.open("a") as file:
             file.write("somebody:x:\n")
         raise OSError("injected")
 
-    steps = [Command("create", "user", "", ("sysusers",), touches=("/etc/passwd", "/etc/shadow"))]
+    steps = [Run("create", "user", "", ("systemd-sysusers",), changes=("/etc/passwd", "/etc/shadow"))]
+    passwd.write_text("")
     with pytest.raises(InstallError, match=r"could NOT be changed back: .*/etc/passwd was changed by somebody else"):
-        Doer(str(root), Adding()).do(steps, other)
-    assert passwd.read_text().endswith("somebody:x:\n")
+        Doer(PlayedSystem(root)).do(steps, other)
+    assert passwd.read_text() == PASSWD + "somebody:x:\n"
+
+
+def test_a_users_file_that_a_program_has_changed_is_put_back_with_its_rights(root: Path) -> None:
+    shadow = root / "etc/shadow"
+    shadow.write_text("old")
+    shadow.chmod(0o640)
+    before = snapshot(root)
+
+    class Writing(PlayedSystem):
+        def run(self, words: object, accepted: object = (0,)) -> None:
+            shadow.unlink()
+            shadow.write_text("new")
+            raise InstallError("half of it")
+
+    with pytest.raises(InstallError, match="half of it; everything is as it was before"):
+        Doer(Writing(root)).do([Run("create", "user", "", ("x",), changes=("/etc/shadow",))])
+    assert snapshot(root) == before
 
 
 def test_remains_of_a_power_failure_do_not_matter(root: Path) -> None:
     for name in (f"failstop{NEW}", f"failstop{OLD}"):
         (root / "opt" / name / "lib").mkdir(parents=True)
-    do(root, plan_for(root))
+    do(root, plan_for(root).steps)
     assert sorted(os.listdir(root / "opt")) == ["failstop"]
 
 
+def test_a_failure_does_not_bring_back_what_a_power_failure_left(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    do(root, plan_for(root).steps)
+    before = snapshot(root)
+    (root / "opt" / f"failstop{OLD}/lib").mkdir(parents=True)
+    steps = plan_for(root, "2.0").steps
+    FullDisk(monkeypatch, "mkdir", 0)
+    with pytest.raises(InstallError, match=r"replace /opt/failstop: .*No space left"):
+        Doer(PlayedSystem(root)).do(steps)
+    monkeypatch.undo()
+    assert snapshot(root) == before
+
+
 def test_a_directory_with_something_of_somebody_else_stays(root: Path) -> None:
-    do(root, plan_for(root))
+    do(root, plan_for(root).steps)
     (root / "usr/local/lib/systemd/catalog/other.catalog").write_text("other")
-    request = Request(root=str(root), live=False)
-    do(root, uninstall(request, look(request)))
+    do(root, uninstall(PlayedSystem(root)).steps)
     assert (root / "usr/local/lib/systemd/catalog/other.catalog").exists()
     assert not (root / "usr/local/bin").exists()
 
 
-@pytest.mark.parametrize("refused", [errno.EBUSY, errno.EXDEV])
-def test_a_directory_that_can_not_be_moved_is_emptied_or_stays_as_it_was(
-    root: Path, monkeypatch: pytest.MonkeyPatch, refused: int
-) -> None:
-    """As a mount point can't."""
-    mount, plain_rename = root / "var/lib/failstop", os.rename
-    (mount / "front/incidents").mkdir(parents=True)
-    (mount / "front/incidents/one").write_text("1")
-    (mount / "log").symlink_to("front")
-
-    def rename(old: str, new: str) -> None:
-        if old == str(mount):
-            raise OSError(refused, os.strerror(refused), old)
-        plain_rename(old, new)
-
-    monkeypatch.setattr(os, "rename", rename)
+def test_a_directory_is_removed_when_all_else_is_done(root: Path) -> None:
+    """What nothing brings back is there until then."""
+    (root / "var/lib/failstop/front/incidents").mkdir(parents=True)
+    (root / "var/lib/failstop/front/incidents/one").write_text("1")
+    (root / "var/lib/failstop/log").symlink_to("front")
     before = snapshot(root)
-    steps = (Remove("remove", "/var/lib/failstop"), Command("run", "no", "", ("no",)))
+    steps = (Discard("remove", "/var/lib/failstop"), Run("run", "no", "", ("no",)))
     with pytest.raises(InstallError, match="everything is as it was before"):
-        Doer(str(root), NotingMachine("no")).do(steps)
+        Doer(PlayedSystem(root, failing="no")).do(steps)
     assert snapshot(root) == before
-    assert Doer(str(root), NotingMachine()).do(steps) == []
-    assert not mount.exists()
+    do(root, steps)
     assert set(before) - set(snapshot(root)) == {path for path in before if path.startswith("var/lib/failstop")}
 
 
@@ -282,15 +271,15 @@ def test_files_and_links_over_one_another(root: Path) -> None:
     (root / "etc/d").chmod(0o640)
     before = snapshot(root)
     steps = (
-        File("create", "/etc/a", data=b"new"),
-        Link("create", "/etc/b", target="/there"),
-        File("create", "/etc/d", data=b"new"),
-        Remove("remove", "/etc/c"),
+        Put("create", "/etc/a", content=b"new"),
+        Put("create", "/etc/b", content="/there"),
+        Put("create", "/etc/d", content=b"new"),
+        Put("remove", "/etc/c"),
     )
     with pytest.raises(InstallError):
-        Doer(str(root), NotingMachine("no")).do((*steps, Command("run", "no", "", ("no",))))
+        Doer(PlayedSystem(root, failing="no")).do((*steps, Run("run", "no", "", ("no",))))
     assert snapshot(root) == before
-    Doer(str(root), NotingMachine()).do(steps)
+    do(root, steps)
     assert snapshot(root)["etc/a"][2] == b"new"
     assert snapshot(root)["etc/b"] == ("l", 0o777, b"/there")
 
@@ -298,16 +287,15 @@ def test_files_and_links_over_one_another(root: Path) -> None:
 def test_an_installation_that_lost_its_power_can_be_done_again_or_taken_away(root: Path) -> None:
     before = snapshot(root)
     plan = plan_for(root)
-    at = next(index for index, step in enumerate(plan.steps) if isinstance(step, File))
-    do(root, dataclasses.replace(plan, steps=plan.steps[: at + 1]))
+    at = next(index for index, step in enumerate(plan.steps) if step.subject.endswith(".service"))
+    do(root, plan.steps[: at + 1])
     partly = snapshot(root)
-    do(root, plan_for(root))
+    do(root, plan_for(root).steps)
     assert plan_for(root, units=("failstop.service",)).steps == ()
     for path in sorted(set(snapshot(root)) - set(partly), reverse=True):
         target = root / path
         target.rmdir() if target.is_dir() and not target.is_symlink() else target.unlink()
-    request = Request(root=str(root), live=False)
-    do(root, uninstall(request, look(request)))
+    do(root, uninstall(PlayedSystem(root)).steps)
     assert set(snapshot(root)) - set(before) <= {"etc/failstop"}
 
 
@@ -315,17 +303,17 @@ def test_a_second_ctrl_c_does_not_end_the_undoing(root: Path) -> None:
     before = snapshot(root)
     kept = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
 
-    class Impatient(NotingMachine):
+    class Impatient(PlayedSystem):
         def run(self, words: object, accepted: object = (0,)) -> None:
             if words == ("systemctl", "daemon-reload"):
                 self.ran.append("killed")
                 # To this thread: a process's signal goes to any thread, and numpy's and xdist's do not block it.
                 signal.pthread_kill(threading.get_ident(), signal.SIGINT)
 
-    machine = Impatient()
+    system = Impatient(root)
     # The reload is undone with a reload, in which the second signal comes.
     with pytest.raises(InstallError, match=r"daemon-reload: interrupted; everything is as it was before"):
-        Doer(str(root), machine, environment()).do(plan_for(root).steps)
+        Doer(system).do(plan_for(root).steps)
     signal.signal(signal.SIGINT, kept)
-    assert machine.ran == ["killed", "killed"]
+    assert system.ran == ["killed", "killed"]
     assert snapshot(root) == before

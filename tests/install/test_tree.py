@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-import py_compile
 import subprocess
 import sys
 from importlib import metadata
@@ -14,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from failstop.cli.commands import completion
-from failstop.install import InstallError, layout, rows, tree
+from failstop.install import InstallError, rows, tree
 from failstop.install.rows import EXTRAS
-from tests.install.scene import SYSUSERS, UNIT, environment
+from tests.install.scene import UNIT, environment
 
 BASE = os.path.realpath(getattr(sys, "_base_executable", sys.executable))
 
@@ -46,10 +45,10 @@ def test_the_running_environment_is_whole_and_nothing_of_the_checkout_but_the_pa
     assert not any("__pycache__" in path or "/tests/" in path for path in paths)
 
 
-def test_written_it_runs_by_itself_and_has_the_same_digest(running: tree.Environment, tmp_path: Path) -> None:
+def test_written_it_runs_by_itself_and_is_known_again(running: tree.Environment, tmp_path: Path) -> None:
     place = tmp_path / "environment"
     running.write(str(place))
-    assert tree.digest_of(str(place), "install.json") == running.digest()
+    assert running.is_at(str(place), "install.json")
     needed = "import failstop, msgpack, numpy, posix_ipc, psutil, serial; print(numpy.__file__, failstop.__file__)"
     said = subprocess.run(
         [place / "bin/python3", "-I", "-W", "error", "-c", needed], check=True, capture_output=True, text=True, cwd="/"
@@ -64,67 +63,37 @@ def test_written_it_runs_by_itself_and_has_the_same_digest(running: tree.Environ
     assert all(list((module.parent / "__pycache__").glob(f"{module.stem}.cpython-*.pyc")) for module in modules)
 
 
-def one_module(tmp_path: Path) -> tuple[Path, tree.Environment]:
-    source = tmp_path / "module.py"
-    source.write_text("where = (lambda: 0).__code__.co_filename\n")
-    return source, tree.Environment(str(tmp_path / "new"), BASE, (tree.Entry("module.py", str(source)),))
-
-
-def compiled(source: Path) -> Path:
-    return Path(importlib.util.cache_from_source(str(source)))
-
-
-def test_what_is_compiled_is_copied_and_used(tmp_path: Path) -> None:
-    source, environment = one_module(tmp_path)
-    py_compile.compile(str(source))
-    os.utime(source, ns=(0, 10**18))
-    py_compile.compile(str(source))
-    marked = compiled(source).read_bytes() + b"marked"
-    compiled(source).write_bytes(marked)
+def test_the_modules_are_compiled_for_their_place(tmp_path: Path) -> None:
+    environment = tree.Environment("/opt/failstop", BASE, (tree.Entry("module.py", b"where = lambda: 0\n"),))
     environment.write(str(tmp_path / "new"))
-    copy = tmp_path / "new/module.py"
-    assert compiled(copy).read_bytes() == marked
-    code = "import module; print(module.__cached__, module.where)"
-    said = subprocess.run([BASE, "-v", "-c", code], cwd=copy.parent, capture_output=True, text=True, check=True)
-    assert said.stdout.split() == [str(compiled(copy)), str(copy)], "the path in it is mended"
-    assert f"matches {copy}" in said.stderr
+    code = "import module; print(module.__cached__, module.where.__code__.co_filename)"
+    said = subprocess.run([BASE, "-v", "-c", code], cwd=tmp_path / "new", capture_output=True, text=True, check=True)
+    assert said.stdout.split()[0] == importlib.util.cache_from_source(str(tmp_path / "new/module.py"))
+    assert f"matches {tmp_path / 'new/module.py'}" in said.stderr
 
 
-@pytest.mark.parametrize("why", ["of another time", "of another size", "of another Python", "by a hash", "cut short"])
-def test_what_is_compiled_of_something_else_is_compiled_anew(tmp_path: Path, why: str) -> None:
-    source, environment = one_module(tmp_path)
-    by_hash = py_compile.PycInvalidationMode.CHECKED_HASH
-    py_compile.compile(str(source), invalidation_mode=by_hash if why == "by a hash" else None)
-    found = bytearray(compiled(source).read_bytes())
-    at = {"of another Python": 0, "of another time": 8, "of another size": 12}
-    if why in at:
-        found[at[why]] ^= 1
-    compiled(source).write_bytes(found[:12] if why == "cut short" else bytes(found) + b"marked")
-    environment.write(str(tmp_path / "new"))
-    again = compiled(tmp_path / "new/module.py").read_bytes()
-    assert again[:4] == importlib.util.MAGIC_NUMBER
-    assert not again.endswith(b"marked")
-
-
-def test_the_digest_sees_content_names_and_links(tmp_path: Path) -> None:
+def test_content_names_and_links_count(tmp_path: Path) -> None:
     first = environment()
     first.write(str(tmp_path / "a"))
-    digest = first.digest()
 
-    def found() -> str:
-        return tree.digest_of(str(tmp_path / "a"), "install.json")
+    def found() -> bool:
+        return first.is_at(str(tmp_path / "a"), "install.json")
 
-    assert found() == digest != environment("2.0").digest()
+    assert found()
+    assert not environment("2.0").is_at(str(tmp_path / "a"), "install.json")
     (tmp_path / "a/install.json").write_text("is not counted")
-    assert found() == digest
+    assert found()
     module = tmp_path / "a/lib/module.py"
     module.rename(module.with_name("other.py"))
-    assert found() != digest
+    assert not found()
     module.with_name("other.py").rename(module)
-    assert found() == digest
+    assert found()
     (tmp_path / "a/bin/python3").unlink()
     (tmp_path / "a/bin/python3").symlink_to("/elsewhere")
-    assert found() != digest
+    assert not found()
+    (tmp_path / "a/bin/python3").unlink()
+    (tmp_path / "a/bin/python3").write_bytes(b"")
+    assert not found()
 
 
 def lack(monkeypatch: pytest.MonkeyPatch, package: str) -> None:
@@ -164,10 +133,10 @@ def test_a_copy_of_a_copy_is_the_same(tmp_path: Path) -> None:
     first.write(str(tmp_path / "a"))
     code = (
         "from failstop.install import tree; import sys;"
-        "print(tree.running('/opt/failstop', sys.argv[1], ('web',)).digest())"
+        "print(tree.running('/opt/failstop', sys.argv[1], ('web',)).is_at(sys.argv[2], ''))"
     )
-    words = [str(tmp_path / "a/bin/python3"), "-I", "-c", code, BASE]
-    assert subprocess.run(words, check=True, capture_output=True, text=True, cwd="/").stdout == first.digest() + "\n"
+    words = [str(tmp_path / "a/bin/python3"), "-I", "-c", code, BASE, str(tmp_path / "a")]
+    assert subprocess.run(words, check=True, capture_output=True, text=True, cwd="/").stdout == "True\n"
 
 
 def test_a_package_that_is_not_pip_s_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,23 +145,12 @@ def test_a_package_that_is_not_pip_s_is_refused(monkeypatch: pytest.MonkeyPatch)
         tree.running("/opt/failstop", BASE)
 
 
-def test_what_the_service_could_not_run(tmp_path: Path) -> None:
-    tmp_path.chmod(0o755)
-    program = tmp_path / "program"
-    program.touch(0o755)
-    # Everything below /tmp is hidden from it, so the rest is asked without that.
-    hidden, tree.HIDDEN_FROM_SERVICE = tree.HIDDEN_FROM_SERVICE, ()  # type: ignore[assignment]
-    try:
-        private = next((part for part in program.parents if not part.stat().st_mode & 0o001), None)
-        assert tree.unreachable(str(program)) == (f"others may not enter {private}" if private else "")
-        program.chmod(0o744)
-        assert tree.unreachable(str(program)) == "others may not execute it"
-        assert tree.unreachable(str(tmp_path / "absent")) == "no such file or directory"
-    finally:
-        tree.HIDDEN_FROM_SERVICE = hidden
+def test_what_the_service_could_not_run() -> None:
     for path in ("/root/.venv/bin/python", "/home/me/venv/bin/python", "/tmp/venv/bin/python"):
         assert "is hidden from it" in tree.unreachable(path)
     assert tree.unreachable("/bin/sh") == ""
+    for path in ("/bin/absent", "/etc/passwd"):
+        assert "is not there, or can't be run" in tree.unreachable(path)
 
 
 def test_the_interpreter_is_one_that_the_service_can_run(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,7 +168,7 @@ def test_the_interpreter_is_one_that_the_service_can_run(monkeypatch: pytest.Mon
 def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
     found = rows.texts()
     units = {name: text for name, text in found.items() if name.endswith(".service")}
-    assert all(layout.UNIT_COMMAND in text for text in units.values())
+    assert all(rows.UNIT_COMMAND in text for text in units.values())
     wanted = {name: rows.wanted_by(text)[:1] for name, text in units.items()}
     assert wanted == {
         "failstop.service": ["multi-user.target"],
@@ -219,9 +177,9 @@ def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
         rows.LATE: [],
         **{extra.source: ["multi-user.target"] for extra in EXTRAS},
     }
-    users, memberships = rows.accounts(found[rows.SYSUSERS])
-    assert users == ["failstop"]
-    assert memberships == [("failstop", "dialout")]
+    lines = found["failstop.sysusers"].splitlines()
+    assert f'u {rows.USER} - "failstop, which makes the robot stop" /var/lib/failstop' in lines
+    assert f"m {rows.USER} {rows.PORT_GROUP}" in lines
     assert "path = " in found[rows.SETTINGS]
     assert found["failstop.catalog"].count("Defined-By: failstop") > 3
     assert ".TH FAILSTOP 1" in found["failstop.1"]
@@ -229,12 +187,6 @@ def test_the_parts_of_this_version_fit_what_the_plan_does_with_them() -> None:
     assert found.keys() == {row.source for row in rows.ROWS} | {rows.SETTINGS, rows.FLEET_SETTINGS}
 
 
-def test_units_and_accounts_are_read_as_systemd_reads_them() -> None:
+def test_units_are_read_as_systemd_reads_them() -> None:
     assert rows.wanted_by(UNIT) == ["multi-user.target", "some.device"]
     assert rows.wanted_by("[Install]\n#WantedBy=a\nWantedBy=b\nWantedBy=c d\n") == ["b", "c", "d"]
-    assert rows.accounts(SYSUSERS) == (["failstop"], [("failstop", "dialout")])
-
-
-def test_an_incomplete_package_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InstallError, match=r"comes without its file systemd/absent .*install it again"):
-        rows._text("absent")

@@ -42,7 +42,7 @@ ROOMS = {
         tuple(f"tests/telemetry/test_{name}.py" for name in ("battery", "odometry", "pad", "still", "tones")),
     ),
     "stopper": Room(
-        ("procs/stopper/*.py", "failstop/stopping/*.py"),
+        ("procs/stopper/*.py", "failstop/stopping.py"),
         ("tests/procs/test_rest.py", "tests/procs/test_stop_tool.py", "tests/procs/test_stopper.py"),
     ),
     "shm": Room(

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.stopping import rest
+from failstop import stopping
 from tests.support.ptys import open_fds
 
 OURS = "12:devices:/system.slice\n0::/system.slice/failstop.service\n"
@@ -47,7 +47,7 @@ class Proc:
         return made
 
     def kill(self, timeout_s: float = LATEST_S) -> tuple[int, int]:
-        return rest.kill(timeout_s, str(self.path))
+        return stopping.kill_rest(timeout_s, str(self.path))
 
 
 @pytest.fixture
@@ -122,7 +122,7 @@ def test_a_pid_that_is_another_s_by_the_time_it_is_opened_is_not_killed(
 
 
 def test_a_process_that_was_just_started_is_killed_too(proc: Proc, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = rest._others
+    real = stopping._others
     first = proc.process()
 
     def starts_one(path: str, group: list[bytes]) -> dict[int, int]:
@@ -131,7 +131,7 @@ def test_a_process_that_was_just_started_is_killed_too(proc: Proc, monkeypatch: 
             proc.process()
         return found
 
-    monkeypatch.setattr(rest, "_others", starts_one)
+    monkeypatch.setattr(stopping, "_others", starts_one)
     assert proc.kill() == (2, 0)
     assert [process.wait(0) for process in proc.processes] == [-signal.SIGKILL] * 2
 
@@ -173,12 +173,12 @@ def test_without_its_own_group_nobody_is_killed(proc: Proc) -> None:
 )
 def test_tells_a_service_from_a_login(proc: Proc, group: str, service: bool) -> None:
     (proc.path / "self" / "cgroup").write_text(group)
-    assert rest.of_a_service(str(proc.path)) is service
+    assert stopping.of_a_service(str(proc.path)) is service
 
 
 def test_the_real_proc_shows_a_child_and_not_oneself() -> None:
     with subprocess.Popen([sys.executable, "-I", "-S", "-c", SLEEP], stdout=subprocess.PIPE) as child:
-        found = rest._others("/proc", rest._group("/proc", "self"))
+        found = stopping._others("/proc", stopping._group("/proc", "self"))
         for fd in found.values():
             os.close(fd)
         child.kill()

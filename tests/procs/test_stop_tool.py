@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from failstop import stopping
 from failstop.board import codec, stop_port
 from failstop.board.burst import BURST
 from failstop.board.port import PortError, open_port
-from failstop.stopping import tool
 from tests.support.ptys import Board, Pty, new_pty, open_fds
 
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
@@ -44,7 +44,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    for module in (tool, stop_port):
+    for module in (stopping, stop_port):
         monkeypatch.setattr(module, "time", made)
     return made
 
@@ -72,7 +72,7 @@ def wait(seconds: float) -> Callable[[PortError], float]:
 
 
 def test_writes_the_burst_and_says_how_long_it_took(pty: Pty, clock: Clock, said: list[str]) -> None:
-    assert tool.stop(pty.link, wait(30.0), said.append) == 0.0
+    assert stopping.stop(pty.link, wait(30.0), said.append) == 0.0
     assert pty.read() == BURST
     assert (said, clock.slept) == ([], [])
 
@@ -86,17 +86,17 @@ def test_how_long_to_try_is_asked_once_and_when_the_first_try_has_failed(
         asked.append(error)
         return 0.5
 
-    tool.stop(pty.link, asks, said.append)
+    stopping.stop(pty.link, asks, said.append)
     assert asked == []
     with pytest.raises(PortError, match="no device"):
-        tool.stop(str(tmp_path / "board"), asks, said.append)
+        stopping.stop(str(tmp_path / "board"), asks, said.append)
     assert [error.kind for error in asked] == ["absent"]
     pty.read()
 
 
 def test_the_burst_stops_a_board_in_the_middle_of_a_frame(pty: Pty, clock: Clock, said: list[str]) -> None:
     os.write(pty.slave, MOTION + MOTION[:15])
-    tool.stop(pty.link, wait(0.0), said.append)
+    stopping.stop(pty.link, wait(0.0), said.append)
     board = Board()
     board.feed(pty.read())
     assert board.motors.stopped
@@ -104,7 +104,7 @@ def test_the_burst_stops_a_board_in_the_middle_of_a_frame(pty: Pty, clock: Clock
 
 def test_a_port_that_somebody_has_stopped_is_started_again(pty: Pty, clock: Clock, said: list[str]) -> None:
     termios.tcflow(pty.slave, termios.TCOOFF)
-    tool.stop(pty.link, wait(0.0), said.append)
+    stopping.stop(pty.link, wait(0.0), said.append)
     board = Board()
     board.feed(pty.read())
     assert board.motors.stopped
@@ -113,7 +113,7 @@ def test_a_port_that_somebody_has_stopped_is_started_again(pty: Pty, clock: Cloc
 def test_an_absent_device_is_not_waited_for_without_a_wait(tmp_path: Path, clock: Clock, said: list[str]) -> None:
     path = str(tmp_path / "board")
     with pytest.raises(PortError, match=f"no device {path}") as raised:
-        tool.stop(path, wait(0.0), said.append)
+        stopping.stop(path, wait(0.0), said.append)
     assert raised.value.kind == "absent"
     assert clock.slept == []
 
@@ -121,20 +121,20 @@ def test_an_absent_device_is_not_waited_for_without_a_wait(tmp_path: Path, clock
 def test_a_device_that_comes_back_is_stopped_soon(tmp_path: Path, pty: Pty, clock: Clock, said: list[str]) -> None:
     path = tmp_path / "board"
     clock.after(0.3, lambda: path.symlink_to(pty.link))
-    assert tool.stop(str(path), wait(30.0), said.append) == pytest.approx(0.3, abs=tool.RETRY_S + 1e-6)
+    assert stopping.stop(str(path), wait(30.0), said.append) == pytest.approx(0.3, abs=stopping.RETRY_S + 1e-6)
     assert pty.read() == BURST
     assert said == []
 
 
 def test_looks_often_enough() -> None:
-    assert tool.RETRY_S <= 0.2
+    assert stopping.RETRY_S <= 0.2
 
 
 def test_gives_up_after_the_wait_with_the_last_reason(tmp_path: Path, clock: Clock, said: list[str]) -> None:
     path = str(tmp_path / "board")
     with pytest.raises(PortError, match="no device"):
-        tool.stop(path, wait(5.0), said.append)
-    assert 5.0 <= sum(clock.slept) <= 5.0 + tool.RETRY_S + 1e-6
+        stopping.stop(path, wait(5.0), said.append)
+    assert 5.0 <= sum(clock.slept) <= 5.0 + stopping.RETRY_S + 1e-6
 
 
 def test_warns_once_after_a_second(tmp_path: Path, pty: Pty, clock: Clock, said: list[str]) -> None:
@@ -142,7 +142,7 @@ def test_warns_once_after_a_second(tmp_path: Path, pty: Pty, clock: Clock, said:
     clock.after(0.99, lambda: said.append("- 0.99 s -"))
     clock.after(1.05, lambda: said.append("- 1.05 s -"))
     clock.after(6.0, lambda: path.symlink_to(pty.link))
-    assert tool.stop(str(path), wait(30.0), said.append) == pytest.approx(6.0, abs=tool.RETRY_S + 1e-6)
+    assert stopping.stop(str(path), wait(30.0), said.append) == pytest.approx(6.0, abs=stopping.RETRY_S + 1e-6)
     expected = f"no device {path}: plug the board in, or name another with --device; trying for 30 s"
     assert said == ["- 0.99 s -", expected, "- 1.05 s -"]
 
@@ -160,20 +160,20 @@ def test_any_other_obstacle_is_waited_for_too(
             return real(path, exclusive=exclusive)
         raise PortError(kind, f"{path} is held")  # type: ignore[arg-type]
 
-    monkeypatch.setattr(tool, "open_port", refuses)
+    monkeypatch.setattr(stopping, "open_port", refuses)
     clock.after(2.0, lambda: free.__setitem__(0, True))
-    assert tool.stop(pty.link, wait(30.0), said.append) == pytest.approx(2.0, abs=tool.RETRY_S + 1e-6)
+    assert stopping.stop(pty.link, wait(30.0), said.append) == pytest.approx(2.0, abs=stopping.RETRY_S + 1e-6)
     assert pty.read() == BURST
     free[0] = False
     with pytest.raises(PortError, match="is held") as raised:
-        tool.stop(pty.link, wait(0.0), said.append)
+        stopping.stop(pty.link, wait(0.0), said.append)
     assert raised.value.kind == kind
 
 
 def test_a_port_that_takes_no_bytes_says_power_switch(pty: Pty, clock: Clock, said: list[str]) -> None:
     pty.fill()
     with pytest.raises(PortError, match="takes no bytes: use the POWER SWITCH") as raised:
-        tool.stop(pty.link, wait(0.0), said.append)
+        stopping.stop(pty.link, wait(0.0), said.append)
     assert raised.value.kind == "io"
     assert sum(clock.slept) == pytest.approx(0.1, abs=0.01)
 
@@ -182,7 +182,7 @@ def test_a_full_port_that_drains_in_time_gets_the_whole_burst(pty: Pty, clock: C
     taken = pty.fill()
     found = []
     clock.after(0.05, lambda: found.append(pty.read()))
-    tool.stop(pty.link, wait(0.0), said.append)
+    stopping.stop(pty.link, wait(0.0), said.append)
     assert b"".join([*found, pty.read()]) == bytes(taken) + BURST
 
 
@@ -190,7 +190,7 @@ def test_a_full_port_is_tried_again_for_as_long_as_it_may_wait(pty: Pty, clock: 
     pty.fill()
     found = []
     clock.after(3.0, lambda: found.append(pty.read()))
-    assert tool.stop(pty.link, wait(30.0), said.append) == pytest.approx(3.0, abs=0.1 + tool.RETRY_S + 0.01)
+    assert stopping.stop(pty.link, wait(30.0), said.append) == pytest.approx(3.0, abs=0.1 + stopping.RETRY_S + 0.01)
     stream = b"".join([*found, pty.read()])
     assert stream.endswith(BURST)
     assert len(said) == 1
@@ -201,7 +201,7 @@ def test_a_device_that_goes_away_while_writing(pty: Pty, clock: Clock, said: lis
     pty.fill()
     clock.after(0.02, pty.unplug)
     with pytest.raises(PortError, match="went away while writing") as raised:
-        tool.stop(pty.link, wait(0.0), said.append)
+        stopping.stop(pty.link, wait(0.0), said.append)
     assert (raised.value.kind, raised.value.errno) == ("io", errno.EIO)
 
 
@@ -209,7 +209,7 @@ def test_something_that_is_no_port_is_refused(tmp_path: Path, clock: Clock, said
     path = tmp_path / "file"
     path.touch()
     with pytest.raises(PortError) as raised:
-        tool.stop(str(path), wait(0.0), said.append)
+        stopping.stop(str(path), wait(0.0), said.append)
     assert raised.value.kind == "not-a-tty"
     assert path.read_bytes() == b""
 
@@ -230,7 +230,7 @@ def test_a_burst_that_is_taken_in_pieces_is_written_to_its_end(
 
     os.write(pty.slave, MOTION[:15])
     monkeypatch.setattr(os, "write", taken)
-    tool.stop(pty.link, lambda _: 0.0, said.append)
+    stopping.stop(pty.link, lambda _: 0.0, said.append)
     monkeypatch.undo()
     stream = pty.read()
     assert stream == MOTION[:15] + BURST
@@ -244,10 +244,10 @@ def test_bytes_that_the_kernel_still_holds_are_no_stop(
     pty: Pty, clock: Clock, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     held = [59]
-    monkeypatch.setattr(tool, "unsent_bytes", lambda _: held[0])
+    monkeypatch.setattr(stopping, "unsent_bytes", lambda _: held[0])
     clock.after(0.05, lambda: held.__setitem__(0, 0))
-    tool.stop(pty.link, wait(0.0), said.append)
+    stopping.stop(pty.link, wait(0.0), said.append)
     assert sum(clock.slept) >= 0.05
     held[0] = 59
     with pytest.raises(PortError, match="takes no bytes"):
-        tool.stop(pty.link, wait(0.0), said.append)
+        stopping.stop(pty.link, wait(0.0), said.append)

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.procs.world import World
-from failstop.supervisor.allowance import ASKED_BYTES, MINUTE_NS, OWN_BYTES, REOPENS_AT, Allowance
-from failstop.supervisor.events import MOST_WAITING, Events
+from failstop.supervisor.events import ASKED_BYTES, MINUTE_NS, MOST_WAITING, OWN_BYTES, Events
 from tests.supervisor.streams import stderr_is
 
 T0 = 10**15
@@ -94,9 +93,7 @@ def test_requests_without_end_are_bounded_and_counted_and_take_nobody_s_room(log
     own = 3 * sum(len(f"failstop: {text}\n") for text in ("stopped again: gate died", "STOP latched: stop request: x"))
     told_of = 2 * 4 * 120
     room = 2 * ASKED_BYTES
-    assert minutes[0] <= 2 * room + own + told_of, "the bucket that was full, and what came into it"
-    carried = room // REOPENS_AT
-    assert all(room - carried < told <= room + carried + own + told_of for told in minutes[1:]), minutes
+    assert all(room - told_of < told <= room + own + told_of for told in minutes), minutes
     assert sum(line == "failstop: stopped again: gate died" for line in lines) == 4 * 3
     assert sum(line == "failstop: STOP latched: stop request: x" for line in lines) == 4 * 3
     told = sum("stop request: 0" in line for line in lines)
@@ -109,9 +106,9 @@ def test_the_number_comes_when_the_flood_has_ended(log: Log) -> None:
     for number in range(200):
         log.request(number)
         told += len(log.flush())
-    log.times.now_ns += MINUTE_NS // REOPENS_AT - 10**6
+    log.times.now_ns += MINUTE_NS - 1
     assert log.flush() == []
-    log.times.now_ns += 10**7
+    log.times.now_ns += 1
     assert log.flush() + log.flush() == [
         f"failstop: {200 - told} stop requests while a stop was latched were left out: too many to tell of each"
     ]
@@ -148,39 +145,31 @@ def test_what_comes_at_one_time_is_bounded_and_counted_too(log: Log) -> None:
     assert left_out(lines) == 7
 
 
-def test_once_it_is_spent_nothing_is_told_until_it_is_reopened() -> None:
-    allowance = Allowance(100, T0)
-    assert allowance.spend(40, T0)
-    assert allowance.spend(60, T0), "all of it may be spent"
-    allowance = Allowance(100, T0)
-    assert not allowance.spend(101, T0)
-    assert not allowance.spend(1, T0), "not every other line of a flood"
-    assert allowance.reopen() == 2
-    assert allowance.spend(1, T0)
+def test_once_it_is_spent_nothing_is_told_until_the_minute_is_over(log: Log) -> None:
+    line = len("failstop: \n")
+    log.events.tell("note", "x" * (OWN_BYTES - line))
+    assert len(log.flush()) == 1, "all of it may be spent"
+    log.times.now_ns += MINUTE_NS
+    log.events.tell("note", "x" * (OWN_BYTES - line + 1))
+    log.events.tell("note", "y")
+    assert log.flush() == [], "not every other line of a flood"
+    log.times.now_ns += MINUTE_NS
+    log.events.tell("note", "y")
+    assert log.flush() + log.flush() == [
+        "failstop: y",
+        "failstop: 2 events of the kind note were left out: too many to tell of each",
+    ]
 
 
-def test_it_reopens_when_just_so_much_is_there() -> None:
-    allowance = Allowance(ASKED_BYTES, T0)
-    assert allowance.spend(ASKED_BYTES - ASKED_BYTES // REOPENS_AT, T0)
-    assert allowance.reopens(T0)
-    assert allowance.spend(1, T0)
-    assert not allowance.reopens(T0)
-
-
-@given(spent=st.lists(st.tuples(st.integers(1, 3000), st.integers(-(10**9), 3 * 10**9)), max_size=200))
-def test_in_no_minute_more_than_two_buckets_and_none_that_was_not_earned(spent: list[tuple[int, int]]) -> None:
-    allowance = Allowance(ASKED_BYTES, T0)
-    now_ns = latest_ns = T0
-    told = left = 0
+@given(spent=st.lists(st.tuples(st.integers(1, 3000), st.integers(0, 3 * 10**9)), max_size=200))
+def test_in_no_minute_more_than_two_allowances(spent: list[tuple[int, int]]) -> None:
+    times = Times()
+    events = Events(World(now_ns=times.monotonic_ns), "x")
+    sort = ("stop_again", "warning", True)
+    told: list[tuple[int, int]] = []
     for size, elapsed_ns in spent:
-        now_ns += elapsed_ns
-        latest_ns = max(latest_ns, now_ns)
-        if allowance.spend(size, now_ns):
-            told += size
-        else:
-            left += 1
-        if left and allowance.reopens(now_ns):
-            assert allowance.reopen() == left
-            left = 0
-        assert allowance.left_out == left
-        assert told <= ASKED_BYTES + (latest_ns - T0) * ASKED_BYTES / MINUTE_NS + 1
+        times.now_ns += elapsed_ns
+        if events._may_spend(sort, size, times.now_ns):
+            told.append((times.now_ns, size))
+    for at_ns, _ in told:
+        assert sum(size for t_ns, size in told if at_ns <= t_ns < at_ns + MINUTE_NS) <= 2 * ASKED_BYTES

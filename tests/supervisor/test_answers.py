@@ -18,13 +18,11 @@ from failstop.shm import instance, layout, segment
 from failstop.shm.futex import PER_BLOCK
 from failstop.shm.heartbeat import REALTIME
 from failstop.supervisor import grant
-from failstop.supervisor.children import WAITING
-from failstop.supervisor.datagram import Outbox
-from failstop.supervisor.fence import Fence
-from failstop.supervisor.health import OWED_NS, UNDYING_NS
+from failstop.supervisor.children import WAITING, Fence
+from failstop.supervisor.events import Outbox
 from failstop.supervisor.main import ALONE_EVERY_NS, ANSWER_NS
-from failstop.supervisor.names import LOOK_EVERY_NS
-from failstop.supervisor.notify import Notify
+from failstop.supervisor.run import LOOK_EVERY_NS
+from failstop.supervisor.status import OWED_NS, TELL_EVERY_NS, UNDYING_NS, Notify
 from failstop.supervisor.stops import Stop
 from tests.support.supervisor_scene import MS, Scene, fill
 from tests.support.waiting import until
@@ -49,7 +47,7 @@ def test_its_own_death_is_told_by_its_futexes(tmp_path: Path, monkeypatch: pytes
     thread.start()
     thread.join()
     (scene,) = made
-    lifelines = segment.attach_unmapped(scene.resources.memory, "lifelines", scene.resources.incarnation)
+    lifelines = segment.attach_unmapped(scene.run.memory, "lifelines", scene.run.incarnation)
     words = [lifelines.futex("held", layout.SUPERVISOR_BLOCK * PER_BLOCK + index) for index in range(PER_BLOCK)]
     try:
         until(lambda: not any(word.held() for word in words), "the kernel has marked them")
@@ -65,7 +63,7 @@ def test_what_helps_a_starved_service_depends_on_its_rights(
 ) -> None:
     scene = Scene(tmp_path, monkeypatch, granted=granted)
     expected = grant.advice(realtime=bool(granted), managed=False)
-    assert scene.supervisor._silence._advice == expected != grant.advice(realtime=not granted, managed=False)
+    assert scene.supervisor.processes._advice == expected != grant.advice(realtime=not granted, managed=False)
     scene.close()
 
 
@@ -159,7 +157,7 @@ def test_a_full_port_is_said_to_be_not_written(scene: Scene) -> None:
 
 def test_a_run_that_others_can_not_find_any_more_stops_and_ends_when_that_is_answered(scene: Scene) -> None:
     scene.turn()
-    os.unlink(instance.stop_path(scene.resources.runtime_dir))
+    os.unlink(instance.stop_path(scene.run.runtime_dir))
     scene.turn(LOOK_EVERY_NS)
     assert scene.cause()[1] == "the stop pipe was removed: restart the service"
     assert (scene.supervisor.epoch, scene.supervisor.broken, scene.supervisor.ending) == (2, True, False)
@@ -209,14 +207,14 @@ def test_a_cause_that_comes_while_the_last_is_looked_at_is_not_slept_over(
         found = real(*arguments)
         if found:
             scene.gate_stops("the second")
-            scene.resources.bells[layout.SUPERVISOR].ring()
+            scene.run.bells[layout.SUPERVISOR].ring()
         return found
 
     monkeypatch.setattr(scene.supervisor, "_collect", then_another)
     scene.gate_stops("the first")
-    scene.resources.bells[layout.SUPERVISOR].ring()
+    scene.run.bells[layout.SUPERVISOR].ring()
     scene.turn()
-    assert scene.resources.bells[layout.SUPERVISOR].fd in scene.supervisor.loop.wait(0)
+    assert scene.run.bells[layout.SUPERVISOR].fd in scene.supervisor.loop.wait(0)
 
 
 def test_the_first_cause_is_the_one_that_is_latched(scene: Scene) -> None:
@@ -278,7 +276,7 @@ def test_a_stop_and_a_reset_that_did_not_know_of_it(scene: Scene) -> None:
     scene.answers()
     scene.turn(MS)
     assert scene.cause() == (4, "the third")
-    waiting = [bytes.fromhex(words["cause"]) for _, words in scene.supervisor.blackbox._waiting]
+    waiting = [bytes.fromhex(str(words["cause"])) for _, words in scene.supervisor.blackbox._waiting]
     assert [said(causes.read(cause)) for cause in waiting] == ["the first", "the third"]
 
 
@@ -336,46 +334,51 @@ def test_no_event_is_sent_before_the_burst(scene: Scene, monkeypatch: pytest.Mon
 def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(scene: Scene, tmp_path: Path) -> None:
     """And only while there is a port to write it to."""
     notify = Notify(str(tmp_path / "nobody"), 2)
-    scene.supervisor.herald.notify = notify
+    scene.supervisor.status.notify = notify
     scene.supervisor.processes[layout.PORT_OWNER].state = WAITING
     fill(scene.port.fd)
     scene.gate_stops()
     scene.supervisor.turn({})
-    scene.now_ns += OWED_NS - MS
+    scene.now_ns += OWED_NS - TELL_EVERY_NS
     scene.supervisor.turn({})
-    assert scene.supervisor.herald.fault == ""
-    scene.now_ns += MS
+    assert scene.supervisor.status.fault == ""
+    scene.now_ns += TELL_EVERY_NS
     scene.supervisor.turn({})
-    assert scene.supervisor.herald.fault == "a stop could not be written for 2 s"
+    assert scene.supervisor.status.fault == "a stop could not be written for 2 s"
+    fd, scene.port.fd = scene.port.fd, -1
+    scene.now_ns += TELL_EVERY_NS
+    scene.supervisor.turn({})
+    assert scene.supervisor.status.fault == "", "a port that is gone is nobody's fault"
+    scene.port.fd = fd
     for _ in range(3):  # the first of them makes room
         scene.turn(ALONE_EVERY_NS)
-    assert scene.supervisor.herald.fault == "", "written at last"
+    assert scene.supervisor.status.fault == "", "written at last"
     notify.close()
 
 
 @pytest.mark.starts
 def test_a_stop_that_the_port_owner_has_written_is_owed_no_more(scene: Scene, tmp_path: Path) -> None:
     notify = Notify(str(tmp_path / "nobody"), 2)
-    scene.supervisor.herald.notify = notify
+    scene.supervisor.status.notify = notify
     scene.gate_stops()
     scene.turn()
     scene.answers(written_ns=scene.now_ns)
     scene.turn(MS)
     scene.turn(OWED_NS)
-    assert scene.supervisor.herald.fault == ""
+    assert scene.supervisor.status.fault == ""
     notify.close()
 
 
 def test_a_killed_process_that_does_not_go_is_what_the_watchdog_is_for(scene: Scene, tmp_path: Path) -> None:
     notify = Notify(str(tmp_path / "nobody"), 2)
-    scene.supervisor.herald.notify = notify
+    scene.supervisor.status.notify = notify
     telemetry = scene.supervisor.processes[layout.TELEMETRY]
     telemetry.pid, telemetry.fence = 2**31 - 1, Fence(scene.now_ns, scene.now_ns, 0)
     scene.turn()
-    assert scene.supervisor.herald.fault == ""
+    assert scene.supervisor.status.fault == ""
     scene.turn(UNDYING_NS)
-    assert scene.supervisor.herald.fault == "telemetry was killed 10 s ago and is not gone"
+    assert scene.supervisor.status.fault == "telemetry was killed 10 s ago and is not gone"
     telemetry.pid = 0
-    scene.turn()
-    assert scene.supervisor.herald.fault == ""
+    scene.turn(TELL_EVERY_NS)
+    assert scene.supervisor.status.fault == ""
     notify.close()

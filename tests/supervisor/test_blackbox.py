@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,7 @@ import msgpack
 import pytest
 
 from failstop.policy.settings import Settings
-from failstop.procs.loop import Loop
-from failstop.procs.world import World, spawn
+from failstop.procs.world import World, reap, spawn
 from failstop.shm import box, layout, segment
 from failstop.supervisor import blackbox, starter
 from failstop.supervisor.blackbox import (
@@ -26,7 +26,6 @@ from failstop.supervisor.blackbox import (
     BlackBox,
 )
 from failstop.supervisor.events import Events
-from failstop.supervisor.resources import Resources
 from failstop.supervisor.run import Run
 from failstop.supervisor.stops import Stop
 from tests.support.played import PlayedWorld
@@ -67,24 +66,22 @@ class Scene:
     def __init__(self, directory: Path) -> None:
         self.world = PlayedWorld(now_ns=lambda: T0)
         self.world.play("spawn", self.spawn)
-        self.resources = Resources(f"box{os.getpid()}x{next(_numbers)}", str(directory))
-        memory = self.resources.memory
-        self.own = segment.attach(memory, layout.SUPERVISOR, write=True)
-        self.views = {process: segment.attach(memory, process) for process in layout.PROCESSES}
-        self.beat = {process: segment.attach(memory, process, write=True).word("beat_ns") for process in self.views}
+        self.settings = Settings({"incidents.keep": 7, "incidents.max_mb": 8})
+        self.run = Run(self.world, self.settings, f"box{os.getpid()}x{next(_numbers)}", str(directory))
+        memory, processes = self.run.memory, layout.PROCESSES
+        self.beat = {process: segment.attach(memory, process, write=True).word("beat_ns") for process in processes}
         self._ring = segment.attach(memory, layout.SUPERVISOR).ring_reader("box")
-        self.events = Told()
+        self.run.events = self.events = Told()
         self.now_ns = T0
         """When what is read next was written."""
         self.word, self.code = SAID, 0
         self.started: list[dict[str, str]] = []
-        self.settings = Settings({"incidents.keep": 7, "incidents.max_mb": 8})
         self.box = self.new()
 
     def new(self, **changed: object) -> BlackBox:
-        settings = Settings({**self.settings.flat(), **{f"incidents.{key}": value for key, value in changed.items()}})
-        run = Run(self.world, self.resources, settings, self.own, self.views, Loop(self.world), self.events)
-        return BlackBox(run)
+        changes = {f"incidents.{key}": value for key, value in changed.items()}
+        self.run.settings = Settings({**self.settings.flat(), **changes})
+        return BlackBox(self.run)
 
     def spawn(self, arguments: list[str], environ: dict[str, str], passed: list[int]) -> int:
         """In the place of the saver's own program."""
@@ -92,11 +89,12 @@ class Scene:
         assert environ == starter.environment(self.settings)
         words = dict(word.split("=", 1) for word in arguments[4:])
         fds = [int(part.partition(":")[2]) for part in words["fds"].split(",")]
-        assert passed == [int(words["hurry"]), int(words["result"]), *fds]
+        assert passed == [int(words["hurry"]), *fds]
+        assert words["hurry"] == words["result"]
         self.started.append(words)
-        hurry, result = (f"/proc/self/fd/{words[key]}" for key in ("hurry", "result"))
-        script = f'read x <{hurry}; printf "{self.word}" >{result}; exit {self.code}'
-        return spawn(["/bin/sh", "-c", script], dict(os.environ), passed)
+        script = f'head -c 1 <&3 >/dev/null; printf "{self.word}" >&3; exit {self.code}'
+        shell = f"import os; os.dup2({words['hurry']}, 3); os.execv('/bin/sh', ['sh', '-c', {script!r}])"
+        return spawn([sys.executable, "-I", "-S", "-c", shell], dict(os.environ), passed)
 
     def records(self) -> list[bytes]:
         found = []
@@ -111,19 +109,19 @@ class Scene:
 
     def ends(self) -> None:
         """The oldest saver ends, and a turn later that is known."""
-        saver = self.box._savers[0]
-        saver.hasten()
-        os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT)
+        pid = next(iter(self.box._savers))
+        self.box._hasten(pid)
+        os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
         self.box.follow(T0, ready=True)
-        assert saver not in self.box._savers
+        assert pid not in self.box._savers
 
     def close(self) -> None:
         while self.box._savers:
             self.ends()
-        self.resources.remove()
-        pipes = (self.resources.stop_pipe, self.resources.client_bell, self.resources.published)
-        bells = (bell.fd for bell in self.resources.bells.values())
-        for fd in (*pipes, *bells, *itertools.chain(*self.resources.controls.values())):
+        self.run.remove()
+        pipes = (self.run.stop_pipe, self.run.client_bell, self.run.published)
+        bells = (bell.fd for bell in self.run.bells.values())
+        for fd in (*pipes, *bells, *itertools.chain(*self.run.controls.values())):
             os.close(fd)
 
 
@@ -172,8 +170,8 @@ def test_a_saver_is_started_a_while_after_a_latched_stop(scene: Scene) -> None:
     scene.box.follow(T0 + START_NS, ready=True)
     scene.box.follow(T0 + 2 * START_NS, ready=True)
     (words,) = scene.started
-    fds = ",".join(f"{process}:{fd}" for process, fd in scene.resources.readable.items())
-    expected = {"name": scene.resources.name, "keep": "7", "max_mb": "8", "fds": fds, "cause": CAUSE.cause.pack().hex()}
+    fds = ",".join(f"{process}:{fd}" for process, fd in scene.run.readable.items())
+    expected = {"name": scene.run.name, "keep": "7", "max_mb": "8", "fds": fds, "cause": CAUSE.cause.pack().hex()}
     assert words.items() >= {**expected, "cause_ns": str(T0), "epoch": "7", "until_ns": str(T0 + COPY_NS)}.items()
 
 
@@ -195,7 +193,7 @@ def test_no_more_than_a_few_at_one_time(scene: Scene) -> None:
 def test_nothing_is_saved_where_that_is_off(scene: Scene) -> None:
     off = scene.new(save="off")
     off.latched(CAUSE, 7)
-    off._left = {process: os.dup(0) for process in layout.PROCESSES}
+    scene.run.left = {process: os.dup(0) for process in layout.PROCESSES}
     off.begin()
     off.follow(T0 + START_NS, ready=True)
     assert scene.started == []
@@ -248,8 +246,8 @@ def test_what_a_saver_had_is_closed_after_its_end(scene: Scene) -> None:
     before = os.listdir("/proc/self/fd")
     scene.box.latched(CAUSE, 7)
     scene.box.follow(T0 + START_NS, ready=True)
-    assert len(os.listdir("/proc/self/fd")) == len(before) + 2
-    assert not os.get_blocking(scene.box._savers[0]._result), "nor is it waited for"
+    assert len(os.listdir("/proc/self/fd")) == len(before) + 1
+    assert all(saver.gettimeout() == 0 for saver in scene.box._savers.values()), "nor is it waited for"
     scene.ends()
     assert os.listdir("/proc/self/fd") == before
 
@@ -257,8 +255,13 @@ def test_what_a_saver_had_is_closed_after_its_end(scene: Scene) -> None:
 def left_behind(scene: Scene, count: int) -> list[int]:
     """Segments of a dead run."""
     fds = [os.open("/dev/null", os.O_RDONLY) for _ in range(count)]
-    scene.box._left = dict(zip(layout.PROCESSES, fds, strict=False))
+    scene.run.left = dict(zip(layout.PROCESSES, fds, strict=False))
     return fds
+
+
+def ended(pid: int, options: int = os.WNOHANG) -> bool:
+    """Whether a saver has been hastened: it waits for that, and ends then."""
+    return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT | options) is not None
 
 
 def closed(fd: int) -> bool:
@@ -274,10 +277,12 @@ def test_a_dead_run_s_saver_copies_when_this_run_is_ready(scene: Scene) -> None:
     assert all(map(closed, fds)), "they are the saver's now"
     scene.box.latched(CAUSE, 7)
     scene.box.follow(T0 + START_NS, ready=False)
-    hurries = [saver._hurry for saver in scene.box._savers]
-    assert [closed(fd) for fd in hurries] == [False, False]
+    dead, live = scene.box._savers
+    assert not ended(dead)
     scene.box.follow(T0 + START_NS, ready=True)
-    assert [closed(fd) for fd in hurries] == [True, False]
+    assert ended(dead, 0)
+    assert not ended(live)
+    scene.box.follow(T0 + START_NS, ready=True)
 
 
 def test_of_a_dead_run_that_is_not_whole_nothing_is_saved(scene: Scene) -> None:
@@ -292,7 +297,7 @@ def test_at_the_end_of_the_service_what_waits_is_saved_at_once(scene: Scene) -> 
     scene.box.latched(CAUSE, 8)
     scene.box.finish()
     assert [words["epoch"] for words in scene.started] == ["7", "8"]
-    assert scene.box._savers == []
+    assert scene.box._savers == {}
     assert [text for _, text, _, _ in scene.events.told] == [SAVED, SAVED]
     assert scene.events.flushed == 1
 
@@ -308,9 +313,11 @@ def test_without_a_descriptor_to_wait_with_each_is_hastened_all_the_same(
     scene.box.latched(CAUSE, 8)
     for _ in range(2):
         scene.box.follow(T0 + START_NS, ready=True)
-    savers = tuple(scene.box._savers)
+    pids = tuple(scene.box._savers)
+    scene.world.play("reap", lambda _pid: None)
     scene.box.finish()
-    assert [saver._hurry for saver in savers] == [-1, -1]
+    assert all(ended(pid, 0) for pid in pids)
+    scene.world.play("reap", reap)
 
 
 def test_the_end_of_the_service_does_not_wait_for_a_saver_that_hangs(

@@ -1,15 +1,29 @@
-"""The state of a process: every cell of the table of what changes it."""
+"""The state of a process: every cell of the table of what changes it; its restarts, ever later; its fencing."""
 
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from failstop.policy.processes import PROCESSES
 from failstop.procs.loop import Loop
 from failstop.procs.world import World
 from failstop.supervisor import children
-from failstop.supervisor.children import DEAD, DOWN, EVENTS, FENCED, HUNG, NEXT, RUNNING, STARTING, WAITING, Child
-from failstop.supervisor.restarts import Restarts
+from failstop.supervisor.children import (
+    DEAD,
+    DOWN,
+    EVENTS,
+    FENCED,
+    HUNG,
+    LONGEST_WAIT_NS,
+    NEXT,
+    RUNNING,
+    STARTING,
+    WAITING,
+    Child,
+    Fence,
+)
 
 STATES = (WAITING, DOWN, STARTING, RUNNING, HUNG, FENCED, DEAD)
 SHORT = {"WA": WAITING, "DO": DOWN, "ST": STARTING, "RU": RUNNING, "HU": HUNG, "FE": FENCED, "DE": DEAD}
@@ -26,9 +40,9 @@ CELLS = """
 process, nobody runs or beats who has none, nobody dies twice, and only the dead are reaped, and later given up."""
 
 
-def child(state: str) -> Child:
+def child(state: str, limits: tuple[int, int, int] = (5, 10**10, 10**8)) -> Child:
     world = World()
-    made = Child(world, PROCESSES[0], None, Restarts(5, 10**10, 10**8), Loop(world).timer())  # type: ignore[arg-type]
+    made = Child(world, PROCESSES[0], None, Loop(world).timer(), limits)  # type: ignore[arg-type]
     made.state = state
     return made
 
@@ -64,3 +78,109 @@ def test_whatever_it_is_it_can_come_to_run(state: str) -> None:
     while more := {after for at in reached for after in NEXT[at].values()} - reached:
         reached |= more
     assert RUNNING in reached
+
+
+MS = 1_000_000
+S = 1_000 * MS
+T0 = 777 * S
+BACKOFF = 100 * MS
+
+
+def waits(restarts: Child, *times_s: float) -> list[int | None]:
+    return [restarts.restart_wait_ns(T0 + round(t * S)) for t in times_s]
+
+
+@pytest.fixture
+def restarts() -> Child:
+    return child(WAITING, (5, 60 * S, BACKOFF))
+
+
+def test_the_first_at_once_then_doubling_then_not_at_all(restarts: Child) -> None:
+    assert waits(restarts, 0, 1, 2, 3, 4) == [0, BACKOFF, 2 * BACKOFF, 4 * BACKOFF, None]
+
+
+def test_it_stays_down(restarts: Child) -> None:
+    waits(restarts, 0, 1, 2, 3, 4)
+    assert waits(restarts, 5, 59) == [None, None]
+
+
+def test_deaths_beyond_the_window_are_forgotten(restarts: Child) -> None:
+    assert waits(restarts, 0, 1, 2, 3) == [0, BACKOFF, 2 * BACKOFF, 4 * BACKOFF]
+    assert waits(restarts, 61.5) == [2 * BACKOFF], "with two of the four"
+    assert waits(restarts, 200) == [0]
+
+
+def test_the_window_ends_exactly_then(restarts: Child) -> None:
+    assert restarts.restart_wait_ns(T0) == 0
+    assert restarts.restart_wait_ns(T0 + 60 * S - 1) == BACKOFF
+    restarts = child(WAITING, (5, 60 * S, BACKOFF))
+    assert restarts.restart_wait_ns(T0) == 0
+    assert restarts.restart_wait_ns(T0 + 60 * S) == 0
+
+
+def test_one_death_now_and_then_never_counts_up(restarts: Child) -> None:
+    assert waits(restarts, *range(0, 6_000, 61)) == [0] * 99
+
+
+def test_five_in_sixty_seconds_but_not_five_in_sixty_one(restarts: Child) -> None:
+    assert waits(restarts, 0, 15, 30, 45, 60)[-1] is not None
+    assert waits(restarts, 60.5)[-1] is None
+
+
+def test_waits_have_a_longest() -> None:
+    restarts = child(WAITING, (100, 60 * S, BACKOFF))
+    found = waits(restarts, *(n / 100 for n in range(99)))
+    assert max(wait for wait in found if wait is not None) == LONGEST_WAIT_NS
+    assert found[-1] == LONGEST_WAIT_NS
+
+
+def test_a_limit_of_one_never_restarts() -> None:
+    assert waits(child(WAITING, (1, 60 * S, BACKOFF)), 0, 1000) == [None, None]
+
+
+def test_processes_are_counted_each_for_itself() -> None:
+    one, other = child(WAITING, (2, 60 * S, BACKOFF)), child(WAITING, (2, 60 * S, BACKOFF))
+    assert waits(one, 0, 1) == [0, None]
+    assert waits(other, 2) == [0]
+
+
+@given(
+    limit=st.integers(1, 10),
+    backoff=st.integers(1, 10 * S),
+    gaps=st.lists(st.integers(0, 90 * S), max_size=40),
+)
+def test_a_restart_is_refused_when_and_only_when_the_window_is_full(limit: int, backoff: int, gaps: list[int]) -> None:
+    restarts = child(WAITING, (limit, 60 * S, backoff))
+    deaths: list[int] = []
+    now = T0
+    for gap in gaps:
+        now += gap
+        deaths.append(now)
+        within = sum(now - death < 60 * S for death in deaths)
+        wait = restarts.restart_wait_ns(now)
+        assert (wait is None) == (within >= limit)
+        if wait is not None:
+            assert 0 <= wait <= LONGEST_WAIT_NS
+            assert (wait == 0) == (within == 1)
+
+
+def test_a_fence_tells_its_times_in_order() -> None:
+    fence = Fence(T0, T0 + MS // 10, T0 + MS // 5)
+    assert fence.story("port_owner") == "port_owner was fenced: killed after 0.1 ms, stop written after 0.2 ms"
+    fence.gone(T0 + MS, T0 + 2 * MS)
+    assert fence.story("port_owner") == (
+        "port_owner was fenced: killed after 0.1 ms, stop written after 0.2 ms, "
+        "gone after 1.0 ms, stop again after 2.0 ms"
+    )
+    assert fence.fields() == {
+        "silent_ms": 0.0,
+        "kill_us": 100.0,
+        "burst_us": 200.0,
+        "gone_us": 1000.0,
+        "again_us": 2000.0,
+    }
+    assert not fence.was_starved
+    gate = Fence(T0, T0 + MS, 0, 61_250_001)
+    gate.gone(T0 + 200 * MS, 0)
+    assert gate.story("gate") == "gate was fenced: killed after 1.0 ms, gone after 200.0 ms"
+    assert gate.fields() == {"silent_ms": 61.3, "kill_us": 1000.0, "gone_us": 200000.0}

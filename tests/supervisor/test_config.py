@@ -154,10 +154,10 @@ def test_a_key_that_is_longer_than_any_is_told_as_it_is_written(file: Path) -> N
 
 
 def test_a_mistake_without_words_is_told_by_its_name(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def parse(_text: str) -> dict[str, object]:
+    def text(_path: str) -> str:
         raise MemoryError
 
-    monkeypatch.setattr(config, "_parse", parse)
+    monkeypatch.setattr(config, "_text", text)
     assert "is not TOML: MemoryError;" in refusal(file, "")
 
 

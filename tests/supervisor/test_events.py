@@ -17,8 +17,7 @@ from failstop.procs.world import World
 from failstop.shm import layout, segment
 from failstop.shm.ring import RingReader
 from failstop.supervisor import kinds
-from failstop.supervisor.datagram import Outbox
-from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, Events, entry, pack, say
+from failstop.supervisor.events import LONGEST_HOLD_NS, MOST_WAITING, ROOM, Events, Outbox, journal_entry, pack, say
 from tests.supervisor.streams import stderr_is
 
 
@@ -210,6 +209,7 @@ def test_fields_that_do_not_fit_however_short_are_left_out() -> None:
 
 def test_the_journal_s_entry_has_a_level_and_an_id_for_every_kind() -> None:
     for kind in kinds.KINDS:
-        found = dict(entry("x", 1, kind.name, kind.level, "text", {}))
+        lines = journal_entry("x", 1, kind.name, kind.level, "text", {}).decode().splitlines()
+        found = dict(line.split("=", 1) for line in lines)
         assert 2 <= int(found["PRIORITY"]) <= 6
         assert found["MESSAGE_ID"] == kind.message_id

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
 from failstop.supervisor import grant
 
 
@@ -19,8 +20,15 @@ from failstop.supervisor import grant
         ("failstop@left.service", True, "`sudo systemctl edit failstop@left.service`"),
     ],
 )
-def test_the_command_fits_the_case(unit: str, container: bool, told: str) -> None:
-    assert told in grant.command(unit, container=container)
+def test_the_command_fits_the_case(unit: str, container: bool, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grant, "own_unit", lambda: unit)
+    monkeypatch.setattr(grant, "in_container", lambda: container)
+    assert told in grant.advice(realtime=False, managed=bool(unit))
+    assert "give it" not in grant.advice(realtime=True, managed=bool(unit))
+
+
+def test_each_is_one_line() -> None:
+    assert "\n" not in "".join((grant.UNIT, grant.CONTAINER, grant.SHELL, grant.GRANTED))
 
 
 @pytest.mark.parametrize("sign", ["/.dockerenv", "/run/.containerenv", "variable", ""])
@@ -30,15 +38,6 @@ def test_a_container_is_known_by_its_signs(sign: str, monkeypatch: pytest.Monkey
     if sign == "variable":
         monkeypatch.setenv(grant.CONTAINER_VARIABLE, "podman")
     assert grant.in_container() is bool(sign)
-
-
-def test_it_is_one_line_and_only_for_those_who_lack_the_rights(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grant, "own_unit", lambda: "robot.service")
-    monkeypatch.setattr(grant, "in_container", lambda: False)
-    assert "edit robot.service" in grant.advice(realtime=False, managed=True)
-    assert grant.SHELL in grant.advice(realtime=False, managed=False)
-    assert "give it" not in grant.advice(realtime=True, managed=False)
-    assert "\n" not in "".join((grant.UNIT, grant.CONTAINER, grant.SHELL, grant.GRANTED))
 
 
 @pytest.mark.parametrize(
@@ -57,3 +56,12 @@ def test_the_unit_is_that_of_the_control_group(
     assert grant.own_unit() == unit
     monkeypatch.setattr(grant, "CONTROL_GROUP", str(tmp_path / "absent"))
     assert grant.own_unit() == "UNIT"
+
+
+def test_what_is_lacking_is_told_of() -> None:
+    realtime = ("SCHED_FIFO", f"{grant.NO_REALTIME}; give it rights")
+    early_news = ("robust futexes", grant.NO_EARLY_NEWS)
+    assert grant.lacking(0, "give it rights") == [realtime, early_news]
+    assert grant.lacking(REALTIME, "give it rights") == [early_news]
+    assert grant.lacking(EARLY_NEWS, "give it rights") == [realtime]
+    assert grant.lacking(REALTIME | EARLY_NEWS, "give it rights") == []

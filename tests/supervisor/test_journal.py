@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop.supervisor import journal
-from failstop.supervisor.datagram import Outbox
-from failstop.supervisor.journal import encode, is_stderr
+from failstop.supervisor import events
+from failstop.supervisor.events import Outbox, encode, is_journal
 
 
 @pytest.mark.parametrize(
@@ -56,7 +55,7 @@ def test_a_journal_that_comes_back_is_used_again(tmp_path: Path) -> None:
     sender.close()
 
 
-ASK = "import os; from failstop.supervisor.journal import is_stderr; print(is_stderr(os.environ['JOURNAL_STREAM']))"
+ASK = "import os; from failstop.supervisor.events import is_journal; print(is_journal(os.environ['JOURNAL_STREAM']))"
 
 
 @pytest.mark.parametrize(("offset", "answer"), [(0, "True\n"), (1, "False\n")])
@@ -72,10 +71,10 @@ def test_only_a_stderr_that_is_the_journal_s_means_the_journal(tmp_path: Path, o
 
 
 def test_without_a_stderr_there_is_no_journal_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(journal, "STDERR", 1 << 20)
-    assert not is_stderr("8:9")
+    monkeypatch.setattr(events, "STDERR", 1 << 20)
+    assert not is_journal("8:9")
 
 
 @pytest.mark.parametrize("stream", ["", "8", "8:", ":9", "x:y", "1:2:3"])
 def test_what_is_no_stream_is_none(stream: str) -> None:
-    assert not is_stderr(stream)
+    assert not is_journal(stream)

@@ -15,7 +15,7 @@ from failstop.board.burst import BURST
 from failstop.board.finder import Finder
 from failstop.procs.world import World
 from failstop.shm.bell import EventBell
-from failstop.supervisor.opener import LOOK_NS, Opener
+from failstop.supervisor.port_handover import LOOK_NS, Opener
 from tests.support.ptys import Pty, new_pty, open_fds
 from tests.support.waiting import until
 

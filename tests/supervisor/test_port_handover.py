@@ -33,12 +33,12 @@ class Three(Scene):
         self.path = directory / "board"
         self.handover = self.supervisor.handover
         self.handover.opener.finder._path = self.handover.opener.finder.at = str(self.path)
-        self.stopper = segment.attach(self.resources.memory, layout.STOPPER, write=True)
+        self.stopper = segment.attach(self.run.memory, layout.STOPPER, write=True)
         stopper = self.supervisor.processes[layout.STOPPER]
         stopper.state, stopper.pid = children.RUNNING, NOBODY
         self.stopper.word("beat_pid").set(NOBODY)
         self.stopper.word("beat_state").set(RUNNING)
-        self.ends = {name: Control(os.dup(self.resources.controls[name][1])) for name in OTHERS}
+        self.ends = {name: Control(os.dup(self.run.controls[name][1])) for name in OTHERS}
         self.record(records.PORT_OPEN)
         self.stopper_has(1)
         self.turn()
@@ -157,12 +157,12 @@ def test_and_sent_to_each_until_it_has_it(three: Three, name: str) -> None:
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_one_that_is_starting_inherits_it_and_gets_it_when_it_runs_without(three: Three, name: str) -> None:
-    segment.attach(three.resources.memory, name, write=True).word("beat_state").set(RUNNING - 1)
+    segment.attach(three.run.memory, name, write=True).word("beat_state").set(RUNNING - 1)
     three.supervisor.processes[name].state = children.STARTING
     three.has(name, 0)
     three.turn(SHARE_NS)
     assert three.received(name) == []
-    segment.attach(three.resources.memory, name, write=True).word("beat_state").set(RUNNING)
+    segment.attach(three.run.memory, name, write=True).word("beat_state").set(RUNNING)
     three.turn()
     assert len(three.received(name)) == 1
 

@@ -5,20 +5,21 @@ from __future__ import annotations
 import os
 import select
 import signal
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pytest
 
-from failstop.policy.processes import Process
+from failstop.policy.settings import Settings
 from failstop.procs.loop import NEVER, READ
 from failstop.shm import layout, records
 from failstop.shm.futex import BLOCKS
 from failstop.shm.heartbeat import RUNNING
 from failstop.shm.lifeline import EarlyNews, Lifeline
-from failstop.supervisor.children import DIED
+from failstop.supervisor import starter
+from failstop.supervisor.children import DIED, WAITING
 from failstop.supervisor.process_table import TRY_AGAIN_NS
-from failstop.supervisor.starter import Starter
 from tests.support.supervisor_scene import Scene
 
 
@@ -29,7 +30,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
     made.close()
 
 
-def test_a_process_that_can_not_be_watched_is_not_left_running(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_can_not_be_watched_is_not_left_running(scene: Scene) -> None:
     started: list[int] = []
 
     def start(*_: object) -> int:
@@ -40,10 +41,10 @@ def test_a_process_that_can_not_be_watched_is_not_left_running(scene: Scene, mon
         raise OSError(24, "Too many open files")
 
     processes = scene.supervisor.processes
-    monkeypatch.setattr(Starter, "start", start)
+    scene.world.play("spawn", start)
     scene.world.play("lifeline", no_descriptor)
     gate = processes[layout.GATE]
-    processes.start(gate, scene.port)
+    processes.start(gate)
     (pid,) = started
     assert not os.path.exists(f"/proc/{pid}")
     assert (gate.pid, gate.life, gate.state) == (0, None, "waiting")
@@ -102,24 +103,43 @@ def test_no_process_is_given_the_futexes_of_one_that_lives_or_of_the_one_before(
     assert found == [*(block for block in range(BLOCKS) if block not in (layout.SUPERVISOR_BLOCK, 3)), 1, 2]
 
 
-def test_a_process_that_starts_is_named_to_those_who_watch_it(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_process_is_told_on_its_command_line(scene: Scene) -> None:
+    told: list[tuple[list[str], Sequence[int]]] = []
+
+    def spawn(arguments: list[str], environ: Mapping[str, str], passed: Sequence[int] = ()) -> int:
+        told.append((arguments, passed))
+        assert environ == starter.environment(Settings())
+        raise OSError("no further")
+
+    scene.world.play("spawn", spawn)
+    scene.port.number = 5
+    scene.port.fd, fd = -1, scene.port.fd
+    for child in scene.supervisor.children:
+        child.state, child.pid = WAITING, 0
+        scene.supervisor.processes.start(child)
+        row, (arguments, passed) = child.row, told.pop()
+        assert arguments[:3] == [sys.executable, "-I", "-S"]
+        assert arguments[3].endswith("/supervisor/child.py")
+        assert os.path.exists(arguments[3])
+        assert arguments[4] == row.name
+        run, block = scene.run, scene.supervisor.processes._block
+        words = [f"name={run.name}", f"run={run.incarnation:x}", f"dir={run.runtime_dir}", f"parent={os.getpid()}"]
+        numbers = run.descriptors(row.name, -1)
+        given = [f"{key}={numbers[key]}" for key in row.descriptors]
+        assert arguments[5:] == [*words, f"block={block}", "number=5", *given]
+        assert list(passed) == [numbers[key] for key in row.descriptors if key != "port"]
+    scene.port.fd = fd
+
+
+def test_a_process_that_starts_is_named_to_those_who_watch_it(scene: Scene) -> None:
     processes, gate = scene.supervisor.processes, scene.supervisor.processes[layout.GATE]
-    told: list[tuple[str, int, int]] = []
-
-    def start(_starter: Starter, row: Process, block: int, number: int, descriptors: dict[str, int]) -> int:
-        told.append((row.name, block, number))
-        assert descriptors == scene.resources.descriptors(row.name, scene.port.fd)
-        return os.posix_spawnp("sleep", ["sleep", "120"], os.environ)
-
-    monkeypatch.setattr(Starter, "start", start)
-    scene.port.number = 55
-    processes.start(gate, scene.port)
-    assert told == [("gate", 1, 55)]
+    scene.world.play("spawn", lambda *_: os.posix_spawnp("sleep", ["sleep", "120"], os.environ))
+    processes.start(gate)
     assert (gate.block, gate.state, gate.restart.ns) == (1, "starting", NEVER)
     assert gate.started_ns == scene.now_ns
     assert scene.word("gate_life").get() == records.life(gate.pid, 1)
     for process in (layout.PORT_OWNER, layout.STOPPER):
-        assert select.select([scene.resources.bells[process].fd], [], [], 0)[0]
+        assert select.select([scene.run.bells[process].fd], [], [], 0)[0]
     os.kill(gate.pid, signal.SIGKILL)
     assert gate.life
     assert gate.life.wait(20.0)
@@ -148,7 +168,7 @@ def test_what_is_told_of_deaths_and_restarts_until_it_is_down(scene: Scene, monk
         ("restarting", f"restarting telemetry {when}", {"process": "telemetry", "wait_s": wait_s})
         for wait_s, when in waits
     ]
-    todo = f"next: see to the cause, then `failstop reset --name {scene.resources.name}` restarts it"
+    todo = f"next: see to the cause, then `failstop reset --name {scene.run.name}` restarts it"
     text = f"telemetry died too often and is down, the wheels stopped; {todo}"
     assert told == [*restarts, ("down", text, {"process": "telemetry"})]
     assert (telemetry.state, telemetry.restart.ns) == ("down", NEVER)
@@ -172,8 +192,8 @@ def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
         child.started(os.posix_spawnp("sleep", ["sleep", "120"], os.environ), block, scene.now_ns)
     scene.gate.word("beat_pid").set(gate.pid)
     scene.gate.word("beat_state").set(RUNNING)
-    processes.arm(scene.port)
-    processes.arm(scene.port)
+    processes.arm()
+    processes.arm()
     assert asked == [(gate.pid, 5, 0)], "one that starts holds nothing yet"
     for child in (gate, stopper):
         child.kill(20.0)
@@ -181,8 +201,8 @@ def test_the_early_news_of_each_process_that_runs_is_waited_for_once(
 
 def test_every_restart_is_counted(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     processes, gate = scene.supervisor.processes, scene.supervisor.processes[layout.GATE]
-    monkeypatch.setattr(type(processes), "start", lambda _processes, child, _port: child.restart.set(NEVER))
+    monkeypatch.setattr(type(processes), "start", lambda _processes, child: child.restart.set(NEVER))
     for _ in range(3):
         gate.restart.set(scene.now_ns)
-        processes.restart_due(-1, scene.now_ns)  # type: ignore[arg-type]
+        processes.restart_due(scene.now_ns)
     assert gate.times_restarted == 3

@@ -36,7 +36,7 @@ def test_nothing_has_happened(scene: Scene) -> None:
 
 
 def test_what_rings_is_looked_at_at_once(scene: Scene) -> None:
-    bell = scene.resources.bells[layout.SUPERVISOR]
+    bell = scene.run.bells[layout.SUPERVISOR]
     bell.ring()
     assert rest(scene) == (0, {bell.fd: READ})
 

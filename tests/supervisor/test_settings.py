@@ -24,8 +24,8 @@ from failstop.policy.settings import (
     shortened,
     shown,
 )
+from failstop.supervisor.children import LONGEST_WAIT_NS
 from failstop.supervisor.main import TICK_NS
-from failstop.supervisor.restarts import LONGEST_WAIT_NS
 
 CHOICES = [setting for setting in DECLARED if setting.allowed]
 NUMBERS = [setting for setting in DECLARED if not isinstance(setting.default, str) and not setting.allowed]

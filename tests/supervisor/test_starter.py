@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 
 import pytest
 
-from failstop.policy.processes import PROCESSES
 from failstop.policy.settings import Settings
 from failstop.procs.world import World
 from failstop.supervisor import starter
-from failstop.supervisor.starter import Starter
 
-ROW = PROCESSES[0]
 SHOW = "import os, time; os.write(int(os.environ['OUT']), b'x'); time.sleep(120)"
 
 
@@ -35,12 +32,10 @@ def pipe() -> Iterator[tuple[int, int]]:
 
 
 @pytest.fixture
-def child(monkeypatch: pytest.MonkeyPatch, pipe: tuple[int, int]) -> Iterator[int]:
+def child(pipe: tuple[int, int]) -> Iterator[int]:
     """A started process, with something that waits in the place of the real program."""
-    monkeypatch.setattr(starter, "command", lambda *_: [sys.executable, "-I", "-S", "-c", SHOW])
-    made = Starter(World(), "none", 1, "/nowhere", Settings())
-    made._environment["OUT"] = str(pipe[1])
-    pid = made.start(ROW, 1, 1, {key: pipe[1] if key == "stop" else -1 for key in ROW.descriptors})
+    environ = {**starter.environment(Settings()), "OUT": str(pipe[1])}
+    pid = World().spawn([sys.executable, "-I", "-S", "-c", SHOW], environ, [pipe[1]])
     yield pid
     os.kill(pid, 9)
     os.waitpid(pid, 0)
@@ -64,29 +59,6 @@ def test_the_environment_is_what_it_needs_and_no_more() -> None:
     found = starter.environment(Settings())
     assert set(found) <= {"FAILSTOP_PATH", "FAILSTOP_SETTINGS", *starter.C_LIBRARY, *starter.PASSED_ON}
     assert Settings.from_lines(found["FAILSTOP_SETTINGS"]).values == Settings().values
-
-
-def test_what_a_process_is_told_on_its_command_line() -> None:
-    told: list[tuple[list[str], Sequence[int]]] = []
-
-    def spawn(arguments: list[str], environ: Mapping[str, str], passed: Sequence[int] = ()) -> int:
-        told.append((arguments, passed))
-        assert environ == starter.environment(Settings())
-        return 77
-
-    world = World()
-    world.spawn = spawn
-    made = Starter(world, "left", 0x1F, "/run/x", Settings())
-    numbers = {key: number for number, key in enumerate(ROW.descriptors, 40)} | {"port": -1, "unknown": 99}
-    assert made.start(ROW, 3, 5, numbers) == 77
-    ((arguments, passed),) = told
-    assert arguments[:3] == [sys.executable, "-I", "-S"]
-    assert arguments[3].endswith("/supervisor/child.py")
-    assert os.path.exists(arguments[3])
-    assert arguments[4] == ROW.name
-    words = ["name=left", "run=1f", "dir=/run/x", f"parent={os.getpid()}", "block=3", "number=5"]
-    assert arguments[5:] == [*words, *(f"{key}={numbers[key]}" for key in ROW.descriptors)]
-    assert list(passed) == [numbers[key] for key in ROW.descriptors if key != "port"]
 
 
 def test_the_command_line_becomes_the_supervisor_with_its_lock_and_port(

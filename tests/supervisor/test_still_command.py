@@ -13,12 +13,9 @@ import pytest
 from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.settings import Settings
-from failstop.procs.loop import Loop
 from failstop.shm import layout, segment
 from failstop.supervisor.aftermath import Aftermath
-from failstop.supervisor.events import Events
 from failstop.supervisor.latch import Latch
-from failstop.supervisor.resources import Resources
 from failstop.supervisor.run import Run
 from failstop.supervisor.stops import Stop
 from tests.support.played import PlayedWorld
@@ -36,20 +33,16 @@ class Scene:
     def __init__(self, directory: Path, command: str) -> None:
         self.file = directory / "ran"
         self.file.touch()
-        self.resources = Resources(f"still{os.getpid()}", str(directory))
-        own = segment.attach(self.resources.memory, layout.SUPERVISOR, write=True)
-        views = {process: segment.attach(self.resources.memory, process) for process in layout.PROCESSES}
         settings = Settings({"still.command": command.format(file=self.file), "still.after_s": 1.0})
         self.texts: list[str] = []
         self.told: list[tuple[str, object, str]] = []
         self.world = PlayedWorld()
-        events = Events(self.world, self.resources.name)
-        events.tell = self._tell  # type: ignore[method-assign,assignment]
+        self.run = Run(self.world, settings, f"still{os.getpid()}", str(directory))
+        self.run.events.tell = self._tell  # type: ignore[method-assign,assignment]
         self.latch = Latch()
         self.held = False
-        run = Run(self.world, self.resources, settings, own, views, Loop(self.world), events)
-        self.aftermath = Aftermath(run, self.latch, lambda: self.held)
-        self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
+        self.aftermath = Aftermath(self.run, self.latch, lambda: self.held)
+        self.telemetry = segment.attach(self.run.memory, layout.TELEMETRY, write=True)
         self.now_ns = 100 * S
         self.epoch = 1
 
@@ -74,11 +67,12 @@ class Scene:
     def stop(self) -> None:
         self.epoch += 1
         stop = Stop(self.now_ns, layout.GATE, why(f"stop {self.epoch}"))
-        self.aftermath.written(stop, self.now_ns, "port owner", stop.cause, self.epoch)
+        stop.answered_by("port owner", self.now_ns, stop, self.epoch)
+        self.aftermath.answered(stop, ending=False)
         self.follow(MS)
 
     def last_stop(self) -> dict[str, object]:
-        entry = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("stop").read()
+        entry = segment.attach(self.run.memory, layout.SUPERVISOR).latest_reader("stop").read()
         assert entry
         found: dict[str, object] = msgpack.unpackb(entry[2])
         return found
@@ -90,12 +84,12 @@ class Scene:
         for pid in self.aftermath._command_pids:
             os.killpg(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
-        self.resources.remove()
-        for fd in (self.resources.stop_pipe, self.resources.client_bell, self.resources.published):
+        self.run.remove()
+        for fd in (self.run.stop_pipe, self.run.client_bell, self.run.published):
             os.close(fd)
-        for bell in self.resources.bells.values():
+        for bell in self.run.bells.values():
             os.close(bell.fd)
-        for pair in self.resources.controls.values():
+        for pair in self.run.controls.values():
             for fd in pair:
                 os.close(fd)
 

@@ -1,12 +1,83 @@
-"""The last stop's three levels: written, acknowledged, observed."""
+"""A stop: who wrote it, its three levels (written, acknowledged, observed); and the link: unproven, alive, deaf."""
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
-from failstop.supervisor.fence import Fence
-from failstop.supervisor.stops import ACKNOWLEDGE_NS, JUDGED_AFTER_NS, JUDGED_WITHIN_NS, Stop, still_after
+from failstop.shm import layout
+from failstop.supervisor.stops import (
+    ACKNOWLEDGE_NS,
+    ALIVE,
+    DEAF,
+    JUDGED_AFTER_NS,
+    JUDGED_WITHIN_NS,
+    SOONER_NS,
+    UNPROVEN,
+    Link,
+    Stop,
+    still_after,
+)
 from tests.support.why import why
+
+T = 10**12
+"""When the cause was noticed."""
+WRITTEN = T + 50_000
+OWN, OTHER, GATE = layout.PORT_OWNER, layout.SUPERVISOR, layout.GATE
+TO_WRITE = ("supervisor", 0)
+
+
+@pytest.mark.parametrize(
+    ("noticed_by", "written_ns", "answered", "may_answer", "port_owner_ns", "told"),
+    [
+        # It may still answer, whatever is known so far.
+        (OWN, WRITTEN, False, True, WRITTEN, None),
+        (OTHER, WRITTEN, False, True, 0, None),
+        (GATE, 0, False, True, WRITTEN, None),
+        # The cause came with its stop: by who noticed it, whether or not the epoch was answered too.
+        (OWN, WRITTEN, True, True, WRITTEN, ("port owner", WRITTEN)),
+        (OWN, WRITTEN, False, False, WRITTEN, ("port owner", WRITTEN)),
+        (OTHER, WRITTEN, False, False, 0, ("supervisor", WRITTEN)),
+        (OTHER, WRITTEN, True, False, WRITTEN + 1, ("supervisor", WRITTEN)),
+        # Nobody has written, and the port owner will not.
+        (OWN, 0, False, False, WRITTEN, TO_WRITE),
+        (OTHER, 0, False, False, WRITTEN, TO_WRITE),
+        (GATE, 0, False, False, WRITTEN, TO_WRITE),
+        # It could not write for its own cause; what it wrote before is none for it.
+        (OWN, 0, True, True, T - 1, TO_WRITE),
+        # Its answer to somebody else's cause; it may have noticed that cause itself a little sooner.
+        (GATE, 0, True, True, WRITTEN, ("port owner", WRITTEN)),
+        (OTHER, 0, True, False, T - SOONER_NS, ("port owner", T - SOONER_NS)),
+        # And an answer without a burst: it has no port.
+        (GATE, 0, True, True, T - SOONER_NS - 1, TO_WRITE),
+        (OTHER, 0, True, True, 0, TO_WRITE),
+    ],
+)
+def test_table(
+    noticed_by: str,
+    written_ns: int,
+    answered: bool,
+    may_answer: bool,
+    port_owner_ns: int,
+    told: tuple[str, int] | None,
+) -> None:
+    cause = Stop(T, noticed_by, why("x"), written_ns)
+    assert cause.who_wrote(answered=answered, may_answer=may_answer, port_owner_ns=port_owner_ns) == told
+
+
+def test_a_time_is_told_with_who_wrote_then() -> None:
+    """In every case: a time that only the port owner can have is its own, and the other way round."""
+    times = (0, T - SOONER_NS - 1, T + 1)
+    for by, answered, may, port_owner_ns in itertools.product((OWN, OTHER), (True, False), (True, False), times):
+        for written_ns in (0, WRITTEN):
+            stop = Stop(T, by, why("x"), written_ns)
+            told = stop.who_wrote(answered=answered, may_answer=may, port_owner_ns=port_owner_ns)
+            if told and told[1]:
+                of_port_owner = (by == OWN) if told[1] == WRITTEN else True
+                assert told[0] == ("port owner" if of_port_owner else "supervisor")
+            assert (told is None) == (may and not answered)
+
 
 MS = 1_000_000
 T0 = 10_000 * MS
@@ -16,7 +87,8 @@ AFTER = 1_500 * MS
 def stop(written_ms: float = 0.5) -> Stop:
     written_ns = T0 + round(written_ms * MS) if written_ms else 0
     found = Stop(T0, "gate", why("gate died"))
-    found.answered_by("port owner", written_ns, found.cause, 2, AFTER, 1.0)
+    found.answered_by("port owner", written_ns, found, 2)
+    found.follow(AFTER, 1.0)
     return found
 
 
@@ -176,23 +248,74 @@ def test_one_that_is_observed_waits_a_while_for_its_acknowledgement() -> None:
     assert last.complete(T0 + ACKNOWLEDGE_NS)
 
 
-def test_a_fence_tells_its_times_in_order() -> None:
-    fence = Fence(T0, T0 + MS // 10, T0 + MS // 5)
-    assert fence.story("port_owner") == "port_owner was fenced: killed after 0.1 ms, stop written after 0.2 ms"
-    fence.gone(T0 + MS, T0 + 2 * MS)
-    assert fence.story("port_owner") == (
-        "port_owner was fenced: killed after 0.1 ms, stop written after 0.2 ms, "
-        "gone after 1.0 ms, stop again after 2.0 ms"
-    )
-    assert fence.fields() == {
-        "silent_ms": 0.0,
-        "kill_us": 100.0,
-        "burst_us": 200.0,
-        "gone_us": 1000.0,
-        "again_us": 2000.0,
-    }
-    assert not fence.was_starved
-    gate = Fence(T0, T0 + MS, 0, 61_250_001)
-    gate.gone(T0 + 200 * MS, 0)
-    assert gate.story("gate") == "gate was fenced: killed after 1.0 ms, gone after 200.0 ms"
-    assert gate.fields() == {"silent_ms": 61.3, "kill_us": 1000.0, "gone_us": 200000.0}
+DEAF_NS = 1_000 * MS
+
+
+def heard(at_ns: int) -> Link:
+    link = Link(DEAF_NS)
+    link.answered(at_ns)
+    return link
+
+
+def deaf_after_ms(link: Link, pings_ms: list[int], until_ms: int = 5_000) -> int | None:
+    """Look every 20 ms, from T0 on, with pings sent at these times; returns when it became deaf."""
+    for ms in range(0, until_ms, 20):
+        newest = max([T0 + at * MS for at in pings_ms if at <= ms], default=0)
+        if link.silent(newest, T0 + ms * MS):
+            return ms
+    return None
+
+
+def test_a_board_that_never_answers_is_unproven_and_no_cause() -> None:
+    link = Link(DEAF_NS)
+    assert link.state == UNPROVEN
+    assert deaf_after_ms(link, list(range(0, 5_000, 500))) is None
+    assert link.state == UNPROVEN
+
+
+def test_a_board_that_has_answered_and_is_silent_for_a_second_is_deaf_once() -> None:
+    link = heard(T0)
+    assert deaf_after_ms(link, [0, 500, 1_000, 1_500]) == 1_020, "the ping at 1,000 may still be answered"
+    assert link.state == DEAF
+    assert deaf_after_ms(link, [2_000, 2_500]) is None, "once"
+
+
+def test_a_board_that_answers_is_alive() -> None:
+    link = heard(T0)
+    for ms in range(0, 10_000, 500):
+        assert not link.silent(T0 + ms * MS, T0 + ms * MS + 20 * MS)
+        link.answered(T0 + ms * MS)
+    assert link.state == ALIVE
+
+
+def test_nobody_is_deaf_who_was_not_asked() -> None:
+    """As when the port owner was held up: silence counts from the first question."""
+    assert deaf_after_ms(heard(T0), [3_000]) == 3_500
+    assert deaf_after_ms(heard(T0), [0, 3_000]) == 3_500, "it has answered the last one"
+
+
+def test_nor_before_its_time_from_the_last_answer() -> None:
+    assert deaf_after_ms(heard(T0), [0, 400]) == 1_000
+
+
+def test_silence_while_nobody_listened_does_not_count() -> None:
+    link = heard(T0)
+    assert not link.silent(T0 + 500 * MS, T0 + 990 * MS)
+    link.listen(T0 + 1_500 * MS)
+    assert not link.silent(T0 + 1_500 * MS, T0 + 2_400 * MS), "nobody heard the answer to that one"
+    assert not link.silent(T0 + 2_500 * MS, T0 + 2_510 * MS)
+    assert link.silent(T0 + 2_500 * MS, T0 + 3_010 * MS)
+
+
+def test_a_deaf_board_that_answers_again_is_alive() -> None:
+    link = heard(T0)
+    assert deaf_after_ms(link, [500, 1_000]) == 1_020
+    link.answered(T0 + 1_500 * MS)
+    assert link.state == ALIVE
+
+
+def test_another_port_is_another_board() -> None:
+    link = heard(T0)
+    link.opened()
+    assert link.state == UNPROVEN
+    assert deaf_after_ms(link, list(range(0, 5_000, 500))) is None

@@ -24,12 +24,11 @@ from failstop.shm.heartbeat import STARTING
 from failstop.shm.packing import pack
 from failstop.supervisor import main
 from failstop.supervisor import process_table as table_module
-from failstop.supervisor.children import DEAD, DIED, RUNNING, STARTING_NS
-from failstop.supervisor.fence import Fence
+from failstop.supervisor.children import DEAD, DIED, KILLED, RUNNING, STARTING_NS, Fence
 from failstop.supervisor.main import EXCUSE_NS, HELD_UP_NS, LATE_NS, TICK_NS, Supervisor
-from failstop.supervisor.notify import Notify
 from failstop.supervisor.port import OwnPort
 from failstop.supervisor.process_table import GATE_AGAIN_NS
+from failstop.supervisor.status import TELL_EVERY_NS, Notify
 from tests.support.supervisor_scene import MS, fill
 from tests.support.waiting import until
 from tests.support.watching_scene import Watching
@@ -37,7 +36,7 @@ from tests.support.watching_scene import Watching
 
 def missing(supervisor: Supervisor) -> str:
     """What motion waits for."""
-    return supervisor.readiness.missing(supervisor.children, stopping=supervisor._unanswered is not None)
+    return supervisor.status.missing(stopping=supervisor._unanswered is not None)
 
 
 @pytest.fixture
@@ -161,7 +160,8 @@ def test_of_two_that_were_fenced_together_the_stop_is_the_port_owner_s(watching:
     watching.employ(layout.GATE)
     fence(watching, layout.PORT_OWNER)
     gate = watching.supervisor.processes[layout.GATE]
-    gate.fenced(Fence(watching.now_ns, watching.now_ns, 0))
+    gate.fence = Fence(watching.now_ns, watching.now_ns, 0)
+    gate.on(KILLED)
     os.kill(gate.pid, signal.SIGKILL)
     assert gate.life
     assert gate.life.wait(20.0)
@@ -181,7 +181,7 @@ def test_the_death_of_another_is_no_stop_that_was_written(watching: Watching) ->
 
 
 def test_a_ring_wakes_it_once(watching: Watching) -> None:
-    for bell in (watching.resources.bells[layout.SUPERVISOR], watching.supervisor.processes.early.bell):
+    for bell in (watching.run.bells[layout.SUPERVISOR], watching.supervisor.processes.early.bell):
         bell.ring()
         assert bell.fd in watching.supervisor.loop.wait(0)
         watching.pass_time(0)
@@ -200,12 +200,12 @@ def test_while_no_port_owner_runs_the_stop_is_written_five_times_a_second(watchi
 def test_one_that_was_held_up_stops_motion_and_kills_nobody(watching: Watching) -> None:
     for name in BY_NAME:
         watching.employ(name)
-    watching.supervisor.readiness.ever = True
+    watching.supervisor.status.ever = True
     watching.enabled()
     watching.pass_time(HELD_UP_NS)
     assert watching.supervisor.epoch == 2
     cause = watching.supervisor.epochs._latch_record
-    entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader("latch").read()
+    entry = segment.attach(watching.run.memory, layout.SUPERVISOR).latest_reader("latch").read()
     assert cause is not None
     assert entry is not None
     assert str(causes.read(records.LATCH.unpack(entry[2])[3])) == "supervisor was held up for 250 ms"
@@ -226,7 +226,7 @@ def test_from_when_on_it_was_held_up(
     watching: Watching, gap_ns: int, was_ready: bool, excused: bool, epoch: int
 ) -> None:
     watching.employ(layout.TELEMETRY)
-    watching.supervisor.readiness.ever = was_ready
+    watching.supervisor.status.ever = was_ready
     watching.enabled()
     watching.pass_time(0)
     watching.pass_time(gap_ns)
@@ -255,7 +255,7 @@ def test_its_own_beat_tells_the_epoch_that_it_has_raised(watching: Watching) -> 
 def test_one_that_was_held_up_while_nothing_could_move_only_tells(watching: Watching) -> None:
     for name in BY_NAME:
         watching.employ(name)
-    watching.supervisor.readiness.ever = True
+    watching.supervisor.status.ever = True
     watching.enabled(epoch=7)  # long ago: another stop has ended it
     watching.pass_time(HELD_UP_NS)
     assert watching.supervisor.epoch == 1
@@ -271,7 +271,7 @@ def starving(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> Watching:
     """Every process runs, and whoever is silent is starved."""
     for name in BY_NAME:
         watching.employ(name)
-    watching.supervisor.readiness.ever = True
+    watching.supervisor.status.ever = True
     watching.world.play("starved", lambda *_: True)
     return watching
 
@@ -279,7 +279,7 @@ def starving(watching: Watching, monkeypatch: pytest.MonkeyPatch) -> Watching:
 def test_who_is_starved_while_motion_is_disabled_is_left_alone_until_it_beats(starving: Watching) -> None:
     supervisor = starving.supervisor
     starving.port_open()
-    segment.attach(starving.resources.memory, layout.STOPPER, write=True).word("port_number").set(1)
+    segment.attach(starving.run.memory, layout.STOPPER, write=True).word("port_number").set(1)
     starving.answers()
     for _ in range(40):
         starving.pass_time(20 * MS)
@@ -292,7 +292,7 @@ def test_who_is_starved_while_motion_is_disabled_is_left_alone_until_it_beats(st
     starving.pass_time(0)
     assert missing(supervisor) == ""
     assert starving.starved() == [("port_owner", 800, 1)], "one for all of ten seconds"
-    assert supervisor._silence.as_record() == {"times": 4, "longest_ms": 800, "process": "port_owner"}
+    assert supervisor.processes.starved_record() == {"times": 4, "longest_ms": 800, "process": "port_owner"}
 
 
 @pytest.mark.parametrize("name", SPARED)
@@ -347,7 +347,7 @@ def test_who_has_just_beaten_after_all_is_left_alone(watching: Watching, monkeyp
     watching.world.play("starved", lambda *_: watching.gate.word("beat_ns").set(watching.now_ns))
     for _ in range(30):
         watching.pass_time(20 * MS)
-    assert (watching.supervisor.epoch, watching.supervisor._silence.times) == (1, 0)
+    assert (watching.supervisor.epoch, watching.supervisor.processes.starved_record()) == (1, None)
 
 
 def die_too_often(watching: Watching, name: str) -> None:
@@ -365,7 +365,7 @@ def test_a_reset_starts_one_anew_that_is_down(watching: Watching, name: str, mon
     die_too_often(watching, name)
     child = watching.supervisor.processes[name]
     monkeypatch.setattr(
-        table_module.ProcessTable, "start", lambda _, found, fd: (started.append(name), found.restart.set(NEVER))
+        table_module.ProcessTable, "start", lambda _, found: (started.append(name), found.restart.set(NEVER))
     )
     watching.answers(written_ns=watching.now_ns)
     watching.ask_reset(1)
@@ -392,7 +392,7 @@ def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(
     monkeypatch.setattr(
         table_module.ProcessTable,
         "start",
-        lambda _, child, fd: (started.append(watching.now_ns), child.restart.set(NEVER)),
+        lambda _, child: (started.append(watching.now_ns), child.restart.set(NEVER)),
     )
     while not started and watching.now_ns < down_ns + 2 * GATE_AGAIN_NS:
         assert watching.supervisor.processes[layout.GATE].state == "down"
@@ -404,7 +404,7 @@ def test_not_ready_before_the_stop_is_answered_and_its_own_port_is_open(watching
     for name in BY_NAME:
         watching.employ(name)
     watching.port_open()
-    stopper = segment.attach(watching.resources.memory, layout.STOPPER, write=True)
+    stopper = segment.attach(watching.run.memory, layout.STOPPER, write=True)
     stopper.word("port_number").set(1)
     watching.answers()
     watching.turn()
@@ -440,7 +440,7 @@ def test_the_wait_before_a_restart_is_kept(watching: Watching, monkeypatch: pyte
     monkeypatch.setattr(
         table_module.ProcessTable,
         "start",
-        lambda _, child, fd: (started.append(watching.now_ns), child.restart.set(NEVER)),
+        lambda _, child: (started.append(watching.now_ns), child.restart.set(NEVER)),
     )
     for _ in range(2):
         watching.employ(layout.TELEMETRY).kill()
@@ -450,7 +450,7 @@ def test_the_wait_before_a_restart_is_kept(watching: Watching, monkeypatch: pyte
     assert len(started) == 1, "the first at once, the second not yet"
     for _ in range(20):
         watching.pass_time(20 * MS)
-    backoff_ns = watching.supervisor.processes.children[0].restarts._backoff_ns
+    backoff_ns = Settings().ns("restart.backoff_s")
     assert len(started) == 2
     assert backoff_ns <= started[1] - second_ns <= backoff_ns + 20 * MS
 
@@ -479,7 +479,7 @@ def test_who_was_held_up_did_not_listen_unless_something_may_move(watching: Watc
 
 def test_a_process_that_never_says_that_it_runs_is_killed(watching: Watching) -> None:
     watching.employ(layout.TELEMETRY)
-    segment.attach(watching.resources.memory, layout.TELEMETRY, write=True).word("beat_state").set(STARTING)
+    segment.attach(watching.run.memory, layout.TELEMETRY, write=True).word("beat_state").set(STARTING)
     child = watching.supervisor.processes[layout.TELEMETRY]
     child.state = "starting"
     assert child.overdue_ns() == watching.now_ns + STARTING_NS
@@ -514,22 +514,22 @@ def test_it_sleeps_until_what_is_due_next(watching: Watching) -> None:
 
 
 def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(watching: Watching) -> None:
-    found = watching.supervisor._silence
-    assert found.as_record() is None
+    found = watching.supervisor.processes
+    assert found.starved_record() is None
     for at_s, name, silent_ns in ((0, "gate", 300 * MS), (9.999, "stopper", 900_400_000), (10, "gate", 300 * MS)):
-        found.over(name, silent_ns, watching.now_ns + round(at_s * 1e9))
+        found.tell_starved(name, silent_ns, watching.now_ns + round(at_s * 1e9))
     watching.supervisor._events.flush()
     first, second = watching.events()
     text = f"the machine starves the service: gate was not run for 300 ms; {found._advice}"
     assert (first["kind"], first["text"]) == ("starved", text)
     assert first["fields"] == {"process": "gate", "silent_ms": 300, "times": 1}
     assert second["fields"] == {"process": "gate", "silent_ms": 300, "times": 3}
-    assert found.as_record() == {"times": 3, "longest_ms": 900, "process": "stopper"}
+    assert found.starved_record() == {"times": 3, "longest_ms": 900, "process": "stopper"}
 
 
 def read(watching: Watching, record: str) -> tuple[int, Any]:
     """A record of the supervisor's: its number, and what is in it."""
-    entry = segment.attach(watching.resources.memory, layout.SUPERVISOR).latest_reader(record).read()
+    entry = segment.attach(watching.run.memory, layout.SUPERVISOR).latest_reader(record).read()
     assert entry is not None
     return entry[0], msgpack.unpackb(entry[2])
 
@@ -571,35 +571,36 @@ class Heard(Notify):
         super().__init__("/nowhere")
         self.said: list[str] = []
 
-    def send(self, message: str) -> bool:
+    def say(self, message: str) -> bool:
         self.said += message.split("\n")
         return True
 
 
 def test_what_the_service_manager_is_told(watching: Watching) -> None:
     heard = Heard()
-    watching.supervisor.herald.notify = heard
+    watching.supervisor.status.notify = heard
     watching.pass_time(0)
     assert heard.said == ["STATUS=motion disabled, waiting for port_owner, stopper, gate, telemetry"]
     for name in BY_NAME:
         watching.employ(name)
     watching.port_open()
-    segment.attach(watching.resources.memory, layout.STOPPER, write=True).word("port_number").set(1)
+    segment.attach(watching.run.memory, layout.STOPPER, write=True).word("port_number").set(1)
     watching.answers()
-    watching.pass_time(MS)
-    assert watching.supervisor.readiness.ever
+    watching.pass_time(TELL_EVERY_NS - MS)
+    assert watching.supervisor.status.ever
+    told = [(event["kind"], event["fields"].get("what")) for event in watching.events()]
+    assert told[:3] == [("ready", None), ("rights", "SCHED_FIFO"), ("rights", "robust futexes")]
+    assert len(heard.said) == 1, "it is told ten times a second"
     watching.pass_time(MS)
     assert heard.said[1:] == ["READY=1", "STATUS=ready, motion disabled"]
     state = {"enabled": True, "epoch": 1, "blocked": "no scan", "sources": []}
     watching.gate.latest_writer("state").write(pack(state))
-    watching.pass_time(97 * MS)
-    assert len(heard.said) == 3, "the gate's state is looked at ten times a second"
-    watching.pass_time(MS)
+    watching.pass_time(TELL_EVERY_NS)
     assert heard.said[3:] == ["STATUS=motion enabled; blocked: no scan"]
     watching.gate_stops("bumper")
-    watching.pass_time(MS)
+    watching.pass_time(TELL_EVERY_NS)
     watching.answers(written_ns=watching.now_ns)
-    watching.pass_time(MS)
+    watching.pass_time(TELL_EVERY_NS)
     assert heard.said[4:] == [
         "STATUS=stop latched: stop request: bumper; waiting for a stop being carried out",
         "STATUS=stop latched: stop request: bumper",
@@ -609,7 +610,7 @@ def test_what_the_service_manager_is_told(watching: Watching) -> None:
 def test_who_is_down_is_in_the_status(watching: Watching) -> None:
     heard = Heard()
     die_too_often(watching, layout.TELEMETRY)
-    watching.supervisor.herald.notify = heard
+    watching.supervisor.status.notify = heard
     watching.pass_time(MS)
     (said,) = heard.said
     assert said.startswith("STATUS=stop latched: telemetry died; telemetry died too often and is down until a reset")
@@ -622,7 +623,7 @@ class Ending(Watching):
         super().__init__(directory, monkeypatch)
         for name in BY_NAME:
             self.employ(name)
-        self.telemetry = segment.attach(self.resources.memory, layout.TELEMETRY, write=True)
+        self.telemetry = segment.attach(self.run.memory, layout.TELEMETRY, write=True)
         self.pass_time(0)
         self.port_owner.word("written_ns").set(self.now_ns)
         self.port_owner.word("stopped_epoch").set(2)
@@ -679,7 +680,7 @@ def test_the_end_is_a_stop_that_is_heard_then_every_process_ended_then_another_s
     assert ending.now_ns == began_ns, "it waits for nothing that is known"
     assert [child.state for child in ending.supervisor.children] == ["waiting"] * len(BY_NAME)
     assert ending.word("beat_state").get() == heartbeat.STOPPING
-    assert ending.supervisor.blackbox._savers == [], "an end in order is no incident"
+    assert ending.supervisor.blackbox._savers == {}, "an end in order is no incident"
 
 
 def test_a_board_that_has_never_answered_is_waited_for_a_while_and_is_no_failure(ending: Ending) -> None:

@@ -20,10 +20,11 @@ from failstop.procs import rights
 from failstop.shm import layout, records, segment
 from failstop.shm.heartbeat import RUNNING
 from failstop.supervisor import children, main
-from failstop.supervisor.datagram import Outbox
+from failstop.supervisor.events import Outbox
 from failstop.supervisor.main import Supervisor
 from failstop.supervisor.port import OwnPort
-from failstop.supervisor.resources import Resources
+from failstop.supervisor.run import Run
+from failstop.supervisor.status import Notify
 from tests.support.played import PlayedWorld
 from tests.support.stage import MOST_LATE
 from tests.support.why import said, told, why
@@ -46,10 +47,10 @@ class Scene:
         tty.setraw(slave)
         for fd in (self.master, slave):
             os.set_blocking(fd, False)
-        self.resources = Resources(f"a{os.getpid()}x{next(_numbers)}", str(directory))
+        self.run = Run(self.world, Settings(), f"a{os.getpid()}x{next(_numbers)}", str(directory), journal)
         self.port = OwnPort(slave, unsent_bytes=self.world.unsent_bytes)
-        self.supervisor = Supervisor(self.world, self.resources, self.port, Settings(), None, journal)
-        memory = self.resources.memory
+        self.supervisor = Supervisor(self.run, self.port, Notify())
+        memory = self.run.memory
         self.port_owner = segment.attach(memory, layout.PORT_OWNER, write=True)
         self.gate = segment.attach(memory, layout.GATE, write=True)
         self.stop_record = segment.attach(memory, layout.SUPERVISOR).latest_reader("stop")
@@ -116,7 +117,7 @@ class Scene:
 
     def cause(self) -> tuple[int, str]:
         """What everybody reads: since which epoch it is latched (0: it is not), and the cause."""
-        entry = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("latch").read()
+        entry = segment.attach(self.run.memory, layout.SUPERVISOR).latest_reader("latch").read()
         assert entry is not None
         since, _, _, cause = records.LATCH.unpack(entry[2])
         return since, said(causes.read(cause))
@@ -130,7 +131,7 @@ class Scene:
         """What became of the last reset; None: it is not decided."""
         if self.word("resets").get() != self.gate.word("resets_asked").get():
             return None
-        entry = segment.attach(self.resources.memory, layout.SUPERVISOR).latest_reader("reset").read()
+        entry = segment.attach(self.run.memory, layout.SUPERVISOR).latest_reader("reset").read()
         assert entry is not None
         return told(unpack(entry[2])[2])
 
@@ -141,21 +142,21 @@ class Scene:
         assert self.decided() is not None
 
     def close(self) -> None:
-        self.resources.remove()
+        self.run.remove()
         for control in self.supervisor.handover.controls.values():
             control.close()
         os.close(self.supervisor.handover.opener._spare)
-        for pair in self.resources.controls.values():
+        for pair in self.run.controls.values():
             os.close(pair[1])
-        for fd in (self.master, self.resources.stop_pipe, self.resources.client_bell, self.resources.published):
+        for fd in (self.master, self.run.stop_pipe, self.run.client_bell, self.run.published):
             os.close(fd)
-        for bell in (*self.resources.bells.values(), self.supervisor.processes.early.bell):
+        for bell in (*self.run.bells.values(), self.supervisor.processes.early.bell):
             os.close(bell.fd)
-        for saver in self.supervisor.blackbox._savers:
-            os.killpg(saver.pid, signal.SIGKILL)
-            os.waitid(os.P_PID, saver.pid, os.WEXITED | os.WNOWAIT)
-            self.world.reap(saver.pid)
-            saver.last_word()
+        for pid, saver in self.supervisor.blackbox._savers.items():
+            os.killpg(pid, signal.SIGKILL)
+            os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
+            self.world.reap(pid)
+            saver.close()
         self.port.close()
 
 

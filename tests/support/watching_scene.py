@@ -25,10 +25,10 @@ class Watching(Scene):
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(directory, monkeypatch)
-        monkeypatch.setattr(table_module.ProcessTable, "start", lambda _, child, port: child.restart.set(NEVER))
+        monkeypatch.setattr(table_module.ProcessTable, "start", lambda _, child: child.restart.set(NEVER))
         self.supervisor.processes[layout.PORT_OWNER].state = WAITING
         self.dummies: list[Dummy] = []
-        self.beats = {name: segment.attach(self.resources.memory, name, write=True).word("beat_ns") for name in BY_NAME}
+        self.beats = {name: segment.attach(self.run.memory, name, write=True).word("beat_ns") for name in BY_NAME}
 
     def employ(self, name: str) -> Dummy:
         """A process that says that it runs."""
@@ -38,7 +38,7 @@ class Watching(Scene):
         child.started(dummy.pid, 1 + len(self.dummies), self.now_ns)
         child.life.armed = True  # type: ignore[union-attr]
         self.supervisor.loop.watch(child.life.fd, READ)  # type: ignore[union-attr]
-        own = segment.attach(self.resources.memory, name, write=True)
+        own = segment.attach(self.run.memory, name, write=True)
         own.word("beat_pid").set(dummy.pid)
         own.word("beat_state").set(RUNNING)
         own.word("beat_ns").set(self.now_ns)
@@ -77,9 +77,9 @@ class Watching(Scene):
         return [(fields["process"], fields["silent_ms"], fields["times"]) for fields in found]
 
     def rung(self, process: str) -> bool:
-        fd = self.resources.bells[process].fd
+        fd = self.run.bells[process].fd
         found = bool(select.select([fd], [], [], 0)[0])
-        self.resources.bells[process].clear()
+        self.run.bells[process].clear()
         return found
 
     def close(self) -> None:

@@ -15,8 +15,7 @@ import pytest
 
 from bench.container import Bind, Container, ContainerMissing
 from failstop.install import InstallError, tree
-from failstop.install.layout import UNITS
-from failstop.install.rows import ROWS
+from failstop.install.rows import ROWS, UNITS
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
 

@@ -18,11 +18,12 @@ from failstop.policy.processes import PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs.peer import LEAVE_AFTER_NS
 from failstop.procs.telemetry.state_files import SYSTEM_BASE
-from failstop.supervisor.resources import GROUP
+from failstop.supervisor.run import GROUP
 from tests.systemd.units import OLDEST, SINCE, SYSTEMD, analyze, needs_analyze, settings
 
 ONE, MANY = "failstop.service", "failstop@.service"
 BRIDGE = "failstop-ros2.service"
+FLEET = "failstop-fleet.service"
 SLEEP = "failstop-sleep.service"
 LATE = "failstop-late@.service"
 EXPOSURE = 2.0
@@ -34,14 +35,14 @@ UNIT = dict(settings(ONE))
 @pytest.fixture
 def runnable(tmp_path: Path) -> Path:
     """The units with a command that is there: an absent one is all that would be found."""
-    for name in (ONE, MANY, SLEEP, LATE):
+    for name in (ONE, MANY, SLEEP, LATE, BRIDGE, FLEET):
         text = (SYSTEMD / name).read_text()
         (tmp_path / name).write_text(text.replace("/opt/failstop/bin/failstop", "/bin/true"))
     return tmp_path
 
 
 @needs_analyze
-@pytest.mark.parametrize("name", [ONE, "failstop@a.service", SLEEP, "failstop-late@a.service"])
+@pytest.mark.parametrize("name", [ONE, "failstop@a.service", SLEEP, "failstop-late@a.service", BRIDGE, FLEET])
 def test_verify_finds_nothing(runnable: Path, name: str) -> None:
     """Its exit code is 0 for unknown keys and bad values too."""
     if "@" in name:
@@ -58,9 +59,9 @@ def test_verify_would_find_something(runnable: Path) -> None:
 
 
 @needs_analyze
-@pytest.mark.parametrize("name", [ONE, "failstop@a.service"])
+@pytest.mark.parametrize("name", [ONE, "failstop@a.service", FLEET])
 def test_exposure(runnable: Path, name: str) -> None:
-    if name != ONE:
+    if "@" in name:
         (runnable / name).symlink_to(MANY)
     done = analyze("security", "--offline=true", "--no-pager", "--threshold=100", str(runnable / name))
     if "offline" in done.stderr:
@@ -216,14 +217,6 @@ def test_the_package_has_every_file() -> None:
     assert {ONE, MANY, BRIDGE, "failstop.sysusers", "failstop.udev"} <= names
 
 
-@needs_analyze
-def test_verify_finds_nothing_in_the_bridges_unit(tmp_path: Path) -> None:
-    text = (SYSTEMD / BRIDGE).read_text()
-    (tmp_path / BRIDGE).write_text(text.replace("/opt/failstop/bin/failstop", "/bin/true"))
-    done = analyze("verify", "--man=no", str(tmp_path / BRIDGE))
-    assert (done.returncode, done.stdout + done.stderr) == (0, "")
-
-
 def test_the_bridges_unit_and_the_service_need_not_each_other() -> None:
     found = settings(BRIDGE)
     assert not {"PartOf", "Requires", "BindsTo", "Wants"} & {key for key, _ in found}
@@ -233,3 +226,13 @@ def test_the_bridges_unit_and_the_service_need_not_each_other() -> None:
     assert "ROS_LOG_DIR=/var/log/failstop-ros2" in given["Environment"]
     later = {"Type": 240, "LogsDirectory": 235, "SupplementaryGroups": 218, "Environment": 1, "EnvironmentFile": 1}
     assert all({**SINCE, **later, "After": 1, "Description": 1}.get(key, 999) <= OLDEST for key, _ in found)
+
+
+def test_the_fleets_unit_can_not_drive_and_the_service_does_not_need_it() -> None:
+    found = settings(FLEET)
+    given = dict(found)
+    assert not {"PartOf", "Requires", "BindsTo", "Wants", "SupplementaryGroups", "Group", "User"} & set(given)
+    assert (given["DynamicUser"], given["Restart"]) == ("yes", "always")
+    later = {"Type": 240, "DynamicUser": 235, "LoadCredential": 247, "StateDirectory": 235, "PrivateDevices": 209}
+    later |= {"RestrictAddressFamilies": 211, "RestrictRealtime": 231, "After": 1, "Description": 1}
+    assert [key for key, _ in found if {**SINCE, **later}.get(key, 999) > OLDEST] == []

@@ -8,7 +8,7 @@ import time
 from argparse import ArgumentParser, Namespace
 from math import inf
 
-from failstop import config, instances
+from failstop import config, instances, stopping
 from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
 from failstop.board.servos import HIGHEST_ID
@@ -16,7 +16,6 @@ from failstop.cli import standard
 from failstop.cli.commands import add_name
 from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY, SettingError
 from failstop.shm import instance
-from failstop.stopping import rest, tool
 
 DEVICE = "device.path"
 WAIT = "stop.wait_s"
@@ -68,8 +67,9 @@ def main(arguments: Namespace) -> int:
     """Stop. Exit code 1, though a stop was written, where it is not known to be the right port, and for --end-service
     where that is not allowed; raises FailstopError when no stop could be written in time, SettingError for an option
     that is not allowed."""
+    reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
-        return _every_service(arguments)
+        return _every_service(reason, who)
     start_s = time.monotonic()
     port = Port(arguments)
     if arguments.end_service:
@@ -78,7 +78,7 @@ def main(arguments: Namespace) -> int:
         standard.tell(f"stop frame sent (after {after_s:.1f} s)")
         return int(port.doubtful() or misused)
     try:
-        if _by_service(arguments, port):
+        if _by_service(arguments.name, reason, who, port):
             return 0
     except Exception as error:  # whatever it is, the port is still to be written to
         standard.say(f"no service can be asked ({error}): writing to the port itself")
@@ -88,30 +88,29 @@ def main(arguments: Namespace) -> int:
     return int(port.doubtful())
 
 
-def _every_service(arguments: Namespace) -> int:
+def _every_service(reason: str, who: str) -> int:
     """Ask each that listens; 1 when one is not known to have stopped."""
     from failstop.api import ask
 
-    problems = 0
-    for name in instances.listening():
-        done, problem = ask.stop(name, " ".join(arguments.reason), f"failstop {arguments.command}")
-        problems += not done
-        for line, tell in ((done, standard.tell), (problem, standard.say)):
-            if line:
-                tell(line)
-    return int(problems > 0)
+    # All of them before anybody is told, for that may be held up.
+    answers = [ask.stop(name, reason, who) for name in instances.listening()]
+    for done, problem in answers:
+        if done:
+            standard.tell(done)
+        if problem:
+            standard.say(problem)
+    return int(not all(done for done, _ in answers))
 
 
-def _by_service(arguments: Namespace, port: Port) -> bool:
+def _by_service(wanted: str, reason: str, who: str, port: Port) -> bool:
     """Ask a service that runs; True when a stop is out."""
-    names, unseen = _services(arguments.name, port.wanted())
+    names, unseen = _services(wanted, port.wanted())
     if not names and not unseen:
         return False
     # For a service alone: the stop tool, where nothing runs, need not wait for all that these import.
     from failstop.api import ask
     from failstop.shm import records
 
-    reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     for name in names:
         done, problem = ask.stop(name, reason, who)
         if done:
@@ -146,7 +145,7 @@ def _services(name: str, device: str) -> tuple[list[str], list[str]]:
 
 class Port:
     """Where to write and for how long to try: what an option says, else the file, which is read when it is needed, else
-    the default."""
+    the default. Of the file nothing else is looked at: a mistake elsewhere must not keep the wheels turning."""
 
     def __init__(self, arguments: Namespace) -> None:
         """Raises SettingError."""
@@ -156,9 +155,11 @@ class Port:
         }
         self._name = arguments.name
         self._config = arguments.config
-        self._found: dict[str, float | str] | None = None
+        self._table: dict[str, object] | None = None
+        self._unread = ""
         self._problems: dict[str, str] = {}
-        self._said: list[str] = []
+        """What is wrong with the values of the file that were asked for."""
+        self._said: set[str] = set()
         self.known = ""
         """What a service that runs says of its port."""
         self.asked: list[str] = []
@@ -166,23 +167,33 @@ class Port:
 
     def wanted(self) -> str:
         """The port that the user has named, by an option or by a file; empty: none."""
-        found = self._given if DEVICE in self._given or not self._config else self._file()
-        return str(found.get(DEVICE, ""))
+        return str(self._given.get(DEVICE) or (self._of_file(DEVICE) if self._config else None) or "")
 
     def device(self) -> str:
         """The port to write to."""
-        return self.wanted() or self.known or str(self._value(DEVICE))
+        return self.wanted() or self.known or str(self._of_file(DEVICE) or DEFAULTS[DEVICE])
 
-    def _value(self, key: str) -> float | str:
-        return self._given[key] if key in self._given else self._file().get(key, DEFAULTS[key])
-
-    def _file(self) -> dict[str, float | str]:
-        if self._found is None:
-            self._found = {}
+    def _file(self) -> dict[str, object]:
+        """What the file sets, unchecked; nothing where there is none, or it can't be read."""
+        if self._table is None:
+            self._table = {}
             path = self._config or config.installed(self._name)
-            if self._config or os.path.exists(path):
-                self._found, self._problems = _of_file(path)
-        return self._found
+            try:
+                self._table = config.read(path) if self._config or os.path.exists(path) else {}
+            except SettingError as error:
+                self._unread = str(error)
+        return self._table
+
+    def _of_file(self, key: str) -> float | str | None:
+        """A value, if the file has it and it is allowed."""
+        try:
+            if key in (table := self._file()):
+                return BY_KEY[key].check(table[key])
+        except SettingError as error:
+            self._problems[key] = str(error)
+        if self._unread:
+            self._problems[key] = self._unread
+        return None
 
     def stop(self, most_s: float = inf) -> float:
         """Write the stop, trying for `most_s` seconds at most; returns after how many. Raises FailstopError."""
@@ -190,40 +201,35 @@ class Port:
         def wait_s(error: PortError) -> float:
             if error.kind == "busy":
                 standard.say(self._explained(error))
-            found_s = float(self._value(WAIT))
+            found = self._given.get(WAIT)
+            found = self._of_file(WAIT) if found is None else found
             self.complain()
-            return min(found_s, most_s, STALLED_S if error.kind == "io" and most_s < inf else inf)
+            least_s = STALLED_S if error.kind == "io" and most_s < inf else inf
+            return min(float(DEFAULTS[WAIT] if found is None else found), most_s, least_s)
 
         try:
-            after_s = tool.stop(self.device(), wait_s, standard.say)
-            self._stop_arm()
-        except PortError as error:
-            raise FailstopError(self._explained(error)) from None
-        finally:
+            after_s = stopping.stop(self.device(), wait_s, standard.say)
             self.complain()
+            # The servos of the arm, if there are any: which ones is in a file, and the wheels come first.
+            joints = [key for key in self._file() if key.startswith("joints.") and key.endswith(".servo")]
+            found = [value for key in joints if type(value := self._file()[key]) is int and 0 < value <= HIGHEST_ID]
+            if servos := sorted({*found})[:MOST_OF_A_FAMILY]:
+                stopping.write(self.device(), tuple(servos))
+        except PortError as error:
+            self.complain()
+            raise FailstopError(self._explained(error)) from None
         return after_s
 
-    def _stop_arm(self) -> None:
-        """The servos of the robot's arm, if its file names any: after the wheels. Raises PortError."""
-        path = self._config or config.installed(self._name)
-        try:
-            found = config.read(path) if self._config or os.path.exists(path) else {}
-        except SettingError:
-            return  # said already, or not asked for
-        servos = {value for key, value in found.items() if key.startswith("joints.") and key.endswith(".servo")}
-        if ids := tuple(sorted(value for value in servos if type(value) is int and 0 < value <= HIGHEST_ID)):
-            tool.stop_arm(self.device(), ids[:MOST_OF_A_FAMILY])
-
     def complain(self) -> None:
-        """Say what is wrong with the file, as far as it was read: after the stop, for this may be held up."""
-        for problem in dict.fromkeys(self._problems.values()):
+        """Say what is wrong with the file, as far as it was asked: after the stop, for this may be held up."""
+        for problem in self._problems.values():
             if problem not in self._said:
-                self._said.append(problem)
+                self._said.add(problem)
                 standard.say(f"{problem}; going on without it")
 
     def doubtful(self) -> bool:
         """True, and said, when the port that was written to is a mere guess."""
-        if self.wanted() or self.known or DEVICE in self._file():
+        if self.wanted() or self.known or self._of_file(DEVICE):
             return False
         if DEVICE not in self._problems and self._name == instance.DEFAULT_NAME:
             return False
@@ -247,8 +253,7 @@ class Port:
             remedies.append(f"`sudo failstop stop --device {device}` writes all the same")
         remedies += [f"`failstop stop --name {name}` asks it" for name in services if name not in self.asked]
         if others and not services:
-            ends = [f"systemctl stop {holder.unit}" if holder.unit else f"kill {holder.pid}" for holder in holders]
-            remedies.append(f"`sudo {' && sudo '.join(dict.fromkeys(ends))}` ends it")
+            remedies.append(f"`{' && '.join(dict.fromkeys(holder.end() for holder in holders))}` ends it")
         also = f"; asked in vain: {', '.join(self.asked)}" if self.asked else ""
         return f"{device} is held exclusively by {who}{also}: {', or '.join(remedies)}"
 
@@ -256,14 +261,14 @@ class Port:
 def _end_service() -> bool:
     """SIGKILL the rest of the control group. False, with nothing killed, where that is not the service's: no reason not
     to stop."""
-    if "SERVICE_RESULT" not in os.environ or not _in_a_service():
-        standard.say(
-            "nothing killed: --end-service kills the rest of the control group, and is for ExecStopPost in the systemd "
-            "unit; by hand use `failstop stop` without it"
-        )
-        return False
     try:
-        killed, left = rest.kill(REST_S)
+        if "SERVICE_RESULT" not in os.environ or not stopping.of_a_service():
+            standard.say(
+                "nothing killed: --end-service kills the rest of the control group, and is for ExecStopPost in the "
+                "systemd unit; by hand use `failstop stop` without it"
+            )
+            return False
+        killed, left = stopping.kill_rest(REST_S)
     except OSError as error:
         standard.say(f"cannot kill what is left of the service: {error}")
         return True
@@ -272,29 +277,3 @@ def _end_service() -> bool:
     if left:
         standard.say(f"{left} of them have not ended within {REST_S:g} s")
     return True
-
-
-def _in_a_service() -> bool:
-    """Of a control group that can't be read nothing can be killed: no reason not to stop."""
-    try:
-        return rest.of_a_service()
-    except OSError:
-        return True
-
-
-def _of_file(path: str) -> tuple[dict[str, float | str], dict[str, str]]:
-    """The two values as far as the file has them, and what is wrong with them. Nothing else in it is looked at: a
-    mistake elsewhere must not keep the wheels turning."""
-    found: dict[str, float | str] = {}
-    try:
-        read = config.read(path)
-    except SettingError as error:
-        return found, dict.fromkeys(DEFAULTS, str(error))
-    problems: dict[str, str] = {}
-    for key in DEFAULTS:
-        if key in read:
-            try:
-                found[key] = BY_KEY[key].check(read[key])
-            except SettingError as error:
-                problems[key] = str(error)
-    return found, problems

@@ -15,7 +15,7 @@ from failstop.api.errors import FailstopError, NoService, Refused
 from failstop.api.robot import Robot
 from failstop.cli import style
 from failstop.doctor.system import System
-from failstop.install.layout import unit_of
+from failstop.instances import unit_of
 from failstop.lab.prove import report
 from failstop.lab.prove.arm_run import ArmRun
 from failstop.lab.prove.character import Unfit, characterize

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from failstop import config
+from failstop import config, stopping
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
 from failstop.board.port import PortError
@@ -23,7 +23,6 @@ from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import COMMAND_EVERY_S, Service, TrialError, write_settings
 from failstop.policy.settings import Settings
 from failstop.shm.layout import SUPERVISOR
-from failstop.stopping import tool
 
 if TYPE_CHECKING:
     from failstop.lab.prove.swing import Swing
@@ -171,7 +170,7 @@ class Stand:
             self.service.kill()
         self._kill_rest()
         try:
-            tool.stop(self.device, lambda _: SIM_FREE_S if self.board else FREE_S, lambda _: None)
+            stopping.stop(self.device, lambda _: SIM_FREE_S if self.board else FREE_S, lambda _: None)
         except PortError as error:
             return f"the last stop could not be written: {error}"
         return ""

@@ -1,4 +1,4 @@
-"""What a run makes, with which rights, and that nothing of it is left."""
+"""What a run makes, with which rights, that nothing of it is left, and what is told of a name that is taken away."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ from pathlib import Path
 import pytest
 
 from failstop.policy.processes import PROCESSES, Process
+from failstop.policy.settings import Settings
+from failstop.procs.world import World
 from failstop.shm import bell, claim, instance, layout, segment
-from failstop.supervisor import resources as module
-from failstop.supervisor.resources import Resources, client_gid
+from failstop.supervisor import run as module
+from failstop.supervisor.events import Events
+from failstop.supervisor.run import LOOK_EVERY_NS, Run, client_gid
 
 _numbers = itertools.count()
 
@@ -25,7 +28,11 @@ def name() -> str:
     return f"r{os.getpid()}x{next(_numbers)}"
 
 
-def close(made: Resources) -> None:
+def new(name: str, directory: Path | str) -> Run:
+    return Run(World(), Settings(), name, str(directory))
+
+
+def close(made: Run) -> None:
     made.remove()
     for fd in (made.stop_pipe, made.client_bell, made.published, *(found.fd for found in made.bells.values())):
         os.close(fd)
@@ -35,8 +42,8 @@ def close(made: Resources) -> None:
 
 
 @pytest.fixture
-def made(name: str, tmp_path: Path) -> Iterator[Resources]:
-    created = Resources(name, str(tmp_path))
+def made(name: str, tmp_path: Path) -> Iterator[Run]:
+    created = new(name, tmp_path)
     yield created
     close(created)
 
@@ -49,36 +56,36 @@ def mode(path: str) -> int:
     return stat.S_IMODE(os.stat(path).st_mode)
 
 
-def test_every_segment_is_there_and_of_this_run(made: Resources) -> None:
+def test_every_segment_is_there_and_of_this_run(made: Run) -> None:
     assert len(left(made.name)) == len(layout.SEGMENTS)
     for process in layout.PROCESSES:
         assert segment.attach(made.memory, process).incarnation == made.incarnation
 
 
-def test_two_runs_differ(made: Resources, name: str, tmp_path: Path) -> None:
-    other = Resources(f"{name}b", str(tmp_path))
+def test_two_runs_differ(made: Run, name: str, tmp_path: Path) -> None:
+    other = new(f"{name}b", tmp_path)
     assert other.incarnation != made.incarnation
     close(other)
 
 
-def test_everyone_may_ask_to_stop_and_nobody_else_may_take_a_request_away(made: Resources) -> None:
+def test_everyone_may_ask_to_stop_and_nobody_else_may_take_a_request_away(made: Run) -> None:
     """A pipe that others can read is one from which they can take stop requests before the port owner sees them."""
     path = instance.stop_path(made.runtime_dir)
     assert stat.S_ISFIFO(os.stat(path).st_mode)
     assert mode(path) == 0o622
 
 
-def test_the_group_may_ring_and_nobody_else_may_take_a_ring_away(made: Resources) -> None:
+def test_the_group_may_ring_and_nobody_else_may_take_a_ring_away(made: Run) -> None:
     path = instance.bell_path(made.runtime_dir)
     assert stat.S_ISFIFO(os.stat(path).st_mode)
     assert mode(path) == 0o620
 
 
-def test_only_the_group_may_claim(made: Resources) -> None:
+def test_only_the_group_may_claim(made: Run) -> None:
     assert mode(instance.claims_path(made.runtime_dir)) == 0o660
 
 
-def test_a_request_waits_in_the_pipe_while_nobody_reads_it(made: Resources) -> None:
+def test_a_request_waits_in_the_pipe_while_nobody_reads_it(made: Run) -> None:
     """As while the port owner is being restarted: the supervisor keeps the pipe open."""
     fd = bell.open_pipe_to_write(instance.stop_path(made.runtime_dir))
     assert bell.send(fd, b"stop\n")
@@ -91,7 +98,7 @@ def test_the_group_is_the_client_s_where_it_exists(name: str, tmp_path: Path, mo
     if os.geteuid() != 0:
         pytest.skip("needs root, to give files to any group")
     monkeypatch.setattr(module, "client_gid", lambda: 4321)
-    made = Resources(name, str(tmp_path))
+    made = new(name, tmp_path)
     try:
         for path in (instance.bell_path, instance.claims_path):
             assert os.stat(path(str(tmp_path))).st_gid == 4321
@@ -106,54 +113,48 @@ def test_the_group_is_the_client_s_where_it_exists(name: str, tmp_path: Path, mo
     [(0, 0, [], 0), (4321, 0, [], 4321), (4321, 7, [4321], 4321), (4321, 7, [4322], -1), (-1, 0, [], -1)],
 )
 def test_only_who_may_gives_files_to_the_group(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gid: int, user: int, groups: list[int], given: int
+    monkeypatch: pytest.MonkeyPatch, gid: int, user: int, groups: list[int], given: int
 ) -> None:
-    """Root, and a member; anybody else's service has the clients of its own group."""
-    found: list[int] = []
-    monkeypatch.setattr(module, "client_gid", lambda: gid)
+    """Root, and a member; anybody else's service has the clients of its own group, and so where there is none."""
+
+    def group(name: str) -> grp.struct_group:
+        if gid < 0:
+            raise KeyError(name)
+        return grp.struct_group((name, "x", gid, []))
+
+    monkeypatch.setattr(grp, "getgrnam", group)
     monkeypatch.setattr(os, "geteuid", lambda: user)
     monkeypatch.setattr(os, "getgroups", lambda: groups)
-    monkeypatch.setattr(Resources, "_refuse_living", lambda _: None)
-    monkeypatch.setattr(Resources, "_make", lambda _, gid: found.append(gid))
-    Resources(name, str(tmp_path))
-    assert found == [given]
+    assert client_gid() == given
 
 
-def test_a_group_that_does_not_exist_is_the_service_s_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> grp.struct_group:
-        raise KeyError(name)
-
-    monkeypatch.setattr(grp, "getgrnam", missing)
-    assert client_gid() == -1
-
-
-def test_what_a_dead_run_left_is_replaced(made: Resources, tmp_path: Path) -> None:
+def test_what_a_dead_run_left_is_replaced(made: Run, tmp_path: Path) -> None:
     fd = bell.open_pipe_to_write(instance.stop_path(made.runtime_dir))
     bell.send(fd, b"old\n")
     os.close(fd)
     for dead in made._segments:
         dead.close()
-    again = Resources(made.name, str(tmp_path))
+    again = new(made.name, tmp_path)
     assert segment.attach(again.memory, layout.GATE).incarnation == again.incarnation
     assert bell.take(again.stop_pipe) == b""
     close(again)
 
 
 @pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
-def test_every_descriptor_that_a_process_is_to_get_is_there(made: Resources, row: Process) -> None:
+def test_every_descriptor_that_a_process_is_to_get_is_there(made: Run, row: Process) -> None:
     found = made.descriptors(row.name, 55)
     assert set(row.descriptors) <= set(found)
     assert found["port"] == 55
     assert found["bell"] == made.bells[row.name].fd
 
 
-def test_no_descriptor_is_inherited_unless_it_is_passed_on(made: Resources) -> None:
+def test_no_descriptor_is_inherited_unless_it_is_passed_on(made: Run) -> None:
     for row in PROCESSES:
         for key, fd in made.descriptors(row.name, -1).items():
             assert fd < 0 or not os.get_inheritable(fd), key
 
 
-def test_both_ends_of_the_sockets_stay_with_the_supervisor(made: Resources) -> None:
+def test_both_ends_of_the_sockets_stay_with_the_supervisor(made: Run) -> None:
     """A successor inherits the same end, with what was sent to its predecessor."""
     assert set(made.controls) == {layout.PORT_OWNER, layout.STOPPER}
     for process, (_, theirs) in made.controls.items():
@@ -161,14 +162,14 @@ def test_both_ends_of_the_sockets_stay_with_the_supervisor(made: Resources) -> N
 
 
 def test_nothing_is_left(name: str, tmp_path: Path) -> None:
-    made = Resources(name, str(tmp_path))
+    made = new(name, tmp_path)
     close(made)
     assert left(name) == []
     assert list(tmp_path.iterdir()) == []
     made.remove()
 
 
-def test_claims_of_clients_work_on_the_file(made: Resources) -> None:
+def test_claims_of_clients_work_on_the_file(made: Run) -> None:
     path = instance.claims_path(made.runtime_dir)
     client, service = claim.open_claims(path), os.open(path, os.O_RDONLY)
     assert claim.take(client, 3)
@@ -202,7 +203,7 @@ def test_a_start_that_fails_midway_leaves_nothing(
 ) -> None:
     failing(at, monkeypatch)
     with pytest.raises((segment.AttachError, OSError), match=r"No space|no room"):
-        Resources(name, str(tmp_path))
+        new(name, tmp_path)
     assert left(name) == []
     assert list(tmp_path.iterdir()) == []
 
@@ -216,9 +217,9 @@ def test_nor_does_it_cost_the_black_box_of_the_run_before(
     with monkeypatch.context() as patch:
         failing(3, patch)
         with pytest.raises(segment.AttachError, match="no room"):
-            Resources(name, str(tmp_path))
+            new(name, tmp_path)
     assert segment.dead_runs(name) == [before]
-    made = Resources(name, str(tmp_path))
+    made = new(name, tmp_path)
     assert set(made.left) == set(layout.PROCESSES)
     assert segment.dead_runs(name) == []
     for fd in made.left.values():
@@ -226,11 +227,11 @@ def test_nor_does_it_cost_the_black_box_of_the_run_before(
     close(made)
 
 
-def test_what_a_living_run_has_is_not_taken_from_it(made: Resources) -> None:
+def test_what_a_living_run_has_is_not_taken_from_it(made: Run) -> None:
     """Whatever has become of the lock's file."""
     before = sorted(os.listdir(made.runtime_dir))
     with pytest.raises(instance.InstanceError, match="already running"):
-        Resources(made.name, made.runtime_dir)
+        new(made.name, made.runtime_dir)
     assert sorted(os.listdir(made.runtime_dir)) == before
     assert len(left(made.name)) == len(layout.SEGMENTS)
 
@@ -247,11 +248,98 @@ def test_a_segment_that_is_taken_away_during_the_start_is_named(
 
     monkeypatch.setattr(segment, "open_all", but_the_gate_s)
     with pytest.raises(segment.AttachError, match=r"^shared memory gate was there and can't be opened: try again"):
-        Resources(name, str(tmp_path))
+        new(name, tmp_path)
     assert left(name) == []
 
 
-def test_whatever_others_find_by_its_name_is_watched(made: Resources) -> None:
+def test_whatever_others_find_by_its_name_is_watched(made: Run) -> None:
     others = {"the stop pipe", "the bell of the clients", "the name of the run"}
     assert set(made.named) == {*others, *(f"shared memory {spec.name}" for spec in layout.SEGMENTS)}
     assert all(os.fstat(fd).st_nlink for fd in made.named.values())
+
+
+ALL = (
+    "shared memory gate",
+    "shared memory lifelines",
+    "shared memory client.0",
+    "shared memory client.7",
+    "the stop pipe",
+)
+
+
+class Told(Events):
+    """What people were told."""
+
+    def __init__(self) -> None:
+        super().__init__(World(), "none")
+        self.found: list[tuple[str, str]] = []
+
+    def tell(self, kind: str, text: str, fields: object = None, *, level: str = "") -> None:
+        self.found.append((level, text))
+
+
+class Scene:
+    """A run, for which files that can be taken away stand in for what it has made."""
+
+    def __init__(self, made: Run, directory: Path) -> None:
+        self.paths = {name: directory / name for name in ALL}
+        self.named = {name: os.open(path, os.O_CREAT | os.O_RDWR) for name, path in self.paths.items()}
+        self.run = made
+        self.run.named = dict(self.named)
+        self.run.events = self.told = Told()
+        self.now_ns = 5 * LOOK_EVERY_NS
+
+    def lost(self, *removed: str, elapsed_ns: int = LOOK_EVERY_NS) -> str:
+        for name in removed:
+            self.paths[name].unlink()
+        self.now_ns += elapsed_ns
+        return str(self.run.lost(self.now_ns) or "")
+
+
+@pytest.fixture
+def scene(made: Run, tmp_path: Path) -> Iterator[Scene]:
+    found = Scene(made, tmp_path)
+    yield found
+    for fd in found.named.values():
+        os.close(fd)
+
+
+def test_nothing_is_lost(scene: Scene) -> None:
+    assert scene.lost() == ""
+    assert scene.told.found == []
+
+
+@pytest.mark.parametrize("name", [name for name in ALL if "client" not in name])
+def test_a_name_that_the_service_needs(scene: Scene, name: str) -> None:
+    assert scene.lost(name) == f"{name} was removed: restart the service"
+    ((level, text),) = scene.told.found
+    assert level == "error"
+    assert name in text
+    assert "RemoveIPC" in text
+    assert scene.lost() == "", "once"
+
+
+def test_a_client_slot_is_told_of_once(scene: Scene) -> None:
+    assert scene.lost("shared memory client.7") == ""
+    assert scene.lost() == ""
+    ((level, text),) = scene.told.found
+    assert level == "warning"
+    assert "client.7" in text
+
+
+def test_all_at_once_is_one_remark(scene: Scene) -> None:
+    assert scene.lost(*ALL) == "shared memory gate was removed: restart the service"
+    ((_, text),) = scene.told.found
+    assert "lifelines" in text
+
+
+def test_a_name_that_somebody_else_has_taken_is_gone(scene: Scene) -> None:
+    scene.paths["the stop pipe"].unlink()
+    scene.paths["the stop pipe"].touch()
+    assert scene.lost() == "the stop pipe was removed: restart the service"
+
+
+def test_it_looks_once_a_second(scene: Scene) -> None:
+    assert scene.lost() == ""
+    assert scene.lost("the stop pipe", elapsed_ns=LOOK_EVERY_NS - 1) == ""
+    assert scene.lost(elapsed_ns=1)

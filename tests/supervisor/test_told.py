@@ -1,20 +1,21 @@
-"""When people are told what motion waits for; that a service which is never ready says why."""
+"""In which words people are told of stops, and of what motion waits for: a service that is never ready says why."""
 
 from __future__ import annotations
 
-import os
-import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from failstop.policy import causes
 from failstop.procs.world import World
 from failstop.shm import layout, segment
-from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
 from failstop.shm.notes import Note
+from failstop.supervisor.aftermath import MOST_SAID, Aftermath
 from failstop.supervisor.events import Events
+from failstop.supervisor.status import WAITED_NS, Status
 from failstop.supervisor.stops import Stop
-from failstop.supervisor.teller import MOST_SAID, NO_EARLY_NEWS, NO_REALTIME, WAITED_NS, Teller
+from tests.support.supervisor_scene import Scene
 from tests.support.why import why
 
 T0 = 10**12
@@ -34,35 +35,45 @@ class Told(Events):
 
 
 @pytest.fixture
-def name() -> Iterator[str]:
-    made = f"w{os.getpid()}x{time.monotonic_ns()}"
-    for process in (layout.GATE, layout.TELEMETRY):
-        segment.create(made, process, 7).close()
-    yield made
-    segment.unlink_all(made)
-
-
-@pytest.fixture
 def events() -> Told:
     return Told()
 
 
 @pytest.fixture
-def teller(name: str, events: Told) -> Teller:
-    views = {process: segment.attach(name, process) for process in (layout.GATE, layout.TELEMETRY)}
-    return Teller(name, events, views, "give it rights")
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, events: Told) -> Iterator[Scene]:
+    made = Scene(tmp_path, monkeypatch)
+    made.run.events = made.supervisor.processes._events = events
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def aftermath(scene: Scene) -> Aftermath:
+    return scene.supervisor.aftermath
+
+
+@pytest.fixture
+def status(scene: Scene) -> Status:
+    return scene.supervisor.status
+
+
+def answered(stop: Stop, written_ns: int, by: str = "port owner", latched: Stop | None = None, epoch: int = 7) -> Stop:
+    """A stop of this cause that somebody has written, while another was latched."""
+    found = Stop(stop.t_ns, stop.noticed_by, stop.cause)
+    found.answered_by(by, written_ns, latched or found, epoch)
+    return found
 
 
 def test_a_thousand_reasons_of_somebody_s_are_not_all_remembered_and_hide_no_death(
-    teller: Teller, events: Told
+    aftermath: Aftermath, events: Told
 ) -> None:
-    teller.latched(Stop(T0, layout.PORT_OWNER, why("key1")))
+    aftermath.latched(Stop(T0, layout.PORT_OWNER, why("key1")))
     for number in range(1000):
-        teller.also(Stop(T0, layout.PORT_OWNER, why(str(number))))
-        assert len(teller._said) <= MOST_SAID
+        aftermath.also(Stop(T0, layout.PORT_OWNER, why(str(number))))
+        assert len(aftermath._said) <= MOST_SAID
     before = len(events.kinds)
-    teller.also(Stop(T0, layout.PORT_OWNER, why("gate died")))
-    teller.also(Stop(T0, layout.SUPERVISOR, why("gate died")))
+    aftermath.also(Stop(T0, layout.PORT_OWNER, why("gate died")))
+    aftermath.also(Stop(T0, layout.SUPERVISOR, why("gate died")))
     assert len(events.kinds) == before + 1
 
 
@@ -82,14 +93,15 @@ DEAF = "NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITC
     ],
 )
 def test_the_end_is_told_with_what_is_known_of_the_stop(
-    teller: Teller, events: Told, heard_ns: int, link: str, written: bool, level: str, text: str
+    aftermath: Aftermath, events: Told, heard_ns: int, link: str, written: bool, level: str, text: str
 ) -> None:
-    teller.ended(heard_ns, link, written=written, sent=written)
+    aftermath.ended(heard_ns, link, written=written, sent=written)
     acknowledged_us = 3140.3 if heard_ns else None
     assert events.whole == [("stopped", text, {"link": link, "acknowledged_us": acknowledged_us}, level)]
 
 
 KEY = Stop(T0, layout.PORT_OWNER, why("key1"))
+STUCK = Stop(T0, layout.PORT_OWNER, causes.STUCK())
 DEATH = Stop(T0 + 5, layout.SUPERVISOR, why("gate died"))
 NEXT = "next: `failstop reset --name x`, then `failstop enable --name x`"
 
@@ -114,11 +126,11 @@ NEXT = "next: `failstop reset --name x`, then `failstop enable --name x`"
     ],
 )
 def test_a_stop_is_told_with_who_wrote_it_and_when(
-    teller: Teller, events: Told, stop: Stop, after_ns: int | None, ending: bool, kind: str, text: str, level: str
+    aftermath: Aftermath, events: Told, stop: Stop, after_ns: int | None, ending: bool, kind: str, text: str, level: str
 ) -> None:
     written_ns = 0 if after_ns is None else stop.t_ns + after_ns
-    teller.latched(KEY)
-    teller.stopped(stop, written_ns, "stopper", KEY, 7, ending=ending)
+    aftermath.latched(KEY)
+    aftermath.answered(answered(stop, written_ns, "stopper", None if stop is KEY else KEY), ending=ending)
     fields = {
         "reason": str(stop.cause),
         "cause": stop.cause.kind.name,
@@ -132,7 +144,7 @@ def test_a_stop_is_told_with_who_wrote_it_and_when(
     assert events.whole == [(kind, text.format(wrote=wrote), {**fields, **latched}, level)]
 
 
-def test_what_came_together_is_told_once_until_the_next_latch(teller: Teller, events: Told) -> None:
+def test_what_came_together_is_told_once_until_the_next_latch(aftermath: Aftermath, events: Told) -> None:
     also = (
         "stop_also",
         "also: gate died",
@@ -140,65 +152,63 @@ def test_what_came_together_is_told_once_until_the_next_latch(teller: Teller, ev
         "",
     )
     for count in (1, 2):
-        teller.latched(KEY)
+        aftermath.latched(KEY)
         for cause in (KEY, DEATH, DEATH):
-            teller.also(cause)
-        teller.stopped(DEATH, DEATH.t_ns, "port owner", KEY, 8, ending=False)
+            aftermath.also(cause)
+        aftermath.answered(answered(DEATH, DEATH.t_ns, latched=KEY), ending=False)
         assert events.whole == [also] * count
 
 
-def test_the_processes_remarks_are_passed_on_and_a_damaged_one_is_left_out(
-    teller: Teller, events: Told, name: str
-) -> None:
-    ring = segment.attach(name, layout.GATE, write=True).ring_writer("notes")
+def test_the_processes_remarks_are_passed_on_and_a_damaged_one_is_left_out(scene: Scene, events: Told) -> None:
+    ring = segment.attach(scene.run.memory, layout.GATE, write=True).ring_writer("notes")
     ring.put(b"damaged")
     ring.put(Note("refused", "no reset yet", {"who": "nav"}, level="notice").pack())
-    teller.pass_notes()
+    scene.supervisor.processes.pass_notes()
     assert events.whole == [("refused", "no reset yet", {"process": "gate", "who": "nav"}, "notice")]
 
 
-def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(teller: Teller, events: Told) -> None:
-    teller.ended(0, "deaf", written=True, sent=False)
+def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(aftermath: Aftermath, events: Told) -> None:
+    aftermath.ended(0, "deaf", written=True, sent=False)
     handed = "stopped; the second stop was handed over, NOT sent: the board takes no bytes, "
     assert events.whole == [("stopped", handed + DEAF, {"link": "deaf", "acknowledged_us": None}, "critical")]
 
 
-def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(teller: Teller, events: Told) -> None:
-    teller.stopped(KEY, KEY.t_ns + 80_000, "port owner", KEY, 7, ending=False, held=True)
+def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(aftermath: Aftermath, events: Told) -> None:
+    aftermath._holds = lambda: True
+    aftermath.answered(answered(STUCK, KEY.t_ns + 80_000), ending=False)
     [(kind, text, _, level)] = events.whole
     handed = "stop frame handed over by the port owner after 80 us, NOT sent: the board takes no bytes"
-    assert (kind, text, level) == ("stop", f"STOP latched: key1; {handed}; {NEXT}", "critical")
+    assert (kind, text, level) == ("stop", f"STOP latched: {STUCK.cause}; {handed}; {NEXT}", "critical")
 
 
-def test_what_was_not_handed_over_is_held_by_nobody(teller: Teller, events: Told) -> None:
-    teller.stopped(KEY, 0, "port owner", KEY, 7, ending=True, held=True)
+def test_what_was_not_handed_over_is_held_by_nobody(aftermath: Aftermath, events: Told) -> None:
+    aftermath._holds = lambda: True
+    aftermath.answered(answered(STUCK, 0), ending=True)
     [(_, text, _, level)] = events.whole
-    assert (text, level) == ("key1; stop frame NOT written", "critical")
+    assert (text, level) == (f"{STUCK.cause}; stop frame NOT written", "critical")
 
 
-def test_a_short_wait_is_not_told_of(teller: Teller, events: Told) -> None:
+def test_a_short_wait_is_not_told_of(status: Status, events: Told) -> None:
     for since_ns, missing in ((0, "gate, telemetry"), (WAITED_NS - 1, "gate"), (WAITED_NS, "gate"), (WAITED_NS, "")):
-        teller.missing(missing, T0 + since_ns)
+        status.tell_people(missing, T0 + since_ns)
     assert events.kinds == []
 
 
-def test_a_start_that_hangs_says_what_it_waits_for_and_then_that_it_is_ready(teller: Teller, events: Told) -> None:
-    teller.missing("the port", T0)
-    teller.missing("the port", T0 + WAITED_NS)
-    teller.missing("the port", T0 + 2 * WAITED_NS)
+def test_a_start_that_hangs_says_what_it_waits_for_and_then_that_it_is_ready(status: Status, events: Told) -> None:
+    status.tell_people("the port", T0)
+    status.tell_people("the port", T0 + WAITED_NS)
+    status.tell_people("the port", T0 + 2 * WAITED_NS)
     text = "waiting for the port: motion can't be enabled; next: `failstop status --name x`"
     assert events.whole == [("waiting", text, {"for": "the port"}, "")]
-    teller.ready(REALTIME | EARLY_NEWS)
-    teller.missing("", T0 + 3 * WAITED_NS)
+    assert status.publish("")
+    status.tell_people("", T0 + 3 * WAITED_NS)
     assert events.kinds == ["waiting", "ready"], "once"
 
 
-def test_each_long_wait_and_its_end_are_told(teller: Teller, events: Told) -> None:
-    teller.ready(0)
+def test_each_long_wait_and_its_end_are_told(status: Status, events: Told) -> None:
+    assert status.publish("")
     for at, missing in enumerate(("", "gate", "gate", "gate, the port", "gate, the port", "", "", "gate", "gate", "")):
-        teller.missing(missing, T0 + at * WAITED_NS)
-    assert events.kinds == ["ready", "rights", "rights", "waiting", "waiting", "ready", "waiting", "ready"]
+        status.tell_people(missing, T0 + at * WAITED_NS)
+    assert events.kinds == ["ready", "waiting", "waiting", "ready", "waiting", "ready"]
     assert events.whole[0][1].endswith(" is ready: wheels stopped, motion disabled; next: `failstop enable --name x`")
-    assert events.whole[1][1:3] == (f"{NO_REALTIME}; give it rights", {"what": "SCHED_FIFO"})
-    assert events.whole[2][1:3] == (NO_EARLY_NEWS, {"what": "robust futexes"})
-    assert events.whole[5][1] == "gate, the port is there now: motion can be enabled again"
+    assert events.whole[3][1] == "gate, the port is there now: motion can be enabled again"

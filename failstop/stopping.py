@@ -1,0 +1,139 @@
+"""The stop without a service: the stop tool opens the port and writes the stop burst, which needs nothing running; at
+the service's end it kills the rest of its own control group first.
+
+At `systemctl stop`, at a restart and when its watchdog bites, systemd runs ExecStopPost beside workers that still live:
+they hold the port (TIOCEXCL), and what they write could follow the stop. They are found by reading /proc, not the
+control group's own files: their place depends on how the machine mounts its hierarchies.
+"""
+
+from __future__ import annotations
+
+# The C module under `signal`, which costs an import of enum.
+import _signal
+import contextlib
+import os
+import select
+import time
+
+from failstop.board.port import PortError, open_port, unsent_bytes
+from failstop.board.stop_port import StopPort
+
+RETRY_S = 0.02
+WARN_S = 1.0
+_SIGKILL = 9
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+
+
+def stop(path: str, wait: Callable[[PortError], float], say: Callable[[str], None]) -> float:
+    """Write the burst; returns after how many seconds. `wait` says for how many to try, and is asked when the first try
+    has failed: the answer may be in a file. Raises PortError, the last one met."""
+    start_s = time.monotonic()
+    wait_s = -1.0
+    warned = False
+    while True:
+        waited_s = time.monotonic() - start_s
+        try:
+            write(path)
+        except PortError as error:
+            wait_s = wait(error) if wait_s < 0 else wait_s
+            if waited_s >= wait_s:
+                raise
+            if waited_s >= WARN_S and not warned:
+                warned = True
+                say(f"{error}; trying for {wait_s:g} s")
+            time.sleep(RETRY_S)
+        else:
+            return waited_s
+
+
+def write(path: str, servos: tuple[int, ...] = ()) -> None:
+    """Open without taking the port from anyone, write the whole burst, and behind it what stops an arm with these
+    servos, see it drained, close. Raises PortError."""
+    stop_port = StopPort(open_port(path, exclusive=False), servos, unsent_bytes)
+    try:
+        stop_port.burst()
+        if not stop_port.drain():
+            gone = f"went away while writing ({os.strerror(stop_port.errno)})"
+            why = gone if stop_port.lost else "takes no bytes: use the POWER SWITCH"
+            raise PortError("io", f"{path} {why}", stop_port.errno)
+    finally:
+        stop_port.close()
+
+
+def of_a_service(proc: str = "/proc") -> bool:
+    """True when this process's control group is that of a systemd service, and not of a login, say. Raises OSError."""
+    return any(line.endswith(b".service") for line in _group(proc, "self"))
+
+
+def kill_rest(timeout_s: float, proc: str = "/proc") -> tuple[int, int]:
+    """SIGKILL every other process of this one's control group until none is left, or `timeout_s` is over; returns how
+    many were killed, and how many of these have not ended. `proc`: where to find processes. Raises OSError when this
+    process's own control group can't be read."""
+    group = _group(proc, "self")
+    until_s = time.monotonic() + timeout_s
+    killed: set[int] = set()
+    left = 0
+    # More than once: one of them may just have started another.
+    while not left and (found := _others(proc, group)):
+        try:
+            for fd in found.values():
+                # Of another user's: it is waited for in vain, and told of.
+                with contextlib.suppress(OSError):
+                    _signal.pidfd_send_signal(fd, _SIGKILL)
+            killed.update(found)
+            left = _wait(found.values(), until_s)
+        finally:
+            for fd in found.values():
+                os.close(fd)
+    return len(killed), left
+
+
+def _others(proc: str, group: list[bytes]) -> dict[int, int]:
+    """The pidfd of each other process of the group that has not ended, by its pid."""
+    found: dict[int, int] = {}
+    for word in os.listdir(proc):
+        if not word.isdecimal() or int(word) == os.getpid():
+            continue
+        pid = int(word)
+        try:
+            if _group(proc, word) != group:
+                continue
+            fd = os.pidfd_open(pid)
+        except OSError:
+            continue  # it has just ended
+        # Looked at again behind the descriptor: the pid may have been another process's a moment ago.
+        try:
+            same = _group(proc, word) == group and bool(_wait([fd], 0.0))
+        except OSError:
+            same = False
+        if same:
+            found[pid] = fd
+        else:
+            os.close(fd)
+    return found
+
+
+def _group(proc: str, pid: str) -> list[bytes]:
+    """A process's control group in the hierarchies that systemd keeps services apart in, one or both; people may have
+    chosen others, for single processes. Raises OSError."""
+    with open(f"{proc}/{pid}/cgroup", "rb") as file:
+        return [line for line in file.read().splitlines() if line.split(b":", 2)[1] in (b"", b"name=systemd")]
+
+
+def _wait(fds: Collection[int], until_s: float) -> int:
+    """Wait until all of these processes have ended; returns how many have not by then."""
+    poll = select.poll()
+    for fd in fds:
+        poll.register(fd, select.POLLIN)
+    left = len(fds)
+    while left:
+        ready = poll.poll(max(0.0, until_s - time.monotonic()) * 1000)
+        if not ready:
+            break
+        for fd, _ in ready:
+            poll.unregister(fd)
+        left -= len(ready)
+    return left

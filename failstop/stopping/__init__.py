@@ -1,1 +1,0 @@
-"""The stop without a service: the stop tool, and what it does before it opens the port."""

@@ -1,0 +1,213 @@
+"""Status: what motion waits for, and whether the supervisor does its job. The gate is told by a word, clients by the
+process table, the service manager by datagrams (the sd_notify protocol), never waited for: ready, a status line, the
+watchdog, the end. What could not be sent is sent again later, and is no reason to do anything else.
+
+The watchdog is for a supervisor that no longer does its job, and for nothing else:
+
+    hung                                    it sends no beat by itself
+    a process that was killed and stays     whatever holds it in the kernel, a restart in here can't replace it
+    a stop owed                             nobody answered it and nobody could write it, though the port is open
+
+Everything else is healthy, however bad it looks: a process that is down until a reset, a port that is gone, a board
+that is deaf. The wheels are told to stop then, the status is served, and a restart would only take both away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import MutableMapping
+
+import msgpack
+
+from failstop.shm import layout
+from failstop.shm.packing import pack
+from failstop.supervisor.children import DOWN, RUNNING
+from failstop.supervisor.events import Outbox
+from failstop.supervisor.latch import Epochs
+from failstop.supervisor.port_handover import PortHandover
+from failstop.supervisor.process_table import ProcessTable
+from failstop.supervisor.run import Run
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+UNDYING_NS = 10_000_000_000
+"""SIGKILL to gone takes milliseconds; a process that closes a port which does not drain, seconds."""
+OWED_NS = 2_000_000_000
+"""The supervisor's own burst goes out 5 ms after the cause and every 200 ms from then on."""
+WAITED_NS = 2_000_000_000
+"""What motion waits for is told of after this long: a restart takes a fraction of it."""
+TELL_EVERY_NS = 100_000_000
+"""Its line is made this often: what is in it of the gate is new at every tick while something drives."""
+VARIABLES = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
+"""What the service manager hands over; for the supervisor alone."""
+STATUS_CHARACTERS = 200
+
+
+class Notify(Outbox):
+    """The socket of the service manager; without one, nothing is sent."""
+
+    def __init__(self, address: str = "", watchdog_us: int = 0) -> None:
+        """`address`: a path, or @name for the abstract namespace; `watchdog_us`: the watchdog's timeout, 0 for none."""
+        self.active = bool(address)
+        """True when somebody listens."""
+        abstract = address.startswith("@")
+        super().__init__(b"\0" * abstract + address[abstract:].encode("utf-8", "surrogateescape"))
+        self.every_ns = watchdog_us * 1000 // 2
+        """Half of the timeout: one datagram may get lost."""
+        self._beat_ns = 0
+        self._said = ""
+        self._told_ready = False
+
+    @classmethod
+    def taken_from(cls, environ: MutableMapping[str, str], pid: int) -> Notify:
+        """As `environ` says, from which the variables are taken away: nothing that this process starts may speak for
+        it. A watchdog for another pid is none."""
+        address, timeout, wanted = (environ.pop(name, "") for name in VARIABLES)
+        if address[:1] not in ("/", "@"):
+            return cls()
+        for_us = not wanted or wanted == str(pid)
+        return cls(address, int(timeout) if for_us and timeout.isdecimal() else 0)
+
+    def follow(self, now_ns: int, status: str, *, ready: bool, healthy: bool) -> None:
+        """What is new, and the watchdog's beat when it is due and the supervisor does its job. `ready`:
+        the service has been, once."""
+        lines = ["READY=1"] if ready and not self._told_ready else []
+        if status != self._said:
+            lines.append(f"STATUS={_one_line(status)}")
+        beats = healthy and self.every_ns > 0 and now_ns - self._beat_ns >= self.every_ns
+        if beats:
+            lines.append("WATCHDOG=1")
+        if lines and self.say("\n".join(lines)):
+            self._told_ready = ready
+            self._said = status
+            if beats:
+                self._beat_ns = now_ns
+
+    def stopping(self, status: str) -> None:
+        """The service ends now."""
+        self.say(f"STOPPING=1\nSTATUS={_one_line(status)}")
+
+    def say(self, lines: str) -> bool:
+        """Send one datagram; False when it could not be handed over at once."""
+        return self.active and self.send(lines.encode("utf-8", "replace"))
+
+
+class Status:
+    """One publish(), tell_people() and tell_manager() a turn. `ever`: the service has been ready."""
+
+    def __init__(
+        self, run: Run, notify: Notify, processes: ProcessTable, epochs: Epochs, handover: PortHandover
+    ) -> None:
+        self._run = run
+        self.notify = notify
+        self._processes = processes
+        self._epochs = epochs
+        self._handover = handover
+        self._record = run.own.latest_writer("processes")
+        self._table = b""
+        self._gate_record = run.views[layout.GATE].latest_reader("state")
+        self._told_ns = 0
+        self._missing = ""
+        self._missing_ns = 0
+        self._told_missing = ""
+        self.ever = False
+        self.fault = ""
+        """Why the supervisor does not do its job: the watchdog is left to bite."""
+
+    def missing(self, *, stopping: bool) -> str:
+        """What motion is still waiting for; empty when nothing. `stopping`: a stop is not answered yet."""
+        absent = [child.row.name for child in self._processes.children if child.state != RUNNING]
+        if not absent and not self._handover.complete():
+            return "the port"
+        # A stop that the supervisor wrote itself is still to be answered: a port owner that was held up would cut into
+        # motion of a later enable, with frames of an older one perhaps before that.
+        carried_out = self._epochs.answered() and not stopping
+        return ", ".join(absent) or ("" if carried_out else "a stop being carried out")
+
+    def publish(self, missing: str) -> bool:
+        """The process table and the ready word, when they change. True once: it is ready for the first time."""
+        processes = {
+            child.row.name: {
+                "pid": child.pid,
+                "state": child.state,
+                "restarts": child.times_restarted,
+                "last_exit": child.last_exit or None,
+            }
+            for child in self._processes.children
+        }
+        table = pack(
+            {"waiting_for": missing or None, "starved": self._processes.starved_record(), "processes": processes}
+        )
+        self._epochs.ready_word.set(not missing)
+        if table != self._table:
+            self._table = table
+            self._record.write(table)
+        if missing or self.ever:
+            return False
+        self.ever, self._told_missing = True, ""
+        text = (
+            f"{self._run.name!r} is ready: wheels stopped, motion disabled; next: {self._run.events.command('enable')}"
+        )
+        self._run.events.tell("ready", text)
+        return True
+
+    def tell_people(self, missing: str, now_ns: int) -> None:
+        """Once a turn: what motion waits for; told of when it stays away, and when it has come after all."""
+        if missing != self._missing:
+            self._missing, self._missing_ns = missing, now_ns
+        if self._told_missing == missing:
+            return
+        if missing and now_ns - self._missing_ns >= WAITED_NS:
+            self._told_missing = missing
+            text = f"waiting for {missing}: motion can't be enabled; next: {self._run.events.command('status')}"
+            self._run.events.tell("waiting", text, {"for": missing})
+        elif not missing:
+            self._run.events.tell("ready", f"{self._told_missing} is there now: motion can be enabled again")
+            self._told_missing = ""
+
+    def tell_manager(self, now_ns: int, missing: str, owed_since_ns: int) -> None:
+        """Status, watchdog. `missing`: what motion waits for; `owed_since_ns`: as in fault()."""
+        if not self.notify.active or now_ns - self._told_ns < TELL_EVERY_NS:
+            return
+        self._told_ns = now_ns
+        children, latched, state = self._processes.children, self._epochs.latch.stop, self._gate_record.read()
+        killed_ns = {child.row.name: child.fence.kill_ns for child in children if child.fence and child.pid}
+        self.fault = fault(now_ns, killed_ns, owed_since_ns)
+        down = ", ".join(child.row.name for child in children if child.state == DOWN)
+        gate = msgpack.unpackb(state[2]) if state else {}
+        line = self.fault or status_line(missing, down, str(latched.cause) if latched else "", gate)
+        self.notify.follow(now_ns, line, ready=self.ever, healthy=not self.fault)
+
+
+def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
+    """Why the supervisor does not do its job, in words; empty while it does. `killed_ns`: when the processes that were
+    killed and are not gone were killed; `owed_since_ns`: since when a stop is neither answered nor written though there
+    is a descriptor to write to, 0 for no such stop. Pure."""
+    for name, since_ns in killed_ns.items():
+        if now_ns - since_ns >= UNDYING_NS:
+            return f"{name} was killed {(now_ns - since_ns) / 1e9:.0f} s ago and is not gone"
+    if owed_since_ns and now_ns - owed_since_ns >= OWED_NS:
+        return f"a stop could not be written for {(now_ns - owed_since_ns) / 1e9:.0f} s"
+    return ""
+
+
+def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> str:
+    """The service in one line. `missing`: what motion waits for; `down`: the processes that died too often; `latched`:
+    the reason of the latch; `gate`: its published state; each empty where there is none. Pure."""
+    stays = f"; {down} died too often and is down until a reset" if down else ""
+    if latched:
+        waits = f"; waiting for {missing}" if missing else ""
+        return f"stop latched: {latched}{stays or waits}"
+    if missing:
+        return f"motion disabled, waiting for {missing}{stays}"
+    if not gate.get("enabled"):
+        return "ready, motion disabled"
+    who = [f"{row['source']} drives: {row['who']}" for row in gate["sources"] if row["state"] == "drives"]
+    blocked = f"blocked: {gate['blocked']}" if gate["blocked"] else ""
+    return f"motion enabled; {blocked or ', '.join(who) or 'nobody drives'}"
+
+
+def _one_line(text: str) -> str:
+    """A line break would begin another assignment: a reason is not to say that a service is ready."""
+    return "".join(c if c.isprintable() else "?" for c in text)[:STATUS_CHARACTERS]
